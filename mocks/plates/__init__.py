@@ -17,6 +17,10 @@ from drivers.registry import Registry
 Float64Array = NDArray[np.float64]
 Complex64Array = NDArray[np.complex64]
 Complex128Array = NDArray[np.complex128]
+Chain = Callable[[Float64Array], Complex128Array]
+"""A transfer function of the frequency in Hz."""
+
+MAGNET_RADIUS_MM = 2.5  # the paper, section IV.A: magnets 5 mm across
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +40,7 @@ class Change:
                 " choose smaller speed_per_k and loss_per_k"
             )
 
-    def softened(self, chain: Callable[[Float64Array], Complex128Array]) -> Callable[[Float64Array], Complex128Array]:
+    def softened(self, chain: Chain) -> Chain:
         """A chain times what a unit force moves: a gel twice as stiff moves half as much."""
         return chain if self.speed == 1 else lambda frequency_hz: chain(frequency_hz) / self.speed**2
 
@@ -49,25 +53,14 @@ REFERENCE_C = 21.0
 class Plate(ABC):
     """A plate with actuators on it, each pushing with unit force.
 
-    Parameters
-    ----------
-    actuator_mm : float64 array, shape (actuators, 2)
-        Where they are.
-    outline : Outline
-        Of the plate.
-    chain : callable
-        Transfer function of the signal chain over the frequency in Hz; every response includes it.
-    keys
-        Settings that only some plates have, by name.
+    actuator_mm, float64 (actuators, 2): Where they are.
+    outline: Of the plate.
+    chain: Transfer function of the signal chain over the frequency in Hz; every response includes it.
+    keys: Settings that only some plates have, by name.
 
-    Attributes
-    ----------
-    name : str
-        What it is registered as.
-    unit_force_n : float
-        Force in N for which its responses are velocities in m/s.
-    ringing_s : float
-        How long its responses take to fall by 60 dB, if that can be longer than a gel's.
+    name: What it is registered as.
+    unit_force_n: Force in N for which its responses are velocities in m/s.
+    ringing_s: How long its responses take to fall by 60 dB, if that can be longer than a gel's.
     """
 
     name: str
@@ -78,7 +71,7 @@ class Plate(ABC):
         self,
         actuator_mm: Float64Array,
         outline: Outline,
-        chain: Callable[[Float64Array], Complex128Array],
+        chain: Chain,
         **keys: Any,
     ) -> None:
         self._actuator_mm = actuator_mm
@@ -91,16 +84,10 @@ class Plate(ABC):
     ) -> Complex64Array | Complex128Array:
         """Velocity at a place for each actuator at the frequencies step_hz * (0, 1, ... bins - 1), (actuators, bins).
 
-        Parameters
-        ----------
-        place_mm : tuple of float
-            Point on the surface.
-        step_hz : float
-            Spacing of the frequencies, > 0.
-        bins : int
-            How many, > 0.
-        single : bool
-            Give complex64, to a relative error of 1e-6, in place of complex128.
+        place_mm: Point on the surface.
+        step_hz: Spacing of the frequencies, > 0.
+        bins: How many, > 0.
+        single: Give complex64, to a relative error of 1e-6, in place of complex128.
         """
 
     @abstractmethod
@@ -109,16 +96,10 @@ class Plate(ABC):
     ) -> Complex128Array:
         """Transforms of the FIRs that end after some taps, (positions, actuators, bins), within 1e-5.
 
-        Parameters
-        ----------
-        position_mm : float64 array, shape (positions, 2)
-            Points on the surface, not on an actuator.
-        taps, sample_rate_hz
-            Length and rate of the FIRs.
-        length : int
-            Length of the transform.
-        bins : slice
-            Which bins, start and stop given.
+        position_mm, float64 (positions, 2): Points on the surface, not on an actuator.
+        taps, sample_rate_hz: Length and rate of the FIRs.
+        length: Length of the transform.
+        bins: Which bins, start and stop given.
         """
 
     @abstractmethod
@@ -130,7 +111,7 @@ def make_plate(
     name: str,
     actuator_mm: Float64Array,
     outline: Outline,
-    chain: Callable[[Float64Array], Complex128Array],
+    chain: Chain,
     keys: Mapping[str, Any],
     warmer_k: float = 0.0,
 ) -> Plate:

@@ -8,9 +8,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from mocks.plates import Complex64Array, Complex128Array, Float64Array, Plate
-from mocks.plates.infinite import Colour, impulse_length
-from mocks.plates.soft import MAGNET_RADIUS_MM
+from mocks.plates import MAGNET_RADIUS_MM, Chain, Complex64Array, Complex128Array, Float64Array, Plate
+from mocks.plates.infinite import impulse_length
 
 _ANGLES = np.pi / 3 * np.arange(6)
 DISK_MM = MAGNET_RADIUS_MM * np.concatenate(
@@ -25,16 +24,11 @@ class TouchedPlate(Plate):
 
     With responses H from actuators s and finger f to places r, it is H_rs - H_rf Z / (1 + Z H_ff) H_fs.
 
-    Parameters
-    ----------
-    plate, beneath : Plate
-        The plate, with its actuators and with one actuator in the finger's place; both without a signal chain.
-    chain : callable
-        The signal chain.
-    place_mm : tuple of float
-        Where the finger is.
-    mass_kg, damping_n_s_m, stiffness_n_m : float
-        Of the finger, Z = j w m + d + s / (j w), >= 0.
+    plate, beneath: The plate, with its actuators and with one actuator in the finger's place; both without a signal
+        chain.
+    chain: The signal chain.
+    place_mm: Where the finger is.
+    mass_kg, damping_n_s_m, stiffness_n_m: Of the finger, Z = j w m + d + s / (j w), >= 0.
     """
 
     name = "touched"
@@ -43,7 +37,7 @@ class TouchedPlate(Plate):
         self,
         plate: Plate,
         beneath: Plate,
-        chain: Colour,
+        chain: Chain,
         place_mm: tuple[float, float],
         *,
         mass_kg: float,

@@ -6,22 +6,18 @@ the modes of the rectangle all have the quality factor Q (Kirchhoff-Love; Timosh
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from config.outline import Outline
-from mocks.plates import PLATES, UNCHANGED, Change, Complex128Array
+from mocks.plates import MAGNET_RADIUS_MM, PLATES, UNCHANGED, Chain, Change, Complex128Array, Float64Array
 from mocks.plates.infinite import InfinitePlate
 from mocks.plates.modal import ALL, ModalPlate, Modes
-from mocks.plates.soft import MAGNET_RADIUS_MM, mean_hankel
+from mocks.plates.soft import mean_hankel
 from mocks.plates.thin import ThinPlate
-
-Float64Array = NDArray[np.float64]
 
 KAPPA_M2_S = 1.57
 """sqrt(D / (rho h)) of 1 mm of glass."""
@@ -40,14 +36,9 @@ INFINITE_STRENGTH = 150.0
 class ThinRectangle(ModalPlate):
     """A simply supported rectangle of glass.
 
-    Parameters
-    ----------
-    actuator_mm, outline, chain
-        As of every plate; the outline is a rectangle. Raises ValueError.
-    quality : float
-        Quality factor of every mode, > 0, to 1e4: amplitudes decay as exp(-w t / (2 Q)).
-    mode_tolerance : float
-        As of `ModalPlate`.
+    actuator_mm, outline, chain: As of every plate; the outline is a rectangle. Raises ValueError.
+    quality: Quality factor of every mode, > 0, to 1e4: amplitudes decay as exp(-w t / (2 Q)).
+    mode_tolerance: As of `ModalPlate`.
     """
 
     name = "thin"
@@ -57,7 +48,7 @@ class ThinRectangle(ModalPlate):
         self,
         actuator_mm: Float64Array,
         outline: Outline,
-        chain: Callable[[Float64Array], Complex128Array],
+        chain: Chain,
         *,
         quality: float = QUALITY,
         mode_tolerance: float = 0.0,
@@ -113,14 +104,9 @@ class FlexuralWave:
     (k^2 - k1^2) (k^2 - k2^2) = k^4 + j (w / kappa) k^2 / Q - (w / kappa)^2 has the roots k1^2 = (w / kappa) e^{-j phi},
     which travels, and k2^2 = -(w / kappa) e^{j phi}, which stays near the source; sin(phi) = 1 / (2 Q).
 
-    Parameters
-    ----------
-    quality : float
-        Q, > 0.5.
-    travels : bool
-        Which of the two it is.
-    kappa_m2_s : float
-        sqrt(D / (rho h)), > 0.
+    quality: Q, > 0.5.
+    travels: Which of the two it is.
+    kappa_m2_s: sqrt(D / (rho h)), > 0.
     """
 
     quality: float
@@ -164,7 +150,7 @@ class InfiniteGlass(InfinitePlate):
         self,
         actuator_mm: Float64Array,
         outline: Outline,
-        chain: Callable[[Float64Array], Complex128Array],
+        chain: Chain,
         *,
         quality: float = QUALITY,
         change: Change = UNCHANGED,
@@ -172,9 +158,6 @@ class InfiniteGlass(InfinitePlate):
         facts = quality / max(change.loss, 1e-12), KAPPA_M2_S * change.speed**2
         waves = [FlexuralWave(facts[0], travels, facts[1]) for travels in (True, False)]
         super().__init__(actuator_mm, outline, chain, tuple(waves))
-
-    def weights(self, gap_mm: Float64Array) -> None:
-        return None
 
     def loudness(self, frequency_hz: Float64Array) -> Float64Array:
         argument = np.sqrt(2 * np.pi * frequency_hz / KAPPA_M2_S) * MAGNET_RADIUS_MM / 1e3

@@ -6,8 +6,6 @@ times a weight of the direction.
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from collections.abc import Callable
 from functools import lru_cache
 from typing import Protocol
 
@@ -16,13 +14,8 @@ import scipy
 from numpy.typing import NDArray
 
 from config.outline import Outline
-from mocks.plates import Complex64Array, Plate
-from mocks.plates.soft import MAGNET_RADIUS_MM
+from mocks.plates import MAGNET_RADIUS_MM, Chain, Complex64Array, Complex128Array, Float64Array, Plate
 
-Float64Array = NDArray[np.float64]
-Complex128Array = NDArray[np.complex128]
-Colour = Callable[[Float64Array], Complex128Array]
-"""A transfer function of the frequency in Hz."""
 ComplexType = type[np.complex64] | type[np.complex128]
 
 NODES = 24  # Chebyshev nodes in log radius; the error they leave is measured in tests/unit/test_plates.py
@@ -63,22 +56,13 @@ class PlateTable:
     wave exp(-j w r / c - b r / (2 c)) / sqrt(r), which costs two short exponentials. What is left is so
     smooth in log r that a Chebyshev interpolation of low order does for all distances.
 
-    Parameters
-    ----------
-    wave : Wave
-        The wave.
-    step_hz : float
-        Spacing of the frequencies in Hz, > 0; they are step_hz * (0, 1, ... bins - 1).
-    bins : int
-        Number of frequencies, > 0.
-    colour : complex array, shape (bins,)
-        A transfer function multiplied into the table.
-    furthest_mm : float
-        Largest distance of the table in mm; beyond it the plate is evaluated directly.
-    source_radius_mm : float
-        Radius of the source in mm; nearer than that the plate is evaluated directly.
-    single : bool
-        Keep and return complex64 (relative error 1e-6) instead of complex128 (1e-9).
+    wave: The wave.
+    step_hz: Spacing of the frequencies in Hz, > 0; they are step_hz * (0, 1, ... bins - 1).
+    bins: Number of frequencies, > 0.
+    colour, complex (bins,): A transfer function multiplied into the table.
+    furthest_mm: Largest distance of the table in mm; beyond it the plate is evaluated directly.
+    source_radius_mm: Radius of the source in mm; nearer than that the plate is evaluated directly.
+    single: Keep and return complex64 (relative error 1e-6) instead of complex128 (1e-9).
     """
 
     def __init__(
@@ -122,16 +106,10 @@ class PlateTable:
     ) -> NDArray[np.complex128] | NDArray[np.complex64]:
         """Velocity times colour at some distances.
 
-        Parameters
-        ----------
-        radius_mm : float64 array, shape (distances,)
-            Distances in mm, >= 0.
-        weights : float64 array, shape (distances, kernels), optional
-            Of the kernels; 1 where absent.
+        radius_mm, float64 (distances,): Distances in mm, >= 0.
+        weights, float64 (distances, kernels), optional: Of the kernels; 1 where absent.
 
-        Returns
-        -------
-        complex array, shape (distances, bins)
+        Returns complex (distances, bins).
         """
         radius_mm = np.asarray(radius_mm, dtype=np.float64)
         low, high = self._span_mm
@@ -188,20 +166,12 @@ def phase_ramp(
 ) -> NDArray[np.complex128] | NDArray[np.complex64]:
     """Amplitude * exp(j * bin * radians_per_bin), from two short float64 exponentials a row.
 
-    Parameters
-    ----------
-    radians_per_bin : float64 array, shape (rows,)
-        Phase step of each row in radians.
-    bins : int
-        Number of bins, > 0.
-    dtype : numpy type
-        complex64 or complex128.
-    amplitude : float64 array, shape (rows,), or float
-        Factor of each row.
+    radians_per_bin, float64 (rows,): Phase step of each row in radians.
+    bins: Number of bins, > 0.
+    dtype: complex64 or complex128.
+    amplitude, float64 (rows,), or float: Factor of each row.
 
-    Returns
-    -------
-    complex array, shape (rows, bins)
+    Returns complex (rows, bins).
     """
     blocks = -(-bins // PHASE_BLOCK)
     step = np.asarray(radians_per_bin, dtype=np.float64)[:, None]
@@ -234,24 +204,14 @@ class TruncatedPlate:
 
     The transfer function of the whole response less that of its end, both interpolated over distance.
 
-    Parameters
-    ----------
-    waves : tuple of Wave
-        Of the plate.
-    kernels : int
-        How many each has.
-    taps : int
-        Length of the FIRs, > 0.
-    sample_rate_hz : float
-        Their rate in Hz.
-    length : int
-        Length of the transform; bin m lies at m / length cycles per sample.
-    bins : slice
-        Which bins are wanted, start and stop given.
-    furthest_mm : float
-        Largest distance in mm; the smallest is the magnet's radius.
-    colour : callable
-        The signal chain.
+    waves: Of the plate.
+    kernels: How many each has.
+    taps: Length of the FIRs, > 0.
+    sample_rate_hz: Their rate in Hz.
+    length: Length of the transform; bin m lies at m / length cycles per sample.
+    bins: Which bins are wanted, start and stop given.
+    furthest_mm: Largest distance in mm; the smallest is the magnet's radius.
+    colour: The signal chain.
     """
 
     def __init__(
@@ -263,7 +223,7 @@ class TruncatedPlate:
         length: int,
         bins: slice,
         furthest_mm: float,
-        colour: Colour,
+        colour: Chain,
     ) -> None:
         # The only one who needs it; starting a rig shall not wait for it.
         from scipy.interpolate import CubicSpline
@@ -299,16 +259,11 @@ class TruncatedPlate:
     def spectra(self, radius_mm: Float64Array, weights: Float64Array | None = None) -> Complex128Array:
         """Transfer functions at some distances, within 1e-6 of that of the FIR.
 
-        Parameters
-        ----------
-        radius_mm : float64 array, shape (distances,)
-            Distances in mm; nearer than the magnet's radius or beyond the span, the cut is left out.
-        weights : float64 array, shape (distances, kernels), optional
-            Of the kernels; 1 where absent.
+        radius_mm, float64 (distances,): Distances in mm; nearer than the magnet's radius or beyond the span, the cut is
+            left out.
+        weights, float64 (distances, kernels), optional: Of the kernels; 1 where absent.
 
-        Returns
-        -------
-        complex128 array, shape (distances, bins)
+        Returns complex128 (distances, bins).
         """
         spectra = _summed([table.evaluate(radius_mm, weights)[:, self._bins] for table in self._whole])
         low, high = self._span_mm
@@ -329,16 +284,12 @@ def _summed(parts: list[NDArray[np.complexfloating]]) -> NDArray[np.complexfloat
 class InfinitePlate(Plate):
     """A plate whose waves leave each actuator and never come back.
 
-    Parameters
-    ----------
-    waves : tuple of Wave
-        Kinds of waves that it carries.
-    kernels : int
-        Of each wave.
+    waves: Kinds of waves that it carries.
+    kernels: Of each wave.
     """
 
     def __init__(
-        self, actuator_mm: Float64Array, outline: Outline, chain: Colour, waves: tuple[Wave, ...], kernels: int = 1
+        self, actuator_mm: Float64Array, outline: Outline, chain: Chain, waves: tuple[Wave, ...], kernels: int = 1
     ) -> None:
         super().__init__(actuator_mm, outline, chain)
         self._waves, self._kernels = waves, kernels
@@ -347,9 +298,16 @@ class InfinitePlate(Plate):
         self._table = lru_cache(6)(self._make_tables)
         self._truncated = lru_cache(1)(self._make_truncated)
 
-    @abstractmethod
     def weights(self, gap_mm: Float64Array) -> Float64Array | None:
         """Weights of the kernels at gaps (n, 2) from an actuator to a place, (n, kernels); None for 1."""
+        return None
+
+    def loudness(self, frequency_hz: Float64Array) -> Float64Array:
+        """That of a gel at a distance: its first wave, from a disk."""
+        wavenumber = self._waves[0].wavenumber(frequency_hz)
+        argument = wavenumber * MAGNET_RADIUS_MM / 1e3
+        disk = np.abs(2 * scipy.special.jv(1, argument) / argument)
+        return np.asarray(disk * frequency_hz / np.sqrt(np.abs(wavenumber)))
 
     def response(
         self, place_mm: tuple[float, float], step_hz: float, bins: int, *, single: bool

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -12,10 +11,8 @@ import scipy
 from numpy.typing import NDArray
 
 from config.outline import Outline
-from mocks.plates import Complex64Array, Complex128Array, Plate
+from mocks.plates import Chain, Complex64Array, Complex128Array, Float64Array, Plate
 from mocks.plates.infinite import impulse_length
-
-Float64Array = NDArray[np.float64]
 
 POSITIONS_AT_ONCE = 64
 
@@ -38,25 +35,18 @@ class ModalPlate(Plate):
 
     What it costs is proportional to the places, actuators, modes and frequencies asked for.
 
-    Parameters
-    ----------
-    actuator_mm, outline, chain
-        As of every plate.
-    mode_tolerance : float
-        Modes may be left out as long as no response anywhere on the plate, at no frequency asked for, changes by more
-        than this share of the strongest rms response there; 0 keeps all.
+    actuator_mm, outline, chain: As of every plate.
+    mode_tolerance: Modes may be left out as long as no response anywhere on the plate, at no frequency asked for,
+        changes by more than this share of the strongest rms response there; 0 keeps all.
 
-    Attributes
-    ----------
-    mode_table : callable
-        Modes that make up the responses at frequencies (step_hz, bins, single), made once.
+    mode_table: Modes that make up the responses at frequencies (step_hz, bins, single), made once.
     """
 
     def __init__(
         self,
         actuator_mm: Float64Array,
         outline: Outline,
-        chain: Callable[[Float64Array], Complex128Array],
+        chain: Chain,
         mode_tolerance: float = 0.0,
     ) -> None:
         super().__init__(actuator_mm, outline, chain)

@@ -1,4 +1,4 @@
-"""Plates: how a wave leaves a small source and what arrives at a distance."""
+"""Soft plates without a rim: scalar waves that leave a small source, damped or with the loss of a springpot."""
 
 from __future__ import annotations
 
@@ -7,18 +7,14 @@ from typing import ClassVar
 
 import numpy as np
 import scipy
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from mocks.plates import Change
+from config.outline import Outline
+from mocks.plates import MAGNET_RADIUS_MM, PLATES, UNCHANGED, Chain, Change, Complex128Array, Float64Array
+from mocks.plates.infinite import InfinitePlate
 
-Float64Array = NDArray[np.float64]
-Complex128Array = NDArray[np.complex128]
-
-GROUP_VELOCITY_M_S = 4.8  # the paper, section IV.A: band-limited impulses
-ATTENUATION_DB_PER_CM = 3.8  # the paper, section IV.A: impulses of 50-450 Hz
 IMPULSE_BAND_HZ = (50.0, 450.0)
 REFERENCE_HZ = 250.0
-MAGNET_RADIUS_MM = 2.5  # the paper, section IV.A: magnets 5 mm across
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,12 +24,8 @@ class DampedWave:
     Time runs as exp(+j w t), so an outgoing wave has Im k < 0:
     k^2 = (w^2 - j w b) / c^2. Raises ValueError.
 
-    Parameters
-    ----------
-    speed_m_s : float
-        Speed c of the wave's front in m/s, > 0.
-    damping_per_s : float
-        Damping b in 1/s, >= 0.
+    speed_m_s: Speed c of the wave's front in m/s, > 0.
+    damping_per_s: Damping b in 1/s, >= 0.
     """
 
     speed_m_s: float
@@ -58,10 +50,7 @@ class DampedWave:
     def wavenumber(self, frequency_hz: ArrayLike, /) -> Complex128Array:
         """Complex wavenumber in rad/m, Im k <= 0.
 
-        Parameters
-        ----------
-        frequency_hz : float array
-            Frequencies in Hz, >= 0.
+        frequency_hz, float array: Frequencies in Hz, >= 0.
         """
         angular = 2 * np.pi * np.asarray(frequency_hz, dtype=np.float64)
         # The principal root of a number in the lower half plane has Im <= 0: the outgoing wave.
@@ -75,14 +64,9 @@ class DampedWave:
 
         j w * (-j/4) * <H0(2)(k r)>, the mean taken over the disc; the scale is arbitrary. Raises ValueError.
 
-        Parameters
-        ----------
-        frequency_hz : float array
-            Frequencies in Hz, >= 0; broadcast against `radius_mm`. At 0 Hz the velocity is 0.
-        radius_mm : float array
-            Distances from the centre of the disc in mm, >= 0.
-        source_radius_mm : float
-            Radius of the disc in mm, > 0.
+        frequency_hz, float array: Frequencies in Hz, >= 0; broadcast against `radius_mm`. At 0 Hz the velocity is 0.
+        radius_mm, float array: Distances from the centre of the disc in mm, >= 0.
+        source_radius_mm: Radius of the disc in mm, > 0.
         """
         frequency = np.asarray(frequency_hz, dtype=np.float64)
         still = frequency == 0
@@ -107,12 +91,8 @@ class SpringpotWave:
     k = (w / c0) (j w / w0)^(-a / 2), w0 = 2 pi 250 Hz (Koeller 1984; fractional calculus in viscoelasticity). Raises
     ValueError.
 
-    Parameters
-    ----------
-    phase_speed_m_s : float
-        Magnitude c0 of the complex phase speed at 250 Hz, > 0.
-    exponent : float
-        a, from 0 (elastic) to below 1.
+    phase_speed_m_s: Magnitude c0 of the complex phase speed at 250 Hz, > 0.
+    exponent: a, from 0 (elastic) to below 1.
     """
 
     phase_speed_m_s: float
@@ -173,14 +153,9 @@ def mean_hankel(wavenumber: ArrayLike, radius_m: ArrayLike, source_radius_m: flo
     Graf's addition theorem: outside the disc H0(2)(k r) 2 J1(k a) / (k a); inside it
     (2 / (k a)) J0(k r) H1(2)(k a) - 4j / (pi (k a)^2). Raises ValueError.
 
-    Parameters
-    ----------
-    wavenumber : complex array
-        k in rad/m, not 0, Im k <= 0; broadcast against `radius_m`.
-    radius_m : float array
-        Distances from the centre of the disc in m, >= 0.
-    source_radius_m : float
-        Radius a of the disc in m, > 0.
+    wavenumber, complex array: k in rad/m, not 0, Im k <= 0; broadcast against `radius_m`.
+    radius_m, float array: Distances from the centre of the disc in m, >= 0.
+    source_radius_m: Radius a of the disc in m, > 0.
     """
     k, r = np.broadcast_arrays(np.asarray(wavenumber, dtype=np.complex128), np.asarray(radius_m, dtype=np.float64))
     a = float(source_radius_m)
@@ -206,12 +181,8 @@ def thin_plate_green(wavenumber: ArrayLike, radius_m: ArrayLike) -> Complex128Ar
     -j / (8 k^2) [H0(2)(k r) - (2j / pi) K0(k r)], with the limit -j / (8 k^2) at r = 0.
     Love (1888); Timoshenko and Woinowsky-Krieger (1959). Raises ValueError.
 
-    Parameters
-    ----------
-    wavenumber : complex array
-        k in rad/m, not 0, Im k <= 0; broadcast against `radius_m`.
-    radius_m : float array
-        Distances in m, >= 0.
+    wavenumber, complex array: k in rad/m, not 0, Im k <= 0; broadcast against `radius_m`.
+    radius_m, float array: Distances in m, >= 0.
     """
     k, r = np.broadcast_arrays(np.asarray(wavenumber, dtype=np.complex128), np.asarray(radius_m, dtype=np.float64))
     _refuse_growth(k)
@@ -234,14 +205,9 @@ def impulse_travel(
     exp(-j k r). The velocity is the distance over the delay between the centroids of energy at the
     two ends of the span; the attenuation is the loss of energy between them.
 
-    Parameters
-    ----------
-    wave : DampedWave or SpringpotWave
-        The plate.
-    band_hz : tuple of float
-        Lowest and highest frequency in Hz.
-    span_mm : tuple of float
-        The two distances in mm.
+    wave: The plate.
+    band_hz: Lowest and highest frequency in Hz.
+    span_mm: The two distances in mm.
     """
     frequency_hz = np.linspace(*band_hz, 401)
     k = wave.wavenumber(frequency_hz)
@@ -253,57 +219,38 @@ def impulse_travel(
     return ImpulseTravel(float((far_m - near_m) / delay_s), float(loss_db / (100 * (far_m - near_m))))
 
 
-def fit_damped_wave(
-    group_velocity_m_s: float = GROUP_VELOCITY_M_S,
-    attenuation_db_per_cm: float = ATTENUATION_DB_PER_CM,
-    band_hz: tuple[float, float] = IMPULSE_BAND_HZ,
-) -> DampedWave:
-    """Find the damped wave on which a band-limited impulse travels as measured (`impulse_travel`).
-
-    Raises ValueError.
-
-    Parameters
-    ----------
-    group_velocity_m_s : float
-        Wanted group velocity in m/s, > 0.
-    attenuation_db_per_cm : float
-        Wanted attenuation in dB/cm, spreading removed, > 0.
-    band_hz : tuple of float
-        Band of the impulse in Hz.
-    """
-    # The only one who needs it; starting a rig shall not wait for it.
-    from scipy.optimize import root
-
-    def misfit(logarithms: Float64Array) -> list[float]:
-        travel = impulse_travel(DampedWave(*np.exp(logarithms)), band_hz)
-        return [
-            travel.group_velocity_m_s / group_velocity_m_s - 1,
-            travel.attenuation_db_per_cm / attenuation_db_per_cm - 1,
-        ]
-
-    if not (group_velocity_m_s > 0 and attenuation_db_per_cm > 0):
-        raise ValueError(
-            f"group velocity {group_velocity_m_s} m/s and attenuation {attenuation_db_per_cm} dB/cm: "
-            "both must be greater than 0"
-        )
-    nepers_per_m = attenuation_db_per_cm * 100 * np.log(10) / 20
-    guess = np.log([group_velocity_m_s, 2 * group_velocity_m_s * nepers_per_m])
-    solution = root(misfit, guess, tol=1e-12)
-    if not np.all(np.abs(misfit(solution.x)) < 1e-9):
-        raise ValueError(
-            f"no damped wave has a group velocity of {group_velocity_m_s} m/s and an attenuation of "
-            f"{attenuation_db_per_cm} dB/cm in {band_hz} Hz"
-        )
-    return DampedWave(*(float(value) for value in np.exp(solution.x)))
-
-
-SOFT_PLATE = DampedWave(speed_m_s=4.7072696192, damping_per_s=421.33369835)  # fit_damped_wave() gives these
+SOFT_PLATE = DampedWave(speed_m_s=4.7072696192, damping_per_s=421.33369835)
+"""The paper's impulses (section IV.A) travel on it: by `impulse_travel` 4.8 m/s and 3.8 dB/cm in 50 to 450 Hz."""
 
 SPRINGPOT_PLATE = SpringpotWave(phase_speed_m_s=4.847412041, exponent=0.352626446)
 """The paper's group velocity and attenuation by `impulse_travel`; 2.0, 7.7 and 12.5 dB/cm at 50, 250 and 450 Hz."""
 
 UNIT_FORCE_N = 1000.0 * SOFT_PLATE.speed_m_s**2 * 0.013
 """rho c^2 h: what a unit force on the scalar plate stands for; 13 mm thick (the paper, section III), dense as water."""
+
+
+@PLATES.register
+class SoftPlate(InfinitePlate):
+    """A gel plate without a rim, fitted to the paper's group velocity and attenuation.
+
+    actuator_mm, outline, chain: As of every plate.
+    loss: ``"damped"``: nearly the same at all frequencies; ``"springpot"``: growing with frequency.
+    """
+
+    name = "soft"
+    unit_force_n = UNIT_FORCE_N
+
+    def __init__(
+        self,
+        actuator_mm: Float64Array,
+        outline: Outline,
+        chain: Chain,
+        *,
+        loss: str = "damped",
+        change: Change = UNCHANGED,
+    ) -> None:
+        self._wave = (SPRINGPOT_PLATE if loss == "springpot" else SOFT_PLATE).changed(change)
+        super().__init__(actuator_mm, outline, change.softened(chain), (self._wave,))
 
 
 def _refuse_growth(wavenumber: Complex128Array) -> None:

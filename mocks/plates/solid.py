@@ -14,68 +14,29 @@ The gel relaxes (Maxwell): every modulus is its instantaneous value times 1 / (1
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from config.outline import Outline
-from mocks.plates import PLATES, UNCHANGED, Change
-from mocks.plates.infinite import Colour, InfinitePlate
-from mocks.plates.soft import MAGNET_RADIUS_MM, SOFT_PLATE, UNIT_FORCE_N, DampedWave
-
-Float64Array = NDArray[np.float64]
-Complex128Array = NDArray[np.complex128]
+from mocks.plates import PLATES, UNCHANGED, Chain, Change, Complex128Array, Float64Array
+from mocks.plates.infinite import InfinitePlate
+from mocks.plates.soft import SOFT_PLATE, UNIT_FORCE_N, DampedWave
 
 PRESSURE_SPEED_M_S = 9.4
 """Twice the shear speed: pressure waves of a thin free layer of an incompressible gel."""
 
 
 @dataclass(frozen=True, slots=True)
-class SolidWave:
-    """Shear or pressure wave of the solid. Raises ValueError.
+class SolidWave(DampedWave):
+    """Shear or pressure wave of the solid.
 
-    Parameters
-    ----------
-    shear, pressure : DampedWave
-        Both waves; the pressure wave is the faster by more than 2 / sqrt(3), or the bulk modulus would be negative.
-    is_shear : bool
-        Which of them this is.
+    shear_speed_m_s: Speed of the solid's shear wave.
+    is_shear: Whether this is that wave.
     """
 
-    shear: DampedWave
-    pressure: DampedWave
+    shear_speed_m_s: float
     is_shear: bool
-
-    plain_from_hz: ClassVar[float] = DampedWave.plain_from_hz
-
-    def __post_init__(self) -> None:
-        slowest = 2 / np.sqrt(3) * self.shear.speed_m_s
-        if not self.pressure.speed_m_s > slowest:
-            raise ValueError(
-                f"pressure_speed_m_s is {self.pressure.speed_m_s:g}; it must be above {slowest:.4g}, 2 / sqrt(3) times"
-                " the shear speed, for the bulk modulus would be negative"
-            )
-
-    @property
-    def own(self) -> DampedWave:
-        """The wave that this is."""
-        return self.shear if self.is_shear else self.pressure
-
-    @property
-    def speed_m_s(self) -> float:
-        """Speed of the front."""
-        return self.own.speed_m_s
-
-    @property
-    def damping_per_s(self) -> float:
-        """Rate of relaxation."""
-        return self.own.damping_per_s
-
-    def wavenumber(self, frequency_hz: Float64Array) -> Complex128Array:
-        """Complex wavenumber in rad/m."""
-        return self.own.wavenumber(frequency_hz)
 
     def kernels(self, frequency_hz: Float64Array, radius_mm: float, source_radius_mm: float) -> Complex128Array:
         """Parts of A and B that travel with this wave, for a force spread over a disk: j w (rho c_s^2) G.
@@ -98,8 +59,8 @@ class SolidWave:
         if self.is_shear:
             kernels = np.stack([zero - one, two])
         else:
-            kernels = (self.shear.speed_m_s / self.pressure.speed_m_s) ** 2 * np.stack([one, -two])
-        softness = (1j * angular + self.shear.damping_per_s) * -0.25j
+            kernels = (self.shear_speed_m_s / self.speed_m_s) ** 2 * np.stack([one, -two])
+        softness = (1j * angular + self.damping_per_s) * -0.25j
         return np.asarray(np.where(still, 0.0, softness * kernels))
 
 
@@ -107,16 +68,11 @@ class SolidWave:
 class SolidPlate(InfinitePlate):
     """A gel without a rim that moves in its plane: g^{alpha beta} for one direction of force and one of oscillation.
 
-    Parameters
-    ----------
-    actuator_mm, outline, chain
-        As of every plate.
-    shear_speed_m_s, pressure_speed_m_s : float
-        Speeds of the fronts of both waves.
-    damping_per_s : float
-        Rate b of relaxation, >= 0.
-    force_deg, oscillation_deg : float
-        Direction in which every actuator pushes, and in which the velocity is seen, from x towards y.
+    actuator_mm, outline, chain: As of every plate.
+    shear_speed_m_s, pressure_speed_m_s: Speeds of the fronts of both waves.
+    damping_per_s: Rate b of relaxation, >= 0.
+    force_deg, oscillation_deg: Direction in which every actuator pushes, and in which the velocity is seen, from x
+        towards y.
     """
 
     name = "solid"
@@ -125,7 +81,7 @@ class SolidPlate(InfinitePlate):
         self,
         actuator_mm: Float64Array,
         outline: Outline,
-        chain: Colour,
+        chain: Chain,
         *,
         shear_speed_m_s: float = SOFT_PLATE.speed_m_s,
         pressure_speed_m_s: float = PRESSURE_SPEED_M_S,
@@ -135,10 +91,15 @@ class SolidPlate(InfinitePlate):
         change: Change = UNCHANGED,
     ) -> None:
         self.unit_force_n = UNIT_FORCE_N * (shear_speed_m_s / SOFT_PLATE.speed_m_s) ** 2
-        shear, pressure = (
-            DampedWave(speed, damping_per_s).changed(change) for speed in (shear_speed_m_s, pressure_speed_m_s)
-        )
-        waves = SolidWave(shear, pressure, is_shear=True), SolidWave(shear, pressure, is_shear=False)
+        shear, pressure = change.speed * shear_speed_m_s, change.speed * pressure_speed_m_s
+        slowest = 2 / np.sqrt(3) * shear
+        if not pressure > slowest:
+            raise ValueError(
+                f"pressure_speed_m_s is {pressure:g}; it must be above {slowest:.4g}, 2 / sqrt(3) times the shear"
+                " speed, for the bulk modulus would be negative"
+            )
+        loss = change.loss * damping_per_s
+        waves = SolidWave(shear, loss, shear, is_shear=True), SolidWave(pressure, loss, shear, is_shear=False)
         super().__init__(actuator_mm, outline, change.softened(chain), waves, kernels=2)
         self._force, self._oscillation = (
             np.array([np.cos(angle), np.sin(angle)]) for angle in np.radians([force_deg, oscillation_deg])
@@ -149,10 +110,3 @@ class SolidPlate(InfinitePlate):
         outward = gap_mm / np.where(length > 0, length, 1.0)
         across = np.full(len(gap_mm), self._force @ self._oscillation)
         return np.stack([across, (outward @ self._force) * (outward @ self._oscillation)], axis=1)
-
-    def loudness(self, frequency_hz: Float64Array) -> Float64Array:
-        wavenumber = self._waves[0].wavenumber(frequency_hz)
-        argument = wavenumber * MAGNET_RADIUS_MM / 1e3
-        return np.asarray(
-            np.abs(2 * scipy.special.jv(1, argument) / argument) * frequency_hz / np.sqrt(np.abs(wavenumber))
-        )

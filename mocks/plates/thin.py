@@ -22,14 +22,9 @@ Complex128Array = NDArray[np.complex128]
 class ThinPlate:
     """A simply supported rectangle. Raises ValueError.
 
-    Parameters
-    ----------
-    length_m, width_m : float
-        Sides a and b in m, > 0; x and y run along them from a corner.
-    kappa_m2_s : float
-        sqrt(D / (rho h)) in m^2/s, > 0; 1.57 for glass of 1 mm.
-    mass_kg_m2 : float
-        rho h in kg/m^2, > 0.
+    length_m, width_m: Sides a and b in m, > 0; x and y run along them from a corner.
+    kappa_m2_s: sqrt(D / (rho h)) in m^2/s, > 0; 1.57 for glass of 1 mm.
+    mass_kg_m2: rho h in kg/m^2, > 0.
     """
 
     length_m: float
@@ -65,23 +60,13 @@ class ThinPlate:
     ) -> Float64Array:
         """Velocity at points after a unit impulse at sources, by modal sum.
 
-        Parameters
-        ----------
-        points_m, sources_m : float64 array, shape (points, 2) and (sources, 2)
-            In m.
-        samples : int
-            Length of the responses, > 0.
-        sample_rate_hz : float
-            Their rate.
-        quality : float
-            Quality factor Q of every mode, > 0.5: amplitudes fall as exp(-w t / (2 Q)).
-        band_hz : tuple of float
-            Modes within it are summed.
+        points_m, sources_m, float64 (points, 2) and (sources, 2): In m.
+        samples: Length of the responses, > 0.
+        sample_rate_hz: Their rate.
+        quality: Quality factor Q of every mode, > 0.5: amplitudes fall as exp(-w t / (2 Q)).
+        band_hz: Modes within it are summed.
 
-        Returns
-        -------
-        float64 array, shape (points, sources, samples)
-            In m/s per N s.
+        Returns float64 (points, sources, samples): in m/s per N s.
         """
         time_s = np.arange(samples) / sample_rate_hz
         total = np.zeros((len(points_m), len(sources_m), samples))
@@ -115,16 +100,10 @@ class ThinPlate:
 class ExactPlate:
     """Every mode steps by its own complex exponential: exact in time at any step. Raises ValueError.
 
-    Parameters
-    ----------
-    plate : ThinPlate
-        The plate.
-    points_m, sources_m : float64 array, shape (points, 2) and (sources, 2)
-        In m.
-    step_s : float
-        Time step, > 0.
-    quality, band_hz
-        As of `ThinPlate.impulse_velocity`.
+    plate: The plate.
+    points_m, sources_m, float64 (points, 2) and (sources, 2): In m.
+    step_s: Time step, > 0.
+    quality, band_hz: As of `ThinPlate.impulse_velocity`.
     """
 
     def __init__(
@@ -160,14 +139,9 @@ class ExplicitPlate:
 
     Raises ValueError.
 
-    Parameters
-    ----------
-    plate : ThinPlate
-        The plate.
-    spacing_m : float
-        Grid spacing; both sides are a multiple of it.
-    step_s : float
-        Time step, at most `limit_s`.
+    plate: The plate.
+    spacing_m: Grid spacing; both sides are a multiple of it.
+    step_s: Time step, at most `limit_s`.
     """
 
     def __init__(self, plate: ThinPlate, spacing_m: float, step_s: float) -> None:
@@ -188,14 +162,9 @@ class ExplicitPlate:
 class ImplicitPlate:
     """Newmark's method, beta = 1/4, gamma = 1/2: stable at any step, but modes ring too low. Raises ValueError.
 
-    Parameters
-    ----------
-    plate : ThinPlate
-        The plate.
-    spacing_m : float
-        Grid spacing; both sides are a multiple of it.
-    step_s : float
-        Time step, > 0.
+    plate: The plate.
+    spacing_m: Grid spacing; both sides are a multiple of it.
+    step_s: Time step, > 0.
     """
 
     def __init__(self, plate: ThinPlate, spacing_m: float, step_s: float) -> None:

@@ -146,25 +146,14 @@ class Synthesis:
         D(f) exp(-j 2 pi f offset) G(f) on the recorder's frequencies: D the drive's spectrum on the
         recorder's clock, G the transfer function at true frequencies.
 
-        Parameters
-        ----------
-        samples : int
-            Samples per channel.
-        sample_rate_hz : float
-            Nominal rate of the recorder in Hz.
-        start_ns : int
-            Virtual time of the first sample.
-        plays : sequence of Play
-            What sounds during the record, latencies known.
-        spots : sequence of Spot
-            Where the laser was; samples of no spot are zero.
-        patched : tuple of int, optional
-            Outputs of the player that are plugged into the response input in place of the vibrometer.
+        samples: Samples per channel.
+        sample_rate_hz: Nominal rate of the recorder in Hz.
+        start_ns: Virtual time of the first sample.
+        plays: What sounds during the record, latencies known.
+        spots: Where the laser was; samples of no spot are zero.
+        patched: Outputs of the player that are plugged into the response input in place of the vibrometer.
 
-        Returns
-        -------
-        tuple of float32 array, shape (samples,)
-            Reference and response.
+        Returns tuple of float32 (samples,): reference and response.
         """
         rate_hz = sample_rate_hz * self._settings.clock_ratio
         warmer_k = self._warmer_k(start_ns)
@@ -220,19 +209,11 @@ class Synthesis:
     def green(self, place_mm: tuple[float, float], taps: int, sample_rate_hz: float) -> Float64Array:
         """FIRs from drive to surface velocity, on the player's clock.
 
-        Parameters
-        ----------
-        place_mm : tuple of float
-            Point on the surface in mm.
-        taps : int
-            Length of the FIRs.
-        sample_rate_hz : float
-            Their rate in Hz.
+        place_mm: Point on the surface in mm.
+        taps: Length of the FIRs.
+        sample_rate_hz: Their rate in Hz.
 
-        Returns
-        -------
-        float64 array, shape (actuators, taps)
-            In (m/s)/V.
+        Returns float64 (actuators, taps): in (m/s)/V.
         """
         length = impulse_length(taps, sample_rate_hz, self._plate.ringing_s)
         response = self._plate.response(place_mm, sample_rate_hz / length, length // 2 + 1, single=False)

@@ -13,7 +13,6 @@ from mocks.plates.soft import (
     SPRINGPOT_PLATE,
     DampedWave,
     SpringpotWave,
-    fit_damped_wave,
     impulse_travel,
     mean_hankel,
     thin_plate_green,
@@ -26,16 +25,11 @@ FREQUENCY_HZ = STEP_HZ * np.arange(1001)
 TABLE = PlateTable(SOFT_PLATE, STEP_HZ, 1001, np.ones(1001, dtype=np.complex128))
 
 
-def test_given_the_paper_s_figures_then_the_soft_plate_is_their_fit():
-    fitted = fit_damped_wave()
-    assert fitted.speed_m_s == pytest.approx(SOFT_PLATE.speed_m_s, rel=1e-8)
-    assert fitted.damping_per_s == pytest.approx(SOFT_PLATE.damping_per_s, rel=1e-8)
-
-
 def test_given_the_soft_plate_then_an_impulse_travels_as_the_paper_measured():
+    """Group velocity and attenuation of band-limited impulses, section IV.A."""
     travel = impulse_travel(SOFT_PLATE, (50.0, 450.0))
-    assert travel.group_velocity_m_s == pytest.approx(4.8, rel=1e-6)
-    assert travel.attenuation_db_per_cm == pytest.approx(3.8, rel=1e-6)
+    assert travel.group_velocity_m_s == pytest.approx(4.8, rel=1e-9)
+    assert travel.attenuation_db_per_cm == pytest.approx(3.8, rel=1e-9)
 
 
 def test_given_the_springpot_then_an_impulse_travels_as_the_paper_measured_and_losses_grow_with_frequency():
@@ -164,11 +158,6 @@ def test_given_a_growing_wave_or_a_negative_radius_then_it_is_refused(function):
 def test_given_a_source_without_size_then_it_is_refused():
     with pytest.raises(ValueError, match="source radius is 0"):
         mean_hankel(100 - 1j, 0.01, 0.0)
-
-
-def test_given_an_impossible_plate_then_the_fit_says_so():
-    with pytest.raises(ValueError, match="must be greater than 0"):
-        fit_damped_wave(group_velocity_m_s=-1.0)
 
 
 def test_given_the_driving_point_then_the_thin_plate_has_its_limit():

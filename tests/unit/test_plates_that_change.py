@@ -15,8 +15,8 @@ from config.rig import RigConfig
 from config.run import Virtual
 from mocks.plates import make_plate
 from mocks.plates.finger import DISK_MM, DISK_WEIGHTS
-from mocks.plates.finite_elements import Elements, spacing_mm, triangulate
 from mocks.plates.soft import SOFT_PLATE, UNIT_FORCE_N, DampedWave
+from mocks.plates.stadium import Elements, spacing_mm, triangulate
 from mocks.virtual.settings import VirtualSettings
 from mocks.virtual.signals import SignalStore
 from mocks.virtual.synthesis import Play, Spot, Synthesis, chain_response

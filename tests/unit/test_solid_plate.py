@@ -8,9 +8,9 @@ from scipy.sparse import block_array
 from scipy.sparse.linalg import splu
 
 from config.outline import Outline
-from mocks.plates.finite_elements import Elements, spacing_mm, triangulate
 from mocks.plates.soft import DampedWave
 from mocks.plates.solid import SolidPlate
+from mocks.plates.stadium import Elements, spacing_mm, triangulate
 from mocks.virtual.synthesis import chain_response
 
 DISK = Outline.of("disk", 90.0, 90.0)

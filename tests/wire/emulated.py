@@ -65,10 +65,7 @@ def rig_text(
 class FarSides:
     """A running ``wavefocus emulate``.
 
-    Parameters
-    ----------
-    rig_file : Path
-        What it stands in for.
+    rig_file: What it stands in for.
     """
 
     def __init__(self, rig_file: Path) -> None:
