@@ -1,4 +1,4 @@
-"""Faults on order: which instrument fails, when, and how."""
+"""Faults on order, and the virtual device that meets them: which instrument fails, when, and how."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import threading
 from collections import Counter
 from dataclasses import dataclass
 
-from drivers.errors import InstrumentLostError, TransientInstrumentError
-from drivers.protocols import Take
+from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from drivers.protocols import DeviceIdentity, Take
 
 OPERATIONS = {
     "mirror": ("identify", "move_to", "wait_settled", "park", "reconnect"),
@@ -175,3 +175,45 @@ _EXPLANATIONS = {
     "underflow": ("the output ran dry (underflow)", "try again; if it stays, choose a larger buffer"),
     "short_read": ("only half of the samples arrived", "try again; if it stays, use another USB port"),
 }
+
+
+class VirtualDevice:
+    """A virtual instrument: its name, its faults, and whether it is open; implements `drivers.protocols.Instrument`.
+
+    role: ``"mirror"``, ``"recorder"`` or ``"player"``.
+    faults: The plan of the whole rig.
+    limits: Its limits, for people.
+    """
+
+    def __init__(self, role: str, faults: tuple[Fault, ...], limits: str) -> None:
+        self._name = f"virtual {role}"
+        self._faults = FaultPlan(role, self._name, faults)
+        self._limits = limits
+        self._closed = False
+
+    @property
+    def identity(self) -> DeviceIdentity:
+        """Who it is: the same in every run."""
+        return DeviceIdentity("wavefocus", self._name)
+
+    def identify(self) -> str:
+        """Name and limits of the device."""
+        self._check_open("identifying")
+        self._faults.meet("identify", "identifying")
+        return f"{self._name}, {self._limits}"
+
+    def reconnect(self) -> None:
+        """Open the device afresh."""
+        self._check_open("reconnecting")
+        self._faults.meet("reconnect", "reconnecting")
+
+    def close(self) -> None:
+        """Release the device; twice does no harm."""
+        self._closed = True
+
+    def _check_open(self, doing: str) -> None:
+        if self._closed:
+            raise self._refusal(doing, "it is closed", "open the rig again")
+
+    def _refusal(self, doing: str, cause: str, remedy: str) -> InstrumentError:
+        return InstrumentError(self._name, doing, cause, remedy)

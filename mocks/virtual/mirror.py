@@ -1,153 +1,150 @@
-"""A mirror that takes its time."""
+"""How a scanning mirror moves, and the virtual mirror that moves so."""
 
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
 
-from drivers.errors import InstrumentError, TransientInstrumentError
-from drivers.protocols import DeviceIdentity
-from mocks.virtual.faults import FaultPlan
+from drivers.errors import TransientInstrumentError
+from mocks.virtual.faults import VirtualDevice
+from mocks.virtual.laboratory import NANOSECONDS, VirtualClock
 from mocks.virtual.settings import VirtualSettings
-from mocks.virtual.surroundings import NANOSECONDS, VirtualClock
 
-
-class Move(Protocol):
-    """A move, with the swinging at its end."""
-
-    @property
-    def start_ns(self) -> int:
-        """When it began."""
-        ...
-
-    @property
-    def settled_ns(self) -> int:
-        """When the mirror stood."""
-        ...
-
-
-SomeMove = TypeVar("SomeMove", bound=Move)
-Place = TypeVar("Place")
-
-
-def stood_between(
-    moves: Sequence[SomeMove], start_ns: int, stop_ns: int, where: Callable[[SomeMove], Place]
-) -> list[tuple[int, Place | None]]:
-    """Where the mirror stood between two instants.
-
-    Returns list of (instant_ns, place): from each instant on, the first being `start_ns`, it stands there; None while
-    it moves or swings.
-    """
-    changes: list[tuple[int, Place | None]] = []
-    ends_ns = stop_ns
-    for move in reversed(moves):
-        if max(move.settled_ns, start_ns) < ends_ns:
-            changes.append((max(move.settled_ns, start_ns), where(move)))
-        if max(move.start_ns, start_ns) < min(move.settled_ns, ends_ns):
-            changes.append((max(move.start_ns, start_ns), None))
-        ends_ns = min(ends_ns, move.start_ns)
-        if ends_ns <= start_ns:
-            break
-    return changes[::-1]
-
-
-NAME = "virtual mirror"
+KEPT_MOVES = 4096
+# What rounding to a device's own units may add to an angle at the limit.
+ROUNDING_MRAD = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class _Move:
     start_ns: int
+    arrived_ns: int
     settled_ns: int
+    origin_mrad: tuple[float, float]
     target_mrad: tuple[float, float]
-    place_mm: tuple[float, float] | None
+
+    def at(self, instant_ns: int) -> tuple[float, float]:
+        """Where the mirror looks at an instant after the move began; the swinging at its end is left out."""
+        if instant_ns >= self.arrived_ns:
+            return self.target_mrad
+        part = (instant_ns - self.start_ns) / (self.arrived_ns - self.start_ns)
+        (x0, y0), (x1, y1) = self.origin_mrad, self.target_mrad
+        return x0 + part * (x1 - x0), y0 + part * (y1 - y0)
 
 
-class VirtualMirror:
+class MirrorMotion:
+    """A mirror's moves: a ramp to the target, then some time until it stands still; safe to ask from several threads.
+
+    park_mrad: Where it stands at first; optical angles in mrad, as all angles here.
+    settle_s: Time from its arrival until it stands still, >= 0.
+    slew_mrad_s: Speed of the slower axis of a move, > 0; infinite for a mirror that jumps.
+    limit_mrad: Largest angle in x and in y, > 0.
+    now_ns: The clock of all instants; by default the wall's.
+    """
+
+    def __init__(
+        self,
+        park_mrad: tuple[float, float],
+        settle_s: float,
+        slew_mrad_s: float,
+        limit_mrad: float,
+        now_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self.park_mrad = park_mrad
+        self.limit_mrad = limit_mrad
+        self._settle_ns = round(settle_s * NANOSECONDS)
+        self._slew_mrad_s = slew_mrad_s
+        self._now_ns = now_ns
+        self._moves = deque([_Move(0, 0, 0, park_mrad, park_mrad)], maxlen=KEPT_MOVES)
+        self._lock = threading.Lock()
+
+    def start(self, x_mrad: float, y_mrad: float) -> None:
+        """Begin a move now, from wherever the mirror looks."""
+        with self._lock:
+            now_ns = self._now_ns()
+            origin = self._moves[-1].at(now_ns)
+            way_mrad = max(abs(x_mrad - origin[0]), abs(y_mrad - origin[1]))
+            arrived_ns = now_ns + round(way_mrad / self._slew_mrad_s * NANOSECONDS)
+            self._moves.append(_Move(now_ns, arrived_ns, arrived_ns + self._settle_ns, origin, (x_mrad, y_mrad)))
+
+    def reaches(self, x_mrad: float, y_mrad: float) -> bool:
+        """Whether a target is within the limit, or beyond it by no more than rounding can do."""
+        return max(abs(x_mrad), abs(y_mrad)) <= self.limit_mrad + ROUNDING_MRAD
+
+    def settled_at_ns(self) -> int:
+        """When the latest move is over."""
+        with self._lock:
+            return self._moves[-1].settled_ns
+
+    def busy(self) -> bool:
+        """Whether it still moves or swings."""
+        return self._now_ns() < self.settled_at_ns()
+
+    def where_mrad(self) -> tuple[float, float]:
+        """Where it looks now."""
+        with self._lock:
+            return self._moves[-1].at(self._now_ns())
+
+    def aims(self, start_ns: int, stop_ns: int) -> list[tuple[int, tuple[float, float] | None]]:
+        """Where it looked between two instants.
+
+        Returns list of (instant_ns, angles_mrad): from each instant on, the first being `start_ns`, the mirror stands
+        there; None while it moves or swings.
+        """
+        with self._lock:
+            moves = list(self._moves)
+        changes: list[tuple[int, tuple[float, float] | None]] = []
+        ends_ns = stop_ns
+        for move in reversed(moves):
+            if max(move.settled_ns, start_ns) < ends_ns:
+                changes.append((max(move.settled_ns, start_ns), move.target_mrad))
+            if max(move.start_ns, start_ns) < min(move.settled_ns, ends_ns):
+                changes.append((max(move.start_ns, start_ns), None))
+            ends_ns = min(ends_ns, move.start_ns)
+            if ends_ns <= start_ns:
+                break
+        return changes[::-1]
+
+
+class VirtualMirror(VirtualDevice):
     """Points the virtual laser; implements `drivers.protocols.Mirror`."""
 
     def __init__(self, settings: VirtualSettings, clock: VirtualClock) -> None:
-        self._settings = settings
+        super().__init__("mirror", settings.fault_plan, f"within +-{settings.limit_mrad:g} mrad")
+        self._limit_mrad = settings.limit_mrad
         self._clock = clock
-        self._faults = FaultPlan("mirror", NAME, settings.fault_plan)
-        self._moves = deque([self._move(0, 0, settings.park_mrad)], maxlen=64)
-        self._closed = False
-        self._lock = threading.Lock()
-
-    @property
-    def identity(self) -> DeviceIdentity:
-        """Who it is: the same in every run."""
-        return DeviceIdentity("wavefocus", NAME)
-
-    def identify(self) -> str:
-        """Name of the device."""
-        self._check_open("identifying")
-        self._faults.meet("identify", "identifying")
-        return f"{NAME}, within +-{self._settings.limit_mrad:g} mrad"
+        self.motion = MirrorMotion(
+            settings.park_mrad, settings.settle_s, settings.slew_mrad_s, settings.limit_mrad, clock.now_ns
+        )
 
     def move_to(self, x_mrad: float, y_mrad: float) -> None:
         """Start a move; angles in mrad, each within the limit."""
         doing = f"moving to ({x_mrad:.3f}, {y_mrad:.3f}) mrad"
         self._check_open(doing)
-        limit = self._settings.limit_mrad
+        limit = self._limit_mrad
         if not (abs(x_mrad) <= limit and abs(y_mrad) <= limit):
-            cause = f"beyond the limit of +-{limit:g} mrad"
-            raise InstrumentError(NAME, doing, cause, "choose a grid within the mirror's reach")
+            raise self._refusal(
+                doing, f"beyond the limit of +-{limit:g} mrad", "choose a grid within the mirror's reach"
+            )
         self._faults.meet("move_to", doing)
-        self._start((float(x_mrad), float(y_mrad)))
+        self.motion.start(float(x_mrad), float(y_mrad))
 
     def wait_settled(self, timeout_s: float) -> None:
         """Return when the beam stands still, at the latest after `timeout_s`."""
         self._check_open("settling")
         self._faults.meet("wait_settled", "settling")
-        with self._lock:
-            settled_ns = self._moves[-1].settled_ns
+        settled_ns = self.motion.settled_at_ns()
         latest_ns = self._clock.now_ns() + round(timeout_s * NANOSECONDS)
         self._clock.advance_to_ns(min(settled_ns, latest_ns))
         if settled_ns > latest_ns:
             raise TransientInstrumentError(
-                NAME, "settling", f"still moving after {timeout_s:g} s", "allow more time to settle"
+                self._name, "settling", f"still moving after {timeout_s:g} s", "allow more time to settle"
             )
 
     def park(self) -> None:
         """Move to the safe direction, from any state."""
         self._faults.meet("park", "parking")
-        self._start(self._settings.park_mrad)
-
-    def reconnect(self) -> None:
-        """Open the device afresh."""
-        self._check_open("reconnecting")
-        self._faults.meet("reconnect", "reconnecting")
-
-    def close(self) -> None:
-        """Release the device; twice does no harm."""
-        self._closed = True
-
-    def places_mm(self, start_ns: int, stop_ns: int) -> list[tuple[int, tuple[float, float] | None]]:
-        """Where the laser met the surface between two instants.
-
-        Returns list of (instant_ns, place_mm): from each instant on the laser is at that place; None while it moves or
-        misses the surface.
-        """
-        with self._lock:
-            moves = list(self._moves)
-        return stood_between(moves, start_ns, stop_ns, lambda move: move.place_mm)
-
-    def _move(self, start_ns: int, settled_ns: int, target_mrad: tuple[float, float]) -> _Move:
-        spot_mm = self._settings.mirror.spot_mm(*target_mrad)
-        on_surface = bool(self._settings.outline.contains(spot_mm))
-        return _Move(start_ns, settled_ns, target_mrad, spot_mm if on_surface else None)
-
-    def _start(self, target_mrad: tuple[float, float]) -> None:
-        now_ns = self._clock.now_ns()
-        with self._lock:
-            origin = self._moves[-1].target_mrad
-            way = max(abs(target_mrad[0] - origin[0]), abs(target_mrad[1] - origin[1]))
-            taken_s = self._settings.settle_s + way / self._settings.slew_mrad_s
-            self._moves.append(self._move(now_ns, now_ns + round(taken_s * NANOSECONDS), target_mrad))
-
-    def _check_open(self, doing: str) -> None:
-        if self._closed:
-            raise InstrumentError(NAME, doing, "it is closed", "open the rig again")
+        self.motion.start(*self.motion.park_mrad)

@@ -10,18 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import InstrumentError, TransientInstrumentError
-from drivers.protocols import DeviceIdentity, Take
-from mocks.virtual.faults import FaultPlan
-from mocks.virtual.seeded_rng import take_share
+from drivers.errors import TransientInstrumentError
+from drivers.protocols import Take
+from mocks.virtual.faults import VirtualDevice
+from mocks.virtual.laboratory import NANOSECONDS, VirtualClock, take_share
 from mocks.virtual.settings import VirtualSettings
 from mocks.virtual.signals import PlayedSignal, SignalStore
-from mocks.virtual.surroundings import NANOSECONDS, VirtualClock
 from mocks.virtual.synthesis import Play
 
 Float64Array = NDArray[np.float64]
-
-NAME = "virtual player"
 
 
 @dataclass(slots=True)
@@ -33,17 +30,17 @@ class _Pieces:
     ahead_s: float
 
 
-class VirtualPlayer:
+class VirtualPlayer(VirtualDevice):
     """Plays one signal per channel; implements `drivers.protocols.Player`."""
 
     def __init__(self, settings: VirtualSettings, clock: VirtualClock) -> None:
+        limits = f"{settings.player_channels} channels, full scale {settings.full_scale_v:g} V, 16 bit"
+        super().__init__("player", settings.fault_plan, limits)
         self._settings = settings
         self._clock = clock
-        self._faults = FaultPlan("player", NAME, settings.fault_plan)
         self._store = SignalStore(settings.full_scale_v)
         self._plays: deque[Play] = deque(maxlen=8)
         self._pieces: _Pieces | None = None
-        self._closed = False
         self._lock = threading.RLock()
         self._take_under_way: Callable[[], Take | None] = lambda: None
 
@@ -57,17 +54,6 @@ class VirtualPlayer:
         """Largest output magnitude in volts."""
         return self._settings.full_scale_v
 
-    @property
-    def identity(self) -> DeviceIdentity:
-        """Who it is: the same in every run."""
-        return DeviceIdentity("wavefocus", NAME)
-
-    def identify(self) -> str:
-        """Name of the device."""
-        self._check_open("identifying")
-        self._faults.meet("identify", "identifying")
-        return f"{NAME}, {self.channels} channels, full scale {self.full_scale_v:g} V, 16 bit"
-
     def play(self, signals_v: Mapping[int, Float64Array], sample_rate_hz: float) -> None:
         """Start playing; volts by channel, all of one length, none beyond full scale."""
         doing = f"playing on channels {sorted(signals_v)}" if len(signals_v) < 4 else "playing"
@@ -75,15 +61,13 @@ class VirtualPlayer:
         signals = {channel: self._checked(doing, channel, volts) for channel, volts in signals_v.items()}
         lengths = {volts.size for volts in signals_v.values()}
         if len(lengths) != 1 or 0 in lengths:
-            raise InstrumentError(
-                NAME, doing, f"signals of {sorted(lengths)} samples", "give signals of one length, not empty"
-            )
+            raise self._refusal(doing, f"signals of {sorted(lengths)} samples", "give signals of one length, not empty")
         if not sample_rate_hz > 0:
-            raise InstrumentError(NAME, doing, f"rate of {sample_rate_hz} Hz", "choose a rate above 0 Hz")
+            raise self._refusal(doing, f"rate of {sample_rate_hz} Hz", "choose a rate above 0 Hz")
         with self._lock:
             now_ns = self._clock.now_ns()
             if self._plays and self._end_ns(self._plays[-1]) > now_ns:
-                raise InstrumentError(NAME, doing, "it is still playing", "wait for its end or mute it first")
+                raise self._refusal(doing, "it is still playing", "wait for its end or mute it first")
             take = self._take_under_way()
             self._faults.meet("play", doing, take)
             play = Play(now_ns, float(sample_rate_hz), signals, lengths.pop())
@@ -102,11 +86,11 @@ class VirtualPlayer:
         unknown = [channel for channel in channels if not 0 <= channel < self.channels]
         if unknown or not channels:
             cause = f"there is no channel {unknown[0]}" if unknown else "no channels"
-            raise InstrumentError(NAME, doing, cause, f"choose 0 to {self.channels - 1}")
+            raise self._refusal(doing, cause, f"choose 0 to {self.channels - 1}")
         with self._lock:
             now_ns = self._clock.now_ns()
             if self._plays and self._end_ns(self._plays[-1]) > now_ns:
-                raise InstrumentError(NAME, doing, "it is still playing", "wait for its end or mute it first")
+                raise self._refusal(doing, "it is still playing", "wait for its end or mute it first")
             self._faults.meet("play", doing, self._take_under_way())
             self._pieces = _Pieces(len(channels), Play(now_ns, float(sample_rate_hz), {}, 0), ahead_s)
 
@@ -115,12 +99,9 @@ class VirtualPlayer:
         pieces = self._begun()
         reaches_v = float(np.abs(volts).max(initial=0.0))
         if volts.ndim != 2 or len(volts) != pieces.rows or not reaches_v <= self.full_scale_v:
-            raise InstrumentError(
-                NAME,
-                "playing piece by piece",
-                f"a piece of shape {volts.shape} that reaches {reaches_v:g} V",
-                f"give {pieces.rows} rows within +-{self.full_scale_v:g} V",
-            )
+            cause = f"a piece of shape {volts.shape} that reaches {reaches_v:g} V"
+            remedy = f"give {pieces.rows} rows within +-{self.full_scale_v:g} V"
+            raise self._refusal("playing piece by piece", cause, remedy)
         play = pieces.play
         before_s = play.duration_s - max(0, self._clock.now_ns() - play.requested_ns) / NANOSECONDS
         play.samples += volts.shape[1]
@@ -149,7 +130,7 @@ class VirtualPlayer:
         self._clock.advance_to_ns(min(max(end_ns, now_ns), latest_ns))
         if end_ns > latest_ns:
             raise TransientInstrumentError(
-                NAME, "playing", f"not finished after {timeout_s:g} s", "allow the length of the signal"
+                self._name, "playing", f"not finished after {timeout_s:g} s", "allow the length of the signal"
             )
 
     def mute(self) -> None:
@@ -160,15 +141,14 @@ class VirtualPlayer:
 
     def reconnect(self) -> None:
         """Open the device afresh, muted."""
-        self._check_open("reconnecting")
         self._cut(self._clock.now_ns())
-        self._faults.meet("reconnect", "reconnecting")
+        super().reconnect()
 
     def close(self) -> None:
         """Release the device, muted; twice does no harm."""
         if not self._closed:
             self._cut(self._clock.now_ns())
-        self._closed = True
+        super().close()
 
     def follow(self, take_under_way: Callable[[], Take | None]) -> None:
         """Let latencies be drawn for the take that this function names.
@@ -217,24 +197,16 @@ class VirtualPlayer:
 
     def _checked(self, doing: str, channel: int, volts: Float64Array) -> PlayedSignal:
         if not 0 <= channel < self.channels:
-            raise InstrumentError(NAME, doing, f"there is no channel {channel}", f"choose 0 to {self.channels - 1}")
+            raise self._refusal(doing, f"there is no channel {channel}", f"choose 0 to {self.channels - 1}")
         signal = self._store.find(volts) if volts.ndim == 1 else None
         if signal is None or not signal.peak_v <= self.full_scale_v:
             reaches = f" and reaches {signal.peak_v:g} V" if signal is not None else ""
-            raise InstrumentError(
-                NAME,
-                doing,
-                f"the signal of channel {channel} has the shape {volts.shape}{reaches}",
-                f"give finite voltages within +-{self.full_scale_v:g} V, one row",
-            )
+            cause = f"the signal of channel {channel} has the shape {volts.shape}{reaches}"
+            raise self._refusal(doing, cause, f"give finite voltages within +-{self.full_scale_v:g} V, one row")
         return signal
 
     def _begun(self) -> _Pieces:
         self._check_open("playing piece by piece")
         if self._pieces is None:
-            raise InstrumentError(NAME, "playing piece by piece", "none was begun", "begin one first")
+            raise self._refusal("playing piece by piece", "none was begun", "begin one first")
         return self._pieces
-
-    def _check_open(self, doing: str) -> None:
-        if self._closed:
-            raise InstrumentError(NAME, doing, "it is closed", "open the rig again")

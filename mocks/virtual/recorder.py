@@ -9,19 +9,26 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import InstrumentError, TransientInstrumentError
-from drivers.protocols import DeviceIdentity, Recording, RecordRequest, Take
-from mocks.virtual.faults import Fault, FaultPlan
+from drivers.errors import TransientInstrumentError
+from drivers.protocols import Recording, RecordRequest, Take
+from mocks.virtual.faults import Fault, VirtualDevice
+from mocks.virtual.laboratory import (
+    DROPOUT,
+    GROWING,
+    NANOSECONDS,
+    NOISE,
+    PatchBay,
+    VirtualClock,
+    normal,
+    take_generator,
+)
 from mocks.virtual.mirror import VirtualMirror
 from mocks.virtual.player import VirtualPlayer
-from mocks.virtual.seeded_rng import DROPOUT, GROWING, NOISE, normal, take_generator
 from mocks.virtual.settings import VirtualSettings
-from mocks.virtual.surroundings import NANOSECONDS, PatchBay, VirtualClock
 from mocks.virtual.synthesis import Spot, Synthesis
 
 Float32Array = NDArray[np.float32]
 
-NAME = "virtual recorder"
 HUM_HZ = 50.0
 DROPOUT_S = (0.002, 0.010)  # how long speckle hides the surface
 
@@ -35,7 +42,7 @@ class _Speckle:
     place: float
 
 
-class VirtualRecorder:
+class VirtualRecorder(VirtualDevice):
     """Records reference and response; implements `drivers.protocols.Recorder`.
 
     mirror, player: Where the laser is, and what is played.
@@ -52,28 +59,17 @@ class VirtualRecorder:
         synthesis: Synthesis,
         patch_bay: PatchBay,
     ) -> None:
+        limits = f"2 channels, ranges up to +-{settings.largest_range_v:g} V, 16 bit"
+        super().__init__("recorder", settings.fault_plan, limits)
         self._settings = settings
         self._clock = clock
         self._mirror = mirror
         self._player = player
         self._synthesis = synthesis
         self._patch_bay = patch_bay
-        self._faults = FaultPlan("recorder", NAME, settings.fault_plan)
         self._speckle = lru_cache(4)(self._draw_speckle)
         self._under_way: tuple[RecordRequest, int] | None = None
-        self._closed = False
         self._lock = threading.Lock()
-
-    @property
-    def identity(self) -> DeviceIdentity:
-        """Who it is: the same in every run."""
-        return DeviceIdentity("wavefocus", NAME)
-
-    def identify(self) -> str:
-        """Name of the device."""
-        self._check_open("identifying")
-        self._faults.meet("identify", "identifying")
-        return f"{NAME}, 2 channels, ranges up to +-{self._settings.largest_range_v:g} V, 16 bit"
 
     @property
     def input_ranges_v(self) -> tuple[float, ...]:
@@ -86,19 +82,13 @@ class VirtualRecorder:
         self._check_open(doing)
         largest = self._settings.largest_range_v
         if not all(0 < range_v <= largest for range_v in request.range_v):
-            raise InstrumentError(
-                NAME, doing, f"no range of {request.range_v} V", f"choose above 0 and up to {largest:g} V"
-            )
+            raise self._refusal(doing, f"no range of {request.range_v} V", f"choose above 0 and up to {largest:g} V")
         if request.samples < 1 or not request.sample_rate_hz > 0:
-            raise InstrumentError(
-                NAME,
-                doing,
-                f"{request.samples} samples at {request.sample_rate_hz} Hz",
-                "ask for at least one sample at a rate above 0 Hz",
-            )
+            cause = f"{request.samples} samples at {request.sample_rate_hz} Hz"
+            raise self._refusal(doing, cause, "ask for at least one sample at a rate above 0 Hz")
         with self._lock:
             if self._under_way is not None:
-                raise InstrumentError(NAME, doing, "a record is under way", "read or abort it first")
+                raise self._refusal(doing, "a record is under way", "read or abort it first")
             self._faults.meet("start", doing, request.take)
             self._under_way = (request, self._clock.now_ns())
         self._player.settle_latency(request.take)
@@ -108,7 +98,7 @@ class VirtualRecorder:
         self._check_open("reading")
         with self._lock:
             if self._under_way is None:
-                raise InstrumentError(NAME, "reading", "no record was started", "start one first")
+                raise self._refusal("reading", "no record was started", "start one first")
             request, start_ns = self._under_way
         doing = f"recording {request.take}"
         true_rate_hz = request.sample_rate_hz * self._settings.clock_ratio
@@ -117,7 +107,7 @@ class VirtualRecorder:
         self._clock.advance_to_ns(min(end_ns, latest_ns))
         if end_ns > latest_ns:
             raise TransientInstrumentError(
-                NAME, doing, f"not finished after {timeout_s:g} s", "allow the length of the record"
+                self._name, doing, f"not finished after {timeout_s:g} s", "allow the length of the record"
             )
         try:
             faults = self._faults.meet("read", doing, request.take)
@@ -133,14 +123,13 @@ class VirtualRecorder:
 
     def reconnect(self) -> None:
         """Open the device afresh; a record under way is dropped."""
-        self._check_open("reconnecting")
         self.abort()
-        self._faults.meet("reconnect", "reconnecting")
+        super().reconnect()
 
     def close(self) -> None:
         """Release the device; twice does no harm."""
         self.abort()
-        self._closed = True
+        super().close()
 
     def take_under_way(self) -> Take | None:
         """The take of the record under way, None if there is none."""
@@ -151,7 +140,8 @@ class VirtualRecorder:
         self, request: RecordRequest, start_ns: int, end_ns: int, rate_hz: float, faults: tuple[Fault, ...]
     ) -> Recording:
         plays = self._player.plays_between(start_ns, end_ns)
-        spots = self._spots(request.samples, start_ns, end_ns, rate_hz)
+        aims = self._mirror.motion.aims(start_ns, end_ns)
+        spots = self._synthesis.spots(aims, start_ns, request.samples, rate_hz)
         patched = self._patch_bay.outputs
         clean = self._synthesis.voltages(request.samples, request.sample_rate_hz, start_ns, plays, spots, patched)
         reference_v, response_v = self._corrupted(clean, request.range_v, faults, request.sample_rate_hz)
@@ -163,13 +153,10 @@ class VirtualRecorder:
         noise[1] *= np.float32(self._settings.noise_v if patched is None else self._settings.reference_noise_v)
         reference_v += noise[0]
         response_v += noise[1]
-        blind = [(spot.first, spot.stop) for spot in spots if spot.place_mm is None]
         always = any(fault.kind == "dropout" for fault in faults)
-        blind += [
-            (spot.first, spot.stop)
-            for spot in spots
-            for fault in faults
-            if fault.kind == "dark" and _hides(fault, spot)
+        dark = [fault for fault in faults if fault.kind == "dark"]
+        blind = [
+            (spot.first, spot.stop) for spot in spots if spot.place_mm is None or any(_hides(one, spot) for one in dark)
         ]
         lost = [*blind, *self._dropout(request, always=always)] if patched is None else []
         for first, stop in lost:
@@ -191,12 +178,6 @@ class VirtualRecorder:
         if growing:
             share = normal(take_generator(self._settings.seed, request.take, GROWING), response_v.size)
             response_v *= 1 + np.float32(growing) * share
-
-    def _spots(self, samples: int, start_ns: int, end_ns: int, rate_hz: float) -> list[Spot]:
-        places = self._mirror.places_mm(start_ns, end_ns)
-        firsts = [min(samples, round((instant - start_ns) * 1e-9 * rate_hz)) for instant, _ in places]
-        bounds = [*firsts, samples]
-        return [Spot(bounds[i], bounds[i + 1], place) for i, (_, place) in enumerate(places)]
 
     def _dropout(self, request: RecordRequest, *, always: bool) -> list[tuple[int, int]]:
         """The samples, if any, that speckle hides in this record."""
@@ -239,10 +220,6 @@ class VirtualRecorder:
             elif fault.kind in ("clipped", "lost_sample", "hum"):
                 response_v = _spoilt(response_v, fault, rate_hz)
         return reference_v, response_v
-
-    def _check_open(self, doing: str) -> None:
-        if self._closed:
-            raise InstrumentError(NAME, doing, "it is closed", "open the rig again")
 
 
 def _spoilt(response_v: Float32Array, fault: Fault, rate_hz: float) -> Float32Array:

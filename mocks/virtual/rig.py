@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 from drivers.protocols import Instruments
 from mocks.virtual.faults import Fault
+from mocks.virtual.laboratory import PatchBay, VirtualClock, VirtualSensor
 from mocks.virtual.mirror import VirtualMirror
 from mocks.virtual.player import VirtualPlayer
 from mocks.virtual.recorder import VirtualRecorder
 from mocks.virtual.settings import MirrorGeometry, VirtualSettings
-from mocks.virtual.surroundings import PatchBay, VirtualClock, VirtualSensor
 from mocks.virtual.synthesis import Synthesis
 
 __all__ = ["Fault", "MirrorGeometry", "VirtualRig", "VirtualSettings"]
@@ -26,6 +26,7 @@ class VirtualRig:
 
     settings: The rig; the default rig, if absent.
 
+    instruments: The three instruments and their clock.
     patch_bay: What is plugged into the response input; the vibrometer, until somebody plugs in something else.
     sensors: ``"room"`` and ``"light"``.
     """
@@ -43,12 +44,7 @@ class VirtualRig:
             "room": VirtualSensor(clock, self.settings.room_c),
             "light": VirtualSensor(clock, self.settings.light),
         }
-        self._instruments = Instruments(mirror=mirror, recorder=recorder, player=player, clock=clock)
-
-    @property
-    def instruments(self) -> Instruments:
-        """The three instruments and their clock, made once."""
-        return self._instruments
+        self.instruments = Instruments(mirror=mirror, recorder=recorder, player=player, clock=clock)
 
     @property
     def ringing_s(self) -> float:

@@ -201,6 +201,25 @@ class Synthesis:
                 response_v[spot.first : spot.stop] = response_of[spot.place_mm][spot.first : spot.stop]
         return reference_v, response_v
 
+    def spots(
+        self, aims: Sequence[tuple[int, tuple[float, float] | None]], start_ns: int, samples: int, rate_hz: float
+    ) -> list[Spot]:
+        """Where the laser was during the samples of a record that began at `start_ns`.
+
+        aims: As of `mocks.virtual.mirror.MirrorMotion.aims`.
+        rate_hz: True rate of the recorder.
+        """
+        firsts = [min(samples, round((instant - start_ns) * 1e-9 * rate_hz)) for instant, _ in aims]
+        ends = [*firsts[1:], samples]
+        return [Spot(first, stop, self.place_mm(aim)) for first, stop, (_, aim) in zip(firsts, ends, aims, strict=True)]
+
+    def place_mm(self, aim_mrad: tuple[float, float] | None) -> tuple[float, float] | None:
+        """Where the laser meets the surface from a mirror that stands so; None where it moves, or misses it."""
+        if aim_mrad is None:
+            return None
+        spot_mm = self._settings.mirror.spot_mm(*aim_mrad)
+        return spot_mm if bool(self._settings.outline.contains(spot_mm)) else None
+
     @property
     def ringing_s(self) -> float:
         """How long the plate's responses take to fall by 60 dB, if longer than a gel's."""

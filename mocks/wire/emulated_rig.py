@@ -2,31 +2,28 @@
 
 from __future__ import annotations
 
-import dataclasses
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mocks.virtual.laboratory import NANOSECONDS, PatchBay
+from mocks.virtual.mirror import MirrorMotion
 from mocks.virtual.settings import VirtualSettings
 from mocks.virtual.signals import SignalStore
-from mocks.virtual.surroundings import NANOSECONDS, PatchBay
-from mocks.virtual.synthesis import TAIL_S, Play, Spot, Synthesis
-from mocks.wire.audio.jack_server import JackServer
+from mocks.virtual.synthesis import TAIL_S, Play, Synthesis
 from mocks.wire.faults import WireFault, WireFaultPlan
+from mocks.wire.jack_capture import PlayedAudio
+from mocks.wire.jack_server import JackServer
 from mocks.wire.mirrors import mirror_device
-from mocks.wire.mirrors.motion import MirrorMotion
-from mocks.wire.ni.ni_server import NiServer
-from mocks.wire.serial_far_side import SerialFarSide
-from mocks.wire.serial_wires import PtyWire, TcpWire, Wire
+from mocks.wire.ni_server import NiServer
+from mocks.wire.serial_far_side import PtyWire, SerialFarSide, TcpWire, Wire
 from mocks.wire.vibrometer import PolytecDevice
 
 Float32Array = NDArray[np.float32]
@@ -38,31 +35,6 @@ PARTING_S = 0.01
 # What a converter cannot put out is silence: -160 dB of full scale.
 SILENCE = 1e-8
 KEPT_ONSETS = 1000
-
-
-class Played(Protocol):
-    """What has left the outputs of the audio interface, by frames of its clock."""
-
-    @property
-    def rate_hz(self) -> int:
-        """Frames per second."""
-        ...
-
-    def frame_at(self, instant_ns: int) -> float:
-        """The frame that sounds at an instant of `time.monotonic_ns`."""
-        ...
-
-    def read(self, first_frame: int, stop_frame: int) -> Float32Array:
-        """Samples as parts of full scale, shape (channels, frames); waits for the last one."""
-        ...
-
-
-class Aimed(Protocol):
-    """Where the mirror has looked."""
-
-    def aims(self, start_ns: int, stop_ns: int) -> list[tuple[int, tuple[float, float] | None]]:
-        """From each instant on the mirror stands at these optical angles in mrad; None while it moves."""
-        ...
 
 
 class WireBench:
@@ -86,8 +58,8 @@ class WireBench:
     def __init__(
         self,
         settings: VirtualSettings,
-        played: Played,
-        aimed: Aimed,
+        played: PlayedAudio,
+        aimed: MirrorMotion,
         *,
         full_scale_v: tuple[float, ...],
         reference_input: str = "ai0",
@@ -125,10 +97,10 @@ class WireBench:
         self.onsets.append(min(begun_ns, default=np.nan) / NANOSECONDS * true_rate_hz)
         patched = self.patch_bay.outputs
         with self._lock:
-            spots = self._spots(start_ns, end_ns, samples, true_rate_hz)
             # Which input is converted first decides which of the two is late.
             order = [inputs.index(name) if name in inputs else 0 for name in self._inputs]
             synthesis = self._with_delay((order[1] - order[0]) * channel_delay_s)
+            spots = synthesis.spots(self._aimed.aims(start_ns, end_ns), start_ns, samples, true_rate_hz)
             reference_v, response_v = synthesis.voltages(samples, rate_hz, start_ns, plays, spots, patched)
             for spot in spots:
                 if spot.place_mm is None and patched is None:
@@ -148,7 +120,9 @@ class WireBench:
         """Where the laser meets the surface now; None while it moves or misses it."""
         now_ns = time.monotonic_ns()
         aims = self._aimed.aims(now_ns, now_ns + 1)
-        return self._place_mm(aims[-1][1]) if aims else None
+        with self._lock:
+            (synthesis,) = self._synthesis.values()
+        return synthesis.place_mm(aims[-1][1])
 
     def _plays(self, start_ns: int, end_ns: int) -> list[Play]:
         """What sounded in a record or rings on into it, as one play for each stretch between silences."""
@@ -178,22 +152,10 @@ class WireBench:
         rest_s = begins_s - begins_ns / NANOSECONDS
         return Play(start_ns + begins_ns, float(self._played.rate_hz), signals, frames.shape[1], rest_s)
 
-    def _spots(self, start_ns: int, end_ns: int, samples: int, rate_hz: float) -> list[Spot]:
-        aims: Sequence[tuple[int, tuple[float, float] | None]] = self._aimed.aims(start_ns, end_ns)
-        firsts = [min(samples, round((instant - start_ns) / NANOSECONDS * rate_hz)) for instant, _ in aims]
-        bounds = [*firsts, samples]
-        return [Spot(bounds[i], bounds[i + 1], self._place_mm(aim)) for i, (_, aim) in enumerate(aims)]
-
-    def _place_mm(self, aim_mrad: tuple[float, float] | None) -> tuple[float, float] | None:
-        if aim_mrad is None:
-            return None
-        place_mm = self._settings.mirror.spot_mm(*aim_mrad)
-        return place_mm if bool(self._settings.outline.contains(place_mm)) else None
-
     def _with_delay(self, delay_s: float) -> Synthesis:
         """The signal chain with this delay of the response input; a task that is asked again finds it made."""
         if delay_s not in self._synthesis:
-            self._synthesis = {delay_s: Synthesis(dataclasses.replace(self._settings, inter_channel_delay_s=delay_s))}
+            self._synthesis = {delay_s: Synthesis(replace(self._settings, inter_channel_delay_s=delay_s))}
         return self._synthesis[delay_s]
 
 

@@ -9,8 +9,10 @@ Not confirmed by a source: ``Not Available`` for a decoder that is not installed
 
 from __future__ import annotations
 
+from mocks.wire.serial_far_side import SerialDevice
 
-class PolytecDevice:
+
+class PolytecDevice(SerialDevice):
     """A controller with one velocity decoder; it echoes commands until echo is switched off.
 
     range_text: The measurement range that is set.
@@ -22,8 +24,6 @@ class PolytecDevice:
     """
 
     role = "vibrometer"
-    baud = 115200
-    command_end = "\n"
 
     def __init__(
         self,

@@ -17,9 +17,9 @@ import pytest
 from config.rig import RigConfig, default_rig
 from drivers.errors import InstrumentError, TransientInstrumentError
 from drivers.protocols import Clock, Mirror, Player, Recorder
+from mocks.virtual.mirror import MirrorMotion
 from mocks.wire.emulated_rig import EmulatedRig
 from mocks.wire.mirrors import mirror_device
-from mocks.wire.mirrors.motion import MirrorMotion
 from mocks.wire.serial_far_side import SerialFarSide
 from tests.wire.emulated import free_port, rig_text
 from tests.wire.serial_bench import DIALECTS, LOCAL

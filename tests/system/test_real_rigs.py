@@ -10,8 +10,7 @@ import pytest
 
 from config.rig import RigConfig
 from drivers.errors import InstrumentError
-from mocks.wire.serial_far_side import SerialFarSide
-from mocks.wire.serial_wires import TcpWire
+from mocks.wire.serial_far_side import SerialFarSide, TcpWire
 from mocks.wire.vibrometer import PolytecDevice
 from wavefocus.__main__ import run
 from wavefocus.rig.instruments import openers

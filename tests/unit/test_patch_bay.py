@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from drivers.protocols import Recording, RecordRequest, Take
+from mocks.virtual.laboratory import PatchBay
 from mocks.virtual.rig import VirtualRig, VirtualSettings
-from mocks.virtual.surroundings import PatchBay
 from mocks.virtual.synthesis import output_errors
 
 RATE_HZ = 10_000.0

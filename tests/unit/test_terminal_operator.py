@@ -8,7 +8,7 @@ import pytest
 
 from acquisition.calibrate_mirror import Jog, JogView
 from config.messages.rig_checks import By, Here, To
-from mocks.virtual.surroundings import PatchBay
+from mocks.virtual.laboratory import PatchBay
 from storage.errors import InputError
 from wavefocus.rig.calibration_session import Cables
 from wavefocus.rig.operators import TerminalOperator

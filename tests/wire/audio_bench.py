@@ -15,7 +15,7 @@ import pytest
 
 from drivers.audio.stream.player import StreamPlayer
 from drivers.errors import TransientInstrumentError
-from mocks.wire.audio.jack_server import JackServer
+from mocks.wire.jack_server import JackServer
 
 ROOT = Path(__file__).parents[2]
 CHANNELS = 21

@@ -11,7 +11,7 @@ import numpy as np
 
 from drivers.daq.ni.ni_recorder import NiRecorder
 from drivers.protocols import RecordRequest, Take
-from mocks.wire.ni.ni_server import NiServer
+from mocks.wire.ni_server import NiServer
 
 RATE_HZ = 10_000.0
 RANGE_V = (1.0, 10.0)

@@ -13,11 +13,10 @@ from typing import Any
 from drivers.mirror.serial_mirror import SerialMirror
 from drivers.protocols import WallClock
 from drivers.registry import MIRRORS
+from mocks.virtual.mirror import MirrorMotion
 from mocks.wire.faults import WireFault, WireFaultPlan
 from mocks.wire.mirrors import MirrorDevice, mirror_device
-from mocks.wire.mirrors.motion import MirrorMotion
-from mocks.wire.serial_far_side import SerialDevice, SerialFarSide, garble
-from mocks.wire.serial_wires import PtyWire, TcpWire, Wire
+from mocks.wire.serial_far_side import PtyWire, SerialDevice, SerialFarSide, TcpWire, Wire, garble
 
 
 @dataclass(frozen=True)

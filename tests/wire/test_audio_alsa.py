@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import InstrumentError
-from mocks.wire.audio.jack_server import AlsaFile
+from mocks.wire.jack_server import AlsaFile
 from tests.wire.audio_bench import CHANNELS, FULL_SCALE_V, RATE_HZ, AudioBench, as_played, noise, sounding
 
 pytestmark = [

@@ -13,7 +13,7 @@ import pytest
 from drivers.audio.stream.portaudio import DeviceChoiceError, OutputDevice, choose
 from drivers.errors import InstrumentError, InstrumentLostError
 from drivers.protocols import DeviceIdentity
-from mocks.wire.audio.jack_server import AlsaFile
+from mocks.wire.jack_server import AlsaFile
 from tests.wire.audio_bench import AudioBench, run_python
 
 APIS = ("MME", "ASIO", "Windows WASAPI")

@@ -16,7 +16,7 @@ from drivers.daq.ni.ni_errors import explain
 from drivers.daq.ni.ni_session import TlsFiles
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from mocks.wire.faults import WireFault
-from mocks.wire.ni.ni_server import NiServer
+from mocks.wire.ni_server import NiServer
 from tests.wire.daq_bench import RANGE_V, RATE_HZ, TAKE, Tone, ask, check_tone, daq_bench, take_one
 
 # No test waits long for an answer that does not come.

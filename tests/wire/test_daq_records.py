@@ -10,7 +10,7 @@ import pytest
 
 from drivers.errors import InstrumentError, TransientInstrumentError
 from drivers.protocols import DeviceIdentity
-from mocks.wire.ni.ni_products import PRODUCTS
+from mocks.wire.ni_products import PRODUCTS
 from tests.wire.daq_bench import RATE_HZ, TAKE, Tone, Wires, ask, check_tone, daq_bench, take_one
 
 # Unlike ranges by terminal, and codes beyond the range.

@@ -13,7 +13,7 @@ from nidaqmx.constants import TerminalConfiguration
 from nidaqmx.errors import DaqError, DaqReadError
 from nidaqmx.stream_readers import AnalogMultiChannelReader
 
-from mocks.wire.ni.ni_server import NiServer
+from mocks.wire.ni_server import NiServer
 from tests.wire.daq_bench import Tone, daq_bench
 
 ROOT = Path(__file__).parents[2]

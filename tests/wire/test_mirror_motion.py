@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mocks.wire.mirrors.motion import MirrorMotion
+from mocks.virtual.mirror import MirrorMotion
 
 SECOND_NS = 1_000_000_000
 
@@ -24,13 +24,11 @@ def test_given_a_move_then_it_is_under_way_for_ramp_and_settling():
     assert y == pytest.approx(-0.4 * x)
 
 
-def test_given_a_target_beyond_the_limit_then_it_is_refused_but_for_rounding():
+def test_given_a_limit_then_it_reaches_so_far_and_what_rounding_adds():
     motion = MirrorMotion((0.0, 0.0), 0.0, math.inf, 10.0)
-    motion.start(10.05, 0.0)
-    with pytest.raises(ValueError, match=r"beyond \+-10 mrad"):
-        motion.start(10.5, 0.0)
-    with pytest.raises(ValueError, match="beyond"):
-        motion.start(math.nan, 0.0)
+    assert motion.reaches(10.05, 0.0)
+    assert not motion.reaches(0.0, 10.5)
+    assert not motion.reaches(math.nan, 0.0)
 
 
 @settings(max_examples=50)

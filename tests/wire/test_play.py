@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import soundfile
 
-from mocks.wire.audio.jack_server import JackServer
+from mocks.wire.jack_server import JackServer
 from storage.drive_file import Drive, write_drive
 from tests.wire.audio_bench import AudioBench, needs_audio_server, sounding, wait_until
 from wavefocus.__main__ import run

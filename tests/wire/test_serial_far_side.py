@@ -11,15 +11,14 @@ from urllib.parse import urlsplit
 
 import pytest
 
+from mocks.virtual.mirror import MirrorMotion
 from mocks.wire.faults import WireFault, WireFaultPlan
 from mocks.wire.mirrors import mirror_device
 from mocks.wire.mirrors.asi_tiger import AsiTigerDevice
 from mocks.wire.mirrors.generic import GenericMirrorDevice
 from mocks.wire.mirrors.mirrorcle import MirrorcleDevice
-from mocks.wire.mirrors.motion import MirrorMotion
 from mocks.wire.mirrors.optotune import OptotuneDevice
-from mocks.wire.serial_far_side import SerialFarSide
-from mocks.wire.serial_wires import TcpWire
+from mocks.wire.serial_far_side import SerialFarSide, TcpWire
 from mocks.wire.vibrometer import PolytecDevice
 from tests.wire.serial_bench import WIRES, wire
 

@@ -8,8 +8,7 @@ import pytest
 import usb.core
 
 from drivers.errors import InstrumentError
-from drivers.usb.devices import Kind, Problem, UsbDevice, list_devices
-from drivers.usb.matching import ExpectedUsbDevice, Finding, Verdict, match_devices
+from drivers.usb import ExpectedUsbDevice, Finding, Kind, Problem, UsbDevice, Verdict, list_devices, match_devices
 from mocks.wire.faults import WireFault
 from mocks.wire.usb_backend import VirtualUsb, VirtualUsbDevice
 

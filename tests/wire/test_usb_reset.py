@@ -7,10 +7,8 @@ import dataclasses
 import pytest
 
 from drivers.errors import InstrumentError, InstrumentLostError
-from drivers.usb.devices import list_devices
-from drivers.usb.matching import ExpectedUsbDevice
-from drivers.usb.reset import reset_device
-from mocks.virtual.surroundings import VirtualClock
+from drivers.usb import ExpectedUsbDevice, list_devices, reset_device
+from mocks.virtual.laboratory import VirtualClock
 from mocks.wire.faults import WireFault
 from mocks.wire.usb_backend import VirtualUsb, VirtualUsbDevice
 

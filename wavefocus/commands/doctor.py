@@ -87,8 +87,7 @@ def doctor(
 
 
 def _reset(rig: RigConfig, rig_file: Path, role: str) -> None:
-    from drivers.usb.matching import ExpectedUsbDevice
-    from drivers.usb.reset import reset_device
+    from drivers.usb import ExpectedUsbDevice, reset_device
 
     expected = [ExpectedUsbDevice(**one.model_dump()) for one in rig.usb]
     roles = ", ".join(sorted({one.role for one in expected})) or "none: give it a [[usb]] table"
@@ -210,8 +209,7 @@ def _check_disk(folder: Path, findings: Findings) -> None:
 def _check_usb(rig: RigConfig, findings: Findings) -> None:
     if not rig.usb:
         return
-    from drivers.usb.devices import list_devices
-    from drivers.usb.matching import ExpectedUsbDevice, Verdict, match_devices
+    from drivers.usb import ExpectedUsbDevice, Verdict, list_devices, match_devices
 
     plugged_in = findings.ask("usb", "devices", list_devices, USB_S)
     if plugged_in is None:

@@ -42,8 +42,8 @@ def emulate(rig_file: Path, *, as_json: bool) -> Exit:
             "wavefocus init DIR --rig emulated writes one whose drivers are real"
         )
     try:
-        from mocks.wire.audio.jack_server import JackServerError
         from mocks.wire.emulated_rig import EmulatedRig
+        from mocks.wire.jack_server import JackServerError
     except ImportError as missing:
         raise InputError(
             f"emulate: the Python package {missing.name} is missing; install it with: pip install JACK-Client"

@@ -62,7 +62,7 @@ from wavefocus.rig.calibration_validity import identities_of
 from wavefocus.rig.limits import safe_amplitude_v
 
 if TYPE_CHECKING:
-    from mocks.virtual.surroundings import PatchBay
+    from mocks.virtual.laboratory import PatchBay
 
 # The listening distance, as a share of the surface's width.
 DISTANCE_SHARE = 0.2

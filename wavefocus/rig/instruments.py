@@ -21,7 +21,7 @@ from storage.errors import InputError
 from wavefocus.console import say
 
 if TYPE_CHECKING:
-    from mocks.virtual.surroundings import PatchBay
+    from mocks.virtual.laboratory import PatchBay
 
 
 Opened = TypeVar("Opened")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from functools import reduce
 
-from mocks.wire.mirrors import MIRROR_DEVICES, MirrorDevice
-from mocks.wire.mirrors.motion import MirrorMotion, number
+from mocks.virtual.mirror import MirrorMotion
+from mocks.wire.mirrors import MIRROR_DEVICES, MirrorDevice, number
 
 
 @MIRROR_DEVICES.register

@@ -16,25 +16,20 @@ from google.protobuf.message_factory import GetMessageClass
 from nidaqmx._stubs import nidaqmx_pb2
 
 from mocks.wire.faults import WireFault, WireFaultPlan
-from mocks.wire.ni import ni_errors
-from mocks.wire.ni.ni_box import NiBox
-from mocks.wire.ni.ni_calls import NiCalls
-from mocks.wire.ni.ni_errors import NiError
-from mocks.wire.ni.ni_tasks import SignalSource
-
-__all__ = ["Call", "NiServer", "SignalSource"]
+from mocks.wire.ni_box import NiBox, NiCode, NiError, SignalSource
+from mocks.wire.ni_calls import NiCalls
 
 SERVICE = "nidaqmx_grpc.NiDAQmx"
 METHODS = nidaqmx_pb2.DESCRIPTOR.services_by_name["NiDAQmx"].methods_by_name
 # Calls that a wait in one of them must not keep from being answered.
 THREADS = 16
 CODES = {
-    "overwritten": ni_errors.OVERWRITTEN,
-    "absent": ni_errors.ABSENT,
-    "wrong_name": ni_errors.NO_SUCH_DEVICE,
-    "in_use": ni_errors.IN_USE,
-    "usb_aborted": ni_errors.TRANSFER_ABORTED,
-    "wait_timeout": ni_errors.NOT_DONE,
+    "overwritten": NiCode.OVERWRITTEN,
+    "absent": NiCode.ABSENT,
+    "wrong_name": NiCode.NO_SUCH_DEVICE,
+    "in_use": NiCode.IN_USE,
+    "usb_aborted": NiCode.TRANSFER_ABORTED,
+    "wait_timeout": NiCode.NOT_DONE,
 }
 """Faults that are an error code and no more."""
 STATUSES = {"internal": grpc.StatusCode.INTERNAL, "exhausted": grpc.StatusCode.RESOURCE_EXHAUSTED}
@@ -58,7 +53,7 @@ class NiServer:
     A server that was stopped can be started again, on the same port; its tasks are gone then.
 
     source: What is at the inputs.
-    product: Model: a key of `mocks.wire.ni.ni_products.PRODUCTS`.
+    product: Model: a key of `mocks.wire.ni_products.PRODUCTS`.
     address: Where to listen; port 0 is any free one.
     faults: The rig's fault plan; operations are the names of the remote procedures.
     speed: How much faster than real time records end, > 0; only for sources that do not wait for the real time.
@@ -193,7 +188,9 @@ class NiServer:
 
     def answer(self, name: str, request: Any, context: grpc.ServicerContext) -> Any:
         """Answer one call, with the faults that it meets."""
-        began_s = self._begun(name)
+        began_s = time.monotonic()
+        with self._lock:
+            self._under_way[name] += 1
         gone = threading.Event()
         if not context.add_callback(gone.set):
             gone.set()
@@ -216,7 +213,9 @@ class NiServer:
             context.set_trailing_metadata((("ni-error", str(error.code)), *read))
             return context.abort(grpc.StatusCode.UNKNOWN, str(error))
         finally:
-            self._told(name, status if alive() else None, began_s)
+            with self._lock:
+                self._under_way[name] -= 1
+                self._log.append(Call(name, status if alive() else None, time.monotonic() - began_s))
 
     def _meet(self, name: str, due: Sequence[WireFault], gone: threading.Event) -> int:
         """Let a call meet its faults; returns the status of an answer that is otherwise good."""
@@ -225,7 +224,7 @@ class NiServer:
             if fault.kind in CODES:
                 raise NiError(CODES[fault.kind], "(on order)")
             if fault.kind == "warning" and name != "ReadAnalogF64":
-                warning = ni_errors.NOT_CALIBRATED
+                warning = NiCode.NOT_CALIBRATED
             elif fault.kind in SPOILING:
                 self._calls.spoil(fault)
             elif fault.kind == "unplugged":
@@ -236,16 +235,6 @@ class NiServer:
                 self._die(fault.seconds)
                 gone.wait()
         return warning
-
-    def _begun(self, name: str) -> float:
-        with self._lock:
-            self._under_way[name] += 1
-        return time.monotonic()
-
-    def _told(self, name: str, status: int | None, began_s: float) -> None:
-        with self._lock:
-            self._under_way[name] -= 1
-            self._log.append(Call(name, status, time.monotonic() - began_s))
 
 
 def _wire_format(name: str) -> tuple[Any, Any]:

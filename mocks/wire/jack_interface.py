@@ -1,6 +1,6 @@
 """The process that is an emulated audio interface: it runs an audio server, and records as a client of it.
 
-Run as ``python -m mocks.wire.audio.jack_interface DESCRIPTOR`` by `mocks.wire.audio.jack_server`, with a line of JSON
+Run as ``python -m mocks.wire.jack_interface DESCRIPTOR`` by `mocks.wire.jack_server`, with a line of JSON
 and then one word per line on standard input. It ends with its parent, and takes the server with it.
 """
 
@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from mocks.wire.audio.jack_capture import AudioRing, RingWriter
 from mocks.wire.faults import WireFault, WireFaultPlan
+from mocks.wire.jack_capture import AudioRing, RingWriter
 
 SERVER_BYTES = 45_000_000
 """A jackd takes 42 MB of /dev/shm, however few ports it has (measured, 1.9.21)."""

@@ -8,12 +8,8 @@ from typing import Any
 import numpy as np
 
 from mocks.wire.faults import WireFault
-from mocks.wire.ni import ni_errors
-from mocks.wire.ni.ni_attributes import channel_value, device_value, found
-from mocks.wire.ni.ni_box import NiBox
-from mocks.wire.ni.ni_errors import NiError
-from mocks.wire.ni.ni_products import DIFFERENTIAL, NRSE, RSE
-from mocks.wire.ni.ni_tasks import Alive, Channel, Float64Array, NiTask, State
+from mocks.wire.ni_box import Alive, Channel, Float64Array, NiBox, NiCode, NiError, NiTask, State
+from mocks.wire.ni_products import DIFFERENTIAL, NRSE, RSE, Product
 
 Answer = dict[str, Any]
 """Fields of the answering message."""
@@ -27,6 +23,8 @@ FINITE = 10178  # nidaqmx.constants.AcquisitionType
 BY_CHANNEL = 0  # nidaqmx.constants.FillMode
 COMMIT = 3  # nidaqmx.constants.TaskMode
 FEWEST_SAMPLES = 2  # NI-DAQmx refuses a finite task of one sample
+ANALOG_INPUT = 10100  # nidaqmx.constants.ChannelType
+VOLTAGE = 10322  # nidaqmx.constants.UsageTypeAI
 OPEN_INPUT_V = 1e-4  # noise of an input that nothing drives, volts rms
 
 
@@ -40,7 +38,7 @@ class NiCalls:
         self.handlers: dict[str, Handler] = {
             "GetSystemInfoAttributeUInt32": self._system_number,
             "GetSystemInfoAttributeString": self._system_text,
-            "GetErrorString": lambda request, alive: {"error_string": ni_errors.TEXTS.get(request.error_code, "")},
+            "GetErrorString": lambda request, alive: {"error_string": _text_of(request.error_code)},
             "GetDeviceAttributeString": self._device_attribute,
             "GetDeviceAttributeUInt32": self._device_attribute,
             "GetDeviceAttributeBool": self._device_attribute,
@@ -73,16 +71,16 @@ class NiCalls:
 
     def _system_number(self, request: Any, alive: Alive) -> Answer:
         major, minor, update = DRIVER_VERSION
-        return {"value": found({0x1272: major, 0x1923: minor, 0x2F22: update}, request.attribute_raw)}
+        return {"value": _found({0x1272: major, 0x1923: minor, 0x2F22: update}, request.attribute_raw)}
 
     def _system_text(self, request: Any, alive: Alive) -> Answer:
         values = {0x193B: self._box.name, 0x1267: ", ".join(self._box.task_names)}
-        return {"value": found(values, request.attribute_raw)}
+        return {"value": _found(values, request.attribute_raw)}
 
     def _device_attribute(self, request: Any, alive: Alive) -> Answer:
         box = self._box
         box.touch(request.device_name)
-        return {"value": device_value(box.product, box.name, box.serial_number, request.attribute_raw)}
+        return {"value": _device_value(box.product, box.name, box.serial_number, request.attribute_raw)}
 
     def _input_terminals(self, request: Any, alive: Alive) -> Answer:
         device, _, wanted = request.physical_channel.partition("/")
@@ -107,7 +105,7 @@ class NiCalls:
     def _task_text(self, request: Any, alive: Alive) -> Answer:
         task = self._task(request)
         names = ", ".join(channel.name for channel in task.channels)
-        return {"value": found({0x1276: task.name, 0x1273: names, 0x230E: self._box.name}, request.attribute_raw)}
+        return {"value": _found({0x1276: task.name, 0x1273: names, 0x230E: self._box.name}, request.attribute_raw)}
 
     def _create_channel(self, request: Any, alive: Alive) -> Answer:
         with self._box.condition:
@@ -117,10 +115,10 @@ class NiCalls:
             number = self._box.input_number(wanted)
             terminal = TERMINALS.get(request.terminal_config_raw)
             if terminal not in self._box.product.terminals(number):
-                raise NiError(ni_errors.INVALID_VALUE, "Property: DAQmx_AI_TermCfg")
+                raise NiError(NiCode.INVALID_VALUE, "Property: DAQmx_AI_TermCfg")
             range_v = self._box.product.range_v(terminal, max(-request.min_val, request.max_val))
             if range_v is None or not request.min_val < request.max_val:
-                raise NiError(ni_errors.INVALID_VALUE, "Property: DAQmx_AI_Max")
+                raise NiError(NiCode.INVALID_VALUE, "Property: DAQmx_AI_Max")
             name = request.name_to_assign_to_channel or request.physical_channel
             converter = self._box.product.converter(terminal, range_v, self._box.serial_number, number)
             task.channels.append(Channel(name, wanted, converter))
@@ -131,30 +129,30 @@ class NiCalls:
         several = not request.channel or "," in request.channel or ":" in request.channel
         for channel in task.channels:
             if several or request.channel == channel.name:
-                value = channel_value(channel, self._box.name, request.attribute_raw)
+                value = _channel_value(channel, self._box.name, request.attribute_raw)
                 # Enumerations travel under another name.
                 return {"value_raw" if isinstance(value, int) else "value": value}
-        raise NiError(ni_errors.NO_SUCH_INPUT, f"Channel: {request.channel}")
+        raise NiError(NiCode.NO_SUCH_INPUT, f"Channel: {request.channel}")
 
     def _time(self, request: Any, alive: Alive) -> Answer:
         with self._box.condition:
             task = self._task(request, at_rest=True)
             if not task.channels:
-                raise NiError(ni_errors.NO_CHANNELS)
+                raise NiError(NiCode.NO_CHANNELS)
             fastest_hz = self._box.product.fastest_hz(len(task.channels))
             if request.rate > fastest_hz * (1 + 1e-9):
                 code = (
-                    ni_errors.SAMPLE_RATE_TOO_HIGH
+                    NiCode.SAMPLE_RATE_TOO_HIGH
                     if request.rate <= self._box.product.aggregate_hz
-                    else ni_errors.INVALID_VALUE
+                    else NiCode.INVALID_VALUE
                 )
                 raise NiError(code, f"Property: DAQmx_SampClk_Rate. Maximum Value: {fastest_hz:g}")
             if request.rate < self._box.product.slowest_hz:
-                raise NiError(ni_errors.INVALID_VALUE, "Property: DAQmx_SampClk_Rate")
+                raise NiError(NiCode.INVALID_VALUE, "Property: DAQmx_SampClk_Rate")
             if request.sample_mode_raw != FINITE:
-                raise NiError(ni_errors.NOT_SUPPORTED, "Property: DAQmx_SampQuant_SampMode")
+                raise NiError(NiCode.NOT_SUPPORTED, "Property: DAQmx_SampQuant_SampMode")
             if request.samps_per_chan < FEWEST_SAMPLES:
-                raise NiError(ni_errors.INVALID_VALUE, "Property: DAQmx_SampQuant_SampPerChan. Minimum Value: 2")
+                raise NiError(NiCode.INVALID_VALUE, "Property: DAQmx_SampQuant_SampPerChan. Minimum Value: 2")
             task.rate_hz = self._box.product.coerced_rate_hz(request.rate)
             task.samples = request.samps_per_chan
             task.channel_delay_s = self._box.product.channel_delay_s(task.rate_hz, len(task.channels))
@@ -163,14 +161,14 @@ class NiCalls:
     def _timing_attribute(self, request: Any, alive: Alive) -> Answer:
         task = self._task(request)
         convert_hz = 1 / task.channel_delay_s if task.channel_delay_s else 0.0
-        return {"value": found({0x1344: task.rate_hz, 0x1848: convert_hz}, request.attribute_raw)}
+        return {"value": _found({0x1344: task.rate_hz, 0x1848: convert_hz}, request.attribute_raw)}
 
     def _trigger(self, request: Any, alive: Alive) -> Answer:
         with self._box.condition:
             task = self._task(request, at_rest=True)
             terminal = request.trigger_source.removeprefix(f"/{self._box.name}/")
             if terminal not in self._box.product.triggers:
-                raise NiError(ni_errors.NO_SUCH_TERMINAL, f"Terminal: {request.trigger_source}")
+                raise NiError(NiCode.NO_SUCH_TERMINAL, f"Terminal: {request.trigger_source}")
             task.trigger = terminal
             return {}
 
@@ -178,7 +176,7 @@ class NiCalls:
         with self._box.condition:
             task, action = self._task(request), request.action_raw
             if action != COMMIT:
-                raise NiError(ni_errors.NOT_SUPPORTED, f"Task action: {action}")
+                raise NiError(NiCode.NOT_SUPPORTED, f"Task action: {action}")
             self._box.reserve(task)
             task.commits = True
             task.state = State.COMMITTED
@@ -188,7 +186,7 @@ class NiCalls:
         with self._box.condition:
             task = self._task(request, at_rest=True)
             if not task.channels or not task.rate_hz:
-                raise NiError(ni_errors.NO_CHANNELS)
+                raise NiError(NiCode.NO_CHANNELS)
             self._box.reserve(task)
             task.begin()
             return {}
@@ -199,7 +197,7 @@ class NiCalls:
             early = task.end()
             if task.state is State.IDLE:
                 self._box.release(task)
-            return {"status": ni_errors.STOPPED_BEFORE_DONE if early else 0}
+            return {"status": NiCode.STOPPED_BEFORE_DONE if early else 0}
 
     def _wait(self, request: Any, alive: Alive) -> Answer:
         with self._box.condition:
@@ -218,7 +216,7 @@ class NiCalls:
             if asked < 0:
                 asked = task.samples
             if asked * len(task.channels) > request.array_size_in_samps:
-                raise NiError(ni_errors.NOT_STARTED, "The array is too small.")
+                raise NiError(NiCode.NOT_STARTED, "The array is too small.")
             analog_v, complete = task.read(asked, request.timeout, alive)
             analog_v, complete, status = self._spoil(task, analog_v, complete)
             volts = np.zeros((len(task.channels), asked))
@@ -229,7 +227,7 @@ class NiCalls:
         return {
             "read_array": volts.ravel().tolist(),  # twice as fast as the array itself
             "samps_per_chan_read": count,
-            "status": status if complete else ni_errors.NOT_YET_AVAILABLE,
+            "status": status if complete else NiCode.NOT_YET_AVAILABLE,
         }
 
     def _spoil(self, task: NiTask, analog_v: Float64Array, complete: bool) -> tuple[Float64Array, bool, int]:
@@ -248,8 +246,59 @@ class NiCalls:
                 largest_v = max(float(np.abs(analog_v[-1]).max()), 1e-9)
                 analog_v[-1] *= 1.5 * task.channels[-1].converter.range_v / largest_v
             elif fault.kind == "warning":
-                status = ni_errors.ADC_OVERLOADED
+                status = NiCode.ADC_OVERLOADED
         return analog_v, complete, status
 
     def _task(self, request: Any, *, at_rest: bool = False) -> NiTask:
         return self._box.task(request.task.name, at_rest=at_rest)
+
+
+# -- properties, by the numbers that travel on the wire: those of the header NIDAQmx.h
+
+
+def _device_value(product: Product, name: str, serial_number: int, attribute: int) -> Any:
+    """A property of the device. Raises NiError."""
+    ranges_v = [bound for range_v in product.all_ranges_v for bound in (-range_v, range_v)]
+    values = {
+        0x0631: product.name,
+        0x0632: serial_number,
+        0x231E: ", ".join(f"{name}/ai{number}" for number in range(product.inputs)),
+        0x2A40: ", ".join(f"/{name}/{terminal}" for terminal in product.triggers),
+        0x06CA: False,  # simulated
+        0x2985: True,  # digital trigger supported
+        0x2984: False,  # analog trigger supported
+        0x298F: product.simultaneous,  # simultaneous sampling supported
+        0x298C: product.aggregate_hz,
+        0x298D: product.aggregate_hz,
+        0x298E: product.slowest_hz,
+        0x2990: ranges_v,
+    }
+    return _found(values, attribute)
+
+
+def _channel_value(channel: Channel, device: str, attribute: int) -> Any:
+    """A property of a channel. Raises NiError."""
+    converter = channel.converter
+    values = {
+        0x1765: float(converter.bits),
+        0x1815: converter.range_v,
+        0x1816: -converter.range_v,
+        0x17DD: converter.range_v,
+        0x17DE: -converter.range_v,
+        0x1930: [converter.offset_v, converter.step_v, 0.0, 0.0],
+        0x187F: ANALOG_INPUT,
+        0x0695: VOLTAGE,
+        0x18F5: f"{device}/{channel.input}",
+    }
+    return _found(values, attribute)
+
+
+def _found(values: dict[int, Any], attribute: int) -> Any:
+    """The value of a property among those that there are; raises `NiError` for others."""
+    if attribute not in values:
+        raise NiError(NiCode.NOT_SUPPORTED, f"Property: {attribute:#x}")
+    return values[attribute]
+
+
+def _text_of(code: int) -> str:
+    return next((one.text for one in NiCode if one == code), "")

@@ -15,9 +15,9 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import NDArray
 
-from mocks.wire.audio.jack_capture import PlayedAudio, make_ring
-from mocks.wire.audio.jack_interface import DEVICE, PLACE_S, START_S, STOP_S
 from mocks.wire.faults import WireFault
+from mocks.wire.jack_capture import PlayedAudio, make_ring
+from mocks.wire.jack_interface import DEVICE, PLACE_S, START_S, STOP_S
 
 Float32Array = NDArray[np.float32]
 
@@ -93,7 +93,7 @@ class JackServer:
         self._ring = make_ring(channels, rate_hz, period_frames, ring_s)
         root = str(Path(__file__).parents[2])
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "mocks.wire.audio.jack_interface", str(self._ring.descriptor)],
+            [sys.executable, "-P", "-m", "mocks.wire.jack_interface", str(self._ring.descriptor)],
             env={**os.environ, "PYTHONPATH": os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,

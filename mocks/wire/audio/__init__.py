@@ -1,1 +1,0 @@
-"""An emulated audio interface behind JACK and ALSA."""

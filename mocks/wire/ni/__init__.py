@@ -1,1 +1,0 @@
-"""An emulated NI box behind its gRPC server."""
