@@ -150,12 +150,9 @@ class AsiTiger(Dialect):
                 return  # firmware that has no such mode
             raise
         if mode == 1:
-            raise InstrumentError(
-                dialogue.instrument,
-                doing,
-                "it follows its analog input, as it may after it was switched on",
-                f"send PM {axis}=0 to the controller",
-            )
+            cause = "it follows its analog input, as it may after it was switched on"
+            remedy = f"send PM {axis}=0 to the controller"
+            raise InstrumentError(dialogue.instrument, doing, cause, remedy)
 
 
 def _scanner_axes(build: str, wanted: tuple[str, str] | None, instrument: str) -> tuple[str, str]:

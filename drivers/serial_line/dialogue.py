@@ -144,19 +144,12 @@ class Dialogue:
                     latest = missing
                 except LineFailedError as failure:
                     self._line.close()
-                    raise InstrumentLostError(
-                        self._instrument,
-                        doing,
-                        f"the connection was closed ({failure})",
-                        "it may serve one program at a time: close the others; check its power",
-                    ) from failure
+                    cause = f"the connection was closed ({failure})"
+                    remedy = "it may serve one program at a time: close the others; check its power"
+                    raise InstrumentLostError(self._instrument, doing, cause, remedy) from failure
                 if self._clock.now_s() > gives_up_s:
-                    raise InstrumentLostError(
-                        self._instrument,
-                        doing,
-                        str(latest),
-                        "switch it on; check the cable, and driver and baud in the rig file",
-                    )
+                    remedy = "switch it on; check the cable, and driver and baud in the rig file"
+                    raise InstrumentLostError(self._instrument, doing, str(latest), remedy)
 
     def recognise(self, marker: Marker) -> None:
         """Use this identity from now on.
@@ -265,12 +258,9 @@ class Dialogue:
             strangers.append(stranger)
         if strangers[0] != strangers[1]:
             raise NoAnswerError(f"the answer {strangers[1]!r} cannot be read")
-        raise InstrumentError(
-            self._instrument,
-            doing,
-            f"another device answers in its place: {strangers[1]!r}, and not {marker.device!r}",
-            "plug in the right device, or correct the rig file, port and identity",
-        )
+        cause = f"another device answers in its place: {strangers[1]!r}, and not {marker.device!r}"
+        remedy = "plug in the right device, or correct the rig file, port and identity"
+        raise InstrumentError(self._instrument, doing, cause, remedy)
 
     def _await(self, marker: Marker) -> str | None:
         """None once every marker asked for so far is answered; else who answers in its place, if anybody does.
@@ -306,23 +296,17 @@ class Dialogue:
             self._catch_up(doing)
         except NoAnswerError as missing:
             self._behind = True
-            raise InstrumentLostError(
-                self._instrument,
-                doing,
-                f"the device has stopped answering ({missing})",
-                "check its power and its cable",
-            ) from missing
+            cause = f"the device has stopped answering ({missing})"
+            remedy = "check its power and its cable"
+            raise InstrumentLostError(self._instrument, doing, cause, remedy) from missing
 
     @contextmanager
     def _turn(self, doing: str) -> Iterator[None]:
         """Wait until no other thread asks, and no longer than a call can take. Raises InstrumentLostError."""
         if not self._lock.acquire(timeout=HUNG_ANSWERS * self._line.settings.answer_s):
-            raise InstrumentLostError(
-                self._instrument,
-                doing,
-                "an earlier call hangs in the driver of its port",
-                "connect it again; if it stays, unplug the port and plug it in again",
-            )
+            cause = "an earlier call hangs in the driver of its port"
+            remedy = "connect it again; if it stays, unplug the port and plug it in again"
+            raise InstrumentLostError(self._instrument, doing, cause, remedy)
         try:
             yield
         finally:
@@ -348,9 +332,6 @@ class Dialogue:
             ) from failure
         except RestartedError as restarted:
             self._line.close()
-            raise InstrumentLostError(
-                self._instrument,
-                doing,
-                "the device was switched off and on meanwhile: its position and its settings are lost",
-                "check its power supply; it is set up afresh when it is opened again",
-            ) from restarted
+            cause = "the device was switched off and on meanwhile: its position and its settings are lost"
+            remedy = "check its power supply; it is set up afresh when it is opened again"
+            raise InstrumentLostError(self._instrument, doing, cause, remedy) from restarted

@@ -69,12 +69,9 @@ def find_port(port: str, instrument: str, present: Iterable[SerialPort] | None =
             instrument, doing, f"{' and '.join(found)} both have it", "name one of them in the rig file, port"
         )
     numbers = ", ".join(f"{one.serial_number} ({one.device})" for one in listed if one.serial_number)
-    raise InstrumentLostError(
-        instrument,
-        doing,
-        f"no port has it; those present: {numbers or 'none with a serial number'}",
-        "plug it in, or correct the rig file, port",
-    )
+    cause = f"no port has it; those present: {numbers or 'none with a serial number'}"
+    remedy = "plug it in, or correct the rig file, port"
+    raise InstrumentLostError(instrument, doing, cause, remedy)
 
 
 def pyserial_missing(instrument: str, doing: str) -> InstrumentError:

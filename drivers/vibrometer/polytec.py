@@ -71,12 +71,9 @@ class Polytec:
             decoder_name = dialogue.ask(Query(f"Get,VeloDec,{self.decoder},Name", _name), "reading the decoder's name")
             known_as = f"{who}, {decoder_name}"
             if identity is not None and identity not in known_as:
-                raise InstrumentError(
-                    name,
-                    "asking who it is",
-                    f"another device answers: {known_as!r} does not contain {identity!r}",
-                    "plug in the right device, or correct the rig file, identity",
-                )
+                cause = f"another device answers: {known_as!r} does not contain {identity!r}"
+                remedy = "plug in the right device, or correct the rig file, identity"
+                raise InstrumentError(name, "asking who it is", cause, remedy)
             range_text = dialogue.ask(
                 Query(f"Get,VeloDec,{self.decoder},Range", _range), "reading the measurement range"
             )
@@ -85,12 +82,9 @@ class Polytec:
         finally:
             dialogue.close()
         if level is not None and level < self.least_signal_level and not any_level:
-            raise InstrumentError(
-                name,
-                "checking the signal level",
-                f"it is {level:.0%} of full, at least {self.least_signal_level:.0%} is wanted",
-                "focus the laser; put reflective film on the surface",
-            )
+            cause = f"it is {level:.0%} of full, at least {self.least_signal_level:.0%} is wanted"
+            remedy = "focus the laser; put reflective film on the surface"
+            raise InstrumentError(name, "checking the signal level", cause, remedy)
         return VibrometerReading(_metres_per_second_per_volt(range_text), range_text, latency_s, level, known_as)
 
 

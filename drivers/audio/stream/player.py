@@ -56,13 +56,12 @@ class StreamPlayer:
         self._name = f"player {device}"
         self._full_scale_v = tuple(float(volts) for volts in channel_full_scale_v)
         if channels < 1 or len(self._full_scale_v) != channels or not all(0 < v < np.inf for v in self._full_scale_v):
-            raise InstrumentError(
-                self._name,
-                "opening",
+            cause = (
                 f"{channels} channels with {len(self._full_scale_v)} full-scale voltages from"
-                f" {min(self._full_scale_v, default=math.nan):g} V up",
-                "give one finite voltage above 0 for each channel",
+                f" {min(self._full_scale_v, default=math.nan):g} V up"
             )
+            remedy = "give one finite voltage above 0 for each channel"
+            raise InstrumentError(self._name, "opening", cause, remedy)
         self._request = StreamRequest(host_api, device, channels, interface_rate_hz, block_frames)
         self._environment = dict(environment or {})
         self._orders = PlayOrders(self._name, self._full_scale_v, interface_rate_hz)
@@ -173,12 +172,9 @@ class StreamPlayer:
         play, rate_hz, process = self._begun(), self._request.rate_hz, self._stream.process
         full_scale_v = play.full_scale_v
         if volts.ndim != 2 or len(volts) != len(full_scale_v) or not (np.abs(volts) <= full_scale_v).all():
-            raise InstrumentError(
-                self._name,
-                play.doing,
-                f"a piece of shape {volts.shape} that reaches {np.abs(volts).max(initial=0.0):g} V",
-                f"give one row for each of {len(full_scale_v)} channels, finite and within full scale",
-            )
+            cause = f"a piece of shape {volts.shape} that reaches {np.abs(volts).max(initial=0.0):g} V"
+            remedy = f"give one row for each of {len(full_scale_v)} channels, finite and within full scale"
+            raise InstrumentError(self._name, play.doing, cause, remedy)
         frames = np.ascontiguousarray((volts / full_scale_v).T, dtype=np.float32)
         before_s = play.waiting_frames / rate_hz
         play.sent_frames += len(frames)

@@ -226,12 +226,9 @@ class NiRecorder:
         session = NiSession(self._device, self._address, self._answer_s, known=identity is not None, tls=self._tls)
         try:
             if identity is not None and session.identity != identity:
-                raise InstrumentError(
-                    session.instrument,
-                    doing,
-                    f"{session.identity} answers instead of {identity}",
-                    "plug the right one in, or start a new campaign with this one",
-                )
+                cause = f"{session.identity} answers instead of {identity}"
+                remedy = "plug the right one in, or start a new campaign with this one"
+                raise InstrumentError(session.instrument, doing, cause, remedy)
             session.owned = self._owned
             if self._owned:
                 with session.telling("resetting the device"):

@@ -180,12 +180,9 @@ class NiSession:
         try:
             return open_channel(address, answer_s, tls)
         except OSError as failure:
-            raise InstrumentError(
-                self.instrument,
-                "opening",
-                f"{failure.filename} cannot be read ({failure.strerror})",
-                "correct tls_root, tls_certificate and tls_key of [recorder]",
-            ) from failure
+            cause = f"{failure.filename} cannot be read ({failure.strerror})"
+            remedy = "correct tls_root, tls_certificate and tls_key of [recorder]"
+            raise InstrumentError(self.instrument, "opening", cause, remedy) from failure
 
     def _open(self) -> None:
         try:
@@ -200,13 +197,12 @@ class NiSession:
                 raise self._misnamed(system, error) from error
             raise
         except (self._nidaqmx.errors.DaqNotFoundError, self._nidaqmx.errors.DaqNotSupportedError, OSError) as error:
-            raise InstrumentError(
-                self.instrument,
-                "opening",
-                f"the NI-DAQmx driver is not on this computer ({' '.join(str(error).split())})",
+            cause = f"the NI-DAQmx driver is not on this computer ({' '.join(str(error).split())})"
+            remedy = (
                 "install NI-DAQmx from ni.com, or give address of [recorder], a computer that runs NI's gRPC Device "
-                "Server",
-            ) from error
+                "Server"
+            )
+            raise InstrumentError(self.instrument, "opening", cause, remedy) from error
         self.limits = self._ask_limits()
 
     def _misnamed(self, system: Any, error: Any) -> InstrumentError:
@@ -293,12 +289,9 @@ def _package(instrument: str, operation: str) -> Any:
         import nidaqmx.errors
         import nidaqmx.system
     except ImportError as error:
-        raise InstrumentError(
-            instrument,
-            operation,
-            f"the Python package nidaqmx is missing ({error})",
-            'install it: pip install "nidaqmx[grpc]"',
-        ) from error
+        cause = f"the Python package nidaqmx is missing ({error})"
+        remedy = 'install it: pip install "nidaqmx[grpc]"'
+        raise InstrumentError(instrument, operation, cause, remedy) from error
     return nidaqmx
 
 
@@ -307,9 +300,6 @@ def _grpc(instrument: str, operation: str) -> None:
         import grpc  # noqa: F401
         import nidaqmx._grpc_interpreter  # noqa: F401
     except ImportError as error:
-        raise InstrumentError(
-            instrument,
-            operation,
-            f"what the nidaqmx package needs for an address is missing ({error})",
-            'install it: pip install "nidaqmx[grpc]"',
-        ) from error
+        cause = f"what the nidaqmx package needs for an address is missing ({error})"
+        remedy = 'install it: pip install "nidaqmx[grpc]"'
+        raise InstrumentError(instrument, operation, cause, remedy) from error

@@ -195,21 +195,15 @@ class RecordTask:
         """Refuse what the driver would quietly change: it takes the next rate and the next larger range."""
         rate_hz, instrument = self._task.timing.samp_clk_rate, self._session.instrument
         if abs(rate_hz / self.timing.rate_hz - 1) > RATE_TOLERANCE:
-            raise InstrumentError(
-                instrument,
-                operation,
-                f"it has no sample rate of {self.timing.rate_hz:g} Hz",
-                f"choose the nearest one that it has, {rate_hz:.10g} Hz",
-            )
+            cause = f"it has no sample rate of {self.timing.rate_hz:g} Hz"
+            remedy = f"choose the nearest one that it has, {rate_hz:.10g} Hz"
+            raise InstrumentError(instrument, operation, cause, remedy)
         for channel, name, range_v in zip(channels, self._wiring.inputs, self.timing.range_v, strict=True):
             got_v = channel.ai_rng_high
             if abs(got_v / range_v - 1) > 1e-6:
-                raise InstrumentError(
-                    instrument,
-                    operation,
-                    f"{name} has no range of {range_v:g} V as a {self._wiring.terminal} input",
-                    f"choose {got_v:g} V, or another terminal configuration",
-                )
+                cause = f"{name} has no range of {range_v:g} V as a {self._wiring.terminal} input"
+                remedy = f"choose {got_v:g} V, or another terminal configuration"
+                raise InstrumentError(instrument, operation, cause, remedy)
 
     def _commit(self) -> None:
         """Reserve the device, and make everything ready."""
@@ -267,30 +261,23 @@ def check_request(session: NiSession, request: RecordRequest, operation: str) ->
     """Refuse a record that the device cannot make. Raises InstrumentError."""
     product, limits = session.identity.product, session.limits
     if request.samples < 1 or not request.sample_rate_hz > 0:
-        raise InstrumentError(
-            session.instrument,
-            operation,
-            f"{request.samples} samples at {request.sample_rate_hz:g} Hz",
-            "ask for at least one sample at a rate above 0 Hz",
-        )
+        cause = f"{request.samples} samples at {request.sample_rate_hz:g} Hz"
+        remedy = "ask for at least one sample at a rate above 0 Hz"
+        raise InstrumentError(session.instrument, operation, cause, remedy)
     if limits.ranges_v is not None:
         for range_v in request.range_v:
             if not any(abs(range_v / known_v - 1) < 1e-6 for known_v in limits.ranges_v):
-                raise InstrumentError(
-                    session.instrument,
-                    operation,
-                    f"{product} has no range of {range_v:g} V",
+                cause = f"{product} has no range of {range_v:g} V"
+                remedy = (
                     f"choose {_or(f'{known_v:g}' for known_v in limits.ranges_v)} V as reference_range_v and "
-                    "response_range_v of [recorder]",
+                    "response_range_v of [recorder]"
                 )
+                raise InstrumentError(session.instrument, operation, cause, remedy)
     slowest_hz, fastest_hz = limits.slowest_hz or 0.0, limits.fastest_hz or float("inf")
     if not slowest_hz * (1 - 1e-9) <= request.sample_rate_hz <= fastest_hz * (1 + 1e-9):
-        raise InstrumentError(
-            session.instrument,
-            operation,
-            f"{product} does not sample two inputs at {request.sample_rate_hz:g} Hz each",
-            f"choose {slowest_hz:.3g} to {fastest_hz:g} Hz as sample_rate_hz of [capture]",
-        )
+        cause = f"{product} does not sample two inputs at {request.sample_rate_hz:g} Hz each"
+        remedy = f"choose {slowest_hz:.3g} to {fastest_hz:g} Hz as sample_rate_hz of [capture]"
+        raise InstrumentError(session.instrument, operation, cause, remedy)
 
 
 def _or(names: Iterable[str]) -> str:
