@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from storage import hdf5_digest, hdf5_reading
 from storage.errors import InputError
-from storage.hdf5_writing import attach, created, filled, reserved, sample_times, scale
+from storage.hdf5_writing import attach, created, filled, reserved, sample_times, scale, set_long_names
 from storage.output_files import replacement
 
 if TYPE_CHECKING:
@@ -24,6 +24,15 @@ Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
 
 FORMAT = "wavefocus-drive"
+LONG_NAMES = {
+    "drive": "voltage at each actuator",
+    "actuator": "index of the actuator",
+    "time_s": "scene time",
+    "focus/focus": "index of the focus",
+    "focus/sample": "sample of the focus after scene time zero",
+    "focus/position": "row of the bank that the focus is at",
+    "focus/source": "index of the source",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,7 +148,7 @@ def drive_in_blocks(
     Raises InputError: the folder is missing or cannot be written.
     """
     path = Path(path)
-    data_bytes = 8 * (shape[0] * shape[1] + shape[0] + shape[1] + 3 * len(about.focus_sample))
+    data_bytes = 8 * (shape[0] * shape[1] + shape[0] + shape[1] + 4 * len(about.focus_sample))
     with replacement(path) as temporary, created(temporary, data_bytes) as file:
         file.attrs["format"] = FORMAT
         file.attrs["format_version"] = 1
@@ -148,10 +157,12 @@ def drive_in_blocks(
         file.attrs["method"] = about.method
         file.attrs["drive_unit"] = about.drive_unit
         volts = reserved(file, "/drive", shape, "<f8", about.drive_unit)
+        focus = scale(file, "focus/focus", np.arange(len(about.focus_sample)))
         for name in ("sample", "position", "source"):
-            filled(file, f"/focus/{name}", np.asarray(getattr(about, f"focus_{name}"), np.int64))
+            attach(filled(file, f"/focus/{name}", np.asarray(getattr(about, f"focus_{name}"), np.int64)), focus)
         times_s = sample_times(shape[1], about.sample_rate_hz, about.start_s)
         attach(volts, scale(file, "actuator", np.arange(shape[0])), scale(file, "time_s", times_s, "s"))
+        set_long_names(file, LONG_NAMES)
         done = 0
 
         def append(block: Float64Array) -> None:

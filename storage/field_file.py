@@ -15,7 +15,7 @@ from numpy.typing import DTypeLike, NDArray
 from storage import hdf5_digest, hdf5_reading
 from storage.durable import Closing
 from storage.errors import InputError
-from storage.hdf5_writing import attach, created, filled, reserved, sample_times, scale
+from storage.hdf5_writing import attach, created, filled, reserved, sample_times, scale, set_long_names
 from storage.output_files import replacement
 
 if TYPE_CHECKING:
@@ -25,6 +25,12 @@ FieldArray = NDArray[np.float32] | NDArray[np.float64]
 Int64Array = NDArray[np.int64]
 
 FORMAT = "wavefocus-field"
+LONG_NAMES = {
+    "field": "response at each position",
+    "position": "row of the bank",
+    "position_index": "row of the bank",
+    "time_s": "scene time",
+}
 AT_ONCE_BYTES = 32 << 20
 
 
@@ -173,6 +179,7 @@ def field_in_rows(
         attach(filled(file, "/position_index", index), positions)
         data = reserved(file, "/field", (len(index), samples), kind.str, response_unit)
         attach(data, positions, scale(file, "time_s", sample_times(samples, sample_rate_hz, start_s), "s"))
+        set_long_names(file, LONG_NAMES)
         writer = FieldWriter(path, data)
         yield writer
         writer._finish()

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -160,7 +160,7 @@ def filled(file: h5py.File, name: str, values: NDArray[Any], unit: str | None = 
 def scale(file: h5py.File, name: str, values: NDArray[Any], unit: str = "1") -> h5py.Dataset:
     """Create a dimension scale, so that other programs show labelled dimensions and units."""
     dataset = filled(file, f"/{name}", values, unit)
-    dataset.make_scale(name)
+    dataset.make_scale(name.rpartition("/")[2])
     return dataset
 
 
@@ -175,6 +175,13 @@ def attach(dataset: h5py.Dataset, *scales: h5py.Dataset) -> None:
     """Attach a dimension scale to each dimension of a dataset."""
     for dimension, one in zip(dataset.dims, scales, strict=True):
         dimension.attach_scale(one)
+
+
+def set_long_names(file: h5py.File, names: Mapping[str, str]) -> None:
+    """Say in words what datasets hold, those of them that are there; the attribute is that of CF conventions."""
+    for name, text in names.items():
+        if name in file:
+            file[name].attrs["long_name"] = text
 
 
 def sample_times(samples: int, sample_rate_hz: float, start_s: float = 0.0) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from storage.bank.layout import QUALITY_UNITS, describe_status
 from storage.exchange.bank_rows import BankRows, OnProgress
-from storage.hdf5_writing import attach, created, filled, reserved, scale
+from storage.hdf5_writing import attach, created, filled, reserved, scale, set_long_names
 from storage.output_files import EXPORT_MARK, replacement
 
 LONG_NAMES = {
@@ -64,9 +64,7 @@ def write(path: Path, rows: BankRows, on_progress: OnProgress | None = None) -> 
         green = reserved(file, "green", shape, "<f4", bank.response_unit, chunk=(1, *shape[1:]))
         green.attrs["coordinates"] = "x_mm y_mm status"
         attach(green, position, actuator, time_s)
-        for name, text in LONG_NAMES.items():
-            if name in file:
-                file[name].attrs["long_name"] = text
+        set_long_names(file, LONG_NAMES)
         for place, (_, values) in enumerate(rows.each(on_progress)):
             green[place] = values
 

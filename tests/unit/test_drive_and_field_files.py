@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 import pytest
+import xarray
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -89,6 +92,38 @@ def test_files_opened_by_plain_h5py_then_hold_contract_section_5(tmp_path: Path)
             )
             integers = ["position_index"] if name == "field" else [f"focus/{one}" for one in file["focus"]]
             assert all((file[one].dtype, file[one].shape) == (np.int64, (3,)) for one in integers)
+
+
+@pytest.mark.parametrize("engine", ["h5netcdf", "netcdf4"])
+@pytest.mark.parametrize("foci", [3, 0])
+def test_files_opened_by_xarray_then_show_labelled_dimensions_with_units(
+    tmp_path: Path, engine: Any, foci: int
+) -> None:
+    write_drive(tmp_path / "drive.h5", drive(foci=foci))
+    a_field(tmp_path / "field.h5")
+    with xarray.open_datatree(tmp_path / "drive.h5", engine=engine) as tree:
+        assert tree["drive"].dims == ("actuator", "time_s")
+        assert (tree["drive"].attrs["units"], tree["time_s"].attrs["units"]) == ("V", "s")
+        assert tree["focus/focus"].values.tolist() == list(range(foci))
+        assert {one.dims for one in tree["focus"].data_vars.values()} == {("focus",)}
+    with xarray.open_dataset(tmp_path / "field.h5", engine=engine) as data:
+        assert data.field.dims == ("position", "time_s")
+        assert np.array_equal(data.position, field().position_index)
+        assert (data.field.attrs["units"], data.time_s.attrs["units"]) == ("m/s", "s")
+        assert all("long_name" in one.attrs for one in data.variables.values())
+
+
+@pytest.mark.parametrize("write", [a_drive, a_field])
+def test_a_drive_or_field_then_every_dataset_in_it_carries_its_checksum(
+    tmp_path: Path, write: Callable[[Path], None]
+) -> None:
+    write(tmp_path / "file.h5")
+    with h5py.File(tmp_path / "file.h5") as file:
+        found: dict[str, h5py.Dataset] = {}
+        file.visititems(lambda name, one: found.update({name: one}) if isinstance(one, h5py.Dataset) else None)
+        for name, one in found.items():
+            values = np.ascontiguousarray(one[...], one.dtype.newbyteorder("<"))
+            assert one.attrs["sha256"] == hashlib.sha256(values.tobytes()).hexdigest(), name
 
 
 def test_a_drive_file_with_only_what_is_needed_then_is_read(tmp_path: Path) -> None:
