@@ -10,7 +10,16 @@ from typing import Protocol
 from acquisition.conditions import NOTHING_WATCHED, Watch
 from calibration.mirror_map import MirrorMap
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from drivers.protocols import Float64Array, Instrument, Instruments, Recorder, Recording, RecordRequest, Take
+from drivers.protocols import (
+    DeviceIdentity,
+    Float64Array,
+    Instrument,
+    Instruments,
+    Recorder,
+    Recording,
+    RecordRequest,
+    Take,
+)
 from drivers.timeouts import Role
 
 
@@ -264,3 +273,12 @@ def point_at(setup: Setup, x_mm: float, y_mm: float) -> None:
     start_move(setup, x_mm, y_mm)
     with asking("mirror"):
         setup.instruments.mirror.wait_settled(setup.settle_timeout_s)
+
+
+def identities_of(instruments: Instruments) -> dict[str, DeviceIdentity]:
+    """Who mirror, recorder and player are, by role."""
+    return {
+        "mirror": instruments.mirror.identity,
+        "recorder": instruments.recorder.identity,
+        "player": instruments.player.identity,
+    }

@@ -11,7 +11,7 @@ from acquisition.attempt import Attempt, AttemptResult
 from acquisition.engine.session import Session
 from acquisition.judgement import Judgement
 from acquisition.plan import Pace, Plan, sentinel_of
-from acquisition.setup import Setup
+from acquisition.setup import Setup, identities_of
 from config.messages.campaign import (
     PassStarted,
     PositionCommitted,
@@ -39,7 +39,8 @@ class CampaignReport:
         self._second_looks = self._plan.second_looks(rows) if second_looks else 0
         size = self._plan.positions, self._plan.actuators, self._done(), len(rows)
         planned_s = self._plan.campaign_s(rows, self._setup)
-        self._session.publish(SessionStarted, str(self._bank.path), *size, planned_s, instruments)
+        devices = identities_of(self._setup.instruments)
+        self._session.publish(SessionStarted, str(self._bank.path), *size, planned_s, instruments, devices)
         self._session.enter(State.RUNNING, f"{len(rows)} positions to do")
         rig_s, wall_s = self._session.working_s()
         self._pace = Pace(rig_s), Pace(wall_s)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import StrEnum
 
 from config.messages.codec import Message, MessageError, message_of, to_record
+from drivers.protocols import DeviceIdentity
 
 
 class State(StrEnum):
@@ -55,7 +56,10 @@ class StateChanged(Event):
 
 @dataclass(frozen=True, slots=True)
 class SessionStarted(Event):
-    """A session of the campaign begins: `done` of `positions` are committed, `to_do` are left."""
+    """A session of the campaign begins: `done` of `positions` are committed, `to_do` are left.
+
+    `instruments` describe mirror, recorder and player with their settings; `devices` are who they are, by role.
+    """
 
     bank: str
     positions: int
@@ -64,6 +68,7 @@ class SessionStarted(Event):
     to_do: int
     planned_s: float
     instruments: tuple[str, ...]
+    devices: dict[str, DeviceIdentity] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,7 +36,7 @@ from acquisition.calibrate_mirror import (
     output,
     read_fiducials,
 )
-from acquisition.setup import Setup, names_of
+from acquisition.setup import Setup, identities_of, names_of
 from calibration.mirror_map import LEAST_MARKS, MirrorMap
 from config.calibration import (
     FORMAT,
@@ -58,7 +58,6 @@ from config.outline import default_marks_mm
 from config.rig import RigConfig
 from storage.errors import InputError
 from wavefocus.console import progress
-from wavefocus.rig.calibration_validity import identities_of
 from wavefocus.rig.limits import safe_amplitude_v
 
 if TYPE_CHECKING:

@@ -8,6 +8,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple
 
+from acquisition.setup import identities_of
 from config.calibration import PARTS
 from config.rig import RigConfig
 from drivers.protocols import DeviceIdentity, Instruments
@@ -19,15 +20,6 @@ from wavefocus.console import say
 
 ROLE_OF = {"inputs": "recorder", "outputs": "player", "mirror": "mirror", "actuators": "player"}
 """Whose device a part of a calibration belongs to."""
-
-
-def identities_of(instruments: Instruments) -> dict[str, DeviceIdentity]:
-    """Who mirror, recorder and player are, by role."""
-    return {
-        "mirror": instruments.mirror.identity,
-        "recorder": instruments.recorder.identity,
-        "player": instruments.player.identity,
-    }
 
 
 class CalibrationWarning(NamedTuple):

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import Protocol
 
 from acquisition.conditions import Band, Sensor, Watch
-from acquisition.setup import Setup
+from acquisition.setup import Setup, identities_of
 from calibration.mirror_map import MirrorMap
 from config.calibration import calibrated
 from config.rig import BandSection, RigConfig, RoomSection
@@ -18,7 +18,7 @@ from drivers.errors import InstrumentError
 from drivers.protocols import OffersRanges
 from drivers.timeouts import RECONNECTING, CallThread, HungError, bounded
 from wavefocus.console import say
-from wavefocus.rig.calibration_validity import calibration_warnings, identities_of
+from wavefocus.rig.calibration_validity import calibration_warnings
 from wavefocus.rig.instruments import OpenedRig, in_time, open_rig, openers, read_vibrometer
 
 
