@@ -92,7 +92,13 @@ def hdf5_complaint(error: Exception) -> str:
 
 
 def plain_dataset(
-    file: h5py.File, name: str, path: Path, *, shape: tuple[int, ...] | None = None, packed: bool = False
+    file: h5py.File,
+    name: str,
+    path: Path,
+    *,
+    shape: tuple[int, ...] | None = None,
+    packed: bool = False,
+    kinds: str = "fiu",
 ) -> h5py.Dataset:
     """Return a dataset of plain numbers stored in this file.
 
@@ -100,6 +106,7 @@ def plain_dataset(
     name: The dataset's name, as ``"/green"``.
     shape: The shape it must have.
     packed: Whether the caller unpacks values by `packing_of`; a packed dataset is refused otherwise.
+    kinds: Kinds of NumPy types that are allowed.
 
     Raises InputError: when it is packed, missing, linked or stored elsewhere, not numeric or of another shape.
     """
@@ -115,7 +122,7 @@ def plain_dataset(
         kind = dataset.dtype.kind
     except TypeError:
         kind = "?"
-    if kind not in "fiu" or dataset.shape is None:
+    if kind not in kinds or dataset.shape is None or dataset.dtype.hasobject:
         raise InputError(f"{path}: {name} holds no plain numbers; floats or integers are allowed")
     if shape is not None and dataset.shape != shape:
         raise InputError(f"{path}: {name} has shape {dataset.shape}; {shape} is needed")

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
 from benchmarks import BENCHMARKS
-from storage.exchange import EXPORTS
+from storage.exchange import EXPORTS, IMPORTS
 
 DESCRIPTION = (
     "Measure a plate's Green's functions overnight, render moving tactile sources by time reversal, and check the "
@@ -418,6 +418,47 @@ COMMANDS = (
             switch("--binary", help="For uff: functions in binary (58b), a fifth of the size of text."),
             PUBLICATION,
             switch("--list", "only_list", help="List what would be written, with sizes, and write nothing."),
+            FORCE, JSON,
+        ),
+    ),
+    Command(
+        "import", _bundling("import_bank:import_bank", "options", "import_bank:ImportOptions"),
+        "Make a bank of responses that were measured elsewhere.\n\n"
+        "Reads impulse responses and frequency responses, and turns the latter into causal impulse responses. Prints "
+        "what was read, assumed and left out, and stores it in the bank. A fact that the file lacks is asked for by "
+        "the name of its option. docs/how-to/import.md shows each format.",
+        (
+            file("source", metavar="SRC", help="The file; for wav a folder."),
+            file("--bank", metavar="OUT.h5", required=True, help="The bank to write."),
+            argument("--from", dest="kind", choices=tuple(IMPORTS), default="", help="Format, by default recognised."),
+            file("--places", metavar="FILE.csv",
+                 help="Table of places: x_mm,y_mm[,z_mm] (or _m) or azimuth_deg,elevation_deg,radius_m; role, file, "
+                 "channel, actuator, node."),
+            argument("--unit", default="", metavar="RESPONSE/DRIVE",
+                     help="Unit of the values, as m/s/V, mm/s/V, g/N, Pa/V or 1."),
+            argument("--length-unit", default="", choices=("m", "cm", "mm", "um", "in", "ft"),
+                     help="Unit of places that have none."),
+            switch("--to-velocity", help="Turn displacement or acceleration into velocity in m/s."),
+            argument("--band", dest="band_hz", default="", metavar="LOW,HIGH", help="Frequencies to use, in Hz."),
+            number("--taps", 1, 2**31 - 1, whole=True, help="Length of the Green's functions in samples."),
+            number("--sample-rate-hz", 1e-3, 1e12, help="Rate of the Green's functions."),
+            argument("--frequencies", default="", metavar="FIRST,STEP|FILE",
+                     help="Frequencies of complex values, in Hz, where the file holds none."),
+            argument("--end", choices=("keep", "window", "damp"), default="keep",
+                     help="Ends of the Green's functions: as they are, a half cosine over the last tenth, or damped to "
+                     "-60 dB."),
+            argument("--direction", default="", metavar="NAME",
+                     help="Response direction: x, y, z (uff), receiver (sofa) or index (arrays)."),
+            argument("--columns", default="", metavar="X,Y",
+                     help="Coordinates that become x and y of the bank; by default the positions' own plane."),
+            argument("--axes", default="", metavar="A,B,C",
+                     help="Order of an array's axes: position, actuator, direction, sample."),
+            argument("--names", action="append", default=[], metavar="OURS=THEIRS",
+                     help="A variable by its name in the file, as green=H; may be repeated."),
+            argument("--measurements", choices=("positions", "actuators", "pairs"), default="",
+                     help="For sofa: what its measurements count."),
+            switch("--swap-roles", help="Positions are where it was driven, actuators where it was measured: "
+                   "reciprocity, as with a roving hammer."),
             FORCE, JSON,
         ),
     ),

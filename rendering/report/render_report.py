@@ -168,6 +168,7 @@ def report_render(
         *_silent(rows),
         *_doubtful(rows),
         *remarks,
+        *([str(caution)] if (caution := getattr(measured, "import_facts", {}).get("caution")) else []),
         *([tail.warning] if tail is not None and tail.warning is not None else []),
         *_too_fast(scene, rows),
         *(text for source, share in zip(sources, outside, strict=True) for text in _spread(source, share, rows.bank)),

@@ -47,6 +47,8 @@ class BankHeader:
     response_unit, drive_unit: Unit of g, and of the drive.
     directions_deg: Directions of force and oscillation in the plane, from x towards y: which elements of Green's tensor
         these are.
+    import_report: JSON text about the file that the bank was made from, as `calibration.imports.bank` writes it;
+        empty where the bank was measured here.
     """
 
     sample_rate_hz: float
@@ -61,6 +63,7 @@ class BankHeader:
     response_unit: str = "m/s/V"
     drive_unit: str = "V"
     directions_deg: tuple[float, float] | None = None
+    import_report: str = ""
 
     def __post_init__(self) -> None:
         require_header(self)
@@ -163,6 +166,8 @@ def _lay_out(file: h5py.File, header: BankHeader) -> LedgerLayout:
         file.attrs[name] = value
     if header.directions_deg is not None:
         file.attrs["directions_deg"] = np.array(header.directions_deg, np.float64)
+    if header.import_report:
+        file.attrs["import_report"] = header.import_report
     count, actuators, taps = header.positions, header.actuators, header.taps
     position = scale(file, "position", np.arange(count, dtype="<i4"))
     actuator = scale(file, "actuator", np.arange(actuators, dtype="<i4"))
@@ -236,4 +241,5 @@ def _read_header(file: h5py.File, path: Path) -> BankHeader:
             hdf5_reading.read_floats(file, "/actuator_mm", path, (actuators, 2)),
             **words,
             directions_deg=hdf5_reading.pair(file, "directions_deg", path),
+            import_report=hdf5_reading.text(file, "import_report", path) or "",
         )

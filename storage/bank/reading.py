@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -115,6 +116,7 @@ def read_foreign(file: h5py.File, path: Path, stack: ExitStack) -> tuple[dict[st
         "plan_sha256": hdf5_reading.text(file, "plan_sha256", path),
         "software": hdf5_reading.text(file, "software", path),
         "directions_deg": hdf5_reading.pair(file, "directions_deg", path),
+        "import_report": hdf5_reading.text(file, "import_report", path),
     }
     status = _status(file, path, positions)
     return facts, ForeignRows(path, green, status, stack.pop_all())
@@ -200,6 +202,7 @@ class Bank(Closing):
     plan_sha256: str | None
     software: str | None
     directions_deg: tuple[float, float] | None
+    import_report: str | None
     rows: BankRows | ForeignRows = field(repr=False)
 
     @property
@@ -211,6 +214,15 @@ class Bank(Closing):
     def actuators(self) -> int:
         """Number N of actuators."""
         return len(self.actuator_mm)
+
+    @property
+    def import_facts(self) -> dict[str, Any]:
+        """`import_report` as an object; empty where the bank was measured here, or the text is no JSON object."""
+        try:
+            facts = json.loads(self.import_report or "{}")
+        except (ValueError, RecursionError):
+            return {}
+        return facts if isinstance(facts, dict) else {}
 
     @property
     def status(self) -> NDArray[np.uint8]:
@@ -331,6 +343,7 @@ def open_bank(path: str | Path, *, contents: bool = False) -> Bank:
         plan_sha256=header.plan_sha256,
         software=header.software,
         directions_deg=header.directions_deg,
+        import_report=header.import_report or None,
         rows=rows,
     )
 

@@ -5,18 +5,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from storage import durable, hdf5_reading
 from storage.bank.layout import BankHeader, create_bank, read_layout
 from storage.bank.ledger import BANK, DISABLED, QUALITY_NAMES, VALID, PointRecord, encode_row, figures_of
 from storage.errors import InputError
 from storage.ledger.pages import is_empty
 from storage.ledger.writer import LedgerWriter
+from storage.output_files import replacement
 
-__all__ = ["BankWriter", "create_bank"]
+__all__ = ["BankWriter", "create_bank", "write_bank"]
 
 Float32Array = NDArray[np.float32]
 
@@ -155,3 +159,29 @@ class BankWriter(LedgerWriter):
             if self._read(offset, len(content)) != content:
                 self._file.write(offset, content)
         return trusted
+
+
+def write_bank(path: Path, header: BankHeader, rows: Iterable[tuple[int, Float32Array, PointRecord]]) -> None:
+    """Write a whole bank that is not measured here: synced once, and under its name only when it is complete.
+
+    path: The bank; an older file of that name is replaced.
+    header: What the bank says about itself.
+    rows: Position, Green's functions, float32 (N, L), finite, and record of every position that holds something.
+
+    Raises InputError: the bank cannot be written, or `rows` raises it; an older file of that name stays as it was.
+    """
+    with replacement(path) as temporary:
+        create_bank(temporary, header)
+        with hdf5_reading.opened(temporary) as content:
+            layout = read_layout(content, temporary, contents=False)
+        file = durable.open_file(temporary, write=True)
+        try:
+            for position, green, record in rows:
+                values = np.ascontiguousarray(green, "<f4")
+                row = encode_row(position, record, values)
+                file.write(int(layout.chunk_offset[0, position]), values.data)
+                file.write(layout.row_offset(position), row)
+        finally:
+            file.close()
+        with BankWriter.open(temporary):
+            pass  # verifies every row, and writes /status and /quality from the ledger

@@ -1,6 +1,7 @@
 """Banks in the formats of other fields: acoustics, modal analysis, sound, numerical tools.
 
-A new format is a module here with `write`, an entry of `EXPORTS`, and a line in tests/system/test_export.py.
+A new export is a module here with `write`, an entry of `EXPORTS`, and a line in tests/system/test_export.py. A new
+import is a module in `reading` with `read`, an entry of `IMPORTS`, and a line in tests/system/test_import.py.
 """
 
 from __future__ import annotations
@@ -34,4 +35,36 @@ EXPORTS = {
     "npz": Export("storage.exchange.npz", "NumPy"),
     "netcdf": Export("storage.exchange.netcdf", "netCDF"),
     "csv": Export("storage.exchange.places", "a table of positions", value_bytes=0),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Import:
+    """A format that ``wavefocus import --from`` reads.
+
+    reader: ``"module:function"``, called with path, options and an `ExitStack` that closes what stays open; returns
+        `storage.exchange.measured.Measured`.
+    title: The format's name in the command's help and in messages.
+    starts: How a file of the format begins.
+    endings: How its name ends, where its content does not decide.
+    """
+
+    reader: str
+    title: str
+    starts: tuple[bytes, ...] = ()
+    endings: tuple[str, ...] = ()
+
+
+IMPORTS = {
+    "sofa": Import("storage.exchange.reading.sofa:read", "a SOFA file", endings=(".sofa",)),
+    "uff": Import(
+        "storage.exchange.reading.uff:read", "a universal file", (b"    -1\n", b"    -1\r\n"), (".uff", ".unv", ".uf")
+    ),
+    "mat": Import("storage.exchange.reading.mat:read", "a MATLAB file", (b"MATLAB 5.0", b"MATLAB 7.3"), (".mat",)),
+    "npz": Import("storage.exchange.reading.npz:read", "a NumPy archive", (b"PK",), (".npz",)),
+    "npy": Import("storage.exchange.reading.npz:read_array", "a NumPy array", (b"\x93NUMPY",), (".npy",)),
+    "netcdf": Import(
+        "storage.exchange.reading.netcdf:read", "a netCDF file", (b"CDF", b"\x89HDF"), (".nc", ".nc4", ".cdf")
+    ),
+    "wav": Import("storage.exchange.reading.wav:read", "a folder of WAV files"),
 }

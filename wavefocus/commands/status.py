@@ -72,6 +72,7 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
         snr_db = median_snr_db(view.quality.get("snr_db"), view.status)
         plan_sha256 = view.plan_sha256
         run_json = view.run_json
+        imported = view.import_facts
         moved_mm = view.quality["moved_mm"]
     moved = row_ranges(np.flatnonzero(moved_mm > 0).tolist())
     owner, beat, drift = bank_owner(bank), read_heartbeat(bank), read_drift(bank)
@@ -110,12 +111,15 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
         "moved_positions": moved,
         "kept_positions": [{"position": position, "reason": reason} for position, reason in kept.items()],
         "plan_sha256": plan_sha256,
+        "import_report": imported or None,
     }
     if as_json:
         print(json.dumps(facts))
         return
     words = ", ".join(f"{count} {word}" for word, count in counts.items() if count)
     answer(f"{bank}: {done} of {total} positions measured ({words})")
+    if imported:
+        answer(str(imported.get("paragraph", "")))
     if broken:
         answer(
             f"the checksums of positions {row_ranges(broken)} do not hold; measure them again with: "
@@ -138,6 +142,8 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
         if beat is not None and beat.state not in ("finished", "idle"):
             # The heartbeat of a process that was killed keeps its last state.
             answer(f"last sign of life {hours(beat.age_s())} ago: {beat.state}: {beat.reason}")
+        if imported:
+            return
         left = f"; go on with: {resume_line(bank, None)}" if done < total else ""
         if left and _names_rig_file(run_json):
             left += " (with --rig RIG.toml where the rig file was corrected)"

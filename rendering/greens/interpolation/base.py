@@ -149,7 +149,10 @@ def interpolation_method(name: str) -> type[Interpolation]:
 
 def scene_interpolation(scene: Scene, bank: GreenSource) -> Interpolation:
     """Make the interpolation of a scene; raises InputError where the bank's positions do not allow it."""
-    return interpolation_method(scene.output.interpolation).over(bank, scene_points(scene))
+    name = scene.output.interpolation
+    if reason := getattr(bank, "import_facts", {}).get("unsuited", {}).get(name):
+        raise InputError(f"interpolation is {name!r}, and the bank was imported: {reason}; use 'nearest'")
+    return interpolation_method(name).over(bank, scene_points(scene))
 
 
 def scene_points(scene: Scene, most: int = POINTS_PER_SOURCE) -> Float64Array:

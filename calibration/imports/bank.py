@@ -1,0 +1,436 @@
+"""Import: responses measured elsewhere become a bank, with a report of what was read, assumed and left out."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import math
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from calibration.imports.causal_response import CausalConverter, Motion, end_window, frequency_axis
+from calibration.imports.projection import Projection, choose_projection
+from storage.bank.layout import BankHeader
+from storage.bank.ledger import PointRecord
+from storage.bank.writer import write_bank
+from storage.errors import InputError
+from storage.exchange.reading.measured import ImportOptions, Measured, pair_of, require_honest
+from storage.exchange.reading.opening import opened, recognised
+from storage.point_status import Status
+from storage.units import MOTIONS, split_unit
+
+Float64Array = NDArray[np.float64]
+OnProgress = Callable[[int, int], None]
+
+NOT_A_SURFACE = "the places are a projection of places in space, so distances on the surface are not those of the waves"
+NOT_A_PLATE = "the responses are no motion of a surface, and its model is of waves in a plate"
+
+
+@dataclass(frozen=True, slots=True)
+class Imported:
+    """What an import made.
+
+    facts: The report as the bank stores it: ``paragraph``, ``source``, ``format``, ``read``, ``assumed``, ``left_out``,
+        ``residual_db``, ``unsuited`` (interpolations that are refused, and why) and ``caution`` (a warning of every
+        render, or empty).
+    shape: Positions, actuators, taps.
+    measured: Positions that hold responses.
+    """
+
+    facts: dict[str, Any]
+    shape: tuple[int, int, int]
+    measured: int
+
+
+def import_bank(
+    source: Path, bank: Path, options: ImportOptions, kind: str = "", on_progress: OnProgress | None = None
+) -> Imported:
+    """Make a bank of a file, or a folder of sound files, of another format.
+
+    source: The file or folder.
+    bank: The bank to write; an older file of that name is replaced when the new one is whole.
+    kind: Its format, a key of `storage.exchange.IMPORTS`; recognised where empty.
+    on_progress: Called with positions done and positions in all.
+
+    Raises InputError: the file cannot be read, or lacks a fact that an option can give.
+    """
+    kind = kind or recognised(source)
+    with opened(source, kind, options) as found:
+        measured = _swapped(found, source) if options.swap_roles else found
+        projection = choose_projection(measured.position_m, options.columns)
+        conversion = _Conversion(measured, options, source)
+        with tempfile.TemporaryFile(dir=bank.absolute().parent) as spool:
+            records: list[tuple[int, PointRecord]] = []
+            for position, green, residual_db in conversion.rows():
+                if green is not None:
+                    spool.write(green.tobytes())
+                    records.append((position, _record(measured, position, residual_db)))
+                if on_progress is not None:
+                    on_progress(position + 1, measured.shape[0])
+            if not records:
+                raise InputError(f"{source}: no position holds a response; there is nothing to import")
+            facts = _facts(source, kind, measured, conversion, projection, len(records), options)
+            report = json.dumps(facts)
+            taps = conversion.taps
+            header = BankHeader(
+                sample_rate_hz=conversion.rate_hz,
+                taps=taps,
+                band_hz=conversion.band_hz,
+                position_mm=projection.on_surface_mm(measured.position_m),
+                actuator_mm=projection.on_surface_mm(measured.actuator_m),
+                rig_json="",
+                run_json="",
+                plan_sha256=hashlib.sha256(report.encode()).hexdigest(),
+                software=f"wavefocus {version('wavefocus')}, import",
+                response_unit=conversion.response_unit,
+                drive_unit=conversion.drive_unit,
+                import_report=report,
+            )
+            spool.seek(0)
+            row_bytes = 4 * measured.shape[1] * taps
+            write_bank(
+                bank,
+                header,
+                (
+                    (position, np.frombuffer(spool.read(row_bytes), np.float32).reshape(-1, taps), record)
+                    for position, record in records
+                ),
+            )
+    return Imported(facts, (*measured.shape[:2], taps), len(records))
+
+
+class _Conversion:
+    """Rows of a file as Green's functions, float32 (N, L), at the bank's rate and in its unit."""
+
+    def __init__(self, measured: Measured, options: ImportOptions, source: Path) -> None:
+        self._source, self._options = source, options
+        self.said: list[str] = []
+        self.assumed: list[str] = []
+        self._count = measured.shape[1]
+        motion = self._motion(measured)
+        rows = iter(measured.rows)
+        first = next(rows, None)
+        if first is None:
+            raise InputError(f"{source}: holds no response")
+        self._rows = itertools.chain([first], rows)
+        self._converter: CausalConverter | None = None
+        self._take: Callable[[NDArray[Any]], NDArray[Any]] = np.asarray
+        self._cut = self._whole = self._faded = 0.0
+        self._shift = 0
+        if measured.frequency_hz is not None:
+            self._from_spectra(measured, np.asarray(first), motion)
+        else:
+            self._from_samples(measured, motion)
+        self._window = end_window(self.taps, options.end)
+
+    def _motion(self, measured: Measured) -> Motion:
+        unit = self._options.unit or measured.unit
+        if not unit:
+            raise InputError(
+                f"{self._source} does not say the unit of its responses; name it with --unit, as --unit m/s/V"
+            )
+        try:
+            over, self.drive_unit = split_unit(unit)
+        except InputError as error:
+            raise InputError(f"{self._source}: {error}; name it with --unit, as --unit m/s/V") from None
+        if self._options.unit and measured.unit and measured.unit != self._options.unit:
+            self.assumed.append(f"the unit is {unit}, as asked, where the file says {measured.unit}")
+        order, size = MOTIONS.get(over, (1, 1.0))
+        self.is_motion = over in MOTIONS
+        if not self._options.to_velocity:
+            self.response_unit = over if self.drive_unit == "1" else f"{over}/{self.drive_unit}"
+            return Motion()
+        if not self.is_motion:
+            raise InputError(f"--to-velocity: the responses are in {over}, which is no motion; leave the option out")
+        self.response_unit = f"m/s/{self.drive_unit}"
+        self.said.append(f"responses in {over} became velocities in m/s")
+        return Motion(size, 1 - order)
+
+    def _band(self, measured: Measured) -> tuple[float, float] | None:
+        if not self._options.band_hz:
+            return measured.band_hz
+        low, high = pair_of(self._options.band_hz, "--band", "two frequencies in Hz")
+        if not 0 <= low < high:
+            raise InputError(f"--band is {self._options.band_hz!r}; 0 <= low < high is needed, in Hz")
+        return low, high
+
+    def _from_spectra(self, measured: Measured, first: NDArray[Any], motion: Motion) -> None:
+        assert measured.frequency_hz is not None
+        try:
+            axis = frequency_axis(measured.frequency_hz, np.nan_to_num(first))
+        except InputError as error:
+            raise InputError(f"{self._source}: {error}") from None
+        step, bins = axis.step_hz, axis.bins
+        asked = self._options.sample_rate_hz or measured.sample_rate_hz
+        period = asked / step if asked else float(axis.period or 2 * bins[-1])
+        if abs(period - round(period)) > 0.01 or round(period) < 2 * bins[-1] or not period < 2**31:
+            raise InputError(
+                f"{self._source}: --sample-rate-hz {asked or 0:g}: a multiple of the frequencies' step, {step:.9g} Hz,"
+                f" and at least twice the highest, {bins[-1] * step:.9g} Hz, is needed"
+            )
+        period = round(period)
+        self.rate_hz = float(asked or self._tidy(period * step))
+        band = self._band(measured)
+        used = np.ones(len(bins), bool)
+        if band is not None:
+            used = (bins * step >= band[0] - 0.01 * step) & (bins * step <= band[1] + 0.01 * step)
+        values = axis.one_sided(np.asarray(first))
+        if bins[0] == 0 and (motion.derivatives < 0 or not np.isfinite(values[:, 0]).all()):
+            used[0] = False
+        if used.sum() < 2:
+            raise InputError(f"{self._source}: fewer than two frequencies lie in the band; name another with --band")
+        self._take = lambda row: axis.one_sided(row)[:, used]
+        bins = bins[used]
+        self.band_hz = (float(bins[0] * step), min(float(bins[-1] * step), self.rate_hz / 2))
+        complete = len(bins) == period // 2 + 1
+        self._fit(bins, period, period if complete else period // 2, motion)
+        side = "two-sided" if axis.period else "one-sided"
+        missing = "" if complete else "; the rest up to half the rate is left to the fit of a causal response"
+        self.said.append(
+            f"{len(bins)} frequencies from {self.band_hz[0]:g} to {self.band_hz[1]:g} Hz ({side}, step {step:.6g} Hz)"
+            f" became causal FIRs of {self.taps} taps of a period of {period}{missing}"
+        )
+
+    def _from_samples(self, measured: Measured, motion: Motion) -> None:
+        if not measured.sample_rate_hz:
+            raise InputError(f"{self._source} does not say its sample rate; name it with --sample-rate-hz")
+        asked = self._options.sample_rate_hz
+        if asked and not math.isclose(asked, measured.sample_rate_hz, rel_tol=1e-6):
+            raise InputError(
+                f"{self._source}: --sample-rate-hz {asked:g}: the file says {measured.sample_rate_hz:.9g} Hz, and"
+                " samples are not resampled; leave the option out"
+            )
+        self.rate_hz = self._tidy(measured.sample_rate_hz)
+        shift = measured.start_s * self.rate_hz
+        samples = measured.shape[2]
+        if not abs(shift) <= 10 * samples + 1e6 or abs(shift - round(shift)) > 0.05:
+            raise InputError(
+                f"{self._source}: the first sample is at {measured.start_s:.6g} s, {shift:.3f} samples; a whole number"
+                " is needed"
+            )
+        self._shift = round(shift)
+        if self._shift:
+            words = "zeros before it" if self._shift > 0 else "samples before 0 s left out"
+            self.said.append(f"the first sample is at {measured.start_s:.6g} s: {abs(self._shift)} {words}")
+        length = max(samples + self._shift, 1)
+        band = self._band(measured)
+        self.band_hz = (0.0, self.rate_hz / 2) if band is None else (band[0], min(band[1], self.rate_hz / 2))
+        if not self.band_hz[0] < self.band_hz[1]:
+            raise InputError(
+                f"{self._source}: the band is {band}; it ends below half the rate, {self.rate_hz / 2:g} Hz"
+            )
+        if band is None:
+            self.assumed.append("the band is not known and stands as 0 Hz to half the rate")
+        if not motion.derivatives:
+            self.taps = self._options.taps or length
+            self._factor = motion.factor
+            require_honest(self._source, "--taps", 4 * self._count * self.taps, 4 * self._count * length)
+            return
+        if motion.derivatives < 0 and (band is None or band[0] <= 0):
+            raise InputError(
+                f"{self._source}: --to-velocity integrates, and the band is not known; name it with --band LOW,HIGH"
+            )
+        period = int(scipy.fft.next_fast_len(2 * length, real=True))
+        period += period % 2
+        bins = np.arange(period // 2 + 1)
+        bins = bins[
+            (bins * self.rate_hz >= self.band_hz[0] * period) & (bins * self.rate_hz <= self.band_hz[1] * period)
+        ]
+        self._take = lambda row: scipy.fft.rfft(self._shifted(row, length), period)[:, bins]
+        self._fit(bins, period, length, motion)
+        self.said.append(f"between {self.band_hz[0]:g} and {self.band_hz[1]:g} Hz, by a fit of causal FIRs")
+
+    def _fit(self, bins: NDArray[np.int64], period: int, default: int, motion: Motion) -> None:
+        self.taps = self._options.taps or default
+        if self.taps > period:
+            raise InputError(f"{self._source}: --taps {self.taps}: at most the {period} samples of a period are there")
+        self._converter = CausalConverter(bins, period, self.rate_hz, self.taps, motion)
+
+    def _tidy(self, rate_hz: float) -> float:
+        """A whole rate where the file's digits allow it."""
+        whole = float(round(rate_hz))
+        if whole == rate_hz or not abs(whole - rate_hz) <= 1e-5 * rate_hz:
+            return rate_hz
+        if abs(whole - rate_hz) > 1e-9 * rate_hz:
+            self.assumed.append(f"the rate is {whole:g} Hz, where the file's digits give {rate_hz:.9g} Hz")
+        return whole
+
+    def _shifted(self, row: NDArray[Any], length: int) -> NDArray[Any]:
+        """Samples of a row from 0 s on, (N, length)."""
+        late = row[:, max(-self._shift, 0) :]
+        start = max(self._shift, 0)
+        out = np.zeros((len(row), length), row.dtype)
+        out[:, start : start + late.shape[1]] = late[:, : max(length - start, 0)]
+        return out
+
+    def rows(self) -> Iterator[tuple[int, NDArray[np.float32] | None, Float64Array | None]]:
+        """Position, Green's functions (None where it was not measured) and residual in dB of each actuator, if any."""
+        for position, row in enumerate(self._rows):
+            if np.isnan(row).all():
+                yield position, None, None
+                continue
+            share = None
+            if self._converter is not None:
+                values = self._take(row)
+                self._require_finite(values, position)
+                green, share = self._converter.convert(values)
+            else:
+                self._require_finite(row, position)
+                green = self._shifted(row, self.taps).astype(np.float32)
+                if self._factor != 1.0:
+                    green = (green * self._factor).astype(np.float32)
+                kept, whole = _energy(green), _energy(row) * self._factor**2
+                self._whole += whole
+                self._cut += max(whole - kept, 0.0)
+            if self._options.end != "keep":
+                before = _energy(green)
+                green = (green * self._window).astype(np.float32)
+                self._faded += before - _energy(green)
+            self._require_finite(green, position)
+            with np.errstate(divide="ignore"):
+                yield position, green, None if share is None else 10 * np.log10(np.maximum(share, 1e-30))
+
+    def _require_finite(self, row: NDArray[Any], position: int) -> None:
+        if not np.isfinite(row).all():
+            actuator = int(np.argmin(np.isfinite(row).all(axis=1)))
+            raise InputError(
+                f"{self._source}: the response at position {position} to actuator {actuator} holds NaN or infinity, or"
+                " values beyond single precision; finite values are needed"
+            )
+
+    @property
+    def residual_db(self) -> float | None:
+        """Energy that the causal FIRs, or the taps kept, leave unexplained, in dB; None where nothing is."""
+        whole, left = (
+            (self._whole, self._cut) if self._converter is None else (self._converter.whole, self._converter.left)
+        )
+        return 10 * math.log10(left / whole) if whole > 0 and left > 1e-14 * whole else None
+
+    def ending(self) -> list[str]:
+        """Sentences about what the FIRs leave out, once all rows are converted."""
+        said = []
+        residual_db = self.residual_db
+        if self._converter is not None:
+            level = "below -140 dB" if residual_db is None or residual_db < -140 else f"{residual_db:.1f} dB"
+            said.append(f"the causal FIRs leave {level} of the energy in the band unexplained")
+        elif residual_db is not None:
+            said.append(f"samples left out hold {residual_db:.1f} dB of the energy")
+        if self._faded:
+            said.append(f"--end {self._options.end} takes {self._faded:.3g} of the squared sum of all taps")
+        return said
+
+
+def _swapped(measured: Measured, source: Path) -> Measured:
+    """Positions for actuators, and actuators for positions."""
+    if not np.isfinite(measured.actuator_m).all():
+        raise InputError(
+            f"{source}: --swap-roles: the places of the actuators are not known, and they become positions"
+        )
+    count, actuators, samples = measured.shape
+    kind = np.float32 if measured.frequency_hz is None else np.complex64
+    whole = np.empty((actuators, count, samples), kind)
+    for position, row in enumerate(measured.rows):
+        whole[:, position] = row
+    return replace(
+        measured,
+        rows=whole,
+        shape=(actuators, count, samples),
+        position_m=measured.actuator_m,
+        actuator_m=measured.position_m,
+        status=None,
+        quality={},
+        read=(
+            *measured.read,
+            "the roles are swapped: positions are where it was driven, actuators where it was measured",
+        ),
+    )
+
+
+def _record(measured: Measured, position: int, residual_db: Float64Array | None) -> PointRecord:
+    """Status and quality of a position, as the file has them."""
+    unknown = np.full(measured.shape[1], np.nan)
+    figures: dict[str, Any] = {name: values[position] for name, values in measured.quality.items()}
+    status = int(Status.VALID) if measured.status is None else int(measured.status[position])
+    attempts = figures.pop("attempts", 1)
+    return PointRecord(
+        status=status or int(Status.VALID),
+        attempts=int(attempts) if np.isfinite(attempts) and 0 <= attempts < 1 << 24 else 1,
+        snr_db=figures.get("snr_db", unknown),
+        residual_db=figures.get("residual_db", unknown) if residual_db is None else residual_db.astype(np.float32),
+        coherence=figures.get("coherence", unknown),
+        peak_v=figures.get("peak_v", unknown),
+        moved_mm=float(figures.get("moved_mm", np.nan)),
+        reference_db=float(figures.get("reference_db", np.nan)),
+    )
+
+
+def _facts(
+    source: Path,
+    kind: str,
+    measured: Measured,
+    conversion: _Conversion,
+    projection: Projection,
+    rows: int,
+    options: ImportOptions,
+) -> dict[str, Any]:
+    """The report of an import."""
+    count, actuators, _ = measured.shape
+    unknown = int((~np.isfinite(measured.actuator_m).all(axis=1)).sum())
+    read = [
+        *measured.read,
+        f"{count} positions x {actuators} actuators x {conversion.taps} taps at {conversion.rate_hz:.9g} Hz, in"
+        f" {conversion.response_unit}",
+        *conversion.said,
+        *conversion.ending(),
+        f"places on the surface are {projection.words}",
+    ]
+    assumed = [*measured.assumed, *conversion.assumed]
+    if measured.status is None:
+        assumed.append("every position that holds responses is valid")
+    left_out = list(measured.left_out)
+    if rows < count:
+        left_out.append(f"{count - rows} positions that hold no response")
+    if unknown:
+        left_out.append(f"places of {unknown} actuators, which are not known")
+    unsuited = {}
+    if not projection.is_flat:
+        unsuited = dict.fromkeys(("kernel", "bilinear", "bicubic"), NOT_A_SURFACE)
+    elif not conversion.is_motion:
+        unsuited = {"kernel": NOT_A_PLATE}
+    caution = ""
+    if not projection.is_flat:
+        caution = (
+            f"{NOT_A_SURFACE}: snapping to a position may miss it by up to {projection.off_plane_m * 2e3:.3g} mm across"
+        )
+    paragraph = f"Imported from {source.name} ({kind}). Read: {'; '.join(read)}."
+    if assumed:
+        paragraph += f" Assumed: {'; '.join(assumed)}."
+    if left_out:
+        paragraph += f" Left out: {'; '.join(left_out)}."
+    if unsuited:
+        paragraph += f" Interpolation {', '.join(unsuited)} is refused: {next(iter(unsuited.values()))}."
+    return {
+        "paragraph": paragraph[:8000],
+        "source": source.name,
+        "format": kind,
+        "read": read,
+        "assumed": assumed,
+        "left_out": left_out,
+        "residual_db": conversion.residual_db,
+        "off_plane_mm": projection.off_plane_m * 1e3,
+        "unsuited": unsuited,
+        "caution": caution,
+    }
+
+
+def _energy(rows: NDArray[Any]) -> float:
+    return float(np.square(rows, dtype=np.float64).sum())

@@ -1,0 +1,178 @@
+"""Frequency responses as causal FIRs, and conversion of displacement and acceleration to velocity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from calibration.estimator.causal_fit import CausalFit, ToeplitzFit
+from calibration.estimator.sequential import DENSE_ELEMENTS
+from storage.errors import InputError
+
+Float64Array = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
+
+RIDGE = 1e-6
+"""Penalty on a tap's energy relative to that of a bin, as in the estimators."""
+_MIRRORED = 1e-3
+"""Asymmetry of a spectrum, relative to its largest value, up to which its upper half mirrors the lower one."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrequencyAxis:
+    """Where the values of a frequency response lie.
+
+    step_hz: Distance of two frequencies.
+    take, int64 (bins,): Indices of the values at 0 or above, in order of frequency.
+    bins, int64 (bins,): Their frequencies in steps.
+    mirror, int64 (bins,) or None: Indices of the values at the negative frequencies of the same size.
+    period: Steps that the whole axis spans, if it is two-sided; else None.
+    """
+
+    step_hz: float
+    take: NDArray[np.int64]
+    bins: NDArray[np.int64]
+    mirror: NDArray[np.int64] | None
+    period: int | None
+
+    def one_sided(self, values: ComplexArray) -> ComplexArray:
+        """Values (..., frequencies) at the frequencies from 0 on, averaged with those that mirror them."""
+        found = values[..., self.take]
+        return found if self.mirror is None else (found + np.conj(values[..., self.mirror])) / 2
+
+
+def frequency_axis(frequency_hz: Float64Array, sample: ComplexArray) -> FrequencyAxis:
+    """Understand an axis: from 0 or above, with negative frequencies before or after, or to the sample rate.
+
+    frequency_hz, float64 (frequencies,): In Hz.
+    sample, complex (..., frequencies): Some values, which show whether the upper half mirrors the lower one.
+
+    Raises InputError: the frequencies are not evenly spaced, or no multiples of their step.
+    """
+    count = len(frequency_hz)
+    order = np.argsort(frequency_hz, kind="stable")
+    ascending = frequency_hz[order]
+    if count < 3 or not np.isfinite(frequency_hz).all():
+        raise InputError(f"the frequency axis has {count} values; 3 finite ones or more are needed")
+    step_hz = float(ascending[-1] - ascending[0]) / (count - 1)
+    if not step_hz > 0:
+        raise InputError("the frequency axis does not ascend; evenly spaced frequencies are needed")
+    index = ascending / step_hz
+    bins = np.rint(index)
+    if np.abs(np.diff(index) - 1).max() > 0.02:
+        worst = int(np.argmax(np.abs(np.diff(index) - 1)))
+        raise InputError(
+            f"the frequency axis is not evenly spaced: {ascending[worst]:.9g} Hz is followed by"
+            f" {ascending[worst + 1]:.9g} Hz, and the mean step is {step_hz:.6g} Hz; interpolate it to one step first"
+        )
+    if np.abs(index - bins).max() > 0.05 or np.abs(bins).max() > 2**31:
+        raise InputError(
+            f"the frequencies are no multiples of their step: the first is {ascending[0]:.9g} Hz, the step"
+            f" {step_hz:.9g} Hz; interpolate them to multiples first"
+        )
+    number = bins.astype(np.int64)
+    if number[0] < 0:
+        at = dict(zip(number.tolist(), order.tolist(), strict=True))
+        kept = number[number >= 0]
+        if len(kept) < 2:
+            raise InputError("the frequency axis has hardly any frequencies of 0 Hz or above; those are needed")
+        last = int(kept[-1])
+        if number[0] not in (-last, -last - 1) or kept[0] != 0:
+            return FrequencyAxis(step_hz, order[number >= 0], kept, None, None)
+        if number[0] == -last - 1:  # half the rate stands at its negative place alone
+            kept = np.append(kept, last + 1)
+        at = dict(zip(number.tolist(), order.tolist(), strict=True))
+        take = np.array([at.get(one, at[-one]) for one in kept.tolist()], np.int64)
+        return FrequencyAxis(step_hz, take, kept, np.array([at[-one] for one in kept.tolist()], np.int64), count)
+    half = sample[..., 1 : (count + 1) // 2]
+    upper = np.conj(sample[..., : count // 2 : -1])[..., : half.shape[-1]]
+    largest = float(np.abs(sample).max(initial=0.0))
+    if number[0] == 0 and count > 4 and largest > 0 and np.abs(half - upper).max() <= _MIRRORED * largest:
+        kept = np.arange(count // 2 + 1, dtype=np.int64)
+        mirror = (-kept) % count
+        return FrequencyAxis(step_hz, order[kept], kept, order[mirror], count)
+    return FrequencyAxis(step_hz, order, number, None, None)
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Conversion of a response's unit: times `factor`, and times (j omega) to the power `derivatives`."""
+
+    factor: float = 1.0
+    derivatives: int = 0
+
+
+class CausalConverter:
+    """Turns frequency responses into causal FIRs, all by one fit in the least squares.
+
+    Where the frequencies reach from 0 to half the rate without a gap, the first taps of the inverse transform are that
+    fit; where they do not, and there are as many taps as the period has samples, what is missing is zero.
+
+    bins, int64 (bins,): Frequencies in steps, ascending.
+    period: Samples of a period: the rate over the step of the frequencies.
+    rate_hz: Rate of the FIRs.
+    taps: Their length, 1 to the period.
+    motion: Conversion of the unit.
+    """
+
+    def __init__(self, bins: NDArray[np.int64], period: int, rate_hz: float, taps: int, motion: Motion) -> None:
+        self._bins, self._period, self.taps = bins, period, taps
+        omega = 2 * np.pi * bins * rate_hz / period
+        with np.errstate(divide="ignore"):
+            self._weights = motion.factor * (1j * omega) ** motion.derivatives
+        self._weights[~np.isfinite(self._weights)] = 0.0
+        self.is_complete = len(bins) == period // 2 + 1
+        self._fit: CausalFit | ToeplitzFit | None = None
+        if not self.is_complete and taps < period:
+            turn, flat = 2 * np.pi * bins / period, np.full(len(bins), 1.0)
+            self._fit = (
+                CausalFit(turn, flat, period, taps, RIDGE, 1.0)
+                if 2 * len(bins) * taps <= DENSE_ELEMENTS
+                else ToeplitzFit(turn, flat, period, taps, RIDGE)
+            )
+        self.whole = self.left = 0.0
+
+    def convert(self, spectra: ComplexArray) -> tuple[Float32Array, Float64Array]:
+        """FIRs (n, taps) of spectra (n, bins), and the share of each one's energy that they leave unexplained."""
+        values = spectra * self._weights
+        if self._fit is None:
+            ring = np.zeros((len(values), self._period // 2 + 1), complex)
+            ring[:, self._bins] = values
+            whole_ring = scipy.fft.irfft(ring, self._period)
+            green = whole_ring[:, : self.taps]
+            whole, left = _energy(whole_ring), _energy(whole_ring[:, self.taps :])
+        else:
+            # One scale for each, so that single precision is not the limit.
+            largest = np.abs(values).max(axis=1, keepdims=True)
+            scale = np.where(largest > 0, largest, 1.0)
+            found = self._fit.solve((values / scale).astype(np.complex64), np.zeros(len(values)))
+            green = (found.green * scale).astype(np.float64)
+            square = np.square(scale[:, 0])
+            whole, left = found.whole * square, found.left * square
+        self.whole += float(whole.sum())
+        self.left += float(left.sum())
+        return green.astype(np.float32), left / np.where(whole > 0, whole, 1.0)
+
+
+def end_window(taps: int, kind: str) -> Float64Array:
+    """Factors (taps,) for the ends of FIRs.
+
+    kind: ``"keep"``: 1; ``"window"``: a half cosine over the last tenth; ``"damp"``: an exponential decay that reaches
+        -60 dB at the end.
+    """
+    if kind == "damp":
+        return np.asarray(10.0 ** (-3.0 * np.arange(taps) / taps))
+    window = np.ones(taps)
+    if kind == "window":
+        fade = max(taps // 10, 1)
+        window[taps - fade :] = 0.5 + 0.5 * np.cos(np.pi * (np.arange(fade) + 1) / (fade + 1))
+    return window
+
+
+def _energy(rows: Float64Array) -> Float64Array:
+    return np.asarray(np.square(rows).sum(axis=1))

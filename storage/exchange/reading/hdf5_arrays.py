@@ -1,0 +1,84 @@
+"""Named arrays of HDF5 files: netCDF-4, and MATLAB's version 7.3."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from storage import hdf5_reading
+from storage.exchange.reading.measured import ImportOptions, Measured, require_honest
+from storage.exchange.reading.named_arrays import NamedArrays, measured_arrays
+
+
+def open_hdf5(path: Path, stack: ExitStack) -> h5py.File:
+    """Open a file whose texts are sound."""
+    file = stack.enter_context(hdf5_reading.opened(path, cache_bytes=64 << 20))
+    hdf5_reading.require_sound_texts(file, path)
+    return file
+
+
+def numbers(file: h5py.File, name: str, path: Path) -> h5py.Dataset | None:
+    """A dataset of real or complex numbers in the file itself; None where there is none.
+
+    Raises InputError: it is elsewhere, of another kind, packed, or declares far more than the file holds.
+    """
+    if not hdf5_reading.has(file, name):
+        return None
+    dataset = hdf5_reading.plain_dataset(file, name, path, packed=True, kinds="fiucV")
+    require_honest(path, name, dataset.size * dataset.dtype.itemsize, dataset.id.get_storage_size())
+    return dataset
+
+
+def text_attribute(item: Any, name: str) -> str:
+    """A text from an attribute of a group or dataset; empty where there is none."""
+    if name not in item.attrs or item.attrs.get_id(name).get_storage_size() > 1 << 16:
+        return ""
+    value = item.attrs[name]
+    value = value.reshape(-1)[0] if isinstance(value, np.ndarray) and value.size == 1 else value
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else value if isinstance(value, str) else ""
+
+
+def read_arrays(
+    path: Path, options: ImportOptions, stack: ExitStack, understand: Callable[[h5py.Dataset], Any]
+) -> Measured:
+    """Read a file's datasets and root attributes as named arrays; those of one group where it holds no other.
+
+    understand: Turns a dataset into an array or a text.
+    """
+    file = open_hdf5(path, stack)
+    names = sorted(name for name in file if not name.startswith("#"))
+    group = ""
+    if "green" not in names and not options.names:
+        groups = [name for name in names if isinstance(file.get(name, getlink=True), h5py.HardLink)]
+        group = next((f"{one}/" for one in groups if hdf5_reading.has(file, f"{one}/green")), "")
+
+    def get(name: str) -> Any:
+        place = name if "/" in name else group + name.replace("quality_", "quality/", 1)
+        if (place != name and not hdf5_reading.has(file, place)) or place.startswith("#"):
+            place = group + name
+        found = numbers(file, place, path)
+        if found is not None:
+            return understand(found)
+        if name in ("response_unit", "drive_unit"):
+            return text_attribute(file, name) or (
+                text_attribute(file["green"], "units") if name == "response_unit" and "green" in names else None
+            )
+        if name in ("sample_rate_hz", "band_hz") and name in file.attrs:
+            return np.array(hdf5_reading.numbers(file, name, path, 1 if name == "sample_rate_hz" else 2))
+        return None
+
+    return measured_arrays(NamedArrays(path, get, names), options)
+
+
+def compound_complex(values: NDArray[Any]) -> NDArray[Any]:
+    """Complex numbers from the pairs (real, imag) that MATLAB and others store."""
+    if values.dtype.names and len(values.dtype.names) == 2:
+        first, second = values.dtype.names
+        return np.asarray(values[first] + 1j * values[second])
+    return values

@@ -1,0 +1,221 @@
+"""Responses measured elsewhere, as a file holds them, before they become a bank."""
+
+from __future__ import annotations
+
+import math
+import re
+import unicodedata
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from storage.errors import InputError, WavefocusError
+from storage.hdf5_reading import most_bytes
+
+Float64Array = NDArray[np.float64]
+
+METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
+"""Units of places, in metres."""
+_LENGTH_WORDS = {"metre": "m", "meter": "m", "millimetre": "mm", "millimeter": "mm", "µm": "um"}
+SPARE_BYTES = 64 << 20
+UNFOLDS = 100
+"""A file may declare so many times its size, and `SPARE_BYTES` more, before it counts as hollow."""
+BLOCK_BYTES = 16 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class ImportOptions:
+    """Facts that the command line gives about a file, and choices; empty or None where it gives none.
+
+    places: CSV table of places.
+    unit: Unit of the responses over that of the drive, as ``"m/s/V"``.
+    length_unit: Unit of places that the file does not say, of `METRES`.
+    direction: The response direction that is imported, of several.
+    axes: Order of an array's axes: position, actuator, direction, sample; commas between.
+    names: ``OURS=THEIRS`` of variables, as ``"green=H"``.
+    frequencies: First frequency and step in Hz, as ``"0,0.5"``, or a file with all of them.
+    sample_rate_hz: Rate of the Green's functions.
+    measurements: What the measurements of a SOFA file count: positions, actuators or pairs.
+    swap_roles: Positions are where it was driven, actuators where it was measured.
+    columns: Two of x, y and z, which become x and y of the bank.
+    taps: Length of the Green's functions.
+    band_hz: Lowest and highest frequency that are used, as ``"50,450"``.
+    to_velocity: Whether responses become velocities in m/s.
+    end: What becomes of the Green's functions' ends: ``"keep"``, ``"window"`` or ``"damp"``.
+    """
+
+    places: Path | None = None
+    unit: str = ""
+    length_unit: str = ""
+    direction: str = ""
+    axes: str = ""
+    names: Sequence[str] = ()
+    frequencies: str = ""
+    sample_rate_hz: float | None = None
+    measurements: str = ""
+    swap_roles: bool = False
+    columns: str = ""
+    taps: int | None = None
+    band_hz: str = ""
+    to_velocity: bool = False
+    end: str = "keep"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """Responses as a file holds them.
+
+    rows: Of each position in turn, (actuators, samples): real samples of a FIR, or complex values of a frequency
+        response; NaN throughout where a position was not measured.
+    shape: Positions, actuators, samples.
+    position_m, (P, 3): Places of the positions in metres.
+    actuator_m, (N, 3): Places of the actuators in metres, NaN where unknown.
+    unit: Unit of the responses over that of the drive; empty where the file does not say.
+    sample_rate_hz: Rate of real samples; None of a frequency response, unless the file names one.
+    frequency_hz: Frequencies of complex values, else None.
+    start_s: Time of the first real sample.
+    band_hz: Measured band, where the file says one.
+    status, uint8 (P,): Status bits, where the file has them.
+    quality: (P, N) or (P,) arrays by their names in a bank.
+    read, assumed, left_out: Sentences about the file.
+    """
+
+    rows: Iterable[NDArray[Any]]
+    shape: tuple[int, int, int]
+    position_m: Float64Array
+    actuator_m: Float64Array
+    unit: str = ""
+    sample_rate_hz: float | None = None
+    frequency_hz: Float64Array | None = None
+    start_s: float = 0.0
+    band_hz: tuple[float, float] | None = None
+    status: NDArray[np.uint8] | None = None
+    quality: dict[str, NDArray[Any]] = field(default_factory=dict)
+    read: tuple[str, ...] = ()
+    assumed: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
+
+
+@contextmanager
+def readable(path: Path, kind: str) -> Iterator[None]:
+    """Raise InputError, naming the file, for whatever a damaged file makes the packages raise that read it."""
+    try:
+        yield
+    except WavefocusError:
+        raise
+    except MemoryError as error:
+        raise InputError(f"{path} takes more memory than there is; import part of it") from error
+    except Exception as error:  # a damaged file may raise anything in the packages that read it
+        words = " ".join(str(error).split())[:200] or type(error).__name__
+        raise InputError(f"{path} is damaged, or not {kind} ({words})") from error
+
+
+def guarded(measured: Measured, path: Path, kind: str) -> Iterator[NDArray[Any]]:
+    """Rows of a file as :func:`readable` reads them."""
+    with readable(path, kind):
+        yield from measured.rows
+
+
+def require_honest(path: Path, what: str, declared: int, held: int) -> None:
+    """Refuse data that declare far more than the file holds, or more than may be read at once."""
+    if declared > UNFOLDS * held + SPARE_BYTES or declared > most_bytes():
+        raise InputError(
+            f"{path}: {what} takes {declared} bytes and the file holds {held}; at most {UNFOLDS} times what it holds,"
+            f" and {most_bytes() >> 30} GiB, are read"
+        )
+
+
+def require_plain(text: str, path: Path, what: str) -> str:
+    """Return a name from a file; refuses control characters and names longer than 255 characters."""
+    if len(text) > 255 or any(unicodedata.category(one) in ("Cc", "Cf", "Cs") for one in text):
+        raise InputError(f"{path}: {what} is {text[:80]!r}; a short name without control characters is needed")
+    return text
+
+
+def blocks(values: Any, row_bytes: int, chunk_rows: int = 1) -> Iterator[NDArray[Any]]:
+    """Rows of an array or dataset, read many at once, one after the other."""
+    at_once = max(1, chunk_rows, BLOCK_BYTES // max(row_bytes, 1))
+    for first in range(0, len(values), at_once):
+        yield from np.ascontiguousarray(values[first : first + at_once])
+
+
+def uniform_step(values: Float64Array, path: Path, what: str, unit: str) -> float:
+    """Step of an axis; raises InputError where it is not uniform."""
+    if len(values) < 2 or not np.isfinite(values).all():
+        raise InputError(f"{path}: {what} has {len(values)} finite values; at least 2, evenly spaced, are needed")
+    step = float(values[-1] - values[0]) / (len(values) - 1)
+    off = np.abs(values - values[0] - step * np.arange(len(values)))
+    worst = int(np.argmax(off))
+    if not step > 0 or off[worst] > 0.02 * step:
+        raise InputError(
+            f"{path}: {what} is not evenly spaced: value {worst} is {values[worst]:.9g} {unit}, and"
+            f" {values[0] + step * worst:.9g} {unit} by a step of {step:.6g}; interpolate it to one step first"
+        )
+    return step
+
+
+def distinct(points_m: Float64Array) -> tuple[NDArray[np.int64], Float64Array]:
+    """Number equal places in order of first appearance: the number of each, and the places."""
+    _, first, group = np.unique(np.round(points_m, 9), axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    number = np.empty_like(order)
+    number[order] = np.arange(len(order))
+    return number[group.reshape(-1)].astype(np.int64), points_m[np.sort(first)]
+
+
+def from_spherical(places: Float64Array) -> Float64Array:
+    """Cartesian coordinates (n, 3) of azimuth and elevation in degrees, and radius (AES69: azimuth from x to y)."""
+    azimuth, elevation, radius = np.radians(places[:, 0]), np.radians(places[:, 1]), places[:, 2]
+    across = radius * np.cos(elevation)
+    return np.column_stack([across * np.cos(azimuth), across * np.sin(azimuth), radius * np.sin(elevation)])
+
+
+def with_z(places: Float64Array) -> Float64Array:
+    """Places (n, 2) or (n, 3) as (n, 3); z is 0 where there is none."""
+    return places if places.shape[1] == 3 else np.column_stack([places, np.zeros(len(places))])
+
+
+def length_unit(options: ImportOptions, path: Path, found: str = "") -> float:
+    """Metres of one unit of length: of the file's own, or of --length-unit; raises InputError where neither is."""
+    words = {
+        "metre": "m",
+        "meter": "m",
+        "metres": "m",
+        "meters": "m",
+        "millimetre": "mm",
+        "millimeter": "mm",
+        "µm": "um",
+    }
+    name = words.get(found.strip().lower(), found.strip()) or options.length_unit
+    if name not in METRES:
+        said = f"gives places in {found!r}" if found else "does not say the unit of its places"
+        raise InputError(f"{path} {said}; name it with --length-unit {'|'.join(METRES)}")
+    return METRES[name]
+
+
+def pair_of(text: str, option: str, wanted: str) -> tuple[float, float]:
+    """Two finite numbers of an option, as ``"50,450"``."""
+    try:
+        first, second = (float(part) for part in text.split(","))
+    except ValueError:
+        first = second = math.nan
+    if not (math.isfinite(first) and math.isfinite(second)):
+        raise InputError(f"{option} is {text!r}; {wanted} are needed, as 50,450")
+    return first, second
+
+
+def chosen_direction(options: ImportOptions, there: Sequence[str], path: Path) -> int:
+    """Index of the response direction that is imported; raises InputError where several are there and none is named."""
+    if len(there) == 1 and not options.direction:
+        return 0
+    wanted = re.sub(r"\s", "", options.direction).lower()
+    for index, name in enumerate(there):
+        if wanted and wanted == name.lower():
+            return index
+    found = f"direction {options.direction} is not there" if options.direction else f"{len(there)} response directions"
+    raise InputError(f"{path}: {found}; choose with --direction {'|'.join(there[:20])}")

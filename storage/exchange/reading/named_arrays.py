@@ -1,0 +1,260 @@
+"""Banks and frequency responses as arrays with names, as NumPy, MATLAB and netCDF files hold them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from storage.bank.layout import quality_shape
+from storage.bank.ledger import QUALITY_NAMES
+from storage.errors import InputError
+from storage.exchange.reading.measured import (
+    METRES,
+    Float64Array,
+    ImportOptions,
+    Measured,
+    blocks,
+    chosen_direction,
+    require_plain,
+    uniform_step,
+    with_z,
+)
+from storage.exchange.reading.places import table_of
+from storage.hdf5_reading import most_bytes
+from storage.text_file import read_text
+
+AXES = ("position", "actuator", "sample")
+_OURS = (
+    "green", "green_real", "green_imag", "sample_rate_hz", "time_s", "frequency_hz", "band_hz", "response_unit",
+    "drive_unit", "status", *(f"position_{unit}" for unit in METRES), *(f"actuator_{unit}" for unit in METRES),
+    *(f"quality_{name}" for name in QUALITY_NAMES),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class NamedArrays:
+    """The arrays of a file.
+
+    path: The file.
+    get: Returns the array or dataset of a name, None where there is none; a text as ``str``.
+    names: Names that are there, for messages.
+    """
+
+    path: Path
+    get: Callable[[str], Any]
+    names: Iterable[str]
+
+
+def measured_arrays(file: NamedArrays, options: ImportOptions) -> Measured:
+    """Understand arrays that have the names of our own exports, or are mapped to them by --names.
+
+    Raises InputError: an array is missing or of another shape, or a fact is missing that an option can give.
+    """
+    path, theirs = file.path, _mapping(options.names)
+
+    def find(name: str) -> Any:
+        found = file.get(theirs.get(name, name))
+        if found is None and name in theirs:
+            raise InputError(f"{path} has no array {theirs[name]!r}; there are {_some(file.names)}")
+        return found
+
+    def numbers(name: str) -> Float64Array | None:
+        found = find(name)
+        return None if found is None else real(found, path, name)
+
+    whole, imaginary = find("green"), find("green_imag")
+    if whole is None and imaginary is not None and (given := find("green_real")) is not None:
+        _require_room(path, 2 * given.size * 8)
+        whole = np.asarray(given[...]) + 1j * np.asarray(imaginary[...])
+    if whole is None:
+        raise InputError(
+            f"{path} has no array 'green' (position, actuator, sample); name the one that is, of"
+            f" {_some(file.names)}, as --names green=NAME"
+        )
+    values = ordered(whole, path, options)
+    count, actuators, samples = values.shape
+    is_complex = values.dtype.kind == "c"
+    position_m, actuator_m = (_places(numbers, role) for role in ("position", "actuator"))
+    if options.places is not None or position_m is None:
+        position_m, actuator_m = table_of(options, path, count, actuators)
+    if actuator_m is None:
+        actuator_m = np.full((actuators, 3), np.nan)
+    for what, places, wanted in (("positions", position_m, count), ("actuators", actuator_m, actuators)):
+        if len(places) != wanted:
+            raise InputError(
+                f"{path}: has places of {len(places)} {what} and responses of {wanted}; name the order of the axes with"
+                " --axes, as actuator,position,sample"
+            )
+    rate_hz, frequency_hz, start_s = _axis(path, options, numbers, samples, is_complex=is_complex)
+    band, unit, drive = numbers("band_hz"), find("response_unit"), find("drive_unit")
+    unit = require_plain(unit, path, "response_unit") if isinstance(unit, str) else ""
+    if unit and isinstance(drive, str) and not unit.endswith(f"/{drive}"):
+        unit = f"{unit}/{require_plain(drive, path, 'drive_unit')}"
+    status = numbers("status")
+    if status is not None and not (status.size == count and np.isin(status, np.arange(32)).all()):
+        raise InputError(f"{path}: status needs a sum of 1, 2, 4, 8 and 16 for each of the {count} positions")
+    return Measured(
+        rows=blocks(values, actuators * samples * values.dtype.itemsize, (getattr(values, "chunks", None) or (1,))[0]),
+        shape=(count, actuators, samples),
+        position_m=position_m,
+        actuator_m=actuator_m,
+        unit=unit,
+        sample_rate_hz=rate_hz,
+        frequency_hz=frequency_hz,
+        start_s=start_s,
+        band_hz=None if band is None or band.size != 2 or np.isnan(band).any() else (float(band[0]), float(band[1])),
+        status=None if status is None else status.reshape(-1).astype(np.uint8),
+        quality=_quality(numbers, count, actuators),
+        left_out=_left_out(file.names, theirs),
+    )
+
+
+def ordered(values: Any, path: Path, options: ImportOptions) -> Any:
+    """An array or dataset as (position, actuator, sample); it is read whole where its axes are in another order."""
+    if getattr(values, "dtype", np.dtype("O")).kind not in "fiuc" or not 2 <= values.ndim <= 4 or not values.size:
+        raise InputError(
+            f"{path}: the responses are no array of numbers with 2 to 4 axes; (position, actuator, sample)"
+        )
+    default = {2: ("position", "sample"), 3: AXES, 4: ("position", "actuator", "direction", "sample")}[values.ndim]
+    given = {"time": "sample", "frequency": "sample", "tap": "sample"}
+    axes = tuple(given.get(one.strip(), one.strip()) for one in options.axes.split(",")) if options.axes else default
+    if len(axes) != values.ndim or len(set(axes)) < len(axes) or not {"sample"} <= set(axes) <= {*AXES, "direction"}:
+        raise InputError(
+            f"--axes is {options.axes!r}; the {values.ndim} axes of shape {tuple(values.shape)} are needed, of"
+            " position, actuator, direction, sample, each once"
+        )
+    if axes == AXES:
+        return values
+    _require_room(path, values.size * values.dtype.itemsize)
+    array = np.asarray(values[...])
+    if "direction" in axes:
+        axis = axes.index("direction")
+        names = [str(index) for index in range(array.shape[axis])]
+        array = np.take(array, chosen_direction(options, names, path), axis)
+        axes = tuple(one for one in axes if one != "direction")
+    for name in AXES:
+        if name not in axes:
+            array, axes = array[None], (name, *axes)
+    return array.transpose([axes.index(name) for name in AXES])
+
+
+def frequencies_of(options: ImportOptions, path: Path, samples: int) -> Float64Array:
+    """Frequencies in Hz that --frequencies gives, float64 (samples,)."""
+    text = options.frequencies
+    if not text:
+        raise InputError(
+            f"{path} holds complex responses and no frequencies; give them with --frequencies FIRST,STEP (in Hz) or"
+            " --frequencies FILE.npy (or .csv, .txt)"
+        )
+    try:
+        first, step = (float(part) for part in text.split(","))
+        return first + step * np.arange(samples, dtype=np.float64)
+    except ValueError:
+        pass
+    file = Path(text)
+    if file.suffix == ".npy":
+        from storage.exchange.reading.npz import mapped_array
+
+        found = real(mapped_array(file), file, "frequencies").reshape(-1)
+    else:
+        words = read_text(file).replace(",", " ").replace(";", " ").split()
+        try:
+            found = np.array([float(word) for word in words])
+        except ValueError:
+            raise InputError(f"{file}: --frequencies needs numbers alone, in Hz") from None
+    if len(found) != samples:
+        raise InputError(
+            f"{file}: holds {len(found)} frequencies and {path} responses at {samples}; as many are needed"
+        )
+    return found
+
+
+def real(values: Any, path: Path, name: str) -> Float64Array:
+    """A small array of real numbers as float64."""
+    if getattr(values, "dtype", np.dtype("O")).kind not in "fiub" or values.size > 1 << 24:
+        raise InputError(f"{path}: {name} is no array of real numbers, or longer than 16 million")
+    return np.asarray(values[...], np.float64)
+
+
+def _mapping(names: Iterable[str]) -> dict[str, str]:
+    theirs = {}
+    for one in names:
+        ours, _, name = one.partition("=")
+        if ours not in _OURS or not name:
+            raise InputError(f"--names is {one!r}; OURS=THEIRS is needed, OURS one of {', '.join(_OURS)}")
+        theirs[ours] = name
+    return theirs
+
+
+def _places(numbers: Callable[[str], Float64Array | None], role: str) -> Float64Array | None:
+    for unit, metres in METRES.items():
+        found = numbers(f"{role}_{unit}")
+        if found is not None:
+            places = np.atleast_2d(found)
+            if places.ndim != 2 or places.shape[1] not in (2, 3):
+                raise InputError(f"{role}_{unit} has shape {found.shape}; ({role}, 2 or 3) is needed")
+            return with_z(places * metres)
+    return None
+
+
+def _axis(
+    path: Path,
+    options: ImportOptions,
+    numbers: Callable[[str], Float64Array | None],
+    samples: int,
+    *,
+    is_complex: bool,
+) -> tuple[float | None, Float64Array | None, float]:
+    """Sample rate, frequencies and time of the first sample."""
+    rate = numbers("sample_rate_hz")
+    rate_hz = options.sample_rate_hz or (float(rate.reshape(-1)[0]) if rate is not None and rate.size else None)
+    if is_complex:
+        found = numbers("frequency_hz")
+        if found is None or options.frequencies:
+            found = frequencies_of(options, path, samples)
+        if found.size != samples:
+            raise InputError(
+                f"{path}: frequency_hz has {found.size} values and the responses {samples}; as many needed"
+            )
+        return rate_hz, found.reshape(-1), 0.0
+    time_s, start_s = numbers("time_s"), 0.0
+    if time_s is not None and time_s.size == samples and samples > 1:
+        step = uniform_step(time_s.reshape(-1), path, "time_s", "s")
+        start_s = float(time_s.reshape(-1)[0])
+        rate_hz = rate_hz or 1.0 / step
+    if rate_hz is None or not (np.isfinite(rate_hz) and rate_hz > 0):
+        raise InputError(f"{path} does not say its sample rate; name it with --sample-rate-hz")
+    return rate_hz, None, start_s
+
+
+def _quality(
+    numbers: Callable[[str], Float64Array | None], count: int, actuators: int
+) -> dict[str, NDArray[np.float64]]:
+    found = {}
+    for name in QUALITY_NAMES:
+        values = numbers(f"quality_{name}")
+        shape = quality_shape(name, count, actuators)
+        if values is not None and values.size == int(np.prod(shape)):
+            found[name] = values.reshape(shape)
+    return found
+
+
+def _left_out(names: Iterable[str], theirs: dict[str, str]) -> tuple[str, ...]:
+    used = {*_OURS, *theirs.values(), "position", "axis", "actuator"}
+    rest = sorted(name for name in names if name not in used)
+    return (f"arrays {_some(rest)}",) if rest else ()
+
+
+def _some(names: Iterable[str]) -> str:
+    shown = [repr(name[:40]) for name in sorted(names)]
+    return ", ".join(shown[:12]) + (f" and {len(shown) - 12} more" if len(shown) > 12 else "") or "none"
+
+
+def _require_room(path: Path, needed: int) -> None:
+    if needed > most_bytes():
+        raise InputError(f"{path}: its responses take {needed >> 30} GiB at once; --most-gib raises what is allowed")

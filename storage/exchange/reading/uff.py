@@ -1,0 +1,419 @@
+"""Universal files: functions (58, ASCII and binary), nodes (15, 2411) and units (164), read in one pass."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from storage.errors import InputError
+from storage.exchange.reading.measured import (
+    METRES,
+    Float64Array,
+    ImportOptions,
+    Measured,
+    chosen_direction,
+    length_unit,
+    require_plain,
+    uniform_step,
+)
+from storage.exchange.reading.places import coordinates, read_places
+from storage.units import split_unit
+
+FREQUENCY, TIMES = (4, 5, 12), (25, 1, 0)
+"""Function types: frequency response, transmissibility, spectrum; FIR filter, time response, unknown."""
+_MOTION = {8: "{0}", 11: "{0}/s", 12: "{0}/s^2", 13: "{1}", 9: "{1}", 15: "Pa"}
+_AXIS_NAMES = {0: "scalar", 1: "x", 2: "y", 3: "z", 4: "rx", 5: "ry", 6: "rz"}
+_LINE = 1 << 12
+_DIGITS = np.uint8(ord("0"))
+_POWERS = 10.0 ** np.arange(-400, 401, dtype=np.longdouble)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Function:
+    """A function of a node's response to another node's drive."""
+
+    kind: int
+    response: tuple[int, int]
+    reference: tuple[int, int]
+    values: NDArray[Any]
+    axis: tuple[float, float]
+    unit: str
+    quantities: tuple[int, int]
+    exact_rate_hz: float | None
+    status: int | None
+
+
+@dataclass(slots=True)
+class _Contents:
+    """Functions, nodes in the file's unit of length, metres and newtons of a unit, sets that are not read."""
+
+    functions: list[_Function] = field(default_factory=list)
+    nodes: dict[int, tuple[float, float, float]] = field(default_factory=dict)
+    per_metre: float | None = None
+    per_newton: float = 1.0
+    skipped: dict[int, int] = field(default_factory=dict)
+
+
+def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
+    """Read frequency responses where there are any, else time responses to an impulse.
+
+    Positions are response nodes, actuators are reference nodes with their direction; a response along a negative
+    direction changes its sign.
+    """
+    with path.open("rb", buffering=1 << 20) as file:
+        held = _contents(file, path)
+    kinds = sorted({one.kind for one in held.functions})
+    kind = next((one for one in (*FREQUENCY, *TIMES) if one in kinds), None)
+    if kind is None:
+        raise InputError(
+            f"{path} holds no frequency or time responses (58); it holds functions of the types {kinds[:10]} and the"
+            f" sets {sorted(held.skipped)[:20]}"
+        )
+    chosen = [one for one in held.functions if one.kind == kind]
+    axes = sorted({abs(one.response[1]) for one in chosen})
+    names = [_AXIS_NAMES.get(axis, str(axis)) for axis in axes]
+    axis = axes[chosen_direction(options, names, path)]
+    chosen = [one for one in chosen if abs(one.response[1]) == axis]
+    _require_alike(chosen, path)
+    rows = {node: row for row, node in enumerate(dict.fromkeys(one.response[0] for one in chosen))}
+    driven = dict.fromkeys((one.reference[0], abs(one.reference[1])) for one in chosen)
+    columns = {reference: column for column, reference in enumerate(driven)}
+    flipped, pairs = 0, dict[tuple[int, int], NDArray[Any]]()
+    for one in chosen:
+        pair = (rows[one.response[0]], columns[one.reference[0], abs(one.reference[1])])
+        if pair in pairs:
+            raise InputError(
+                f"{path}: node {one.response[0]} has two functions of type {kind} for reference node"
+                f" {one.reference[0]}; one of each pair is needed"
+            )
+        sign = (-1 if one.response[1] < 0 else 1) * (-1 if one.reference[1] < 0 else 1)
+        flipped += sign < 0
+        pairs[pair] = one.values if sign > 0 else -one.values
+    position_m, actuator_m = _node_places(held, list(rows), list(columns), path, options)
+    first = chosen[0]
+    start, step = first.axis
+    samples = len(first.values)
+    is_spectrum = first.values.dtype.kind == "c"
+    missing = len(rows) * len(columns) - len(pairs)
+    others = [
+        f"{sum(one.kind == other for one in held.functions)} functions of type {other}"
+        for other in kinds
+        if other != kind
+    ]
+    sets = [f"{count} sets {number}" for number, count in sorted(held.skipped.items()) if number != 151]
+    return Measured(
+        rows=_rows(pairs, (len(rows), len(columns), samples)),
+        shape=(len(rows), len(columns), samples),
+        position_m=position_m,
+        actuator_m=actuator_m,
+        unit=_unit_of(first, held),
+        sample_rate_hz=None if is_spectrum else first.exact_rate_hz or 1.0 / step,
+        frequency_hz=start + step * np.arange(samples, dtype=np.float64) if is_spectrum else None,
+        start_s=0.0 if is_spectrum else start,
+        status=_status(chosen, rows),
+        read=(
+            f"{len(chosen)} functions of type {kind}, direction {_AXIS_NAMES.get(axis, axis)}, of {len(rows)} response"
+            f" nodes (positions) and {len(columns)} reference nodes (actuators)",
+            *([f"{flipped} functions along negative directions changed their sign"] if flipped else []),
+        ),
+        assumed=() if is_spectrum else ("time responses are responses to an impulse of one sample",),
+        left_out=(*others, *sets, *([f"{missing} pairs of nodes without a function"] if missing else [])),
+    )
+
+
+def _rows(pairs: dict[tuple[int, int], NDArray[Any]], shape: tuple[int, int, int]) -> Iterator[NDArray[Any]]:
+    """Rows of responses; NaN throughout where a pair is missing."""
+    kind = next(iter(pairs.values())).dtype
+    for row in range(shape[0]):
+        values = np.full(shape[1:], np.nan, kind)
+        found = [pairs.get((row, column)) for column in range(shape[1])]
+        for column, one in enumerate(found):
+            if one is not None and all(other is not None for other in found):
+                values[column] = one
+        yield values
+
+
+def _status(functions: list[_Function], rows: dict[int, int]) -> NDArray[np.uint8] | None:
+    """Status bits of the positions, where all functions are our own export's."""
+    status = np.zeros(len(rows), np.uint8)
+    for one in functions:
+        if one.status is None:
+            return None
+        status[rows[one.response[0]]] = one.status
+    return status
+
+
+def _require_alike(functions: list[_Function], path: Path) -> None:
+    first = functions[0]
+    for one in functions:
+        alike = (len(one.values), one.values.dtype.kind, one.unit, one.quantities) == (
+            len(first.values), first.values.dtype.kind, first.unit, first.quantities,
+        )  # fmt: skip
+        if not alike or any(
+            not math.isclose(*both, rel_tol=1e-5, abs_tol=1e-12) for both in zip(one.axis, first.axis, strict=True)
+        ):
+            raise InputError(
+                f"{path}: the function of node {one.response[0]} has {len(one.values)} values from {one.axis[0]:g} in"
+                f" steps of {one.axis[1]:g}, in {one.unit or 'no unit'}, and that of node {first.response[0]}"
+                f" {len(first.values)} from {first.axis[0]:g} in steps of {first.axis[1]:g}, in"
+                f" {first.unit or 'no unit'}; all must be alike"
+            )
+
+
+def _node_places(
+    held: _Contents, rows: list[int], columns: list[tuple[int, int]], path: Path, options: ImportOptions
+) -> tuple[Float64Array, Float64Array]:
+    """Places of response and reference nodes in metres: of the table's column ``node``, else of the file."""
+    known: dict[int, Any] = {}
+    if options.places is not None:
+        places = read_places(options.places, options)
+        if any(not one.words.get("node", "").isdigit() for one in places):
+            raise InputError(f"{options.places}: a column 'node' with the number of each place's node is needed")
+        known = dict(zip((int(one.words["node"]) for one in places), coordinates(places), strict=True))
+    elif held.nodes:
+        metres = 1.0 / held.per_metre if held.per_metre else length_unit(options, path)
+        known = {node: np.array(place) * metres for node, place in held.nodes.items()}
+    for node in rows:
+        if node not in known:
+            raise InputError(
+                f"{path} does not say where response node {node} is (15, 2411); name a CSV table with --places, with"
+                " the columns node,x_mm,y_mm"
+            )
+    unknown = np.full(3, np.nan)
+    position_m = np.array([known[node] for node in rows])
+    return position_m, np.array([known.get(node, unknown) for node, _ in columns])
+
+
+def _unit_of(function: _Function, held: _Contents) -> str:
+    """Unit by the axis labels, else by the quantities and the file's units; empty where neither says it."""
+    if function.unit:
+        return function.unit
+    if held.per_metre is None or not set(function.quantities) <= set(_MOTION):
+        return ""
+    lengths = {round(1 / metres, 4): name for name, metres in METRES.items()}
+    forces = {1.0: "N", 1e3: "mN", 0.224809: "lbf"}
+    length = lengths.get(round(held.per_metre, 4)) or next(
+        (name for per, name in lengths.items() if math.isclose(per, held.per_metre, rel_tol=1e-4)), ""
+    )
+    force = next((name for per, name in forces.items() if math.isclose(per, held.per_newton, rel_tol=1e-4)), "")
+    over, under = (_MOTION[one].format(length, force) for one in function.quantities)
+    return f"{over}/{under}" if length and force else ""
+
+
+def _contents(file: IO[bytes], path: Path) -> _Contents:
+    held = _Contents()
+    while (line := file.readline(_LINE)) != b"":
+        if line.strip() != b"-1":
+            continue
+        while (title := file.readline(_LINE)).strip() == b"-1":
+            pass  # the end of a function, and the beginning of the next set
+        words = title.split()
+        if not words:
+            continue
+        number = words[0].rstrip(b"b")
+        match number:
+            case b"58":
+                held.functions.append(_function(file, title, path))
+            case b"15" | b"2411":
+                _nodes(file, held, double=number == b"2411")
+            case b"164":
+                lines = list(_lines(file))
+                values = [_float(word) for line in lines[1:3] for word in (line[at : at + 25] for at in (0, 25, 50))]
+                if len(values) >= 2 and values[0] > 0 and values[1] > 0:
+                    held.per_metre, held.per_newton = values[0], values[1]
+            case _ if number.isdigit():
+                held.skipped[int(number)] = held.skipped.get(int(number), 0) + 1
+                for _ in _lines(file):
+                    pass
+    return held
+
+
+def _lines(file: IO[bytes]) -> Iterator[bytes]:
+    """Lines up to the end of a set."""
+    while (line := file.readline(_LINE)) != b"" and line.strip() != b"-1":
+        yield line.rstrip(b"\r\n")
+
+
+def _nodes(file: IO[bytes], held: _Contents, *, double: bool) -> None:
+    lines = _lines(file)
+    for line in lines:
+        words = (line + b" " + next(lines, b"")).split() if double else line.split()
+        if len(words) >= 7:
+            place = tuple(_float(word) for word in words[4:7])
+            held.nodes[int(words[0])] = (place[0], place[1], place[2])
+
+
+def _float(word: bytes) -> float:
+    return float(word.strip().replace(b"D", b"E").replace(b"d", b"e") or b"nan")
+
+
+def _int(word: bytes) -> int:
+    return int(word.strip() or b"0")
+
+
+def _function(file: IO[bytes], title: bytes, path: Path) -> _Function:
+    """Read one function."""
+    head = [file.readline(_LINE).rstrip(b"\r\n").ljust(80) for _ in range(11)]
+    place, form = head[5], head[6].split()
+    kind = int(place[0:5])
+    response, reference = ((_int(place[at : at + 10]), _int(place[at + 10 : at + 14])) for at in (41, 66))
+    data, count, even = (int(word) for word in form[:3])
+    start, step = _float(form[3]), _float(form[4])
+    if data not in (2, 4, 5, 6) or not 0 < count < 1 << 31:
+        raise InputError(f"{path}: a function (58) has data type {data} and {count} values; 2, 4, 5 or 6 is needed")
+    is_complex, double = data in (5, 6), data in (4, 6)
+    numbers = count * (2 if is_complex else 1) + (0 if even else count)
+    words = title.split()
+    if words[0] == b"58b":
+        flat = _binary(file, words, numbers, double=double, even=bool(even), path=path)
+    else:
+        flat = _ascii(file, numbers, path, _widths(is_complex=is_complex, double=double, even=bool(even)))
+    if not even:
+        table = flat.reshape(count, -1)
+        start, step = float(table[0, 0]), uniform_step(table[:, 0], path, f"the axis of node {response[0]}", "")
+        flat = np.ascontiguousarray(table[:, 1:]).reshape(-1)
+    if not (math.isfinite(start) and math.isfinite(step) and step > 0):
+        raise InputError(f"{path}: a function (58) has the step {step:g} of its axis; more than 0 is needed")
+    values = flat.view(np.complex128).astype(np.complex64) if is_complex else flat.astype(np.float32)
+    quantities = tuple(_int(line[:10]) for line in head[8:10])
+    labels = [require_plain(line[47:67].decode("latin-1").strip("\0 "), path, "a unit") for line in head[8:10]]
+    return _Function(
+        kind,
+        response,
+        reference,
+        values,
+        (start, step),
+        _labelled(*labels),
+        (quantities[0], quantities[1]),
+        *_own_facts(head[:3], step),
+    )
+
+
+def _labelled(over: str, under: str) -> str:
+    """Unit by the labels of numerator and denominator; empty where they name none that is understood."""
+    for unit in (over, f"{over}/{under}"):
+        try:
+            split_unit(unit)
+        except InputError:
+            continue
+        return unit
+    return ""
+
+
+def _own_facts(lines: list[bytes], step: float) -> tuple[float | None, int | None]:
+    """The sample rate with all its digits and the status, from the identification lines that our own export writes."""
+    rate = re.search(rb", (\d+\.?\d*(?:e[+-]?\d+)?) samples a second", lines[2])
+    status = re.search(rb", status (\d{1,2})\b", lines[1])
+    if not (lines[0].startswith(b"Green's function, FIR") and rate and abs(float(rate[1]) * step - 1) < 1e-4):
+        return None, None
+    return float(rate[1]), int(status[1]) if status and 0 < int(status[1]) < 32 else None
+
+
+def _widths(*, is_complex: bool, double: bool, even: bool) -> tuple[int, ...]:
+    """Widths of the numbers on a line, by the standard."""
+    if even or not double:
+        return (20,) * 4 if double else (13,) * 6
+    return (13, 20, 20) if is_complex else (13, 20, 13, 20)
+
+
+def _binary(file: IO[bytes], words: list[bytes], numbers: int, *, double: bool, even: bool, path: Path) -> Float64Array:
+    order, form, size = int(words[1]), int(words[2]), min(int(words[4]), path.stat().st_size)
+    if form != 2 or order not in (1, 2):
+        raise InputError(f"{path}: a binary function (58b) is not in IEEE numbers; only those are read")
+    byte = "<" if order == 1 else ">"
+    kind = f"{byte}f8" if double else f"{byte}f4"
+    per = np.dtype(kind).itemsize
+    content = file.read(min(numbers * per, size))
+    if even:
+        flat = np.frombuffer(content[: len(content) // per * per], kind).astype(np.float64)
+    else:  # the axis is single precision throughout
+        single = len(content) == numbers * 4 or not double
+        flat = np.frombuffer(content, f"{byte}f4" if single else kind).astype(np.float64)
+    if len(flat) != numbers:
+        raise InputError(f"{path} is truncated: a function (58b) declares {numbers} numbers and holds {len(flat)}")
+    return flat
+
+
+def _ascii(file: IO[bytes], numbers: int, path: Path, widths: tuple[int, ...]) -> Float64Array:
+    """Read the numbers of a function: at once where all lines are alike, else word by word."""
+    first = file.readline(_LINE)
+    lines = -(-numbers // len(widths))
+    regular = len(first.rstrip(b"\r\n")) == sum(widths) and lines > 2 and len(set(widths)) == 1
+    text = first
+    if regular:
+        text += file.read(min(len(first) * (lines - 2), path.stat().st_size))
+        found = _fixed(text, len(first), widths[0])
+        if found is not None and len(text) == len(first) * (lines - 1):
+            last = file.readline(_LINE)
+            tail = [last[at : at + widths[0]] for at in range(0, len(last.rstrip()), widths[0])]
+            flat = np.concatenate([found, [_float(word) for word in tail if word.strip()]])
+            if len(flat) != numbers:
+                raise InputError(f"{path}: a function (58) declares {numbers} numbers and holds {len(flat)}")
+            return flat
+    words: list[float] = []
+    ends = -1
+    for line in text.splitlines():
+        if line.strip() == b"-1":
+            ends = len(words)
+            break
+        words += _words(line, widths)
+    while ends < 0 and len(words) < numbers and (line := file.readline(_LINE)) != b"" and line.strip() != b"-1":
+        words += _words(line.rstrip(b"\r\n"), widths)
+    if len(words) != numbers:
+        raise InputError(f"{path}: a function (58) declares {numbers} numbers and holds {len(words)}")
+    return np.array(words)
+
+
+def _words(line: bytes, widths: tuple[int, ...]) -> list[float]:
+    """Numbers of a line, apart by spaces; by their widths where a sign has taken the space."""
+    try:
+        return [_float(word) for word in line.split()]
+    except ValueError:
+        found, at = [], 0
+        for width in widths:
+            if line[at : at + width].strip():
+                found.append(_float(line[at : at + width]))
+            at += width
+        return found
+
+
+def _fixed(text: bytes, line_bytes: int, width: int) -> Float64Array | None:
+    """Numbers like ``-1.23456e-03``, all with their point and exponent in the same columns; None where they are not."""
+    if len(text) % line_bytes:
+        return None
+    table = np.frombuffer(text, np.uint8).reshape(-1, line_bytes)
+    per_line = line_bytes // width
+    if (table[:, per_line * width :] > ord(" ")).any():
+        return None
+    chars = table[:, : per_line * width].reshape(-1, width)
+    first = bytes(chars[0]).upper()
+    point, exponent = first.find(b"."), first.find(b"E")
+    if point < 1 or exponent != width - 4:
+        return None
+    digits = np.array([point - 1, *range(point + 1, exponent), width - 2, width - 1])
+    figures = chars[:, digits] - _DIGITS
+    signs, powers = chars[:, point - 2] if point > 1 else np.full(len(chars), ord(" "), np.uint8), chars[:, width - 3]
+    sound = (
+        figures.max() <= 9
+        and bool((chars[:, point] == ord(".")).all())
+        and bool(((chars[:, exponent] | 32) == ord("e")).all())
+        and bool(np.isin(signs, (ord(" "), ord("-"), ord("+"))).all())
+        and bool(np.isin(powers, (ord("+"), ord("-"))).all())
+        and bool((chars[:, : max(point - 2, 0)] == ord(" ")).all())
+    )
+    if not sound:
+        return None
+    places = len(digits) - 3  # after the point
+    figures = figures.astype(np.float64)
+    value = figures[:, : places + 1] @ (10.0 ** np.arange(places, -1, -1))
+    power = (10 * figures[:, -2] + figures[:, -1]) * np.where(powers == ord("-"), -1, 1) - places
+    value *= _POWERS[power.astype(np.int64) + 400].astype(np.float64)
+    return np.where(signs == ord("-"), -value, value)

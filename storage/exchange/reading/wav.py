@@ -1,0 +1,176 @@
+"""Folders of sound files: our own exports, and measured impulse responses with a table of places."""
+
+from __future__ import annotations
+
+import json
+import math
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import soundfile
+from numpy.typing import NDArray
+
+from storage.errors import InputError
+from storage.exchange.reading.measured import (
+    Float64Array,
+    ImportOptions,
+    Measured,
+    distinct,
+    require_honest,
+    require_plain,
+    with_z,
+)
+from storage.exchange.reading.places import Place, coordinates, read_places
+from storage.exchange.wav import MOST_CHANNELS, TABLE_NAME
+from storage.text_file import read_text
+
+
+@dataclass(frozen=True, slots=True)
+class _Sounds:
+    """Channels of files and the pair (position, actuator) that each one holds.
+
+    channels: (file, channel from 0, or None of a file with one, position, actuator).
+    """
+
+    channels: list[tuple[str, int | None, int, int]]
+    position_m: Float64Array
+    actuator_m: Float64Array
+    unit: str = ""
+    scale: float = 1.0
+    band_hz: tuple[float, float] | None = None
+    status: NDArray[np.uint8] | None = None
+
+
+def read(folder: Path, options: ImportOptions, stack: ExitStack) -> Measured:
+    """Read a folder that our own export wrote, or one with a table of places, --places.
+
+    The table has a line per file, or per channel (column ``channel``, from 1): ``file``, coordinates of the position,
+    and ``actuator``, the actuator's name. Without that column the channels of a file are the actuators. Lines with the
+    role ``actuator`` give their places.
+    """
+    exported = _exported(folder) if (folder / TABLE_NAME).is_file() else None
+    sounds = exported if exported and options.places is None else _listed(folder, options)
+    if exported:
+        sounds = replace(sounds, unit=exported.unit, scale=exported.scale, band_hz=exported.band_hz)
+    files: dict[str, list[tuple[int | None, int, int]]] = {}
+    for file, channel, position, actuator in sounds.channels:
+        files.setdefault(file, []).append((channel, position, actuator))
+    shape = (len(sounds.position_m), len(sounds.actuator_m))
+    paths = {name: _inside(folder, name) for name in files}
+    infos = {name: soundfile.info(str(path)) for name, path in paths.items()}
+    rates = sorted({info.samplerate for info in infos.values()})
+    if len(rates) > 1:
+        raise InputError(f"{folder}: the files have rates from {rates[0]} to {rates[-1]} Hz; one rate is needed")
+    samples = max(info.frames for info in infos.values())
+    held = sum(path.stat().st_size for path in paths.values())
+    require_honest(folder, "its sound", 4 * shape[0] * shape[1] * samples, held)
+    green = np.full((*shape, samples), np.nan, np.float32)
+    for name, held_by in files.items():
+        info = infos[name]
+        require_honest(paths[name], "its sound", 4 * info.frames * info.channels, paths[name].stat().st_size)
+        sound, _ = soundfile.read(str(paths[name]), dtype="float32", always_2d=True)
+        for channel, position, actuator in held_by:
+            if channel is None and info.channels > 1:
+                raise InputError(
+                    f"{paths[name]} has {info.channels} channels; name one in the column 'channel', from 1"
+                )
+            if not 0 <= (channel or 0) < info.channels:
+                raise InputError(f"{paths[name]} has {info.channels} channels, and {(channel or 0) + 1} is asked for")
+            if not np.isnan(green[position, actuator, 0]):
+                raise InputError(f"{paths[name]}: a second response of position {position} to actuator {actuator}")
+            green[position, actuator, : len(sound)] = sound[:, channel or 0] * np.float32(sounds.scale)
+            green[position, actuator, len(sound) :] = 0.0
+    missing = np.isnan(green[:, :, 0])
+    partly = missing.any(axis=1)
+    green[partly] = np.nan
+    return Measured(
+        rows=green,
+        shape=(*shape, samples),
+        position_m=sounds.position_m,
+        actuator_m=sounds.actuator_m,
+        unit=sounds.unit,
+        sample_rate_hz=float(rates[0]),
+        band_hz=sounds.band_hz,
+        status=sounds.status,
+        read=(f"{len(files)} sound files of up to {samples} samples",),
+        left_out=(f"{int(partly.sum())} positions without a response to every actuator",) if partly.any() else (),
+    )
+
+
+def _exported(folder: Path) -> _Sounds:
+    """The description that our own export writes."""
+    table = folder / TABLE_NAME
+    facts = json.loads(read_text(table))
+    if not isinstance(facts, dict) or facts.get("format") != "wavefocus-wav-export":
+        raise InputError(f"{table} is no description of exported sound files; name a CSV table with --places")
+    per_position = facts["channels"] == "actuators"
+    position_mm = np.array(facts["position_mm"], np.float64).reshape(-1, 2)
+    actuator_mm = np.array([one or [np.nan, np.nan] for one in facts["actuator_mm"]], np.float64).reshape(-1, 2)
+    channels: list[tuple[str, int | None, int, int]] = []
+    for number, one in enumerate(facts["files"]):
+        for channel in range(len(actuator_mm) if per_position else len(position_mm)):
+            pair = (number, channel) if per_position else (channel, number)
+            channels.append((str(one["file"]), channel, *pair))
+    band = facts.get("band_hz")
+    scale, status = float(facts["scale"]), np.array(facts["status"], np.int64)
+    if not (math.isfinite(scale) and len(status) == len(position_mm) and np.isin(status, np.arange(32)).all()):
+        raise InputError(f"{table} is damaged: its scale or status is none")
+    return _Sounds(
+        channels,
+        with_z(position_mm / 1e3),
+        with_z(actuator_mm / 1e3),
+        require_plain(str(facts["unit"]), table, "unit"),
+        scale,
+        None if band is None else (float(band[0]), float(band[1])),
+        status.astype(np.uint8),
+    )
+
+
+def _listed(folder: Path, options: ImportOptions) -> _Sounds:
+    """The files that a table of places names."""
+    if options.places is None:
+        raise InputError(
+            f"{folder} needs a CSV table with --places: a line per sound file with the columns file,x_m,y_m[,z_m] and,"
+            " of several actuators, actuator"
+        )
+    places = read_places(options.places, options)
+    lines = [place for place in places if not place.is_actuator]
+    position_of, position_m = distinct(coordinates(lines))
+    named = {place.words.get("actuator", ""): place.m for place in places if place.is_actuator}
+    names = list(dict.fromkeys([*named, *(line.words.get("actuator", "") for line in lines)]))
+    channels: list[tuple[str, int | None, int, int]] = []
+    for line, position in zip(lines, position_of.tolist(), strict=True):
+        name, word = line.words.get("file", ""), line.words.get("channel", "")
+        if not name:
+            raise InputError(f"{options.places}: line {line.line}: column 'file' is empty; a sound file is needed")
+        if line.words.get("actuator"):
+            channels.append((name, _channel(line, options), position, names.index(line.words["actuator"])))
+        elif word:
+            channels.append((name, _channel(line, options), position, 0))
+        else:
+            count = soundfile.info(str(_inside(folder, name))).channels
+            channels += [(name, channel, position, channel) for channel in range(count)]
+    count = max(one[3] for one in channels) + 1
+    unknown = np.full(3, np.nan)
+    known = [named.get(name, unknown) for name in names] if any(names) else list(named.values())
+    return _Sounds(channels, position_m, np.array([*known, *[unknown] * count][: max(count, len(named))]))
+
+
+def _channel(line: Place, options: ImportOptions) -> int | None:
+    word = line.words.get("channel", "")
+    if word and not (word.isdigit() and 1 <= int(word) <= MOST_CHANNELS):
+        raise InputError(f"{options.places}: line {line.line}: channel is {word!r}; 1 to {MOST_CHANNELS} is needed")
+    return int(word) - 1 if word else None
+
+
+def _inside(folder: Path, name: str) -> Path:
+    """A file of the folder, named without leaving it."""
+    require_plain(name, folder, "a file name")
+    path = folder / name
+    if Path(name).is_absolute() or ".." in Path(name).parts or not path.resolve().is_relative_to(folder.resolve()):
+        raise InputError(f"{folder}: file {name!r} lies outside the folder; only files inside it are read")
+    if not path.is_file():
+        raise InputError(f"{folder}: there is no file {name!r}")
+    return path

@@ -1,0 +1,36 @@
+"""``wavefocus import``: banks measured elsewhere."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from calibration.imports import bank as imports
+from storage.exchange.reading.measured import ImportOptions
+from storage.output_files import require_outputs
+from wavefocus.console import answer, progress, say
+
+__all__ = ["ImportOptions", "import_bank"]
+
+
+def import_bank(
+    source: Path, bank: Path, kind: str, *, options: ImportOptions, force: bool = False, as_json: bool
+) -> None:
+    """Make a bank of a file of another format, and print its report.
+
+    Raises InputError: the file cannot be read or lacks a fact that an option can give, or the bank may not be written.
+    """
+    inputs = [source, options.places, *(sorted(source.iterdir()) if source.is_dir() else [])]
+    require_outputs((bank,), inputs, force=force)
+    with progress("import", 1) as report:
+        made = imports.import_bank(source, bank, options, kind, report)
+    positions, actuators, taps = made.shape
+    say(f"{bank}: {made.measured} of {positions} positions, {actuators} actuators, {taps} taps")
+    if made.facts["caution"]:
+        say(f"warning: {made.facts['caution']}")
+    if as_json:
+        figures = {"bank": str(bank), "positions": positions, "measured": made.measured, "actuators": actuators,
+                   "taps": taps, **made.facts}  # fmt: skip
+        print(json.dumps(figures))
+        return
+    answer(made.facts["paragraph"])
