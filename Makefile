@@ -18,6 +18,9 @@ COMPILER := gcc libc6-dev
 TEST_PACKAGES := libportaudio2 libasound2 libasound2-plugins jackd2 libusb-1.0-0 $(COMPILER) \
 	$(WINDOW_PACKAGES) $(X_PACKAGES)
 
+# Octave reads a bank in a long test; what it recommends (Java, for one) is not needed.
+OCTAVE := octave octave-netcdf
+
 .PHONY: help demo docs test coverage test-long lint bench bench-pages stiff-cases soak screenshots window-figures clean
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
@@ -47,6 +50,7 @@ coverage: ## Run the tests and measure which lines they reach; slower
 
 test-long: ## Run the tests marked long: captures in real time through every emulated wire, benchmarks
 	@tools/system-packages.sh $(TEST_PACKAGES)
+	@tools/system-packages.sh --no-install-recommends $(OCTAVE)
 	@tools/set-up.sh test
 	$(PY) -m pytest -m long $(ARGS)
 

@@ -1,11 +1,13 @@
 #!/bin/sh
 # Install the system packages named, where root or passwordless sudo allows; else say what to type.
-#   tools/system-packages.sh PACKAGE...
+#   tools/system-packages.sh [OPTION OF APT-GET] PACKAGE...
 # Fails when a package stays missing and CI is true; elsewhere what needs it will say so.
 set -eu
 
 missing=
+options=
 for package in "$@"; do
+    case $package in -*) options="$options $package"; continue ;; esac
     if ! dpkg-query -W -f '${db:Status-Abbrev}' "$package" 2>/dev/null | grep -q '^ii'; then
         missing="$missing $package"
     fi
@@ -31,7 +33,7 @@ fi
 echo "installing system packages:$missing" >&2
 install() {
     # Unquoted on purpose: several words each.
-    $as_root DEBIAN_FRONTEND=noninteractive apt-get install -y -qq $missing >/dev/null
+    $as_root DEBIAN_FRONTEND=noninteractive apt-get install -y -qq $options $missing >/dev/null
 }
 install 2>/dev/null || { $as_root apt-get update -qq >/dev/null && install; } ||
     give_up "apt-get could not install them; type: sudo apt-get update && sudo apt-get install$missing"

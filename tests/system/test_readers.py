@@ -1,0 +1,87 @@
+"""Readers of a bank in other languages: their page, the names that they read, and Octave's answers."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from tests.unit.test_bank_writer import measured
+
+DOCS = Path(__file__).parents[2] / "docs"
+READERS = sorted(path.name for path in (DOCS / "readers").iterdir())
+# MATLAB's functions, which order dimensions as those of Octave's netcdf package do.
+MATLAB_IN_OCTAVE = """
+function data = h5read(file, name, varargin)
+  pkg load netcdf
+  data = ncread(file, name(2:end), varargin{:});
+end
+function value = h5readatt(file, place, name)
+  if strcmp(name, 'response_unit'), value = 'm/s/V'; else value = ncreadatt(file, place, name); end
+end
+"""
+PRINT = """
+1;
+{functions}
+addpath('{readers}');
+bank = {reader}('{file}');
+printf('%d ', size(bank.green)); printf('\\n');
+printf('%.9g ', permute(bank.green, [3 2 1])); printf('\\n');
+printf('%.17g ', bank.position_mm'); printf('\\n');
+printf('%d ', bank.status); printf('\\n');
+printf('%.17g ', [bank.sample_rate_hz, bank.time_s(:)']); printf('\\n');
+printf('%.9g ', {one}); printf('\\n');
+"""
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_every_reader_has_ten_lines_and_is_on_its_page(name: str) -> None:
+    text = (DOCS / "readers" / name).read_text(encoding="utf-8")
+    page = (DOCS / "how-to" / "read-a-bank-elsewhere.md").read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 10
+    assert re.search(rf"<!-- docs/readers/{name} -->\n```\w+\n{re.escape(text)}```\n", page)
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_every_reader_reads_names_that_a_bank_has(tmp_path: Path, name: str) -> None:
+    text = (DOCS / "readers" / name).read_text(encoding="utf-8")
+    names = set(re.findall(r"""['"]/?(\w+)['"]""", text))
+    with h5py.File(measured(tmp_path / "bank.h5")) as file:
+        assert names - {*file, *file.attrs} == set()
+    assert {"green", "position_mm", "actuator_mm", "status", "time_s", "sample_rate_hz"} <= names
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("reader", "functions", "call"), [("octave", "", "ncread"), ("matlab", MATLAB_IN_OCTAVE, "h5read")]
+)
+def test_octave_reads_a_bank_with_equal_numbers(tmp_path: Path, reader: str, functions: str, call: str) -> None:
+    octave = shutil.which("octave-cli")
+    if octave is None:
+        pytest.skip("Octave is not installed; on Debian: apt-get install octave octave-netcdf")
+    bank = measured(tmp_path / "bank.h5")
+    page = (DOCS / "how-to" / "read-a-bank-elsewhere.md").read_text(encoding="utf-8")
+    (one,) = re.findall(rf"`(squeeze\({call}\(.*)`", page)
+    script = PRINT.format(
+        functions=functions, readers=DOCS / "readers", reader=f"read_bank_{reader}", file=bank,
+        one=one.replace("(file,", f"('{bank}',").replace("701", "3") + "'",
+    )  # fmt: skip
+    (tmp_path / "show.m").write_text(script, encoding="utf-8")
+    done = subprocess.run(
+        [octave, "--no-gui", "--norc", "show.m"], cwd=tmp_path, capture_output=True, text=True, timeout=100, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    lines = [np.array(line.split(), float) for line in done.stdout.splitlines()]
+    with h5py.File(bank) as file:
+        green = file["green"][...]
+        assert lines[0].tolist() == list(green.shape)
+        assert np.array_equal(lines[1].astype(np.float32), green.ravel())
+        assert np.array_equal(lines[2], file["position_mm"][...].ravel())
+        assert np.array_equal(lines[3], file["status"][...])
+        assert np.array_equal(lines[4], [file.attrs["sample_rate_hz"], *file["time_s"][...]])
+        assert np.array_equal(lines[5].astype(np.float32), green[2].ravel())
