@@ -34,7 +34,7 @@ demo: ## Measure, interrupt, resume, render, verify on the virtual rig; writes d
 
 docs: ## Build the documentation's site in site/, warnings being errors; open site/index.html
 	@tools/set-up.sh docs
-	$(PY) -m sphinx -W --keep-going -q -d site/.doctrees docs site
+	$(PY) -m sphinx -W -E --keep-going -q docs site
 
 test: ## Run the tests; some minutes
 	@tools/system-packages.sh $(TEST_PACKAGES)
