@@ -81,6 +81,29 @@ def staged_folder(folder: Path, last: str) -> Iterator[Path]:
         durable.sync_folder(folder)
 
 
+@contextmanager
+def replaced_folder(folder: Path) -> Iterator[Path]:
+    """Write a folder whole: yields a hidden folder that gets the name `folder` when the block ends well.
+
+    An older folder of that name is replaced then. Its parent folders are made where missing.
+
+    Raises InputError: it cannot be written; an older folder of that name is there as before.
+    """
+    with _named_failures(folder):
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        clear_leftovers(folder.parent)
+        with staging_dir(folder) as place:
+            place.temporary.mkdir()
+            try:
+                yield place.temporary
+            except InputError as error:
+                raise InputError(str(error).replace(str(place.temporary), str(folder))) from error
+            for path in place.temporary.rglob("*"):
+                (durable.sync_folder if path.is_dir() else durable.sync_path)(path)
+            durable.sync_folder(place.temporary)
+            place.publish_folder()
+
+
 def write_whole(path: Path, content: bytes | str) -> None:
     """Write a file's whole content, as :func:`replacement` does."""
     with replacement(path) as temporary:

@@ -132,6 +132,19 @@ class StagingDir:
                 self._previous.replace(self._path)
             raise
 
+    def publish_folder(self) -> None:
+        """Give a synced temporary folder its name; an older folder of that name is removed with the staging folder."""
+        self.complete()  # killed between the two renames, the next command finishes the second
+        if self._path.exists():
+            self._path.replace(self._previous)
+        try:
+            self.temporary.replace(self._path)
+        except OSError:
+            if self._previous.exists():
+                self._previous.replace(self._path)
+            raise
+        durable.sync_folder(self._path.parent)
+
 
 @contextlib.contextmanager
 def staging_dir(path: Path) -> Iterator[StagingDir]:
@@ -206,9 +219,10 @@ def _clear_leftover(folder: Path, path: Path) -> None:
 
 
 def _finish(folder: Path, path: Path, owner: PositionedFile) -> None:
-    """Give a complete file the name that its maker had claimed, where there are no hard links."""
+    """Give a complete file or folder the name that its maker had claimed, or had just taken from an older folder."""
     claimed = path.is_file() and path.stat().st_size == 0
-    if not claimed or not (folder / path.name).exists() or owner.size() != len(_COMPLETE):
+    taken = (folder / _PREVIOUS).is_dir() and not os.path.lexists(path)
+    if not (claimed or taken) or not (folder / path.name).exists() or owner.size() != len(_COMPLETE):
         return
     noted = bytearray(len(_COMPLETE))
     owner.read_into(0, memoryview(noted))

@@ -463,6 +463,18 @@ COMMANDS = (
         ),
     ),
     Command(
+        "publish", "publish:publish",
+        "Write a folder for a data repository: exports, README, pictures, RO-Crate, checksums.\n\n"
+        "Title, people and licence come from [publication] of the bank's run file, or from --publication.",
+        (
+            BANK,
+            _out("FOLDER", "The folder to write."),
+            argument("--to", default="netcdf,csv", metavar="FORMAT,...",
+                     help=f"Which exports: {', '.join(EXPORTS)}. [default: netcdf,csv]"),
+            PUBLICATION, FORCE, JSON,
+        ),
+    ),
+    Command(
         "bench", "bench:bench", "Measure error against run time, ours and peers.",
         (
             argument("what", nargs="?", choices=(*BENCHMARKS, "all", "choose"), default="all",

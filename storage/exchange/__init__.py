@@ -15,6 +15,7 @@ class Export:
 
     module: Module with ``write(path, rows, on_progress)``; one that writes a folder has ``file_names(rows)`` too.
     title: The format's name in the command's help.
+    suffix: Ending of its files' names.
     folder: It writes a folder of files instead of one file.
     holds_nan: It can hold rows without a measurement.
     value_bytes: Bytes per tap, position and actuator.
@@ -22,19 +23,20 @@ class Export:
 
     module: str
     title: str
+    suffix: str
     folder: bool = False
     holds_nan: bool = True
     value_bytes: int = 4
 
 
 EXPORTS = {
-    "sofa": Export("storage.exchange.sofa", "SOFA", value_bytes=8),
-    "uff": Export("storage.exchange.uff", "universal files", holds_nan=False, value_bytes=20),
-    "wav": Export("storage.exchange.wav", "WAV", folder=True, holds_nan=False),
-    "mat": Export("storage.exchange.mat", "MATLAB"),
-    "npz": Export("storage.exchange.npz", "NumPy"),
-    "netcdf": Export("storage.exchange.netcdf", "netCDF"),
-    "csv": Export("storage.exchange.places", "a table of positions", value_bytes=0),
+    "sofa": Export("storage.exchange.sofa", "SOFA", ".sofa", value_bytes=8),
+    "uff": Export("storage.exchange.uff", "universal files", ".uff", holds_nan=False, value_bytes=20),
+    "wav": Export("storage.exchange.wav", "WAV", ".wav", folder=True, holds_nan=False),
+    "mat": Export("storage.exchange.mat", "MATLAB", ".mat"),
+    "npz": Export("storage.exchange.npz", "NumPy", ".npz"),
+    "netcdf": Export("storage.exchange.netcdf", "netCDF", ".nc"),
+    "csv": Export("storage.exchange.places", "a table of positions", ".csv", value_bytes=0),
 }
 
 

@@ -101,3 +101,16 @@ def test_given_a_file_of_that_name_then_a_complete_leftover_does_not_replace_it(
     leftover(path, owner=b"complete", made=b"whole")
     clear_leftovers(tmp_path, path.name)
     assert path.read_bytes() == b"precious"
+
+
+def test_given_a_folder_whose_maker_was_killed_between_two_renames_then_the_new_one_takes_its_name(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "crate"
+    hidden = leftover(path, owner=b"complete")
+    for name, content in (("crate", "new"), ("previous", "old")):
+        (hidden / name).mkdir()
+        (hidden / name / "README.md").write_text(content, encoding="utf-8")
+    clear_leftovers(tmp_path, path.name)
+    assert names(tmp_path) == ["crate"]
+    assert (path / "README.md").read_text(encoding="utf-8") == "new"
