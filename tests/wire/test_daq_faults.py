@@ -92,38 +92,26 @@ def test_given_a_code_of_the_driver_then_it_has_its_meaning(code, known, owned, 
 
 
 @pytest.mark.parametrize(
-    ("kind", "operation", "error", "cause"),
+    ("kind", "operation", "error"),
     [
-        ("wrong_name", "GetDeviceAttributeString", FOR_GOOD, "there is no device of this name"),
-        ("silent", "GetSystemInfoAttributeUInt32", LOST, "does not answer .GetSystemInfoAttributeUInt32"),
-        ("server_dead", "GetSystemInfoAttributeUInt32", LOST, "cannot be reached"),
+        ("wrong_name", "GetDeviceAttributeString", FOR_GOOD),
+        ("silent", "GetSystemInfoAttributeUInt32", LOST),
+        ("server_dead", "GetSystemInfoAttributeUInt32", LOST),
+        ("usb_aborted", "CreateTask", LOST),
+        ("warning", "CreateAIVoltageChan", FOR_GOOD),
+        ("in_use", "TaskControl", FOR_GOOD),
     ],
 )
-def test_given_a_fault_while_opening_then_it_is_told_and_nothing_stays_open(kind, operation, error, cause):
+def test_given_a_fault_while_the_device_is_opened_or_its_first_task_made_then_nothing_of_it_stays(
+    kind, operation, error
+):
     with daq_bench(faults=fault(kind, operation, at_call=1)) as bench:
-        with pytest.raises(InstrumentError, match=cause) as caught:
-            bench.recorder(answer_s=ANSWER_S)
+        with pytest.raises(InstrumentError) as caught:
+            take_one(bench.recorder(answer_s=ANSWER_S))
         assert type(caught.value) is error
         assert caught.value.remedy
-
-
-@pytest.mark.parametrize(
-    ("operation", "kind", "error"),
-    [
-        ("CreateTask", "usb_aborted", LOST),
-        ("CreateAIVoltageChan", "warning", FOR_GOOD),
-        ("TaskControl", "in_use", FOR_GOOD),
-    ],
-)
-def test_given_a_fault_while_the_first_task_is_made_then_it_is_told_and_the_next_is_good(operation, kind, error):
-    with daq_bench(faults=fault(kind, operation, at_call=1)) as bench:
-        recorder = bench.recorder(answer_s=ANSWER_S)
-        with pytest.raises(InstrumentError) as caught:
-            recorder.start(ask())
-        assert type(caught.value) is error
-        if error is LOST:
-            recorder.reconnect()
-        check_tone(take_one(recorder))
+        if kind != "server_dead":
+            check_tone(take_one(bench.recorder()))
 
 
 class Sweep:
@@ -160,6 +148,13 @@ def test_given_a_device_that_stays_away_then_reconnecting_says_so_each_time_unti
         recorder = bench.recorder()
         take_one(recorder)
         bench.server.unplug()
+        bench.server.plug()
+        with pytest.raises(LOST):  # the task of before is not trusted
+            recorder.start(ask())
+        recorder.reconnect()
+        assert bench.calls("ResetDevice") == 1
+        check_tone(take_one(recorder))
+        bench.server.unplug()
         with pytest.raises(LOST, match="unplugged"):
             recorder.start(ask())
         for _ in range(2):
@@ -173,29 +168,15 @@ def test_given_a_device_that_stays_away_then_reconnecting_says_so_each_time_unti
         check_tone(take_one(recorder))
 
 
-def test_given_a_cable_that_was_out_between_records_then_the_old_task_is_not_trusted():
-    with daq_bench() as bench:
-        recorder = bench.recorder()
-        take_one(recorder)
-        bench.server.unplug()
-        bench.server.plug()
-        with pytest.raises(LOST):
-            recorder.start(ask())
-        recorder.reconnect()
-        assert bench.calls("ResetDevice") == 1
-        check_tone(take_one(recorder))
-
-
-@pytest.mark.parametrize(("product", "serial_number"), [("USB-6211", 0x0BADCAFE)])
-def test_given_another_device_under_the_same_name_then_reconnecting_refuses_it(product, serial_number):
+def test_given_another_device_under_the_same_name_then_reconnecting_refuses_it():
     with daq_bench() as bench:
         recorder = bench.recorder()
         check_tone(take_one(recorder))
         bench.server.stop()
-        other = NiServer(Tone(), product, address=bench.server.address, serial_number=serial_number)
+        other = NiServer(Tone(), address=bench.server.address, serial_number=0x0BADCAFE)
         other.start()
         try:
-            with pytest.raises(InstrumentError, match=f"{product}, serial number {serial_number:08X} answers instead"):
+            with pytest.raises(InstrumentError, match="USB-6211, serial number 0BADCAFE answers instead"):
                 recorder.reconnect()
             assert not any(call.name == "ResetDevice" for call in other.log)
         finally:
@@ -210,9 +191,11 @@ def test_given_a_server_that_was_restarted_then_reconnecting_goes_on():
         recorder = bench.recorder()
         check_tone(take_one(recorder))
         bench.server.stop()
-        for refused in (lambda: recorder.start(ask()), recorder.reconnect, recorder.reconnect):
-            with pytest.raises(LOST, match=r"cannot be reached.*ni_grpc_device_server"):
+        for refused in (lambda: recorder.start(ask()), recorder.reconnect, recorder.reconnect, bench.recorder):
+            with pytest.raises(LOST, match=r"cannot be reached.*start ni_grpc_device_server") as caught:
                 refused()
+            assert caught.value.instrument == f"recorder Dev1 at {bench.server.address}"
+            assert '"address": "[::]"' in caught.value.remedy
         bench.server.start()
         recorder.reconnect()
         check_tone(take_one(recorder))
@@ -254,13 +237,7 @@ def test_given_a_failure_when_clearing_up_then_the_first_error_carries_it_as_a_n
         assert any("could not be cleared" in note and "-50405" in note for note in caught.value.__notes__)
 
 
-@pytest.mark.parametrize(
-    ("operation", "kind"),
-    [
-        ("StopTask", "silent"),
-        ("ClearTask", "server_dead"),
-    ],
-)
+@pytest.mark.parametrize(("operation", "kind"), [("StopTask", "silent"), ("ClearTask", "server_dead")])
 def test_given_a_fault_on_the_way_out_then_closing_is_harmless(operation, kind):
     with daq_bench(faults=fault(kind, operation, at_call=1)) as bench:
         recorder = bench.recorder(answer_s=ANSWER_S)
@@ -268,17 +245,6 @@ def test_given_a_fault_on_the_way_out_then_closing_is_harmless(operation, kind):
         recorder.abort()
         recorder.close()
         recorder.close()
-
-
-def test_given_an_unreachable_address_then_opening_names_it_and_what_to_start():
-    with daq_bench() as bench:
-        address = bench.server.address
-        bench.server.stop()
-        with pytest.raises(
-            LOST, match=f"recorder Dev1 at {address}: .*cannot be reached.*start ni_grpc_device_server"
-        ) as caught:
-            bench.recorder()
-        assert '"address": "[::]"' in caught.value.remedy
 
 
 def test_given_records_back_to_back_then_a_late_answer_within_its_deadline_is_no_fault():

@@ -101,38 +101,29 @@ def test_given_each_product_then_its_fastest_rate_and_all_its_ranges_record_whol
             recorder.close()
 
 
-@pytest.mark.parametrize("product", [*SOME, PRODUCTS["USB-6356"]], ids=lambda product: product.name)
-def test_given_a_rate_beyond_the_product_then_the_refusal_names_the_limit(product):
-    with daq_bench(product=product.name) as bench:
-        recorder = bench.recorder()
-        with pytest.raises(InstrumentError, match=f"{product.name} does not sample two inputs") as caught:
-            recorder.start(ask(rate_hz=product.fastest_hz(2) + 1, range_v=(10.0, 10.0)))
-        assert f"to {product.fastest_hz(2):g} Hz as sample_rate_hz" in caught.value.remedy
-        assert bench.calls("CreateTask") == 0
+BOTH_10_V = (10.0, 10.0)
 
 
-@pytest.mark.parametrize(("range_v", "named"), [((2.0, 10.0), "2 V")])
-def test_given_a_range_between_those_of_the_device_then_the_refusal_names_them(bench, range_v, named):
-    recorder = bench.recorder()
-    with pytest.raises(InstrumentError, match=f"USB-6211 has no range of {named}; choose 0.2, 1, 5 or 10 V"):
-        recorder.start(ask(range_v=range_v))
-    check_tone(take_one(recorder))
-
-
-def test_given_a_range_that_only_other_terminals_have_then_the_refusal_names_what_there_is():
-    with daq_bench(product="USB-6009") as bench:
-        recorder = bench.recorder(terminal="rse")
-        with pytest.raises(InstrumentError, match="ai0 has no range of 2 V as a rse input; choose 10 V"):
-            recorder.start(ask(range_v=(2.0, 10.0)))
-        check_tone(take_one(recorder, range_v=(10.0, 10.0)))
-
-
-def test_given_a_rate_that_the_clock_cannot_divide_to_then_the_refusal_names_the_nearest(bench):
-    recorder = bench.recorder()
-    with pytest.raises(InstrumentError, match=r"no sample rate of 99900 Hz; .* 100000 Hz"):
-        recorder.start(ask(rate_hz=99_900.0))
-    # 20 MHz / 2857 is 50 ppm off: the clocks of two devices differ by as much.
-    assert take_one(recorder, rate_hz=7000.0).volts.shape == (2, 500)
+@pytest.mark.parametrize(
+    ("product", "terminal", "wrong", "refusal"),
+    [
+        ("USB-6009", "rse", {"rate_hz": 24_001, "range_v": BOTH_10_V}, "sample two inputs.*to 24000 Hz as sample_rate"),
+        ("USB-6356", "differential", {"rate_hz": 1.26e6, "range_v": BOTH_10_V}, "sample two .*to 1.25e.06 Hz as sampl"),
+        ("USB-6211", "differential", {"rate_hz": 99_900.0}, "no sample rate of 99900 Hz; .* 100000 Hz"),
+        ("USB-6211", "differential", {"range_v": (2.0, 10.0)}, "USB-6211 has no range of 2 V; choose 0.2, 1, 5 or 10"),
+        ("USB-6009", "rse", {"range_v": (2.0, 10.0)}, "ai0 has no range of 2 V as a rse input; choose 10 V"),
+    ],
+)
+def test_given_a_record_that_the_product_cannot_make_then_the_refusal_names_what_it_can(
+    product, terminal, wrong, refusal
+):
+    with daq_bench(product=product) as bench:
+        recorder = bench.recorder(terminal=terminal)
+        with pytest.raises(InstrumentError, match=refusal):
+            recorder.start(ask(**wrong))
+        # 20 MHz / 2857 is 50 ppm off 7 kHz: the clocks of two devices differ by as much.
+        check_tone(take_one(recorder, range_v=BOTH_10_V))
+        assert take_one(recorder, rate_hz=7000.0, range_v=BOTH_10_V).volts.shape == (2, 500)
 
 
 @pytest.mark.parametrize(
@@ -157,16 +148,11 @@ def test_given_a_wrong_name_then_opening_names_the_devices_that_there_are(bench)
     assert type(caught.value) is InstrumentError
 
 
-def test_given_single_ended_wiring_then_the_task_has_it():
-    with daq_bench(product="USB-6218") as bench:
-        check_tone(take_one(bench.recorder(terminal="nrse", reference_input="ai31", response_input="ai8")))
-
-
-def test_given_one_converter_then_the_response_is_sampled_later_by_its_convert_clock():
+def test_given_single_ended_wiring_then_the_task_has_it_and_the_response_is_sampled_a_conversion_later():
     wires = Wires()
-    with daq_bench(wires) as bench:
-        take_one(bench.recorder(), rate_hz=10_000.0)
-    assert wires.asked[0][3] == ("ai0", "ai1")
+    with daq_bench(wires, product="USB-6218") as bench:
+        take_one(bench.recorder(terminal="nrse", reference_input="ai31", response_input="ai8"), rate_hz=10_000.0)
+    assert wires.asked[0][3] == ("ai31", "ai8")
     assert wires.asked[0][4] == pytest.approx(1 / 250e3 + 10e-6)
 
 
