@@ -8,13 +8,13 @@ from contextlib import ExitStack
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from drivers.audio.stream.portaudio import DeviceChoiceError, OutputDevice, choose
 from drivers.errors import InstrumentError, InstrumentLostError
 from drivers.protocols import DeviceIdentity
-from mocks.wire.jack_server import AlsaFile
-from tests.wire.audio_bench import AudioBench, run_python
+from tests.wire.audio_bench import CHANNELS, RATE_HZ, AlsaFile, AudioBench, as_played, noise, run_python, sounding
 
 APIS = ("MME", "ASIO", "Windows WASAPI")
 DEVICES = (
@@ -32,16 +32,12 @@ try:
 except InstrumentError as error:
     print(error.instrument, error.operation, error.cause, error.remedy, sep="|")
 """
-linux_only = [
-    pytest.mark.may_skip("ALSA and the loader's path are Linux's"),
-    pytest.mark.skipif(sys.platform != "linux", reason="needs ALSA"),
-]
 
 
-@pytest.fixture
-def bench():
-    with ExitStack() as stack:
-        yield AudioBench(stack)
+def linux_only(test):
+    """ALSA and the loader's path are Linux's."""
+    skipped = pytest.mark.skipif(sys.platform != "linux", reason="needs ALSA")(test)
+    return pytest.mark.may_skip("ALSA and the loader's path are Linux's")(skipped)
 
 
 @pytest.mark.parametrize(
@@ -59,75 +55,63 @@ def test_given_a_host_api_and_a_name_or_a_part_of_it_then_that_device_is_meant(h
     assert choose(DEVICES, APIS, host_api, name).index == index
 
 
-def test_given_a_name_that_several_have_then_it_lists_them():
-    with pytest.raises(DeviceChoiceError, match=r"3 outputs.*'Fireface UCX \(1\+2\)' \(MME.*player.host_api") as caught:
-        choose(DEVICES, APIS, None, "Fire")
-    assert not caught.value.absent
+@pytest.mark.parametrize(
+    ("host_api", "name", "cause", "absent"),
+    [
+        (None, "Fire", r"3 outputs.*'Fireface UCX \(1\+2\)' \(MME.*player.host_api", False),
+        ("JACK", "system", "no host API 'JACK'; there are 'MME', 'ASIO', 'Windows WASAPI'", True),
+        ("ASIO", "Babyface", r"'ASIO' has 'Fireface UCX' .*'ASIO4ALL v2' \(ASIO, 2 channels, 48000 Hz\);", True),
+    ],
+)
+def test_given_a_choice_that_is_not_one_device_then_it_names_those_there_are(host_api, name, cause, absent):
+    with pytest.raises(DeviceChoiceError, match=cause) as caught:
+        choose(DEVICES, APIS, host_api, name)
+    assert caught.value.absent == absent
 
 
-def test_given_no_such_host_api_then_it_names_those_there_are():
-    with pytest.raises(
-        DeviceChoiceError, match="no host API 'JACK'; there are 'MME', 'ASIO', 'Windows WASAPI'"
-    ) as caught:
-        choose(DEVICES, APIS, "JACK", "system")
-    assert caught.value.absent
+@linux_only
+@pytest.mark.parametrize(
+    ("settings", "cause", "remedy"),
+    [
+        ({"device": "Babyface"}, "no output of that name; host API 'ALSA' has 'filed'", "player.device"),
+        ({"host_api": "ASIO"}, "'ALSA'", "player.host_api"),
+        (
+            {"channels": 200, "channel_full_scale_v": (1.0,) * 200},
+            "needs 200 channels, 'filed' (ALSA, 128 channels",
+            "player.channels",
+        ),
+        ({"interface_rate_hz": 1}, "does not run at 1 Hz", "player.interface_rate_hz"),
+        ({"channels": 3, "channel_full_scale_v": (1.0, 1.0)}, "", "one finite voltage above 0 for each channel"),
+        ({"channels": 3, "channel_full_scale_v": (1.0, np.nan, 1.0)}, "", "one finite voltage above 0"),
+    ],
+    ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
+)
+def test_given_what_the_library_refuses_then_it_says_what_there_is_and_which_key_to_correct(
+    tmp_path, settings, cause, remedy
+):
+    with ExitStack() as stack, pytest.raises(InstrumentError) as caught:
+        AudioBench(stack).player(AlsaFile(tmp_path), **settings)
+    assert not isinstance(caught.value, InstrumentLostError)
+    assert caught.value.instrument == f"player {settings.get('device', 'filed')}"
+    assert caught.value.operation == "opening"
+    assert cause in caught.value.cause
+    assert remedy in caught.value.remedy
 
 
-def test_given_no_such_device_then_it_names_those_there_are():
-    with pytest.raises(DeviceChoiceError, match=r"'ASIO4ALL v2' \(ASIO, 2 channels, 48000 Hz\)") as caught:
-        choose(DEVICES, APIS, "ASIO", "Babyface")
-    assert "Speakers" not in caught.value.cause
-    assert caught.value.absent
+def check_missing(output, cause, remedy):
+    instrument, operation, told, what_to_do = output.strip().split("|")
+    assert (instrument, operation) == ("player filed", "opening")
+    assert cause in told
+    assert remedy in what_to_do
 
 
-class TestOnAlsa:
-    """Refusals of the real library."""
-
-    pytestmark = linux_only
-
-    def refusal(self, bench, folder, **settings):
-        interface = AlsaFile(folder)
-        with pytest.raises(InstrumentError) as caught:
-            bench.player(interface, **settings)
-        assert not isinstance(caught.value, InstrumentLostError)
-        assert caught.value.operation == "opening"
-        return caught.value
-
-    def test_given_a_name_that_is_not_there_then_it_names_what_is(self, bench, tmp_path):
-        error = self.refusal(bench, tmp_path, device="Babyface")
-        assert error.instrument == "player Babyface"
-        assert "no output of that name; host API 'ALSA' has 'filed'" in error.cause
-
-    def test_given_a_host_api_that_is_not_there_then_it_names_what_is(self, bench, tmp_path):
-        assert "'ALSA'" in self.refusal(bench, tmp_path, host_api="ASIO").cause
-
-    def test_given_too_few_channels_then_it_says_how_many_there_are(self, bench, tmp_path):
-        error = self.refusal(bench, tmp_path, channels=200, channel_full_scale_v=(1.0,) * 200)
-        assert "needs 200 channels" in error.cause
-        assert "'filed' (ALSA, 128 channels" in error.cause
-        assert "player.channels" in error.remedy
-
-    def test_given_a_rate_that_it_does_not_run_at_then_it_says_where_to_set_it(self, bench, tmp_path):
-        error = self.refusal(bench, tmp_path, interface_rate_hz=1)
-        assert "does not run at 1 Hz" in error.cause
-        assert "player.interface_rate_hz" in error.remedy
-
-    @pytest.mark.parametrize("full_scale_v", [(1.0, 1.0), (1.0, float("nan"), 1.0)])
-    def test_given_full_scale_voltages_that_do_not_fit_then_it_says_what_is_allowed(
-        self, bench, tmp_path, full_scale_v
-    ):
-        error = self.refusal(bench, tmp_path, channels=3, channel_full_scale_v=full_scale_v)
-        assert "one finite voltage above 0 for each channel" in error.remedy
-
-    def test_given_a_portaudio_that_cannot_be_loaded_then_it_says_what_to_install(self, tmp_path):
-        # The loader finds an empty file first.
-        (tmp_path / "libportaudio.so.2").write_bytes(b"")
-        code, output, errors = run_python(OPENING, {"LD_LIBRARY_PATH": str(tmp_path)})
-        assert code == 0, errors
-        instrument, operation, cause, remedy = output.strip().split("|")
-        assert (instrument, operation) == ("player filed", "opening")
-        assert "the PortAudio library is missing or broken" in cause
-        assert "apt install libportaudio2" in remedy
+@linux_only
+def test_given_a_portaudio_that_cannot_be_loaded_then_it_says_what_to_install(tmp_path):
+    # The loader finds an empty file first.
+    (tmp_path / "libportaudio.so.2").write_bytes(b"")
+    code, output, errors = run_python(OPENING, {"LD_LIBRARY_PATH": str(tmp_path)})
+    assert code == 0, errors
+    check_missing(output, "the PortAudio library is missing or broken", "apt install libportaudio2")
 
 
 def test_given_no_sounddevice_then_it_says_how_to_install_it(tmp_path):
@@ -144,10 +128,7 @@ def test_given_no_sounddevice_then_it_says_how_to_install_it(tmp_path):
     (site / "packages.pth").write_text(f"{packages}\n")
     code, output, errors = run_python(OPENING, {}, executable=python)
     assert code == 0, errors
-    instrument, operation, cause, remedy = output.strip().split("|")
-    assert (instrument, operation) == ("player filed", "opening")
-    assert "the Python package sounddevice is missing" in cause
-    assert remedy == "install it: pip install sounddevice"
+    check_missing(output, "the Python package sounddevice is missing", "install it: pip install sounddevice")
 
 
 def test_given_the_import_of_the_player_then_nothing_of_the_audio_library_is_loaded():
@@ -159,3 +140,23 @@ def test_given_the_import_of_the_player_then_nothing_of_the_audio_library_is_loa
 def test_given_a_card_that_has_another_number_today_then_it_is_the_same_device(card: int) -> None:
     listed = OutputDevice(0, "ALSA", f"Fireface UCX: USB Audio (hw:{card},0)", 28, 48_000.0)
     assert listed.identity == DeviceIdentity("", "Fireface UCX: USB Audio")
+
+
+@linux_only
+def test_given_a_refused_signal_then_the_next_play_is_whole_and_an_output_without_a_clock_keeps_time(
+    tmp_path,
+):
+    interface, signals = AlsaFile(tmp_path), noise(480, (0, 1))
+    overshooting = np.sign(np.sin(np.pi / 2 * np.arange(480) + np.pi / 4)) * np.hanning(480)
+    with ExitStack() as stack:
+        player = AudioBench(stack).player(interface)
+        with pytest.raises(InstrumentError, match=r"between its samples the signal of channel 4 reaches 1\.4"):
+            player.play({0: np.hanning(480), 4: overshooting}, 10_000)
+        for played, rate_hz in (({0: np.hanning(480), 4: np.hanning(480)}, 10_000), (signals, RATE_HZ)):
+            player.play(played, rate_hz)
+            player.wait(10)
+    frames = sounding(interface.played())
+    np.testing.assert_array_equal(frames[:, -480:], as_played(signals, CHANNELS))
+    assert np.abs(frames[4]).max() == pytest.approx(1.0, abs=1e-3)
+    # It takes a hundred times as many in that time when it is not held.
+    assert interface.played().shape[1] < 10 * RATE_HZ

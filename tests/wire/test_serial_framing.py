@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from drivers.errors import InstrumentError, InstrumentLostError
 from drivers.mirror.generic import checksum
 from drivers.mirror.serial_mirror import SerialMirror
-from drivers.serial_line.line import LineSettings, NoAnswerError, SerialLine
+from drivers.serial_line import LineSettings, NoAnswerError, SerialLine
 from mocks.wire.faults import WireFault
 from tests.wire.serial_bench import LOCAL, WIRES, mirror_bench
 
@@ -193,17 +193,6 @@ def test_given_bytes_that_are_no_text_then_they_are_told_as_bytes(wired):
     client.sendall(b"\xff1\n")
     with pytest.raises(NoAnswerError, match="no text"):
         line.receive(time.monotonic() + 30)
-
-
-def test_given_input_that_is_dropped_then_the_next_line_is_the_next_one(wired):
-    line, client = wired
-    client.sendall(b"old\nold")
-    while not line.received():
-        time.sleep(0.01)
-    time.sleep(0.05)
-    line.discard()
-    client.sendall(b"new\n")
-    assert line.receive(time.monotonic() + 30) == "new"
 
 
 @pytest.mark.parametrize("kind", WIRES)

@@ -13,7 +13,7 @@ import numpy
 import pytest
 
 from drivers.errors import InstrumentError, InstrumentLostError
-from drivers.serial_line.line import LineSettings, SerialLine, SerialPort, find_port, open_failure, serial_ports
+from drivers.serial_line import LineSettings, SerialLine, SerialPort, find_port, open_failure, serial_ports
 
 REPOSITORY = Path(__file__).parents[2]
 PRESENT = (
@@ -98,7 +98,7 @@ def test_given_a_port_that_this_user_may_not_open_then_the_group_is_named(tmp_pa
     # Root may open everything, so the attempt is made by nobody, by a process that has imported all before.
     program = (
         "import os, sys, serial\n"
-        "from drivers.serial_line.line import LineSettings, SerialLine\n"
+        "from drivers.serial_line import LineSettings, SerialLine\n"
         "os.chdir(sys.argv[1])\n"
         "if os.getuid() == 0:\n"
         "    os.setgid(65534), os.setuid(65534)\n"

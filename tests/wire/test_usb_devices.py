@@ -8,7 +8,7 @@ import pytest
 import usb.core
 
 from drivers.errors import InstrumentError
-from drivers.usb import ExpectedUsbDevice, Finding, Kind, Problem, UsbDevice, Verdict, list_devices, match_devices
+from drivers.usb import ExpectedUsbDevice, Finding, Kind, Problem, Verdict, list_devices, match_devices
 from mocks.wire.faults import WireFault
 from mocks.wire.usb_backend import VirtualUsb, VirtualUsbDevice
 
@@ -18,6 +18,7 @@ SECOND_ADAPTER = VirtualUsbDevice(0x0403, 0x6001, "A7004IXX", "FTDI", "FT232R US
 AUDIO = VirtualUsbDevice(0x07FD, 0x0005, "", "MOTU", "24Ao", interface_classes=(0x01, 0x01, 0x03), bus=2)
 HUB = VirtualUsbDevice(0x05E3, 0x0610, product="Hub", interface_classes=(9,), device_class=9, port_path=())
 
+SWAPPED = VirtualUsbDevice(0x0403, 0x6001, "NEW1", port_path=(1, 3))
 NO_PERMISSION = WireFault("usb", "no_permission", "open", at_call=1, count=1000)
 
 
@@ -65,8 +66,7 @@ def test_given_two_of_a_kind_then_the_serial_number_chooses_and_without_one_both
     bus = VirtualUsb([ADAPTER, SECOND_ADAPTER])
     (several,) = found(bus, expect(ADAPTER, role="mirror"))
     assert several.verdict is Verdict.SEVERAL
-    assert "A50285BI" in several.sentence
-    assert "A7004IXX" in several.sentence
+    assert {device.serial_number for device in several.devices} == {"A50285BI", "A7004IXX"}
     assert "serial_number" in several.remedy
     (chosen,) = found(bus, expect(ADAPTER, "A7004IXX", role="mirror"))
     assert (chosen.verdict, chosen.devices[0].serial_number) == (Verdict.FOUND, "A7004IXX")
@@ -93,7 +93,7 @@ def test_given_a_unit_swapped_in_the_same_socket_then_the_list_reads_the_new_tex
     bus = VirtualUsb([ADAPTER])
     assert list_devices(bus)[0].serial_number == "A50285BI"
     bus.unplug(ADAPTER)
-    bus.plug(VirtualUsbDevice(0x0403, 0x6001, "NEW1", port_path=ADAPTER.port_path))
+    bus.plug(SWAPPED)
     assert list_devices(bus)[0].serial_number == "NEW1"
 
 
@@ -143,29 +143,18 @@ def test_given_no_libusb_then_it_is_told_what_to_install():
     assert "libusb" in caught.value.remedy
 
 
-def _answer_of_the_machine() -> tuple[UsbDevice, ...] | InstrumentError:
-    try:
-        return list_devices()
-    except InstrumentError as failure:
-        return failure
-
-
 def test_given_the_machines_own_libusb_then_the_list_comes_or_says_what_to_install():
-    answer = _answer_of_the_machine()
-    if isinstance(answer, InstrumentError):
-        assert "libusb" in answer.remedy
-    else:
-        assert all(0 <= device.vendor_id <= 0xFFFF for device in answer)
+    remedy = ""
+    try:
+        assert all(0 <= device.vendor_id <= 0xFFFF for device in list_devices())
+    except InstrumentError as failure:
+        remedy = failure.remedy
+    assert not remedy or "libusb" in remedy
 
 
-@pytest.mark.parametrize("operation", ["open", "text"])
-def test_given_a_device_unplugged_while_it_is_asked_then_it_is_missing(operation):
+@pytest.mark.parametrize("operation", ["open", "text", "descriptor"])
+def test_given_a_device_unplugged_while_it_is_asked_or_listed_then_the_others_are_there(operation):
     bus = VirtualUsb([DAQ, AUDIO], (WireFault("usb", "unplugged", operation, at_call=1),))
-    assert [device.kind for device in list_devices(bus)] == [Kind.AUDIO]
-
-
-def test_given_a_device_unplugged_while_the_list_is_made_then_the_list_is_made_again():
-    bus = VirtualUsb([DAQ, AUDIO], (WireFault("usb", "unplugged", "descriptor", at_call=1),))
     assert [device.kind for device in list_devices(bus)] == [Kind.AUDIO]
 
 

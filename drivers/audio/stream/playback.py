@@ -4,13 +4,29 @@ from __future__ import annotations
 
 import queue
 import sys
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 Float32Array = NDArray[np.float32]
+
+
+FADE_S = 0.002
+"""A mute fades over so long, within one period, so that the coils do not click."""
+
+SLOWEST = 5e-4
+"""How much slower than its nominal rate a sound clock may run; crystals keep to a fifth of this."""
+
+STANDSTILL_S = 0.05
+"""Beyond what is buffered, a callback that comes so late has left the outputs without sound."""
+
+PERIODS_AFTER = 2
+"""An underflow is flagged a period late; so many periods follow the last sample before a play has ended well."""
+
+PLAYED, MUTED, UNDERFLOW = "played", "muted", "underflow"
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,8 +37,68 @@ class Taken:
     frames: int
 
 
-class PieceByPiece:
-    """Frames for some channels, handed over in pieces by one thread and put into periods by the stream's.
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """How a play ended: `PLAYED`, `MUTED`, or `UNDERFLOW` with what was noticed."""
+
+    number: int
+    outcome: str
+    notice: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Voice:
+    """One channel's signal in a play.
+
+    channel: Output, from 0.
+    samples, float32 (frames,): Parts of full scale.
+    start: Frame of the play at which it begins, >= 0.
+    """
+
+    channel: int
+    samples: Float32Array
+    start: int
+
+
+class Play(ABC):
+    """Frames that are put into periods one after another, and how far they have come.
+
+    frames: Length of it all.
+    """
+
+    def __init__(self, number: int, frames: int) -> None:
+        self.number = number
+        self.frames = frames
+        self.done = 0
+        self.periods_after = 0
+        self.silent_frames = 0
+        self.ending: tuple[str, str] | None = None
+
+    @abstractmethod
+    def put(self, out: Float32Array) -> str:
+        """Put the next frames into a silent period; returns what is missing, or an empty text."""
+
+
+class SignalPlay(Play):
+    """Signals that start together; all of it is there from the start."""
+
+    def __init__(self, number: int, voices: tuple[Voice, ...]) -> None:
+        super().__init__(number, max((one.start + one.samples.size for one in voices), default=0))
+        self._voices = voices
+
+    def put(self, out: Float32Array) -> str:
+        """Put the next frames into a silent period; nothing is ever missing."""
+        for voice in self._voices:
+            first = max(voice.start, self.done)
+            stop = min(voice.start + voice.samples.size, self.done + len(out))
+            if first < stop:
+                piece = voice.samples[first - voice.start : stop - voice.start]
+                out[first - self.done : stop - self.done, voice.channel] = piece
+        return ""
+
+
+class PieceByPiece(Play):
+    """A play whose frames are handed over in pieces by one thread, while the stream's puts them into periods.
 
     channels: Outputs, in the order of the pieces' columns.
     reserve_frames: Fewer than these left before the end is announced: it has run dry, with enough left to fade out
@@ -33,13 +109,7 @@ class PieceByPiece:
     def __init__(
         self, number: int, channels: Sequence[int], reserve_frames: int, report: Callable[[Taken], None]
     ) -> None:
-        self.number = number
-        self.done = 0
-        self.periods_after = 0
-        self.silent_frames = 0
-        self.ending: tuple[str, str] | None = None
-        self.frames = sys.maxsize
-        """Length of it all, once the end is announced."""
+        super().__init__(number, sys.maxsize)  # until the end is announced
         self.received = 0
         self._channels = list(channels)
         self._reserve_frames = reserve_frames
@@ -78,70 +148,6 @@ class PieceByPiece:
         return "the next piece of the signal did not come in time" if dry else ""
 
 
-FADE_S = 0.002
-"""A mute fades over so long, within one period, so that the coils do not click."""
-
-SLOWEST = 5e-4
-"""How much slower than its nominal rate a sound clock may run; crystals keep to a fifth of this."""
-
-STANDSTILL_S = 0.05
-"""Beyond what is buffered, a callback that comes so late has left the outputs without sound."""
-
-PERIODS_AFTER = 2
-"""An underflow is flagged a period late; so many periods follow the last sample before a play has ended well."""
-
-PLAYED, MUTED, UNDERFLOW = "played", "muted", "underflow"
-
-
-@dataclass(frozen=True, slots=True)
-class Voice:
-    """One channel's signal in a play.
-
-    channel: Output, from 0.
-    samples, float32 (frames,): Parts of full scale.
-    start: Frame of the play at which it begins, >= 0.
-    """
-
-    channel: int
-    samples: Float32Array
-    start: int
-
-
-@dataclass(slots=True)
-class Play:
-    """Signals that start together, and how far they have come."""
-
-    number: int
-    voices: tuple[Voice, ...]
-    done: int = 0
-    periods_after: int = 0
-    silent_frames: int = 0
-    ending: tuple[str, str] | None = None
-    frames: int = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.frames = max((one.start + one.samples.size for one in self.voices), default=0)
-
-    def put(self, out: Float32Array) -> str:
-        """Put the next frames into a silent period; nothing is ever missing."""
-        for voice in self.voices:
-            first = max(voice.start, self.done)
-            stop = min(voice.start + voice.samples.size, self.done + len(out))
-            if first < stop:
-                piece = voice.samples[first - voice.start : stop - voice.start]
-                out[first - self.done : stop - self.done, voice.channel] = piece
-        return ""
-
-
-@dataclass(frozen=True, slots=True)
-class Ended:
-    """How a play ended: `PLAYED`, `MUTED`, or `UNDERFLOW` with what was noticed."""
-
-    number: int
-    outcome: str
-    notice: str = ""
-
-
 class Playback:
     """Fills the periods of one stream; plays and mutes are handed over between periods.
 
@@ -149,23 +155,21 @@ class Playback:
 
     events: One end for each play, in order; and what was taken of one that comes piece by piece.
     callbacks: How many periods were filled so far.
-    underflows: How many of them came with the flag of an underflow, with a play under way or not.
     """
 
     def __init__(self, rate_hz: int, latency_s: float) -> None:
         self._rate_hz = rate_hz
         self._latency_frames = max(0, round(latency_s * rate_hz))
-        self._orders: queue.SimpleQueue[Play | PieceByPiece | None] = queue.SimpleQueue()
-        self._play: Play | PieceByPiece | None = None
+        self._orders: queue.SimpleQueue[Play | None] = queue.SimpleQueue()
+        self._play: Play | None = None
         self._grid_s = -np.inf
         self._called_s = -np.inf
         self._burst_frames = 0
         self._host_frames = 0
         self.events: queue.SimpleQueue[Ended | Taken] = queue.SimpleQueue()
         self.callbacks = 0
-        self.underflows = 0
 
-    def start(self, play: Play | PieceByPiece) -> None:
+    def start(self, play: Play) -> None:
         """Let a play begin with the next period."""
         self._orders.put(play)
 
@@ -181,7 +185,6 @@ class Playback:
         flagged: Whether the stream says that it ran dry since the last callback.
         """
         out.fill(0)
-        self.underflows += flagged
         # Some hosts ask for their period in several callbacks at once (PortAudio over JACK: 1024 frames each).
         at_once = now_s - self._called_s < 0.5 * len(out) / self._rate_hz
         self._burst_frames = len(out) + (self._burst_frames if at_once else 0)
@@ -206,7 +209,7 @@ class Playback:
         self._grid_s += len(out) / self._rate_hz * (1 + SLOWEST)
         self.callbacks += 1
 
-    def _go_on(self, play: Play | PieceByPiece, out: Float32Array, late_s: float, *, flagged: bool, fade: bool) -> None:
+    def _go_on(self, play: Play, out: Float32Array, late_s: float, *, flagged: bool, fade: bool) -> None:
         frames = len(out)
         if play.ending is not None:
             self._see_out(play, frames)
@@ -228,7 +231,7 @@ class Playback:
                 self._end(PLAYED)
         play.done += frames
 
-    def _see_out(self, play: Play | PieceByPiece, frames: int) -> None:
+    def _see_out(self, play: Play, frames: int) -> None:
         """End a play that was cut short once its last sound has left the outputs: a record may begin then."""
         assert play.ending is not None
         play.silent_frames += frames

@@ -95,11 +95,6 @@ class StreamPlayer:
         """The process that owns the stream."""
         return self._stream.process.pid
 
-    @property
-    def signals_converted(self) -> int:
-        """How many signals were converted to the interface's rate so far; a repeated one is not."""
-        return self._orders.signals_converted
-
     def identify(self) -> str:
         """Name, host API, channels, rate and latency of the device."""
         self._check_open("identifying")
@@ -115,16 +110,6 @@ class StreamPlayer:
             f" {self._request.rate_hz} Hz, latency {1e3 * self.latency_s:.0f} ms,"
             f" full scale {self.full_scale_v:g} V, {self._opened.library}"
         )
-
-    def prepare(self, signals_v: Mapping[int, Float64Array], sample_rate_hz: float) -> None:
-        """Convert signals that will be played, so that their first play starts as soon as any other.
-
-        Arguments and refusals are those of `play`.
-        """
-        doing = _playing(signals_v)
-        self._check_open(doing)
-        with self._ordering:
-            self._send(doing, *self._orders.order(doing, signals_v, sample_rate_hz).before)
 
     def play(self, signals_v: Mapping[int, Float64Array], sample_rate_hz: float) -> None:
         """Start playing with the next period; volts by channel, all of one length, none beyond full scale.

@@ -9,7 +9,7 @@ import threading
 import traceback
 from dataclasses import dataclass
 
-from drivers.audio.stream.playback import FADE_S, Float32Array, PieceByPiece, Play, Voice
+from drivers.audio.stream.playback import FADE_S, Float32Array, PieceByPiece, SignalPlay, Voice
 from drivers.audio.stream.portaudio import (
     DeviceChoiceError,
     OutputDevice,
@@ -137,7 +137,8 @@ def _obey(pipe: MessagePipe, stream: WatchedStream) -> None:
     while (order := pipe.receive()) is not None:
         match order:
             case Start(number, voices):
-                stream.playback.start(Play(number, tuple(Voice(at, signals[one], start) for at, one, start in voices)))
+                play = SignalPlay(number, tuple(Voice(at, signals[one], start) for at, one, start in voices))
+                stream.playback.start(play)
             case Store(signal, frames):
                 signals[signal] = frames
             case Forget(signal):

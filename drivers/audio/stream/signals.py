@@ -74,11 +74,6 @@ class SignalShelf:
         self._frames = 0
         self._made = 0
 
-    @property
-    def made(self) -> int:
-        """How many signals were converted so far; one that was recognised is not."""
-        return self._made
-
     def find(
         self, volts: Float64Array, full_scale_v: float, ratio: Fraction
     ) -> tuple[ShelvedSignal, Float32Array | None]:
@@ -174,11 +169,6 @@ class PlayOrders:
         self._rate_hz = rate_hz
         self._shelf = SignalShelf()
         self._unsent: list[Store | Forget] = []
-
-    @property
-    def signals_converted(self) -> int:
-        """How many signals were converted so far; a repeated one is not."""
-        return self._shelf.made
 
     def forget(self) -> None:
         """Begin anew: the process that has the signals is gone."""

@@ -182,7 +182,7 @@ class SerialLine:
     """A serial port or a TCP connection in its place, opened for one user alone.
 
     instrument: Whose line it is, for messages.
-    port: As in the rig file, see `drivers.serial_line.line.find_port`.
+    port: As in the rig file, see `drivers.serial_line.find_port`.
     """
 
     def __init__(self, instrument: str, port: str, settings: LineSettings) -> None:
@@ -261,13 +261,6 @@ class SerialLine:
             return bool(self._input or self._port.in_waiting)
         except self._failures as failure:
             raise LineFailedError(_text(failure)) from failure
-
-    def discard(self) -> None:
-        """Drop what has come in so far; a device that never stops sending is left at it. Raises LineFailedError."""
-        dropped = len(self._input)
-        self._input.clear()
-        while self.received() and dropped < LONGEST_ANSWER:
-            dropped += len(self._read())
 
     def close(self) -> None:
         """Release the port; never waits for the device. Twice does no harm."""

@@ -16,7 +16,7 @@ from typing import Generic, TypeVar
 
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from drivers.protocols import Clock, WallClock
-from drivers.serial_line.line import LineFailedError, NoAnswerError, SerialLine
+from drivers.serial_line import LineFailedError, NoAnswerError, SerialLine
 from drivers.timeouts import CallThread, HungError
 
 Answer = TypeVar("Answer")
@@ -146,7 +146,7 @@ class Dialogue:
                     self._line.close()
                     cause = f"the connection was closed ({failure})"
                     remedy = "it may serve one program at a time: close the others; check its power"
-                    raise InstrumentLostError(self._instrument, doing, cause, remedy) from failure
+                    raise self._lost(doing, cause, remedy) from failure
                 if self._clock.now_s() > gives_up_s:
                     remedy = "switch it on; check the cable, and driver and baud in the rig file"
                     raise InstrumentLostError(self._instrument, doing, str(latest), remedy)
@@ -298,7 +298,7 @@ class Dialogue:
             self._behind = True
             cause = f"the device has stopped answering ({missing})"
             remedy = "check its power and its cable"
-            raise InstrumentLostError(self._instrument, doing, cause, remedy) from missing
+            raise self._lost(doing, cause, remedy) from missing
 
     @contextmanager
     def _turn(self, doing: str) -> Iterator[None]:
@@ -306,7 +306,7 @@ class Dialogue:
         if not self._lock.acquire(timeout=HUNG_ANSWERS * self._line.settings.answer_s):
             cause = "an earlier call hangs in the driver of its port"
             remedy = "connect it again; if it stays, unplug the port and plug it in again"
-            raise InstrumentLostError(self._instrument, doing, cause, remedy)
+            raise self._lost(doing, cause, remedy)
         try:
             yield
         finally:
@@ -316,9 +316,7 @@ class Dialogue:
 
     def _require_open(self, doing: str) -> None:
         if not self._line.is_open:
-            raise InstrumentLostError(
-                self._instrument, doing, "the connection is lost", "check power and cable; it must be opened again"
-            )
+            raise self._lost(doing, "the connection is lost", "check power and cable; it must be opened again")
 
     @contextmanager
     def _losses(self, doing: str) -> Iterator[None]:
@@ -327,11 +325,12 @@ class Dialogue:
             yield
         except LineFailedError as failure:
             self._line.close()
-            raise InstrumentLostError(
-                self._instrument, doing, f"the connection broke ({failure})", "plug it in and switch it on"
-            ) from failure
+            raise self._lost(doing, f"the connection broke ({failure})", "plug it in and switch it on") from failure
         except RestartedError as restarted:
             self._line.close()
             cause = "the device was switched off and on meanwhile: its position and its settings are lost"
             remedy = "check its power supply; it is set up afresh when it is opened again"
-            raise InstrumentLostError(self._instrument, doing, cause, remedy) from restarted
+            raise self._lost(doing, cause, remedy) from restarted
+
+    def _lost(self, doing: str, cause: str, remedy: str) -> InstrumentLostError:
+        return InstrumentLostError(self._instrument, doing, cause, remedy)
