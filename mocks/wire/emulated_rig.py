@@ -5,10 +5,10 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from mocks.wire.jack_capture import PlayedAudio
 from mocks.wire.jack_server import JackServer
 from mocks.wire.mirrors import mirror_device
 from mocks.wire.ni_server import NiServer
-from mocks.wire.serial_far_side import PtyWire, SerialFarSide, TcpWire, Wire
+from mocks.wire.serial_far_side import PtyWire, SerialDevice, SerialFarSide, TcpWire, Wire
 from mocks.wire.vibrometer import PolytecDevice
 
 Float32Array = NDArray[np.float32]
@@ -192,7 +192,7 @@ class Wiring:
     vibrometer_port: str | None = None
 
 
-class EmulatedRig:
+class EmulatedRig(ExitStack):
     """Mirror, vibrometer, DAQ and audio interface on their wires, before one plate; a context, or close it.
 
     Raises ValueError or RuntimeError.
@@ -201,89 +201,72 @@ class EmulatedRig:
 
     bench: The analog world, with the patch bay.
     audio: The audio interface; `audio.environment` is what a player's process must have.
-    vibrometer: The vibrometer's controller, where it has a port.
     """
 
     def __init__(self, settings: VirtualSettings, wiring: Wiring, faults: tuple[WireFault, ...] = ()) -> None:
+        super().__init__()
         if wiring.vibrometer_port is not None and not settings.vibrometer_latency_s:
             settings = replace(settings, vibrometer_latency_s=DECODER_LATENCY_S)
+        try:
+            self._start(settings, wiring, faults)
+        except BaseException:
+            self.close()
+            raise
+
+    def _start(self, settings: VirtualSettings, wiring: Wiring, faults: tuple[WireFault, ...]) -> None:
         motion = MirrorMotion(settings.park_mrad, settings.settle_s, settings.slew_mrad_s, settings.limit_mrad)
-        self.vibrometer: SerialFarSide | None = None
-        with ExitStack() as started:
-            self.audio = started.enter_context(
-                JackServer(
-                    period_frames=wiring.period_frames,
-                    channels=max(24, len(wiring.full_scale_v)),
-                    rate_hz=wiring.interface_rate_hz,
-                    faults=faults,
-                )
+        self.audio = self.enter_context(
+            JackServer(
+                period_frames=wiring.period_frames,
+                channels=max(24, len(wiring.full_scale_v)),
+                rate_hz=wiring.interface_rate_hz,
+                faults=faults,
             )
-            self.bench = WireBench(
-                settings,
-                self.audio.played,
-                motion,
-                full_scale_v=wiring.full_scale_v,
-                reference_input=wiring.reference_input,
-                response_input=wiring.response_input,
+        )
+        self.bench = WireBench(
+            settings,
+            self.audio.played,
+            motion,
+            full_scale_v=wiring.full_scale_v,
+            reference_input=wiring.reference_input,
+            response_input=wiring.response_input,
+        )
+        self.recorder = NiServer(self.bench, wiring.ni_product, wiring.ni_device, wiring.ni_address, faults)
+        self.recorder.start()
+        self.callback(self.recorder.stop)
+        device = mirror_device(wiring.mirror_dialect, motion, wiring.mirror_full_scale_mrad)
+        self.mirror = self._serial("mirror", device, wiring.mirror_port, faults)
+        self._plugs: dict[str, tuple[Callable[[], None], Callable[[], None]]] = {
+            "mirror": (self.mirror.unplug, self.mirror.plug),
+            "recorder": (self.recorder.unplug, self.recorder.plug),
+            "player": (self.audio.kill, self.audio.restart),
+        }
+        if wiring.vibrometer_port is not None:
+            polytec = PolytecDevice(
+                f"{1000 * settings.sensitivity_m_s_per_v:g}mm/s/V",
+                signal_delay=f"{1e6 * settings.vibrometer_latency_s:g} us",
             )
-            self.recorder = NiServer(self.bench, wiring.ni_product, wiring.ni_device, wiring.ni_address, faults)
-            self.recorder.start()
-            started.callback(self.recorder.stop)
-            device = mirror_device(wiring.mirror_dialect, motion, wiring.mirror_full_scale_mrad)
-            self.mirror = started.enter_context(
-                SerialFarSide(device, _wire("mirror", wiring.mirror_port), WireFaultPlan("mirror", faults))
-            )
-            if wiring.vibrometer_port is not None:
-                polytec = PolytecDevice(
-                    f"{1000 * settings.sensitivity_m_s_per_v:g}mm/s/V",
-                    signal_delay=f"{1e6 * settings.vibrometer_latency_s:g} us",
-                )
-                wire, plan = _wire("vibrometer", wiring.vibrometer_port), WireFaultPlan("vibrometer", faults)
-                self.vibrometer = started.enter_context(SerialFarSide(polytec, wire, plan))
-            self._started = started.pop_all()
-
-    def __enter__(self) -> EmulatedRig:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """End every far side; twice does no harm."""
-        self._started.close()
+            vibrometer = self._serial("vibrometer", polytec, wiring.vibrometer_port, faults)
+            self._plugs["vibrometer"] = (vibrometer.unplug, vibrometer.plug)
 
     def unplug(self, role: str) -> None:
         """Pull the cable of one instrument. Raises ValueError.
 
         role: ``"mirror"``, ``"recorder"``, ``"player"`` or ``"vibrometer"``.
         """
-        match role:
-            case "player":
-                self.audio.kill()
-            case "recorder":
-                self.recorder.unplug()
-            case _:
-                self._serial(role).unplug()
+        self._plug_of(role)[0]()
 
     def plug(self, role: str) -> None:
         """Put it back; arguments and errors as of `unplug`."""
-        match role:
-            case "player":
-                self.audio.restart()
-            case "recorder":
-                self.recorder.plug()
-            case _:
-                self._serial(role).plug()
+        self._plug_of(role)[1]()
 
-    def _serial(self, role: str) -> SerialFarSide:
-        sides = {"mirror": self.mirror, "vibrometer": self.vibrometer}
-        side = sides.get(role)
-        if side is None:
-            there = [name for name in ("mirror", "recorder", "player", "vibrometer") if sides.get(name, self)]
-            raise ValueError(f"there is no {role!r} here; there is: {', '.join(there)}")
-        return side
+    def _plug_of(self, role: str) -> tuple[Callable[[], None], Callable[[], None]]:
+        if role not in self._plugs:
+            raise ValueError(f"there is no {role!r} here; there is: {', '.join(self._plugs)}")
+        return self._plugs[role]
+
+    def _serial(self, role: str, device: SerialDevice, port: str, faults: tuple[WireFault, ...]) -> SerialFarSide:
+        return self.enter_context(SerialFarSide(device, _wire(role, port), WireFaultPlan(role, faults)))
 
 
 def _wire(role: str, port: str) -> Wire:

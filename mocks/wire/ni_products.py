@@ -7,8 +7,8 @@ converter behind a multiplexer. NI 6356 specifications: a converter for each inp
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,78 +117,71 @@ class Product:
         return max(fastest_s, min(fastest_s + SETTLING_S, share_s))
 
 
-def _usb_6356() -> Product:
-    ranges_v = (1.0, 2.0, 5.0, 10.0)
-    return Product(
-        name="USB-6356",
-        inputs=8,
-        pair=8,
-        bits={DIFFERENTIAL: 16},
-        ranges_v={DIFFERENTIAL: ranges_v},
-        aggregate_hz=1.25e6,
-        timebase_hz=100e6,
-        triggers=tuple(f"PFI{number}" for number in range(16)),
-        simultaneous=True,
-    )
+def _pfi(numbers: Iterable[int]) -> tuple[str, ...]:
+    return tuple(f"PFI{number}" for number in numbers)
 
 
-def _usb_600x(name: str, bits: int, aggregate_hz: float) -> Product:
-    return Product(
-        name=name,
-        inputs=8,
-        pair=4,
-        bits={DIFFERENTIAL: bits, RSE: bits},
-        ranges_v={DIFFERENTIAL: (10.0,), RSE: (10.0,)},
-        aggregate_hz=aggregate_hz,
-        timebase_hz=80e6,
-        triggers=("PFI0", "PFI1"),
-    )
-
-
-def _usb_6008_9(name: str, bits: int, aggregate_hz: float) -> Product:
-    return Product(
-        name=name,
-        inputs=8,
-        pair=4,
-        # Single-ended signals use the upper half of the codes only.
-        bits={DIFFERENTIAL: bits, RSE: bits - 1},
-        ranges_v={DIFFERENTIAL: (1.0, 1.25, 2.0, 2.5, 4.0, 5.0, 10.0, 20.0), RSE: (10.0,)},
-        aggregate_hz=aggregate_hz,
-        timebase_hz=24e6,
-        triggers=("PFI0",),
-    )
-
-
-def _usb_621x(name: str, aggregate_hz: float, triggers: tuple[int, ...], inputs: int = 16) -> Product:
-    ranges_v = (0.2, 1.0, 5.0, 10.0)
-    return Product(
-        name=name,
-        inputs=inputs,
-        pair=8,
-        bits={DIFFERENTIAL: 16, RSE: 16, NRSE: 16},
-        ranges_v={DIFFERENTIAL: ranges_v, RSE: ranges_v, NRSE: ranges_v},
-        aggregate_hz=aggregate_hz,
-        timebase_hz=20e6,
-        triggers=tuple(f"PFI{number}" for number in triggers),
-        spare_codes=SPARE_CODES_621X,
-    )
-
+TEN_V = (10.0,)
+RANGES_621X_V = (0.2, 1.0, 5.0, 10.0)
+_600X = Product(
+    name="",
+    inputs=8,
+    pair=4,
+    bits={DIFFERENTIAL: 16, RSE: 16},
+    ranges_v={DIFFERENTIAL: TEN_V, RSE: TEN_V},
+    aggregate_hz=0.0,
+    timebase_hz=80e6,
+    triggers=("PFI0", "PFI1"),
+)
+# Single-ended signals use the upper half of the codes only.
+_6009 = Product(
+    name="USB-6009",
+    inputs=8,
+    pair=4,
+    bits={DIFFERENTIAL: 14, RSE: 13},
+    ranges_v={DIFFERENTIAL: (1.0, 1.25, 2.0, 2.5, 4.0, 5.0, 10.0, 20.0), RSE: TEN_V},
+    aggregate_hz=48e3,
+    timebase_hz=24e6,
+    triggers=("PFI0",),
+)
+_621X = Product(
+    name="",
+    inputs=16,
+    pair=8,
+    bits={DIFFERENTIAL: 16, RSE: 16, NRSE: 16},
+    ranges_v={DIFFERENTIAL: RANGES_621X_V, RSE: RANGES_621X_V, NRSE: RANGES_621X_V},
+    aggregate_hz=250e3,
+    timebase_hz=20e6,
+    triggers=_pfi(range(4)),
+    spare_codes=SPARE_CODES_621X,
+)
+_6356 = Product(
+    name="USB-6356",
+    inputs=8,
+    pair=8,
+    bits={DIFFERENTIAL: 16},
+    ranges_v={DIFFERENTIAL: (1.0, 2.0, 5.0, 10.0)},
+    aggregate_hz=1.25e6,
+    timebase_hz=100e6,
+    triggers=_pfi(range(16)),
+    simultaneous=True,
+)
 
 PRODUCTS = {
     product.name: product
     for product in (
-        _usb_600x("USB-6001", 14, 20e3),
-        _usb_600x("USB-6002", 16, 50e3),
-        _usb_600x("USB-6003", 16, 100e3),
-        _usb_6008_9("USB-6008", 12, 10e3),
-        _usb_6008_9("USB-6009", 14, 48e3),
-        _usb_621x("USB-6210", 250e3, tuple(range(4))),
-        _usb_621x("USB-6211", 250e3, tuple(range(4))),
-        _usb_621x("USB-6212", 400e3, tuple(range(16))),
-        _usb_621x("USB-6215", 250e3, tuple(range(4))),
-        _usb_621x("USB-6216", 400e3, tuple(range(16))),
-        _usb_621x("USB-6218", 250e3, (0, 1, 2, 3, 8, 9, 10, 11), inputs=32),
-        _usb_6356(),
+        replace(_600X, name="USB-6001", bits={DIFFERENTIAL: 14, RSE: 14}, aggregate_hz=20e3),
+        replace(_600X, name="USB-6002", aggregate_hz=50e3),
+        replace(_600X, name="USB-6003", aggregate_hz=100e3),
+        replace(_6009, name="USB-6008", bits={DIFFERENTIAL: 12, RSE: 11}, aggregate_hz=10e3),
+        _6009,
+        replace(_621X, name="USB-6210"),
+        replace(_621X, name="USB-6211"),
+        replace(_621X, name="USB-6212", aggregate_hz=400e3, triggers=_pfi(range(16))),
+        replace(_621X, name="USB-6215"),
+        replace(_621X, name="USB-6216", aggregate_hz=400e3, triggers=_pfi(range(16))),
+        replace(_621X, name="USB-6218", inputs=32, triggers=_pfi((0, 1, 2, 3, 8, 9, 10, 11))),
+        _6356,
     )
 }
 """Models by name."""

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import InstrumentError, InstrumentLostError
+from drivers.errors import InstrumentError
 from drivers.mirror.generic import checksum
 from drivers.mirror.serial_mirror import SerialMirror
 from drivers.serial_line import LineSettings, NoAnswerError, SerialLine
@@ -47,16 +47,30 @@ def garbled_mirror(dialect, folder):
         yield bench, mirror, garbler
 
 
-def in_touch(mirror: SerialMirror):
-    """Leave no fault behind for the next example."""
+def where(mirror: SerialMirror):
+    """Where it says that it points, asked until it answers: no fault is left behind for the next example."""
     for _ in range(50):
         try:
-            mirror.identify()
-        except InstrumentLostError:
+            return mirror.where_mrad()
+        except InstrumentError:
             time.sleep(0.02)
-        else:
-            return
     raise AssertionError("the mirror was not found again")
+
+
+def disturbed(bench, change, act):
+    """What an action yields while answers are changed, None where it is an error."""
+    _, mirror, garbler = bench
+    garbler.change = change
+    try:
+        return act(mirror)
+    except InstrumentError:
+        return None
+    finally:
+        garbler.change = lambda answer: answer
+
+
+def replaced(answer, at, to):
+    return answer[: at % len(answer)] + bytes([to]) + answer[at % len(answer) + 1 :]
 
 
 @pytest.fixture(scope="module")
@@ -71,45 +85,27 @@ def checked(tmp_path_factory):
         yield all_
 
 
-def where(mirror):
-    try:
-        return mirror.where_mrad()
-    except InstrumentError:
-        return None
-
-
 @settings(max_examples=25)
 @given(garbage=st.binary(max_size=40))
 def test_given_arbitrary_bytes_for_an_answer_then_they_are_an_error_and_never_a_position(garbled, garbage):
-    _, mirror, garbler = garbled
-    garbler.change = lambda answer: garbage
-    found = where(mirror)
-    garbler.change = lambda answer: answer
-    in_touch(mirror)
-    assert found is None
-    assert mirror.where_mrad() == pytest.approx(TARGET_MRAD, abs=0.01)
+    assert disturbed(garbled, lambda answer: garbage, SerialMirror.where_mrad) is None
+    assert where(garbled[1]) == pytest.approx(TARGET_MRAD, abs=0.01)
 
 
 @settings(max_examples=30)
 @given(garbage=st.binary(max_size=40), before=st.booleans())
 def test_given_arbitrary_bytes_around_an_answer_then_it_is_right_or_an_error(garbled, garbage, before):
-    _, mirror, garbler = garbled
-    garbler.change = lambda answer: garbage + answer if before else answer + garbage
-    found = where(mirror)
-    garbler.change = lambda answer: answer
-    in_touch(mirror)
+    found = disturbed(garbled, lambda answer: garbage + answer if before else answer + garbage, SerialMirror.where_mrad)
     assert found is None or found == pytest.approx(TARGET_MRAD, abs=0.01)
+    where(garbled[1])
 
 
 @settings(max_examples=30)
 @given(at=st.integers(0, 30), to=st.integers(0, 255))
 def test_given_a_changed_byte_then_a_line_with_a_checksum_is_right_or_an_error(checked, at, to):
-    _, mirror, garbler = checked
-    garbler.change = lambda answer: answer[: at % len(answer)] + bytes([to]) + answer[at % len(answer) + 1 :]
-    found = where(mirror)
-    garbler.change = lambda answer: answer
-    in_touch(mirror)
+    found = disturbed(checked, lambda answer: replaced(answer, at, to), SerialMirror.where_mrad)
     assert found is None or found == pytest.approx(TARGET_MRAD, abs=0.01)
+    where(checked[1])
 
 
 @settings(max_examples=25)
@@ -122,26 +118,16 @@ def test_given_a_changed_byte_then_a_line_with_a_checksum_is_right_or_an_error(c
 def test_given_answers_changed_at_will_then_waiting_ends_well_only_where_the_beam_stands(
     garbled, x_mrad, at, to, every
 ):
-    bench, mirror, garbler = garbled
-    count = 0
+    count = itertools.count(1)
 
-    def change(answer):
-        nonlocal count
-        count += 1
-        if count % every:
-            return answer
-        return answer[: at % len(answer)] + bytes([to]) + answer[at % len(answer) + 1 :]
-
-    garbler.change = change
-    try:
+    def settled(mirror):
         mirror.move_to(x_mrad, 10.0)
         mirror.wait_settled(0.1)
-        settled = True
-    except InstrumentError:
-        settled = False
-    garbler.change = lambda answer: answer
-    in_touch(mirror)
-    assert not settled or bench.motion.where_mrad() == pytest.approx((x_mrad, 10.0), abs=0.5)
+        return True
+
+    if disturbed(garbled, lambda answer: answer if next(count) % every else replaced(answer, at, to), settled):
+        assert garbled[0].motion.where_mrad() == pytest.approx((x_mrad, 10.0), abs=0.5)
+    where(garbled[1])
 
 
 # -- lines out of bytes ----------------------------------------------------------------------------------
