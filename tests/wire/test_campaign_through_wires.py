@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import h5py
@@ -100,56 +99,46 @@ def in_band_db(green: np.ndarray, reference: np.ndarray) -> np.ndarray:
     return 20 * np.log10(np.linalg.norm(ours - theirs, axis=-1) / np.linalg.norm(theirs, axis=-1))
 
 
-def test_given_emulated_wires_before_another_plate_then_the_bank_is_as_good_as_the_in_process_rigs(lab):
-    for name in ("rig.toml", "virtual-rig.toml"):
-        keys = 'plate = "solid"\nforce_deg = 40.0\noscillation_deg = 40.0\n'
-        (lab / name).write_text((lab / name).read_text(encoding="utf-8") + keys, encoding="utf-8")
+def add_to(folder: Path, names: tuple[str, str], keys: str) -> None:
+    for name in names:
+        (folder / name).write_text((folder / name).read_text(encoding="utf-8") + keys, encoding="utf-8")
+
+
+def check_as_good(lab: Path) -> np.ndarray:
+    """Capture on the wires and in process: the errors of the former, which are no larger."""
     with far_sides(lab / "rig.toml") as sides:
         wavefocus("capture", lab / "run.toml", "--bank", lab / "wires.h5", sides=sides)
     wavefocus("capture", lab / "virtual-run.toml", "--bank", lab / "virtual.h5")
-    wavefocus("check", lab / "wires.h5")
     through_wires, in_process = (errors_db(lab / name, lab / "virtual-rig.toml") for name in ("wires.h5", "virtual.h5"))
     assert np.median(in_process) < -45
     assert np.median(through_wires) <= np.median(in_process) + 1
+    return through_wires
+
+
+def test_given_emulated_wires_before_another_plate_then_the_bank_is_as_good_as_the_in_process_rigs(lab):
+    keys = 'plate = "solid"\nforce_deg = 40.0\noscillation_deg = 40.0\n'
+    add_to(lab, ("rig.toml", "virtual-rig.toml"), keys)
+    check_as_good(lab)
+    wavefocus("check", lab / "wires.h5")
 
 
 def test_given_emulated_wires_and_staggered_capture_then_all_actuators_sound_at_once_and_the_bank_is_as_good(lab):
     staggered = 'excitation = "staggered"\nperiods = 2\nwhen_staggered_does_not_pay = "keep"\nkeep_raw = true\n'
-    for name in ("run.toml", "virtual-run.toml"):
-        (lab / name).write_text((lab / name).read_text(encoding="utf-8") + staggered, encoding="utf-8")
-    with far_sides(lab / "rig.toml") as sides:
-        wavefocus("capture", lab / "run.toml", "--bank", lab / "wires.h5", sides=sides)
-    wavefocus("capture", lab / "virtual-run.toml", "--bank", lab / "virtual.h5")
+    add_to(lab, ("run.toml", "virtual-run.toml"), staggered)
+    through_wires = check_as_good(lab)
     wavefocus("estimate", lab / "wires.raw.h5", "--bank", lab / "again.h5")
-    through_wires, in_process = (errors_db(lab / name, lab / "virtual-rig.toml") for name in ("wires.h5", "virtual.h5"))
-    assert np.median(in_process) < -45
-    assert np.median(through_wires) <= np.median(in_process) + 1
     # Recordings are kept in counts of the range, not in the converter's own, which steps a little otherwise: that
     # rounds them once more, 20 dB below their noise.
     rounded = in_band_db(green_of(lab / "again.h5")[0], green_of(lab / "wires.h5")[0])
     assert np.median(rounded) <= np.median(through_wires) - 18
 
 
-def events(capture: subprocess.Popen[str]) -> Iterator[dict[str, object]]:
-    assert capture.stdout is not None
-    for line in capture.stdout:
-        yield json.loads(line)
-
-
 def test_given_each_instrument_unplugged_and_plugged_in_again_then_the_capture_goes_on_by_itself(lab):
     write_run(lab, "run.toml", "rig.toml", averages=1)
     with far_sides(lab / "rig.toml") as sides:
+        files = [str(lab / "run.toml"), "--bank", str(lab / "b.h5")]
         capture = subprocess.Popen(
-            [
-                sys.executable,
-                "-m",
-                "wavefocus",
-                "capture",
-                str(lab / "run.toml"),
-                "--bank",
-                str(lab / "b.h5"),
-                "--json",
-            ],
+            [sys.executable, "-m", "wavefocus", "capture", *files, "--json"],
             env=dict(sides.environment),
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -157,7 +146,7 @@ def test_given_each_instrument_unplugged_and_plugged_in_again_then_the_capture_g
         )
         to_unplug, away = ["mirror", "recorder", "player"], ""
         came_back = []
-        for event in events(capture):
+        for event in map(json.loads, capture.stdout):
             if event["event"] == "position_committed" and to_unplug and not away:
                 away = to_unplug.pop()
                 sides.say(f"unplug {away}")

@@ -107,32 +107,34 @@ def test_given_a_mirror_that_is_held_elsewhere_then_waiting_says_where_it_stands
 # -- what each family says on the line -----------------------------------------------------------------
 
 
-def test_given_units_per_degree_then_asi_moves_by_half_the_beam_angle_in_those_units(tmp_path):
-    def device(motion):
-        return AsiTigerDevice(motion, ("P", "Q"), units_per_degree=500.0, limit_degrees=8.0)
-
-    with mirror_bench("asi-tiger", LOCAL, tmp_path, device=device) as bench:
-        bench.mirror().move_to(2000 * math.radians(1.0), 0.0)
-        assert bench.far.commands[-1] == "M P=500.000 Q=0.000"
-
-
-def test_given_a_scanner_whose_degrees_are_the_beams_then_the_factor_is_one(tmp_path):
-    with mirror_bench("asi-tiger", LOCAL, tmp_path) as bench:
-        bench.mirror(beam_per_mirror=1.0, limit_mrad=120.0, park_mrad=(-100.0, -100.0), axes=("a", "b")).move_to(
-            1000 * math.radians(1.0), 0.0
-        )
-        assert bench.far.commands[-1] == "M A=1000.000 B=0.000"
-
-
-def test_given_old_firmware_without_input_modes_then_asi_goes_on(tmp_path):
-    older = answering(AsiTigerDevice, "PM", ":N-1")
-    with mirror_bench("asi-tiger", LOCAL, tmp_path, device=lambda motion: older(motion, limit_degrees=8.0)) as bench:
-        bench.check_move(bench.mirror())
+@pytest.mark.parametrize(
+    ("device", "changes", "command"),
+    [
+        ({"axes": ("P", "Q"), "units_per_degree": 500.0, "limit_degrees": 8.0}, {}, "M P=250.000 Q=0.000"),
+        (
+            {"limit_degrees": 8.0},
+            {"beam_per_mirror": 1.0, "limit_mrad": 120.0, "park_mrad": (-100.0, -100.0), "axes": ("a", "b")},
+            "M A=1000.000 B=0.000",
+        ),
+    ],
+)
+def test_given_units_and_the_beam_s_share_of_a_degree_then_asi_moves_in_those_units(device, changes, command, tmp_path):
+    with mirror_bench("asi-tiger", LOCAL, tmp_path, device=lambda motion: AsiTigerDevice(motion, **device)) as bench:
+        bench.mirror(**changes).move_to(1000 * math.radians(1.0), 0.0)
+        assert bench.far.commands[-1] == command
 
 
-@pytest.mark.parametrize("answer", [":A {axis}=1000", ":{axis}=1000.000000 A", "{axis}=1000 :A"])
-def test_given_each_form_in_which_firmware_states_a_setting_then_asi_reads_it(answer, tmp_path):
-    firmware = answering(AsiTigerDevice, "UM", answer)
+@pytest.mark.parametrize(
+    ("asked", "answer"),
+    [
+        ("PM", ":N-1"),  # older firmware has no input modes
+        ("UM", ":A {axis}=1000"),
+        ("UM", ":{axis}=1000.000000 A"),
+        ("UM", "{axis}=1000 :A"),
+    ],
+)
+def test_given_each_form_in_which_firmware_states_a_setting_then_asi_reads_it(asked, answer, tmp_path):
+    firmware = answering(AsiTigerDevice, asked, answer)
     with mirror_bench("asi-tiger", LOCAL, tmp_path, device=lambda motion: firmware(motion, limit_degrees=8.0)) as bench:
         bench.check_move(bench.mirror())
 
@@ -152,18 +154,11 @@ def test_given_full_scale_then_mirrorcle_gets_parts_of_it(tmp_path):
 
 
 def test_given_a_controller_that_is_still_enabled_then_its_settings_are_sent_with_the_voltage_off(tmp_path):
-    setup = ("MTI+VB 80",)
     with mirror_bench("mirrorcle-mti", LOCAL, tmp_path) as bench:
-        bench.mirror(setup=setup).close()  # closing leaves the mirror enabled
-        mirror = bench.mirror(setup=setup)
-        bench.check_move(mirror)
-
-
-def test_given_a_setup_that_the_controller_refuses_then_it_says_which_command(tmp_path):
-    with mirror_bench("mirrorcle-mti", LOCAL, tmp_path) as bench:
+        bench.mirror(setup=("MTI+VB 80",)).close()  # closing leaves the mirror enabled
         with pytest.raises(InstrumentError, match=r"setting up \(MTI\+VB 500\).*MTI-ERR InvalidParameter"):
             bench.mirror(setup=("MTI+VB 500",))
-        bench.mirror().move_to(0.0, 0.0)
+        bench.check_move(bench.mirror(setup=("MTI+VB 80",)))
 
 
 def test_given_tangents_then_optotune_gets_them_over_that_of_fifty_degrees(tmp_path):
@@ -219,14 +214,6 @@ def test_given_a_corner_of_the_square_then_it_is_outside_of_optotunes_circle(tmp
         assert not any(command.startswith("xy=") for command in bench.far.commands)
 
 
-def test_given_a_park_direction_outside_of_the_circle_then_optotune_refuses_it_before_it_is_needed(tmp_path):
-    with (
-        mirror_bench("optotune-mre2", LOCAL, tmp_path) as bench,
-        pytest.raises(InstrumentError, match="preparing to park: the device cannot point"),
-    ):
-        bench.mirror(limit_mrad=800.0, park_mrad=(750.0, 750.0))
-
-
 def test_given_a_controller_that_restarted_unnoticed_then_mirrorcle_is_lost_and_enabled_again(tmp_path):
     # Its high voltage is off then, and nothing on the line would say that it points nowhere.
     class Controller(MirrorcleDevice):
@@ -249,12 +236,16 @@ def test_given_a_controller_that_restarted_unnoticed_then_mirrorcle_is_lost_and_
 # -- wrong settings ------------------------------------------------------------------------------------
 
 
-def test_given_a_park_direction_out_of_reach_then_it_is_refused_before_it_is_needed(tmp_path):
-    with (
-        mirror_bench("generic", LOCAL, tmp_path) as bench,
-        pytest.raises(InstrumentError, match="beyond the limit"),
-    ):
-        bench.mirror(park_mrad=(300.0, 0.0))
+@pytest.mark.parametrize(
+    ("dialect", "wrong", "refusal"),
+    [
+        ("generic", {"park_mrad": (300.0, 0.0)}, "beyond the limit"),
+        ("optotune-mre2", {"limit_mrad": 800.0, "park_mrad": (750.0, 750.0)}, "preparing to park: the device cannot"),
+    ],
+)
+def test_given_a_park_direction_out_of_reach_then_it_is_refused_before_it_is_needed(dialect, wrong, refusal, tmp_path):
+    with mirror_bench(dialect, LOCAL, tmp_path) as bench, pytest.raises(InstrumentError, match=refusal):
+        bench.mirror(**wrong)
 
 
 @pytest.mark.parametrize("target", [(math.nan, 0.0), (0.0, math.inf)])
