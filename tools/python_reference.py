@@ -42,10 +42,10 @@ green = bank.to_xarray()["green"].sel(actuator=0, time_s=slice(0, 0.02))
 <!-- Written by tools/python_reference.py from the docstrings: change those. -->
 """
 FUNCTIONS = {
-    "Banks": ("open_bank", "virtual_rig", "estimate"),
+    "Banks": ("open_bank", "virtual_rig", "import_bank", "export_bank"),
     "Scenes, drives and fields": ("load_scene", "render", "predict", "focus_figures"),
     "Files": ("read_drive", "write_drive", "read_field", "write_field"),
-    "Recordings": ("open_raw", "estimator", "estimate_positions"),
+    "Recordings": ("estimate", "open_raw", "estimator", "estimate_positions"),
 }
 CLASSES = {
     "Files and arrays": ("Bank", "GreenArray", "Drive", "Field", "FocusFigures", "RawFile"),

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from storage.errors import InputError
     from storage.field_file import Field, read_field, write_field
     from storage.raw.writer import RawFile, open_raw
-    from wavefocus.api import estimate, focus_figures, predict, render
+    from wavefocus.api import estimate, export_bank, focus_figures, import_bank, predict, render
     from wavefocus.virtual import VirtualBench, virtual_rig
 
 _MODULES = {
@@ -51,7 +51,9 @@ _MODULES = {
     "estimate": "wavefocus.api",
     "estimate_positions": "calibration.estimator.raw_estimation",
     "estimator": "calibration.estimator.raw_estimation:estimator_of",
+    "export_bank": "wavefocus.api",
     "focus_figures": "wavefocus.api",
+    "import_bank": "wavefocus.api",
     "load_scene": "rendering.scene.model",
     "open_bank": "storage.bank.reading",
     "open_raw": "storage.raw.writer",
@@ -86,7 +88,9 @@ __all__ = [
     "estimate",
     "estimate_positions",
     "estimator",
+    "export_bank",
     "focus_figures",
+    "import_bank",
     "load_scene",
     "open_bank",
     "open_raw",

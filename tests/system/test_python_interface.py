@@ -78,6 +78,24 @@ def test_given_kept_recordings_then_python_estimates_the_bank_that_was_measured(
     assert seen[-1] == (len(PLACES_MM), len(PLACES_MM))
 
 
+def test_given_an_exported_bank_then_importing_it_gives_its_numbers(lab: Path) -> None:
+    with wf.open_bank("plate.h5") as bank:
+        wf.export_bank(bank, "plate.npz", "npz", positions=[3, 1])
+        with wf.import_bank("plate.npz", "back.h5", band_hz=(50.0, 450.0)) as back:
+            assert back.band_hz == (50.0, 450.0)
+            assert np.array_equal(back.green(0), bank.green(3))
+            assert np.array_equal(back.position_mm, bank.position_mm[[3, 1]])
+
+
+def test_given_a_frequency_response_without_its_axis_then_it_can_be_named(lab: Path) -> None:
+    with wf.open_bank("plate.h5") as bank:
+        spectra = np.fft.rfft([bank.green(row) for row in range(3)], 2000)
+        np.savez("frf.npz", H=spectra, position_mm=bank.position_mm[:3])
+        keys = {"names": {"green": "H"}, "unit": "m/s/V", "taps": 1000}
+        with wf.import_bank("frf.npz", "frf.h5", frequencies=(0.0, 5.0), **keys) as back:
+            assert back.green(2) == pytest.approx(bank.green(2), abs=1e-6 * float(np.abs(bank.green(2)).max()))
+
+
 def test_given_a_bank_half_measured_then_measuring_goes_on_with_it(tmp_path: Path) -> None:
     path, places_mm = tmp_path / "plate.h5", PLACES_MM[:6]
     with wf.virtual_rig(actuators=2, position_mm=places_mm).measure(path, [0, 1, 2]) as bank:
@@ -140,6 +158,11 @@ def test_given_wrong_keys_of_a_rig_then_the_error_names_them(keys: dict, named: 
         lambda: wf.focus_figures("drive.h5", "plate.h5", "none.h5"),
         lambda: wf.estimate("none.h5", "new.h5"),
         lambda: wf.estimate("plate.raw.h5", "plate.raw.h5"),
+        lambda: wf.import_bank("none.npz", "new.h5"),
+        lambda: wf.import_bank("scene.toml", "new.h5", unit="m/s/V"),
+        lambda: wf.export_bank("plate.h5", "plate.h5", "mat", force=True),
+        lambda: wf.export_bank("plate.h5", "plate.xyz", "xyz"),
+        lambda: wf.export_bank("plate.h5", "plate.mat", "mat", positions=[99]),
         lambda: wf.virtual_rig(position_mm=PLACES_MM[:2]).measure("plate.h5"),
         lambda: wf.virtual_rig(position_mm=PLACES_MM[:2]).record(2),
     ],

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from importlib import import_module
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from storage.bank.reading import open_bank
+from storage.bank.reading import Bank, open_bank
 from storage.errors import InputError
 from storage.exchange import EXPORTS
-from storage.exchange.bank_rows import BankRows, choose_rows
+from storage.exchange.bank_rows import BankRows, OnProgress, choose_rows
 from storage.output_files import require_output_folder, require_outputs
 from wavefocus.configuration import publication_of
 from wavefocus.console import answer, progress, say
@@ -38,6 +39,37 @@ def export(
 
     Raises InputError: the bank cannot be read or does not fit the format, or a file to be written must stay.
     """
+    with open_bank(bank) as view:
+        wanted = parse_positions(positions, view.positions) if positions else None
+        rows, names = write_export(
+            view, out, to, wanted, publication, missing=missing, per=per, binary=binary, only_list=only_list,
+            force=force, watch=progress,
+        )  # fmt: skip
+    _report(rows, out, to, names, only_list=only_list, as_json=as_json)
+
+
+def write_export(
+    view: Bank,
+    out: Path,
+    to: str,
+    positions: Sequence[int] | None,
+    publication: Path | None,
+    *,
+    missing: Literal["leave-out", "nan"],
+    per: Literal["position", "actuator"],
+    binary: bool,
+    only_list: bool = False,
+    force: bool,
+    watch: Callable[..., AbstractContextManager[OnProgress]],
+) -> tuple[BankRows, Sequence[str]]:
+    """Write rows of an open bank, by default all; returns them and the names of the files.
+
+    watch: Shows progress, as `wavefocus.console.progress` does.
+
+    Raises InputError: as `export`.
+    """
+    if to not in EXPORTS:
+        raise InputError(f"to is {to!r}; allowed are {', '.join(EXPORTS)}")
     form, missing_as_nan = EXPORTS[to], missing == "nan"
     if missing_as_nan and not form.holds_nan:
         raise InputError(f"--missing nan: {to} files hold no NaN; missing positions are left out there")
@@ -46,25 +78,22 @@ def export(
     if out.exists() and out.is_dir() != form.folder:
         raise InputError(f"{out} is a {'folder' if out.is_dir() else 'file'}; --to {to} writes a "
                          f"{'folder of files' if form.folder else 'file'}")  # fmt: skip
-    inputs = [bank, *([publication] if publication else [])]
+    inputs = [view.path, *([publication] if publication else [])]
     if not form.folder:
         require_outputs((out,), inputs, force=force or only_list)
-    with open_bank(bank) as view:
-        wanted = parse_positions(positions, view.positions) if positions else None
-        view.require_sound(wanted)
-        texts = publication_of(view, publication).texts
-        rows = choose_rows(
-            view, wanted, missing_as_nan=missing_as_nan, per=per, binary=binary, publication=texts
-        )  # fmt: skip
-        writer = import_module(form.module)
-        names = writer.file_names(rows) if form.folder else [out.name]
-        if form.folder:
-            require_output_folder(out, names, inputs, force=force or only_list)
-        size = expected_bytes(rows, to)
-        if not only_list:
-            with progress("export", len(rows.row)) as report:
-                writer.write(out, rows, report)
-    _report(rows, out, to, names, size, only_list=only_list, as_json=as_json)
+    view.require_sound(positions)
+    texts = publication_of(view, publication).texts
+    rows = choose_rows(
+        view, positions, missing_as_nan=missing_as_nan, per=per, binary=binary, publication=texts
+    )  # fmt: skip
+    writer = import_module(form.module)
+    names = writer.file_names(rows) if form.folder else [out.name]
+    if form.folder:
+        require_output_folder(out, names, inputs, force=force or only_list)
+    if not only_list:
+        with watch("export", len(rows.row)) as report:
+            writer.write(out, rows, report)
+    return rows, names
 
 
 def expected_bytes(rows: BankRows, to: str) -> int:
@@ -73,9 +102,8 @@ def expected_bytes(rows: BankRows, to: str) -> int:
     return len(rows.row) * (rows.bank.actuators * rows.bank.taps * per_value + 100)
 
 
-def _report(
-    rows: BankRows, out: Path, to: str, names: Sequence[str], size: int, *, only_list: bool, as_json: bool
-) -> None:
+def _report(rows: BankRows, out: Path, to: str, names: Sequence[str], *, only_list: bool, as_json: bool) -> None:
+    size = expected_bytes(rows, to)
     view = rows.bank
     nan_rows = int(np.count_nonzero(~rows.known))
     for count, fate in ((rows.left_out, "left out"), (nan_rows, "NaN")):

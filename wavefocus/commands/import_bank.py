@@ -20,10 +20,8 @@ def import_bank(
 
     Raises InputError: the file cannot be read or lacks a fact that an option can give, or the bank may not be written.
     """
-    inputs = [source, options.places, *(sorted(source.iterdir()) if source.is_dir() else [])]
-    require_outputs((bank,), inputs, force=force)
     with progress("import", 1) as report:
-        made = imports.import_bank(source, bank, options, kind, report)
+        made = write_bank(source, bank, kind, options, force=force, on_progress=report)
     positions, actuators, taps = made.shape
     say(f"{bank}: {made.measured} of {positions} positions, {actuators} actuators, {taps} taps")
     if made.facts["caution"]:
@@ -34,3 +32,21 @@ def import_bank(
         print(json.dumps(figures))
         return
     answer(made.facts["paragraph"])
+
+
+def write_bank(
+    source: Path,
+    bank: Path,
+    kind: str,
+    options: ImportOptions,
+    *,
+    force: bool,
+    on_progress: imports.OnProgress | None = None,
+) -> imports.Imported:
+    """Make a bank of a file of another format, which may replace no bank and none of its inputs.
+
+    Raises InputError: as `import_bank`.
+    """
+    inputs = [source, options.places, *(sorted(source.iterdir()) if source.is_dir() else [])]
+    require_outputs((bank,), inputs, force=force)
+    return imports.import_bank(source, bank, options, kind, on_progress)
