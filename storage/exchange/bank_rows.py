@@ -83,6 +83,8 @@ def choose_rows(bank: Bank, positions: Sequence[int] | None, *, missing_as_nan: 
     Raises InputError where no measured row is left.
     """
     wanted = np.arange(bank.positions) if positions is None else np.asarray(positions, dtype=np.int64)
+    if (outside := wanted[(wanted < 0) | (wanted >= bank.positions)]).size:
+        raise InputError(f"position {outside[0]} is not in bank {bank.path}; 0 to {bank.positions - 1} are")
     known = usable(np.asarray(bank.status))[wanted]
     if not known.any():
         raise InputError(f"{bank.path}: none of these positions holds a measurement; there is nothing to export")

@@ -162,7 +162,7 @@ def test_given_wrong_keys_of_a_rig_then_the_error_names_them(keys: dict, named: 
         lambda: wf.import_bank("scene.toml", "new.h5", unit="m/s/V"),
         lambda: wf.export_bank("plate.h5", "plate.h5", "mat", force=True),
         lambda: wf.export_bank("plate.h5", "plate.xyz", "xyz"),
-        lambda: wf.export_bank("plate.h5", "plate.mat", "mat", positions=[99]),
+        lambda: wf.export_bank("plate.h5", "new.mat", "mat", positions=[99]),
         lambda: wf.virtual_rig(position_mm=PLACES_MM[:2]).measure("plate.h5"),
         lambda: wf.virtual_rig(position_mm=PLACES_MM[:2]).record(2),
     ],
