@@ -1,4 +1,4 @@
-"""Draw the pictures of docs/explanation: one virtual record to its Green's function, one scene to its drives and field.
+"""Draw the pictures of docs/explanation: a record to its Green's function, power cuts, a scene to its drives and field.
 
 python -m tools.explanation_pictures docs/pictures
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -20,6 +21,11 @@ from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Line
 from rendering.scene.sampling import sample_scene
 from rendering.scene.signals import Noise
+from storage.bank.reading import open_bank
+from storage.bank.writer import BankWriter, create_bank
+from tests.system.crash.logged import INODE, LoggedFile, WithoutSecondBarrier
+from tests.system.crash.power_cuts import Disk, images
+from tests.system.test_bank_crash import green_of, header, record_of
 from tools.compare_houses import bank_of
 
 RATE_HZ, TAPS, PPM, START = 10_000.0, 2000, 30e-6, 412.37
@@ -105,6 +111,42 @@ def _in_band(fir: np.ndarray, period: int, band: np.ndarray) -> np.ndarray:
     return np.asarray(np.fft.irfft(np.where(band, spectrum, 0), period)[: len(fir)])
 
 
+def draw_power_cuts(folder: Path, count: int = 12) -> None:
+    """Write power-cuts.png into a folder: what a reader finds after a cut at any call of a writer with and without a sync."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 4), layout="constrained")
+    writers = {"with both syncs": LoggedFile, "without the second sync": WithoutSecondBarrier}
+    for axes, (name, opened) in zip(figure.subplots(1, 2, sharey=True), writers.items(), strict=True):
+        with TemporaryDirectory() as place:
+            bank = Path(place, "bank.h5")
+            create_bank(bank, header(count))
+            before, committed = bank.read_bytes(), [0]
+            with BankWriter.open(bank, open_file=opened) as writer:
+                LoggedFile.log.clear()
+                for position in range(count):
+                    writer.commit(position, green_of(position, 1), record_of(position, 1))
+                    committed.append(len(LoggedFile.log))
+            cuts = list(images(Disk({bank: before}, {bank: INODE}), list(LoggedFile.log), np.random.default_rng(1), 6))
+            found = np.array([(cut.step, _whole_positions(bank, cut.files[str(bank)])) for cut in cuts])
+        promised = np.searchsorted(committed, found[:, 0], "right") - 1
+        lost = found[:, 1] < promised
+        axes.step(committed, range(count + 1), where="post", color="#222222", lw=1.2, label="reported as committed")
+        axes.plot(*found[~lost].T, ".", color="#0b5fa5", ms=6, label=f"found after the cut, {np.sum(~lost)} cuts")
+        if lost.any():
+            axes.plot(*found[lost].T, "x", color="#b3541e", ms=6, label=f"fewer than reported, {np.sum(lost)} cuts")
+        axes.set(title=name, xlabel="calls (writes and syncs) before the power cut", ylabel="positions")
+        axes.legend(loc="upper left", fontsize=8)
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.savefig(folder / "power-cuts.png", dpi=110)
+
+
+def _whole_positions(path: Path, content: bytes) -> int:
+    path.write_bytes(content)
+    with open_bank(path) as bank:
+        return len(set(np.flatnonzero(bank.status).tolist()).difference(bank.verify()))
+
+
 def draw_scene(folder: Path) -> None:
     """Write scene-to-drive.png into a folder: a noise source that moves over the bank of `tools.compare_houses`."""
     from matplotlib.figure import Figure
@@ -156,4 +198,5 @@ def draw_scene(folder: Path) -> None:
 
 if __name__ == "__main__":
     draw_recording(Path(sys.argv[1]))
+    draw_power_cuts(Path(sys.argv[1]))
     draw_scene(Path(sys.argv[1]))
