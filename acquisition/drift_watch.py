@@ -120,7 +120,9 @@ class DriftWatch:
         self._looked_s = self._session.time_s()
 
     def _figures(self, attempt: Attempt) -> DriftFigures:
-        result = self._measure(attempt)
+        result = measure_again(
+            attempt, self._records, self._recovery, self._session, self._evaluate, self._plan.quality.max_attempts
+        )
         self._report.sentinel_done()
         if result.estimate is None or _useless(result):
             raise DriftError(
@@ -129,21 +131,35 @@ class DriftWatch:
             )
         return compare_sentinel(self._bank.green(attempt.position), result.estimate.green)
 
-    def _measure(self, attempt: Attempt) -> AttemptResult:
-        """Measure the sentinel position, again after passing faults as any other."""
-        try:
-            recordings = self._recovery.until_done(lambda: self._records.take(attempt, "sentinel"), attempt)
-        except TransientInstrumentError as fault:
-            retried = attempt.of_session < self._plan.quality.max_attempts
-            self._session.fault(fault, attempt, retried=retried)
-            if not retried:
-                raise
-            self._recovery.renew_if_repeated(fault)
-            return self._measure(attempt.next())
-        result = self._evaluate(Recorded(attempt, recordings, ""))
-        if _useless(result) and attempt.of_session < self._plan.quality.max_attempts:
-            return self._measure(attempt.next())
-        return result
+
+def measure_again(
+    attempt: Attempt,
+    records: PositionRecords,
+    recovery: Recovery,
+    session: Session,
+    evaluate: Callable[[Recorded], AttemptResult],
+    max_attempts: int,
+) -> AttemptResult:
+    """Measure a sentinel position, again after passing faults as any other.
+
+    evaluate: From recordings to a judged estimate.
+    max_attempts: Tries before it is given up.
+
+    Raises InstrumentError: of the instrument that failed.
+    """
+    try:
+        recordings = recovery.until_done(lambda: records.take(attempt, "sentinel"), attempt)
+    except TransientInstrumentError as fault:
+        retried = attempt.of_session < max_attempts
+        session.fault(fault, attempt, retried=retried)
+        if not retried:
+            raise
+        recovery.renew_if_repeated(fault)
+        return measure_again(attempt.next(), records, recovery, session, evaluate, max_attempts)
+    result = evaluate(Recorded(attempt, recordings, ""))
+    if _useless(result) and attempt.of_session < max_attempts:
+        return measure_again(attempt.next(), records, recovery, session, evaluate, max_attempts)
+    return result
 
 
 def _useless(result: AttemptResult) -> bool:

@@ -120,10 +120,21 @@ class Emulation(PlateKeys):
     output_gain_spread_db: Annotated[NonNegative, Field(le=20)] = Field(
         default=0.0, description="Largest deviation of an output's level"
     )
+    output_gains_db: tuple[Finite, ...] = Field(default=(), description="Deviation of each output's level, from 0 on")
+    output_delays_s: tuple[Annotated[Finite, Field(ge=-0.001, le=0.001)], ...] = Field(
+        default=(), description="Deviation of each output's latency, from 0 on"
+    )
+    swapped_outputs: tuple[tuple[Actuator, Actuator], ...] = Field(
+        default=(), description="Pairs of outputs whose cables are exchanged"
+    )
     reversed_outputs: tuple[Actuator, ...] = Field(default=(), description="Outputs whose wires are crossed")
     dead_actuators: tuple[Actuator, ...] = Field(default=(), description="Actuators, from 0, that do nothing")
     weak_actuators: tuple[Actuator, ...] = Field(default=(), description="Actuators that move a quarter as much")
     reversed_actuators: tuple[Actuator, ...] = Field(default=(), description="Actuators that move the other way")
+    room_c: Finite | None = Field(
+        default=None,
+        description="Temperature of the room in degrees Celsius; the run file's virtual.room_c is stronger",
+    )
     period_frames: Annotated[Whole, Field(ge=16, le=65_536)] = Field(
         default=4096, description="Frames per period of the emulated audio server"
     )
@@ -140,7 +151,9 @@ class Emulation(PlateKeys):
 
     def truth(self) -> dict[str, object]:
         """What is measured of the rig depends on this; on faults and on how a wire is emulated it does not."""
-        unused = {key for key in ("noise_per_response", "cubic_per_v2") if getattr(self, key) == 0}
+        later = ("output_gains_db", "output_delays_s", "swapped_outputs", "room_c")
+        unused = {key for key in later if getattr(self, key) in ((), None)}
+        unused |= {key for key in ("noise_per_response", "cubic_per_v2") if getattr(self, key) == 0}
         unused |= {key for key, field in PlateKeys.model_fields.items() if getattr(self, key) == field.default}
         return self.model_dump(exclude={"fault_plan", "period_frames", "ni_product"} | unused)
 
@@ -396,10 +409,16 @@ class RigConfig(Table):
                 if actuator >= len(points):
                     allowed = f"must be below {len(points)}, the number of actuators"
                     raise mistake(f"emulation.{key}.[{index}]", actuator, allowed)
-        for index, output in enumerate(self.emulation.reversed_outputs):
-            if output >= self.player.outputs:
-                allowed = f"must be below {self.player.outputs}, the number of outputs"
-                raise mistake(f"emulation.reversed_outputs.[{index}]", output, allowed)
+        outputs = self.player.outputs
+        pairs = {"reversed_outputs": [(one,) for one in self.emulation.reversed_outputs]}
+        for key, named in {**pairs, "swapped_outputs": self.emulation.swapped_outputs}.items():
+            for index, of_entry in enumerate(named):
+                if max(of_entry) >= outputs:
+                    allowed = f"must be below {outputs}, the number of outputs"
+                    raise mistake(f"emulation.{key}.[{index}]", max(of_entry), allowed)
+        for key in ("output_gains_db", "output_delays_s"):
+            if len(values := getattr(self.emulation, key)) > outputs:
+                raise mistake(f"emulation.{key}", values, f"must have at most {outputs} entries, one for each output")
         return self
 
     def _check_of_one_kind(self) -> None:

@@ -398,6 +398,8 @@ COMMANDS = (
             argument("--positions", default="", metavar="I,J,...",
                      help="Bank rows to scan, or every:N for one of N, or path for those that the scene needs; by "
                      "default all."),
+            switch("--no-sentinel", "sentinel", off=True,
+                   help="Do not measure the bank's sentinel position again."),
             LARGE, FORCE, JSON,
         ),
     ),

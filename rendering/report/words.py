@@ -42,19 +42,13 @@ class FigureLine:
 def figure_lines(verification: Verification, gain_range_db: float) -> list[FigureLine]:
     """The figures without a limit, with those of the report alone."""
     lines = [FigureLine(one.name, _value(one), one.definition) for one in verification.figures if not one.relation]
-    misfit = FigureLine(
-        "misfit",
-        percent(verification.misfit),
-        "the normalised error without the noise's part, as the root of the difference of squares: errors of the bank"
-        " (its own noise too), of gains and clocks, nonlinearity, and changes since the bank was measured",
-    )
     gain_range = FigureLine(
         "range of n(x)",
         number(gain_range_db, "dB"),
         "20 lg of largest over smallest normalisation factor (equation 15) over all measured positions, those next to"
         " the actuators included",
     )
-    return [*lines, misfit, gain_range]
+    return [*lines, gain_range]
 
 
 def _value(figure: Figure) -> str:
@@ -67,6 +61,7 @@ def remarks(verification: Verification, drive: Drive, scan: Field | Scan) -> lis
     """Notes and advice for the reader, most pressing first."""
     from rendering.field.focus_figures import FOCUS_RADIUS_MM, median_or_none  # the window imports this module
     from rendering.verify.scan import Scan
+    from rendering.verify.sentinel import drift_sentence
 
     fields = verification.fields
     failed = {check.name for check in verification.checks if check.passed is False}
@@ -85,23 +80,18 @@ def remarks(verification: Verification, drive: Drive, scan: Field | Scan) -> lis
             " or put retro-reflective tape on the surface; the bank itself may be sound.",
         ),
         (
-            abs(fields.level_db) > NOTED_LEVEL_DB,
+            not verification.symptoms and abs(fields.level_db) > NOTED_LEVEL_DB,
             f"The scan is {number(abs(fields.level_db), 'dB')} {'louder' if fields.level_db > 0 else 'quieter'} than"
             " predicted. Check that amplifier volume and vibrometer sensitivity are those of the night in which the"
             " bank was measured.",
         ),
         (
-            abs(fields.delay_samples) > NOTED_DELAY_SAMPLES,
+            not verification.symptoms and abs(fields.delay_samples) > NOTED_DELAY_SAMPLES,
             f"The scan comes {number(delay_us, chr(0xB5) + 's')} {'later' if fields.delay_samples > 0 else 'earlier'}"
             " than predicted. Check inter_channel_delay_s in the rig file and that the recorder's rate is that of the"
             " bank.",
         ),
-        (
-            bool(failed & {"normalised error", "correlation"}) and not from_noise,
-            "The error is not explained by noise. Look at the error map: errors in one area point to the surface or the"
-            " grid, errors everywhere to a gain, a dead actuator, or a surface that has warmed up or dried since the"
-            ' bank was measured. Measure a few positions anew with "wavefocus remeasure" and compare.',
-        ),
+        (verification.drift is not None, "" if verification.drift is None else drift_sentence(verification.drift)),
         (
             bool(failed & {"focus to path point", "focus to predicted focus"}),
             "The focus is not where it should be. If all foci are displaced alike, check the mirror map; if they"

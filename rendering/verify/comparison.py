@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rendering.arrays import Float32Array, Float64Array, Int64Array
+from rendering.arrays import Complex128Array, Float32Array, Float64Array, Int64Array
 from rendering.field.focus_figures import FocusInstant, emission_windows, evenly, focus_instants
 from rendering.field.metrics import RealArray, level_db
 from rendering.verify.field_pair import MOST_DELAY_S, BandLimit
@@ -26,6 +27,25 @@ CHUNK_POSITIONS = 64
 MOST_WAVEFORMS = 6
 
 
+# Frequencies at which causes of a difference are looked for: those at which the drive is loudest.
+MOST_FREQUENCIES = 128
+
+
+@dataclass(frozen=True, slots=True)
+class FieldSpectra:
+    """Both fields, limited to the band, and the drive, at some frequencies (K,), for each compared position (P,).
+
+    drive, complex128 (actuators, K); predicted, scanned, complex64 (P, K): Sums over samples from the first on.
+    noise, float64 (P,): Energy of the scan's noise at these frequencies; NaN where unknown.
+    """
+
+    frequency_hz: Float64Array
+    drive: Complex128Array
+    predicted: NDArray[np.complex64]
+    scanned: NDArray[np.complex64]
+    noise: Float64Array
+
+
 @dataclass(frozen=True, slots=True)
 class FieldComparison:
     """A predicted and a measured field, compared within `band_hz` (None: not limited).
@@ -36,12 +56,14 @@ class FieldComparison:
     level_db: Gain that fits the prediction best to the scan, ``<scan, prediction> / ||prediction||**2``.
     delay_samples: Delay of the scan: the peak, within 20 ms, of the cross-correlation summed over positions.
     position_index, int64 (P,): Compared bank rows, ascending.
+    position_mm, float64 (P, 2): Their places.
     position_error, position_correlation, float64 (P,): NaN where the scan is silent.
     position_scanned, position_noise, float64 (P,): Norm over samples of the scan and of its noise; NaN noise where
         unknown.
     excluded: Scanned bank rows that were not compared, and why.
     predicted_snapshot, scanned_snapshot, float32 (focus instants, P): The fields at those instants.
     waveform_index, int64 (W,): Bank rows of path points whose waveforms, (W, samples) each, are kept.
+    spectra: Both fields at some frequencies.
     """
 
     band_hz: tuple[float, float] | None
@@ -54,6 +76,7 @@ class FieldComparison:
     level_db: float
     delay_samples: float
     position_index: Int64Array
+    position_mm: Float64Array
     position_error: Float64Array
     position_correlation: Float64Array
     position_scanned: Float64Array
@@ -65,6 +88,7 @@ class FieldComparison:
     waveform_index: Int64Array
     predicted_waveform: Float32Array
     scanned_waveform: Float32Array
+    spectra: FieldSpectra
 
     @property
     def correlation_median(self) -> float:
@@ -109,6 +133,8 @@ def compare_fields(prediction: Field, scan: Field | Scan, drive: Drive, bank: Gr
     snapshots = np.zeros((2, len(instants), rows.size), np.float32)
     waveforms = np.zeros((2, waveform_index.size, samples), np.float32)
     cross = np.zeros(band.bins, np.complex128)
+    chosen, drive_spectra = _loudest(drive, band)
+    at_chosen = np.zeros((2, rows.size, chosen.size), np.complex64)
     for first in range(0, rows.size, CHUNK_POSITIONS):
         part = slice(first, first + CHUNK_POSITIONS)
         predicted = prediction.field[in_prediction[part]]
@@ -117,6 +143,7 @@ def compare_fields(prediction: Field, scan: Field | Scan, drive: Drive, bank: Gr
         raw_scanned += float(np.sum(_energy(scanned)))
         spectra = band.spectrum(predicted), band.spectrum(scanned)
         cross += np.sum(spectra[0].conj() * spectra[1], axis=0)
+        at_chosen[:, part] = spectra[0][:, chosen], spectra[1][:, chosen]
         predicted, scanned = band.signals(spectra[0]), band.signals(spectra[1])
         scanned_energy[part], predicted_energy[part] = _energy(scanned), _energy(predicted)
         product[part] = np.einsum("ps,ps->p", scanned, predicted, dtype=np.float64)
@@ -141,6 +168,7 @@ def compare_fields(prediction: Field, scan: Field | Scan, drive: Drive, bank: Gr
         level_db=level_db(max(_ratio(product.sum(), predicted_energy.sum()), 0.0)),
         delay_samples=band.delay_samples(cross, round(MOST_DELAY_S * rate_hz)),
         position_index=rows,
+        position_mm=np.asarray(bank.position_mm, np.float64)[rows],
         position_error=position_error,
         position_correlation=position_correlation,
         position_scanned=np.sqrt(scanned_energy),
@@ -152,7 +180,24 @@ def compare_fields(prediction: Field, scan: Field | Scan, drive: Drive, bank: Gr
         waveform_index=waveform_index,
         predicted_waveform=waveforms[0],
         scanned_waveform=waveforms[1],
+        spectra=FieldSpectra(
+            frequency_hz=np.asarray(band.frequency_hz[chosen], np.float64),
+            drive=drive_spectra,
+            predicted=at_chosen[0],
+            scanned=at_chosen[1],
+            noise=np.asarray(noise_rms**2 * samples * band.power_of_white(chosen), np.float64),
+        ),
     )
+
+
+def _loudest(drive: Drive, band: BandLimit) -> tuple[Int64Array, Complex128Array]:
+    """Frequency bins at which the drive is loudest within the band, and its spectra there, (actuators, bins)."""
+    power = np.zeros(band.bins)
+    for signal in drive.drive_v:
+        power += np.square(np.abs(band.spectrum(signal)))
+    loudest = np.argsort(power)[::-1][:MOST_FREQUENCIES]
+    chosen = np.sort(loudest[power[loudest] > 0.0]) if power.any() else loudest[:1]
+    return chosen, np.stack([band.spectrum(signal)[chosen] for signal in drive.drive_v]).astype(np.complex128)
 
 
 def _check_grids(prediction: Field, scan: Field | Scan) -> None:

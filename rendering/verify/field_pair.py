@@ -29,6 +29,7 @@ class BandLimit:
         self._samples = samples
         self._padded = fast_length(samples + round(silence_s * sample_rate_hz))
         self.bins = self._padded // 2 + 1
+        self.frequency_hz = np.fft.rfftfreq(self._padded, 1.0 / sample_rate_hz)
         self._weights = np.ones(self.bins, np.float32)
         if band_hz is not None:
             self._weights = band_weights(self._padded, sample_rate_hz, band_hz)
@@ -37,6 +38,10 @@ class BandLimit:
     def white_share(self) -> float:
         """Part of a white noise's power that is kept."""
         return float(np.mean(self._weights**2))
+
+    def power_of_white(self, bins: Int64Array) -> float:
+        """Sum over some bins of the power of a white noise of one sample's power 1, per sample."""
+        return float(np.sum(self._weights[bins] ** 2))
 
     def spectrum(self, signals: RealArray) -> NDArray[np.complex64]:
         """Spectra within the band of signals of shape (..., samples)."""

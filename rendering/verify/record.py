@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -67,6 +67,65 @@ class Figure:
     passed: bool | None = None
 
 
+SymptomCode = Literal[
+    "level", "polarity", "silent", "delay", "swapped", "shifted", "speed", "wrong_bank", "unexplained"
+]
+
+
+@dataclass(frozen=True)
+class Symptom:
+    """A cause of a difference between scan and prediction, and what to do about it.
+
+    actuators: Those concerned; none where the cause concerns all responses alike.
+    value, unit: Its size: level in dB, delay in ms (above 0: later), speed in %, distance in mm, median correlation.
+    positions, shift_mm: Of shifted positions: bank rows, and the way to the place that they show.
+    explained: Share of the difference's sum of squares.
+    """
+
+    code: SymptomCode
+    actuators: tuple[int, ...]
+    value: float | None
+    unit: str
+    sentence: str
+    remedy: str
+    positions: tuple[int, ...] = ()
+    shift_mm: PointMm | None = None
+    explained: float | None = None
+
+
+@dataclass(frozen=True)
+class ActuatorFigures:
+    """Level and delay of an actuator against the bank; None where the scan hardly shows it."""
+
+    level_db: float | None
+    delay_us: float | None
+
+
+@dataclass(frozen=True)
+class Drift:
+    """The bank's sentinel position measured again, against its rows in the bank.
+
+    level_db, delay_us, correlation: Over all actuators; delay above 0 where it is later.
+    speed_percent: Change of the wave speed that explains most of the difference; None where none does.
+    verdict: "steady", "warn" or "stop", by the run's limits of drift.
+    """
+
+    position: int
+    level_db: float
+    delay_us: float
+    correlation: float
+    speed_percent: float | None
+    verdict: str
+
+
+@dataclass(frozen=True)
+class SourceFigures:
+    """Normalised error within 15 mm of a source's foci, and the foci's median distance from the path; None: unknown."""
+
+    error: float | None
+    focus_mm: float | None
+
+
 @dataclass(frozen=True)
 class RecordedFocus:
     """A focus instant that was compared, on a bank row."""
@@ -116,11 +175,15 @@ class VerificationRecord(Message, format="wavefocus-verification"):
     """The content of ``verify.json``, and the same as arrays.
 
     scene_file, bank, rig: Names on the command line.
-    passed: No figure is beyond its limit.
+    passed: No figure is beyond its limit, and there is no symptom.
     band_hz: To which both fields were limited; None: not limited.
     figures: Those with a limit first.
     outline_mm: Rim of the surface, closed.
     actuator_mm: None where a place is unknown.
+    symptoms: What is wrong, the largest cause first.
+    actuators, source_figures: Of each actuator against the bank, and along the path of each source; records of before
+        have none.
+    drift: Of the bank's sentinel position; None where it was not measured again.
     """
 
     format_version: int
@@ -141,6 +204,10 @@ class VerificationRecord(Message, format="wavefocus-verification"):
     actuator_mm: tuple[PointMm | None, ...]
     positions: RecordedPositions
     excluded: tuple[ExcludedPosition, ...]
+    symptoms: tuple[Symptom, ...] = ()
+    actuators: tuple[ActuatorFigures, ...] = ()
+    source_figures: tuple[SourceFigures, ...] = ()
+    drift: Drift | None = None
 
     @cached_property
     def position_index(self) -> Int64Array:
@@ -227,6 +294,10 @@ def write_record(
             of_rows(compared.position_correlation),
         ),
         excluded=tuple(ExcludedPosition(row, reason) for row, reason in compared.excluded),
+        symptoms=verification.symptoms,
+        actuators=verification.actuators,
+        source_figures=verification.sources,
+        drift=verification.drift,
     )
     path = out_dir / RECORD_NAME
     write_whole(path, json.dumps(to_record(record), allow_nan=False, indent=1) + "\n")

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from acquisition.limits import DriftLimits
+from rendering.arrays import BoolArray
 from rendering.field import metrics
 from rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusTable, focus_table, median_or_none
 from rendering.report.words import number, precise
 from rendering.verify.comparison import FieldComparison, compare_fields
-from rendering.verify.record import Figure, finite
+from rendering.verify.record import ActuatorFigures, Drift, Figure, SourceFigures, Symptom, finite
+from rendering.verify.sentinel import Sentinel, drift_figures, drift_of
+from rendering.verify.symptoms import Diagnosis, diagnose
 
 if TYPE_CHECKING:
     from rendering.greens.source import GreenSource
@@ -49,6 +54,8 @@ class Verification:
         as white, over all compared samples and within the band, divided by ``||scan||``. None where the noise was not
         measured.
     figures: Those that have a limit, then the others.
+    diagnosis: What is wrong with the rig or the bank, as far as the scan shows it.
+    drift: Of the bank's sentinel position; None where it was not measured again.
     """
 
     fields: FieldComparison
@@ -56,6 +63,24 @@ class Verification:
     spacing_mm: float | None
     noise_error: float | None
     figures: tuple[Figure, ...]
+    diagnosis: Diagnosis
+    drift: Drift | None = None
+
+    @property
+    def symptoms(self) -> tuple[Symptom, ...]:
+        """What is wrong, the largest cause first."""
+        return self.diagnosis.symptoms
+
+    @property
+    def actuators(self) -> tuple[ActuatorFigures, ...]:
+        """Each actuator against the bank; empty where the error is not explained."""
+        return self.diagnosis.actuators
+
+    @property
+    def sources(self) -> tuple[SourceFigures, ...]:
+        """Figures of each source, in the scene's order, up to the last one of which a focus was compared."""
+        sources = np.array([one.source for one in self.fields.instant], np.int64)
+        return tuple(self._source(sources == source) for source in range(int(sources.max(initial=-1)) + 1))
 
     @property
     def checks(self) -> tuple[Figure, ...]:
@@ -65,18 +90,21 @@ class Verification:
     @property
     def misfit(self) -> float | None:
         """Error that the scan's noise does not explain, ``sqrt(error**2 - noise_error**2)``."""
-        if self.noise_error is None:
-            return None
-        return math.sqrt(max(self.fields.error**2 - self.noise_error**2, 0.0))
+        return None if self.noise_error is None else _model_error(self.fields.error, self.noise_error)
 
     @property
     def passed(self) -> bool:
-        """No check failed."""
-        return all(check.passed is not False for check in self.checks)
+        """No check failed, and nothing was found to be wrong."""
+        return all(check.passed is not False for check in self.checks) and not self.symptoms
 
     @property
     def summary(self) -> str:
-        """The verdict in one or two sentences."""
+        """The verdict in some sentences, what is wrong first."""
+        return " ".join([*(symptom.sentence for symptom in self.symptoms), self.outcome])
+
+    @property
+    def outcome(self) -> str:
+        """Error and correlation in one or two sentences."""
         failed = [check.name for check in self.checks if check.passed is False]
         text = (
             f"Scan and prediction differ by {number(100.0 * self.fields.error, '%')} and correlate at "
@@ -113,10 +141,23 @@ class Verification:
             "positions_compared": len(fields.position_index),
             "positions_excluded": len(fields.excluded),
             **{name: finite(value) for name, value in figures.items()},
+            "symptoms": [dataclasses.asdict(symptom) | {"value": finite(symptom.value)} for symptom in self.symptoms],
+            "actuators": [dataclasses.asdict(one) for one in self.actuators],
+            "drift": None if self.drift is None else dataclasses.asdict(self.drift),
+            "sources": [dataclasses.asdict(one) for one in self.sources],
             "checks": [
                 {name: getattr(check, name) for name in keys} | {"value": finite(check.value)} for check in self.checks
             ],
         }
+
+    def _source(self, of_source: BoolArray) -> SourceFigures:
+        near = np.zeros(len(self.fields.position_index), bool)
+        for place_mm in self.focus.intended_mm[of_source]:
+            near |= np.hypot(*(self.fields.position_mm - place_mm).T) <= FOCUS_RADIUS_MM
+        scanned = self.fields.position_scanned[near]
+        wrong = np.nansum((self.fields.position_error[near] * scanned) ** 2)
+        error = math.sqrt(wrong / np.sum(scanned**2)) if scanned.any() else None
+        return SourceFigures(error, median_or_none(self.focus.from_intended_mm[of_source]))
 
 
 def compare(
@@ -125,12 +166,17 @@ def compare(
     drive: Drive,
     bank: GreenSource,
     tolerances: Tolerances | None = None,
+    *,
+    sentinel: Sentinel | None = None,
+    drift_limits: DriftLimits | None = None,
 ) -> Verification:
     """Compare a predicted with a measured field.
 
     Both are fields of one drive, of equal rate, start and length; any positions, in any order. Positions are compared
     where both have them, the scan has a sound record and the bank's row is valid. Both fields are limited to the bank's
     band, when it has one: outside it the Green's functions were not measured.
+
+    sentinel: The bank's sentinel position, measured again at the time of the scan; `drift_limits` judge it.
 
     Raises InputError: the fields do not belong together, or no position can be compared.
     """
@@ -145,9 +191,17 @@ def compare(
         position_mm,
         spacing_mm,
     )
-    noise_error = _noise_error(fields)
-    checks = _checks(fields, focus, spacing_mm, tolerances or Tolerances())
-    return Verification(fields, focus, spacing_mm, noise_error, (*checks, *_unlimited(fields, focus, noise_error)))
+    noise_error, limits = _noise_error(fields), tolerances or Tolerances()
+    model_error = _model_error(fields.error, noise_error)
+    checks = _checks(fields, focus, spacing_mm, limits)
+    diagnosis = diagnose(fields, bank, sentinel, error_limit=limits.normalised_error, model_error=model_error)
+    drift = None if sentinel is None else drift_of(sentinel, bank, drift_limits or DriftLimits())
+    figures = (*checks, *_unlimited(fields, focus, noise_error), *(drift_figures(drift) if drift else ()))
+    return Verification(fields, focus, spacing_mm, noise_error, figures, diagnosis, drift)
+
+
+def _model_error(error: float, noise_error: float | None) -> float:
+    return error if noise_error is None else math.sqrt(max(error**2 - noise_error**2, 0.0))
 
 
 def _noise_error(fields: FieldComparison) -> float | None:
@@ -235,9 +289,13 @@ def _unlimited(fields: FieldComparison, focus: FocusTable, noise_error: float | 
                difference=delay_us, value=delay_us),
         Figure("median correlation", "", "median over positions of the correlation at each",
                value=fields.correlation_median),
-        Figure("error from noise alone", "%",
+        Figure("noise part of the error", "%",
                "share of the vibrometer's noise in the normalised error: the rms of each record before anything plays,"
                " taken as white, over all samples and within the band, over the norm of the scan", value=noise),
+        Figure("model part of the error", "%",
+               "the normalised error without the noise's part, as the root of the difference of squares: errors of the"
+               " bank (its own noise too), of gains and clocks, nonlinearity, and changes since the bank was measured",
+               value=None if noise is None else 100.0 * _model_error(fields.error, noise_error)),
         Figure("error, all frequencies", "%",
                "the normalised error without limiting both fields to the bank's band, noise outside of it included",
                difference=everywhere, value=everywhere),

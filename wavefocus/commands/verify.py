@@ -16,14 +16,16 @@ from types import TracebackType
 import numpy as np
 
 from acquisition.limits import DriftLimits
+from acquisition.setup import Setup
 from acquisition.wording import hours
-from config.messages.campaign import Event
+from config.messages.campaign import Event, Subscriber
 from config.messages.codec import Message, to_line
 from config.messages.rig_checks import VerifyEnded, VerifyStarted, VerifyStep
 from config.rig import RigConfig
 from rendering.field.metrics import grid_spacing_mm
 from rendering.field.prediction import predict as predict_field
 from rendering.report.page import build_report
+from rendering.report.words import percent
 from rendering.scene.model import Scene, load_scene
 from rendering.scene.scene_rows import scene_rows
 from rendering.verify.record import (
@@ -40,6 +42,7 @@ from rendering.verify.record import (
     write_record,
 )
 from rendering.verify.scan import Scan, ScanPlan, scan
+from rendering.verify.sentinel import Sentinel, drift_sentence, measure_sentinel
 from rendering.verify.verdict import Tolerances, Verification, compare
 from storage.bank.reading import Bank, open_bank
 from storage.drive_file import Drive, write_drive
@@ -49,11 +52,11 @@ from storage.output_files import require_output_folder, staged_folder
 from storage.point_status import median_snr_db
 from storage.sidecar_files import create
 from storage.units import quantity
-from wavefocus.campaign.blueprint import bank_configuration
+from wavefocus.campaign.blueprint import bank_configuration, blueprint_of
 from wavefocus.campaign.campaign_view import CampaignView
 from wavefocus.campaign.sidecar_files import EventLines, read_drift
 from wavefocus.commands.render import rendered
-from wavefocus.configuration import Configuration, named_rig
+from wavefocus.configuration import Configuration, named_rig, with_rig
 from wavefocus.console import Report, progress, say
 from wavefocus.ending import ended_by_file, ending_at_once
 from wavefocus.exits import Exit, exit_code, sentence
@@ -72,11 +75,14 @@ def verify(
     out: Path,
     positions: str,
     *,
+    sentinel: bool = True,
     force: bool = False,
     allow_large: bool = False,
     as_json: bool,
 ) -> Exit:
     """Check the focusing of a scene against a new scan; exit code 1 when it is not good enough.
+
+    The bank's sentinel position is measured again first, unless `sentinel` is false; its drift is stated.
 
     A file ``verify.stop`` in the folder ends it as Ctrl-C does: outputs muted, mirror parked, exit code 130.
     """
@@ -92,13 +98,20 @@ def verify(
         out.mkdir(parents=True, exist_ok=True)
         with ending_at_once(), ended_by_file(out / STOP_NAME), VerifyLog(out) as log:
             with staged_folder(out, RECORD_NAME) as staged:
-                work = _Work(scene_file, scene, view, configuration, rig, staged, log)
+                work = _Work(scene_file, scene, view, configuration, rig, staged, log, sentinel)
                 verification = work.run(rows, str(rig_file))
             report_file, record_file = out / REPORT_NAME, out / RECORD_NAME
             code = Exit.DONE if verification.passed else Exit.NOT_GOOD_ENOUGH
             log.done(code, verification.summary)
+    for symptom in verification.symptoms:
+        say(f"{symptom.sentence} {symptom.remedy}")
     for check in verification.checks:
         say(_line(check))
+    if (noise := verification.noise_error) is not None:
+        parts = [f"{percent(one)}" for one in (verification.fields.error, noise, verification.misfit)]
+        say("error {}: noise {}, model {}".format(*parts))
+    if verification.drift is not None:
+        say(drift_sentence(verification.drift))
     say(f"report: {report_file}")
     if as_json:
         print(json.dumps({"report": str(report_file), "record": str(record_file), **verification.as_dict()}))
@@ -114,6 +127,7 @@ class _Work:
     rig: RigConfig
     out: Path
     log: VerifyLog
+    sentinel: bool
 
     def run(self, rows: list[int] | None, rig_name: str) -> Verification:
         """Render, predict, scan, compare and report into `out`; return what was found."""
@@ -130,11 +144,20 @@ class _Work:
         with self._step("predict", bank.positions if rows is None else len(rows)) as report:
             prediction = predict_field(drive, bank, rows, dtype=np.float32, on_progress=report)
         write_field(out / PREDICTION_NAME, prediction)
-        measured, scan_s = self._scanned(drive, prediction)
+        measured, sentinel, scan_s = self._scanned(drive, prediction)
         write_field(out / SCAN_NAME, measured.as_field())
         outline_mm = self.rig.surface.outline.line(OUTLINE_POINTS)
         with self._step("compare and report", 3) as report:
-            verification = compare(prediction, measured, drive, bank, _tolerances(self.configuration, bank))
+            drift_limits = DriftLimits(**self.configuration.run.drift.model_dump())
+            verification = compare(
+                prediction,
+                measured,
+                drive,
+                bank,
+                _tolerances(self.configuration, bank),
+                sentinel=sentinel,
+                drift_limits=drift_limits,
+            )
             report(1, 3)
             build_report(
                 out,
@@ -147,7 +170,7 @@ class _Work:
                 campaign=_facts(self.configuration, bank, scan_s),
                 outline_mm=outline_mm,
                 drift=read_drift(bank.path),
-                drift_limits=DriftLimits(**self.configuration.run.drift.model_dump()),
+                drift_limits=drift_limits,
                 save_pictures=True,
             )
             report(2, 3)
@@ -163,19 +186,38 @@ class _Work:
             report(3, 3)
         return verification
 
-    def _scanned(self, drive: Drive, prediction: Field) -> tuple[Scan, float]:
-        total = len(prediction.field)
-        with open_setup(self.rig, self.configuration.run) as setup, self._step("scan", total) as report:
-            view = CampaignView(report)
-
-            def publish(event: Event) -> None:
-                view(event)
-                self.log(event)
-
+    def _scanned(self, drive: Drive, prediction: Field) -> tuple[Scan, Sentinel | None, float]:
+        with open_setup(self.rig, self.configuration.run) as setup:
+            sentinel = self._sentinel(setup) if self.sentinel else None
             started_s = setup.instruments.clock.now_s()
             plan = ScanPlan(tuple(int(row) for row in prediction.position_index))
-            measured = scan(plan, setup, drive, self.bank, on_progress=report, publish=publish)
-            return measured, setup.instruments.clock.now_s() - started_s
+            with self._step("scan", len(plan.position)) as report:
+                publish = self._publisher(report)
+                measured = scan(plan, setup, drive, self.bank, on_progress=report, publish=publish)
+            return measured, sentinel, setup.instruments.clock.now_s() - started_s
+
+    def _sentinel(self, setup: Setup) -> Sentinel | None:
+        """Measure the bank's sentinel position again, where this rig can play the sweeps of the bank's run."""
+        try:
+            plan = blueprint_of(with_rig(self.configuration, self.rig, "the rig")).plan
+        except InputError as refused:
+            say(f"warning: the sentinel position is not measured: {refused}")
+            return None
+        with self._step("sentinel", 1) as report:
+            sentinel = measure_sentinel(plan, setup, self.bank, self._publisher(report))
+            report(1, 1)
+        if sentinel is None:
+            say("warning: the bank has no sentinel position that gives a usable record; drift is not stated")
+        return sentinel
+
+    def _publisher(self, report: Report) -> Subscriber:
+        view = CampaignView(report)
+
+        def publish(event: Event) -> None:
+            view(event)
+            self.log(event)
+
+        return publish
 
     @contextmanager
     def _step(self, name: str, total: int) -> Iterator[Report]:

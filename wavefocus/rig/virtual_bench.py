@@ -36,7 +36,7 @@ def virtual_settings(rig: RigConfig, virtual: Virtual | None = None) -> VirtualS
         cubic_per_v2=emulation.cubic_per_v2,
         clock_ppm=emulation.clock_ppm,
         actuator_mm=rig.actuators.position_mm,
-        actuator_channels=rig.player.channels,
+        actuator_channels=_wired(rig),
         loopback_channel=rig.player.loopback_channel,
         output_latency_s=latency_s,
         output_gain=gain,
@@ -52,10 +52,23 @@ def virtual_settings(rig: RigConfig, virtual: Virtual | None = None) -> VirtualS
         sensitivity_m_s_per_v=rig.vibrometer.sensitivity_m_s_per_v or defaults.sensitivity_m_s_per_v,
         inter_channel_delay_s=(rig.recorder.inter_channel_delay_s if delay_s is None else delay_s),
         vibrometer_latency_s=rig.vibrometer.latency_s or 0.0,
-        room_c=defaults.room_c if virtual is None or not virtual.room_c else virtual.room_c,
+        room_c=_room_c(emulation, virtual) or defaults.room_c,
         light=defaults.light if virtual is None or not virtual.light else virtual.light,
         fault_plan=() if virtual is None else tuple(Fault(**fault.model_dump()) for fault in virtual.fault_plan),
     )
+
+
+def _wired(rig: RigConfig) -> tuple[int, ...]:
+    """The output that each actuator hangs on."""
+    exchanged = dict(rig.emulation.swapped_outputs)
+    exchanged |= {other: one for one, other in exchanged.items()}
+    return tuple(exchanged.get(channel, channel) for channel in rig.player.channels)
+
+
+def _room_c(emulation: Emulation, virtual: Virtual | None) -> tuple[tuple[float, float], ...]:
+    if virtual is not None and virtual.room_c:
+        return virtual.room_c
+    return () if emulation.room_c is None else ((0.0, emulation.room_c),)
 
 
 def _outputs(rig: RigConfig, emulation: Emulation) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
@@ -66,9 +79,11 @@ def _outputs(rig: RigConfig, emulation: Emulation) -> tuple[tuple[float, ...] | 
     latency_spread_s, gain_spread_db = emulation.output_latency_spread_s, emulation.output_gain_spread_db
     late_s, factor = output_errors(rig.player.outputs, latency_spread_s, gain_spread_db, emulation.seed)
     factor[list(emulation.reversed_outputs)] *= -1
+    factor[: len(emulation.output_gains_db)] *= 10.0 ** (np.array(emulation.output_gains_db) / 20.0)
+    late_s[: len(emulation.output_delays_s)] += emulation.output_delays_s
     gain = factor * rig.player.full_scale_v / np.array(rig.player.output_full_scale_v)
     uneven = bool((gain != 1.0).any())
     return (
-        tuple(late_s.tolist()) if latency_spread_s else None,
+        tuple(late_s.tolist()) if late_s.any() else None,
         tuple(gain.tolist()) if uneven else None,
     )

@@ -1,0 +1,193 @@
+"""A rig or a bank that is not as it was, verified: the symptom is named, and a sound one names none."""
+
+from __future__ import annotations
+
+import shutil
+import tomllib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from config.loading import validated
+from config.rig import RigConfig
+from rendering.field.prediction import predict
+from rendering.scene.model import load_scene
+from rendering.verify.scan import ScanPlan, scan
+from rendering.verify.sentinel import measure_sentinel
+from rendering.verify.verdict import Verification, compare
+from storage.bank.reading import Bank, open_bank
+from wavefocus.__main__ import run
+from wavefocus.campaign.blueprint import bank_configuration, blueprint_of
+from wavefocus.commands.render import rendered
+from wavefocus.configuration import with_rig
+from wavefocus.rig.setup import open_setup
+
+ACTUATOR_MM = [[110.0, 5.0], [10.0, 60.0], [-100.0, 20.0], [-15.0, -62.0]]
+AXIS_MM = [-8.0, -4.0, 0.0, 4.0, 8.0]
+RIG = f'[rig]\nname = "four coils"\n\n[actuators]\nposition_mm = {ACTUATOR_MM}\n'
+RUN = """
+rig = "rig.toml"
+
+[grid]
+positions_file = "positions.csv"
+
+[sweep]
+duration_s = 0.3
+
+[capture]
+averages = 2
+decay_s = 0.1
+taps = 1000
+
+[quality]
+second_look = "never"
+
+[virtual]
+seed = 3
+noise_v = 1e-4
+speed_per_k = 0.02
+"""
+SCENE = """
+[scene]
+name = "stroke"
+
+[[source]]
+speed_mm_s = 100.0
+step_mm = 4.0
+path = { kind = "line", start_mm = [-4, 0], end_mm = [4, 0] }
+signal = { kind = "noise", band_hz = [50, 450], duration_s = 0.03, seed = 1 }
+emission = "per_point"
+
+[output]
+limit_v = 1.0
+"""
+
+
+@pytest.fixture(scope="module")
+def measured_lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a bank of 25 positions and 4 actuators, measured on a sound rig."""
+    lab = tmp_path_factory.mktemp("sound")
+    for name, text in (("rig.toml", RIG), ("run.toml", RUN), ("scene.toml", SCENE)):
+        (lab / name).write_text(text, encoding="utf-8")
+    places = "".join(f"{x},{y}\n" for y in AXIS_MM for x in AXIS_MM)
+    (lab / "positions.csv").write_text("x_mm,y_mm\n" + places, encoding="utf-8")
+    assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / "plate.h5")]) == 0
+    return lab
+
+
+def verified(bank: Bank, emulation: str, rows: list[int] | None = None, *, again: bool = True) -> Verification:
+    """A scan of the lab's scene, on its rig with such an emulation, against the prediction from a bank."""
+    configuration = bank_configuration(bank)
+    rig = validated(RigConfig, tomllib.loads(f"{RIG}\n[emulation]\n{emulation}\n"), "rig.toml")
+    scene_file = bank.path.parent / "scene.toml"
+    drive, _ = rendered(scene_file, load_scene(scene_file), bank)
+    prediction = predict(drive, bank, rows, dtype=np.float32)
+    plan = blueprint_of(with_rig(configuration, rig, "rig.toml")).plan
+    with open_setup(rig, configuration.run) as setup:
+        sentinel = measure_sentinel(plan, setup, bank) if again else None
+        measured = scan(ScanPlan(tuple(prediction.position_index.tolist())), setup, drive, bank)
+    return compare(prediction, measured, drive, bank, sentinel=sentinel)
+
+
+@pytest.fixture(scope="module")
+def sound(measured_lab: Path) -> Iterator[Bank]:
+    """The bank, open."""
+    with open_bank(measured_lab / "plate.h5") as bank:
+        yield bank
+
+
+@contextmanager
+def other_bank(sound: Bank, folder: Path, change: Callable[[dict[str, np.ndarray]], object]) -> Iterator[Bank]:
+    """A copy of the bank as another program would write it, its contents changed."""
+    with h5py.File(sound.path, "r") as file:
+        held = {key: file[key][:] for key in ("green", "position_mm", "actuator_mm", "status")}
+        attributes = {key: file.attrs[key] for key in ("sample_rate_hz", "rig", "run", "band_hz")}
+    change(held)
+    with h5py.File(folder / "other.h5", "w") as file:
+        for key, values in held.items():
+            file[key] = values
+        file.attrs.update(attributes)
+    shutil.copy2(sound.path.with_name("scene.toml"), folder)
+    with open_bank(folder / "other.h5") as bank:
+        yield bank
+
+
+@pytest.mark.parametrize(
+    ("emulation", "code", "actuators", "value"),
+    [
+        ("reversed_actuators = [2]", "polarity", (2,), 0.0),
+        ("dead_actuators = [1]", "silent", (1,), None),
+        ("swapped_outputs = [[0, 3]]", "swapped", (0, 3), None),
+        ("output_gains_db = [0, 1]", "level", (1,), 1.0),
+        ("output_gains_db = [-1, -1, -1, -1]", "level", (), -1.0),
+        ("output_delays_s = [0, 0, 0, 2e-4]", "delay", (3,), 0.2),
+        ("output_delays_s = [2e-4, 2e-4, 2e-4, 2e-4]", "delay", (), 0.2),
+        ("room_c = 22", "speed", (), 2.0),
+        ("mirror_map = [[1e-3, 0, 4e-3], [0, 1e-3, 0], [0, 0, 1]]", "shifted", (), 4.0),
+    ],
+    ids=["polarity", "silent", "swapped", "louder", "all quieter", "later", "all later", "faster", "mirror"],
+)
+def test_given_a_changed_rig_then_its_symptom_is_named(
+    sound: Bank, emulation: str, code: str, actuators: tuple[int, ...], value: float | None
+) -> None:
+    found = verified(sound, emulation)
+    (symptom,) = found.symptoms
+    assert (symptom.code, symptom.actuators) == (code, actuators)
+    assert value is None or symptom.value == pytest.approx(value, rel=0.1, abs=0.05)
+    assert not found.passed
+    assert found.summary.startswith(symptom.sentence)
+
+
+def test_given_some_positions_then_the_symptom_is_named_from_them(sound: Bank) -> None:
+    (symptom,) = verified(sound, "output_gains_db = [1]", [0, 6, 12, 18, 24]).symptoms
+    assert (symptom.code, symptom.actuators) == ("level", (0,))
+
+
+def test_given_a_grid_row_at_other_places_than_when_measured_then_the_row_is_named(sound: Bank, tmp_path: Path) -> None:
+    def move(held: dict[str, np.ndarray]) -> None:
+        held["position_mm"][5:10, 0] += 4.0
+
+    with other_bank(sound, tmp_path, move) as moved:
+        (symptom,) = verified(moved, "").symptoms
+    assert (symptom.code, symptom.positions, symptom.shift_mm) == ("shifted", (5, 6, 7, 8, 9), (4.0, 0.0))
+
+
+@pytest.mark.parametrize("other", ["levels", "plate"])
+def test_given_the_bank_of_another_rig_or_plate_then_the_bank_is_called_wrong(
+    sound: Bank, tmp_path: Path, other: str
+) -> None:
+    def change(held: dict[str, np.ndarray]) -> None:
+        if other == "levels":
+            held["green"] *= np.array([1.3, 0.75, 1.4, 0.8], np.float32)[:, None]
+        else:
+            held["green"] = np.roll(held["green"][:, :, ::-1], 300, axis=2)
+
+    with other_bank(sound, tmp_path, change) as wrong:
+        assert [symptom.code for symptom in verified(wrong, "").symptoms] == ["wrong_bank"]
+
+
+@pytest.mark.parametrize(("rows", "again"), [(None, True), ([0, 4, 12, 13, 20], True), ([6, 7, 11, 12], False)])
+def test_given_a_sound_rig_then_no_symptom_is_named_and_the_sentinel_is_steady(
+    sound: Bank, rows: list[int] | None, again: bool
+) -> None:
+    found = verified(sound, "", rows, again=again)
+    assert found.passed
+    assert found.symptoms == ()
+    if again:
+        assert found.drift is not None
+        assert (found.drift.verdict, found.drift.speed_percent) == ("steady", None)
+        assert all(abs(one.level_db) < 0.05 and abs(one.delay_us) < 5.0 for one in found.actuators)
+    else:
+        assert found.drift is None
+
+
+def test_given_a_rig_that_drifted_then_the_sentinel_says_in_what(sound: Bank) -> None:
+    louder = verified(sound, "output_gains_db = [1, 1, 1, 1]", [12]).drift
+    assert (louder.verdict, louder.speed_percent) == ("warn", None)
+    assert louder.level_db == pytest.approx(1.0, abs=0.05)
+    faster = verified(sound, "room_c = 22", [12]).drift
+    assert faster.speed_percent == pytest.approx(2.0, abs=0.2)
