@@ -49,6 +49,7 @@ class Crate:
     parts: Its exports and pictures.
     devices: Who the instruments are, by role.
     software: Program that measured the bank.
+    origin: Report of the import of a bank that was measured elsewhere; else empty.
     """
 
     title: str
@@ -59,6 +60,7 @@ class Crate:
     devices: Mapping[str, DeviceIdentity]
     sessions: Sequence[SessionRecord]
     software: str
+    origin: str = ""
     published: date = field(default_factory=lambda: datetime.now(UTC).date())
 
     def write(self, folder: Path) -> None:
@@ -106,6 +108,8 @@ class Crate:
         for part in self.parts:
             if part.name.endswith(".png"):
                 yield f"![{part.holds}]({part.name})\n\n*{part.holds[0].upper()}{part.holds[1:]}.*"
+        if self.origin:
+            yield f"## Origin\n\n{self.origin}"
         if self.devices:
             yield "## Instruments"
             yield "\n".join(f"- {role}: {str(identity) or 'not stated'}" for role, identity in self.devices.items())
@@ -132,8 +136,14 @@ class Crate:
             "keywords": ", ".join(about.keywords), "citation": list(about.references),
             "isPartOf": _reference(_slug("collection", about.database)), "variableMeasured": _references(facts),
             "hasPart": _references(quote(name) for name in parts),
-            "mentions": _references(f"#session-{number}" for number in range(1, len(self.sessions) + 1)),
+            "mentions": _references([*(f"#session-{number}" for number in range(1, len(self.sessions) + 1)),
+                                     *(["#import"] if self.origin else [])]),
         })  # fmt: skip
+        if self.origin:
+            yield {
+                "@id": "#import", "@type": "CreateAction", "name": "Import of a measurement made elsewhere",
+                "description": self.origin, "instrument": {"@id": "#software"},
+            }  # fmt: skip
         if licence:
             yield {"@id": licence, "@type": "CreativeWork", "name": about.licence}
         for person in about.people:

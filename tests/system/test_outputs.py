@@ -68,6 +68,8 @@ COMMANDS = {
     "uff": ["export", "bank.h5", "--to", "uff"],
     "mat": ["export", "bank.h5", "--to", "mat"],
     "npz": ["export", "bank.h5", "--to", "npz"],
+    "netcdf": ["export", "bank.h5", "--to", "netcdf"],
+    "csv": ["export", "bank.h5", "--to", "csv"],
     "plot": ["status", "bank.h5", "--plot"],
 }
 WRITERS = [name for name in COMMANDS if name != "plot"]

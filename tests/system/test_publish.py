@@ -154,6 +154,16 @@ def test_given_a_bank_of_another_program_then_it_is_published_without_history(
     assert (tmp_path / "crate" / "positions.png").is_file()  # no quality is known: the status is drawn
 
 
+def test_given_an_imported_bank_then_its_origin_is_published(bank: Path, tmp_path: Path) -> None:
+    assert run(["export", str(bank), str(tmp_path / "plate.npz"), "--to", "npz"]) == 0
+    assert run(["import", str(tmp_path / "plate.npz"), "--bank", str(tmp_path / "imported.h5")]) == 0
+    assert publish(tmp_path / "imported.h5", tmp_path / "crate") == 0
+    found = ROCrate(tmp_path / "crate")
+    assert "plate.npz" in found.dereference("#import")["description"]
+    assert found.dereference("#device-mirror") is None
+    assert found.dereference("#import")["description"] in (tmp_path / "crate" / "README.md").read_text("utf-8")
+
+
 def test_given_an_earlier_publication_then_force_replaces_it_whole(
     bank: Path, crate: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -152,6 +152,7 @@ def _crate(
         devices=devices,
         sessions=sessions,
         software=view.software or "program of the bank, not stated",
+        origin=str(view.import_facts.get("paragraph", "")),
     )
 
 
