@@ -112,7 +112,7 @@ def _in_band(fir: np.ndarray, period: int, band: np.ndarray) -> np.ndarray:
 
 
 def draw_power_cuts(folder: Path, count: int = 12) -> None:
-    """Write power-cuts.png into a folder: what a reader finds after a cut at any call, with both syncs and without one."""
+    """Write power-cuts.png into a folder: what is found after a cut at any call, with both syncs and without one."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11, 4), layout="constrained")

@@ -123,7 +123,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def make_small(folder: Path) -> None:
     """Put a small plate and run in place of those of `wavefocus init`."""
     (folder / "rig.toml").write_text(RIG, "utf-8")
-    (folder / "run.toml").write_text(RUN, "utf-8")
+    (folder / "run.toml").write_text(RUN.replace("[capture]", "[capture]\nkeep_raw = true"), "utf-8")
     places = "".join(f"{x_mm},{y_mm}\n" for y_mm in (-4, 0, 4) for x_mm in range(-58, 63, 4))
     (folder / "positions.csv").write_text("x_mm,y_mm\n" + places, "utf-8")
 
