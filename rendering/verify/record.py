@@ -39,6 +39,8 @@ RECORD_NAME = "verify.json"
 VERSION = 1
 LOG_NAME = "verify.events.jsonl"
 """Progress, while it works."""
+JOURNAL_NAME = "scan.unfinished"
+"""The positions scanned so far, until the verification is done."""
 STOP_NAME = "verify.stop"
 """A file of this name ends the verification: outputs muted, mirror parked."""
 

@@ -26,6 +26,7 @@ from rendering.greens.source import usable
 from rendering.verify.scan_signals import Aligned, Alignment, quiet_above_hz, scan_signals
 from storage.errors import InputError
 from storage.point_status import Status
+from storage.scan_journal import ScanJournal, ScannedPosition
 
 if TYPE_CHECKING:
     from rendering.greens.source import GreenSource
@@ -114,6 +115,7 @@ def scan(
     *,
     on_progress: Callable[[int, int], None] | None = None,
     publish: Subscriber = lambda event: None,
+    journal: ScanJournal | None = None,
 ) -> Scan:
     """Play a drive on the rig and record its field at the planned positions.
 
@@ -124,6 +126,7 @@ def scan(
 
     on_progress: Called with the positions done and the positions planned.
     publish: Receives the events of faults and of waiting for a lost instrument.
+    journal: Keeps each position once it has a record, whatever happens then; those that it holds are not scanned again.
 
     Raises InputError: a position that the bank does not have, a drive that the rig cannot play. InstrumentError,
     ReferenceMissingError: an instrument failed, or was gone, for good, or five positions in a row had to be given up.
@@ -132,7 +135,7 @@ def scan(
     """
     session = Session(setup.instruments.clock, publish, StopRequest())
     session.enter(State.RUNNING, f"{len(plan.position)} positions to scan")
-    return _ScanRun(plan, setup, drive, bank, Recovery(setup, session), on_progress).run()
+    return _ScanRun(plan, setup, drive, bank, Recovery(setup, session), on_progress, journal).run()
 
 
 class _ScanRun:
@@ -146,7 +149,9 @@ class _ScanRun:
         bank: GreenSource,
         recovery: Recovery,
         on_progress: Callable[[int, int], None] | None,
+        journal: ScanJournal | None,
     ) -> None:
+        self._journal = journal
         self._plan, self._setup, self._bank, self._on_progress = plan, setup, bank, on_progress
         self._recovery = recovery
         rows = _planned_rows(plan, len(bank.position_mm))
@@ -167,10 +172,15 @@ class _ScanRun:
             clock_ratio=np.full(rows.size, np.nan),
             playback_gain=np.full(rows.size, np.nan),
         )
-        self._visits = deque(_Visit(row) for row in plan.position)
         self._faults: dict[int, str] = {}
         self._given_up_in_a_row = 0
         self._done = 0
+        kept: set[int] = set()
+        for scanned in journal.entries() if journal is not None else ():
+            if scanned.row in self._place:
+                self._take(scanned)
+                kept.add(scanned.row)
+        self._visits = deque(_Visit(row) for row in plan.position if row not in kept)
 
     def run(self) -> Scan:
         with (
@@ -220,12 +230,14 @@ class _ScanRun:
                 self._visits.appendleft(replace(visit, attempt=visit.attempt + 1))
                 return
             status = Status.POOR_SIGNAL
-        index = self._place[visit.row]
-        self._scan.field[index] = aligned.response
-        self._scan.noise_rms[index], self._scan.clock_ratio[index] = aligned.noise_rms, aligned.clock_ratio
-        self._scan.playback_gain[index] = aligned.playback_gain
         self._given_up_in_a_row = 0
-        self._finish(visit, status)
+        scanned = ScannedPosition(
+            visit.row, int(status), visit.attempt, aligned.noise_rms, aligned.clock_ratio, aligned.playback_gain,
+            aligned.response,
+        )  # fmt: skip
+        if self._journal is not None:
+            self._journal.append(scanned)
+        self._take(scanned)
 
     def _try_again(self, visit: _Visit, failure: Exception) -> None:
         if visit.attempt < self._plan.attempts:
@@ -235,11 +247,17 @@ class _ScanRun:
         if self._given_up_in_a_row >= GIVE_UP_POSITIONS:
             raise failure
         self._faults[visit.row] = str(failure)
-        self._finish(visit, Status.FAILED)
+        self._scan.attempts[self._place[visit.row]] = visit.attempt
+        self._count()
 
-    def _finish(self, visit: _Visit, status: Status) -> None:
-        index = self._place[visit.row]
-        self._scan.status[index], self._scan.attempts[index] = status, visit.attempt
+    def _take(self, scanned: ScannedPosition) -> None:
+        index = self._place[scanned.row]
+        self._scan.field[index] = scanned.response
+        for name in ("status", "attempts", "noise_rms", "clock_ratio", "playback_gain"):
+            getattr(self._scan, name)[index] = getattr(scanned, name)
+        self._count()
+
+    def _count(self) -> None:
         self._done += 1
         if self._on_progress is not None:
             self._on_progress(self._done, len(self._place))

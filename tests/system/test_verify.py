@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import shutil
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import h5py
@@ -10,6 +14,7 @@ import numpy as np
 import pytest
 import soundfile
 
+from storage.scan_journal import ScanJournal, ScannedPosition
 from tests.system.conftest import with_faults
 from wavefocus.__main__ import run
 
@@ -106,3 +111,39 @@ def test_given_wav_then_one_float_channel_per_actuator_at_the_interfaces_rate(la
     np.testing.assert_allclose(
         5.0 * played[: 24 * common : 24].T, drive_v[:, : 5 * common : 5], atol=2e-3 * np.abs(drive_v).max()
     )
+
+
+def test_given_a_verification_killed_in_its_scan_then_the_same_command_goes_on_to_the_same_scan(
+    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _verify(lab, bank) == 0
+    undisturbed = (lab / "verify" / "scan.h5").read_bytes()
+    shutil.rmtree(lab / "verify")
+    scene, rig, out = lab / "scene.toml", lab / "rig.toml", lab / "verify"
+    command = ["verify", str(scene), "--bank", str(bank), "--rig", str(rig), "--out", str(out)]
+    journal = out / "scan.unfinished"
+    with subprocess.Popen([sys.executable, "-m", "wavefocus", *command], stderr=subprocess.DEVNULL) as killed:
+        while killed.poll() is None and not (journal.exists() and journal.stat().st_size > 2 * 4096):
+            time.sleep(0.01)
+        killed.kill()
+    torn = journal.read_bytes()
+    journal.write_bytes(torn + torn[4096:5000])  # as a power cut may leave its end
+    assert not (out / "verify.json").exists()
+    capsys.readouterr()
+    assert run(command) == 0
+    assert "are scanned already" in capsys.readouterr().err
+    assert (out / "scan.h5").read_bytes() == undisturbed
+    assert not journal.exists()
+
+
+def test_given_what_an_interrupted_scan_of_another_scene_left_then_only_force_drops_it(
+    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (lab / "verify").mkdir()
+    with ScanJournal(lab / "verify" / "scan.unfinished", "another", 5) as journal:
+        response = np.zeros(5, np.float32)
+        journal.append(ScannedPosition(0, 1, 1, 0.0, 1.0, 1.0, response))
+    assert _verify(lab, bank) == 2
+    assert "--force" in capsys.readouterr().err
+    (lab / "verify" / "scan.unfinished").write_bytes(b"somebody's")
+    assert _verify(lab, bank, "--force") == 0

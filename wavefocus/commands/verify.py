@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import socket
@@ -31,6 +32,7 @@ from rendering.scene.scene_rows import scene_rows
 from rendering.verify.record import (
     DRIVE_NAME,
     FIELD_NAMES,
+    JOURNAL_NAME,
     LOG_NAME,
     PICTURE_NAMES,
     PREDICTION_NAME,
@@ -50,13 +52,14 @@ from storage.errors import InputError
 from storage.field_file import Field, write_field
 from storage.output_files import require_output_folder, staged_folder
 from storage.point_status import median_snr_db
+from storage.scan_journal import ScanJournal
 from storage.sidecar_files import create
 from storage.units import quantity
 from wavefocus.campaign.blueprint import bank_configuration, blueprint_of
 from wavefocus.campaign.campaign_view import CampaignView
 from wavefocus.campaign.sidecar_files import EventLines, read_drift
 from wavefocus.commands.render import rendered
-from wavefocus.configuration import Configuration, named_rig, with_rig
+from wavefocus.configuration import Configuration, named_rig, plan_sha256, with_rig
 from wavefocus.console import Report, progress, say
 from wavefocus.ending import ended_by_file, ending_at_once
 from wavefocus.exits import Exit, exit_code, sentence
@@ -84,11 +87,14 @@ def verify(
 
     The bank's sentinel position is measured again first, unless `sentinel` is false; its drift is stated.
 
+    A scan that was interrupted goes on where it was.
+
     A file ``verify.stop`` in the folder ends it as Ctrl-C does: outputs muted, mirror parked, exit code 130.
     """
     results = (RECORD_NAME, REPORT_NAME, *FIELD_NAMES, *PICTURE_NAMES)
     inputs = input_files(scene_file, bank, rig_file)
-    require_output_folder(out, results, inputs, force=force, may_exist=(LOG_NAME, STOP_NAME))
+    journal = out / JOURNAL_NAME
+    require_output_folder(out, results, inputs, force=force, may_exist=(LOG_NAME, STOP_NAME, JOURNAL_NAME))
     scene = load_scene(scene_file, allow_large=allow_large)
     with open_bank(bank) as view:
         view.require_sound()
@@ -98,8 +104,9 @@ def verify(
         out.mkdir(parents=True, exist_ok=True)
         with ending_at_once(), ended_by_file(out / STOP_NAME), VerifyLog(out) as log:
             with staged_folder(out, RECORD_NAME) as staged:
-                work = _Work(scene_file, scene, view, configuration, rig, staged, log, sentinel)
+                work = _Work(scene_file, scene, view, configuration, rig, staged, log, sentinel, journal, force)
                 verification = work.run(rows, str(rig_file))
+            journal.unlink(missing_ok=True)
             report_file, record_file = out / REPORT_NAME, out / RECORD_NAME
             code = Exit.DONE if verification.passed else Exit.NOT_GOOD_ENOUGH
             log.done(code, verification.summary)
@@ -128,6 +135,8 @@ class _Work:
     out: Path
     log: VerifyLog
     sentinel: bool
+    journal: Path
+    force: bool
 
     def run(self, rows: list[int] | None, rig_name: str) -> Verification:
         """Render, predict, scan, compare and report into `out`; return what was found."""
@@ -191,10 +200,27 @@ class _Work:
             sentinel = self._sentinel(setup) if self.sentinel else None
             started_s = setup.instruments.clock.now_s()
             plan = ScanPlan(tuple(int(row) for row in prediction.position_index))
-            with self._step("scan", len(plan.position)) as report:
+            with self._journal(drive) as journal, self._step("scan", len(plan.position)) as report:
                 publish = self._publisher(report)
-                measured = scan(plan, setup, drive, self.bank, on_progress=report, publish=publish)
+                measured = scan(plan, setup, drive, self.bank, on_progress=report, publish=publish, journal=journal)
             return measured, sentinel, setup.instruments.clock.now_s() - started_s
+
+    @contextmanager
+    def _journal(self, drive: Drive) -> Iterator[ScanJournal]:
+        """The positions that were scanned before an interruption of this same scan, and are from now on."""
+        path, bank = self.journal, self.bank
+        what = plan_sha256(self.rig, self.configuration.run, self.configuration.position_mm)
+        identity = hashlib.sha256(what.encode() + np.ascontiguousarray(drive.drive_v, "<f8").tobytes()).hexdigest()
+        samples = drive.drive_v.shape[1] + bank.taps - 1
+        with ScanJournal(path, identity, samples, replace=self.force) as journal:
+            if len(journal):
+                say(f"{len(journal)} positions are scanned already: the scan goes on; {path} keeps them")
+            try:
+                yield journal
+            except BaseException:
+                if len(journal):
+                    say(f"{path} keeps the {len(journal)} positions scanned so far; the same command goes on with them")
+                raise
 
     def _sentinel(self, setup: Setup) -> Sentinel | None:
         """Measure the bank's sentinel position again, where this rig can play the sweeps of the bank's run."""
