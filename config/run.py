@@ -282,7 +282,9 @@ class Publication(Table):
     """What is said of the measurements where they are published; no part of the plan."""
 
     title: Line | None = Field(default=None, description="Title of the data set")
-    description: Text | None = Field(default=None, description="What was measured, and what for; one paragraph or more")
+    description: Annotated[Text, like(r"[^\x00-\x08\x0b-\x1f\x7f-\x9f]+", "must be plain text")] | None = Field(
+        default=None, description="What was measured, and what for; one paragraph or more"
+    )
     licence: Line | None = Field(
         default=None, description='Licence as an SPDX identifier ("CC-BY-4.0", "CC0-1.0"), an address or a sentence'
     )

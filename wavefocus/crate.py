@@ -30,6 +30,11 @@ _MEDIA_TYPES = {
     ".sofa": "application/x-netcdf",
     ".wav": "audio/wav",
 }
+_ACTION_STATUS = {
+    "finished": "http://schema.org/CompletedActionStatus",
+    "stopped": "http://schema.org/CompletedActionStatus",
+    "failed": "http://schema.org/FailedActionStatus",
+}
 Entity = dict[str, Any]
 
 
@@ -168,11 +173,10 @@ class Crate:
         yield {"@id": "#software", "@type": "SoftwareApplication", "name": self.software}
         instruments = _references(["#software", *(f"#device-{role}" for role in self.devices)])
         for number, session in enumerate(self.sessions, 1):
-            finished = session.outcome in ("finished", "stopped")
             yield _known({
                 "@id": f"#session-{number}", "@type": "CreateAction", "name": f"Measurement, session {number}",
                 "startTime": session.started.isoformat(), "endTime": session.ended.isoformat(),
-                "actionStatus": f"http://schema.org/{'Completed' if finished else 'Failed'}ActionStatus",
+                "actionStatus": _ACTION_STATUS.get(session.outcome),
                 "description": session.summary, "instrument": instruments, "agent": _references(people.values()),
                 "result": _references(quote(name) for name in data),
             })  # fmt: skip

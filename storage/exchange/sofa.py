@@ -73,8 +73,7 @@ def _attributes(rows: BankRows) -> dict[str, str]:
         "ApplicationName": "wavefocus",
         "ApplicationVersion": version("wavefocus"),
         "Comment": f"Data.IR is in {bank.response_unit}, tap 0 at the drive sample; band {band}; coordinates on the"
-        " surface, origin at its centre, x right, y up, seen from the laser"
-        + "".join(f". {about[key]}" for key in ("description",) if key in about),
+        " surface, origin at its centre, x right, y up, seen from the laser",
     }
     optional = {"RoomDescription": "room", "DatabaseName": "database", "References": "references"}
     return attributes | {name: about[key] for name, key in optional.items() if key in about}

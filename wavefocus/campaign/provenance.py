@@ -29,7 +29,7 @@ class SessionRecord:
     started: datetime
     ended: datetime
     devices: dict[str, DeviceIdentity]
-    outcome: str = "interrupted"
+    outcome: str = "no end is logged"
     done: int = 0
     total: int = 0
     counts: Counter[str] = field(default_factory=Counter)
@@ -53,8 +53,8 @@ class SessionRecord:
     @property
     def summary(self) -> str:
         """One line for people."""
-        of = f"{self.done} of {self.total} positions in the bank" if self.total else "no position in the bank counted"
-        return "; ".join([self.outcome, of, *(f"{count} {what}" for what, count in self.counts.items() if count)])
+        bank = [f"{self.done} of {self.total} positions in the bank"] if self.total else []
+        return "; ".join([self.outcome, *bank, *(f"{what}: {count}" for what, count in self.counts.items() if count)])
 
 
 def sessions_of(bank: Path) -> list[SessionRecord]:

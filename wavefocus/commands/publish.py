@@ -178,6 +178,8 @@ def _bank_facts(view: Bank, measured: int) -> Iterator[Fact]:
 
 def _run_facts(configuration: Configuration) -> Iterator[Fact]:
     run, rig = configuration.run, configuration.rig
+    if rig.is_virtual:
+        yield "measured on", "the virtual rig: a simulation", ""
     yield "surface", rig.surface.kind, ""
     yield "duration of a sweep", run.sweep.duration_s, "s"
     yield "amplitude of the sweep", run.sweep.amplitude_v, "V"
