@@ -44,6 +44,16 @@ class BankRows:
     binary: bool = False
 
     @property
+    def title(self) -> str:
+        """Title of the publication, or one from the bank's name."""
+        return self.publication.get("title", f"Green's functions of {self.bank_name}")
+
+    @property
+    def bank_name(self) -> str:
+        """Name of the bank's file, as a text that every format holds."""
+        return printable(self.bank.path.name)
+
+    @property
     def position_mm(self) -> Float64Array:
         """Their positions, (rows, 2)."""
         return np.asarray(self.bank.position_mm[self.row])
@@ -74,6 +84,11 @@ class BankRows:
         for place, (_, values) in enumerate(self.each(on_progress)):
             green[place] = values
         return green
+
+
+def printable(text: str) -> str:
+    """A text in one line of characters that every format holds; others become question marks."""
+    return "".join(one if one.isprintable() else "?" for one in text)
 
 
 def choose_rows(bank: Bank, positions: Sequence[int] | None, *, missing_as_nan: bool, **options: Any) -> BankRows:

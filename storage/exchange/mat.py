@@ -45,4 +45,4 @@ def _about(rows: BankRows) -> dict[str, Any]:
     units |= {"sample_rate_hz": "Hz", "band_hz": "Hz"} | {
         f"quality_{name}": QUALITY_UNITS[name] for name in bank.quality
     }
-    return {"readme": README, "units": units, "publication": dict(rows.publication), "source": bank.path.name}
+    return {"readme": README, "units": units, "publication": dict(rows.publication), "source": rows.bank_name}

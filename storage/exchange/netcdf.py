@@ -71,10 +71,10 @@ def write(path: Path, rows: BankRows, on_progress: OnProgress | None = None) -> 
 
 def _attributes(rows: BankRows) -> dict[str, object]:
     bank, about = rows.bank, rows.publication
-    made = f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} wavefocus {version('wavefocus')}: export of {bank.path.name}"
+    made = f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} wavefocus {version('wavefocus')}: export of {rows.bank_name}"
     attributes: dict[str, object] = {
         "Conventions": "CF-1.11",
-        "title": about.get("title", f"Green's functions of {bank.path.name}"),
+        "title": rows.title,
         "source": bank.software or "measured with another program",
         "history": made,
         "sample_rate_hz": np.float64(bank.sample_rate_hz),

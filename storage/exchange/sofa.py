@@ -62,7 +62,7 @@ def _attributes(rows: BankRows) -> dict[str, str]:
         "SOFAConventionsVersion": "2.0",
         "DataType": "FIR-E",
         "RoomType": "reverberant" if "room" in about else "free field",
-        "Title": about.get("title", f"Green's functions of {bank.path.name}"),
+        "Title": rows.title,
         "License": about.get("licence", "not stated"),
         "AuthorContact": about.get("people", "not stated"),
         "Organization": about.get("organisation", "not stated"),

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from storage.errors import InputError
-from storage.exchange.bank_rows import BankRows, Float64Array, OnProgress
+from storage.exchange.bank_rows import BankRows, Float64Array, OnProgress, printable
 from storage.output_files import replacement
 
 TIME_RESPONSE, NORMAL, TIME, VELOCITY = 1, 3, 17, 11
@@ -76,9 +76,9 @@ def _header(rows: BankRows, row: int, actuator: int, status: int) -> str:
     nothing = f"{0:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20} {'NONE':<20}"
     ordinate = VELOCITY if bank.response_unit == "m/s/V" else 0
     lines = (
-        f"{_END}{58:6d}{binary}",
+        f"{58:6d}{binary}",
         f"Green's function, FIR from drive to response in {bank.response_unit}"[:80],
-        f"{bank.path.name}, row {row}, actuator {actuator}, status {status}"[:80],
+        f"{rows.bank_name}, row {row}, actuator {actuator}, status {status}"[:80],
         f"x = {x_mm:.6g} mm, y = {y_mm:.6g} mm, {bank.sample_rate_hz:.12g} samples a second",
         rows.publication.get("title", "NONE")[:80],
         rows.publication.get("licence", "NONE")[:80],
@@ -91,7 +91,7 @@ def _header(rows: BankRows, row: int, actuator: int, status: int) -> str:
         f"{0:10d}{0:5d}{0:5d}{0:5d} {'Drive':<20} {bank.drive_unit[:20]:<20}",
         nothing,
     )
-    return "".join(f"{line}\n" for line in lines)
+    return _END + "".join(f"{printable(line)}\n" for line in lines)
 
 
 @cache

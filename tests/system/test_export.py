@@ -17,6 +17,7 @@ import soundfile
 import xarray
 
 from storage.bank.reading import open_bank
+from storage.exchange import EXPORTS
 from wavefocus.__main__ import run
 
 RATE_HZ, TAPS, ACTUATORS, POSITIONS = 2000.0, 60, 3, 6
@@ -172,6 +173,18 @@ def test_given_a_bank_then_a_table_lists_its_positions(
     assert [[float(line["x_mm"]), float(line["y_mm"])] for line in lines] == PLACES_MM.tolist()
     assert [line["status"] for line in lines] == ["valid", "valid", "not-measured", "failed", "poor", "valid"]
     assert {line["snr_db"] for line in lines} == {""}
+
+
+@pytest.mark.parametrize("kind", EXPORTS)
+def test_given_a_bank_of_any_name_then_every_format_holds_it(
+    bank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str
+) -> None:
+    odd = bank.rename(tmp_path / "a\nb \u00e4.h5")
+    assert export(capsys, odd, tmp_path / "out", "--to", kind)["positions"] == len(KEPT)
+    if kind == "uff":
+        sets = pyuff.UFF(str(tmp_path / "out")).read_sets()
+        assert len(sets) == 2 + len(KEPT) * ACTUATORS
+        assert sets[2]["id2"].startswith("a?b \u00e4.h5, row 0")
 
 
 @pytest.mark.parametrize("kind", ["sofa", "wav"])

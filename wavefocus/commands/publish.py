@@ -94,7 +94,7 @@ def _require_folder(out: Path, inputs: tuple[Path | None, ...], *, force: bool) 
 
 
 def _exports(view: Bank, folder: Path, formats: list[str], about: Publication) -> Iterator[Part]:
-    stem = re.sub(r"[^\w.-]+", "-", view.path.stem)
+    stem = _stem(view)
     rows = choose_rows(view, None, missing_as_nan=False, publication=about.texts)
     for one in formats:
         form = EXPORTS[one]
@@ -102,6 +102,11 @@ def _exports(view: Bank, folder: Path, formats: list[str], about: Publication) -
         with progress(f"export to {one}", len(rows.row)) as report:
             import_module(form.module).write(folder / name, rows, report)
         yield Part(name, _HOLDS.get(one, f"the Green's functions as {form.title}"))
+
+
+def _stem(view: Bank) -> str:
+    """Name of the bank without its ending, as every system and repository takes it."""
+    return re.sub(r"[^\w.-]+", "-", view.path.stem).strip("-.") or "bank"
 
 
 def _pictures(view: Bank, folder: Path, configuration: Configuration | None) -> Iterator[Part]:
@@ -144,7 +149,7 @@ def _crate(
     )
     devices: dict[str, DeviceIdentity] = devices_of(configuration.rig, sessions) if configuration else {}
     return Crate(
-        title=about.title or f"Green's functions of {view.path.stem}",
+        title=about.title or f"Green's functions of {_stem(view)}",
         description=description,
         publication=about,
         facts=[*_bank_facts(view, measured), *(_run_facts(configuration) if configuration else ())],
