@@ -66,7 +66,10 @@ def import_bank(
     kind = kind or recognised(source)
     with opened(source, kind, options) as found:
         measured = _swapped(found, source) if options.swap_roles else found
-        projection = choose_projection(measured.position_m, options.columns)
+        try:
+            projection = choose_projection(measured.position_m, options.columns)
+        except InputError as error:
+            raise InputError(f"{source}: {error}") from None
         conversion = _Conversion(measured, options, source)
         with tempfile.TemporaryFile(dir=bank.absolute().parent) as spool:
             records: list[tuple[int, PointRecord]] = []
@@ -124,7 +127,7 @@ class _Conversion:
         self._rows = itertools.chain([first], rows)
         self._converter: CausalConverter | None = None
         self._take: Callable[[NDArray[Any]], NDArray[Any]] = np.asarray
-        self._cut = self._whole = self._faded = 0.0
+        self._cut = self._whole = self._ends = self._kept = 0.0
         self._shift = 0
         if measured.frequency_hz is not None:
             self._from_spectra(measured, np.asarray(first), motion)
@@ -183,9 +186,12 @@ class _Conversion:
         used = np.ones(len(bins), bool)
         if band is not None:
             used = (bins * step >= band[0] - 0.01 * step) & (bins * step <= band[1] + 0.01 * step)
-        values = axis.one_sided(np.asarray(first))
-        if bins[0] == 0 and (motion.derivatives < 0 or not np.isfinite(values[:, 0]).all()):
+        constant = axis.one_sided(np.asarray(first))[:, 0]
+        if bins[0] == 0 and (motion.derivatives < 0 or not np.isfinite(constant).all()):
             used[0] = False
+            self.said.append("the value at 0 Hz is left out")
+        if not asked and not axis.period:
+            self.assumed.append("the rate is twice the highest frequency; --sample-rate-hz names another")
         if used.sum() < 2:
             raise InputError(f"{self._source}: fewer than two frequencies lie in the band; name another with --band")
         self._take = lambda row: axis.one_sided(row)[:, used]
@@ -288,13 +294,14 @@ class _Conversion:
                 green = self._shifted(row, self.taps).astype(np.float32)
                 if self._factor != 1.0:
                     green = (green * self._factor).astype(np.float32)
-                kept, whole = _energy(green), _energy(row) * self._factor**2
-                self._whole += whole
-                self._cut += max(whole - kept, 0.0)
+                first, last = max(-self._shift, 0), max(self.taps - self._shift, 0)
+                self._whole += _energy(row)
+                self._cut += _energy(row[:, :first]) + _energy(row[:, max(last, first) :])
             if self._options.end != "keep":
-                before = _energy(green)
+                whole = green
                 green = (green * self._window).astype(np.float32)
-                self._faded += before - _energy(green)
+                self._ends += _energy(whole - green)
+                self._kept += _energy(whole)
             self._require_finite(green, position)
             with np.errstate(divide="ignore"):
                 yield position, green, None if share is None else 10 * np.log10(np.maximum(share, 1e-30))
@@ -309,23 +316,26 @@ class _Conversion:
 
     @property
     def residual_db(self) -> float | None:
-        """Energy that the causal FIRs, or the taps kept, leave unexplained, in dB; None where nothing is."""
-        whole, left = (
-            (self._whole, self._cut) if self._converter is None else (self._converter.whole, self._converter.left)
-        )
-        return 10 * math.log10(left / whole) if whole > 0 and left > 1e-14 * whole else None
+        """Energy that causal FIRs, or samples that are left out, leave unexplained, in dB; None where nothing is."""
+        if self._converter is not None:
+            whole, left = self._converter.whole, self._converter.left
+            return 10 * math.log10(max(left / whole, 1e-16)) if whole > 0 else None
+        return 10 * math.log10(self._cut / self._whole) if self._cut > 0 else None
 
     def ending(self) -> list[str]:
         """Sentences about what the FIRs leave out, once all rows are converted."""
         said = []
         residual_db = self.residual_db
         if self._converter is not None:
-            level = "below -140 dB" if residual_db is None or residual_db < -140 else f"{residual_db:.1f} dB"
+            level = (
+                "nothing" if residual_db is None else f"{residual_db:.1f} dB" if residual_db > -140 else "below -140 dB"
+            )
             said.append(f"the causal FIRs leave {level} of the energy in the band unexplained")
         elif residual_db is not None:
             said.append(f"samples left out hold {residual_db:.1f} dB of the energy")
-        if self._faded:
-            said.append(f"--end {self._options.end} takes {self._faded:.3g} of the squared sum of all taps")
+        if self._ends > 0:
+            level_db = 10 * math.log10(self._ends / self._kept)
+            said.append(f"--end {self._options.end} changes the responses by {level_db:.1f} dB of their energy")
         return said
 
 
@@ -396,6 +406,10 @@ def _facts(
     assumed = [*measured.assumed, *conversion.assumed]
     if measured.status is None:
         assumed.append("every position that holds responses is valid")
+    if count == 1 < actuators and not options.swap_roles:
+        assumed.append(
+            "the one place of a response is the one position; --swap-roles makes the driven places positions"
+        )
     left_out = list(measured.left_out)
     if rows < count:
         left_out.append(f"{count - rows} positions that hold no response")

@@ -152,8 +152,8 @@ class CausalConverter:
             scale = np.where(largest > 0, largest, 1.0)
             found = self._fit.solve((values / scale).astype(np.complex64), np.zeros(len(values)))
             green = (found.green * scale).astype(np.float64)
-            square = np.square(scale[:, 0])
-            whole, left = found.whole * square, found.left * square
+            shown = scipy.fft.rfft(green, self._period)[:, self._bins]
+            whole, left = _energy(np.abs(values)), _energy(np.abs(values - shown))
         self.whole += float(whole.sum())
         self.left += float(left.sum())
         return green.astype(np.float32), left / np.where(whole > 0, whole, 1.0)

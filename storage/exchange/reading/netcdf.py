@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import h5py
+import numpy as np
 
 from storage import hdf5_reading
 from storage.exchange.reading.hdf5_arrays import compound_complex, read_arrays
@@ -37,7 +38,7 @@ def _read_classic(path: Path, options: ImportOptions, stack: ExitStack) -> Measu
 
     def get(name: str) -> Any:
         if name in file.variables:
-            return file.variables[name][:].copy()
+            return np.array(file.variables[name].data)
         value = getattr(file, name, None) if name.isidentifier() and not name.startswith("_") else None
         return value.decode("utf-8", "replace") if isinstance(value, bytes) else None
 

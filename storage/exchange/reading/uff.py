@@ -284,7 +284,7 @@ def _function(file: IO[bytes], title: bytes, path: Path) -> _Function:
         raise InputError(f"{path}: a function (58) has the step {step:g} of its axis; more than 0 is needed")
     values = flat.view(np.complex128).astype(np.complex64) if is_complex else flat.astype(np.float32)
     quantities = tuple(_int(line[:10]) for line in head[8:10])
-    labels = [require_plain(line[47:67].decode("latin-1").strip("\0 "), path, "a unit") for line in head[8:10]]
+    labels = [require_plain(_decoded(line[47:67]), path, "a unit") for line in head[8:10]]
     return _Function(
         kind,
         response,
@@ -295,6 +295,13 @@ def _function(file: IO[bytes], title: bytes, path: Path) -> _Function:
         (quantities[0], quantities[1]),
         *_own_facts(head[:3], step),
     )
+
+
+def _decoded(text: bytes) -> str:
+    try:
+        return text.decode().strip("\0 ")
+    except UnicodeDecodeError:
+        return text.decode("latin-1").strip("\0 ")
 
 
 def _labelled(over: str, under: str) -> str:
