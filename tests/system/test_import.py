@@ -164,6 +164,7 @@ def test_given_sound_files_and_a_table_then_each_pair_is_found(tmp_path: Path, i
     assert "outside the folder" in refused(folder, "--places", str(tmp_path / "p.csv"), "--unit", "Pa/V")
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # pyuff leaves binary files open
 def test_given_frequency_responses_of_a_modal_test_then_they_become_causal_responses(
     tmp_path: Path, imported: Any, refused: Any
 ) -> None:

@@ -273,7 +273,7 @@ def _function(file: IO[bytes], title: bytes, path: Path) -> _Function:
     numbers = count * (2 if is_complex else 1) + (0 if even else count)
     words = title.split()
     if words[0] == b"58b":
-        flat = _binary(file, words, numbers, double=double, even=bool(even), path=path)
+        flat = _binary(file, words, count, numbers, double=double, even=bool(even), path=path)
     else:
         flat = _ascii(file, numbers, path, _widths(is_complex=is_complex, double=double, even=bool(even)))
     if not even:
@@ -331,22 +331,25 @@ def _widths(*, is_complex: bool, double: bool, even: bool) -> tuple[int, ...]:
     return (13, 20, 20) if is_complex else (13, 20, 13, 20)
 
 
-def _binary(file: IO[bytes], words: list[bytes], numbers: int, *, double: bool, even: bool, path: Path) -> Float64Array:
-    order, form, size = int(words[1]), int(words[2]), min(int(words[4]), path.stat().st_size)
+def _binary(
+    file: IO[bytes], words: list[bytes], count: int, numbers: int, *, double: bool, even: bool, path: Path
+) -> Float64Array:
+    """Numbers of a binary function; the size that its header states is often wrong and is not relied on."""
+    order, form, size = int(words[1]), int(words[2]), int(words[4])
     if form != 2 or order not in (1, 2):
         raise InputError(f"{path}: a binary function (58b) is not in IEEE numbers; only those are read")
     byte = "<" if order == 1 else ">"
-    kind = f"{byte}f8" if double else f"{byte}f4"
-    per = np.dtype(kind).itemsize
-    content = file.read(min(numbers * per, size))
-    if even:
-        flat = np.frombuffer(content[: len(content) // per * per], kind).astype(np.float64)
-    else:  # the axis is single precision throughout
-        single = len(content) == numbers * 4 or not double
-        flat = np.frombuffer(content, f"{byte}f4" if single else kind).astype(np.float64)
-    if len(flat) != numbers:
-        raise InputError(f"{path} is truncated: a function (58b) declares {numbers} numbers and holds {len(flat)}")
-    return flat
+    kind = np.dtype(f"{byte}f8" if double else f"{byte}f4")
+    mixed = np.dtype([("x", f"{byte}f4"), ("y", kind, (numbers // count - 1,))])  # the standard's uneven axis is single
+    is_mixed = not even and double and size == count * mixed.itemsize
+    needed = count * mixed.itemsize if is_mixed else numbers * kind.itemsize
+    content = file.read(min(needed, path.stat().st_size))
+    if len(content) != needed:
+        raise InputError(f"{path} is truncated: a function (58b) needs {needed} bytes and {len(content)} are there")
+    if is_mixed:
+        table = np.frombuffer(content, mixed)
+        return np.column_stack([table["x"], table["y"]]).reshape(-1)
+    return np.frombuffer(content, kind).astype(np.float64)
 
 
 def _ascii(file: IO[bytes], numbers: int, path: Path, widths: tuple[int, ...]) -> Float64Array:
