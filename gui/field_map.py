@@ -13,7 +13,7 @@ from PyQt5.QtWidgets import QFrame, QSizePolicy
 
 from gui.surface import Float64Array, Surface
 from gui.surface_view import SurfaceView, looked_up
-from gui.theme import LIGHT, Theme, theme_axes
+from gui.theme import Theme, Themed, theme_axes
 
 Real = NDArray[np.float32] | NDArray[np.float64]
 
@@ -21,7 +21,7 @@ Real = NDArray[np.float32] | NDArray[np.float64]
 MOST_COLUMNS = 2000
 
 
-class Plot(pyqtgraph.PlotWidget):
+class Plot(Themed, pyqtgraph.PlotWidget):
     """A plot in the theme's colours without menu or buttons.
 
     Parameters
@@ -32,33 +32,40 @@ class Plot(pyqtgraph.PlotWidget):
         Labels of the axes.
     legend_at : tuple of int, optional
         Where a legend lies, in pixels from the corner; without one, lines need no name.
+    axis_px : int, optional
+        Width of the left axis, where plots above one another are to have the same.
     """
 
-    def __init__(self, name: str, bottom: str, left: str, legend_at: tuple[int, int] | None = None) -> None:
+    def __init__(
+        self, name: str, bottom: str, left: str, legend_at: tuple[int, int] | None = None, axis_px: int | None = None
+    ) -> None:
         super().__init__(enableMenu=False)
         self.setAccessibleName(name)
-        self.theme = LIGHT
         plot = self.getPlotItem()
         self._legend = None if legend_at is None else plot.addLegend(offset=legend_at)
         plot.setLabel("bottom", bottom)
         plot.setLabel("left", left)
+        if axis_px is not None:
+            plot.getAxis("left").setWidth(axis_px)
         plot.hideButtons()
         for side in ("left", "bottom"):
             plot.getAxis(side).enableAutoSIPrefix(False)
         self.setToolTip("Wheel: zoom. Drag: pan. Double click: show everything.")
 
     def mouseDoubleClickEvent(self, event) -> None:  # type: ignore[no-untyped-def]  # noqa: N802
-        """Show everything again."""
         super().mouseDoubleClickEvent(event)
         self.getPlotItem().getViewBox().autoRange()
 
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the theme's colours."""
-        self.theme = theme
-        self.setBackground(theme.base)
-        theme_axes(self.getPlotItem(), theme)
+    def redraw(self) -> None:
+        self.setBackground(self.theme.base)
+        theme_axes(self.getPlotItem())
         if self._legend is not None:
-            self._legend.setLabelTextColor(theme.text)
+            self._legend.setLabelTextColor(self.theme.text)
+
+    def title(self, words: str, *, faint: bool = False, size: str | None = None) -> None:
+        """Set the line above the plot."""
+        colour = self.theme.faint if faint else self.theme.text
+        self.getPlotItem().setTitle(words, color=colour, **({} if size is None else {"size": size}))
 
     def line(self, x: Real, y: Real, colour: str, width: float = 1.0, name: str | None = None) -> None:
         """Draw a line, thinned to what can be seen without losing a peak; `name` for the legend."""
@@ -66,7 +73,6 @@ class Plot(pyqtgraph.PlotWidget):
         self.getPlotItem().plot(x, y, pen=pyqtgraph.mkPen(colour, width=width), name=name, antialias=True)
 
     def mark_band(self, low_hz: float, high_hz: float) -> None:
-        """Draw the ends of a band, dashed."""
         pen = pyqtgraph.mkPen(self.theme.faint, style=Qt.PenStyle.DashLine)
         for edge_hz in (low_hz, high_hz):
             self.getPlotItem().addItem(pyqtgraph.InfiniteLine(edge_hz, pen=pen))
@@ -131,7 +137,7 @@ def scaled_unit(unit: str, largest: float) -> tuple[float, str]:
     return factor, prefix + unit
 
 
-class ColourBar(pyqtgraph.GraphicsView):
+class ColourBar(Themed, pyqtgraph.GraphicsView):
     """A horizontal `pyqtgraph.ColorBarItem` with a title."""
 
     def __init__(self, colour_map: pyqtgraph.ColorMap) -> None:
@@ -148,7 +154,7 @@ class ColourBar(pyqtgraph.GraphicsView):
         self.setFrameShape(QFrame.Shape.NoFrame)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self._bar.axis.enableAutoSIPrefix(False)
-        self.apply_theme(LIGHT)
+        self.redraw()
 
     def sizeHint(self) -> QSize:  # noqa: N802
         return QSize(300, _BAR_PX + int(2.3 * self.fontMetrics().height()))
@@ -171,15 +177,11 @@ class ColourBar(pyqtgraph.GraphicsView):
         self.setToolTip(f"{title}: {low} at the left end, {high} at the right end")
 
     def set_map(self, colour_map: pyqtgraph.ColorMap) -> None:
-        """Show another colour map."""
         self._bar.setColorMap(colour_map)
 
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the theme's colours."""
-        self.setBackground(theme.window)
-        for side in ("left", "right", "top", "bottom"):
-            self._bar.getAxis(side).setPen(theme.grid)
-            self._bar.getAxis(side).setTextPen(theme.text)
+    def redraw(self) -> None:
+        self.setBackground(self.theme.window)
+        theme_axes(self._bar)
 
 
 class FieldMap(SurfaceView):
@@ -213,8 +215,8 @@ class FieldMap(SurfaceView):
         if self.surface is not None and len(values) == self.surface.positions:
             self.paint(looked_up(self.colour_map, self.values, self.levels, self.theme.cell))
 
-    def apply_theme(self, theme: Theme) -> None:
-        super().apply_theme(theme)
+    def redraw(self) -> None:
+        super().redraw()
         self.show_values(self.values)
 
     def position_text(self, position: int) -> str:

@@ -1,13 +1,19 @@
-"""Settings that are kept between sessions, file dialogs that do not block, dropped files, and a field for a path."""
+"""Settings kept between sessions, file dialogs that do not block, a field for a path, and kinds of TOML files."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
+from enum import Enum, auto
 from pathlib import Path
 
 from PyQt5.QtCore import QByteArray, QSettings, Qt, QUrl, pyqtSignal
 from PyQt5.QtGui import QDropEvent
-from PyQt5.QtWidgets import QFileDialog, QHBoxLayout, QLabel, QLineEdit, QToolButton, QWidget
+from PyQt5.QtWidgets import QFileDialog, QLabel, QLineEdit, QWidget
+
+from config.loading import read_toml
+from gui import widgets as ui
+from gui.surface import VIRTUAL, is_virtual
+from storage.errors import InputError
 
 _MOST_RECENT = 10
 
@@ -110,15 +116,25 @@ class PathField(QWidget):
         Whether the file may not exist yet.
     words : collection of str
         Words allowed in place of a path.
+    also : sequence of str
+        Other endings.
     """
 
     chosen = pyqtSignal(object)
 
     def __init__(
-        self, word: str, ending: str, kind: str, settings: Settings, *, saves: bool = False, words: Collection[str] = ()
+        self,
+        word: str,
+        ending: str,
+        kind: str,
+        settings: Settings,
+        *,
+        saves: bool = False,
+        words: Collection[str] = (),
+        also: Sequence[str] = (),
     ) -> None:
         super().__init__()
-        self._words = words
+        self._words, self._also = words, also
         self._ending, self._kind, self._settings, self._saves = ending, kind, settings, saves
         self._last: Path | None = None
         self.line = QLineEdit()
@@ -127,17 +143,9 @@ class PathField(QWidget):
         self.line.setAcceptDrops(False)  # the window takes what is dropped
         label = QLabel(word)
         label.setBuddy(self.line)
-        self.browse = QToolButton()
-        self.browse.setText("…")
-        self.browse.setAccessibleName(f"Choose {kind}")
-        self.browse.setToolTip(f"Choose {kind}")
-        row = QHBoxLayout(self)
-        row.setContentsMargins(0, 0, 0, 0)
-        row.addWidget(label)
-        row.addWidget(self.line, stretch=1)
-        row.addWidget(self.browse)
+        self.browse = ui.tool_button("…", f"Choose {kind}", self.open_dialog, f"Choose {kind}")
+        ui.row(label, (self.line, 1), self.browse, owner=self)
         self.line.editingFinished.connect(self._typed)
-        self.browse.clicked.connect(self._browse)
 
     @property
     def path(self) -> Path | None:
@@ -152,6 +160,14 @@ class PathField(QWidget):
         self.line.setToolTip(str(path))
         self.line.setCursorPosition(len(self.line.text()))
 
+    def show_text(self, text: str) -> None:
+        """Show a path that may be empty."""
+        if text:
+            self.show_path(Path(text))
+        else:
+            self._last = None
+            self.line.clear()
+
     def _typed(self) -> None:
         path = self.path
         if path is None:
@@ -160,9 +176,10 @@ class PathField(QWidget):
             self.show_path(path)
             self.chosen.emit(path)
 
-    def _browse(self) -> None:
+    def open_dialog(self) -> None:
+        """Choose a file in a dialog that does not block."""
         folder = self.path.parent if self.path else self._settings.folder(self._ending)
-        dialog = make_dialog(self, f"Choose {self._kind}", folder, self._kind, [self._ending])
+        dialog = make_dialog(self, f"Choose {self._kind}", folder, self._kind, [self._ending, *self._also])
         if not self._ending:
             # One that does not exist yet can be typed.
             dialog.setFileMode(QFileDialog.FileMode.Directory)
@@ -179,6 +196,7 @@ class PathField(QWidget):
         dialog.show()
 
     def _selected(self, name: str) -> None:
+        self._settings.keep(f"folder/{self._ending}", str(Path(name).parent))
         self.show_path(Path(name))
         self.chosen.emit(Path(name))
 
@@ -189,3 +207,58 @@ def _short(path: Path) -> str:
         return str(Path("~") / path.relative_to(Path.home()))
     except (ValueError, RuntimeError):
         return str(path)
+
+
+class TomlKind(Enum):
+    """What a TOML file is for."""
+
+    SCENE = auto()
+    RIG = auto()
+    RUN = auto()
+    OTHER = auto()
+    UNREADABLE = auto()
+
+
+def toml_kind(path: Path) -> TomlKind:
+    """What a TOML file is for, by its tables."""
+    try:
+        tables = read_toml(path)
+    except InputError:
+        return TomlKind.UNREADABLE
+    if "source" in tables or "scene" in tables:
+        return TomlKind.SCENE
+    if isinstance(tables.get("rig"), dict) or ("mirror" in tables and "player" in tables):
+        return TomlKind.RIG
+    # What a calibration measured has tables of instruments, too.
+    return TomlKind.OTHER if {"mirror", "player"} & tables.keys() else TomlKind.RUN
+
+
+def names_virtual_rig(rig: str | Path) -> bool:
+    """Whether ``virtual``, or a rig file, is a virtual rig; a file that nobody can read opens no instruments either."""
+    if str(rig) == VIRTUAL:
+        return True
+    try:
+        return is_virtual(read_toml(Path(rig)))
+    except InputError:
+        return True
+
+
+def rig_of_run(run: Path) -> Path | None:
+    """The rig file that a run file names, None where it names none.
+
+    Raises
+    ------
+    InputError
+        The run file cannot be read, or is no TOML.
+    """
+    named = read_toml(run).get("rig")
+    return run.parent / named if isinstance(named, str) and named != VIRTUAL else None
+
+
+def runs_on_virtual_rig(run: Path) -> bool:
+    """Whether a run file's campaign needs no instruments; the capture reports one that cannot be read."""
+    try:
+        rig = rig_of_run(run)
+    except InputError:
+        return True
+    return rig is None or names_virtual_rig(rig)

@@ -6,13 +6,16 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Sequence
+from functools import partial
 from types import TracebackType
+from typing import Any
 
 from PyQt5.QtCore import QEvent, QObject, Qt, QTimer, pyqtSignal
 from PyQt5.QtGui import QColor, QPalette, QResizeEvent
-from PyQt5.QtWidgets import QApplication, QFrame, QHBoxLayout, QLabel, QPushButton, QSizePolicy, QStyle, QToolButton
+from PyQt5.QtWidgets import QApplication, QFrame, QPushButton, QSizePolicy, QStyle, QToolButton
 
-from gui.theme import LIGHT, Theme
+from gui import widgets as ui
+from gui.theme import Themed
 from storage.errors import WavefocusError
 
 
@@ -37,11 +40,10 @@ class ErrorHook(QObject):
     _reported = pyqtSignal(str, str)
     _interrupted = pyqtSignal()
 
-    def __init__(self, report: Callable[[str, str], object], quit_window: Callable[[], object]) -> None:
+    def __init__(self, report: Callable[[str, str], Any], quit_window: Callable[[], Any]) -> None:
         super().__init__()
-        self._report, self._quit = report, quit_window
-        self._reported.connect(self._report_here)  # queued when it is emitted in another thread
-        self._interrupted.connect(self._quit_here)
+        self._reported.connect(report)  # queued when it is emitted in another thread
+        self._interrupted.connect(quit_window)
         self._former = (sys.excepthook, threading.excepthook)
 
     def install(self) -> None:
@@ -50,12 +52,6 @@ class ErrorHook(QObject):
 
     def remove(self) -> None:
         sys.excepthook, threading.excepthook = self._former
-
-    def _report_here(self, sentence: str, details: str) -> None:
-        self._report(sentence, details)
-
-    def _quit_here(self) -> None:
-        self._quit()
 
     def _caught(self, kind: type[BaseException], failure: BaseException, trace: TracebackType | None) -> None:
         if issubclass(kind, KeyboardInterrupt):
@@ -81,7 +77,7 @@ _LINES = 2
 _MOST_WAITING = 5
 
 
-class MessageBar(QFrame):
+class MessageBar(Themed, QFrame):
     """Shows the latest message above the tabs, with buttons for answers.
 
     A question stays until it is answered; messages that arrive meanwhile are shown after it. The bar keeps its height
@@ -94,28 +90,21 @@ class MessageBar(QFrame):
         self.setAccessibleName("Messages")
         self.setAutoFillBackground(True)
         self.setFrameShape(QFrame.Shape.Box)
-        self._theme = LIGHT
         self._waiting: list[tuple[str, str, Sequence[Answer]]] = []
         self._kind = self.sentence = ""
         """The message that is shown; empty when there is none."""
         self._buttons: list[QPushButton] = []
-        self.label = QLabel()
-        self.label.setWordWrap(True)
+        self.label = ui.label(wraps=True)
         self.label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored)  # no path widens the window
-        self._close = QToolButton()
+        self._close = ui.named(QToolButton(), "Dismiss this message (Esc)", "Dismiss the message")
         style = QApplication.style()
         assert style is not None
         self._close.setIcon(style.standardIcon(QStyle.StandardPixmap.SP_TitleBarCloseButton))
         self._close.setAutoRaise(True)
-        self._close.setToolTip("Dismiss this message (Esc)")
-        self._close.setAccessibleName("Dismiss the message")
         self._close.setShortcut("Esc")
         self._close.clicked.connect(self.dismiss)
-        self._row = QHBoxLayout(self)
-        self._row.setContentsMargins(10, 4, 6, 4)
-        self._row.addWidget(self.label, stretch=1)
-        self._row.addWidget(self._close)
+        self._row = ui.row((self.label, 1), self._close, owner=self, margins=(10, 4, 6, 4))
         self._fade = QTimer(self)
         self._fade.setSingleShot(True)
         self._fade.timeout.connect(self.dismiss)
@@ -156,10 +145,6 @@ class MessageBar(QFrame):
         if sentence and sentence == self.sentence:
             self.dismiss_old()
 
-    def apply_theme(self, theme: Theme) -> None:
-        self._theme = theme
-        self._colour()
-
     def resizeEvent(self, event: QResizeEvent | None) -> None:  # noqa: N802
         super().resizeEvent(event)
         self._fit()
@@ -184,13 +169,11 @@ class MessageBar(QFrame):
             button.deleteLater()
         self._buttons = []
         for number, (word, act) in enumerate(answers, start=1):
-            button = QPushButton(word)
-            button.setAccessibleName(word.replace("&", ""))
-            button.clicked.connect(lambda _checked=False, act=act: self._answered(act))
+            button = ui.push_button(word, "", partial(self._answered, act))
             self._row.insertWidget(number, button)
             self._buttons.append(button)
         self._close.setVisible(bool(sentence))
-        self._colour()
+        self.redraw()
         self._row.activate()
         self._fit()
         self._fade.stop()
@@ -212,8 +195,8 @@ class MessageBar(QFrame):
         self.label.setText(text.replace("/", "/\u200b"))
         self.label.setToolTip(self.sentence if text != self.sentence else "")
 
-    def _colour(self) -> None:
-        theme, palette = self._theme, QPalette()
+    def redraw(self) -> None:
+        theme, palette = self.theme, QPalette()
         colours = {"warning": theme.warning, "fault": theme.fault, "": theme.window}
         palette.setColor(QPalette.ColorRole.Window, QColor(theme.base if self.sentence else theme.window))
         palette.setColor(QPalette.ColorRole.WindowText, QColor(colours.get(self._kind, theme.accent)))

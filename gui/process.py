@@ -140,7 +140,6 @@ class CommandProcess(QObject):
         self._signal(_INTERRUPT)
 
     def kill(self) -> None:
-        """End it at once."""
         self._signal(getattr(signal, "SIGKILL", signal.SIGTERM))
 
     def stop(self, grace_ms: int, kill_after_ms: int) -> None:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-
-from gui.toml_files import is_virtual
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -29,6 +27,8 @@ _REACH = 1.5  # spacings
 _JUMP = 1.5
 # Pixels per spacing, and how far a cell reaches from its position, in spacings: with gaps between cells or without.
 _WITH_GAPS, _WITHOUT_GAPS = (12, 0.45), (4, 0.55)
+#: Name of the virtual rig, in place of a rig file.
+VIRTUAL = "virtual"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,12 +99,10 @@ class Surface:
 
     @property
     def positions(self) -> int:
-        """Number of grid positions."""
         return len(self.position_mm)
 
     @property
     def actuators(self) -> int:
-        """Number of actuators."""
         return len(self.actuator_mm)
 
     def with_rows(self, rows: NDArray[np.int64]) -> Surface:
@@ -168,6 +166,12 @@ def surface_from(table: object) -> SurfaceTable:
         return SurfaceTable.model_validate(table)
     except ValueError:
         return SurfaceTable()
+
+
+def is_virtual(rig: Mapping[str, object]) -> bool:
+    """Whether a rig's tables name virtual instruments; either all of a rig are, or none."""
+    mirror = rig.get("mirror")
+    return not isinstance(mirror, Mapping) or mirror.get("driver", VIRTUAL) == VIRTUAL
 
 
 def _is_virtual(rig_json: str | None) -> bool:

@@ -10,7 +10,7 @@ from PyQt5.QtGui import QColor, QKeyEvent, QMouseEvent, QPainterPath, QResizeEve
 from PyQt5.QtWidgets import QGraphicsItem, QGraphicsPathItem
 
 from gui.surface import Float64Array, Raster, Surface
-from gui.theme import LIGHT, Theme, theme_axes
+from gui.theme import Themed, theme_axes
 
 PointMm = tuple[float, float]
 Keys = Qt.KeyboardModifiers | Qt.KeyboardModifier
@@ -38,7 +38,7 @@ class Spots(pyqtgraph.ScatterPlotItem):
         event.ignore()
 
 
-class SurfaceView(pyqtgraph.PlotWidget):
+class SurfaceView(Themed, pyqtgraph.PlotWidget):
     """A map of the surface.
 
     Clicks and drags arrive at `click_at`, `double_click_at`, `claims_drag` and `drag_to`, in millimetres; subclasses
@@ -64,7 +64,6 @@ class SurfaceView(pyqtgraph.PlotWidget):
         self.setAccessibleDescription("Click a position, or walk with the arrow keys")
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.marked = -1
-        self.theme = LIGHT
         self._linked: list[SurfaceView] = []
         self._rings: list[QGraphicsPathItem] = []
         self._paths: list[pyqtgraph.PlotCurveItem] = []
@@ -82,7 +81,7 @@ class SurfaceView(pyqtgraph.PlotWidget):
         for side in ("left", "bottom"):  # no prefix: the unit is part of the label
             plot.getAxis(side).enableAutoSIPrefix(False)
         self.box.sigRangeChangedManually.connect(lambda *_: self._set_fits(False))
-        self.apply_theme(LIGHT)
+        self.redraw()
         self._fits = True
 
     def add_item(self, item: QGraphicsItem, depth: float, *, bounds: bool = False) -> None:
@@ -168,18 +167,16 @@ class SurfaceView(pyqtgraph.PlotWidget):
 
     def fit(self) -> None:
         """Show the whole surface; a small grid on a large surface is shown nearer."""
-        self._set_fits(True)
-        self.box.autoRange(padding=_PADDING)
+        self.show_everything()
         if self.surface is not None and self.surface.positions:
             raster, whole = self.surface.raster, self.box.viewRect()
             if max(raster.width_mm, raster.height_mm) < _CLOSER_BELOW * whole.width():
                 self.box.setRange(_rectangle(raster), padding=0.3)
 
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the theme's colours."""
-        self.theme = theme
+    def redraw(self) -> None:
+        theme = self.theme
         self.setBackground(theme.base)
-        theme_axes(self.getPlotItem(), theme)
+        theme_axes(self.getPlotItem())
         self._outline.setPen(pyqtgraph.mkPen(theme.faint, width=1))  # wider ones take ten times longer to paint
         self._actuators.setPen(pyqtgraph.mkPen(theme.text, width=1))
         self._actuators.setBrush(pyqtgraph.mkBrush(theme.base))
@@ -192,7 +189,6 @@ class SurfaceView(pyqtgraph.PlotWidget):
         return -1 if self.surface is None or not self.surface.positions else self.surface.raster.nearest(*at_mm)
 
     def position_text(self, position: int) -> str:
-        """The tooltip of a position."""
         assert self.surface is not None
         x_mm, y_mm = self.surface.position_mm[position]
         return f"position {position} at ({x_mm:.1f}, {y_mm:.1f}) mm"
@@ -204,7 +200,6 @@ class SurfaceView(pyqtgraph.PlotWidget):
             self.picked.emit(position)
 
     def double_click_at(self, _at_mm: PointMm) -> None:
-        """Show everything."""
         self.show_everything()
 
     def claims_drag(self, _at_mm: PointMm, _keys: Keys) -> bool:
@@ -261,7 +256,6 @@ class SurfaceBox(pyqtgraph.ViewBox):
 
     @property
     def mm_per_pixel(self) -> float:
-        """Size of a pixel."""
         return float(self.viewPixelSize()[0])
 
     def mouseClickEvent(self, event) -> None:  # type: ignore[no-untyped-def]  # noqa: N802
@@ -332,15 +326,14 @@ def _rectangle(raster: Raster) -> QRectF:
     return QRectF(raster.left_mm, raster.bottom_mm, raster.width_mm, raster.height_mm)
 
 
-def _ring_path() -> QPainterPath:
+def _ring_path(radius_px: float = _RING_PX) -> QPainterPath:
     path = QPainterPath()
-    path.addEllipse(-_RING_PX, -_RING_PX, 2 * _RING_PX, 2 * _RING_PX)
+    path.addEllipse(-radius_px, -radius_px, 2 * radius_px, 2 * radius_px)
     return path
 
 
 def _cross_path() -> QPainterPath:
-    path = QPainterPath()
-    path.addEllipse(-_CROSS_PX, -_CROSS_PX, 2 * _CROSS_PX, 2 * _CROSS_PX)
+    path = _ring_path(_CROSS_PX)
     for x, y in ((_CROSS_PX, 0.0), (0.0, _CROSS_PX)):
         path.moveTo(-x, -y)
         path.lineTo(x, y)

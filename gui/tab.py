@@ -6,15 +6,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
-from PyQt5.QtCore import QObject
+from PyQt5.QtCore import QObject, QUrl
+from PyQt5.QtGui import QDesktopServices
 from PyQt5.QtWidgets import QAction, QSplitter, QWidget
 
 from gui.files import Settings
 from gui.front_door import FrontDoor
 from gui.messages import MessageBar, error_text
 from gui.process import Background, CommandProcess, Message
-from gui.theme import Theme
 from storage.errors import WavefocusError
 
 # Module and class of each tab, from left to right.
@@ -59,7 +60,7 @@ class TabContext:
     def run(
         self,
         arguments: Sequence[str],
-        done: Callable[[CommandProcess], object],
+        done: Callable[[CommandProcess], Any],
         received: Callable[[Message], None] | None = None,
         *,
         log_file: Path | None = None,
@@ -71,10 +72,7 @@ class TabContext:
         if received is not None:
             process.received.connect(received)
 
-        def finished() -> None:
-            done(process)
-
-        process.finished.connect(finished)
+        process.finished.connect(lambda: done(process))
         return process
 
     def run_file(self) -> Path | None:
@@ -109,6 +107,11 @@ class TabContext:
             raise failure
         self.messages.fault(error_text(failure))
 
+    def open_outside(self, path: Path) -> None:
+        """Open a file or a folder with the desktop's program for it."""
+        if not QDesktopServices.openUrl(QUrl.fromLocalFile(str(path))):
+            self.messages.warn(f"the desktop has no program for {path}; open it by hand")
+
 
 class Tab(QWidget):
     """One tab."""
@@ -140,9 +143,6 @@ class Tab(QWidget):
 
     def draw(self) -> None:
         """Draw what changed; called after `poll` while the tab is visible."""
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Use a theme's colours."""
 
     def closing_question(self) -> Question | None:
         """Question before the window closes."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import pyqtgraph
 from PyQt5.QtGui import QColor, QPainter, QPalette
@@ -37,6 +37,10 @@ class Theme:
     fault: str
     traces: tuple[str, ...]
 
+    def trace(self, number: int) -> str:
+        """Colour of a line, from 0; they repeat."""
+        return self.traces[number % len(self.traces)]
+
 
 LIGHT = Theme(
     "light", "#f3f4f6", "#ffffff", "#f1f4f8", "#e8ebef", "#1b1f24", "#5b6572", "#0b5c94", "#c3cad2", "#d9dee4",
@@ -47,6 +51,15 @@ DARK = Theme(
     "#10151a", "#56b4e9", "#f0b030", "#ff8a4c", ("#56b4e9", "#ff8a4c", "#35c49b", "#e29ac6", "#f0e442"),
 )  # fmt: skip
 CHOICES = ("system", "light", "dark")
+
+
+class Themed:
+    """A widget that is drawn in colours of the theme, and drawn again after another one was chosen."""
+
+    theme: ClassVar[Theme] = LIGHT
+
+    def redraw(self) -> None:
+        """Draw it in the colours of `theme`; parts of a widget are drawn before the widget."""
 
 
 def theme_named(choice: str, system: QPalette) -> Theme:
@@ -79,7 +92,8 @@ def palette_of(theme: Theme) -> QPalette:
 
 
 def set_theme(application: QApplication, theme: Theme) -> None:
-    """Apply a theme to the application; existing plots are coloured by their owners."""
+    """Apply a theme to the application; `redraw_all` to what exists already."""
+    Themed.theme = theme
     application.setPalette(palette_of(theme))
     pyqtgraph.setConfigOptions(background=theme.base, foreground=theme.text)
     sheet = (
@@ -93,8 +107,16 @@ def set_theme(application: QApplication, theme: Theme) -> None:
         application.setStyleSheet(sheet)
 
 
-def theme_axes(plot: PlotItem, theme: Theme) -> None:
-    """Give a plot's axes and title the theme's colours."""
+def redraw_all(widget: QWidget) -> None:
+    """Draw a widget and its parts in the theme's colours, parts first."""
+    for part in reversed([widget, *widget.findChildren(QWidget)]):
+        if isinstance(part, Themed):
+            part.redraw()
+
+
+def theme_axes(plot: PlotItem) -> None:
+    """Give a plot's axes the theme's colours."""
+    theme = Themed.theme
     for name in ("left", "bottom", "right", "top"):
         axis = plot.getAxis(name)
         axis.setPen(pyqtgraph.mkPen(theme.grid))

@@ -9,20 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PyQt5.QtCore import QEvent, QLine, Qt, QTimer, pyqtSignal
 from PyQt5.QtGui import QColor, QHideEvent, QIcon, QMouseEvent, QPainter, QPaintEvent, QPixmap
-from PyQt5.QtWidgets import (
-    QComboBox,
-    QHBoxLayout,
-    QLabel,
-    QSizePolicy,
-    QSlider,
-    QStyle,
-    QStyleOptionSlider,
-    QToolButton,
-    QWidget,
-)
+from PyQt5.QtWidgets import QComboBox, QSizePolicy, QSlider, QStyle, QStyleOptionSlider, QToolButton, QWidget
 
-from gui.theme import LIGHT, Theme
-from gui.widgets import named
+from gui import widgets as ui
+from gui.theme import Themed
 
 FRAME_EVERY_MS = 50
 # Waves of some hundred hertz can be followed by eye at about 1/1000 of real time.
@@ -38,7 +28,7 @@ _ICONS = {
 }
 
 
-class TimeSlider(QWidget):
+class TimeSlider(Themed, QWidget):
     """Chooses a sample of a field, and plays it in slow motion until it is hidden.
 
     Parameters
@@ -59,40 +49,32 @@ class TimeSlider(QWidget):
         self._exact = self._shown_at_s = 0.0
         self._widest = ""
         self.slider = _MarkedSlider()
-        self.previous = _button("Previous focus instant (Page Down)")
+        self.slider = _MarkedSlider()
+        self.previous = _button("Previous focus instant (Page Down)", lambda: self.to_mark(-1))
         self.play = _button("Play (Space)", checkable=True)
-        self.next = _button("Next focus instant (Page Up)")
+        self.next = _button("Next focus instant (Page Up)", lambda: self.to_mark(1))
         self.loop = _button("Loop: start again at the end", checkable=True)
         self.loop.setChecked(True)
-        self.slower = named(QComboBox(), "How many times slower than real time the field is played", "Playing speed")
+        self.slower = ui.named(QComboBox(), "How many times slower than real time the field is played", "Playing speed")
         for factor in SLOWER:
             self.slower.addItem("real time" if factor == 1 else f"{factor} × slower", factor)
         self.slower.setCurrentIndex(SLOWER.index(_USUALLY_SLOWER))
-        self.time_label = QLabel()
-        self.time_label.setAccessibleName("Time shown")
+        self.time_label = ui.label("Time shown")
         self.time_label.setAlignment(Qt.Alignment() | Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-        row = QHBoxLayout(self)
-        row.setContentsMargins(0, 0, 0, 0)
-        for part in (self.previous, self.play, self.next, self.loop):
-            row.addWidget(part)
-        row.addWidget(self.slider, stretch=1)
-        row.addWidget(self.time_label)
-        row.addWidget(self.slower)
+        buttons = (self.previous, self.play, self.next, self.loop)
+        ui.row(*buttons, (self.slider, 1), self.time_label, self.slower, owner=self)
         self._timer = QTimer(self)
         self._timer.setInterval(FRAME_EVERY_MS)
         self._timer.timeout.connect(self.advance)
         self.slider.valueChanged.connect(self._moved)
         self.play.toggled.connect(self._toggled)
-        self.previous.clicked.connect(lambda: self.to_mark(-1))
-        self.next.clicked.connect(lambda: self.to_mark(1))
         self.slider.mark_requested.connect(self.to_mark)
         self.slider.play_requested.connect(self.play.toggle)
         self.show_samples(0.0, 1.0, 0)
-        self.apply_theme(LIGHT)
+        self.redraw()
 
     @property
     def sample(self) -> int:
-        """The sample shown."""
         return self.slider.value()
 
     @property
@@ -102,7 +84,6 @@ class TimeSlider(QWidget):
 
     @property
     def playing(self) -> bool:
-        """Whether it plays."""
         return self.play.isChecked()
 
     def show_samples(
@@ -143,7 +124,6 @@ class TimeSlider(QWidget):
         self._moved(self.sample)
 
     def go_to(self, sample: int) -> None:
-        """Show a sample."""
         self.slider.setValue(sample)
 
     def to_mark(self, way: int) -> None:
@@ -153,7 +133,6 @@ class TimeSlider(QWidget):
             self.go_to(int(self._marks[(place if way > 0 else place - 1) % len(self._marks)]))
 
     def pause(self) -> None:
-        """Stop playing."""
         self.play.setChecked(False)
 
     def advance(self) -> None:
@@ -172,13 +151,11 @@ class TimeSlider(QWidget):
             self._exact = 0.0
         self.go_to(round(self._exact))
 
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the theme's colours."""
-        self.slider.theme = theme
+    def redraw(self) -> None:
         self.slider.update()
         names = ("previous", "pause" if self.playing else "play", "next", "loop")
         for button, name in zip((self.previous, self.play, self.next, self.loop), names, strict=True):
-            button.setIcon(self._icon(name, theme))
+            button.setIcon(self._icon(name))
 
     def hideEvent(self, event: QHideEvent | None) -> None:  # noqa: N802
         super().hideEvent(event)
@@ -195,7 +172,7 @@ class TimeSlider(QWidget):
         self.time_label.setFixedSize(metrics.horizontalAdvance(self._widest) + 8, metrics.height() + 4)
 
     def _toggled(self, plays: bool) -> None:
-        self.play.setIcon(self._icon("pause" if plays else "play", self.slider.theme))
+        self.play.setIcon(self._icon("pause" if plays else "play"))
         self.play.setToolTip("Pause (Space)" if plays else "Play (Space)")
         self.play.setAccessibleName("Pause" if plays else "Play")
         if plays:
@@ -210,9 +187,9 @@ class TimeSlider(QWidget):
         self.time_label.setText(_in_ms(self.time_s))
         self.moved.emit(sample)
 
-    def _icon(self, name: str, theme: Theme) -> QIcon:
+    def _icon(self, name: str) -> QIcon:
         """The style's icon in the colour of text: Qt's own are dark in a dark window, too."""
-        style = self.style()
+        style, theme = self.style(), self.theme
         assert style is not None
         picture: QPixmap = style.standardIcon(_ICONS[name]).pixmap(_ICON_PX)
         icon = QIcon()
@@ -231,7 +208,7 @@ class TimeSlider(QWidget):
         return icon
 
 
-class _MarkedSlider(QSlider):
+class _MarkedSlider(Themed, QSlider):
     """A slider with marks along its groove; a click moves the handle there at once."""
 
     mark_requested = pyqtSignal(int)
@@ -241,7 +218,6 @@ class _MarkedSlider(QSlider):
         super().__init__(Qt.Orientation.Horizontal)
         self.setAccessibleName("Instant of the field")
         self.marks: list[int] = []
-        self.theme = LIGHT
         self.setMinimumWidth(120)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
 
@@ -282,9 +258,8 @@ class _MarkedSlider(QSlider):
         return handle, max(1, self.width() - handle)
 
 
-def _button(tip: str, *, checkable: bool = False) -> QToolButton:
-    button = named(QToolButton(), tip, tip.partition(" (")[0])
-    button.setCheckable(checkable)
+def _button(tip: str, act: Callable[[], object] | None = None, *, checkable: bool = False) -> QToolButton:
+    button = ui.tool_button("", tip, act, tip.partition(" (")[0], checkable=checkable)
     button.setAutoRaise(True)
     return button
 

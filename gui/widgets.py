@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from datetime import datetime
+from functools import partial
 from types import MappingProxyType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from PyQt5.QtCore import QObject, Qt
 from PyQt5.QtGui import QColor, QFontDatabase, QKeySequence
@@ -19,26 +20,32 @@ from PyQt5.QtWidgets import (
     QComboBox,
     QDialog,
     QDoubleSpinBox,
+    QFrame,
     QHBoxLayout,
     QHeaderView,
     QLabel,
     QLayout,
     QPlainTextEdit,
+    QProgressBar,
     QPushButton,
+    QScrollArea,
     QSizePolicy,
+    QSpinBox,
     QSplitter,
     QTableWidget,
     QTableWidgetItem,
+    QTabWidget,
     QToolButton,
     QVBoxLayout,
     QWidget,
 )
 
 from acquisition.wording import hours
-from gui.theme import LIGHT, Theme
+from gui.theme import Themed
 
 AnyWidget = TypeVar("AnyWidget", bound=QWidget)
 AnyBox = TypeVar("AnyBox", QHBoxLayout, QVBoxLayout)
+AnyButton = TypeVar("AnyButton", bound=QAbstractButton)
 # A widget, and its width or height in pixels.
 Part = tuple[QWidget, int]
 # A part of a row or a column.
@@ -50,27 +57,23 @@ PAGE_MARGINS = (4, 6, 4, 4)
 _DIALOG_COLUMNS, _DIALOG_LINES = 110, 24
 
 
-def make_action(
-    owner: QObject, text: str, act: Callable[[], object], *keys: QKeySequence.StandardKey | str, tip: str = ""
+def action(
+    owner: QObject, text: str, act: Callable[[], Any], *keys: QKeySequence.StandardKey | str, tip: str = ""
 ) -> QAction:
     """Make an action with shortcuts; the first one stands in the tooltip."""
     action = QAction(text, owner)
     action.setShortcuts([QKeySequence(key) for key in keys])
     if tip:
         action.setToolTip(f"{tip} ({action.shortcut().toString()})" if keys else tip)
-
-    def triggered(_checked: bool = False) -> None:
-        act()
-
-    action.triggered.connect(triggered)
+    action.triggered.connect(lambda _checked=False: act())
     return action
 
 
-def make_button(action: QAction) -> QToolButton:
+def button(action: QAction) -> QToolButton:
     """Make a button of an action."""
     button = QToolButton()
     button.setDefaultAction(action)
-    button.setAccessibleName(action.text().replace("&", ""))
+    button.setAccessibleName(action.text().replace("&", "").rstrip("…"))
     return button
 
 
@@ -83,16 +86,28 @@ def named(widget: AnyWidget, tip: str, name: str = "") -> AnyWidget:
     return widget
 
 
-def number_box(name: str, tip: str, suffix: str, decimals: int, low: float, high: float) -> QDoubleSpinBox:
+def number_box(
+    name: str, tip: str, suffix: str, decimals: int, low: float, high: float, *, value: float = 0.0, prefix: str = ""
+) -> QDoubleSpinBox:
     """Make a box for a number with a unit."""
     box = named(QDoubleSpinBox(), tip, name)
     box.setDecimals(decimals)
     box.setRange(low, high)
     box.setSuffix(suffix)
+    box.setPrefix(prefix)
+    box.setValue(value)
     return box
 
 
-def make_table(titles: Sequence[str], name: str, stretched: Sequence[int]) -> QTableWidget:
+def whole_box(name: str, tip: str, low: int, high: int, prefix: str = "") -> QSpinBox:
+    """Make a box for a whole number."""
+    box = named(QSpinBox(), tip, name)
+    box.setRange(low, high)
+    box.setPrefix(prefix)
+    return box
+
+
+def table(titles: Sequence[str], name: str, stretched: Sequence[int]) -> QTableWidget:
     """Make a table that is only read; `stretched` columns share the width that the others leave."""
     table = QTableWidget(0, len(titles))
     table.setHorizontalHeaderLabels(list(titles))
@@ -116,20 +131,29 @@ def fill_row(
     row: int,
     texts: Sequence[str],
     colours: Mapping[int, str] = MappingProxyType({}),
-    align: Qt.AlignmentFlag = Qt.AlignmentFlag.AlignLeft,
+    *,
+    right: Collection[int] = (),
+    tip: str = "",
 ) -> None:
-    """Set the texts of a row, which are the tooltips, too; `colours` by column."""
+    """Set the texts of a row; `colours` by column, columns in `right` are aligned right; a text is its own tooltip."""
     for column, text in enumerate(texts):
         item = QTableWidgetItem(text)
-        item.setToolTip(text)
-        item.setTextAlignment(align | Qt.AlignmentFlag.AlignVCenter)
+        item.setToolTip(tip or text)
+        side = Qt.AlignmentFlag.AlignRight if column in right else Qt.AlignmentFlag.AlignLeft
+        item.setTextAlignment(side | Qt.AlignmentFlag.AlignVCenter)
         if column in colours:
             item.setForeground(QColor(colours[column]))
         table.setItem(row, column, item)
 
 
-def make_label(
-    name: str = "", text: str = "", *, role: str = "", wraps: bool = False, any_width: bool = False
+def label(
+    name: str = "",
+    text: str = "",
+    *,
+    role: str = "",
+    wraps: bool = False,
+    any_width: bool = False,
+    selectable: bool = False,
 ) -> QLabel:
     """Make a label; `role` is ``"faint"`` or ``"strong"``, one of `any_width` never widens its parent."""
     label = QLabel(text)
@@ -138,10 +162,12 @@ def make_label(
     label.setWordWrap(wraps)
     if any_width:
         label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
+    if selectable:
+        label.setTextInteractionFlags(Qt.TextInteractionFlags() | Qt.TextInteractionFlag.TextSelectableByMouse)
     return label
 
 
-def make_choice(name: str, tip: str, choices: Sequence[str], chosen: int = 0) -> QComboBox:
+def choice(name: str, tip: str, choices: Sequence[str], chosen: int = 0) -> QComboBox:
     """Make a box to choose one of several texts."""
     choice = named(QComboBox(), tip, name)
     choice.addItems(choices)
@@ -149,37 +175,91 @@ def make_choice(name: str, tip: str, choices: Sequence[str], chosen: int = 0) ->
     return choice
 
 
-def make_check(text: str, tip: str, *, on: bool = False) -> QCheckBox:
+def fill_choice(choice: QComboBox, choices: Sequence[str]) -> None:
+    """Offer other texts; the same place stays chosen, and nothing is reported."""
+    place = max(0, min(choice.currentIndex(), len(choices) - 1))
+    choice.blockSignals(True)
+    choice.clear()
+    choice.addItems(choices)
+    choice.setCurrentIndex(place)
+    choice.blockSignals(False)
+
+
+def check(text: str, tip: str, name: str = "", *, on: bool = False) -> QCheckBox:
     """Make a check box."""
-    box = named(QCheckBox(text), tip)
+    box = named(QCheckBox(text), tip, name)
     box.setChecked(on)
     return box
 
 
-def push_button(text: str, tip: str, act: Callable[[], object] | None = None, name: str = "") -> QPushButton:
-    """Make a button that calls `act`."""
-    button = named(QPushButton(text), tip, name)
+def _button(button: AnyButton, text: str, tip: str, act: Callable[[], Any] | None, name: str) -> AnyButton:
+    button.setText(text)
     if act is not None:
+        button.clicked.connect(lambda _checked=False: act())
+    return named(button, tip, name)
 
-        def clicked(_checked: bool = False) -> None:
-            act()
 
-        button.clicked.connect(clicked)
+def push_button(text: str, tip: str, act: Callable[[], Any] | None = None, name: str = "") -> QPushButton:
+    """Make a button that calls `act`."""
+    return _button(QPushButton(), text, tip, act, name)
+
+
+def tool_button(
+    text: str, tip: str, act: Callable[[], Any] | None = None, name: str = "", *, checkable: bool = False
+) -> QToolButton:
+    """Make a flat button that calls `act`."""
+    button = _button(QToolButton(), text, tip, act, name)
+    button.setCheckable(checkable)
     return button
 
 
-def row(*items: Item, owner: QWidget | None = None, margins: Margins = _NO_MARGINS) -> QHBoxLayout:
+def exclusive_buttons(
+    choices: Sequence[tuple[str, str, str, str]], act: Callable[[str], object]
+) -> dict[str, QToolButton]:
+    """Make buttons of which one is down, the first one at first; `act` receives the choice that was pressed.
+
+    Parameters
+    ----------
+    choices : sequence of (str, str, str, str)
+        Each choice, with its button's text, tooltip and accessible name.
+    act : callable
+        Receives a choice.
+    """
+    buttons = {}
+    for choice, text, tip, name in choices:
+        button = buttons[choice] = tool_button(text, tip, partial(act, choice), name, checkable=True)
+        button.setAutoExclusive(True)
+        button.setChecked(len(buttons) == 1)
+    return buttons
+
+
+def progress_bar(name: str, text: str = "") -> QProgressBar:
+    """Make a progress bar; `text` as of `QProgressBar.setFormat`."""
+    bar = QProgressBar()
+    bar.setAccessibleName(name)
+    bar.setFormat(text)
+    bar.setTextVisible(bool(text))
+    return bar
+
+
+def row(
+    *items: Item, owner: QWidget | None = None, margins: Margins = _NO_MARGINS, spacing: int | None = None
+) -> QHBoxLayout:
     """Lay items out from left to right: widgets, layouts, (item, stretch), pixels of space, None for a stretch."""
-    return _fill(QHBoxLayout(), items, owner, margins)
+    return _fill(QHBoxLayout(), items, owner, margins, spacing)
 
 
-def column(*items: Item, owner: QWidget | None = None, margins: Margins = _NO_MARGINS) -> QVBoxLayout:
+def column(
+    *items: Item, owner: QWidget | None = None, margins: Margins = _NO_MARGINS, spacing: int | None = None
+) -> QVBoxLayout:
     """Lay items out from top to bottom, as `row`."""
-    return _fill(QVBoxLayout(), items, owner, margins)
+    return _fill(QVBoxLayout(), items, owner, margins, spacing)
 
 
-def _fill(box: AnyBox, items: Sequence[Item], owner: QWidget | None, margins: Margins) -> AnyBox:
+def _fill(box: AnyBox, items: Sequence[Item], owner: QWidget | None, margins: Margins, spacing: int | None) -> AnyBox:
     box.setContentsMargins(*margins)
+    if spacing is not None:
+        box.setSpacing(spacing)
     for item in items:
         part, stretch = item if isinstance(item, tuple) else (item, 0)
         if part is None:
@@ -193,6 +273,25 @@ def _fill(box: AnyBox, items: Sequence[Item], owner: QWidget | None, margins: Ma
     if owner is not None:
         owner.setLayout(box)
     return box
+
+
+def tab_pages(name: str, pages: Mapping[str, QWidget]) -> QTabWidget:
+    """Make pages with tabs above them, by title."""
+    made = QTabWidget()
+    made.setDocumentMode(True)
+    made.setAccessibleName(name)
+    for title, page in pages.items():
+        made.addTab(page, title)
+    return made
+
+
+def scrolling(part: QWidget) -> QScrollArea:
+    """Put a widget into an area that scrolls where it is larger than its room."""
+    area = QScrollArea()
+    area.setWidgetResizable(True)
+    area.setFrameShape(QFrame.Shape.NoFrame)
+    area.setWidget(part)
+    return area
 
 
 def side_by_side(*parts: Part, growing: Sequence[int] = ()) -> QSplitter:
@@ -216,25 +315,21 @@ def _splitter(orientation: Qt.Orientation, parts: Sequence[Part], growing: Seque
     return splitter
 
 
-class Badge(QLabel):
+class Badge(Themed, QLabel):
     """A word on a coloured ground."""
 
     def __init__(self, name: str) -> None:
         super().__init__()
         self.setAccessibleName(name)
-        self._theme = LIGHT
         self._colour = ""
 
     def show_word(self, word: str, colour: str) -> None:
         """Show a word on a colour of the theme."""
         if colour != self._colour:
             self._colour = colour
-            ground = f"background: {colour}; color: {self._theme.ink}; border-radius: 4px;"
+            ground = f"background: {colour}; color: {self.theme.ink}; border-radius: 4px;"
             self.setStyleSheet(f"{ground} font-weight: 600; padding: 2px 9px;")
         put(self, word)
-
-    def apply_theme(self, theme: Theme) -> None:
-        self._theme, self._colour = theme, ""
 
 
 def put(label: QLabel, text: str) -> None:

@@ -9,27 +9,15 @@ from pathlib import Path
 
 from PyQt5.QtCore import QSize, Qt, QTimer
 from PyQt5.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QFontDatabase, QGuiApplication, QKeySequence
-from PyQt5.QtWidgets import (
-    QAction,
-    QActionGroup,
-    QApplication,
-    QFileDialog,
-    QFrame,
-    QMainWindow,
-    QMenu,
-    QScrollArea,
-    QTabWidget,
-    QVBoxLayout,
-    QWidget,
-)
+from PyQt5.QtWidgets import QAction, QActionGroup, QApplication, QFileDialog, QMainWindow, QMenu, QWidget
 
+from gui import widgets as ui
 from gui.files import Settings, dropped_files, make_dialog
 from gui.front_door import FrontDoor
 from gui.messages import ErrorHook, MessageBar
 from gui.process import Background
 from gui.tab import Act, Question, Tab, TabContext, make_tabs
-from gui.theme import CHOICES, BoxStyle, resized_text, set_theme, theme_named
-from gui.widgets import copy_text, make_action
+from gui.theme import CHOICES, BoxStyle, redraw_all, resized_text, set_theme, theme_named
 from storage.errors import InputError
 
 _REFRESH_EVERY_MS = 50
@@ -59,21 +47,11 @@ class Window(QMainWindow):
         set_theme(application, theme_named(settings.text("theme", "system"), self._system_palette))
         self.tabs = self.context.tabs
         self.tabs += make_tabs(self.context)
-        self._pages = QTabWidget()
-        self._pages.setDocumentMode(True)
-        self._pages.setAccessibleName("Tabs")
-        for tab in self.tabs:
-            self._pages.addTab(tab, tab.title)
-        scrolled = QScrollArea()  # with large text or a small screen: the window never outgrows its screen
-        scrolled.setFrameShape(QFrame.Shape.NoFrame)
-        scrolled.setWidgetResizable(True)
+        self._pages = ui.tab_pages("Tabs", {tab.title: tab for tab in self.tabs})
+        scrolled = ui.scrolling(self._pages)  # with large text or a small screen: the window never outgrows its screen
         scrolled.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        scrolled.setWidget(self._pages)
         centre = QWidget()
-        column = QVBoxLayout(centre)
-        column.setContentsMargins(6, 6, 6, 6)
-        column.addWidget(self.messages)
-        column.addWidget(scrolled, stretch=1)
+        ui.column(self.messages, (scrolled, 1), owner=centre, margins=(6, 6, 6, 6))
         self.setCentralWidget(centre)
         self._recent = QMenu("Open &recent", self)
         self._make_menus()
@@ -88,7 +66,6 @@ class Window(QMainWindow):
         self._timer.start(_REFRESH_EVERY_MS)
 
     def refresh(self) -> None:
-        """Poll all tabs, and draw the visible one."""
         for tab in self.tabs:
             tab.poll()
         shown = self._pages.currentWidget()
@@ -117,13 +94,11 @@ class Window(QMainWindow):
             self.messages.fault(sentence)
             return
         self.mishaps = [*self.mishaps[-_ERRORS_KEPT:], details]
-        self.messages.fault(sentence, ("Copy details", lambda: copy_text(details)))
+        self.messages.fault(sentence, ("Copy details", lambda: ui.copy_text(details)))
 
     def choose_theme(self, choice: str) -> None:
-        theme = theme_named(choice, self._system_palette)
-        set_theme(self._application, theme)
-        for part in (self.messages, *self.tabs):
-            part.apply_theme(theme)
+        set_theme(self._application, theme_named(choice, self._system_palette))
+        redraw_all(self)
         self.settings.keep("theme", choice)
 
     def closeEvent(self, event: QCloseEvent | None) -> None:  # noqa: N802
@@ -225,10 +200,6 @@ class Window(QMainWindow):
     def _endings(self) -> list[str]:
         return list(dict.fromkeys(ending for tab in self.tabs for ending in tab.opens))
 
-    def _open_named(self, names: list[str]) -> None:
-        for name in names:
-            self.open_file(Path(name))
-
     def _list_recent(self) -> None:
         self._recent.clear()
         for path in self.settings.recent():
@@ -241,7 +212,7 @@ class Window(QMainWindow):
 
 
 def _add(menu: QMenu, text: str, act: Callable[[], object], *keys: QKeySequence.StandardKey | str) -> QAction:
-    action = make_action(menu, text, act, *keys)
+    action = ui.action(menu, text, act, *keys)
     menu.addAction(action)
     return action
 

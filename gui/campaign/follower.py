@@ -1,158 +1,30 @@
-"""Follows a bank, its log and its heartbeat in a thread; events of the log as lines for the event list."""
+"""Follows a bank, its log and its heartbeat in a thread."""
 
 from __future__ import annotations
 
 import json
-import math
 import os
 import queue
 import threading
 import time
 import traceback
-from collections.abc import Mapping
-from dataclasses import dataclass
-from datetime import datetime
-from enum import IntEnum
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
-from acquisition.wording import hours
-from config.messages.campaign import (
-    ConditionsSeen,
-    Drift,
-    Event,
-    Fault,
-    Logged,
-    PassStarted,
-    PositionCommitted,
-    PositionKept,
-    PositionRepeated,
-    PositionStarted,
-    Progress,
-    ReconnectTried,
-    RecordTaken,
-    ScheduleSettled,
-    SessionEnded,
-    SessionStarted,
-    State,
-    StateChanged,
-    event_of,
-)
-from gui.campaign.quality import DAMAGED, Float32Array, per_position, status_text
-from gui.front_door import FrontDoor, Pulse
-from gui.surface import Surface, surface_of
-from storage.bank.ledger import VALID
+from config.messages.campaign import Drift, Logged, PositionCommitted, SessionEnded
+from gui.campaign.model import Campaign, Line, read_record
+from gui.campaign.quality import DAMAGED, per_position
+from gui.front_door import FrontDoor
+from gui.surface import surface_of
 from storage.errors import WavefocusError
 
 if TYPE_CHECKING:
-    from acquisition.limits import DriftPoint
     from storage.bank.reading import Bank
     from storage.ledger.owner import Owner
 
-
-_LONGEST = 200
-
-
-class Weight(IntEnum):
-    """Importance of an event."""
-
-    DETAIL = 0
-    NOTE = 1
-    WARNING = 2
-    FAULT = 3
-
-
-@dataclass(frozen=True, slots=True)
-class Line:
-    """One line of the event list: seconds since 1970 or NaN, and the bank row concerned or -1."""
-
-    at_s: float
-    weight: Weight
-    text: str
-    position: int = -1
-
-
-def read_record(record: Mapping[str, object]) -> Logged | Line:
-    """Read a record of the log; one of another version becomes a line that holds whatever it says."""
-    logged = event_of(record)
-    if logged is not None:
-        return logged
-    facts = ", ".join(f"{key} {value}" for key, value in record.items() if key not in ("at", "event", "time_s"))
-    text = f"{record.get('event')}: {facts}" if facts else str(record.get("event"))
-    try:
-        at_s = datetime.fromisoformat(str(record.get("at"))).timestamp()
-    except ValueError:
-        at_s = math.nan
-    return Line(at_s, Weight.DETAIL, text[:_LONGEST])
-
-
-def clock(at_s: float) -> str:
-    """Weekday and time; empty where it is NaN."""
-    return "" if math.isnan(at_s) else datetime.fromtimestamp(at_s).astimezone().strftime("%a %H:%M:%S")
-
-
-def line_of(logged: Logged) -> Line | None:
-    """Line of an event; None for progress, which is shown otherwise."""
-    if isinstance(logged.event, Progress | RecordTaken):
-        return None
-    position: int | None = getattr(logged.event, "position", None)
-    return Line(logged.at.timestamp(), *_sentence(logged.event), position=-1 if position is None else position)
-
-
-def _sentence(event: Event) -> tuple[Weight, str]:
-    match event:
-        case SessionStarted():
-            return Weight.NOTE, (
-                f"session begins: {event.done} of {event.positions} positions measured, {event.to_do} to do with "
-                f"{event.actuators} actuators; planned: {hours(event.planned_s)}"
-            )
-        case ScheduleSettled():
-            return Weight.NOTE, f"schedule: {event.chosen}: {event.reason}"
-        case StateChanged(state=state):
-            weights = {State.FAILED: Weight.FAULT, State.RECOVERING: Weight.WARNING, State.SUSPENDED: Weight.WARNING}
-            return weights.get(state, Weight.NOTE), f"{state}: {event.reason}"
-        case PositionStarted():
-            again = f", attempt {event.attempt}" if event.attempt > 1 else ""
-            return Weight.DETAIL, f"position {event.position} at ({event.x_mm:.1f}, {event.y_mm:.1f}) mm begins{again}"
-        case PositionCommitted():
-            return Weight.DETAIL if event.status == VALID else Weight.WARNING, (
-                f"position {event.position} is measured: {status_text(event.status)}, signal-to-noise ratio "
-                f"{event.snr_db:.1f} dB, residual {event.residual_db:.1f} dB"
-            )
-        case PositionRepeated():
-            return Weight.WARNING, f"position {event.position} is measured again: {event.reason}"
-        case PositionKept():
-            return Weight.NOTE, f"position {event.position} keeps its earlier measurement: {event.reason}"
-        case PassStarted():
-            return Weight.NOTE, f"all that is not valid is measured again: {len(event.positions)} positions"
-        case Fault():
-            then = "trying again" if event.retried else "not tried again"
-            return Weight.FAULT, f"{event.instrument}: {event.operation}: {event.cause}; {event.remedy} ({then})"
-        case ReconnectTried():
-            attempt = f"{event.instrument}: attempt {event.number} to reconnect"
-            if event.connected:
-                return Weight.NOTE, f"{attempt} succeeded"
-            then = "" if event.next_try_s is None else f"; next attempt in {hours(event.next_try_s)}"
-            return Weight.WARNING, f"{attempt} failed: {event.outcome}{then}"
-        case Drift():
-            weight = {"steady": Weight.NOTE, "warn": Weight.WARNING}.get(event.verdict, Weight.FAULT)
-            return weight, (
-                f"sentinel position {event.position}: level {event.level_db:+.2f} dB, delay "
-                f"{event.delay_samples:+.3f} samples, correlation {event.correlation:.5f}: {event.verdict}"
-                f"{f' ({event.cause})' if event.cause else ''}"
-            )
-        case ConditionsSeen():
-            return Weight.NOTE, f"{'conditions are back' if event.back else 'still suspended'}: {event.reason}"
-        case SessionEnded():
-            counts = ", ".join(f"{count} {word}" for word, count in event.counts.items() if count)
-            return Weight.NOTE, (
-                f"session over, {event.state}: {event.done} of {event.total} positions ({counts}); "
-                f"{hours(event.time_s)} on the rig's clock"
-            )
-    return Weight.DETAIL, event.tag["event"]
+#: A change of what the window shows of the campaign, found in the thread and made in the window's.
+Change = Callable[[Campaign], object]
 
 
 # What is read at once: larger blocks leave the memory of their many small objects behind.
@@ -220,56 +92,6 @@ _LEDGER_EVERY_S = 1.0
 _ENDS_WITHIN_S = 0.2
 
 
-@dataclass(frozen=True, slots=True)
-class Opened:
-    """The bank was opened, for the first time or after it was replaced."""
-
-    surface: Surface
-
-
-@dataclass(frozen=True, slots=True)
-class Records:
-    """New events; `anew` when the log was replaced."""
-
-    records: list[Logged | Line]
-    anew: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Ledger:
-    """Status bits and quality figures of all positions."""
-
-    status: NDArray[np.uint8]
-    figures: Mapping[str, Float32Array]
-
-
-@dataclass(frozen=True, slots=True)
-class Life:
-    """Owner of the bank and its heartbeat; asked for at `asked_s` of the monotonic clock."""
-
-    owner: Owner | None
-    pulse: Pulse | None
-    asked_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class DriftSeen:
-    """The whole drift history."""
-
-    points: list[DriftPoint]
-
-
-@dataclass(frozen=True, slots=True)
-class Trouble:
-    """A message about an unreadable file, empty when it can be read again; `details` is the traceback of a defect."""
-
-    sentence: str
-    details: str = ""
-
-
-Seen = Opened | Records | Ledger | Life | DriftSeen | Trouble
-
-
 class Follower:
     """Follows one bank, which may not exist yet, until it is ended."""
 
@@ -277,7 +99,7 @@ class Follower:
         self.bank = bank
         self._front = front
         self._tail = LogTail(front.log_path(bank))
-        self._seen: queue.SimpleQueue[Seen] = queue.SimpleQueue()
+        self._found: queue.SimpleQueue[Change] = queue.SimpleQueue()
         self._over = threading.Event()
         self._identity: tuple[int, int] | None = None
         self._owner: Owner | None = None
@@ -292,15 +114,12 @@ class Follower:
         self._over.set()
         self._thread.join(_ENDS_WITHIN_S)
 
-    def take(self, most: int) -> list[Seen]:
-        """Findings since the last call, at most so many."""
-        found: list[Seen] = []
-        while len(found) < most:
-            try:
-                found.append(self._seen.get_nowait())
-            except queue.Empty:
-                break
-        return found
+    def change(self, campaign: Campaign, most: int) -> None:
+        """Make the changes found since the last call, at most so many."""
+        for _ in range(most):
+            if self._found.empty():
+                return
+            self._found.get_nowait()(campaign)
 
     def _follow(self) -> None:
         while not self._over.is_set():
@@ -328,9 +147,9 @@ class Follower:
             entries = [read_record(record) for record in records]
             kinds = {type(entry.event) if isinstance(entry, Logged) else Line for entry in entries}
             self._stale |= not kinds.isdisjoint({PositionCommitted, SessionEnded, Line})
-            self._seen.put(Records(entries, anew))
+            self._put(Campaign.add_records, entries, anew=anew)
             if Drift in kinds:
-                self._seen.put(DriftSeen(self._front.read_drift(self.bank)))
+                self._put(Campaign.show_drift, self._front.read_drift(self.bank))
         if self._stale and self._identity is not None and time.monotonic() >= self._ledger_due_s:
             with _opened(self.bank) as bank:
                 self._put_ledger(bank)
@@ -347,25 +166,28 @@ class Follower:
         identity = (found.st_dev, found.st_ino)
         if identity != self._identity:
             with _opened(self.bank) as bank:
-                self._seen.put(Opened(surface_of(bank)))
+                self._put(Campaign.open, surface_of(bank))
                 self._put_ledger(bank)
-            self._seen.put(DriftSeen(self._front.read_drift(self.bank)))
+            self._put(Campaign.show_drift, self._front.read_drift(self.bank))
             self._identity = identity
         owner = _owner_of(self.bank)
         self._stale |= owner != self._owner
         self._put_life(owner)
         self._report("")
 
+    def _put(self, change: Callable[..., object], *values: object, **named: object) -> None:
+        self._found.put(lambda campaign: change(campaign, *values, **named))
+
     def _put_life(self, owner: Owner | None) -> None:
         self._owner = owner
-        self._seen.put(Life(owner, self._front.read_pulse(self.bank), time.monotonic()))
+        self._put(Campaign.show_owner, owner, self._front.read_pulse(self.bank), time.monotonic())
 
     def _put_ledger(self, bank: Bank) -> None:
         began_s = time.monotonic()
         status = bank.status
         figures = per_position(bank.quality, status > 0)
         status[bank.broken] = DAMAGED
-        self._seen.put(Ledger(status, figures))
+        self._put(Campaign.show_ledger, status, figures)
         took_s = time.monotonic() - began_s
         self._ledger_due_s = time.monotonic() + max(_LEDGER_EVERY_S, took_s / _LEDGER_SHARE)
         self._stale = False
@@ -373,7 +195,7 @@ class Follower:
     def _report(self, sentence: str, details: str = "") -> None:
         if sentence != self._trouble:
             self._trouble = sentence
-            self._seen.put(Trouble(sentence, details))
+            self._put(Campaign.show_trouble, sentence, details)
 
 
 def same_file(one: Path, other: Path) -> bool:

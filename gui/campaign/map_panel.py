@@ -3,27 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 
 import numpy as np
 import pyqtgraph
 from numpy.typing import NDArray
 from PyQt5.QtCore import QPointF, Qt, pyqtSignal
 from PyQt5.QtGui import QKeyEvent, QPolygonF
-from PyQt5.QtWidgets import (
-    QGraphicsPolygonItem,
-    QLabel,
-    QSizePolicy,
-    QToolButton,
-    QWidget,
-)
+from PyQt5.QtWidgets import QGraphicsPolygonItem, QLabel, QSizePolicy, QWidget
 
+from gui import widgets as ui
 from gui.campaign.model import Campaign
 from gui.campaign.quality import FIGURES, LOOKS, NOT_MEASURED, Figure, Float32Array, look_index, status_text
 from gui.field_map import ColourBar
 from gui.surface import Surface
 from gui.surface_view import MARK, Keys, PointMm, Spots, SurfaceView, looked_up, rgba
-from gui.theme import Theme
-from gui.widgets import column, make_choice, make_label, named, row
+from gui.theme import Themed
 from storage.bank.ledger import VALID
 
 # On a large map a few outliers must not press all others into one colour.
@@ -45,7 +40,8 @@ class SurfaceMap(SurfaceView):
         self.drag_mode = "pan"  # or "rectangle", "lasso"
         self._status: NDArray[np.uint8] = np.zeros(0, np.uint8)
         self._marked_status: bytes = b""
-        self._levels: tuple[float, float] | None = None
+        self.levels: tuple[float, float] | None = None
+        """Values at the ends of the colour bar; None while the status is shown."""
         self.beyond = False, False
         self._corners: list[PointMm] = []
         self.colour_map = pyqtgraph.colormap.get("viridis")
@@ -67,11 +63,6 @@ class SurfaceMap(SurfaceView):
         """The position whose details are shown, -1 for none."""
         return self.marked
 
-    @property
-    def levels(self) -> tuple[float, float] | None:
-        """Values at the ends of the colour bar; None while the status is shown."""
-        return self._levels
-
     def show_surface(self, surface: Surface | None) -> None:
         super().show_surface(surface)
         self._status = np.zeros(0 if surface is None else surface.positions, np.uint8)
@@ -84,7 +75,7 @@ class SurfaceMap(SurfaceView):
 
     def show_status(self, status: NDArray[np.uint8]) -> None:
         self._status = status
-        self._levels = None
+        self.levels = None
         colours = np.array([rgba(look.colour(self.theme)) for look in LOOKS], np.uint8)
         self.paint(colours[look_index(status)])
         self._draw_marks()
@@ -100,7 +91,7 @@ class SurfaceMap(SurfaceView):
             low, high = min(low, 1.0), max(high, 2.0)
         if high - low < 1e-9 * max(1.0, abs(high)):
             low, high = low - 0.5, high + 0.5
-        self._levels = low, high
+        self.levels = low, high
         self.paint(looked_up(self.colour_map, values, (low, high), self.theme.cell))
         self._draw_marks()
 
@@ -120,13 +111,13 @@ class SurfaceMap(SurfaceView):
         self._put(self._selection, sorted(self.selected))
         self.selection_changed.emit(len(self.selected))
 
-    def apply_theme(self, theme: Theme) -> None:
+    def redraw(self) -> None:
         """Apply the theme's colours; the owner colours the positions again."""
-        super().apply_theme(theme)
+        super().redraw()
         self._selection.setPen(pyqtgraph.mkPen(MARK, width=2))
         self._current_rim.setPen(pyqtgraph.mkPen("#000000", width=4.5))
         self._current.setPen(pyqtgraph.mkPen("#ffffff", width=2))
-        self._selecting.setPen(pyqtgraph.mkPen(theme.text, style=Qt.PenStyle.DashLine))
+        self._selecting.setPen(pyqtgraph.mkPen(self.theme.text, style=Qt.PenStyle.DashLine))
         for item in (self._selection, self._current_rim, self._current):
             item.setBrush(None)
         self._marked_status = b""
@@ -176,18 +167,15 @@ class SurfaceMap(SurfaceView):
         if self.surface is None or len(index) != self.surface.positions or index.tobytes() == self._marked_status:
             return
         self._marked_status = index.tobytes()
-        ink = "#ffffff" if self._levels is not None else self.theme.text
-        spots = [
-            {
-                "pos": self.surface.position_mm[position],
-                "symbol": LOOKS[index[position]].symbol,
-                "size": 7,
-                "pen": pyqtgraph.mkPen(ink, width=1),
-                "brush": pyqtgraph.mkBrush(self.theme.base),
-            }
-            for position in np.flatnonzero(index < len(LOOKS) - 2)
-        ]
-        self._marks.setData(spots)
+        ink = "#ffffff" if self.levels is not None else self.theme.text
+        bad = np.flatnonzero(index < len(LOOKS) - 2)
+        self._marks.setData(
+            pos=self.surface.position_mm[bad],
+            symbol=[LOOKS[look].symbol for look in index[bad]],
+            size=7,
+            pen=pyqtgraph.mkPen(ink, width=1),
+            brush=pyqtgraph.mkBrush(self.theme.base),
+        )
 
     def _put(self, item: Spots, positions: list[int]) -> None:
         if self.surface is None:
@@ -199,15 +187,15 @@ class SurfaceMap(SurfaceView):
 
 
 _DRAG_MODES = (
-    ("pan", "A drag pans the map, the wheel zooms, a double click shows everything"),
-    ("rectangle", "A drag selects positions in a rectangle; with Ctrl adds them"),
-    ("lasso", "A drag selects positions inside a freely drawn line; with Ctrl adds them"),
+    ("pan", "Pan", "A drag pans the map, the wheel zooms, a double click shows everything", "Drag: pan"),
+    ("rectangle", "Rectangle", "A drag selects positions in a rectangle; with Ctrl adds them", "Drag: rectangle"),
+    ("lasso", "Lasso", "A drag selects positions inside a freely drawn line; with Ctrl adds them", "Drag: lasso"),
 )
 # Characters like the shapes over the cells.
 _SIGNS = {"d": "◆", "+": "+", "x": "×", "s": "■", "t": "▼", "": "&nbsp;"}
 
 
-class MapPanel(QWidget):
+class MapPanel(Themed, QWidget):
     """Draws the campaign's map, and below it the statuses with their counts, or a colour bar."""
 
     def __init__(self, campaign: Campaign) -> None:
@@ -216,20 +204,13 @@ class MapPanel(QWidget):
         self._drawn = {"surface": -1, "map": -1}
         self.map = SurfaceMap()
         self.bar = ColourBar(self.map.colour_map)
-        self.counts = make_label("Statuses of the positions", any_width=True)
+        self.counts = ui.label("Statuses of the positions", any_width=True)
         tip = "Colour of the map; residual and coherence are the worst actuator's"
-        self.colour_by = make_choice("Colour of the map", tip, ["status", *(figure.label for figure in FIGURES)])
+        self.colour_by = ui.choice("Colour of the map", tip, ["status", *(figure.label for figure in FIGURES)])
         self.colour_by.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-        self.ways: dict[str, QToolButton] = {}
-        for mode, tip in _DRAG_MODES:
-            button = self.ways[mode] = named(QToolButton(), tip, f"Drag: {mode}")
-            button.setText(mode.capitalize())
-            button.setCheckable(True)
-            button.setAutoExclusive(True)
-            button.setChecked(mode == "pan")
-            button.clicked.connect(lambda _checked=False, mode=mode: setattr(self.map, "drag_mode", mode))
-        controls = row(QLabel("Colour by"), (self.colour_by, 1), *self.ways.values())
-        column(controls, (self.map, 1), self.counts, self.bar, owner=self)
+        self.ways = ui.exclusive_buttons(_DRAG_MODES, partial(setattr, self.map, "drag_mode"))
+        controls = ui.row(QLabel("Colour by"), (self.colour_by, 1), *self.ways.values())
+        ui.column(controls, (self.map, 1), self.counts, self.bar, owner=self)
         self.bar.hide()
         self.colour_by.currentIndexChanged.connect(self._redraw)
 
@@ -244,9 +225,7 @@ class MapPanel(QWidget):
             self._drawn["map"] = revision["map"]
             self._redraw()
 
-    def apply_theme(self, theme: Theme) -> None:
-        self.map.apply_theme(theme)
-        self.bar.apply_theme(theme)
+    def redraw(self) -> None:
         self._redraw()
 
     def _redraw(self) -> None:
@@ -256,7 +235,7 @@ class MapPanel(QWidget):
         values = campaign.figures.get(FIGURES[index].key) if index >= 0 else None
         if values is None or len(values) != len(campaign.status):
             self.map.show_status(campaign.status)
-            self.counts.setText(_counts_text(campaign.status, self.map.theme))
+            self.counts.setText(_counts_text(campaign.status))
         else:
             figure = FIGURES[index]
             self.map.show_figure(figure, values, campaign.status)
@@ -266,9 +245,9 @@ class MapPanel(QWidget):
         self.map.show_current(campaign.current)
 
 
-def _counts_text(status: NDArray[np.uint8], theme: Theme) -> str:
+def _counts_text(status: NDArray[np.uint8]) -> str:
     """Looks of the statuses as rich text, and how many positions have each."""
-    counts = np.bincount(look_index(status), minlength=len(LOOKS)).tolist()
+    theme, counts = Themed.theme, np.bincount(look_index(status), minlength=len(LOOKS)).tolist()
     swatch = f"<span style='color: {theme.text}; background-color: {{}}'>&nbsp;{{}}&nbsp;</span>"
     parts = [
         f"{swatch.format(look.colour(theme), _SIGNS[look.symbol])}&nbsp;{look.word}&nbsp;{count}"

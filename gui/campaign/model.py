@@ -1,39 +1,150 @@
-"""State of the followed campaign, made from the follower's findings, without Qt; orders that make sense in it."""
+"""State of the followed campaign and the lines of its log, without Qt; orders that make sense in it."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
+from datetime import datetime
+from enum import IntEnum, StrEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.wording import hours
 from config.messages.campaign import (
+    ConditionsSeen,
+    Drift,
     Event,
     Fault,
     Logged,
+    PassStarted,
     PositionCommitted,
     PositionKept,
     PositionRepeated,
     PositionStarted,
     Progress,
     ReconnectTried,
+    RecordTaken,
+    ScheduleSettled,
+    SessionEnded,
     SessionStarted,
     State,
     StateChanged,
+    event_of,
 )
-from gui.campaign.follower import DriftSeen, Ledger, Life, Line, Opened, Records, Seen, Trouble, line_of
-from gui.campaign.quality import DAMAGED, Float32Array
+from gui.campaign.quality import DAMAGED, Float32Array, status_text
 from gui.front_door import Pulse
 from gui.surface import Surface
+from storage.bank.ledger import VALID
 
 if TYPE_CHECKING:
     from acquisition.limits import DriftPoint
     from storage.ledger.owner import Owner
+
+_LONGEST = 200
+
+
+class Weight(IntEnum):
+    """Importance of an event."""
+
+    DETAIL = 0
+    NOTE = 1
+    WARNING = 2
+    FAULT = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One line of the event list: seconds since 1970 or NaN, and the bank row concerned or -1."""
+
+    at_s: float
+    weight: Weight
+    text: str
+    position: int = -1
+
+
+def read_record(record: Mapping[str, object]) -> Logged | Line:
+    """Read a record of the log; one of another version becomes a line that holds whatever it says."""
+    logged = event_of(record)
+    if logged is not None:
+        return logged
+    facts = ", ".join(f"{key} {value}" for key, value in record.items() if key not in ("at", "event", "time_s"))
+    text = f"{record.get('event')}: {facts}" if facts else str(record.get("event"))
+    try:
+        at_s = datetime.fromisoformat(str(record.get("at"))).timestamp()
+    except ValueError:
+        at_s = math.nan
+    return Line(at_s, Weight.DETAIL, text[:_LONGEST])
+
+
+def clock(at_s: float) -> str:
+    """Weekday and time; empty where it is NaN."""
+    return "" if math.isnan(at_s) else datetime.fromtimestamp(at_s).astimezone().strftime("%a %H:%M:%S")
+
+
+def line_of(logged: Logged) -> Line | None:
+    """Line of an event; None for progress, which is shown otherwise."""
+    if isinstance(logged.event, Progress | RecordTaken):
+        return None
+    position: int | None = getattr(logged.event, "position", None)
+    return Line(logged.at.timestamp(), *_sentence(logged.event), position=-1 if position is None else position)
+
+
+def _sentence(event: Event) -> tuple[Weight, str]:
+    match event:
+        case SessionStarted():
+            return Weight.NOTE, (
+                f"session begins: {event.done} of {event.positions} positions measured, {event.to_do} to do with "
+                f"{event.actuators} actuators; planned: {hours(event.planned_s)}"
+            )
+        case ScheduleSettled():
+            return Weight.NOTE, f"schedule: {event.chosen}: {event.reason}"
+        case StateChanged(state=state):
+            weights = {State.FAILED: Weight.FAULT, State.RECOVERING: Weight.WARNING, State.SUSPENDED: Weight.WARNING}
+            return weights.get(state, Weight.NOTE), f"{state}: {event.reason}"
+        case PositionStarted():
+            again = f", attempt {event.attempt}" if event.attempt > 1 else ""
+            return Weight.DETAIL, f"position {event.position} at ({event.x_mm:.1f}, {event.y_mm:.1f}) mm begins{again}"
+        case PositionCommitted():
+            return Weight.DETAIL if event.status == VALID else Weight.WARNING, (
+                f"position {event.position} is measured: {status_text(event.status)}, signal-to-noise ratio "
+                f"{event.snr_db:.1f} dB, residual {event.residual_db:.1f} dB"
+            )
+        case PositionRepeated():
+            return Weight.WARNING, f"position {event.position} is measured again: {event.reason}"
+        case PositionKept():
+            return Weight.NOTE, f"position {event.position} keeps its earlier measurement: {event.reason}"
+        case PassStarted():
+            return Weight.NOTE, f"all that is not valid is measured again: {len(event.positions)} positions"
+        case Fault():
+            then = "trying again" if event.retried else "not tried again"
+            return Weight.FAULT, f"{event.instrument}: {event.operation}: {event.cause}; {event.remedy} ({then})"
+        case ReconnectTried():
+            attempt = f"{event.instrument}: attempt {event.number} to reconnect"
+            if event.connected:
+                return Weight.NOTE, f"{attempt} succeeded"
+            then = "" if event.next_try_s is None else f"; next attempt in {hours(event.next_try_s)}"
+            return Weight.WARNING, f"{attempt} failed: {event.outcome}{then}"
+        case Drift():
+            weight = {"steady": Weight.NOTE, "warn": Weight.WARNING}.get(event.verdict, Weight.FAULT)
+            return weight, (
+                f"sentinel position {event.position}: level {event.level_db:+.2f} dB, delay "
+                f"{event.delay_samples:+.3f} samples, correlation {event.correlation:.5f}: {event.verdict}"
+                f"{f' ({event.cause})' if event.cause else ''}"
+            )
+        case ConditionsSeen():
+            return Weight.NOTE, f"{'conditions are back' if event.back else 'still suspended'}: {event.reason}"
+        case SessionEnded():
+            counts = ", ".join(f"{count} {word}" for word, count in event.counts.items() if count)
+            return Weight.NOTE, (
+                f"session over, {event.state}: {event.done} of {event.total} positions ({counts}); "
+                f"{hours(event.time_s)} on the rig's clock"
+            )
+    return Weight.DETAIL, event.tag["event"]
+
 
 # A week of a night's events; older ones are in the log. Lines are dropped in blocks.
 KEPT_LINES = 20_000
@@ -151,7 +262,8 @@ class Campaign:
     current: int = -1
     owner: Owner | None = None
     pulse: Pulse | None = None
-    trouble: Trouble = field(default_factory=lambda: Trouble(""))
+    trouble: tuple[str, str] = "", ""
+    """Why the bank or its log cannot be read, empty while they can; and the traceback of a defect."""
     revision: dict[str, int] = field(
         default_factory=lambda: dict.fromkeys(("surface", "map", "lines", "instruments", "drift", "history"), 0)
     )
@@ -159,26 +271,34 @@ class Campaign:
     _logged_s: float = 0.0
     _asked_s: float = 0.0
 
-    def take(self, seen: Seen) -> None:
-        match seen:
-            case Records(records, anew):
-                if anew:
-                    self._forget_log()
-                for record in records:
-                    self._take_record(record)
-            case Opened(surface):
-                self.surface, self.status, self.figures = surface, np.zeros(surface.positions, np.uint8), {}
-                self._changed("surface", "map", "history")
-            case Ledger(status, figures):
-                self.status, self.figures = status, figures
-                self._changed("map")
-            case Life(owner, pulse, asked_s):
-                self.owner, self.pulse, self._asked_s = owner, pulse, asked_s
-            case DriftSeen(points):
-                self.drift = points
-                self._changed("drift")
-            case Trouble():
-                self.trouble = seen
+    def open(self, surface: Surface) -> None:
+        """Show the bank, for the first time or after it was replaced."""
+        self.surface, self.status, self.figures = surface, np.zeros(surface.positions, np.uint8), {}
+        self._changed("surface", "map", "history")
+
+    def add_records(self, records: Sequence[Logged | Line], *, anew: bool) -> None:
+        """Add new records of the log; `anew` when the log was replaced."""
+        if anew:
+            self._forget_log()
+        for record in records:
+            self._take_record(record)
+
+    def show_ledger(self, status: NDArray[np.uint8], figures: Mapping[str, Float32Array]) -> None:
+        """Show status bits and quality figures of all positions."""
+        self.status, self.figures = status, figures
+        self._changed("map")
+
+    def show_owner(self, owner: Owner | None, pulse: Pulse | None, asked_s: float) -> None:
+        """Show the bank's owner and heartbeat; asked for at `asked_s` of the monotonic clock."""
+        self.owner, self.pulse, self._asked_s = owner, pulse, asked_s
+
+    def show_drift(self, points: list[DriftPoint]) -> None:
+        """Show the whole drift history."""
+        self.drift = points
+        self._changed("drift")
+
+    def show_trouble(self, sentence: str, details: str) -> None:
+        self.trouble = sentence, details
 
     @property
     def measured(self) -> int:
@@ -186,7 +306,7 @@ class Campaign:
 
     def forget(self) -> None:
         """Reset everything: another bank will be followed."""
-        self.surface, self.owner, self.pulse, self.trouble = None, None, None, Trouble("")
+        self.surface, self.owner, self.pulse, self.trouble = None, None, None, ("", "")
         self.status, self.figures, self.drift = np.zeros(0, np.uint8), {}, []
         self._forget_log()
         self._changed("surface", "drift")
@@ -277,13 +397,8 @@ class Campaign:
 
     def _change_instrument(self, name: str, role: str, state: str, text: str, at_s: float) -> None:
         """Change the instrument of a name, or else of a role; a new one where there is none."""
-        known = (
-            one
-            for wanted in (name, role)
-            if wanted
-            for one in self.instruments
-            if wanted in one.name or one.name in wanted
-        )
+        wanted = [one for one in (name, role) if one]
+        known = (one for part in wanted for one in self.instruments if part in one.name or one.name in part)
         instrument = next(known, None)
         if instrument is None:
             self.instruments.append(instrument := Instrument(name))

@@ -11,21 +11,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyqtgraph
 from PyQt5.QtCore import QRectF
-from PyQt5.QtWidgets import (
-    QSizePolicy,
-    QSpinBox,
-    QTabWidget,
-    QWidget,
-)
+from PyQt5.QtWidgets import QSizePolicy, QTabWidget, QWidget
 
-from gui.campaign.follower import clock
-from gui.campaign.model import Campaign
+from gui import widgets as ui
+from gui.campaign.model import Campaign, clock
 from gui.campaign.quality import status_text
 from gui.field_map import MOST_COLUMNS, Plot, Real, whole_ticks
 from gui.surface import Surface
 from gui.tab import TabContext
-from gui.theme import Theme
-from gui.widgets import column, fill_row, make_choice, make_label, make_table, named, row, stacked
+from gui.theme import Themed
 from storage.units import quantity
 
 if TYPE_CHECKING:
@@ -63,14 +57,14 @@ class GreenPlot(Plot):
         time_ms = np.arange(green.shape[1]) / surface.sample_rate_hz * 1e3
         title = f"position {greens.position}: largest {quantity(f'{largest:.3g}', surface.unit)}"
         if largest == 0:
-            plot.setTitle(f"position {greens.position} is not measured", color=self.theme.faint)
+            self.title(f"position {greens.position} is not measured", faint=True)
             return
         if waterfall:
             level_db = 20 * np.log10(np.maximum(np.abs(_columns(green)) / largest, 10 ** (_FLOOR_DB / 20)))
             self._image.setImage(level_db, levels=(_FLOOR_DB, 0.0))
             self._image.setRect(QRectF(0.0, -0.5, float(time_ms[-1]), float(len(green))))
             plot.addItem(self._image)
-            plot.setTitle(f"{title} = 0 dB, dark is {_FLOOR_DB:.0f} dB", color=self.theme.text)
+            self.title(f"{title} = 0 dB, dark is {_FLOOR_DB:.0f} dB")
         else:
             peaks = np.abs(green).max(axis=1)
             scales = np.where(peaks > 0, peaks, 1.0) if own_scale else np.full(len(green), largest)
@@ -79,7 +73,7 @@ class GreenPlot(Plot):
                 colour = self.theme.fault if chosen else self.theme.traces[0]
                 self.line(time_ms, number + 0.9 * trace / scale, colour, 1.6 if chosen else 1.0)
             words = f"; each to its own peak, the least {float(peaks.min()):.3g}" if own_scale else " = 0.9 of a step"
-            plot.setTitle(f"{title}{words}", color=self.theme.text)
+            self.title(f"{title}{words}")
         plot.getAxis("left").setTicks([whole_ticks(len(green)), []])
         plot.setXRange(0.0, float(time_ms[-1]), padding=0.01)
         plot.setYRange(-1.0, len(green), padding=0.0)
@@ -98,7 +92,7 @@ class SpectrumPlot(Plot):
         plot.setLabel("left", f"level (dB re 1 {surface.unit})")
         spectrum = np.abs(np.fft.rfft(greens.green, axis=1))
         if not spectrum.any():
-            plot.setTitle(f"position {greens.position} is not measured", color=self.theme.faint)
+            self.title(f"position {greens.position} is not measured", faint=True)
             return
         frequency_hz = np.fft.rfftfreq(greens.green.shape[1], 1 / surface.sample_rate_hz)
         low_hz, high_hz = surface.band_hz or (0.0, float(frequency_hz[-1]))
@@ -113,7 +107,7 @@ class SpectrumPlot(Plot):
         level_db = 20 * np.log10(level)
         self.line(frequency_hz, level_db, self.theme.traces[0], 2.0)
         self.mark_band(low_hz, high_hz)
-        plot.setTitle(f"position {greens.position}: {words}", color=self.theme.text)
+        self.title(f"position {greens.position}: {words}")
         in_band = (frequency_hz >= low_hz) & (frequency_hz <= high_hz)
         top_db = float(level_db[in_band].max()) if in_band.any() else float(level_db.max())
         plot.setXRange(0.0, float(frequency_hz[-1]), padding=0.01)
@@ -131,15 +125,11 @@ class RecordingPlot(Plot):
         plot.clear()
         reference, response = recordings.reference_v[record], recordings.response_v[record]
         time_s = np.arange(len(reference)) / sample_rate_hz
-        for name, values, colour in (
-            ("reference", reference, self.theme.grid),
-            ("response", response, self.theme.traces[0]),
-        ):
-            self.line(time_s, values, colour, 1.2, name)
-        plot.setTitle(
+        self.line(time_s, reference, self.theme.grid, 1.2, "reference")
+        self.line(time_s, response, self.theme.traces[0], 1.2, "response")
+        self.title(
             f"position {position}, record {record}: response up to {float(np.abs(response).max()):.3g} V of "
-            f"{recordings.range_v[1]:g} V",
-            color=self.theme.text,
+            f"{recordings.range_v[1]:g} V"
         )
         plot.getViewBox().autoRange()
 
@@ -150,20 +140,14 @@ class DriftPlot(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self.setAccessibleName("Drift of the sentinel position")
-        self.plots = [
-            Plot(f"Drift: {label}", "clock", label) for label in ("level (dB)", "delay (samples)", "1 − corr.")
-        ]
+        labels = ("level (dB)", "delay (samples)", "1 − corr.")
+        self.plots = [Plot(f"Drift: {label}", "clock", label, axis_px=96) for label in labels]
         for plot in self.plots:
             plot.setAxisItems({"bottom": pyqtgraph.DateAxisItem()})
             plot.setXLink(self.plots[0])
             if plot is not self.plots[-1]:  # they share the clock at the foot
                 plot.getPlotItem().hideAxis("bottom")
-            plot.getPlotItem().getAxis("left").setWidth(96)
-        column(*self.plots, owner=self).setSpacing(8)
-
-    def apply_theme(self, theme: Theme) -> None:
-        for plot in self.plots:
-            plot.apply_theme(theme)
+        ui.column(*self.plots, owner=self, spacing=8)
 
     def show_drift(self, points: Sequence[DriftPoint]) -> None:
         at_s = np.array([point.at.timestamp() for point in points])
@@ -173,25 +157,23 @@ class DriftPlot(QWidget):
             [1 - point.correlation for point in points],
         )
         theme = self.plots[0].theme
-        colours = {"steady": theme.good, "warn": theme.warning}
-        symbols = {"steady": "o", "warn": "t"}
+        known = {"steady": ("o", theme.good), "warn": ("t", theme.warning)}
+        looks = [known.get(point.verdict, ("x", theme.fault)) for point in points]
         for plot, values in zip(self.plots, rows, strict=True):
             item = plot.getPlotItem()
             item.clear()
             item.addLine(y=0.0, pen=pyqtgraph.mkPen(theme.grid))
             item.plot(at_s, np.array(values, dtype=float), pen=pyqtgraph.mkPen(theme.faint))
             marks = [
-                {
-                    "pos": (x, y),
-                    "symbol": symbols.get(point.verdict, "x"),
-                    "brush": pyqtgraph.mkBrush(colours.get(point.verdict, theme.fault)),
-                }
-                for x, y, point in zip(at_s.tolist(), values, points, strict=True)
+                {"pos": (x, y), "symbol": symbol, "brush": pyqtgraph.mkBrush(colour)}
+                for x, y, (symbol, colour) in zip(at_s.tolist(), values, looks, strict=True)
                 if math.isfinite(y)
             ]
             item.addItem(pyqtgraph.ScatterPlotItem(spots=marks, pen=None, size=8))
-        words = "" if points else "the sentinel position has not been measured again yet"
-        self.plots[0].getPlotItem().setTitle(words or "circle: steady, triangle: warn, cross: stop", color=theme.text)
+        self.plots[0].title(
+            "circle: steady, triangle: warn, cross: stop"
+            if points else "the sentinel position has not been measured again yet"
+        )  # fmt: skip
         if points:
             room_s = max(60.0, 0.05 * float(at_s[-1] - at_s[0]))
             self.plots[0].setXRange(float(at_s[0]) - room_s, float(at_s[-1]) + room_s, padding=0)
@@ -216,7 +198,7 @@ Details = tuple[Greens, dict[str, np.ndarray]]
 Raw = tuple["Recordings | None", float]
 
 
-class PositionPanel(QTabWidget):
+class PositionPanel(Themed, QTabWidget):
     """Shows one position; files are read in the background."""
 
     def __init__(self, context: TabContext, campaign: Campaign) -> None:
@@ -231,23 +213,19 @@ class PositionPanel(QTabWidget):
         self._drawn: dict[str, int] = {}
         self.green_plot, self.spectrum_plot = GreenPlot(), SpectrumPlot()
         self.recording_plot, self.drift_plot = RecordingPlot(), DriftPlot()
-        self.view = make_choice(
-            "View of the Green's functions",
-            "View of the Green's functions",
-            ["stacked", "waterfall", "stacked, own scale"],
-        )
-        self.actuator = make_choice("Emphasised actuator", "Emphasised actuator", [_ALL])
-        self._spectrum_actuator = make_choice("Actuator of the spectrum", "Actuator of the spectrum", [_ALL])
-        self._record = named(QSpinBox(), "Record of this position, from 0", "Record")
-        self._record.setPrefix("record ")
-        self._raw_text = make_label(role="faint", wraps=True)
+        word = "View of the Green's functions"
+        self.view = ui.choice(word, word, ["stacked", "waterfall", "stacked, own scale"])
+        self.actuator = ui.choice("Emphasised actuator", "Emphasised actuator", [_ALL])
+        self._spectrum_actuator = ui.choice("Actuator of the spectrum", "Actuator of the spectrum", [_ALL])
+        self._record = ui.whole_box("Record", "Record of this position, from 0", 0, 99, "record ")
+        self._raw_text = ui.label(role="faint", wraps=True)
         self._raw_text.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
-        self.attempts = make_table(_ATTEMPTS, "Quality history of the position", stretched=(2,))
+        self.attempts = ui.table(_ATTEMPTS, "Quality history of the position", stretched=(2,))
         self.attempts.setWordWrap(False)
-        self.actuators = make_table(_ACTUATORS, "Quality per actuator", stretched=range(len(_ACTUATORS)))
+        self.actuators = ui.table(_ACTUATORS, "Quality per actuator", stretched=range(len(_ACTUATORS)))
         self.addTab(_page(self.green_plot, self.view, self.actuator), "Green's functions")
         self.addTab(_page(self.spectrum_plot, self._spectrum_actuator), "Spectrum")
-        self.addTab(stacked((self.attempts, 200), (self.actuators, 300)), "Quality")
+        self.addTab(ui.stacked((self.attempts, 200), (self.actuators, 300)), "Quality")
         self.addTab(_page(self.recording_plot, self._record, self._raw_text), "Recordings")
         self.addTab(self.drift_plot, "Drift")
         self.view.currentIndexChanged.connect(self._draw_plots)
@@ -278,19 +256,14 @@ class PositionPanel(QTabWidget):
             surface = self._campaign.surface
             names = [f"actuator {number}" for number in range(surface.actuators if surface else 0)]
             for choice in (self.actuator, self._spectrum_actuator):
-                choice.blockSignals(True)
-                choice.clear()
-                choice.addItems([_ALL, *names])
-                choice.blockSignals(False)
+                ui.fill_choice(choice, [_ALL, *names])
         attempts = self._campaign.history.get(self.position, [])
         if self.position >= 0 and len(attempts) != self.attempts.rowCount():
             self.show_position(self.position)
         if before.get("drift") != revision["drift"]:
             self.drift_plot.show_drift(self._campaign.drift)
 
-    def apply_theme(self, theme: Theme) -> None:
-        for plot in (self.green_plot, self.spectrum_plot, self.recording_plot, self.drift_plot):
-            plot.apply_theme(theme)
+    def redraw(self) -> None:
         self.drift_plot.show_drift(self._campaign.drift)
         self._draw_plots()
         self._draw_recording()
@@ -305,7 +278,7 @@ class PositionPanel(QTabWidget):
                 _text(float(quality[key][actuator]) if key in quality else math.nan, digits)
                 for key, digits in _FIGURES.items()
             ]
-            fill_row(self.actuators, actuator, (str(actuator), *numbers))
+            ui.fill_row(self.actuators, actuator, (str(actuator), *numbers))
 
     def _draw_plots(self) -> None:
         surface = self._campaign.surface
@@ -355,12 +328,12 @@ class PositionPanel(QTabWidget):
             status = f": {status_text(attempt.status)}" if attempt.status else ""
             numbers = _text(attempt.snr_db, 1), _text(attempt.residual_db, 1)
             outcome = f"{attempt.outcome}{status}"
-            fill_row(self.attempts, line, (clock(attempt.at_s), str(attempt.number), outcome, *numbers))
+            ui.fill_row(self.attempts, line, (clock(attempt.at_s), str(attempt.number), outcome, *numbers))
 
     def _clear(self) -> None:
         for plot in (self.green_plot, self.spectrum_plot, self.recording_plot):
             plot.getPlotItem().clear()
-            plot.getPlotItem().setTitle("click a position on the map", color=plot.theme.faint)
+            plot.title("click a position on the map", faint=True)
         self.attempts.setRowCount(0)
         self.actuators.setRowCount(0)
 
@@ -382,7 +355,7 @@ def _read_raw(path: Path, position: int) -> Raw:
 
 def _page(plot: QWidget, *controls: QWidget) -> QWidget:
     page = QWidget()
-    column(row(*controls, None, margins=(4, 4, 4, 2)), (plot, 1), owner=page)
+    ui.column(ui.row(*controls, None, margins=(4, 4, 4, 2)), (plot, 1), owner=page)
     return page
 
 

@@ -2,142 +2,165 @@
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from datetime import datetime
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from PyQt5.QtCore import Qt
-from PyQt5.QtWidgets import QAction, QProgressBar, QToolButton, QWidget
+from PyQt5.QtWidgets import QAction, QWidget
 
-from config.messages.campaign import State
+from acquisition.wording import hours
+from gui import widgets as ui
 from gui.campaign.follower import Follower, same_file
-from gui.campaign.lists import EventList, InstrumentList
 from gui.campaign.map_panel import MapPanel
-from gui.campaign.model import GOING, Campaign, CampaignState, Extra, Order, Pace, possible_orders
+from gui.campaign.model import Campaign, Extra, Order, possible_orders
+from gui.campaign.panels import Controls, EventList, InstrumentList, ProgressRow
 from gui.campaign.position_panel import PositionPanel
 from gui.campaign.quality import NOT_GOOD
-from gui.campaign.run import CampaignRun
-from gui.files import PathField
+from gui.files import PathField, TomlKind, runs_on_virtual_rig, toml_kind
+from gui.process import STOPPED_BY_USER, CommandProcess
 from gui.tab import Question, Tab, TabContext
-from gui.theme import LIGHT, Theme
-from gui.toml_files import TomlKind, runs_on_virtual_rig, toml_kind
-from gui.widgets import (
-    PAGE_MARGINS,
-    Badge,
-    column,
-    copy_text,
-    finish_text,
-    make_action,
-    make_button,
-    make_label,
-    put,
-    row,
-    side_by_side,
-    stacked,
-)
 from rendering.verify.record import FIELD_NAMES, RECORD_NAME
 
-# Name, text, key and tooltip.
-_BUTTONS = (
-    ("plan", "Dry run", "Ctrl+D", "Walk the run file's plan without playing: positions, hours, bytes"),
-    ("start", "Start", "Ctrl+Return", "Start the campaign of the run file in the bank, or continue it"),
-    ("resume", "Resume", "Ctrl+R", "Continue the bank's campaign; the bank alone is enough"),
-    ("pause", "Pause", "Ctrl+P", "Finish the current position, then wait, muted and parked"),
-    ("stop", "Stop after this position", "Ctrl+T", "Finish the current position and end; Resume continues"),
-    ("selected", "Remeasure selected", "Ctrl+M", "Measure the selected positions again (Ctrl-click, Shift-drag)"),
-    ("poor", "Remeasure poor", "Ctrl+Shift+M", "Measure again all that is poor, over-range or failed"),
-)
+_REREAD_EVERY_S = 0.5
 
 
-class Controls(QWidget):
-    """Row of buttons; `actions_by_name` are in the menu, too.
+class CampaignRun:
+    """At most one capture of this window, and one order or dry run at a time.
 
-    Parameters
+    Attributes
     ----------
-    acts : dict of callable
-        Action of each button.
+    own : CommandProcess or None
+        The window's capture.
+    bank : Path
+        Bank of that capture.
     """
 
-    def __init__(self, acts: dict[str, Callable[[], object]]) -> None:
-        super().__init__()
-        self.actions_by_name: dict[str, QAction] = {}
-        self.buttons: dict[str, QToolButton] = {}
-        parts: list[QWidget | int | None] = []
-        for name, text, key, tip in _BUTTONS:
-            action = self.actions_by_name[name] = make_action(self, text, acts[name], key, tip=tip)
-            action.setEnabled(False)
-            self.buttons[name] = make_button(action)
-            parts += [self.buttons[name], 10 if name in ("plan", "stop") else 0]
-        row(*parts, None, owner=self)
-
-    def show_possible(self, orders: frozenset[Order], *, has_run: bool, selected: int, poor: int) -> None:
-        """Enable what makes sense, and show how many positions would be measured again."""
-        paused = Order.CONTINUE in orders
-        for name, enabled in (
-            ("plan", has_run),
-            ("start", Order.START in orders),
-            ("resume", Order.RESUME in orders),
-            ("pause", paused or Order.PAUSE in orders),
-            ("stop", Order.STOP in orders),
-            ("selected", Order.REMEASURE in orders and selected > 0),
-            ("poor", Order.REMEASURE in orders and poor > 0),
+    def __init__(self, context: TabContext, owner: QWidget) -> None:
+        self._context, self._owner = context, owner
+        self.own: CommandProcess | None = None
+        self.bank = Path()
+        self._arguments: Sequence[str] = ()
+        self._virtual = False
+        self._started_at = datetime.now().astimezone()
+        self._last_line = ""
+        self._read_s = 0.0
+        self.accepts: dict[str, QAction] = {}
+        """What the next session may accept, by the command's option."""
+        for option, text, tip in (
+            ("--accept-drift", "Accept &drift", "although the sentinel changed"),
+            ("--accept-calibration", "Accept another &calibration", "with another calibration or other devices"),
         ):
-            self.actions_by_name[name].setEnabled(enabled)
-        for name, text in (
-            ("pause", "Continue" if paused else "Pause"),
-            ("selected", f"Remeasure selected ({selected})" if selected else "Remeasure selected"),
-            ("poor", f"Remeasure poor ({poor})" if poor else "Remeasure poor"),
-        ):
-            if self.actions_by_name[name].text() != text:
-                self.actions_by_name[name].setText(text)
-                self.buttons[name].setAccessibleName(text)
+            action = self.accepts[option] = QAction(text, owner)
+            action.setCheckable(True)
+            action.setToolTip(f"Continue the next session {tip}")
 
+    def start(self, arguments: Sequence[str], bank: Path, *, virtual: bool = False) -> None:
+        """Start a capture, unless one of this window is running."""
+        if self.own is not None:
+            self._context.messages.warn(f"this window's capture of {self.bank} is still running; stop it first")
+            return
+        accepted = [option for option, action in self.accepts.items() if action.isChecked()]
+        for action in self.accepts.values():
+            action.setChecked(False)
+        self._arguments, self._virtual, self.bank = tuple(arguments), virtual, bank
+        self._started_at = datetime.now().astimezone()
+        self.own = self._context.run(
+            [*arguments, *accepted],
+            self._ended,
+            log_file=self._context.front.said_path(bank),
+            name="the capture",
+            advice="Resume continues from what is in the bank",
+        )
 
-class ProgressRow(QWidget):
-    """State, reason, progress bar and figures above the map."""
+    def order(self, word: str, bank: Path | None, done: Callable[[], object] = lambda: None) -> None:
+        """Send an order to the process that owns the bank; `done` is called when it was received."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self._theme = LIGHT
-        self.state = Badge("State of the campaign")
-        self.reason = make_label("Reason of the state", any_width=True)
-        self.bar = QProgressBar()
-        self.bar.setAccessibleName("Progress of the campaign")
-        self.bar.setFormat("%v of %m positions (%p %)")
-        self.figures = make_label("Rate, remaining time and finish time")
-        row(self.state, (self.reason, 3), (self.bar, 3), self.figures, owner=self).setSpacing(10)
+        def answered(process: CommandProcess) -> None:
+            self._context.messages.note(process.last_line)
+            done()
 
-    def show_state(self, state: CampaignState, report: str, owner: str) -> None:
-        """Show a state and its reason; `report` of the capture replaces the reason while it has none."""
-        theme, word = self._theme, state.word
-        colour = (
-            theme.fault if word in (State.FAILED, Extra.GONE, Extra.SILENT)
-            else theme.warning if word in GOING and word is not State.RUNNING
-            else theme.good if state.measuring or word is State.FINISHED
-            else theme.faint
-        )  # fmt: skip
-        self.state.show_word(str(word), colour)
-        put(self.reason, report or state.reason)
-        self.reason.setToolTip(f"{report or state.reason}\n{owner}".strip())
+        if bank is not None:
+            failed = f"{word} was not carried out"
+            self._ask(f"{word}: waiting for the capture…", "Stop waiting", [word, str(bank)], answered, failed)
 
-    def show_progress(self, measured: int, total: int, pace: Pace | None, *, measuring: bool) -> None:
-        """Show the progress of the session while it runs, else of the bank."""
-        done, of = (pace.done, pace.total) if measuring and pace is not None else (measured, total)
-        if (self.bar.value(), self.bar.maximum()) != (done, max(of, 1)):
-            self.bar.setMaximum(max(of, 1))
-            self.bar.setValue(done)
-        put(self.figures, _pace_text(pace) if measuring and pace is not None else "")
+    def plan(self, run_file: Path) -> None:
+        """Dry run: report positions, time and size."""
 
-    def apply_theme(self, theme: Theme) -> None:
-        self._theme = theme
-        self.state.apply_theme(theme)
+        def planned(process: CommandProcess) -> None:
+            facts: dict[str, Any] = process.last_message
+            finish, lines = datetime.fromisoformat(facts["finish_at"]), "\n".join(facts["lines"])
+            self._context.messages.warn(
+                f"{run_file.name}: {facts['positions']} positions, {facts['actuators']} actuators, "
+                f"{hours(facts['duration_s'])}, finished {finish:%a %d %b %H:%M}; "
+                f"bank {facts['bank_bytes'] / 1e6:.0f} MB",
+                ("Details", lambda: ui.show_text("Dry run", lines, self._owner)),
+            )
 
+        command, failed = ["plan", str(run_file)], "the dry run was cancelled"
+        self._ask(f"dry run of {run_file.name}…", "Cancel", command, planned, failed)
 
-def _pace_text(pace: Pace) -> str:
-    text = f"{pace.per_hour:.0f} positions an hour" if not math.isnan(pace.per_hour) else ""
-    return text if math.isnan(pace.finish_s) else f"{text}  ·  {finish_text(pace.finish_s)}"
+    def instruments_held(self) -> str:
+        return "" if self.own is None or self._virtual else f"a run of this window measures {self.bank}"
+
+    def runs(self, bank: Path | None) -> bool:
+        return self.own is not None and bank is not None and same_file(self.bank, bank)
+
+    def last_line(self, bank: Path | None) -> str:
+        """Last line of the own capture of a bank; empty when there is none."""
+        if self.own is None or not self.runs(bank):
+            return ""
+        if time.monotonic() - self._read_s > _REREAD_EVERY_S:
+            self._read_s = time.monotonic()
+            self._last_line = self.own.last_line
+        return self._last_line
+
+    def closing_question(self) -> Question | None:
+        if self.own is None:
+            return None
+        bank = self.bank
+        return Question(
+            f"{bank.name} is being measured by a run of this window. What should it do when the window closes?",
+            (
+                ("Continue in the background", lambda close: close()),
+                ("Pause", partial(self.order, "pause", bank)),
+                ("Stop after this position", partial(self.order, "stop", bank)),
+            ),
+        )
+
+    def detach(self) -> None:
+        if self.own is not None:
+            self.own.detach()
+
+    def _ask(
+        self, waits: str, gives_up: str, arguments: list[str], answered: Callable[[CommandProcess], object], failed: str
+    ) -> None:
+        """Run a short command while a message says so; `failed` where its process was ended without a word."""
+
+        def ended(process: CommandProcess) -> None:
+            if process.exit_code == 0:
+                answered(process)
+            else:
+                self._context.messages.fault(process.last_line or failed)
+
+        order = self._context.run([*arguments, "--json"], ended)
+        self._context.messages.warn(waits, (gives_up, order.kill))
+
+    def _ended(self, process: CommandProcess) -> None:
+        self.own = None
+        failure, messages = process.failure, self._context.messages
+        if not failure:
+            messages.note(process.last_line or "the capture is done")
+        elif process.exit_code == STOPPED_BY_USER:
+            messages.note("stopped; nothing measured is lost, Resume continues")
+        elif self._context.front.session_failure(self.bank, self._started_at) == "drift":
+            again = [*self._arguments, "--accept-drift"]
+            messages.fault(failure, ("Continue anyway", lambda: self.start(again, self.bank, virtual=self._virtual)))
+        else:
+            messages.fault(failure)
 
 
 # Findings per tick; the rest of a long log follows with the next ticks, so that the window stays responsive.
@@ -191,9 +214,9 @@ class CampaignTab(Tab):
     def menu_actions(self) -> list[QAction | None]:
         """Actions of the buttons, and what a resume may accept."""
         seek = partial(self.events.text.setFocus, Qt.FocusReason.ShortcutFocusReason)
-        find = make_action(self, "&Find in events", seek, "Ctrl+F")
-        return [*self.controls.actions_by_name.values(), None, self.run.accept_drift, self.run.accept_calibration,
-                None, find]  # fmt: skip
+        find = ui.action(self, "&Find in events", seek, "Ctrl+F")
+        find = ui.action(self, "&Find in events", seek, "Ctrl+F")
+        return [*self.controls.actions_by_name.values(), None, *self.run.accepts.values(), None, find]
 
     def accepts(self, path: Path) -> bool:
         """Banks, and TOML files that are neither rigs nor scenes; not the files of a verification."""
@@ -224,11 +247,9 @@ class CampaignTab(Tab):
 
     def poll(self) -> None:
         if self.follower is not None:
-            for seen in self.follower.take(_FINDINGS_PER_TICK):
-                self.campaign.take(seen)
-        trouble = self.campaign.trouble
-        if trouble.sentence != self._trouble:
-            self._show_trouble(trouble.sentence, trouble.details)
+            self.follower.change(self.campaign, _FINDINGS_PER_TICK)
+        if self.campaign.trouble[0] != self._trouble:
+            self._show_trouble(*self.campaign.trouble)
 
     def draw(self) -> None:
         campaign, bank, selected = self.campaign, self.bank_field.path, len(self.map_panel.map.selected)
@@ -236,31 +257,25 @@ class CampaignTab(Tab):
         if news == self._drawn and time.monotonic() < self._draw_due_s:
             return
         self._drawn, self._draw_due_s = news, time.monotonic() + _CLOCKS_EVERY_S
-        state, owner, has_run = (
-            campaign.state(starting=self.run.runs(bank)),
-            campaign.owner,
-            self.run_field.path is not None,
-        )
+        state, owner = campaign.state(starting=self.run.runs(bank)), campaign.owner
+        has_run = self.run_field.path is not None
         report = self.run.last_line(bank) if state.word in (Extra.STARTING, Extra.PREPARING) else ""
         who = f"process {owner.pid} on {owner.host} owns the bank" if owner else ""
         self.progress.show_state(state, report, who)
-        total = campaign.surface.positions if campaign.surface else 0
-        self.progress.show_progress(campaign.measured, total, campaign.pace, measuring=state.measuring)
+        measured, total = campaign.measured, campaign.surface.positions if campaign.surface else 0
+        self.progress.show_progress(measured, total, campaign.pace if state.measuring else None)
         orders = possible_orders(
             state,
             has_run=has_run and bank is not None,
             has_bank=campaign.surface is not None,
-            left=total - campaign.measured,
+            left=total - measured,
         )
         self._paused = Order.CONTINUE in orders
         poor = int(((campaign.status & NOT_GOOD) > 0).sum())
         self.controls.show_possible(orders, has_run=has_run, selected=selected, poor=poor)
         for part in (self.map_panel, self.position_panel, self.events, self.instruments):
             part.draw()
-
-    def apply_theme(self, theme: Theme) -> None:
-        for part in (self.progress, self.map_panel, self.position_panel, self.events, self.instruments):
-            part.apply_theme(theme)
+            part.draw()
 
     def run_file(self) -> Path | None:
         return self.run_field.path
@@ -293,12 +308,12 @@ class CampaignTab(Tab):
         self.run.detach()
 
     def _lay_out(self) -> None:
-        upper = side_by_side((self.map_panel, 700), (self.position_panel, 560))
-        lower = side_by_side((self.instruments, 480), (self.events, 780))
-        both = stacked((upper, 470), (lower, 190), growing=[0])
+        upper = ui.side_by_side((self.map_panel, 700), (self.position_panel, 560))
+        lower = ui.side_by_side((self.instruments, 480), (self.events, 780))
+        both = ui.stacked((upper, 470), (lower, 190), growing=[0])
         self.divide(upper=upper, lower=lower, both=both)
-        files = row((self.run_field, 1), (self.bank_field, 1))
-        column(files, self.controls, self.progress, (both, 1), owner=self, margins=PAGE_MARGINS)
+        files = ui.row((self.run_field, 1), (self.bank_field, 1))
+        ui.column(files, self.controls, self.progress, (both, 1), owner=self, margins=ui.PAGE_MARGINS)
 
     def _run_chosen(self, path: Path) -> None:
         """Use a run; a chosen bank stays, unless it belongs to another run."""
@@ -343,7 +358,7 @@ class CampaignTab(Tab):
         self.context.messages.withdraw(self._trouble)
         self._trouble = sentence
         if sentence:
-            answers = [("Copy details", lambda: copy_text(details))] if details else []
+            answers = [("Copy details", lambda: ui.copy_text(details))] if details else []
             self.context.messages.fault(sentence, *answers)
 
     def _share_selection(self) -> None:

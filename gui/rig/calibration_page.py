@@ -13,25 +13,12 @@ from config.messages.operate import Numbers
 from config.messages.rig_checks import AskAgain, AskConnect, AskJog, MapView
 from config.outline import default_marks_mm
 from config.rig import Surface
+from gui import widgets as ui
 from gui.files import PathField, Settings
 from gui.rig.jog import Arrows, SurfacePicture
 from gui.rig.manual_page import LevelMeter
 from gui.rig.session import Calibration
-from gui.theme import LIGHT, Theme
-from gui.widgets import (
-    PAGE_MARGINS,
-    column,
-    fill_row,
-    make_check,
-    make_choice,
-    make_label,
-    make_table,
-    named,
-    number_box,
-    push_button,
-    row,
-    side_by_side,
-)
+from gui.theme import Themed
 
 _PARTS = (
     ("inputs", "&Inputs: delay between response and reference", "You connect the loopback to both inputs"),
@@ -56,25 +43,24 @@ class CalibrationOptions(QWidget):
         super().__init__()
         self.size_mm = (250.0, 150.0)
         self._folder: tempfile.TemporaryDirectory[str] | None = None
-        self.parts = {part: make_check(text, tip, on=part == "mirror") for part, text, tip in _PARTS}
+        self.parts = {part: ui.check(text, tip, on=part == "mirror") for part, text, tip in _PARTS}
         tip = "Places of the beam; four marks determine the map, each more checks it"
-        self.marks = make_choice("Marks on the surface", tip, _MARKS)
+        self.marks = ui.choice("Marks on the surface", tip, _MARKS)
         self.file = PathField("&File", ".csv", "file of marks", settings)
         self.file.setToolTip("x_mm,y_mm of each mark; with x_mrad,y_mrad nothing is jogged")
         tip = "A map that misses a mark by more, in mm on the surface, is refused"
-        self.limit_mm = number_box("Largest residual in mm", tip, " mm", 2, 0.01, 100.0)
-        self.limit_mm.setValue(_DEFAULT_LIMIT_MM)
+        self.limit_mm = ui.number_box("Largest residual in mm", tip, " mm", 2, 0.01, 100.0, value=_DEFAULT_LIMIT_MM)
         tip = "Its values override the rig file's; a measured bank keeps its own calibration"
-        self.use = make_check("&Name the new file in the rig file", tip, on=True)
+        self.use = ui.check("&Name the new file in the rig file", tip, on=True)
         tip = "Open the instruments and measure; you are asked what to connect"
-        self.start = push_button("&Start the calibration", tip, self._start)
+        self.start = ui.push_button("&Start the calibration", tip, self._start)
         form = QFormLayout()
         form.setFieldGrowthPolicy(QFormLayout.FieldGrowthPolicy.FieldsStayAtSizeHint)
         form.addRow("Marks", self.marks)
         form.addRow("Largest residual", self.limit_mm)
         for widget in (self.file, self.use, self.start):
             form.addRow(widget)
-        column(make_label(text="Measure the rig's own values", role="strong"), *self.parts.values(), form, owner=self)
+        ui.column(ui.label(text="Measure the rig's own values", role="strong"), *self.parts.values(), form, owner=self)
         for box in self.parts.values():
             box.toggled.connect(self._enable)
         self.marks.currentIndexChanged.connect(self._enable)
@@ -119,52 +105,48 @@ class CalibrationOptions(QWidget):
         return path
 
 
-class CalibrationPage(QWidget):
+class CalibrationPage(Themed, QWidget):
     """Picture on the left, question on the right."""
 
     def __init__(self, calibration: Calibration, settings: Settings) -> None:
         super().__init__()
         self._calibration = calibration
-        self._theme = LIGHT
         self._marks_mm: list[Numbers] = []
         self.picture = SurfacePicture("Surface with the marks of the mirror map")
         self.picture.setToolTip("Squares: marks, filled when done. Arrow keys move the beam by a step")
         self.options = CalibrationOptions(settings)
-        self.question = make_label("Question of the calibration", role="strong", wraps=True)
-        self.note = make_label("Notes", wraps=True)
+        self.question = ui.label("Question of the calibration", role="strong", wraps=True)
+        self.note = ui.label("Notes", wraps=True)
         self.arrows = Arrows(_STEPS_MRAD, "mrad", 2)
         self.meter = LevelMeter()
-        self.residuals = make_table(_RESIDUALS, "Residuals of the mirror map in mm", stretched=range(len(_RESIDUALS)))
+        self.residuals = ui.table(_RESIDUALS, "Residuals of the mirror map in mm", stretched=range(len(_RESIDUALS)))
         self.residuals.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
         self.residuals.setToolTip("Mapped place less place of the mark, in mm; choose a row to repeat its mark")
-        self.yes = push_button("&Yes", "Answer the question", self._answer_yes)
-        self.no = push_button("&No", "Answer the question", self._answer_no)
-        self.redo = push_button(
-            "&Repeat the chosen mark",
-            "Bring the beam onto the chosen mark once more",
-            lambda: calibration.answer("redo", mark=self.chosen_mark or 1),
-        )
+        self.yes = ui.push_button("&Yes", "Answer the question", self._answer_yes)
+        self.no = ui.push_button("&No", "Answer the question", self._answer_no)
+        tip = "Bring the beam onto the chosen mark once more"
+        self.redo = ui.push_button("&Repeat the chosen mark", tip, self._answer_redo)
         tip = "End it: outputs muted, mirror parked, results so far are kept"
-        self.cancel = push_button("&Cancel", tip, calibration.cancel, "Cancel the calibration")
-        self.report = named(QPlainTextEdit(), "", "Report of the calibration")
+        self.cancel = ui.push_button("&Cancel", tip, calibration.cancel, "Cancel the calibration")
+        self.report = ui.named(QPlainTextEdit(), "", "Report of the calibration")
         self.report.setReadOnly(True)
         self.report.setMaximumHeight(5 * self.fontMetrics().lineSpacing())
         self._spacer, side = QWidget(), QWidget()
-        column(
+        ui.column(
             self.options,
             self.question,
             self.note,
-            row(self.arrows, None),
+            ui.row(self.arrows, None),
             self.meter,
             (self.residuals, 1),
-            row(self.yes, self.no, self.redo, None, self.cancel),
+            ui.row(self.yes, self.no, self.redo, None, self.cancel),
             self.report,
             (self._spacer, 1),
             owner=side,
             margins=(8, 0, 0, 0),
         )
-        self.splitter = side_by_side((self.picture, 640), (side, 600))
-        column(self.splitter, owner=self, margins=PAGE_MARGINS)
+        self.splitter = ui.side_by_side((self.picture, 640), (side, 600))
+        ui.column(self.splitter, owner=self, margins=ui.PAGE_MARGINS)
         self.arrows.stepped.connect(calibration.step)
         self.picture.stepped.connect(self.arrows.step)
         calibration.changed.connect(self._show)
@@ -186,10 +168,7 @@ class CalibrationPage(QWidget):
     def draw(self, *, has_rig: bool) -> None:
         self.options.setEnabled(has_rig and not self._calibration.running)
 
-    def apply_theme(self, theme: Theme) -> None:
-        self._theme = theme
-        self.picture.apply_theme(theme)
-        self.meter.apply_theme(theme)
+    def redraw(self) -> None:
         self.picture.show_marks(self._marks_mm, -1, 0)
         self._show()
 
@@ -276,8 +255,8 @@ class CalibrationPage(QWidget):
             beyond = distance_mm > question.limit_mm
             distance = f"▲ {distance_mm:.2f}" if beyond else f"{distance_mm:.2f}"
             texts = (f"{number + 1}", f"{x_mm:.1f}", f"{y_mm:.1f}", f"{x_off:+.2f}", f"{y_off:+.2f}", distance)
-            colours = dict.fromkeys(range(len(texts)), self._theme.fault) if beyond else {}
-            fill_row(table, number, texts, colours, Qt.AlignmentFlag.AlignRight)
+            colours = dict.fromkeys(range(len(texts)), self.theme.fault) if beyond else {}
+            ui.fill_row(table, number, texts, colours, right=range(len(texts)))
         table.clearSelection()
         if 0 < question.suspect <= len(off_mm):
             table.selectRow(question.suspect - 1)
@@ -289,7 +268,7 @@ class CalibrationPage(QWidget):
     @staticmethod
     def _set_button(button: QPushButton, text: str, tip: str, key: str = "") -> None:
         button.setText(text)
-        named(button, tip)
+        ui.named(button, tip)
         button.setEnabled(True)
         if key:
             button.setShortcut(key)
@@ -297,6 +276,9 @@ class CalibrationPage(QWidget):
     def _answer_yes(self) -> None:
         if (question := self._calibration.question) is not None:
             self._calibration.answer(_YES[type(question)])
+
+    def _answer_redo(self) -> None:
+        self._calibration.answer("redo", mark=self.chosen_mark or 1)
 
     def _answer_no(self) -> None:
         self._calibration.answer("drop" if isinstance(self._calibration.question, MapView) else "skip")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from PyQt5.QtCore import pyqtSignal
@@ -10,20 +11,10 @@ from PyQt5.QtWidgets import QToolButton, QWidget
 
 from config.messages.codec import from_record
 from config.messages.rig_checks import Action, Finding, FindingMade
+from gui import widgets as ui
 from gui.process import STOPPED_BY_USER, CommandProcess, Message
 from gui.tab import TabContext
-from gui.theme import LIGHT, Theme
-from gui.widgets import (
-    PAGE_MARGINS,
-    column,
-    fill_row,
-    make_check,
-    make_label,
-    make_table,
-    named,
-    push_button,
-    row,
-)
+from gui.theme import Themed
 
 _HEADINGS = ("", "instrument", "check", "finding", "remedy", "")
 # Mark and word of a verdict, and its word in the summary.
@@ -55,7 +46,7 @@ def _is_bad(finding: Finding) -> bool:
     return finding.verdict in ("fail", "warn")
 
 
-class ExaminationPage(QWidget):
+class ExaminationPage(Themed, QWidget):
     """At most one examination, and its findings."""
 
     #: An action and its subject.
@@ -65,19 +56,18 @@ class ExaminationPage(QWidget):
         super().__init__()
         self._context = context
         self._process: CommandProcess | None = None
-        self._theme = LIGHT
         self.findings: list[Finding] = []
         self.buttons: dict[int, QToolButton] = {}
-        self.examine = push_button("E&xamine", "Open, identify and exercise every instrument (Ctrl+I)")
+        self.examine = ui.push_button("E&xamine", "Open, identify and exercise every instrument (Ctrl+I)")
         tip = "End the examination; instruments are muted and parked first"
-        self.cancel_button = push_button("&Cancel", tip, self.cancel, "Cancel the examination")
+        self.cancel_button = ui.push_button("&Cancel", tip, self.cancel, "Cancel the examination")
         tip = "Without sweeps nothing sounds; loopback and response are not checked"
-        self.plays = make_check("&Play sweeps", tip, on=True)
-        self.only_bad = make_check("&Only problems", "Hide rows that are ok")
-        self.summary = make_label("Result of the examination")
-        self.table = make_table(_HEADINGS, "Findings", stretched=(3, 4))
-        controls = row(self.examine, self.cancel_button, self.plays, self.only_bad, self.summary, None)
-        column(controls, (self.table, 1), owner=self, margins=PAGE_MARGINS)
+        self.plays = ui.check("&Play sweeps", tip, on=True)
+        self.only_bad = ui.check("&Only problems", "Hide rows that are ok")
+        self.summary = ui.label("Result of the examination")
+        self.table = ui.table(_HEADINGS, "Findings", stretched=(3, 4))
+        controls = ui.row(self.examine, self.cancel_button, self.plays, self.only_bad, self.summary, None)
+        ui.column(controls, (self.table, 1), owner=self, margins=ui.PAGE_MARGINS)
         self.only_bad.toggled.connect(self._hide_good)
         self.clear()
         self.draw(has_rig=False)
@@ -114,8 +104,7 @@ class ExaminationPage(QWidget):
         self.plays.setEnabled(not self.running)
         self.cancel_button.setVisible(self.running)
 
-    def apply_theme(self, theme: Theme) -> None:
-        self._theme = theme
+    def redraw(self) -> None:
         for number in range(len(self.findings)):
             self._fill(number)
 
@@ -132,19 +121,18 @@ class ExaminationPage(QWidget):
             action, text = wanted
             on = "" if finding.act is None else finding.act.on
             tip, name = finding.remedy or finding.what, f"{text}: {finding.instrument}, {finding.check}"
-            button = self.buttons[number] = named(QToolButton(), tip, name)
-            button.setText(text)
-            button.clicked.connect(lambda _checked=False: self.wanted.emit(action, on))
+            act = partial(self.wanted.emit, action, on)
+            button = self.buttons[number] = ui.tool_button(text, tip, act, name)
             self.table.setCellWidget(number, len(_HEADINGS) - 1, button)
         self.summary.setText(f"examining… {number + 1} findings; last: {finding.instrument}, {finding.check}")
         self._hide_good()
         self.table.scrollToBottom()
 
     def _fill(self, number: int) -> None:
-        theme, finding = self._theme, self.findings[number]
+        theme, finding = self.theme, self.findings[number]
         colours = {"ok": theme.good, "warn": theme.warning, "fail": theme.fault}
         texts = (_VERDICTS[finding.verdict][0], finding.instrument, finding.check, finding.what, finding.remedy)
-        fill_row(self.table, number, texts, {0: colours.get(finding.verdict, theme.faint)})
+        ui.fill_row(self.table, number, texts, {0: colours.get(finding.verdict, theme.faint)})
 
     def _ended(self, process: CommandProcess) -> None:
         self._process = None

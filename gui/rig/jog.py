@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 
 import numpy as np
 import pyqtgraph
@@ -13,11 +14,10 @@ from PyQt5.QtWidgets import QFormLayout, QGridLayout, QToolButton, QWidget
 
 from config.messages.operate import Numbers
 from config.outline import Outline
+from gui import widgets as ui
 from gui.rig.session import ManualSession
 from gui.surface import surface_from
 from gui.surface_view import STEPS, Keys, PointMm, Spots, SurfaceView
-from gui.theme import Theme
-from gui.widgets import column, make_choice, make_label, named, number_box, push_button, row
 
 _RIM_POINTS = 180
 # Residuals are enlarged until the longest has about this share of the surface's length.
@@ -71,22 +71,16 @@ class SurfacePicture(SurfaceView):
 
     def show_marks(self, place_mm: Sequence[Numbers], current: int, done: int) -> None:
         """Show numbered marks: filled when done, the current one large."""
-        theme = self.theme
+        theme, places = self.theme, range(len(place_mm))
         self._marks.setData(
-            [
-                {
-                    "pos": place,
-                    "symbol": "s",
-                    "size": 17 if number == current else 11,
-                    "brush": pyqtgraph.mkBrush(theme.good if number < done else theme.base),
-                    "pen": pyqtgraph.mkPen(theme.fault if number == current else theme.text, width=2),
-                }
-                for number, place in enumerate(place_mm)
-            ]
+            pos=_points(place_mm),
+            symbol="s",
+            size=[17 if number == current else 11 for number in places],
+            brush=[pyqtgraph.mkBrush(theme.good if number < done else theme.base) for number in places],
+            pen=[pyqtgraph.mkPen(theme.fault if number == current else theme.text, width=2) for number in places],
         )
-        for label in self._labels:
-            self.box.removeItem(label)
-        self._labels = []
+        while self._labels:
+            self.box.removeItem(self._labels.pop())
         for number, place in enumerate(place_mm):
             label = pyqtgraph.TextItem(str(number + 1), color=theme.text, anchor=(-0.5, 1.0))
             label.setPos(*place)
@@ -104,8 +98,9 @@ class SurfacePicture(SurfaceView):
         self._tips.setData(pos=tips)
         return times
 
-    def apply_theme(self, theme: Theme) -> None:
-        super().apply_theme(theme)
+    def redraw(self) -> None:
+        super().redraw()
+        theme = self.theme
         self._chosen.setBrush(None)
         self._chosen.setPen(pyqtgraph.mkPen(theme.accent, width=3))
         self._residuals.setPen(pyqtgraph.mkPen(theme.fault, width=2.5))
@@ -143,16 +138,16 @@ class Arrows(QWidget):
         super().__init__()
         self._steps = tuple(steps)
         tip = "Step of the arrows; Page up and Page down choose another"
-        self.step_choice = make_choice("Step", tip, [f"{step:g} {unit}" for step in steps], chosen)
+        self.step_choice = ui.choice("Step", tip, [f"{step:g} {unit}" for step in steps], chosen)
         self.buttons: dict[str, QToolButton] = {}
         grid = QGridLayout(self)
         grid.setContentsMargins(0, 0, 0, 0)
         for word, arrow, line, place, x, y in _ARROWS:
-            button = named(QToolButton(), f"Move the beam {word} by a step (arrow key)", f"Move the beam {word}")
+            tip, name = f"Move the beam {word} by a step (arrow key)", f"Move the beam {word}"
+            button = ui.tool_button("", tip, partial(self.step, x, y), name)
             button.setArrowType(arrow)
             button.setAutoRepeat(True)
             button.setAutoRepeatInterval(120)
-            button.clicked.connect(lambda _checked=False, x=x, y=y: self.step(x, y))
             grid.addWidget(button, line, place, Qt.AlignmentFlag.AlignCenter)
             self.buttons[word] = button
         grid.addWidget(self.step_choice, 1, 1)
@@ -174,22 +169,21 @@ class JogPanel(QWidget):
         self.arrows = Arrows(_STEPS_MM, "mm", 2)
         tip = "{} on the surface in mm, from its middle; seen from the laser, x right, y up"
         self.x_mm, self.y_mm = (
-            number_box(f"{axis} in mm", tip.format(axis), " mm", 2, -_FARTHEST_MM, _FARTHEST_MM) for axis in "xy"
+            ui.number_box(f"{axis} in mm", tip.format(axis), " mm", 2, -_FARTHEST_MM, _FARTHEST_MM) for axis in "xy"
         )
-        self.go = push_button(
-            "&Go there",
-            "Send the beam to x, y on the surface",
-            lambda: session.jog_to(self.x_mm.value(), self.y_mm.value()),
-        )
+        tip = "Send the beam to x, y on the surface"
+        self.go = ui.push_button("&Go there", tip, lambda: session.jog_to(self.x_mm.value(), self.y_mm.value()))
         tip = "Send the beam to the middle of the surface, (0, 0) mm"
-        self.middle = push_button("&Middle", tip, lambda: session.jog_to(0.0, 0.0))
-        self.park = push_button("&Park", "Send the beam to the rig's safe direction (mirror.park_mrad)", session.park)
-        self.where = make_label("Place of the beam", wraps=True, any_width=True)
+        self.middle = ui.push_button("&Middle", tip, lambda: session.jog_to(0.0, 0.0))
+        self.park = ui.push_button(
+            "&Park", "Send the beam to the rig's safe direction (mirror.park_mrad)", session.park
+        )
+        self.where = ui.label("Place of the beam", wraps=True, any_width=True)
         form = QFormLayout()
         form.addRow("x", self.x_mm)
         form.addRow("y", self.y_mm)
-        controls = row(self.arrows, 12, form, column(self.go, self.middle, self.park), None)
-        column((self.picture, 1), self.where, controls, owner=self)
+        controls = ui.row(self.arrows, 12, form, ui.column(self.go, self.middle, self.park), None)
+        ui.column((self.picture, 1), self.where, controls, owner=self)
         self.picture.clicked.connect(lambda x, y: session.jog_to(round(x, 2), round(y, 2)))
         self.picture.stepped.connect(self.arrows.step)
         self.arrows.stepped.connect(session.jog_by)

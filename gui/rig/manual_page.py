@@ -8,25 +8,14 @@ import time
 import numpy as np
 import pyqtgraph
 from PyQt5.QtGui import QColor, QMouseEvent, QPalette
-from PyQt5.QtWidgets import QLabel, QProgressBar, QWidget
+from PyQt5.QtWidgets import QLabel, QWidget
 
 from config.messages.operate import ChannelLevel, LevelMeasured, SweepTaken
+from gui import widgets as ui
 from gui.field_map import Plot
 from gui.rig.jog import JogPanel
 from gui.rig.session import ManualSession
-from gui.theme import LIGHT, Theme
-from gui.widgets import (
-    PAGE_MARGINS,
-    column,
-    make_check,
-    make_choice,
-    make_label,
-    number_box,
-    push_button,
-    row,
-    side_by_side,
-    stacked,
-)
+from gui.theme import Themed
 
 _FLOOR_DB = -100
 _NEAR_RANGE_DB = -3.0
@@ -50,16 +39,16 @@ class ManualPage(QWidget):
     def __init__(self, session: ManualSession) -> None:
         super().__init__()
         self._session = session
-        self.take = push_button("&Open instruments", "Open mirror, recorder and player in a separate process")
+        self.take = ui.push_button("&Open instruments", "Open mirror, recorder and player in a separate process")
         tip = "Mute, park and close the instruments, so that other programs can use them"
-        self.release = push_button("&Close them", tip, session.release)
+        self.release = ui.push_button("&Close them", tip, session.release)
         self.jog, self.sound = JogPanel(session), SoundPanel(session)
         tip = "Silence every output at once and drop waiting orders (Ctrl+0)"
-        self.mute = push_button("M&ute", tip, self.sound.mute)
-        self.state = make_label("State of the instruments")
-        self.splitter = side_by_side((self.jog, 600), (self.sound, 640))
-        buttons = row(self.take, self.release, self.mute, self.state, None)
-        column(buttons, (self.splitter, 1), owner=self, margins=PAGE_MARGINS)
+        self.mute = ui.push_button("M&ute", tip, self.sound.mute)
+        self.state = ui.label("State of the instruments")
+        self.splitter = ui.side_by_side((self.jog, 600), (self.sound, 640))
+        buttons = ui.row(self.take, self.release, self.mute, self.state, None)
+        ui.column(buttons, (self.splitter, 1), owner=self, margins=ui.PAGE_MARGINS)
         self.sound.actuator.currentIndexChanged.connect(self._mark_actuator)
         session.state_changed.connect(self._show_state)
         self._show_state()
@@ -67,10 +56,6 @@ class ManualPage(QWidget):
     def draw(self, *, has_rig: bool) -> None:
         self.take.setEnabled(has_rig and self._session.state == "released")
         self.sound.repeat()
-
-    def apply_theme(self, theme: Theme) -> None:
-        self.jog.picture.apply_theme(theme)
-        self.sound.apply_theme(theme)
 
     def _show_state(self) -> None:
         state, facts = self._session.state, self._session.facts
@@ -86,31 +71,31 @@ class ManualPage(QWidget):
         self.jog.picture.show_chosen(facts.actuator_mm[actuator] if facts is not None and known else None)
 
 
-class SoundPanel(QWidget):
+class SoundPanel(Themed, QWidget):
     """Levels of the inputs, and one sweep at a time."""
 
     def __init__(self, session: ManualSession) -> None:
         super().__init__()
         self._session = session
-        self._theme = LIGHT
         self._due_s = 0.0
         self.meter = LevelMeter()
-        self.listen = make_check("&Listen", "Show the levels of both inputs four times a second")
+        self.listen = ui.check("&Listen", "Show the levels of both inputs four times a second")
         tip = (
             "Play a sweep of 0.1 s on the actuator below each time, at its level: jog to where the response is largest"
         )
-        self.sounds = make_check("W&hile the actuator sounds", tip)
-        self.actuator = make_choice("Actuator", "Actuator that plays, in the bank's order", ())
-        self.level_v = number_box("Level in V", "Peak of the sweep in V", " V", 3, 0.001, 1000.0)
-        self.start_hz = number_box("Start in Hz", "Start of the sweep in Hz", " Hz", 0, 1.0, _HIGHEST_HZ)
-        self.stop_hz = number_box("Stop in Hz", "End of the sweep in Hz", " Hz", 0, 2.0, _HIGHEST_HZ)
-        self.length_s = number_box("Duration in s", "Duration of the sweep in s", " s", 2, 0.05, 10.0)
-        self.length_s.setValue(_DEFAULT_S)
-        self.sweep = push_button("S&weep", "Play one sweep and show its recording (F5)", self.take_sweep)
+        self.sounds = ui.check("W&hile the actuator sounds", tip)
+        self.actuator = ui.choice("Actuator", "Actuator that plays, in the bank's order", ())
+        self.level_v = ui.number_box("Level in V", "Peak of the sweep in V", " V", 3, 0.001, 1000.0)
+        self.start_hz = ui.number_box("Start in Hz", "Start of the sweep in Hz", " Hz", 0, 1.0, _HIGHEST_HZ)
+        self.stop_hz = ui.number_box("Stop in Hz", "End of the sweep in Hz", " Hz", 0, 2.0, _HIGHEST_HZ)
+        self.length_s = ui.number_box(
+            "Duration in s", "Duration of the sweep in s", " s", 2, 0.05, 10.0, value=_DEFAULT_S
+        )
+        self.sweep = ui.push_button("S&weep", "Play one sweep and show its recording (F5)", self.take_sweep)
         tip = "Start the next sweep as soon as one is recorded, until unticked or muted"
-        self.again = make_check("Re&peat", tip)
-        self.figures = make_label("Figures of the sweep", "no sweep yet", wraps=True, any_width=True)
-        self.verdict = make_label("Defects of the sweep", wraps=True, any_width=True)
+        self.again = ui.check("Re&peat", tip)
+        self.figures = ui.label("Figures of the sweep", "no sweep yet", wraps=True, any_width=True)
+        self.verdict = ui.label("Defects of the sweep", wraps=True, any_width=True)
         self.waveform = Plot("Waveform of the sweep", "time (s)", "mV", legend_at=_LEGEND_AT)
         bottom = "frequency (Hz); dashed: the sweep's band; dB re 1 V/√Hz"
         self.spectrum = Plot("Spectrum of the sweep", bottom, "dB", legend_at=_LEGEND_AT)
@@ -118,14 +103,14 @@ class SoundPanel(QWidget):
             plot.setMinimumHeight(90)
         first = (*_labelled("A&ctuator", self.actuator), *_labelled("Le&vel", self.level_v), self.sweep, self.again)
         second = (*_labelled("&From", self.start_hz), *_labelled("to", self.stop_hz), *_labelled("for", self.length_s))
-        column(
-            row(self.listen, self.sounds, None),
+        ui.column(
+            ui.row(self.listen, self.sounds, None),
             self.meter,
-            row(*first, None),
-            row(*second, None),
+            ui.row(*first, None),
+            ui.row(*second, None),
             self.figures,
             self.verdict,
-            (stacked((self.waveform, 200), (self.spectrum, 200)), 1),
+            (ui.stacked((self.waveform, 200), (self.spectrum, 200)), 1),
             owner=self,
         )
         self.listen.clicked.connect(self._listen)
@@ -155,10 +140,7 @@ class SoundPanel(QWidget):
             boxes = (self.level_v, self.start_hz, self.stop_hz, self.length_s)
             self._session.take_sweep(self.actuator.currentIndex(), *(box.value() for box in boxes))
 
-    def apply_theme(self, theme: Theme) -> None:
-        self._theme = theme
-        for part in (self.meter, self.waveform, self.spectrum):
-            part.apply_theme(theme)
+    def redraw(self) -> None:
         self._show_sweep()
 
     def _show_state(self) -> None:
@@ -189,7 +171,7 @@ class SoundPanel(QWidget):
         defects = [] if sweep.figures is None else [defect.sentence for defect in sweep.figures.defects]
         defects = [sweep.trouble, *defects] if sweep.trouble else defects
         self.verdict.setText("▲ " + "; ".join(defects) if defects else "✔ no defects")
-        self.verdict.setStyleSheet(f"color: {self._theme.fault if defects else self._theme.good};")
+        self.verdict.setStyleSheet(f"color: {self.theme.fault if defects else self.theme.good};")
         self._draw_waveform(sweep)
         self._draw_spectrum(sweep)
 
@@ -203,13 +185,13 @@ class SoundPanel(QWidget):
         plot.setLabel("left", unit)
         time_s = np.arange(len(response_v)) / sweep.sample_rate_hz
         reference_peak_v = float(np.abs(reference_v).max(initial=0.0))
-        share, theme = response_peak_v / reference_peak_v if reference_peak_v > 0 else 1.0, self._theme
+        share, theme = response_peak_v / reference_peak_v if reference_peak_v > 0 else 1.0, self.theme
         self.waveform.line(time_s, factor * share * reference_v, theme.grid, 1.2, f"reference × {share:.2g}")
         self.waveform.line(time_s, factor * response_v, theme.traces[0], 1.2, "response")
         plot.getViewBox().autoRange()
 
     def _draw_spectrum(self, sweep: SweepTaken) -> None:
-        plot, theme, frequency_hz = self.spectrum.getPlotItem(), self._theme, np.array(sweep.frequency_hz)
+        plot, theme, frequency_hz = self.spectrum.getPlotItem(), self.theme, np.array(sweep.frequency_hz)
         plot.clear()
         self.spectrum.line(frequency_hz, np.array(sweep.noise_db), theme.faint, 1.0, "in silence")
         self.spectrum.line(frequency_hz, np.array(sweep.response_db), theme.traces[0], 1.6, "with the sweep")
@@ -228,22 +210,22 @@ class SoundPanel(QWidget):
             self._listen()
 
 
-class LevelMeter(QWidget):
+class LevelMeter(Themed, QWidget):
     """One bar per input for the peak; the text holds rms, peak and the highest peak. A click resets the highest."""
 
     def __init__(self) -> None:
         super().__init__()
-        self._theme = LIGHT
         self._levels: LevelMeasured | None = None
         self.held_v: dict[str, float] = {}
         """Highest peak of each input since the last reset, in V."""
-        self._bars = {name: (QLabel(), QProgressBar()) for name in ("response", "reference")}
+        self._bars = {
+            name: (QLabel(), ui.progress_bar(f"Peak of the {name} in dB of its range", "%v dB"))
+            for name in ("response", "reference")
+        }
         self.setToolTip("Peak in dB of the input's range; a click resets the highest peak")
-        for name, (_, bar) in self._bars.items():
+        for _, bar in self._bars.values():
             bar.setRange(_FLOOR_DB, 0)
-            bar.setFormat("%v dB")
-            bar.setAccessibleName(f"Peak of the {name} in dB of its range")
-        column(*(part for pair in self._bars.values() for part in pair), owner=self).setSpacing(1)
+        ui.column(*(part for pair in self._bars.values() for part in pair), owner=self, spacing=1)
         self.show_levels(None)
 
     def show_levels(self, levels: LevelMeasured | None) -> None:
@@ -259,14 +241,13 @@ class LevelMeter(QWidget):
             peak_db = 20 * math.log10(max(level.peak_v, 1e-12) / level.range_v)
             label.setText(self._text(name, level))
             bar.setValue(min(0, max(_FLOOR_DB, round(peak_db))))
-            theme, palette = self._theme, bar.palette()
+            theme, palette = self.theme, bar.palette()
             colour = theme.fault if level.over_range else theme.warning if peak_db > _NEAR_RANGE_DB else theme.good
             palette.setColor(QPalette.ColorRole.Highlight, QColor(colour))
             bar.setPalette(palette)
         self.setAccessibleName("; ".join(label.text() for label, _ in self._bars.values()))
 
-    def apply_theme(self, theme: Theme) -> None:
-        self._theme = theme
+    def redraw(self) -> None:
         for _, bar in self._bars.values():
             bar.setPalette(QPalette())
         self.show_levels(self._levels)

@@ -7,22 +7,19 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from PyQt5.QtCore import QUrl
-from PyQt5.QtGui import QDesktopServices
-from PyQt5.QtWidgets import QAction, QTabWidget
+from PyQt5.QtWidgets import QAction
 
+from config.loading import read_toml
 from config.messages.operate import Numbers
 from config.rig import Surface
-from gui.files import PathField
+from gui import widgets as ui
+from gui.files import PathField, TomlKind, rig_of_run, toml_kind
 from gui.rig.calibration_page import CalibrationPage
 from gui.rig.examination import ExaminationPage
 from gui.rig.manual_page import ManualPage
 from gui.rig.session import Calibration, ManualSession
-from gui.surface import surface_from
+from gui.surface import is_virtual, surface_from
 from gui.tab import Tab, TabContext
-from gui.theme import Theme
-from gui.toml_files import TomlKind, is_virtual, rig_of_run, tables_of, toml_kind
-from gui.widgets import PAGE_MARGINS, column, copy_text, make_action, push_button, row
 from storage.errors import InputError
 from storage.text_file import read_text
 
@@ -42,7 +39,7 @@ def read_rig_file(path: Path) -> RigFile:
 
     Raises InputError: the file cannot be read, or is not TOML.
     """
-    content = tables_of(path)
+    content = read_toml(path)
     surface, actuators = (one if isinstance(one, dict) else {} for one in map(content.get, ("surface", "actuators")))
     places = actuators.get("position_mm")
     actuator_mm = [
@@ -84,17 +81,13 @@ class RigTab(Tab):
         self.calibration = Calibration(context)
         self.rig_field = PathField("Ri&g", ".toml", "rig file", context.settings)
         tip = "Use the rig file that the Campaign tab's run file names"
-        self.of_run = push_button("From &run file", tip, self._use_rig_of_run)
+        self.of_run = ui.push_button("From &run file", tip, self._use_rig_of_run)
         self.examination = ExaminationPage(context)
         self.manual_page = ManualPage(self.session)
         self.calibration_page = CalibrationPage(self.calibration, context.settings)
-        self.pages = QTabWidget()
-        self.pages.setAccessibleName("Pages of the rig")
-        self.pages.setDocumentMode(True)
-        self.pages.addTab(self.examination, "Examination")
-        self.pages.addTab(self.manual_page, "By hand")
-        self.pages.addTab(self.calibration_page, "Calibration")
-        column(row((self.rig_field, 1), self.of_run), (self.pages, 1), owner=self, margins=PAGE_MARGINS)
+        pages = {"Examination": self.examination, "By hand": self.manual_page, "Calibration": self.calibration_page}
+        self.pages = ui.tab_pages("Pages of the rig", pages)
+        ui.column(ui.row((self.rig_field, 1), self.of_run), (self.pages, 1), owner=self, margins=ui.PAGE_MARGINS)
         self.divide(hand=self.manual_page.splitter, calibration=self.calibration_page.splitter)
         self.rig_field.chosen.connect(self.open_file)
         self.examination.examine.clicked.connect(lambda _checked=False: self.examine())
@@ -103,14 +96,14 @@ class RigTab(Tab):
         self.calibration_page.options.started.connect(self.calibrate)
         sound = self.manual_page.sound
         self._actions = [
-            make_action(self, "Examine", self.examine, "Ctrl+I"),
-            make_action(self, "Cancel the examination", self.examination.cancel),
+            ui.action(self, "Examine", self.examine, "Ctrl+I"),
+            ui.action(self, "Cancel the examination", self.examination.cancel),
             None,
-            make_action(self, "Open instruments", self.take, "Ctrl+Shift+T"),
-            make_action(self, "Close instruments", self.session.release, "Ctrl+Shift+G"),
-            make_action(self, "Sweep", sound.take_sweep, "F5"),
-            make_action(self, "Mute", sound.mute, "Ctrl+0"),
-            make_action(self, "Park the beam", self.session.park, "Ctrl+Shift+P"),
+            ui.action(self, "Open instruments", self.take, "Ctrl+Shift+T"),
+            ui.action(self, "Close instruments", self.session.release, "Ctrl+Shift+G"),
+            ui.action(self, "Sweep", sound.take_sweep, "F5"),
+            ui.action(self, "Mute", sound.mute, "Ctrl+0"),
+            ui.action(self, "Park the beam", self.session.park, "Ctrl+Shift+P"),
         ]
         remembered = context.settings.text("rig/file")
         if remembered and Path(remembered).is_file():
@@ -157,25 +150,21 @@ class RigTab(Tab):
                 self.calibration_page.options.choose(on)
                 self.pages.setCurrentWidget(self.calibration_page)
             case "run":
-                copy_text(on)
+                ui.copy_text(on)
                 messages.note(f"copied: {on}; paste it into a terminal")
             case "edit-rig":
                 line = line_of(rig.path, on)
                 where = f", line {line}" if line else ""
                 messages.warn(f"{on} is in {rig.path}{where}; edit and save it, then examine again")
-                self._open(rig.path)
+                self.context.open_outside(rig.path)
             case "open-folder":
-                self._open(Path(on))
+                self.context.open_outside(Path(on))
 
     def draw(self) -> None:
         has_rig, examining = self.rig is not None, self.examination.running
         self.examination.draw(has_rig=has_rig)
         self.manual_page.draw(has_rig=has_rig and not examining and not self.calibration.running)
         self.calibration_page.draw(has_rig=has_rig and not examining)
-
-    def apply_theme(self, theme: Theme) -> None:
-        for page in (self.examination, self.manual_page, self.calibration_page):
-            page.apply_theme(theme)
 
     def instruments_held(self) -> str:
         busy = self.session.running or self.examination.running or self.calibration.running
@@ -228,7 +217,3 @@ class RigTab(Tab):
             messages.warn(f'{run}: names no rig file (rig = "virtual" has none)')
             return
         self.open_file(rig)
-
-    def _open(self, path: Path) -> None:
-        if not QDesktopServices.openUrl(QUrl.fromLocalFile(str(path))):
-            self.context.messages.warn(f"the desktop has no program for {path}; open it by hand")

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
+import pyqtgraph
+from numpy.typing import NDArray
 from PyQt5.QtCore import Qt, pyqtSignal
 from PyQt5.QtGui import QKeyEvent, QMouseEvent
 
-from config.scene import PathTable, PolylineTable
-from gui.scene.canvas_items import SceneItems, sketched
+from config.scene import CircleTable, LineTable, PathTable, PolylineTable
 from gui.scene.document import PointMm, SceneDocument
-from gui.scene.preview import LivePreview
+from gui.scene.preview import Ground, LivePreview, Trace
 from gui.scene.tools import (
     Box,
     Handle,
@@ -25,8 +27,9 @@ from gui.scene.tools import (
     with_vertex,
     without_vertex,
 )
-from gui.surface_view import STEPS, Keys, SurfaceView
-from gui.theme import Theme
+from gui.surface_view import MARK, STEPS, Keys, Spots, SurfaceView, looked_up, rgba
+
+Float64Array = NDArray[np.float64]
 
 _HANDLE_PX, _LINE_PX = 9.0, 7.0
 _NUDGE_MM, _LONG_NUDGE_MM = 1.0, 10.0
@@ -63,7 +66,7 @@ class SceneCanvas(SurfaceView):
         document.chosen_changed.connect(self._release)
         live.updated.connect(self.show_scene)
         live.ground_changed.connect(self._show_ground)
-        self.apply_theme(self.theme)
+        self.redraw()
         self._show_ground()
 
     @property
@@ -76,7 +79,6 @@ class SceneCanvas(SurfaceView):
 
     @property
     def handles(self) -> list[Handle]:
-        """Handles of the chosen source."""
         source = self._document.source
         return [] if source is None or self._tool is not None else handles_of(source.path, self._box_mm())
 
@@ -89,28 +91,24 @@ class SceneCanvas(SurfaceView):
         self.tool_changed.emit(self.kind)
 
     def show_scene(self) -> None:
-        """Show the latest preview."""
         preview = self._live.preview
         # Points snapped to another bank's positions are out of date.
         traces = preview.traces if preview.ground is self._live.ground else []
         self.picture.show_traces(traces, self._document.chosen, self._live.ground)
         self._show_handles()
 
-    def apply_theme(self, theme: Theme) -> None:
-        super().apply_theme(theme)
+    def redraw(self) -> None:
+        super().redraw()
         if self.items is not None:
-            self.items.apply_theme(theme)
+            self.items.redraw()
             self.show_scene()
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802
         """Nudge, delete, end a drawing, and choose no source."""
         assert event is not None
         key, tool, source = event.key(), self._tool, self._document.source
-        if tool is not None and key in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
-            tool.finish()
-            self._show_tool()
-        elif tool is not None and key == Qt.Key.Key_Backspace:
-            tool.back()
+        if tool is not None and key in (Qt.Key.Key_Return, Qt.Key.Key_Enter, Qt.Key.Key_Backspace):
+            tool.back() if key == Qt.Key.Key_Backspace else tool.finish()
             self._show_tool()
         elif tool is not None and key == Qt.Key.Key_Escape:
             self.use_tool("")
@@ -200,20 +198,17 @@ class SceneCanvas(SurfaceView):
 
     def _show_tool(self) -> None:
         tool = self._tool
-        if tool is None:
-            return
-        if tool.done is None:
+        if tool is not None and tool.done is not None:
+            self.use_tool("")
+            self.drawn.emit(tool.done)
+        elif tool is not None:
             self.picture.show_sketch(sketched(tool.sketch))
-            return
-        path = tool.done
-        self.use_tool("")
-        self.drawn.emit(path)
 
     def _nudge(self, way: PointMm, step_mm: float) -> None:
         source = self._document.source
         assert source is not None
         by = way[0] * step_mm, way[1] * step_mm
-        held = next((one for one in self.handles if one.name == self._held), None)
+        held = self._handle(self._held)
         if held is None:
             self._document.edit_source("nudge", "nudge", path=shifted(source.path, by))
         else:
@@ -238,6 +233,9 @@ class SceneCanvas(SurfaceView):
             return float(round(at[0])), float(round(at[1]))
         x_mm, y_mm = surface.position_mm[row].tolist()
         return x_mm, y_mm
+
+    def _handle(self, name: str) -> Handle | None:
+        return next((one for one in self.handles if one.name == name), None)
 
     def _handle_at(self, at: PointMm) -> str:
         reach_mm = _HANDLE_PX * self.box.mm_per_pixel
@@ -269,8 +267,7 @@ class SceneCanvas(SurfaceView):
 
     def _point_at(self, at: PointMm) -> None:
         """Show by the cursor and the tooltip what a drag would move."""
-        name = self._handle_at(at)
-        handle = next((one for one in self.handles if one.name == name), None)
+        handle = self._handle(self._handle_at(at))
         over = handle is not None or self._source_at(at) >= 0
         self.setCursor(Qt.CursorShape.SizeAllCursor if over else Qt.CursorShape.ArrowCursor)
         self.setToolTip("" if handle is None else f"{handle.words}: ({handle.at_mm[0]:.6g}, {handle.at_mm[1]:.6g}) mm")
@@ -298,3 +295,140 @@ class SceneCanvas(SurfaceView):
         else:
             self.show_everything()
         self.show_scene()
+
+
+_NONE_MM = np.zeros((0, 2))
+_CIRCLE_POINTS = 91
+_HEAD_PX = 14
+_DOT_PX, _SMALL_DOT_PX = 5, 3
+
+
+class SceneItems:
+    """Draws a scene into a surface view."""
+
+    def __init__(self, view: SurfaceView) -> None:
+        self._view = view
+        self.colour_map = pyqtgraph.colormap.get("viridis")
+        self._dots = Spots(symbol="o", size=_DOT_PX)
+        self._off = Spots(symbol="x", size=7)
+        self._starts = Spots(symbol="o", size=11)
+        self._sketch = pyqtgraph.PlotCurveItem(antialias=True)
+        self._handles = Spots(symbol="s", size=10)
+        self._held = Spots(symbol="s", size=13)
+        self._lines: list[pyqtgraph.PlotCurveItem] = []
+        self._heads: list[pyqtgraph.ArrowItem] = []
+        items = (self._dots, self._off, self._starts, self._sketch, self._handles, self._held)
+        for level, item in enumerate(items):
+            view.add_item(item, 30 + 10 * level)
+
+    def show_traces(self, traces: Sequence[Trace], chosen: int, ground: Ground) -> None:
+        """Show the sources, the chosen one in front."""
+        self._make_lines(len(traces))
+        for index, trace in enumerate(traces):
+            colour = self._view.theme.trace(index)
+            line, head = self._lines[index], self._heads[index]
+            line.setData(trace.line_mm[:, 0], trace.line_mm[:, 1], connect="finite")
+            line.setPen(pyqtgraph.mkPen(colour, width=2 if index == chosen else 1))
+            line.setZValue(29 if index == chosen else 25)
+            _place_head(head, trace.line_mm, colour)
+        drawn = [trace for trace in traces if len(trace.points_mm)]
+        points_mm = np.concatenate([_NONE_MM, *(trace.points_mm for trace in drawn)])
+        off = np.concatenate([np.zeros(0, np.bool_), *(trace.off for trace in drawn)])
+        self._dots.setData(pos=points_mm[~off])
+        if ground.surface is None and drawn:
+            instant_s = np.concatenate([trace.instant_s for trace in drawn])[~off]
+            colours = looked_up(self.colour_map, instant_s, span_s(traces), self._view.theme.cell)
+            self._dots.setSize(_DOT_PX)
+            self._dots.setBrush([pyqtgraph.mkBrush(*colour) for colour in colours.tolist()])
+        else:  # the cells below have the colours
+            self._dots.setSize(_SMALL_DOT_PX)
+            self._dots.setBrush(pyqtgraph.mkBrush(self._view.theme.text))
+        self._off.setData(pos=points_mm[off])
+        self._off.setVisible(bool(off.any()))
+        pens = [
+            pyqtgraph.mkPen(self._view.theme.trace(index), width=2)
+            for index, trace in enumerate(traces)
+            if len(trace.points_mm)
+        ]
+        self._starts.setData(pos=np.array([trace.points_mm[0] for trace in drawn]).reshape(-1, 2), pen=pens)
+        self._paint_cells(traces, ground)
+
+    def show_handles(self, handles: Sequence[Handle], held: str) -> None:
+        """Show the handles; the one named `held` is filled."""
+        self._handles.setData(pos=np.array([one.at_mm for one in handles if one.name != held]).reshape(-1, 2))
+        self._held.setData(pos=np.array([one.at_mm for one in handles if one.name == held]).reshape(-1, 2))
+
+    def show_sketch(self, points_mm: Float64Array) -> None:
+        self._sketch.setData(points_mm[:, 0], points_mm[:, 1])
+
+    def redraw(self) -> None:
+        """Apply the theme's colours; the owner shows the traces again."""
+        theme = self._view.theme
+        for item, pen, brush in (
+            (self._dots, None, None),
+            (self._off, pyqtgraph.mkPen(theme.fault, width=1), theme.fault),
+            (self._starts, None, None),
+            (self._handles, pyqtgraph.mkPen(MARK, width=2), theme.base),
+            (self._held, pyqtgraph.mkPen(theme.text, width=1.5), MARK),
+        ):
+            item.setPen(pen)
+            item.setBrush(None if brush is None else pyqtgraph.mkBrush(brush))
+        self._sketch.setPen(pyqtgraph.mkPen(MARK, width=2, style=Qt.PenStyle.DashLine))
+
+    def _make_lines(self, count: int) -> None:
+        while len(self._lines) < count:
+            self._lines.append(pyqtgraph.PlotCurveItem(antialias=True))
+            self._heads.append(pyqtgraph.ArrowItem(headLen=_HEAD_PX, tipAngle=32))
+            self._view.add_item(self._lines[-1], 25)
+            self._view.add_item(self._heads[-1], 35)
+        for surplus in (self._lines, self._heads):
+            while len(surplus) > count:
+                self._view.box.removeItem(surplus.pop())
+
+    def _paint_cells(self, traces: Sequence[Trace], ground: Ground) -> None:
+        """Colour positions that are foci by their first instant; all others are faint."""
+        if ground.surface is None or ground.usable is None:
+            return
+        first_s = np.full(ground.surface.positions, np.inf)
+        for trace in traces:
+            if len(trace.rows):
+                np.minimum.at(first_s, trace.rows[~trace.off], trace.instant_s[~trace.off])
+        colours = looked_up(self.colour_map, first_s, span_s(traces), self._view.theme.cell)
+        colours[~ground.usable & ~np.isfinite(first_s)] = rgba(self._view.theme.alternate)
+        self._view.paint(colours)
+
+
+def span_s(traces: Sequence[Trace]) -> tuple[float, float]:
+    """Return the first and the last focus instant of a scene; they differ also where there is only one."""
+    instants = [trace.instant_s for trace in traces if len(trace.instant_s)]
+    if not instants:
+        return 0.0, 1.0
+    low_s, high_s = min(float(one.min()) for one in instants), max(float(one.max()) for one in instants)
+    return low_s, high_s if high_s > low_s else low_s + 1.0
+
+
+def sketched(path: PathTable | None) -> Float64Array:
+    """Return the corners of a path that is being drawn."""
+    if isinstance(path, CircleTable):
+        angle = np.linspace(0.0, 2 * np.pi, _CIRCLE_POINTS)
+        rim: Float64Array = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        return np.array(path.centre_mm) + path.radius_mm * rim
+    if isinstance(path, LineTable):
+        return np.array([path.start_mm, path.end_mm])
+    return np.array(path.points_mm) if isinstance(path, PolylineTable) else _NONE_MM
+
+
+def _place_head(head: pyqtgraph.ArrowItem, line_mm: Float64Array, colour: str) -> None:
+    """Put an arrow head a quarter along the path."""
+    step_mm = np.hypot(*np.diff(line_mm, axis=0).T)
+    along_mm = np.nancumsum(step_mm)
+    head.setVisible(bool(len(along_mm) and along_mm[-1] > 0))
+    if not head.isVisible():
+        return
+    at = int(np.searchsorted(along_mm, 0.25 * along_mm[-1]))
+    while at < len(step_mm) - 1 and not step_mm[at] > 0:
+        at += 1
+    tail, tip = line_mm[at], line_mm[at + 1]
+    angle = float(np.degrees(np.arctan2(tip[1] - tail[1], tip[0] - tail[0])))
+    head.setStyle(angle=180.0 - angle, brush=colour, pen=None)  # an angle of 0 points to the left, and y is down
+    head.setPos(float(tip[0]), float(tip[1]))

@@ -155,9 +155,8 @@ def with_files(source: SourceTable, rename: Callable[[str], str]) -> SourceTable
 
 def _table(heading: str, table: Table, changes: dict[str, object] | None = None) -> str:
     values = {**dict(table), **(changes or {})}
-    return (
-        "\n".join([heading, *(f"{key} = {_value(value)}" for key, value in values.items() if value is not None)]) + "\n"
-    )
+    lines = (f"{key} = {_value(value)}" for key, value in values.items() if value is not None)
+    return "\n".join([heading, *lines]) + "\n"
 
 
 def _value(value: object) -> str:
@@ -233,18 +232,15 @@ class SceneDocument(QObject):
         return scene_toml(self.draft, self.path.parent if self.path else None)
 
     def scene(self) -> Scene:
-        """The scene that commands make of the file's text.
-
-        Raises
-        ------
-        InputError
-            The scene is not finished, or something in it or in the files that it names is wrong; the message says
-            where, without the scene file's name.
-        """
+        """The scene that commands make of the file's text; raises as `reader` says."""
         return self.reader()()
 
     def reader(self) -> Callable[[], Scene]:
-        """A function that makes the present scene, in any thread; raises as `scene` does."""
+        """A function that makes the present scene, in any thread.
+
+        It raises InputError where the scene is not finished, or something in it or in the files that it names is
+        wrong; the message says where, without the scene file's name.
+        """
         return partial(_read, self.draft, self.path.parent if self.path else None, self.place, self.allow_large)
 
     def allow(self, allow_large: bool) -> None:
@@ -288,7 +284,6 @@ class SceneDocument(QObject):
             self.chosen_changed.emit()
 
     def use_bank(self, bank: Path | None) -> None:
-        """Draw over another bank."""
         if bank != self.bank:
             self.bank = bank
             self.bank_changed.emit()

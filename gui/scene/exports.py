@@ -10,11 +10,11 @@ from pathlib import Path
 from PyQt5.QtCore import QObject, QTimer, pyqtSignal
 
 from acquisition.wording import hours
+from gui.files import names_virtual_rig
 from gui.messages import error_text
 from gui.process import STOPPED_BY_USER, CommandProcess, Message
 from gui.scene.document import SceneDocument, scene_toml
 from gui.tab import TabContext
-from gui.toml_files import names_virtual_rig
 
 DRIVE, WAV, MOVIE = "drive", "WAV", "movie"
 ENDINGS = {DRIVE: ".h5", WAV: ".wav", MOVIE: ".gif"}
@@ -25,71 +25,62 @@ _MUTES_WITHIN_MS, _OPENS_WITHIN_MS = 4000, 30_000
 _TICK_MS = 100
 
 
-class SceneCommands:
-    """Runs commands about the present scene one after the other, in a temporary folder.
+class SceneTask(QObject):
+    """Runs commands about the present scene one after the other, at most one task at a time, in a temporary folder."""
 
-    Parameters
-    ----------
-    context : TabContext
-        Starts commands.
-    document : SceneDocument
-        The scene; later edits do not matter.
-    rig : str
-        A rig file, or ``virtual``; empty for none.
+    changed = pyqtSignal()
 
-    Raises
-    ------
-    OSError
-        The folder cannot be made.
-    """
-
-    def __init__(self, context: TabContext, document: SceneDocument, rig: str) -> None:
-        self._context = context
-        self._folder = tempfile.TemporaryDirectory(prefix="wavefocus-scene-", ignore_cleanup_errors=True)
-        folder = Path(self._folder.name)
-        self._name = document.path.name if document.path else "the scene"
-        self._bank = ["--bank", str(document.bank)]
-        self._rig = [*(["--rig", rig] if rig else []), *(["--allow-large"] if document.allow_large else [])]
+    def __init__(self, context: TabContext, document: SceneDocument, parent: QObject) -> None:
+        super().__init__(parent)
+        self._context, self._document = context, document
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._process: CommandProcess | None = None
         self._cancelled = False
-        self.drive_file, self.field_file = folder / "drive.h5", folder / "field.h5"
-        self.scene_file = folder / "scene.toml"
-        if document.path is not None and document.saved:
-            self.scene_file = document.path
-        else:
-            self.scene_file.write_text(scene_toml(document.draft), encoding="utf-8")
+        self._drive_file = self._field_file = self._scene_file = Path()
+        self._name = ""
+        self._bank: list[str] = []
+        self._options: list[str] = []
 
-    # --force: the files are in the temporary folder, or their replacement was confirmed in the dialog.
+    @property
+    def busy(self) -> bool:
+        return self._folder is not None
+
+    def prepare(self, rig: str, failing: str) -> bool:
+        """Make the folder, with the present scene where its file is not up to date; later edits do not matter.
+
+        Parameters
+        ----------
+        rig : str
+            A rig file, or ``virtual``; empty for none.
+        failing : str
+            Beginning of the message that says why the folder cannot be made.
+        """
+        document = self._document
+        try:
+            self._folder = tempfile.TemporaryDirectory(prefix="wavefocus-scene-", ignore_cleanup_errors=True)
+            folder = Path(self._folder.name)
+            self._drive_file, self._field_file = folder / "drive.h5", folder / "field.h5"
+            if document.path is not None and document.saved:
+                self._scene_file = document.path
+            else:
+                self._scene_file = folder / "scene.toml"
+                self._scene_file.write_text(scene_toml(document.draft), encoding="utf-8")
+        except OSError as failure:
+            self._context.messages.fault(f"{failing}: {error_text(failure)}")
+            self.release()
+            return False
+        self._cancelled = False
+        self._name = document.path.name if document.path else "the scene"
+        self._bank = ["--bank", str(document.bank)]
+        self._options = [*(["--rig", rig] if rig else []), *(["--allow-large"] if document.allow_large else [])]
+        return True
 
     def render(self, out: Path | None = None, wav: Path | None = None) -> list[str]:
         """The command that renders the scene."""
+        # --force: the files are in the temporary folder, or their replacement was confirmed in the dialog.
         sound = [] if wav is None else ["--wav", str(wav)]
-        into = ["--out", str(out or self.drive_file)]
-        return ["render", str(self.scene_file), *self._bank, *into, *sound, *self._rig, "--force"]
-
-    def predict(self, rate_hz: float | None) -> list[str]:
-        """The command that predicts the field of the drive, at a lower rate where one is given."""
-        rate = [] if rate_hz is None else ["--rate", repr(rate_hz)]
-        return ["predict", str(self.drive_file), *self._bank, "--out", str(self.field_file), *rate, "--force"]
-
-    def movie(self, out: Path) -> list[str]:
-        """The command that draws the field."""
-        drive = ["--drive", str(self.drive_file)]
-        return ["movie", str(self.field_file), *self._bank, *drive, "--out", str(out), "--force"]
-
-    def run(self, commands: Sequence[Sequence[str]], done: Callable[[int, str], object]) -> None:
-        """Run commands as long as they succeed; `done` receives the last exit code, or CANCELLED, and message."""
-
-        def finished(process: CommandProcess) -> None:
-            self._process = None
-            if self._cancelled:
-                done(CANCELLED, "")
-            elif process.exit_code != 0 or len(commands) == 1:
-                done(process.exit_code or 0, self.plain(process.last_line))
-            else:
-                self.run(commands[1:], done)
-
-        self._process = self._context.run(commands[0], finished)
+        into = ["--out", str(out or self._drive_file)]
+        return ["render", str(self._scene_file), *self._bank, *into, *sound, *self._options, "--force"]
 
     def cancel(self) -> None:
         """End the running command; files stay as they were."""
@@ -98,55 +89,43 @@ class SceneCommands:
             self._process.kill()
 
     def close(self) -> None:
-        """Remove the folder."""
-        self._folder.cleanup()
+        """End it without waiting, and without a word; the window closes."""
+        if self.busy:
+            self.cancel()
+            self.release()
 
-    def plain(self, message: str) -> str:
+    def release(self) -> None:
+        if self._folder is not None:
+            self._folder.cleanup()
+            self._folder = None
+
+    def _run(self, commands: Sequence[Sequence[str]], done: Callable[[int, str], object]) -> None:
+        """Run commands as long as they succeed; `done` receives the last exit code, or CANCELLED, and message."""
+
+        def finished(process: CommandProcess) -> None:
+            self._process = None
+            if not self.busy:  # the window closes
+                return
+            if self._cancelled:
+                done(CANCELLED, "")
+            elif process.exit_code != 0 or len(commands) == 1:
+                done(process.exit_code or 0, self._plain(process.last_line))
+            else:
+                self._run(commands[1:], done)
+
+        self._process = self._context.run(commands[0], finished)
+
+    def _plain(self, message: str) -> str:
         """A message without the names of temporary files."""
-        for file, name in ((self.drive_file, "the drive"), (self.field_file, "the field")):
+        for file, name in ((self._drive_file, "the drive"), (self._field_file, "the field")):
             message = message.replace(str(file), name)
-        return message.replace(str(Path(self._folder.name) / "scene.toml"), self._name)
+        return message.replace(str(self._drive_file.with_name("scene.toml")), self._name)
 
 
-class _Task(QObject):
-    """At most one set of commands about the scene."""
-
-    changed = pyqtSignal()
-
-    def __init__(self, context: TabContext, document: SceneDocument, parent: QObject) -> None:
-        super().__init__(parent)
-        self._context, self._document = context, document
-        self._commands: SceneCommands | None = None
-
-    def close(self) -> None:
-        """End it without waiting; the window closes."""
-        commands, self._commands = self._commands, None
-        if commands is not None:
-            commands.cancel()
-            commands.close()
-
-    def _prepare(self, rig: str, failing: str) -> SceneCommands | None:
-        try:
-            self._commands = SceneCommands(self._context, self._document, rig)
-        except OSError as failure:
-            self._context.messages.fault(f"{failing}: {error_text(failure)}")
-        return self._commands
-
-    def _release(self) -> None:
-        if self._commands is not None:
-            self._commands.close()
-            self._commands = None
-
-
-class Saving(_Task):
+class Saving(SceneTask):
     """Saves one file at a time."""
 
     text = ""
-
-    @property
-    def busy(self) -> bool:
-        """Whether a file is being saved."""
-        return self._commands is not None
 
     def suggested(self, kind: str) -> Path:
         """A file name after the scene; drives and banks have the same ending."""
@@ -169,29 +148,25 @@ class Saving(_Task):
         rate_hz : float or None
             Of the field that a movie is drawn from; None for that of the bank.
         """
-        if self._commands is not None:
+        if self.busy or not self.prepare(rig, f"{path.name} is not saved"):
             return
-        work = self._prepare(rig, f"{path.name} is not saved")
-        if work is None:
-            return
+        drive, field = str(self._drive_file), str(self._field_file)
+        rate = [] if rate_hz is None else ["--rate", repr(rate_hz)]
         commands = {
-            DRIVE: [work.render(path)],
-            WAV: [work.render(wav=path)],
-            MOVIE: [work.render(), work.predict(rate_hz), work.movie(path)],
+            DRIVE: [self.render(path)],
+            WAV: [self.render(wav=path)],
+            MOVIE: [
+                self.render(),
+                ["predict", drive, *self._bank, "--out", field, *rate, "--force"],
+                ["movie", field, *self._bank, "--drive", drive, "--out", str(path), "--force"],
+            ],
         }[kind]
         self.text = f"saving {path.name}"
-        work.run(commands, lambda code, message: self._ended(kind, path, code, message))
+        self._run(commands, lambda code, message: self._ended(kind, path, code, message))
         self.changed.emit()
 
-    def cancel(self) -> None:
-        """Cancel saving."""
-        if self._commands is not None:
-            self._commands.cancel()
-
     def _ended(self, kind: str, path: Path, code: int, message: str) -> None:
-        if self._commands is None:  # the window closes
-            return
-        self._release()
+        self.release()
         if code == 0:
             self._context.settings.keep(f"folder/scene {kind}", str(path.parent))
             self._context.messages.note(f"{path} is saved: {message}" if message else f"{path} is saved")
@@ -202,12 +177,12 @@ class Saving(_Task):
         self.changed.emit()
 
 
-class Playing(_Task):
+class Playing(SceneTask):
     """Renders the scene within the rig's limits and plays it; the process mutes the outputs when the window is gone."""
 
     def __init__(self, context: TabContext, document: SceneDocument, parent: QObject) -> None:
         super().__init__(context, document, parent)
-        self._process: CommandProcess | None = None
+        self._player: CommandProcess | None = None
         self._started_s = self._lasts_s = 0.0
         self._rig = ""
         self.state = IDLE
@@ -225,13 +200,12 @@ class Playing(_Task):
     @property
     def pid(self) -> int | None:
         """Process id of the play command, None while none runs."""
-        return None if self._process is None else self._process.pid
+        return None if self._player is None else self._player.pid
 
     def instruments_held(self) -> str:
         """Subject and verb of a message about a real rig that plays; empty for none."""
-        if self.state == IDLE or names_virtual_rig(self._rig):
-            return ""
-        return f"the Scene tab plays on {Path(self._rig).name}"
+        silent = self.state == IDLE or names_virtual_rig(self._rig)
+        return "" if silent else f"the Scene tab plays on {Path(self._rig).name}"
 
     def play(self, rig: str, gain_db: float, loops: int, lasts_s: float) -> None:
         """Play the present scene.
@@ -247,45 +221,51 @@ class Playing(_Task):
         lasts_s : float
             Duration of one repetition, for display.
         """
-        work = self._prepare(rig, "nothing is played") if self.state == IDLE else None
-        if work is None:
+        if self.busy or not self.prepare(rig, "nothing is played"):
             return
         self._rig, self._lasts_s = rig, loops * lasts_s
-        play = ["play", str(work.drive_file), "--rig", rig, "--loop", str(loops), f"--gain-db={gain_db:g}", "--watched"]
+        play = [
+            "play",
+            str(self._drive_file),
+            "--rig",
+            rig,
+            "--loop",
+            str(loops),
+            f"--gain-db={gain_db:g}",
+            "--watched",
+        ]
         self._enter(RENDERING)
-        work.run([work.render()], lambda code, message: self._rendered(code, message, play))
+        self._run([self.render()], lambda code, message: self._rendered(code, message, play))
 
     def stop(self) -> None:
         """Stop and mute."""
-        if self.state == RENDERING and self._commands is not None:
-            self._commands.cancel()
-        elif self._process is not None and self.state in (OPENING, PLAYING):
+        if self.state == RENDERING:
+            self.cancel()
+        elif self._player is not None and self.state in (OPENING, PLAYING):
             grace_ms = _MUTES_WITHIN_MS if self.state == PLAYING else _OPENS_WITHIN_MS
             self._enter(STOPPING)
-            self._process.stop(grace_ms, _MUTES_WITHIN_MS)
+            self._player.stop(grace_ms, _MUTES_WITHIN_MS)
 
     def close(self) -> None:
         """The window closes: the process mutes and ends by itself."""
-        process, self._process = self._process, None
-        if process is not None:
-            process.detach()
+        if self._player is not None:
+            self._player.detach()
+            self._player = None
         super().close()
         self.state = IDLE
         self._tick.stop()
 
     def _rendered(self, code: int, message: str, play: list[str]) -> None:
-        if self.state != RENDERING:
+        if code == 0:
+            self._player = self._context.run(play, self._finished, self._received)
+            self._tick.start()
+            self._enter(OPENING)
             return
-        if code != 0:
-            if code == CANCELLED:
-                self._context.messages.note("nothing was played: stopped while rendering")
-            else:
-                self._context.messages.fault(f"nothing is played: {message or f'exit code {code}'}")
-            self._end()
-            return
-        self._process = self._context.run(play, self._finished, self._received)
-        self._tick.start()
-        self._enter(OPENING)
+        if code == CANCELLED:
+            self._context.messages.note("nothing was played: stopped while rendering")
+        else:
+            self._context.messages.fault(f"nothing is played: {message or f'exit code {code}'}")
+        self._end()
 
     def _received(self, message: Message) -> None:
         if self.state == OPENING and message.get("event") == "playing":
@@ -293,9 +273,7 @@ class Playing(_Task):
             self._enter(PLAYING)
 
     def _finished(self, process: CommandProcess) -> None:
-        message = process.last_line
-        if self._commands is not None:
-            message = message.replace(str(self._commands.drive_file), "the scene")
+        message = process.last_line.replace(str(self._drive_file), "the scene")
         if process.exit_code is None or process.exit_code < 0:
             self._context.messages.fault("the process that played was killed; check that the rig is silent")
         elif process.exit_code in (0, STOPPED_BY_USER):
@@ -306,8 +284,8 @@ class Playing(_Task):
 
     def _end(self) -> None:
         self._tick.stop()
-        self._process = None
-        self._release()
+        self._player = None
+        self.release()
         self._enter(IDLE)
 
     def _enter(self, state: str) -> None:

@@ -7,17 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from PyQt5.QtCore import Qt
-from PyQt5.QtGui import QBrush, QColor
-from PyQt5.QtWidgets import QLabel, QTableWidgetItem, QVBoxLayout, QWidget
+from PyQt5.QtWidgets import QWidget
 
-from gui.scene.messages import Driven, FocusFigures, PredictedField
-from gui.theme import LIGHT, Theme
-from gui.widgets import make_table
+from gui import widgets as ui
+from gui.scene.calculation import Driven, Float64Array, FocusFigures, PredictedField
+from gui.theme import Themed
 from storage.units import quantity
-
-Float64Array = NDArray[np.float64]
 
 # Verdicts.
 GOOD, HELD = "within", "held back"
@@ -162,43 +157,27 @@ def _verdict(limit: float | None, decided: bool) -> str:
     return HELD if decided else GOOD
 
 
-class FiguresView(QWidget):
+class FiguresView(Themed, QWidget):
     """The table of figures; definitions are in the tooltips."""
 
     def __init__(self) -> None:
         super().__init__()
-        self._theme = LIGHT
-        self.figures: list[Figure] = []
-        self.table = make_table(("figure", "value", "limit", "verdict"), "Figures of the scene", (0,))
-        self.warnings = QLabel()
-        self.warnings.setWordWrap(True)
+        self.figures: Sequence[Figure] = ()
+        self.table = ui.table(("figure", "value", "limit", "verdict"), "Figures of the scene", (0,))
+        self.warnings = ui.label("Warnings of the scene", wraps=True, selectable=True)
         self.warnings.setContentsMargins(6, 4, 6, 4)
-        self.warnings.setAccessibleName("Warnings of the scene")
-        self.warnings.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.addWidget(self.table, stretch=1)
-        column.addWidget(self.warnings)
-        self.warnings.hide()
+        ui.column((self.table, 1), self.warnings, owner=self)
+        self.show_figures((), ())
 
     def show_figures(self, figures: Sequence[Figure], warnings: Sequence[str]) -> None:
-        """Show figures and warnings."""
-        self.figures = list(figures)
-        self.table.setRowCount(len(figures))
-        for row, figure in enumerate(figures):
-            value = quantity(figure.value, figure.unit) if figure.value else "—"
-            for column, text in enumerate((figure.name, value, figure.limit, figure.verdict)):
-                item = QTableWidgetItem(text)
-                item.setToolTip(figure.definition)
-                if column in (1, 2):
-                    item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-                if column == 3 and text:
-                    item.setForeground(QBrush(QColor(self._theme.warning if text == HELD else self._theme.good)))
-                self.table.setItem(row, column, item)
+        self.figures = figures
         self.warnings.setText("\n".join(f"• {warning}" for warning in warnings))
         self.warnings.setVisible(bool(warnings))
+        self.redraw()
 
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the theme's colours."""
-        self._theme = theme
-        self.show_figures(self.figures, [line[2:] for line in self.warnings.text().split("\n") if line])
+    def redraw(self) -> None:
+        self.table.setRowCount(len(self.figures))
+        for number, one in enumerate(self.figures):
+            texts = (one.name, quantity(one.value, one.unit) if one.value else "—", one.limit, one.verdict)
+            colours = {3: self.theme.warning if one.verdict == HELD else self.theme.good}
+            ui.fill_row(self.table, number, texts, colours, right=(1, 2), tip=one.definition)

@@ -7,6 +7,7 @@ import os
 import shutil
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from PyQt5.QtCore import QObject, QTimer, pyqtSignal
@@ -42,15 +43,12 @@ class SceneFiles(QObject):
 
     @property
     def name(self) -> str:
-        """The file's name."""
         return self._document.path.name if self._document.path else "a new scene"
 
     def new(self) -> None:
-        """Begin a new scene."""
         self._unless_unsaved("starting a new scene", self._document.clear)
 
     def open(self, path: Path) -> None:
-        """Open a scene file."""
         self._unless_unsaved(f"opening {path.name}", lambda: self._open(path))
 
     def save(self, then: Then | None = None) -> None:
@@ -89,14 +87,12 @@ class SceneFiles(QObject):
     def save_settings(self) -> None:
         """Keep unsaved changes in the settings, for the next window."""
         settings, document = self._context.settings, self._document
-        unsaved = not document.saved and bool(document.draft.source)
-        if not unsaved:
-            if self._is_ours():
-                settings.keep(_TEXT, "")
-            return
-        settings.keep(_TEXT, document.toml())
-        settings.keep(_PLACE, str(document.path or ""))
-        settings.keep(_OWNER, os.getpid())
+        if not document.saved and document.draft.source:
+            settings.keep(_TEXT, document.toml())
+            settings.keep(_PLACE, str(document.path or ""))
+            settings.keep(_OWNER, os.getpid())
+        elif self._is_ours():
+            settings.keep(_TEXT, "")
 
     def restore_unsaved(self) -> None:
         """Restore the scene that was not saved last time, unless another window that runs has it."""
@@ -111,10 +107,10 @@ class SceneFiles(QObject):
             settings.keep(_TEXT, "")  # of an older version
             return
         self._seen_ns = 0 if path is None else _written_ns(path)
-        words = (
-            f"{path.name} has unsaved changes of the last session" if path else "The unsaved scene of the last session"
-        )
-        self._context.messages.note(f"{words}; restored" if path else f"{words} is restored")
+        self._context.messages.note(
+            f"{path.name} has unsaved changes of the last session; restored"
+            if path else "The unsaved scene of the last session is restored"
+        )  # fmt: skip
         self.save_settings()
 
     @property
@@ -125,13 +121,13 @@ class SceneFiles(QObject):
     def _unless_unsaved(self, doing: str, act: Then) -> None:
         if self._nothing_to_lose:
             act()
-            return
-        self._context.messages.ask(
-            f"{self.name} has unsaved changes. Save them before {doing}?",
-            ("Save", lambda: self.save(act)),
-            ("Do not save", act),
-            ("Cancel", lambda: None),
-        )
+        else:
+            self._context.messages.ask(
+                f"{self.name} has unsaved changes. Save them before {doing}?",
+                ("Save", lambda: self.save(act)),
+                ("Do not save", act),
+                ("Cancel", lambda: None),
+            )
 
     def _open(self, path: Path) -> None:
         try:
@@ -186,10 +182,9 @@ def _lives(pid: int) -> bool:
     """Whether a process of this computer runs; on Windows always no."""
     if pid <= 0 or sys.platform == "win32":
         return False
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True
+    with suppress(PermissionError):
+        try:
+            os.kill(pid, 0)
+        except ProcessLookupError:
+            return False
     return True

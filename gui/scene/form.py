@@ -7,19 +7,10 @@ from typing import Any, Literal, get_args, get_origin
 
 from PyQt5.QtCore import QEvent, QLocale, Qt, pyqtSignal
 from PyQt5.QtGui import QKeyEvent, QKeySequence, QWheelEvent
-from PyQt5.QtWidgets import (
-    QCheckBox,
-    QComboBox,
-    QDoubleSpinBox,
-    QFormLayout,
-    QHBoxLayout,
-    QLabel,
-    QLineEdit,
-    QSizePolicy,
-    QWidget,
-)
+from PyQt5.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QFormLayout, QLabel, QLineEdit, QSizePolicy, QWidget
 
 from config.fields import Table
+from gui import widgets as ui
 
 _DECIMALS = 6
 _WIDE = 1e9
@@ -70,12 +61,10 @@ class Form(QWidget):
         self.rows.insertRow(0, QLabel(label), field)
 
     def show_values(self, table: Table) -> None:
-        """Show the values of a table."""
         for key, field in self.fields.items():
             field.show_value(getattr(table, key))
 
     def show_row(self, key: str, shown: bool) -> None:
-        """Show or hide a row."""
         self.fields[key].setVisible(shown)
         self.labels[key].setVisible(shown)
 
@@ -100,15 +89,14 @@ class NumberField(QDoubleSpinBox):
         decimals: int = _DECIMALS,
     ) -> None:  # fmt: skip
         super().__init__()
-        self.setAccessibleName(f"{title} in {unit}" if unit else title)
+        least = f", {low:g} or more" if low > -_WIDE else ""
+        ui.named(self, f"{tip}{least}", f"{title} in {unit}" if unit else title)
         self.setLocale(QLocale.c())  # a decimal point, as in files
         self.setDecimals(decimals)
         self.setRange(low, high)
         self.setSingleStep(step)
         self.setKeyboardTracking(False)
         self.setSuffix(f" {unit}" if unit else "")
-        least = f", {low:g} or more" if low > -_WIDE else ""
-        self.setToolTip(f"{tip}{least}")
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self.setMinimumWidth(self.fontMetrics().horizontalAdvance("-0000") + 30)
@@ -145,16 +133,12 @@ class PairField(QWidget):
     def __init__(self, *fields: NumberField) -> None:
         super().__init__()
         self.fields = fields
-        row = QHBoxLayout(self)
-        row.setContentsMargins(0, 0, 0, 0)
-        row.setSpacing(4)
+        ui.row(*fields, owner=self, spacing=4)
         for field in fields:
-            row.addWidget(field)
             field.edited.connect(lambda _value: self.edited.emit(tuple(one.value() for one in self.fields)))
         self.setFocusProxy(fields[0])
 
     def show_value(self, value: Sequence[float]) -> None:
-        """Show both numbers."""
         for field, one in zip(self.fields, value, strict=True):
             field.show_value(one)
 
@@ -166,20 +150,14 @@ class OptionalField(QWidget):
 
     def __init__(self, title: str, field: NumberField) -> None:
         super().__init__()
-        self.field, self.switch = field, QCheckBox()
-        self.switch.setAccessibleName(f"Use {title}")
-        self.switch.setToolTip(field.toolTip())
+        self.field, self.switch = field, ui.named(QCheckBox(), field.toolTip(), f"Use {title}")
         field.setEnabled(False)
-        row = QHBoxLayout(self)
-        row.setContentsMargins(0, 0, 0, 0)
-        row.addWidget(self.switch)
-        row.addWidget(field, stretch=1)
+        ui.row(self.switch, (field, 1), owner=self)
         self.setFocusProxy(self.switch)
         self.switch.clicked.connect(lambda on: self.edited.emit(field.value() if on else None))
         field.edited.connect(self.edited)
 
     def show_value(self, value: float | None) -> None:
-        """Show a number, or that it is left out."""
         self.switch.setChecked(value is not None)
         self.field.setEnabled(value is not None)
         if value is not None:
@@ -193,12 +171,9 @@ class SwitchField(QCheckBox):
 
     def __init__(self, title: str, tip: str) -> None:
         super().__init__(title)
-        self.setAccessibleName(title)
-        self.setToolTip(tip)
-        self.clicked.connect(self.edited.emit)
+        ui.named(self, tip, title).clicked.connect(self.edited.emit)
 
     def show_value(self, value: bool) -> None:
-        """Show whether it is on."""
         self.setChecked(value)
 
 
@@ -209,8 +184,7 @@ class ChoiceField(QComboBox):
 
     def __init__(self, title: str, tip: str, choices: Sequence[str] = ()) -> None:
         super().__init__()
-        self.setAccessibleName(title)
-        self.setToolTip(tip)
+        ui.named(self, tip, title)
         for value in choices:
             self.addItem(value.replace("_", " "), value)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
@@ -218,7 +192,6 @@ class ChoiceField(QComboBox):
         self.activated.connect(lambda _index: self.edited.emit(self.currentData()))
 
     def show_value(self, value: str) -> None:
-        """Show the chosen value."""
         self.setCurrentIndex(self.findData(value))
 
     def wheelEvent(self, event: QWheelEvent | None) -> None:  # noqa: N802
@@ -235,15 +208,13 @@ class TextField(QLineEdit):
 
     def __init__(self, title: str, tip: str) -> None:
         super().__init__()
-        self.setAccessibleName(title)
-        self.setToolTip(tip)
+        ui.named(self, tip, title)
         self.setAcceptDrops(False)  # the window accepts dropped files
         self._shown = ""
         self.textEdited.connect(self._edited)
         self.editingFinished.connect(lambda: self.show_value(self._shown))
 
     def show_value(self, value: str) -> None:
-        """Show a text."""
         self._shown = value
         if value != self.text():
             self.setText(value)
@@ -293,16 +264,10 @@ def _bounds(annotation: Any, metadata: Sequence[object] = ()) -> tuple[float, fl
     marks = [*metadata, *getattr(annotation, "__metadata__", ())]
     for mark in list(marks):
         marks += getattr(mark, "metadata", ())
-    low = max(
-        [
-            -_WIDE,
-            *(one.ge for one in marks if hasattr(one, "ge")),
-            *(one.gt + _TINY for one in marks if hasattr(one, "gt")),
-        ]
-    )
-    high = min([_WIDE, *(one.le for one in marks if hasattr(one, "le"))])
+    least = [one.ge for one in marks if hasattr(one, "ge")] + [one.gt + _TINY for one in marks if hasattr(one, "gt")]
+    most = [one.le for one in marks if hasattr(one, "le")]
     inner = [_bounds(part) for part in get_args(annotation) if hasattr(part, "__metadata__")]
-    return max([low, *(one[0] for one in inner)]), min([high, *(one[1] for one in inner)])
+    return max([-_WIDE, *least, *(one[0] for one in inner)]), min([_WIDE, *most, *(one[1] for one in inner)])
 
 
 def _is_undo(event: QEvent | None) -> bool:

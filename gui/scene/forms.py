@@ -7,20 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from PyQt5.QtCore import pyqtSignal
-from PyQt5.QtWidgets import (
-    QCheckBox,
-    QFormLayout,
-    QHBoxLayout,
-    QHeaderView,
-    QLabel,
-    QLineEdit,
-    QSizePolicy,
-    QTableWidget,
-    QTableWidgetItem,
-    QToolButton,
-    QVBoxLayout,
-    QWidget,
-)
+from PyQt5.QtWidgets import QFormLayout, QHeaderView, QSizePolicy, QTableWidget, QTableWidgetItem, QWidget
 
 from config.scene import (
     FileTable,
@@ -34,7 +21,8 @@ from config.scene import (
     SourceTable,
     SvgTable,
 )
-from gui.files import Settings, choose_file
+from gui import widgets as ui
+from gui.files import PathField
 from gui.scene.document import NEW_PATHS, NEW_SIGNALS, PointMm, SceneDocument, changed, new_source
 from gui.scene.form import ChoiceField, Form, NumberField, align
 from gui.scene.preview import Preview, trace_text
@@ -61,35 +49,30 @@ class SourceForm(QWidget):
         self.signals = {kind: Form(type(one), ("path",)) for kind, one in NEW_SIGNALS.items()}
         self.motion = Form(SourceTable, ("path", "signal"), needed=_MOTION)
         self.vertices = VertexTable()
-        self.drawing = FileField("drawing", (".svg",), context.settings)
+        self.drawing = PathField("", ".svg", "drawing", context.settings)
         self.path_ids = ChoiceField("Path of the drawing", "Path of the drawing, by its id")
-        self.sound = FileField("sound", (".wav", ".flac", ".ogg", ".aiff"), context.settings)
-        self.figures = QLabel()
-        self.figures.setWordWrap(True)
-        self.figures.setProperty("role", "faint")
+        self.sound = PathField("", ".wav", "sound", context.settings, also=(".flac", ".ogg", ".aiff"))
+        self.figures = ui.label(role="faint", wraps=True)
         self._lay_out()
         self.path_kind.edited.connect(self._change_path_kind)
         self.signal_kind.edited.connect(self._change_signal_kind)
-        for path_form in self.paths.values():
-            path_form.edited.connect(lambda key, value: self._edit_path(f"path {key}", **{key: value}))
-        for signal_form in self.signals.values():
-            signal_form.edited.connect(lambda key, value: self._edit_signal(f"signal {key}", **{key: value}))
+        for forms, edit, what in ((self.paths, self._edit_path, "path"), (self.signals, self._edit_signal, "signal")):
+            for form in forms.values():
+                form.edited.connect(lambda key, value, edit=edit, what=what: edit(f"{what} {key}", **{key: value}))
         self.motion.edited.connect(lambda key, value: document.edit_source("edit", key, **{key: value}))
         self.vertices.edited.connect(lambda points: self._edit_path("", points_mm=points))
-        self.drawing.edited.connect(lambda file: self._edit_path("", file=file, path_id=""))
+        self.drawing.chosen.connect(lambda file: self._edit_path("", file=str(file), path_id=""))
         self.path_ids.edited.connect(lambda path_id: self._edit_path("", path_id=path_id))
-        self.sound.edited.connect(lambda file: self._edit_signal("", path=file))
+        self.sound.chosen.connect(lambda file: self._edit_signal("", path=str(file)))
         document.edited.connect(self.show_source)
         document.chosen_changed.connect(self.show_source)
         self.show_source()
 
     def show_source(self) -> None:
-        """Show the chosen source."""
-        source = self._document.source
-        self.setEnabled(source is not None)
-        if source is None:
+        self.setEnabled(self._document.source is not None)
+        if self._document.source is None:
             self.figures.setText("")
-            return
+        source = self._document.source or new_source(NEW_PATHS["line"])
         path, signal = source.path, source.signal
         self.path_kind.show_value(path.kind)
         self.signal_kind.show_value(signal.kind)
@@ -101,16 +84,15 @@ class SourceForm(QWidget):
         if isinstance(path, PolylineTable):
             self.vertices.show_points(path.points_mm)
         if isinstance(path, SvgTable):
-            self.drawing.show_value(path.file)
+            self.drawing.show_text(path.file)
             self._list_paths(path)
         if isinstance(signal, FileTable):
-            self.sound.show_value(signal.path)
+            self.sound.show_text(signal.path)
         self.motion.show_values(source)
         for key in _MOTION:
             self.motion.show_row(key, not isinstance(path, PointTable))
 
     def show_preview(self, preview: Preview) -> None:
-        """Show the figures of the chosen source."""
         if 0 <= self._document.chosen < len(preview.traces):
             self.figures.setText(trace_text(preview.traces[self._document.chosen]))
 
@@ -120,27 +102,19 @@ class SourceForm(QWidget):
         self.paths["svg"].insert("File", self.drawing)
         self.signals["file"].insert("File", self.sound)
         path_row, signal_row = _kind_row("Path", self.path_kind), _kind_row("Signal", self.signal_kind)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(6, 6, 6, 6)
-        column.setSpacing(6)
-        column.addLayout(path_row)
-        for form in (*self.paths.values(), self.motion):
-            column.addWidget(form)
-        column.addWidget(self.figures)
-        column.addLayout(signal_row)
-        for form in self.signals.values():
-            column.addWidget(form)
-        column.addStretch(1)
         forms = [*self.paths.values(), self.motion, *self.signals.values()]
+        parts: list[QWidget | QFormLayout] = [path_row, *self.paths.values(), self.motion, self.figures]
+        parts += [signal_row, *self.signals.values()]
+        ui.column(*parts, None, owner=self, margins=(6, 6, 6, 6), spacing=6)
         align([path_row, signal_row, *(form.rows for form in forms)])
 
     def _edit_path(self, gesture: str, **changes: object) -> None:
-        if self._document.source is not None:
-            self._document.edit_source("edit", gesture, path=changed(self._document.source.path, **changes))
+        if (source := self._document.source) is not None:
+            self._document.edit_source("edit", gesture, path=changed(source.path, **changes))
 
     def _edit_signal(self, gesture: str, **changes: object) -> None:
-        if self._document.source is not None:
-            self._document.edit_source("edit", gesture, signal=changed(self._document.source.signal, **changes))
+        if (source := self._document.source) is not None:
+            self._document.edit_source("edit", gesture, signal=changed(source.signal, **changes))
 
     def _change_path_kind(self, kind: str) -> None:
         source = self._document.source
@@ -151,7 +125,7 @@ class SourceForm(QWidget):
         moved = new_source(shifted(path, (there[0] - here[0], there[1] - here[1])), source)
         self._document.edit_source("edit", **dict(moved))
         if kind == "svg":
-            self.drawing.browse()
+            self.drawing.open_dialog()
 
     def _change_signal_kind(self, kind: str) -> None:
         source = self._document.source
@@ -162,7 +136,7 @@ class SourceForm(QWidget):
             signal = changed(signal, duration_s=former.duration_s)
         self._document.edit_source("edit", signal=signal)
         if kind == "file":
-            self.sound.browse()
+            self.sound.open_dialog()
 
     def _list_paths(self, path: SvgTable) -> None:
         """List the drawing's paths, once for each state of the file."""
@@ -203,26 +177,19 @@ class SceneForm(QWidget):
             "regularisation": Form(Regularisation, ("saturation", "saturation_absolute")),
             "output": Form(Output),
         }
-        self.large = QCheckBox("Allow large scenes (--allow-large)")
-        self.large.setAccessibleName("Allow large scenes")
-        self.large.setToolTip("Also render scenes of over an hour, 8 GiB of drives or a million path points")
+        tip = "Also render scenes of over an hour, 8 GiB of drives or a million path points"
+        self.large = ui.check("Allow large scenes (--allow-large)", tip, "Allow large scenes")
         self.saturates = ChoiceField("Saturation", "Limits the weight of the nearest actuators (eq. 14)", _SATURATIONS)
         self.saturates.setItemText(1, "fraction of the bank's median")
         self.saturates.setItemText(2, "level in the bank's unit")
         self.level = NumberField("Saturation level", "C of eq. (14)", low=1e-6)
         self.tables["regularisation"].insert("C", self.level)
         self.tables["regularisation"].insert("Saturation", self.saturates)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(6, 6, 6, 6)
+        parts: list[QWidget | int] = []
         for key, form in self.tables.items():
-            heading = QLabel(key.capitalize())
-            heading.setProperty("role", "strong")
-            column.addWidget(heading)
-            column.addWidget(form)
-            column.addSpacing(6)
+            parts += [ui.label(text=key.capitalize(), role="strong"), form, 6]
             form.edited.connect(lambda name, value, key=key: self._edit(key, f"{key} {name}", **{name: value}))
-        column.addWidget(self.large)
-        column.addStretch(1)
+        ui.column(*parts, self.large, None, owner=self, margins=(6, 6, 6, 6))
         align([form.rows for form in self.tables.values()])
         self.large.toggled.connect(document.allow)
         self.saturates.edited.connect(self._saturate)
@@ -233,7 +200,6 @@ class SceneForm(QWidget):
         self.show_scene()
 
     def show_scene(self) -> None:
-        """Show the scene's values."""
         for key, form in self.tables.items():
             form.show_values(getattr(self._document.draft, key))
         held = self._document.draft.regularisation
@@ -265,9 +231,8 @@ class VertexTable(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self._points: tuple[PointMm, ...] = ()
-        self.table = QTableWidget(0, 2)
-        self.table.setAccessibleName("Vertices in mm")
-        self.table.setToolTip("Vertices in mm, in order; a double click on a line of the polyline adds one")
+        tip = "Vertices in mm, in order; a double click on a line of the polyline adds one"
+        self.table = ui.named(QTableWidget(0, 2), tip, "Vertices in mm")
         self.table.setHorizontalHeaderLabels(["x (mm)", "y (mm)"])
         header, numbers = self.table.horizontalHeader(), self.table.verticalHeader()
         assert header is not None
@@ -278,15 +243,10 @@ class VertexTable(QWidget):
         self.table.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         self.table.setFixedHeight(row_px * (_TABLE_LINES + 1) + 6)
         self.table.cellChanged.connect(self._changed)
-        self._more = QLabel()
-        self._more.setProperty("role", "faint")
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.addWidget(self.table)
-        column.addWidget(self._more)
+        self._more = ui.label(role="faint")
+        ui.column(self.table, self._more, owner=self)
 
     def show_points(self, points: Sequence[PointMm]) -> None:
-        """Show vertices."""
         if tuple(points) == self._points:
             return
         self._points = tuple(points)
@@ -295,8 +255,8 @@ class VertexTable(QWidget):
         self.table.setRowCount(rows)
         self.table.setVerticalHeaderLabels([str(row) for row in range(rows)])
         for row in range(rows):
-            for column in (0, 1):
-                self.table.setItem(row, column, QTableWidgetItem(f"{points[row][column]:.10g}"))
+            for place in (0, 1):
+                self.table.setItem(row, place, QTableWidgetItem(f"{points[row][place]:.10g}"))
         self.table.blockSignals(False)
         self._more.setText(f"and {len(points) - rows} more")
         self._more.setVisible(len(points) > rows)
@@ -317,45 +277,6 @@ class VertexTable(QWidget):
             self.show_points(points)
 
 
-class FileField(QWidget):
-    """A file that a scene names, and a button that chooses another."""
-
-    edited = pyqtSignal(object)
-
-    def __init__(self, kind: str, endings: tuple[str, ...], settings: Settings) -> None:
-        super().__init__()
-        self._kind, self._endings, self._settings = kind, endings, settings
-        self.line = QLineEdit()
-        self.line.setReadOnly(True)
-        self.line.setAccessibleName(f"File of the {kind}")
-        self.line.setPlaceholderText("choose or drop one")
-        self.line.setAcceptDrops(False)  # the window accepts dropped files
-        self.line.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-        button = QToolButton()
-        button.setText("…")
-        button.setAccessibleName(f"Choose a {kind}")
-        button.setToolTip(f"Choose a {kind} ({', '.join(endings)})")
-        button.clicked.connect(self.browse)
-        row = QHBoxLayout(self)
-        row.setContentsMargins(0, 0, 0, 0)
-        row.addWidget(self.line)
-        row.addWidget(button)
-
-    def show_value(self, file: str) -> None:
-        """Show the file's name; its folder is in the tooltip."""
-        self.line.setText(Path(file).name)
-        self.line.setToolTip(file)
-
-    def browse(self) -> None:
-        """Open a file dialog that does not block."""
-        folder = self._settings.folder(self._endings[0])
-        choose_file(self, f"Choose a {self._kind}", folder, self._kind, self._endings, self._chosen)
-
-    def _chosen(self, path: Path) -> None:
-        self._settings.keep(f"folder/{self._endings[0]}", str(path.parent))
-        self.edited.emit(str(path))
-
-
 def _path_ids(file: Path) -> tuple[str, ...]:
     from rendering.scene.svg import svg_path_ids
 
@@ -365,8 +286,7 @@ def _path_ids(file: Path) -> tuple[str, ...]:
 def _kind_row(title: str, field: ChoiceField) -> QFormLayout:
     row = QFormLayout()
     row.setFieldGrowthPolicy(QFormLayout.FieldGrowthPolicy.AllNonFixedFieldsGrow)
-    label = QLabel(title)
-    label.setProperty("role", "strong")
+    label = ui.label(text=title, role="strong")
     label.setBuddy(field)
     row.addRow(label, field)
     return row

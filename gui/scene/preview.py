@@ -139,7 +139,6 @@ class LivePreview(QObject):
             self._background.ask("ground", partial(_ground_of, bank), self._use_ground, partial(self._no_bank, bank))
 
     def shut_down(self) -> None:
-        """End the thread."""
         self._ended = True
         self._background.end()
 
@@ -253,15 +252,17 @@ def _ground_of(path: Path) -> Ground:
 
 
 def _trace(draft: SourceTable, ground: Ground, allow_large: bool) -> Trace:
-    source = _source(draft, _file_times(draft), allow_large)
-    if isinstance(source, str):
-        return _no_trace(source)
-    samples = _samples(draft, _file_times(draft), allow_large, ground.sample_rate_hz)
-    signal_s = 0.0 if isinstance(samples, str) else len(samples) / ground.sample_rate_hz
+    times = _file_times(draft)
     try:
+        source = _source(draft, times, allow_large)
+        if isinstance(source, str):
+            raise InputError(source)
+        samples = _samples(draft, times, allow_large, ground.sample_rate_hz)
+        signal_s = 0.0 if isinstance(samples, str) else len(samples) / ground.sample_rate_hz
         return _drawn(source, ground, float(getattr(draft.signal, "duration_s", signal_s)))
     except WavefocusError as error:
-        return _no_trace(_without_number(str(error)))
+        none, nowhere, problem = np.zeros(0), np.zeros((0, 2)), _without_number(str(error))
+        return Trace(nowhere, nowhere, none, np.zeros(0, np.int64), np.zeros(0, np.bool_), problem=problem)
 
 
 def _signal(draft: SourceTable, ground: Ground, allow_large: bool) -> Float64Array | str:
@@ -278,7 +279,7 @@ def _source(draft: SourceTable, _times: tuple[int, ...], allow_large: bool) -> S
     try:
         return read_scene(source_toml(draft), place, allow_large=allow_large).sources[0]
     except InputError as error:
-        return _without_number(str(error).removeprefix(f"{place}: "))
+        return str(error).removeprefix(f"{place}: ")
 
 
 @lru_cache(maxsize=32)
@@ -286,7 +287,7 @@ def _samples(draft: SourceTable, times: tuple[int, ...], allow_large: bool, rate
     """The samples of a signal at the bank's rate, or why they are not drawn."""
     source = _source(draft, times, allow_large)
     if isinstance(source, str):
-        return source
+        return _without_number(source)
     file = draft.signal.path if isinstance(draft.signal, FileTable) else ""
     try:
         too_large = file and Path(file).stat().st_size > _LARGEST_FILE
@@ -338,11 +339,6 @@ def _file_times(draft: SourceTable) -> tuple[int, ...]:
         except (OSError, ValueError):
             times.append(0)
     return tuple(times)
-
-
-def _no_trace(problem: str) -> Trace:
-    none, nowhere = np.zeros(0), np.zeros((0, 2))
-    return Trace(nowhere, nowhere, none, np.zeros(0, np.int64), np.zeros(0, np.bool_), problem=problem)
 
 
 def _without_number(sentence: str) -> str:

@@ -6,31 +6,18 @@ from functools import partial
 from pathlib import Path
 
 from PyQt5.QtCore import pyqtSignal
-from PyQt5.QtWidgets import (
-    QAction,
-    QHBoxLayout,
-    QLabel,
-    QProgressBar,
-    QSizePolicy,
-    QSpinBox,
-    QTabWidget,
-    QToolButton,
-    QVBoxLayout,
-    QWidget,
-)
+from PyQt5.QtWidgets import QAction, QToolButton, QWidget
 
-from gui.files import PathField, choose_place
-from gui.scene.calculation import Calculation
+from gui import widgets as ui
+from gui.files import PathField, choose_place, names_virtual_rig
+from gui.scene.calculation import Answer, Calculation, Driven, Finished, FocusFigures, PredictedField, Progress
 from gui.scene.document import EMPTY, SceneDocument
-from gui.scene.drives_view import DrivesView
 from gui.scene.exports import DRIVE, ENDINGS, IDLE, MOVIE, STOPPING, WAV, Playing, Saving
-from gui.scene.field_view import FieldView
 from gui.scene.figures_view import FiguresView, drive_figures, field_figures
-from gui.scene.messages import Answer, Driven, Finished, FocusFigures, PredictedField, Progress
+from gui.scene.result_views import DrivesView, FieldView
+from gui.surface import VIRTUAL
 from gui.tab import TabContext
-from gui.theme import Theme
-from gui.toml_files import VIRTUAL, names_virtual_rig
-from gui.widgets import make_action, make_button, named, number_box
+from gui.theme import Themed
 
 # Button, kind, key, tooltip.
 _SAVES = (
@@ -41,7 +28,7 @@ _SAVES = (
 _KINDS = {DRIVE: "drive file", WAV: "sound file", MOVIE: "movie"}
 
 
-class ActionsBar(QWidget):
+class ActionsBar(Themed, QWidget):
     """Rows of controls for saving and playing."""
 
     rig_changed = pyqtSignal()
@@ -60,26 +47,24 @@ class ActionsBar(QWidget):
         self.rig_field.line.setText(context.settings.text("scene/rig"))
         self._rig = self.rig
         tip = "Softer (negative) or louder than saved (dB); the rig's limits hold"
-        self.gain = number_box("Gain in dB", tip, " dB", 1, -60.0, 60.0)
-        self.gain.setPrefix("gain ")
-        self.loops = named(QSpinBox(), "Number of repetitions, without a gap", "Repetitions")
-        self.loops.setRange(1, 10_000)
-        self.loops.setPrefix("× ")
-        self.state = QLabel()
+        self.gain = ui.number_box("Gain in dB", tip, " dB", 1, -60.0, 60.0, prefix="gain ")
+        self.loops = ui.whole_box("Repetitions", "Number of repetitions, without a gap", 1, 10_000, "× ")
+        self.state = ui.label(role="faint", any_width=True)
         self.state.setMinimumWidth(60)
-        self.state.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
-        self.state.setProperty("role", "faint")
         self.saves: dict[str, QAction] = {
-            kind: make_action(self, words, partial(self._choose, kind), keys, tip=tip)
+            kind: ui.action(self, words, partial(self._choose, kind), keys, tip=tip)
             for words, kind, keys, tip in _SAVES
         }
-        self.cancel = make_action(self, "&Cancel", saving.cancel, tip="Cancel saving")
-        self.play = make_action(
+        self.cancel = ui.action(self, "&Cancel", saving.cancel, tip="Cancel saving")
+        self.play = ui.action(
             self, "&Play", self.play_requested.emit, "F9", tip="Render within the rig's limits and play"
         )
-        self.stop = make_action(self, "&Stop", playing.stop, "Shift+F9", tip="Stop at once and mute the outputs")
-        self.buttons: dict[str, QToolButton] = {}
-        self._lay_out()
+        self.stop = ui.action(self, "&Stop", playing.stop, "Shift+F9", tip="Stop at once and mute the outputs")
+        actions = {**self.saves, "cancel": self.cancel, "play": self.play, "stop": self.stop}
+        self.buttons: dict[str, QToolButton] = {name: ui.button(action) for name, action in actions.items()}
+        *saves, play, stop = self.buttons.values()
+        plays = ui.row(self.gain, self.loops, play, stop, None)
+        ui.column(ui.row(*saves, None), self.rig_field, plays, self.state, owner=self, margins=(4, 2, 4, 2), spacing=4)
         for part in (saving, playing):
             part.changed.connect(self.show_state)
         self.rig_field.line.editingFinished.connect(self._check_rig)
@@ -115,31 +100,8 @@ class ActionsBar(QWidget):
         self.state.setText("; ".join(texts))
         self.state.setToolTip(self.state.text())
 
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the theme's colours."""
-        self.buttons["stop"].setStyleSheet(f"QToolButton:enabled {{ color: {theme.warning}; font-weight: 600; }}")
-
-    def _lay_out(self) -> None:
-        saves, plays = QHBoxLayout(), QHBoxLayout()
-        for name, action in (*self.saves.items(), ("cancel", self.cancel)):
-            saves.addWidget(self._button(name, action))
-        saves.addStretch(1)
-        for part in (self.gain, self.loops, self._button("play", self.play), self._button("stop", self.stop)):
-            plays.addWidget(part)
-        plays.addStretch(1)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(4, 2, 4, 2)
-        column.setSpacing(4)
-        column.addLayout(saves)
-        column.addWidget(self.rig_field)
-        column.addLayout(plays)
-        column.addWidget(self.state)
-
-    def _button(self, name: str, action: QAction) -> QToolButton:
-        button = make_button(action)
-        button.setAccessibleName(button.accessibleName().rstrip("…"))
-        self.buttons[name] = button
-        return button
+    def redraw(self) -> None:
+        self.buttons["stop"].setStyleSheet(f"QToolButton:enabled {{ color: {self.theme.warning}; font-weight: 600; }}")
 
     def _check_rig(self) -> None:
         if self.rig != self._rig:
@@ -149,9 +111,7 @@ class ActionsBar(QWidget):
             self.rig_changed.emit()
 
     def _choose(self, kind: str) -> None:
-        def chosen(file: Path) -> None:
-            self.save_requested.emit(kind, file)
-
+        chosen = partial(self.save_requested.emit, kind)
         choose_place(self, f"Save {kind}", self._saving.suggested(kind), _KINDS[kind], ENDINGS[kind], chosen)
 
 
@@ -182,30 +142,25 @@ class ResultsPanel(QWidget):
         self.drives, self.field, self.figures = DrivesView(), FieldView(), FiguresView()
         self.saving, self.playing = Saving(context, document, self), Playing(context, document, self)
         self.bar = ActionsBar(context, self.saving, self.playing)
-        self.stage, self.problem = QLabel(), QLabel()
-        self.stage.setAccessibleName("Stage of the calculation")
-        self.stage.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
-        self.problem.setAccessibleName("Problem of the calculation")
-        self.problem.setWordWrap(True)
+        self.stage = ui.label("Stage of the calculation", any_width=True)
+        self.problem = ui.label("Problem of the calculation", wraps=True)
         self.problem.setMinimumWidth(1)
         self.problem.setContentsMargins(4, 0, 4, 0)
         self.problem.hide()
-        self.progress = QProgressBar()
+        self.progress = ui.progress_bar("Progress of the calculation")
         self.progress.setRange(0, 1000)
-        self.progress.setTextVisible(False)
-        self.progress.setAccessibleName("Progress of the calculation")
         self.progress.setFixedWidth(120)
-        self.cancel = named(QToolButton(), "Stop calculating until the next edit", "Stop calculating")
-        self.cancel.setText("Stop")
-        self.pages = QTabWidget()
-        self.pages.setDocumentMode(True)
-        self.pages.setAccessibleName("Results")
-        for view, word in ((self.drives, "Drives"), (self.field, "Field"), (self.figures, "Figures")):
-            self.pages.addTab(view, word)
-        self._lay_out()
+        self.cancel = ui.tool_button("Stop", "Stop calculating until the next edit", self._stop, "Stop calculating")
+        self.pages = ui.tab_pages("Results", {"Drives": self.drives, "Field": self.field, "Figures": self.figures})
+        for part in (self.progress, self.cancel):
+            policy = part.sizePolicy()
+            policy.setRetainSizeWhenHidden(True)  # widgets below stay in place while they come and go
+            part.setSizePolicy(policy)
+        head = ui.row((self.stage, 1), self.progress, self.cancel, margins=(4, 0, 4, 0))
+        ui.column(head, self.problem, (self.pages, 1), self.bar, owner=self, spacing=3)
         document.changed.connect(self._edited)
-        document.bank_changed.connect(self._bank_changed)
-        self.cancel.clicked.connect(self._stop)
+        for act in (self._clear, self._edited):
+            document.bank_changed.connect(act)
         self.bar.rig_changed.connect(self._edited)
         self.bar.save_requested.connect(self.save)
         self.bar.play_requested.connect(self.play)
@@ -222,11 +177,6 @@ class ResultsPanel(QWidget):
             self._ask()
         for answer in self.calculation.take(_ANSWERS_PER_TICK):
             self._show_answer(answer)
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the theme's colours."""
-        for part in (self.drives, self.field, self.figures, self.bar):
-            part.apply_theme(theme)
 
     def shut_down(self) -> None:
         """End all processes; what plays is muted."""
@@ -251,37 +201,16 @@ class ResultsPanel(QWidget):
             self, "Play", lambda: self.playing.play(rig, gain_db, loops, lasts_s), virtual=names_virtual_rig(rig)
         )
 
-    def _lay_out(self) -> None:
-        row = QHBoxLayout()
-        row.setContentsMargins(4, 0, 4, 0)
-        row.addWidget(self.stage, stretch=1)
-        for part in (self.progress, self.cancel):
-            policy = part.sizePolicy()
-            policy.setRetainSizeWhenHidden(True)  # widgets below stay in place while they come and go
-            part.setSizePolicy(policy)
-            row.addWidget(part)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.setSpacing(3)
-        column.addLayout(row)
-        column.addWidget(self.problem)
-        column.addWidget(self.pages, stretch=1)
-        column.addWidget(self.bar)
-
     def _edited(self) -> None:
         self._wanted = True
         self.complete = False
-
-    def _bank_changed(self) -> None:
-        self._clear()
-        self._edited()
 
     def _ask(self) -> None:
         document, rig = self._document, self.bar.rig
         if document.bank is None or not document.draft.source:
             self._halt()
             self._clear()
-            self._end(NO_BANK if document.bank is None else EMPTY)
+            self._show_state(NO_BANK if document.bank is None else EMPTY)
             return
         text, place, bank = document.toml(), document.place, document.bank
         try:
@@ -294,7 +223,7 @@ class ResultsPanel(QWidget):
 
     def _stop(self) -> None:
         self._halt()
-        self._end("the results may be of an earlier scene: edit the scene to go on", "stopped")
+        self._show_state("the results may be of an earlier scene: edit the scene to go on", "stopped")
 
     def _halt(self) -> None:
         self._stopped = True
@@ -322,10 +251,10 @@ class ResultsPanel(QWidget):
             case Finished():
                 if answer.problem:
                     self._clear()
-                    self._end(answer.problem, "not calculated")
+                    self._show_state(answer.problem, "not calculated")
                 elif not self._stopped:
                     self.complete = True
-                    self._end("", "up to date with the scene")
+                    self._show_state("", "up to date with the scene")
                 if answer.defect:
                     raise CalculationError(answer.defect)
 
@@ -342,10 +271,7 @@ class ResultsPanel(QWidget):
         self.progress.setValue(round(1000 * (first + share * (last - first))))
         self._show_state("", f"calculating: {stage}", busy=True)
 
-    def _end(self, problem: str, stage: str = "nothing to calculate") -> None:
-        self._show_state(problem, stage, busy=False)
-
-    def _show_state(self, problem: str, stage: str, *, busy: bool) -> None:
+    def _show_state(self, problem: str, stage: str = "nothing to calculate", *, busy: bool = False) -> None:
         self.progress.setVisible(busy)
         self.cancel.setVisible(busy)
         self.stage.setText(stage)

@@ -8,26 +8,16 @@ from pathlib import Path
 
 from PyQt5.QtCore import QObject, QSize, Qt, pyqtSignal
 from PyQt5.QtGui import QColor, QIcon, QPainter, QPixmap
-from PyQt5.QtWidgets import (
-    QAction,
-    QApplication,
-    QHBoxLayout,
-    QLabel,
-    QListWidget,
-    QListWidgetItem,
-    QVBoxLayout,
-    QWidget,
-)
+from PyQt5.QtWidgets import QAction, QApplication, QListWidget, QListWidgetItem, QWidget
 
 from config.scene import FileTable, PathTable, SourceTable, SvgTable
+from gui import widgets as ui
 from gui.files import choose_file
-from gui.scene.canvas_items import source_colour
 from gui.scene.document import SceneDocument, changed, new_source, read_draft, source_toml
 from gui.scene.preview import LivePreview, Trace, title_of
 from gui.scene.tools import box_of, shifted
 from gui.tab import TabContext
-from gui.theme import LIGHT, Theme
-from gui.widgets import copy_text, make_button
+from gui.theme import Themed
 from storage.errors import WavefocusError
 
 # A drawing that is larger than the surface, or too small to be felt, is scaled to this share of its width.
@@ -49,7 +39,6 @@ class SourceActions(QObject):
         self._context, self._document, self._live, self._owner = context, document, live, owner
 
     def add(self, path: PathTable) -> None:
-        """Add a source on a path; all else is as in the chosen source, or the last one."""
         sources = self._document.draft.source
         source = new_source(path, self._document.source or (sources[-1] if sources else None))
         self._insert(changed(source, start_s=0.0), f"draw a {path.kind}", len(sources))
@@ -62,14 +51,12 @@ class SourceActions(QObject):
             self._insert(copy, "duplicate", self._document.chosen + 1)
 
     def delete(self) -> None:
-        """Delete the chosen source."""
         chosen, sources = self._document.chosen, self._document.draft.source
         if self._document.source is not None:
             left = (*sources[:chosen], *sources[chosen + 1 :])
             self._edit("delete a source", left, min(chosen, len(left) - 1))
 
     def move(self, by: int) -> None:
-        """Move the chosen source up or down in the list."""
         chosen, sources = self._document.chosen, list(self._document.draft.source)
         to = chosen + by
         if self._document.source is not None and 0 <= to < len(sources):
@@ -79,7 +66,7 @@ class SourceActions(QObject):
     def copy(self) -> None:
         """Copy the chosen source to the clipboard, as text of a scene file."""
         if self._document.source is not None:
-            copy_text(source_toml(self._document.source))
+            ui.copy_text(source_toml(self._document.source))
 
     def paste(self) -> None:
         """Add the sources in the clipboard's text."""
@@ -96,7 +83,7 @@ class SourceActions(QObject):
         sources = (*self._document.draft.source, *pasted)
         self._edit("paste", sources, len(sources) - 1)
 
-    def choose_drawing(self, _checked: bool = False) -> None:
+    def choose_drawing(self) -> None:
         """Choose an SVG file to add, in a dialog that does not block."""
         folder = self._context.settings.folder(".svg")
         choose_file(self._owner, "Add a drawing", folder, "drawing", [".svg"], self.add_drawing)
@@ -125,53 +112,40 @@ class SourceActions(QObject):
         self._document.edit(words, changed(self._document.draft, source=tuple(sources)), chosen=chosen)
 
 
-class SourceList(QWidget):
+class SourceList(Themed, QWidget):
     """A line for each source, numbered as in messages and files, with buttons below."""
 
     def __init__(self, document: SceneDocument, actions: Sequence[QAction]) -> None:
         super().__init__()
         self._document = document
         self._traces: Sequence[Trace] = ()
-        self._theme = LIGHT
-        self.list = QListWidget()
-        self.list.setAccessibleName("Sources")
-        self.list.setToolTip("The scene's sources; their drives add up")
+        self.list = ui.named(QListWidget(), "The scene's sources; their drives add up", "Sources")
         self.list.setAlternatingRowColors(True)
         self.list.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.list.setIconSize(QSize(_SWATCH, _SWATCH))
         self.list.setMinimumHeight(_LINES * (self.list.fontMetrics().height() + 4))
-        self._none = QLabel("No source yet: choose a tool above the surface and draw one")
-        self._none.setProperty("role", "faint")
-        self._none.setWordWrap(True)
-        buttons = QHBoxLayout()
-        buttons.setSpacing(2)
-        for action in actions:
-            buttons.addWidget(make_button(action))
-        buttons.addStretch(1)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.setSpacing(4)
-        column.addWidget(self.list, stretch=1)
-        column.addWidget(self._none)
-        column.addLayout(buttons)
+        self._none = ui.label(
+            text="No source yet: choose a tool above the surface and draw one", role="faint", wraps=True
+        )
+        buttons = ui.row(*map(ui.button, actions), None, spacing=2)
+        ui.column((self.list, 1), self._none, buttons, owner=self, spacing=4)
         self.list.currentRowChanged.connect(lambda row: document.choose(row) if row >= 0 else None)
         document.edited.connect(self.show_sources)
         document.chosen_changed.connect(self.show_sources)
         self.show_sources()
 
     def show_traces(self, traces: Sequence[Trace]) -> None:
-        """Show the figures of the sources."""
+        """Show the lengths of the sources, too."""
         self._traces = traces
         self.show_sources()
 
     def show_sources(self) -> None:
-        """Show all sources and which is chosen."""
         sources, shown = self._document.draft.source, self.list
         shown.blockSignals(True)
         while shown.count() > len(sources):
             shown.takeItem(shown.count() - 1)
         while shown.count() < len(sources):
-            shown.addItem(QListWidgetItem(_swatch(source_colour(self._theme, shown.count())), ""))
+            shown.addItem(QListWidgetItem(_swatch(self.theme.trace(shown.count())), ""))
         for index, source in enumerate(sources):
             words = f"{index}  {title_of(source, self._traces[index] if index < len(self._traces) else None)}"
             item = shown.item(index)
@@ -183,13 +157,11 @@ class SourceList(QWidget):
         self._none.setVisible(not sources)
         shown.setVisible(bool(sources))
 
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the theme's colours."""
-        self._theme = theme
+    def redraw(self) -> None:
         for index in range(self.list.count()):
             item = self.list.item(index)
             if item is not None:
-                item.setIcon(_swatch(source_colour(theme, index)))
+                item.setIcon(_swatch(self.theme.trace(index)))
 
 
 def _fitted(file: Path, size_mm: tuple[float, float], middle_mm: tuple[float, float]) -> SvgTable:

@@ -17,6 +17,7 @@ _DECIMALS = 2
 _SCALE_FIGURES = 5
 # A polyline of more vertices is moved as a whole.
 _MOST_VERTICES = 500
+_POLYLINE_HINT = "Click each corner; double click or Enter ends, a click on the first closes, Backspace takes one back"
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,19 +41,19 @@ class Handle:
 
 def handles_of(path: PathTable, box: Box | None = None) -> list[Handle]:
     """Handles of a path; `box` holds the lower left and upper right corner of what is drawn, where that is known."""
-    if isinstance(path, PointTable):
-        return [Handle("at", path.at_mm, "moves the point")]
-    if isinstance(path, LineTable):
-        return [Handle("start", path.start_mm, "moves the start"), Handle("end", path.end_mm, "moves the end")]
-    if isinstance(path, CircleTable):
-        return _circle_handles(path)
-    if isinstance(path, PolylineTable):
-        if len(path.points_mm) > _MOST_VERTICES:
-            return []
-        return [Handle(str(index), at, f"moves vertex {index}") for index, at in enumerate(path.points_mm)]
-    if isinstance(path, TextTable):
-        (x, y), half = path.centre_mm, path.height_mm / 2
-        return [Handle("centre", path.centre_mm, "moves the text"), Handle("height", (x, y + half), "sets the height")]
+    match path:
+        case PointTable():
+            return [Handle("at", path.at_mm, "moves the point")]
+        case LineTable():
+            return [Handle("start", path.start_mm, "moves the start"), Handle("end", path.end_mm, "moves the end")]
+        case CircleTable():
+            return _circle_handles(path)
+        case PolylineTable():
+            points = path.points_mm if len(path.points_mm) <= _MOST_VERTICES else ()
+            return [Handle(str(index), at, f"moves vertex {index}") for index, at in enumerate(points)]
+        case TextTable(centre_mm=(x, y)):
+            height = Handle("height", (x, y + path.height_mm / 2), "sets the height")
+            return [Handle("centre", (x, y), "moves the text"), height]
     origin = Handle("origin", path.origin_mm, "moves the drawing")
     corner = _far_corner(path, box)
     return [origin] if corner is None else [origin, Handle("scale", corner, "sets the scale")]
@@ -186,152 +187,84 @@ def _distance(at: PointMm, start: PointMm, end: PointMm) -> float:
 
 
 class Tool:
-    """A way to draw; `sketch` is the path so far, `done` the finished one."""
+    """Draws a path by clicks on its points, or by a drag from one point to the next.
 
-    #: Instruction for the user.
-    hint = ""
+    Parameters
+    ----------
+    make : callable
+        From the points to the path; None where they are too near.
+    hint : str
+        Instruction for the user.
+    count : int or None
+        Number of points of the path; None for as many as are clicked.
 
-    def __init__(self) -> None:
+    Attributes
+    ----------
+    sketch, done : PathTable or None
+        The path so far, and the finished one.
+    """
+
+    def __init__(self, make: Callable[..., PathTable | None], hint: str, count: int | None) -> None:
+        self._make, self.hint, self._count = make, hint, count
+        self._points: list[PointMm] = []
         self.sketch: PathTable | None = None
         self.done: PathTable | None = None
 
     def click(self, at: PointMm, reach_mm: float) -> None:
         """Receive a click; points within `reach_mm` count as hit."""
-        raise NotImplementedError
-
-    def drag(self, start: PointMm, at: PointMm, *, ended: bool) -> None:
-        """Receive a drag that began at `start`."""
-        raise NotImplementedError
-
-    def move(self, at: PointMm) -> None:
-        """Follow the mouse between clicks."""
-
-    def finish(self) -> None:
-        """End the path (double click, Enter)."""
-
-    def back(self) -> None:
-        """Undo the last click."""
-
-
-class PlaceTool(Tool):
-    """A path that one click puts in its place.
-
-    Parameters
-    ----------
-    make : callable
-        From a place to the path there.
-    """
-
-    hint = "Click its position"
-
-    def __init__(self, make: Callable[[PointMm], PathTable]) -> None:
-        super().__init__()
-        self._make = make
-
-    def click(self, at: PointMm, reach_mm: float) -> None:
-        self.done = self._make(rounded(at))
-
-    def drag(self, start: PointMm, at: PointMm, *, ended: bool) -> None:
-        self.sketch = self._make(rounded(at))
-        if ended:
-            self.done = self.sketch
-
-
-class TwoPointTool(Tool):
-    """A path that two points make: dragged from one to the other, or clicked one after the other.
-
-    Parameters
-    ----------
-    make : callable
-        From two points to a path; None where they are too near.
-    hint : str
-        What the points are.
-    """
-
-    def __init__(self, make: Callable[[PointMm, PointMm], PathTable | None], hint: str) -> None:
-        super().__init__()
-        self._make, self.hint = make, hint
-        self._first: PointMm | None = None
-
-    def click(self, at: PointMm, reach_mm: float) -> None:
-        if self._first is None:
-            self._first = at
-        else:
-            self.done = self._make(self._first, at)
-
-    def drag(self, start: PointMm, at: PointMm, *, ended: bool) -> None:
-        self._first = None
-        self.sketch = self._make(start, at)
-        if ended:
-            self.done = self.sketch
-
-    def move(self, at: PointMm) -> None:
-        if self._first is not None:
-            self.sketch = self._make(self._first, at)
-
-    def back(self) -> None:
-        self.sketch = self._first = None
-
-
-class PolylineTool(Tool):
-    """Straight lines from click to click."""
-
-    hint = "Click each corner; double click or Enter ends, a click on the first closes, Backspace takes one back"
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._points: list[PointMm] = []
-
-    def click(self, at: PointMm, reach_mm: float) -> None:
         points = self._points
-        if len(points) >= 3 and math.dist(at, points[0]) <= reach_mm:
+        if self._count is None and len(points) >= 3 and math.dist(at, points[0]) <= reach_mm:
             self.done = PolylineTable(points_mm=tuple(points), closed=True)
-        elif not points or math.dist(at, points[-1]) > 0:
+        elif not points or rounded(at) != points[-1]:
             points.append(rounded(at))
+            if len(points) == self._count:
+                self.done = self._make(*points)
             self.move(at)
 
     def drag(self, start: PointMm, at: PointMm, *, ended: bool) -> None:
-        if not self._points:
-            self._points.append(rounded(start))
-        self.move(at)
+        """Receive a drag that began at `start`."""
+        if self._count is None:
+            self._points = self._points or [rounded(start)]
+            self.move(at)
+            if ended:
+                self.click(at, 0.0)
+            return
+        self._points = []
+        self.sketch = self._make(*(rounded(start), rounded(at))[-self._count :])
         if ended:
-            self.click(at, 0.0)
+            self.done = self.sketch
 
     def move(self, at: PointMm) -> None:
-        if self._points:
-            self.sketch = PolylineTable(points_mm=(*self._points, rounded(at)))
+        """Follow the mouse between clicks."""
+        if self._points and not self.done:
+            self.sketch = self._make(*self._points, rounded(at))
 
     def finish(self) -> None:
-        if len(self._points) >= 2:
-            self.done = PolylineTable(points_mm=tuple(self._points))
+        """End the path (double click, Enter)."""
+        if self._count is None and len(self._points) >= 2:
+            self.done = self._make(*self._points)
 
     def back(self) -> None:
-        if self._points:
-            self._points.pop()
-        self.sketch = PolylineTable(points_mm=tuple(self._points)) if self._points else None
+        """Undo the last click."""
+        del self._points[-1:]
+        self.sketch = self._make(*self._points) if self._count is None and self._points else None
 
 
-def tool_of(kind: str) -> Tool | None:
-    """The tool that draws a kind of path; None for those that are chosen from a file."""
-    match kind:
-        case "point":
-            return PlaceTool(lambda at: changed(NEW_PATHS["point"], at_mm=at))
-        case "text":
-            return PlaceTool(lambda at: changed(NEW_PATHS["text"], centre_mm=at))
-        case "line":
-            return TwoPointTool(_line, "Drag from start to end, or click both")
-        case "circle":
-            return TwoPointTool(_circle, "Drag from the centre to the rim, or click both")
-        case "polyline":
-            return PolylineTool()
-    return None
+def tool_of(kind: str) -> Tool:
+    """The tool that draws a kind of path; there is none for those that are chosen from a file."""
+    return {
+        "point": lambda: Tool(lambda at: changed(NEW_PATHS["point"], at_mm=at), "Click its position", 1),
+        "text": lambda: Tool(lambda at: changed(NEW_PATHS["text"], centre_mm=at), "Click its position", 1),
+        "line": lambda: Tool(_line, "Drag from start to end, or click both", 2),
+        "circle": lambda: Tool(_circle, "Drag from the centre to the rim, or click both", 2),
+        "polyline": lambda: Tool(lambda *points: PolylineTable(points_mm=points), _POLYLINE_HINT, None),
+    }[kind]()
 
 
 def _line(start: PointMm, end: PointMm) -> PathTable | None:
-    start, end = rounded(start), rounded(end)
     return LineTable(start_mm=start, end_mm=end) if start != end else None
 
 
 def _circle(centre: PointMm, rim: PointMm) -> PathTable | None:
-    radius_mm = round(math.dist(centre, rim), 2)
-    return CircleTable(centre_mm=rounded(centre), radius_mm=radius_mm) if radius_mm else None
+    radius_mm = round(math.dist(centre, rim), _DECIMALS)
+    return CircleTable(centre_mm=centre, radius_mm=radius_mm) if radius_mm else None

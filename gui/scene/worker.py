@@ -16,13 +16,18 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from config.scene import Regularisation
 from gui.front_door import RigLimits
-from gui.scene.drives import missing_rows, missing_text, render_while_edited, stricter, summarise
-from gui.scene.foci import Snapshots, focus_figures
-from gui.scene.messages import Answer, Finished, Order, PredictedField, Progress, Request
+from gui.scene.calculation import Answer, Finished, Int64Array, Order, PredictedField, Progress, Request
+from gui.scene.drives_and_foci import (
+    focus_figures,
+    missing_rows,
+    missing_text,
+    render_while_edited,
+    stricter,
+    summarise,
+)
 from gui.surface import Surface, surface_of
 from rendering.field.bank_spectra import LARGEST_FACTOR, PASSED, BankSpectra
 from rendering.field.foci import loudest_instants
@@ -32,8 +37,6 @@ from rendering.scene.model import Scene, read_scene
 from storage.bank.reading import Bank, open_bank
 from storage.drive_file import Drive
 from storage.errors import InputError, WavefocusError
-
-Int64Array = NDArray[np.int64]
 
 # An edit is noticed between two parts of the field; each takes a fraction of a second.
 PART_POSITIONS = 128
@@ -60,7 +63,6 @@ class BankCache:
 
     @property
     def bank(self) -> Bank:
-        """The open bank."""
         assert self._bank is not None
         return self._bank
 
@@ -94,7 +96,6 @@ class BankCache:
         return _identity_of(path) != self._identity
 
     def close(self) -> None:
-        """Close the file."""
         if self._bank is not None:
             with suppress(OSError):
                 self._bank.close()
@@ -119,21 +120,16 @@ class BankCache:
 
     @property
     def rate_hz(self) -> float:
-        """The field's rate."""
         return self.bank.sample_rate_hz / self.factor
 
-    def parts(self) -> list[Int64Array]:
-        """The rows of the field, in parts of equal size but for the last."""
-        return [self.rows[first : first + PART_POSITIONS] for first in range(0, len(self.rows), PART_POSITIONS)]
-
-    def spectra(self, part: int, rows: Int64Array) -> BankSpectra:
-        """Spectra of one part's rows, kept while there is room for them."""
-        kept = self._spectra.get(part)
+    def spectra(self, first: int) -> BankSpectra:
+        """Spectra of the rows of a part of the field, which begins at one of them; kept while there is room."""
+        kept = self._spectra.get(first)
         if kept is not None:
             return kept
-        made = BankSpectra(self.bank, rows, rate_hz=self.rate_hz)
+        made = BankSpectra(self.bank, self.rows[first : first + PART_POSITIONS], rate_hz=self.rate_hz)
         if self._spectra_bytes + made.size_bytes <= MOST_SPECTRA_BYTES:
-            self._spectra[part] = made
+            self._spectra[first] = made
             self._spectra_bytes += made.size_bytes
         return made
 
@@ -170,18 +166,16 @@ def serve(connection: Connection, read_rig_limits: ReadRigLimits) -> None:
         with suppress(OSError):
             os.nice(_NICE)
     with suppress(EOFError, OSError, KeyboardInterrupt):
-        _Server(connection, read_rig_limits).serve()
+        Calculator(connection, read_rig_limits).serve()
 
 
 class Calculator:
-    """Calculates scenes.
+    """Calculates the latest scene that was asked for.
 
     Parameters
     ----------
-    send : callable
-        Receives the answers.
-    check : callable
-        Called often with the seconds to wait for a newer order; raises SupersededError to end the calculation.
+    connection : Connection
+        Brings orders and receives answers.
     read_rig_limits : callable
         As `gui.front_door.FrontDoor` has it.
     most_field_bytes : int
@@ -189,24 +183,47 @@ class Calculator:
     """
 
     def __init__(
-        self,
-        send: Callable[[Answer], object],
-        check: Callable[[float], None],
-        read_rig_limits: ReadRigLimits,
-        most_field_bytes: int = MOST_FIELD_BYTES,
+        self, connection: Connection, read_rig_limits: ReadRigLimits, most_field_bytes: int = MOST_FIELD_BYTES
     ) -> None:
-        self._send, self._check, self._read_rig_limits = send, check, read_rig_limits
+        self._connection, self._read_rig_limits = connection, read_rig_limits
         self._most_field_bytes = most_field_bytes
+        self._reported_s = -1.0
         self.cache = BankCache()
 
+    def serve(self) -> None:
+        """Carry out orders until the connection is closed, which raises EOFError or OSError."""
+        order: Order = self._connection.recv()
+        while True:
+            order, complete = self._latest(order), True
+            if isinstance(order, Request):
+                try:
+                    complete = self.calculate(order)
+                except SupersededError:
+                    order = self._latest(None)
+                    continue
+            else:
+                self._connection.send(Finished(order.number))
+            order = self._wait(order, complete=complete)
+
     def calculate(self, request: Request, quiet_s: float = QUIET_S) -> bool:
-        """Calculate a scene; returns whether that succeeded. Raises SupersededError by `check`."""
+        """Calculate a scene; returns False where it may succeed when the bank has changed.
+
+        Raises
+        ------
+        SupersededError
+            A newer order has arrived.
+        """
         try:
             self._calculate(request, quiet_s)
+        except (SupersededError, EOFError, ConnectionError):
+            raise
         except (WavefocusError, OSError, MemoryError) as failure:
             problem = str(failure).removeprefix(f"{request.place}: ") or "there is not enough memory for this scene"
             self._send(Finished(request.number, problem))
             return False
+        except Exception:
+            self._send(Finished(request.number, "the calculation failed", traceback.format_exc()))
+            return True
         self._send(Finished(request.number))
         return True
 
@@ -230,7 +247,7 @@ class Calculator:
 
     def _drives(self, number: int, scene: Scene, bank: Bank, rig: RigLimits | None) -> Drive:
         def report(done: int, total: int) -> None:
-            self._check(0.0)
+            self._check()
             self._send(Progress(number, "drives", done / total))
 
         report(0, 1)
@@ -241,12 +258,12 @@ class Calculator:
             if rows := missing_rows(scene, bank):
                 raise InputError(missing_text(rows, str(refused))) from None
             raise
-        self._check(0.0)
+        self._check()
         self._send(summarise(number, scene, bank, rendered, limits, None if rig is None else rig.coil_resistance_ohm))
         return rendered.drive
 
     def _field(self, number: int, scene: Scene, bank: Bank, drive: Drive) -> None:
-        self._check(0.0)
+        self._check()
         cache, rows = self.cache, self.cache.rows
         factor, rate_hz = cache.factor, cache.rate_hz
         looked = loudest_instants(drive, bank)
@@ -254,12 +271,12 @@ class Calculator:
         samples = min(whole, max(1, self._most_field_bytes // (4 * len(rows))))
         beginning = drive.drive_v[:, : (samples + _LOW_PASS_REACH) * factor]
         shown = replace(drive, drive_v=beginning)
-        field, parts = np.empty((samples, len(rows)), np.float32), cache.parts()
-        for index, part in enumerate(parts):
-            self._check(0.0)
-            self._send(Progress(number, "field", index / len(parts)))
-            predicted = Prediction(shown, cache.spectra(index, part), part).field().field[:, :samples]
-            first = index * len(parts[0])
+        field = np.empty((samples, len(rows)), np.float32)
+        for first in range(0, len(rows), PART_POSITIONS):
+            self._check()
+            self._send(Progress(number, "field", first / len(rows)))
+            part = rows[first : first + PART_POSITIONS]
+            predicted = Prediction(shown, cache.spectra(first), part).field().field[:, :samples]
             field[:, first : first + len(part)] = predicted.T
         time_s = looked.time_s(drive.sample_rate_hz)
         seen = time_s < drive.start_s + samples / rate_hz
@@ -279,39 +296,7 @@ class Calculator:
             )
         )
         self._send(Progress(number, "figures", 0.0))
-        snapshots = Snapshots.of(looked, drive, field, rate_hz)
-        self._send(focus_figures(number, snapshots, rows, bank, scene, drive, lambda: self._check(0.0)))
-
-
-class _Server:
-    def __init__(self, connection: Connection, read_rig_limits: ReadRigLimits) -> None:
-        self._connection = connection
-        self._reported_s = -1.0
-        self._calculator = Calculator(self._send, self._check, read_rig_limits)
-
-    def serve(self) -> None:
-        order: Order = self._connection.recv()
-        while True:
-            order = self._latest(order)
-            complete = True
-            if isinstance(order, Request):
-                try:
-                    complete = self._carry_out(order)
-                except SupersededError:
-                    order = self._latest(None)
-                    continue
-            else:
-                self._connection.send(Finished(order.number))
-            order = self._wait(order, complete=complete)
-
-    def _carry_out(self, request: Request) -> bool:
-        try:
-            return self._calculator.calculate(request)
-        except (EOFError, OSError, SupersededError):
-            raise
-        except Exception:
-            self._connection.send(Finished(request.number, "the calculation failed", traceback.format_exc()))
-            return True
+        self._send(focus_figures(number, looked.instants, field, rate_hz, rows, bank, scene, drive, self._check))
 
     def _wait(self, order: Order, *, complete: bool) -> Order:
         """Wait for the next order; repeat the last one when the bank may have what was missing."""
@@ -320,7 +305,7 @@ class _Server:
             if not isinstance(order, Request):
                 continue
             try:
-                changed = self._calculator.cache.changed(order.bank)
+                changed = self.cache.changed(order.bank)
             except (InputError, OSError) as failure:
                 if complete:
                     self._connection.send(Finished(order.number, str(failure)))
@@ -336,7 +321,8 @@ class _Server:
             order = self._connection.recv()
         return order
 
-    def _check(self, wait_s: float) -> None:
+    def _check(self, wait_s: float = 0.0) -> None:
+        """Raise SupersededError when a newer order has arrived, or arrives within some seconds."""
         if self._connection.poll(wait_s):
             raise SupersededError
 

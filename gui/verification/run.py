@@ -1,4 +1,4 @@
-"""A verification under way: started as a process, followed through its log, stopped by a file; and its progress row."""
+"""A verification: started and followed as a process, stopped by a file; and the files that one has left."""
 
 from __future__ import annotations
 
@@ -6,34 +6,51 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from enum import Enum, auto
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from PyQt5.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QSizePolicy, QWidget
+import numpy as np
+from numpy.typing import NDArray
 
-from config.messages.campaign import (
-    Fault,
-    ReconnectTried,
-    State,
-    StateChanged,
-)
+from config.messages.campaign import Fault, ReconnectTried, State, StateChanged
 from config.messages.codec import MessageError, message_of
 from config.messages.rig_checks import VERIFY_MESSAGES, VerifyEnded, VerifyStarted, VerifyStep
 from gui.campaign.follower import LogTail
+from gui.files import TomlKind, toml_kind
 from gui.messages import error_text
 from gui.process import STOPPED_BY_USER, CommandProcess
+from gui.surface import Surface, raster_of
 from gui.tab import Question, TabContext
-from gui.theme import LIGHT, Theme
-from gui.verification.request import Request
-from gui.widgets import Badge, finish_text, make_action, make_button, put
-from rendering.verify.record import LOG_NAME, RECORD_NAME, STOP_NAME
+from rendering.verify.record import (
+    FIELD_NAMES,
+    LOG_NAME,
+    PREDICTION_NAME,
+    RECORD_NAME,
+    REPORT_NAME,
+    SCAN_NAME,
+    STOP_NAME,
+)
+from storage.errors import InputError
+
+if TYPE_CHECKING:
+    from rendering.verify.field_pair import FieldPair
+    from rendering.verify.record import VerificationRecord
 
 _MESSAGES = (*VERIFY_MESSAGES, StateChanged, Fault, ReconnectTried)
 _NOT_GOOD_ENOUGH = 1
 _SAID_NAME = "verify.said"
 # A verification of another process whose log does not grow for so long has ended.
 _SILENT_AFTER_S = 300.0
-# Steps as the log names them, and as they are shown.
-_STEPS = {"render": "rendering", "predict": "predicting", "scan": "scanning", "compare and report": "comparing"}
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """The command of a verification, and the folder that it writes."""
+
+    arguments: tuple[str, ...]
+    out: Path
+    is_virtual: bool
 
 
 @dataclass(slots=True)
@@ -221,70 +238,100 @@ class VerificationRun:
             self._close()
 
 
-class RunRow(QWidget):
-    """One line: positions to scan (`choice`), buttons, step, progress, remaining time and last message."""
+# Number of instants that give the largest response where no focus instants are known.
+_INSTANTS = 64
 
-    def __init__(
-        self,
-        choice: QWidget,
-        start: Callable[[], object],
-        cancel: Callable[[], object],
-        open_earlier: Callable[[], object],
-    ) -> None:
-        super().__init__()
-        self._theme = LIGHT
-        tip = "Play the scene on the rig, scan it and compare"
-        self.start = make_action(self, "Verify", start, "Ctrl+Shift+V", tip=tip)
-        tip = "Stop: outputs muted, mirror parked, nothing compared"
-        self.cancel = make_action(self, "Cancel", cancel, "Ctrl+Shift+X", tip=tip)
-        tip = "Show an earlier verification: choose its verify.json"
-        self.open_earlier = make_action(self, "Open earlier…", open_earlier, "Ctrl+Shift+O", tip=tip)
-        self._start_tip = self.start.toolTip()
-        self.state = Badge("State of the verification")
-        self.bar = QProgressBar()
-        self.bar.setAccessibleName("Progress of the verification")
-        self.bar.setMinimumWidth(120)
-        self.figures = QLabel()
-        self.figures.setAccessibleName("Remaining time and last message")
-        self.figures.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
-        row = QHBoxLayout(self)
-        row.setContentsMargins(0, 0, 0, 0)
-        row.addWidget(choice)
-        row.addSpacing(8)
-        for action in (self.start, self.cancel, self.open_earlier):
-            row.addWidget(make_button(action))
-        row.addSpacing(8)
-        row.addWidget(self.state)
-        row.addWidget(self.bar, stretch=2)
-        row.addWidget(self.figures, stretch=3)
-        self.show_progress(None, stopping=False, missing="")
 
-    def show_progress(self, progress: Progress | None, *, stopping: bool, missing: str, reading: str = "") -> None:
-        """Show the progress, or without one what is `missing` for a verification and what is being read."""
-        running = progress is not None
-        self.start.setEnabled(not running and not missing)
-        self.start.setToolTip(f"First {missing}" if missing else self._start_tip)
-        self.cancel.setEnabled(running and not stopping)
-        self.open_earlier.setEnabled(not running)
-        self.state.setVisible(running)
-        self.bar.setVisible(running)
-        if progress is None:
-            put(self.figures, reading)
-            self.figures.setToolTip("")
-            return
-        word = "stopping" if stopping else _STEPS.get(progress.step, progress.step)
-        self.state.show_word(word, self._theme.warning if stopping else self._theme.good)
-        self.bar.setFormat("%v of %m positions" if progress.step in ("scan", "predict") else "")
-        if (self.bar.value(), self.bar.maximum()) != (progress.done, progress.total):
-            self.bar.setMaximum(progress.total)  # 0: a busy indicator
-            self.bar.setValue(progress.done)
-        scanning = progress.step == "scan" and progress.done < progress.total
-        left = finish_text(progress.finish_s) if scanning and progress.finish_s is not None else ""
-        text = "  ·  ".join(part for part in (left, progress.message) if part)
-        put(self.figures, text)
-        self.figures.setToolTip(text)
+class Dropped(Enum):
+    """Kinds of dropped files."""
 
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the theme's colours."""
-        self._theme = theme
-        self.state.apply_theme(theme)
+    RECORD = auto()
+    SCENE = auto()
+    RIG = auto()
+    BANK = auto()
+    FOLDER = auto()
+    OTHER = auto()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Results:
+    """One verification.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of prediction, scan and report.
+    record : VerificationRecord
+        Figures, foci, sources, errors.
+    pair : FieldPair
+        Prediction and scan.
+    surface : Surface
+        What the maps are drawn over.
+    focus_sample : int64 array (foci,)
+        Samples of the fields at which foci were looked at.
+    loudest, loudest_difference : float
+        Ends of the scales for the whole scene, in response units.
+    """
+
+    folder: Path
+    record: VerificationRecord
+    pair: FieldPair
+    surface: Surface
+    focus_sample: NDArray[np.int64]
+    loudest: float
+    loudest_difference: float
+
+
+def read_results(record_file: Path, on_progress: Callable[[int, int], object], wanted: Callable[[], bool]) -> Results:
+    """Read a verification; takes a second for some hundred megabytes.
+
+    Raises
+    ------
+    InputError
+        A file is missing, damaged or of another verification; the message names it.
+    CancelledError
+        `wanted` returned False.
+    """
+    from rendering.verify.field_pair import read_pair  # the window starts without scipy
+    from rendering.verify.record import read_record
+
+    record = read_record(record_file)
+    folder = record_file.parent
+    pair = read_pair(folder / PREDICTION_NAME, folder / SCAN_NAME, record.band_hz, on_progress, wanted)
+    if not np.array_equal(pair.position_index, record.position_index):
+        raise InputError(
+            f"{folder / PREDICTION_NAME} has other positions than {record_file}; run the verification again"
+        )
+    focus = np.array([pair.sample_at(time_s) for time_s in record.focus_s], np.int64)
+    looked_at = focus if len(focus) else np.linspace(0, pair.samples - 1, _INSTANTS).round().astype(np.int64)
+    loudest, difference = pair.loudest(looked_at, record.compared)
+    surface = Surface(
+        record.position_mm, record.actuator_places_mm,
+        None if record.outline_mm is None else np.array(record.outline_mm), raster_of(record.position_mm, gaps=False),
+        [np.array(source.path_mm) for source in record.sources],
+    )  # fmt: skip
+    return Results(folder, record, pair, surface, focus, loudest, difference)
+
+
+def record_of(path: Path) -> Path | None:
+    """Return the record of the verification that a file or folder belongs to; None for any other file."""
+    if path.is_dir():
+        return path / RECORD_NAME if (path / RECORD_NAME).is_file() else None
+    if path.suffix.lower() == ".json":  # a record may have been renamed
+        return path
+    sidecar = path.with_name(RECORD_NAME)
+    return sidecar if path.name in (*FIELD_NAMES, REPORT_NAME) and sidecar.is_file() else None
+
+
+def dropped_kind(path: Path) -> Dropped:
+    """Return what a dropped file or folder is, by its content."""
+    if record_of(path) is not None:
+        return Dropped.RECORD
+    if path.is_dir():
+        return Dropped.FOLDER
+    name = path.name.lower()
+    if name.endswith(".h5") and not name.endswith(".raw.h5"):
+        return Dropped.BANK
+    if not name.endswith(".toml"):
+        return Dropped.OTHER
+    return {TomlKind.SCENE: Dropped.SCENE, TomlKind.RIG: Dropped.RIG}.get(toml_kind(path), Dropped.OTHER)

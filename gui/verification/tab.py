@@ -1,27 +1,260 @@
-"""The Verification tab: composes request, progress, maps, waveforms and figures."""
+"""The Verification tab: the choices of a verification, its progress, and what it found."""
 
 from __future__ import annotations
 
+import itertools
+import os
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from PyQt5.QtCore import Qt, QUrl
-from PyQt5.QtGui import QDesktopServices, QDragEnterEvent, QDropEvent
-from PyQt5.QtWidgets import QAction, QLabel, QStackedWidget, QVBoxLayout
+from PyQt5.QtCore import Qt
+from PyQt5.QtGui import QDragEnterEvent, QDropEvent
+from PyQt5.QtWidgets import QAction, QComboBox, QGridLayout, QLabel, QLineEdit, QStackedWidget, QWidget
 
-from gui.files import choose_file, dropped_files
+from gui import widgets as ui
+from gui.files import PathField, choose_file, dropped_files, names_virtual_rig
 from gui.messages import error_text
 from gui.process import Background
 from gui.tab import Question, Tab, TabContext
-from gui.theme import Theme
-from gui.verification.figures_panel import FiguresPanel, WaveformPanel
-from gui.verification.maps_panel import MapsPanel
-from gui.verification.request import RequestForm
-from gui.verification.results import Dropped, Results, dropped_kind, read_results, record_of
-from gui.verification.run import RunRow, VerificationRun
-from gui.widgets import copy_text, side_by_side, stacked
-from rendering.verify.record import REPORT_NAME
+from gui.theme import Themed
+from gui.verification.panels import FiguresPanel, MapsPanel, WaveformPanel
+from gui.verification.run import (
+    Dropped,
+    Progress,
+    Request,
+    Results,
+    VerificationRun,
+    dropped_kind,
+    read_results,
+    record_of,
+)
+from rendering.verify.record import FIELD_NAMES, PICTURE_NAMES, RECORD_NAME, REPORT_NAME
 from storage.errors import InputError
+
+_CHOICES = (
+    ("all", "all positions", "Every position of the bank"),
+    ("every", "one position in", "For a quick look: one position of so many, in the bank's order"),
+    ("path", "along the path", "What the scene is rendered from, and all within 15 mm of its paths"),
+    ("selected", "selected on the map", "The positions that are selected in the Campaign tab, of this bank"),
+    ("rows", "these rows", "Bank rows from 0: single or as ranges, 3,5-9"),
+)
+_FOLDER = "verify"
+
+
+class RequestForm(QWidget):
+    """Two rows of fields; `choice` holds the positions to scan."""
+
+    def __init__(self, context: TabContext) -> None:
+        super().__init__()
+        self._context = context
+        settings = context.settings
+        self.scene = PathField("&Scene", ".toml", "scene file", settings)
+        self.bank = PathField("&Bank", ".h5", "bank to verify", settings)
+        self.rig = PathField("Ri&g", ".toml", "rig file", settings)
+        self.out = PathField("F&older", "", "folder for the report", settings)
+        tip = "Play on the virtual rig that comes with wavefocus, without a rig file"
+        self.virtual = ui.check("virtual", tip, "Virtual rig")
+        self.positions = QComboBox()
+        self.positions.setAccessibleName("Positions to scan")
+        for key, words, _ in _CHOICES:
+            self.positions.addItem(words, key)
+        self.step = ui.whole_box("One position in so many", "One position in so many, in the bank's order", 2, 1000)
+        self.rows = ui.named(QLineEdit(), "Bank rows from 0: single or as ranges, 3,5-9", "Bank rows to scan")
+        self.rows.setPlaceholderText("0-99,120")
+        tip = "Allow scenes of over an hour, 8 GiB of drives or a million path points (--allow-large)"
+        self.large = ui.check("large", tip, "Allow large scenes")
+        self.choice = QWidget()
+        label = QLabel("&Positions")
+        label.setBuddy(self.positions)
+        ui.row(label, self.positions, self.step, self.rows, self.large, owner=self.choice)
+        rig = ui.row((self.rig, 1), self.virtual)
+        grid = QGridLayout(self)
+        grid.setContentsMargins(0, 0, 0, 0)
+        grid.addWidget(self.scene, 0, 0)
+        grid.addWidget(self.bank, 0, 1)
+        grid.addLayout(rig, 1, 0)
+        grid.addWidget(self.out, 1, 1)
+        for place, fields in enumerate(((self.scene, self.rig), (self.bank, self.out))):
+            grid.setColumnStretch(place, 1)
+            labels = [label for field in fields if (label := field.findChild(QLabel)) is not None]
+            for label in labels:
+                label.setMinimumWidth(max(one.sizeHint().width() for one in labels))
+        self.bank.chosen.connect(self.take_bank)
+        for field in (self.scene, self.rig):
+            field.chosen.connect(settings.opened)
+        self.virtual.toggled.connect(self.rig.setDisabled)
+        self.positions.currentIndexChanged.connect(self._show_choice)
+        self._restore_settings()
+        self._show_choice()
+
+    def take_bank(self, bank: Path) -> None:
+        """Verify a bank; empty fields are filled with the files next to it."""
+        self.bank.show_path(bank)
+        self._context.settings.opened(bank)
+        for field, name in ((self.scene, "scene.toml"), (self.rig, "rig.toml")):
+            if field.path is None and (neighbour := bank.with_name(name)).is_file():
+                field.show_path(neighbour)
+        if self.out.path is None:
+            self.out.show_path(bank.with_name(_FOLDER))
+
+    def missing(self) -> str:
+        """What has to be chosen first; empty when a verification can be started."""
+        rigs = [] if self.virtual.isChecked() else [(self.rig, "a rig file, or the virtual rig")]
+        fields = [(self.scene, "a scene file"), (self.bank, "a bank"), *rigs, (self.out, "a folder")]
+        words = [word for field, word in fields if field.path is None]
+        return "" if not words else f"choose {', and '.join(words)}"
+
+    def request(self) -> Request:
+        """The command of the present choices; results in the folder are kept, and a numbered folder is used instead.
+
+        Raises
+        ------
+        InputError
+            A choice is missing, or the positions are wrong.
+        """
+        if missing := self.missing():
+            raise InputError(f"{missing} first")
+        scene, bank, out = self.scene.path, self.bank.path, self.out.path
+        assert bank is not None
+        assert out is not None
+        out = unused_folder(out)
+        rig = "virtual" if self.virtual.isChecked() else str(self.rig.path)
+        arguments = ["verify", str(scene), "--bank", str(bank), "--rig", rig, "--out", str(out), "--json"]
+        if self.large.isChecked():
+            arguments.append("--allow-large")
+        if positions := self._positions(bank):
+            arguments += ["--positions", positions]
+        return Request(tuple(arguments), out, names_virtual_rig(rig))
+
+    def save_settings(self) -> None:
+        """Keep the choices for the next session."""
+        settings = self._context.settings
+        for name, field in self._fields().items():
+            settings.keep(f"verification/{name}", str(field.path or ""))
+        settings.keep("verification/virtual", int(self.virtual.isChecked()))
+        settings.keep("verification/positions", str(self.positions.currentData()))
+        settings.keep("verification/step", self.step.value())
+        settings.keep("verification/rows", self.rows.text())
+
+    def _positions(self, bank: Path) -> str:
+        match self.positions.currentData():
+            case "every":
+                return f"every:{self.step.value()}"
+            case "path":
+                return "path"
+            case "selected":
+                return self._selected(bank)
+            case "rows":
+                text = self.rows.text().strip()
+                if not text:
+                    raise InputError("name the bank rows to scan, as 3,5-9, or choose other positions")
+                return text
+        return ""
+
+    def _selected(self, bank: Path) -> str:
+        selection = self._context.selection
+        if not selection.rows or selection.bank is None:
+            raise InputError("nothing is selected on the campaign's map; Ctrl-click or Shift-drag there selects")
+        if selection.bank.absolute() != bank.absolute():
+            raise InputError(
+                f"the campaign's map shows {selection.bank}, and {bank} is to be verified; open that bank in the "
+                "Campaign tab and select there"
+            )
+        return ",".join(str(row) for row in sorted(selection.rows))
+
+    def _show_choice(self) -> None:
+        key = self.positions.currentData()
+        self.positions.setToolTip(next(tip for one, _, tip in _CHOICES if one == key))
+        self.step.setVisible(key == "every")
+        self.rows.setVisible(key == "rows")
+
+    def _restore_settings(self) -> None:
+        settings = self._context.settings
+        for name, field in self._fields().items():
+            if text := settings.text(f"verification/{name}"):
+                field.show_path(Path(text))
+        self.virtual.setChecked(settings.whole("verification/virtual", 0) == 1)
+        self.positions.setCurrentIndex(max(0, self.positions.findData(settings.text("verification/positions", "all"))))
+        self.step.setValue(settings.whole("verification/step", 4))
+        self.rows.setText(settings.text("verification/rows"))
+
+    def _fields(self) -> dict[str, PathField]:
+        return {"scene": self.scene, "bank": self.bank, "rig": self.rig, "out": self.out}
+
+
+def unused_folder(folder: Path) -> Path:
+    """Return the folder, or the first of ``NAME-2``, ``NAME-3``, ... where it holds results of a verification."""
+    if not _holds_results(folder):
+        return folder
+    stem, _, number = folder.name.rpartition("-")
+    first = folder.with_name(stem) if stem and number.isdecimal() else folder
+    if first != folder and not first.is_dir():
+        first = folder
+    numbered = (first.with_name(f"{first.name}-{count}") for count in itertools.count(2))
+    return next(one for one in numbered if not _holds_results(one))
+
+
+def _holds_results(folder: Path) -> bool:
+    names = (RECORD_NAME, REPORT_NAME, *FIELD_NAMES, *PICTURE_NAMES)
+    return any(os.path.lexists(folder / name) for name in names) or (os.path.lexists(folder) and not folder.is_dir())
+
+
+# Steps as the log names them, and as they are shown.
+_STEPS = {"render": "rendering", "predict": "predicting", "scan": "scanning", "compare and report": "comparing"}
+
+
+class RunRow(Themed, QWidget):
+    """One line: positions to scan (`choice`), buttons, step, progress, remaining time and last message."""
+
+    def __init__(
+        self,
+        choice: QWidget,
+        start: Callable[[], object],
+        cancel: Callable[[], object],
+        open_earlier: Callable[[], object],
+    ) -> None:
+        super().__init__()
+        tip = "Play the scene on the rig, scan it and compare"
+        self.start = ui.action(self, "Verify", start, "Ctrl+Shift+V", tip=tip)
+        tip = "Stop: outputs muted, mirror parked, nothing compared"
+        self.cancel = ui.action(self, "Cancel", cancel, "Ctrl+Shift+X", tip=tip)
+        tip = "Show an earlier verification: choose its verify.json"
+        self.open_earlier = ui.action(self, "Open earlier…", open_earlier, "Ctrl+Shift+O", tip=tip)
+        self._start_tip = self.start.toolTip()
+        self.state = ui.Badge("State of the verification")
+        self.bar = ui.progress_bar("Progress of the verification", "%v of %m positions")
+        self.bar.setMinimumWidth(120)
+        self.figures = ui.label("Remaining time and last message", any_width=True)
+        buttons = map(ui.button, (self.start, self.cancel, self.open_earlier))
+        ui.row(choice, 8, *buttons, 8, self.state, (self.bar, 2), (self.figures, 3), owner=self)
+        self.show_progress(None, stopping=False, missing="")
+
+    def show_progress(self, progress: Progress | None, *, stopping: bool, missing: str, reading: str = "") -> None:
+        """Show the progress, or without one what is `missing` for a verification and what is being read."""
+        running = progress is not None
+        self.start.setEnabled(not running and not missing)
+        self.start.setToolTip(f"First {missing}" if missing else self._start_tip)
+        self.cancel.setEnabled(running and not stopping)
+        self.open_earlier.setEnabled(not running)
+        self.state.setVisible(running)
+        self.bar.setVisible(running)
+        if progress is None:
+            ui.put(self.figures, reading)
+            self.figures.setToolTip("")
+            return
+        word = "stopping" if stopping else _STEPS.get(progress.step, progress.step)
+        self.state.show_word(word, self.theme.warning if stopping else self.theme.good)
+        self.bar.setFormat("%v of %m positions" if progress.step in ("scan", "predict") else "")
+        if (self.bar.value(), self.bar.maximum()) != (progress.done, progress.total):
+            self.bar.setMaximum(progress.total)  # 0: a busy indicator
+            self.bar.setValue(progress.done)
+        scanning = progress.step == "scan" and progress.done < progress.total
+        left = ui.finish_text(progress.finish_s) if scanning and progress.finish_s is not None else ""
+        text = "  ·  ".join(part for part in (left, progress.message) if part)
+        ui.put(self.figures, text)
+        self.figures.setToolTip(text)
+
 
 _HINT = (
     "Choose a scene, a bank, a rig and a folder, and press Verify: the scene is played and scanned, and compared with "
@@ -46,7 +279,8 @@ class VerificationTab(Tab):
         self.row = RunRow(self.form.choice, self._start, self.run.cancel, self._choose_record)
         self.maps = MapsPanel()
         self.waveforms = WaveformPanel()
-        self.figures = FiguresPanel({"report": self._open_report, "folder": self._open_folder, "copy": self._copy})
+        opens = {"report": partial(self._open, REPORT_NAME), "folder": partial(self._open, "")}
+        self.figures = FiguresPanel({**opens, "copy": self._copy})
         self.setAcceptDrops(True)
         self._lay_out()
         self.maps.picked.connect(self.show_position)
@@ -95,10 +329,6 @@ class VerificationTab(Tab):
             self.run.progress, stopping=self.run.stopping, missing=self.form.missing(), reading=self._reading_text()
         )
 
-    def apply_theme(self, theme: Theme) -> None:
-        for part in (self.row, self.maps, self.waveforms, self.figures):
-            part.apply_theme(theme)
-
     def closing_question(self) -> Question | None:
         return self.run.closing_question()
 
@@ -146,18 +376,16 @@ class VerificationTab(Tab):
                 )
 
     def _lay_out(self) -> None:
-        lower = side_by_side((self.waveforms, 515), (self.figures, 745))
-        both = stacked((self.maps, 360), (lower, 260), growing=[0])
+        lower = ui.side_by_side((self.waveforms, 515), (self.figures, 745))
+        both = ui.stacked((self.maps, 360), (lower, 260), growing=[0])
         self.divide(lower=lower, both=both)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(4, 6, 4, 4)
-        column.addWidget(self.form)
-        column.addWidget(self.row)
         self.pages = QStackedWidget()
-        self.hint = _hint()
+        self.hint = ui.label(text=_HINT, role="faint", wraps=True)
+        self.hint.setAlignment(Qt.Alignment() | Qt.AlignmentFlag.AlignCenter)
+        self.hint.setMargin(40)
         self.pages.addWidget(self.hint)
         self.pages.addWidget(both)
-        column.addWidget(self.pages, stretch=1)
+        ui.column(self.form, self.row, (self.pages, 1), owner=self, margins=ui.PAGE_MARGINS)
 
     def _start(self) -> None:
         try:
@@ -209,30 +437,15 @@ class VerificationTab(Tab):
         if self.results is not None:
             self.maps.time.go_to(self.results.pair.sample_at(time_s))
 
-    def _open_report(self) -> None:
+    def _open(self, name: str) -> None:
+        """Open a file of the folder, or the folder itself where the name is empty."""
         if self.results is not None:
-            self._open(self.results.folder / REPORT_NAME)
-
-    def _open_folder(self) -> None:
-        if self.results is not None:
-            self._open(self.results.folder)
-
-    def _open(self, path: Path) -> None:
-        if not path.exists():
-            self.context.messages.fault(f"{path} is gone; run the verification again")
-        elif not QDesktopServices.openUrl(QUrl.fromLocalFile(str(path))):
-            self.context.messages.warn(f"this desktop opens nothing with {path.name}; it lies at {path}")
+            path = self.results.folder / name
+            if path.exists():
+                self.context.open_outside(path)
+            else:
+                self.context.messages.fault(f"{path} is gone; run the verification again")
 
     def _copy(self) -> None:
-        copy_text(self.figures.as_text())
+        ui.copy_text(self.figures.as_text())
         self.context.messages.note("the figures are on the clipboard")
-
-
-def _hint() -> QLabel:
-    """What to do while there is nothing to look at."""
-    label = QLabel(_HINT)
-    label.setAlignment(Qt.Alignment() | Qt.AlignmentFlag.AlignCenter)
-    label.setWordWrap(True)
-    label.setProperty("role", "faint")
-    label.setMargin(40)
-    return label

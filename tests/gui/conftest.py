@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import shutil
 from collections.abc import Callable, Generator
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import pytest
 
@@ -14,14 +15,17 @@ os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 # One pixel is one unit, whatever the platform thinks of its screen.
 os.environ.setdefault("QT_FONT_DPI", "96")
 
-from PyQt5.QtCore import QSettings
-from PyQt5.QtWidgets import QApplication
+from PyQt5.QtCore import QEvent, QPoint, QPointF, QSettings, Qt
+from PyQt5.QtGui import QMouseEvent
+from PyQt5.QtWidgets import QApplication, QWidget
 from pytestqt.exceptions import TimeoutError
 from pytestqt.qtbot import QtBot
 
+from config.scene import LineTable, Output, SceneConfig, SceneTable, SineTable, SourceTable
 from gui.campaign.tab import CampaignTab
 from gui.files import Settings
 from gui.front_door import FrontDoor
+from gui.surface_view import SurfaceView
 from gui.tab import Tab
 from gui.window import Window, require_fonts
 from wavefocus.__main__ import run
@@ -59,6 +63,8 @@ noise_v = 1e-4
 """
 
 AnyTab = TypeVar("AnyTab", bound=Tab)
+Opens = Callable[..., Window]
+LEFT, NO_KEY = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
 # What a busy machine may take; nothing is judged by it.
 SOON_MS = 30_000
 
@@ -131,15 +137,81 @@ def tab_of(window: Window, kind: type[AnyTab]) -> AnyTab:
     return tab
 
 
+def shown_tab(window: Window, kind: type[AnyTab]) -> AnyTab:
+    """The tab of a kind, brought to the front."""
+    window._pages.setCurrentWidget(tab := tab_of(window, kind))
+    return tab
+
+
 def campaign_of(window: Window) -> CampaignTab:
     return tab_of(window, CampaignTab)
 
 
-def wait(qtbot: QtBot, true: Callable[[], bool], within_ms: int = SOON_MS) -> None:
+def wait(qtbot: QtBot, true: Callable[[], object], within_ms: int = SOON_MS) -> None:
     """Let the window live until something is so; else say what it showed."""
     try:
-        qtbot.waitUntil(true, timeout=within_ms)
+        qtbot.waitUntil(lambda: bool(true()), timeout=within_ms)
     except TimeoutError:
         windows = [widget for widget in QApplication.topLevelWidgets() if isinstance(widget, Window)]
         shown = [(campaign_of(window).progress.state.text(), window.messages.sentence) for window in windows]
         pytest.fail(f"it did not come about; the windows show {shown}")
+
+
+def press(qtbot: QtBot, button: QWidget) -> None:
+    """Click a button as soon as it can be clicked."""
+    wait(qtbot, lambda: button.isVisible() and button.isEnabled())
+    qtbot.mouseClick(button, LEFT)
+
+
+def answer(window: Window, word: str) -> None:
+    """Press a button of the message bar."""
+    next(button for button in window.messages.buttons() if button.text() == word).click()
+
+
+def pixel(shown: SurfaceView, x_mm: float, y_mm: float) -> QPoint:
+    return shown.mapFromScene(shown.box.mapViewToScene(QPointF(x_mm, y_mm)))
+
+
+def mouse(shown: SurfaceView, kind: QEvent.Type, at: QPoint, keys: Qt.KeyboardModifier, *, held: bool) -> None:
+    button = Qt.MouseButton.NoButton if kind == QEvent.Type.MouseMove else LEFT
+    buttons = LEFT if held else Qt.MouseButton.NoButton
+    viewport = shown.viewport()
+    place = QPointF(viewport.mapToGlobal(at))
+    QApplication.sendEvent(viewport, QMouseEvent(kind, QPointF(at), place, button, Qt.MouseButtons(buttons), keys))
+
+
+def click(shown: SurfaceView, at: QPoint, keys: Qt.KeyboardModifier = NO_KEY) -> None:
+    mouse(shown, QEvent.Type.MouseMove, at, keys, held=False)
+    mouse(shown, QEvent.Type.MouseButtonPress, at, keys, held=True)
+    mouse(shown, QEvent.Type.MouseButtonRelease, at, keys, held=False)
+
+
+def drag(qtbot: QtBot, shown: SurfaceView, points: list[QPoint], keys: Qt.KeyboardModifier) -> None:
+    mouse(shown, QEvent.Type.MouseMove, points[0], keys, held=False)
+    mouse(shown, QEvent.Type.MouseButtonPress, points[0], keys, held=True)
+    for one, other in itertools.pairwise(points):
+        for part in range(1, 5):
+            qtbot.wait(15)  # the map looks at the mouse a hundred times a second
+            mouse(shown, QEvent.Type.MouseMove, one + (other - one) * part / 4, keys, held=True)
+    mouse(shown, QEvent.Type.MouseButtonRelease, points[-1], keys, held=False)
+
+
+def double_click(shown: SurfaceView, at: QPoint) -> None:
+    click(shown, at)
+    mouse(shown, QEvent.Type.MouseButtonDblClick, at, NO_KEY, held=True)
+    mouse(shown, QEvent.Type.MouseButtonRelease, at, NO_KEY, held=False)
+
+
+def line_scene(
+    end_mm: float = 4.5, amplitude: float = 1.0, step_mm: float = 1.5, emission: str = "continuous", **output: Any
+) -> SceneConfig:
+    """A sine of 150 Hz that moves along the first row of the measured bank."""
+    source = SourceTable(
+        path=LineTable(start_mm=(0.0, 0.0), end_mm=(end_mm, 0.0)),
+        signal=SineTable(frequency_hz=150.0, duration_s=0.2),
+        speed_mm_s=30.0,
+        step_mm=step_mm,
+        amplitude=amplitude,
+        emission=emission,
+    )
+    return SceneConfig(scene=SceneTable(name="line"), source=(source,), output=Output(**output))

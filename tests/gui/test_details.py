@@ -2,84 +2,35 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from PyQt5.QtCore import QEvent, QPoint, QPointF, Qt
-from PyQt5.QtGui import QMouseEvent
-from PyQt5.QtWidgets import (
-    QApplication,
-)
+from PyQt5.QtCore import Qt
 from pytestqt.qtbot import QtBot
 
-from gui.campaign.map_panel import SurfaceMap
 from gui.campaign.quality import DAMAGED, LOOKS
 from gui.campaign.tab import CampaignTab
-from gui.window import Window
 from storage.bank.reading import open_bank
 from storage.point_status import STATUS_WORDS
-from tests.gui.conftest import campaign_of, wait
+from tests.gui.conftest import LEFT, NO_KEY, Opens, campaign_of, click, drag, pixel, wait
 
-LEFT = Qt.MouseButton.LeftButton
-NONE = Qt.KeyboardModifier.NoModifier
+CTRL = Qt.KeyboardModifier.ControlModifier
 
 
-def opened(qtbot: QtBot, open_window: Callable[..., Window], bank: Path) -> CampaignTab:
+def opened(qtbot: QtBot, open_window: Opens, bank: Path) -> CampaignTab:
     tab = campaign_of(open_window(bank))
     wait(qtbot, lambda: tab.campaign.surface is not None and len(tab.campaign.lines) > 0)
     tab.draw()
     return tab
 
 
-def pixel(shown: SurfaceMap, x_mm: float, y_mm: float) -> QPoint:
-    return shown.mapFromScene(shown.box.mapViewToScene(QPointF(x_mm, y_mm)))
-
-
-def mouse(shown: SurfaceMap, kind: QEvent.Type, at: QPoint, keys: Qt.KeyboardModifier, *, held: bool) -> None:
-    button = Qt.MouseButton.NoButton if kind == QEvent.Type.MouseMove else LEFT
-    buttons = LEFT if held else Qt.MouseButton.NoButton
-    viewport = shown.viewport()
-    place = QPointF(viewport.mapToGlobal(at))
-    QApplication.sendEvent(viewport, QMouseEvent(kind, QPointF(at), place, button, Qt.MouseButtons(buttons), keys))
-
-
-def click(shown: SurfaceMap, at: QPoint, keys: Qt.KeyboardModifier = NONE) -> None:
-    mouse(shown, QEvent.Type.MouseMove, at, keys, held=False)
-    mouse(shown, QEvent.Type.MouseButtonPress, at, keys, held=True)
-    mouse(shown, QEvent.Type.MouseButtonRelease, at, keys, held=False)
-
-
-def drag(qtbot: QtBot, shown: SurfaceMap, points: list[QPoint], keys: Qt.KeyboardModifier) -> None:
-    mouse(shown, QEvent.Type.MouseMove, points[0], keys, held=False)
-    mouse(shown, QEvent.Type.MouseButtonPress, points[0], keys, held=True)
-    for one, other in itertools.pairwise(points):
-        for part in range(1, 5):
-            qtbot.wait(15)  # the map looks at the mouse a hundred times a second
-            mouse(shown, QEvent.Type.MouseMove, one + (other - one) * part / 4, keys, held=True)
-    mouse(shown, QEvent.Type.MouseButtonRelease, points[-1], keys, held=False)
-
-
-def test_given_a_position_that_is_selected_and_shown_then_a_click_on_its_marks_reaches_it(
-    qtbot: QtBot, open_window: Callable[..., Window], finished: Path
-) -> None:
-    tab = opened(qtbot, open_window, finished)
-    shown = tab.map_panel.map
-    click(shown, pixel(shown, 3.0, 1.5), Qt.KeyboardModifier.ControlModifier)
-    assert shown.selected == {6}
-    click(shown, pixel(shown, 3.0, 1.5), Qt.KeyboardModifier.ControlModifier)
-    assert shown.selected == set()
-
-
 def test_given_a_click_on_the_map_then_green_s_functions_quality_and_recordings_of_that_position_are_shown(
-    qtbot: QtBot, open_window: Callable[..., Window], finished: Path
+    qtbot: QtBot, open_window: Opens, finished: Path
 ) -> None:
     tab = opened(qtbot, open_window, finished)
     panel, shown = tab.position_panel, tab.map_panel.map
     click(shown, pixel(shown, 3.0, 1.5))
     wait(qtbot, lambda: panel.greens is not None)
-    assert panel.greens is not None
     assert panel.greens.position == 6
     with open_bank(finished) as bank:
         np.testing.assert_array_equal(panel.greens.green, bank.green(6))
@@ -90,7 +41,6 @@ def test_given_a_click_on_the_map_then_green_s_functions_quality_and_recordings_
         panel.setCurrentIndex(page)
     panel.setCurrentIndex(3)
     wait(qtbot, lambda: panel.recordings is not None)
-    assert panel.recordings is not None
     assert panel.recordings.response_v.shape[0] == 3
     panel.view.setCurrentIndex(1)
     panel.actuator.setCurrentIndex(2)
@@ -98,7 +48,7 @@ def test_given_a_click_on_the_map_then_green_s_functions_quality_and_recordings_
 
 
 def test_given_arrow_keys_and_space_then_the_map_is_walked_and_selected_without_a_mouse(
-    qtbot: QtBot, open_window: Callable[..., Window], finished: Path
+    qtbot: QtBot, open_window: Opens, finished: Path
 ) -> None:
     tab = opened(qtbot, open_window, finished)
     shown = tab.map_panel.map
@@ -116,31 +66,31 @@ def test_given_arrow_keys_and_space_then_the_map_is_walked_and_selected_without_
         assert shown.shown == position
     qtbot.keyClick(shown, Qt.Key.Key_Space)
     assert shown.selected == {0}
-    qtbot.keyClick(shown, Qt.Key.Key_A, Qt.KeyboardModifier.ControlModifier)
+    qtbot.keyClick(shown, Qt.Key.Key_A, CTRL)
     assert shown.selected == set(range(12))
 
 
 def test_given_ctrl_clicks_a_rectangle_and_a_lasso_then_those_positions_are_selected(
-    qtbot: QtBot, open_window: Callable[..., Window], finished: Path
+    qtbot: QtBot, open_window: Opens, finished: Path
 ) -> None:
     tab = opened(qtbot, open_window, finished)
     shown = tab.map_panel.map
     shown.box.setRange(xRange=(-2, 7), yRange=(-2, 5))
-    click(shown, pixel(shown, 0, 0), Qt.KeyboardModifier.ControlModifier)
-    click(shown, pixel(shown, 4.5, 3), Qt.KeyboardModifier.ControlModifier)
+    for at_mm in ((0, 0), (4.5, 3), (3, 1.5), (3, 1.5)):  # the last click hits the mark of the one before
+        click(shown, pixel(shown, *at_mm), CTRL)
     assert shown.selected == {0, 11}
     drag(qtbot, shown, [pixel(shown, -1, -1), pixel(shown, 2, 2)], Qt.KeyboardModifier.ShiftModifier)
     assert shown.selected == {0, 1, 4, 5}
     qtbot.mouseClick(tab.map_panel.ways["lasso"], LEFT)
     corners = [(-1.0, -1.0), (5.5, -1.0), (5.5, 0.7), (2.2, 0.7), (2.2, 4.0), (-1.0, 4.0)]
-    drag(qtbot, shown, [pixel(shown, *corner) for corner in corners], NONE)
+    drag(qtbot, shown, [pixel(shown, *corner) for corner in corners], NO_KEY)
     assert shown.selected == {0, 1, 2, 3, 4, 5, 8, 9}
     tab.draw()
     assert tab.controls.actions_by_name["selected"].text() == "Remeasure selected (8)"
 
 
 def test_given_a_figure_then_the_colour_bar_names_its_unit_and_spans_what_the_bank_holds(
-    qtbot: QtBot, open_window: Callable[..., Window], finished: Path
+    qtbot: QtBot, open_window: Opens, finished: Path
 ) -> None:
     tab = opened(qtbot, open_window, finished)
     tab.map_panel.colour_by.setCurrentIndex(1)
@@ -155,7 +105,7 @@ def test_given_a_figure_then_the_colour_bar_names_its_unit_and_spans_what_the_ba
 
 
 def test_given_a_filter_then_only_events_of_that_weight_with_those_words_are_listed(
-    qtbot: QtBot, open_window: Callable[..., Window], finished: Path
+    qtbot: QtBot, open_window: Opens, finished: Path
 ) -> None:
     tab = opened(qtbot, open_window, finished)
     events = tab.events

@@ -5,14 +5,12 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from pytestqt.qtbot import QtBot
 
-from gui.window import Window
-from tests.gui.conftest import campaign_of, wait
+from tests.gui.conftest import Opens, campaign_of, wait
 
 LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="about X servers and fontconfig")
 WITHOUT = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
@@ -74,7 +72,7 @@ def test_given_no_font_then_exit_2_and_the_package(tmp_path: Path) -> None:
 
 
 def test_given_a_bank_deleted_under_the_window_then_a_sentence_and_it_is_followed_again_when_it_is_back(
-    qtbot: QtBot, open_window: Callable[..., Window], finished: Path
+    qtbot: QtBot, open_window: Opens, finished: Path
 ) -> None:
     window = open_window(finished)
     tab = campaign_of(window)
@@ -84,14 +82,12 @@ def test_given_a_bank_deleted_under_the_window_then_a_sentence_and_it_is_followe
     tab.map_panel.map.show_position(3)
     wait(qtbot, lambda: "plate.h5 does not exist" in window.messages.sentence)
     away.rename(finished)
-    wait(qtbot, lambda: tab.campaign.trouble.sentence == "")
+    wait(qtbot, lambda: tab.campaign.trouble[0] == "")
     tab.map_panel.map.show_position(4)
     wait(qtbot, lambda: tab.position_panel.greens is not None)
 
 
-def test_given_a_file_that_is_no_bank_then_a_sentence(
-    qtbot: QtBot, open_window: Callable[..., Window], tmp_path: Path
-) -> None:
+def test_given_a_file_that_is_no_bank_then_a_sentence(qtbot: QtBot, open_window: Opens, tmp_path: Path) -> None:
     (tmp_path / "no.h5").write_bytes(b"nothing of the kind" * 100)
     window = open_window(tmp_path / "no.h5")
     wait(qtbot, lambda: "no.h5" in window.messages.sentence)

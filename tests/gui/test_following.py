@@ -25,8 +25,19 @@ from config.messages.campaign import (
     StateChanged,
     event_line,
 )
-from gui.campaign.follower import Follower, Life, Line, LogTail, Records, Weight, line_of, read_record
-from gui.campaign.model import KEPT_LINES, Campaign, CampaignState, Extra, Order, possible_orders
+from gui.campaign.follower import Follower, LogTail
+from gui.campaign.model import (
+    KEPT_LINES,
+    Campaign,
+    CampaignState,
+    Extra,
+    Line,
+    Order,
+    Weight,
+    line_of,
+    possible_orders,
+    read_record,
+)
 from gui.campaign.quality import per_position
 from gui.front_door import Pulse
 from gui.surface import raster_of
@@ -64,12 +75,12 @@ def test_given_a_log_that_was_replaced_then_it_is_read_anew(tmp_path: Path) -> N
 
 
 def _said(campaign: Campaign, *events: Event) -> None:
-    campaign.take(Records([Logged(AT, event) for event in events], anew=False))
+    campaign.add_records([Logged(AT, event) for event in events], anew=False)
 
 
 def _asked(campaign: Campaign, *, owned: bool, silent: bool = False) -> None:
     owner = Owner("here", 7) if owned else None
-    campaign.take(Life(owner, Pulse(AT, 7, "running", "", 3, silent), time.monotonic() + 1.0))
+    campaign.show_owner(owner, Pulse(AT, 7, "running", "", 3, silent), time.monotonic() + 1.0)
 
 
 def test_given_events_and_an_owner_then_the_state_says_who_measures_and_who_is_gone() -> None:
@@ -89,23 +100,21 @@ def test_given_events_and_an_owner_then_the_state_says_who_measures_and_who_is_g
 
 
 @pytest.mark.parametrize(
-    ("word", "orders"),
+    ("word", "left", "orders"),
     [
-        (State.RUNNING, {Order.PAUSE, Order.STOP}),
-        (State.PAUSED, {Order.CONTINUE, Order.STOP}),
-        (State.STOPPING, set()),
-        (State.STOPPED, {Order.START, Order.RESUME, Order.REMEASURE}),
-        (Extra.GONE, {Order.START, Order.RESUME, Order.REMEASURE}),
-        (Extra.STARTING, set()),
+        (State.RUNNING, 3, {Order.PAUSE, Order.STOP}),
+        (State.PAUSED, 3, {Order.CONTINUE, Order.STOP}),
+        (State.STOPPING, 3, set()),
+        (State.STOPPED, 3, {Order.START, Order.RESUME, Order.REMEASURE}),
+        (State.FINISHED, 0, {Order.START, Order.REMEASURE}),
+        (Extra.GONE, 3, {Order.START, Order.RESUME, Order.REMEASURE}),
+        (Extra.STARTING, 3, set()),
     ],
 )
-def test_given_a_standing_then_only_what_makes_sense_can_be_asked_for(word: State | Extra, orders: set[Order]) -> None:
-    assert possible_orders(CampaignState(word), has_run=True, has_bank=True, left=3) == orders
-
-
-def test_given_a_finished_bank_then_there_is_nothing_to_resume() -> None:
-    found = possible_orders(CampaignState(State.FINISHED), has_run=False, has_bank=True, left=0)
-    assert found == {Order.REMEASURE}
+def test_given_a_state_then_only_orders_that_make_sense_are_possible(
+    word: State | Extra, left: int, orders: set[Order]
+) -> None:
+    assert possible_orders(CampaignState(word), has_run=True, has_bank=True, left=left) == orders
 
 
 def test_given_faults_then_the_instrument_they_name_is_shown_with_its_last_message() -> None:
@@ -153,17 +162,14 @@ def test_given_a_record_of_a_later_version_then_it_is_a_plain_line_and_changes_n
     assert isinstance(line, Line)
     assert (line.weight, line.at_s) == (Weight.DETAIL, AT.timestamp())
     assert all(str(value) in line.text for key, value in record.items() if key != "time_s")
-    campaign.take(Records([line], anew=False))
+    campaign.add_records([line], anew=False)
     assert campaign.lines == [line]
     assert campaign.state().word is Extra.NO_BANK
 
 
 def test_given_an_event_then_its_line_is_a_sentence() -> None:
     logged = read_record(json.loads(event_line(SessionEnded(17.0, State.FINISHED, 6, 6, {"valid": 6}))))
-    assert isinstance(logged, Logged)
-    line = line_of(logged)
-    assert line is not None
-    assert line.text == "session over, finished: 6 of 6 positions (6 valid); 17 s on the rig's clock"
+    assert line_of(logged).text == "session over, finished: 6 of 6 positions (6 valid); 17 s on the rig's clock"
 
 
 def test_given_figures_per_actuator_then_each_position_has_its_own_and_unmeasured_ones_none() -> None:
@@ -198,5 +204,7 @@ def test_given_a_disk_that_hangs_then_the_follower_ends_without_waiting_for_it(t
     assert hangs.wait(30)
     follower.end()
     assert not continues.is_set()
-    assert follower.take(9) == []
+    campaign = Campaign()
+    follower.change(campaign, 9)
+    assert campaign.revision == Campaign().revision
     continues.set()

@@ -5,17 +5,13 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
-from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QPlainTextEdit
 from pytestqt.qtbot import QtBot
 
-from gui.campaign.tab import CampaignTab
-from gui.window import Window
 from storage.ledger.owner import bank_owner
-from tests.gui.conftest import campaign_of, wait, write_lab
+from tests.gui.conftest import Opens, answer, campaign_of, press, wait, write_lab
 from wavefocus.__main__ import run
 
 HOLDER = """
@@ -27,19 +23,8 @@ with BankWriter.open(sys.argv[1]):
 """
 
 
-def press(qtbot: QtBot, tab: CampaignTab, name: str) -> None:
-    button = tab.controls.buttons[name]
-    wait(qtbot, button.isEnabled)
-    qtbot.mouseClick(button, Qt.MouseButton.LeftButton)
-
-
-def answer(qtbot: QtBot, window: Window, word: str) -> None:
-    button = next(button for button in window.messages.buttons() if button.text() == word)
-    qtbot.mouseClick(button, Qt.MouseButton.LeftButton)
-
-
 def test_given_a_run_of_another_process_then_it_is_followed_live_and_left_alone_on_closing(
-    qtbot: QtBot, open_window: Callable[..., Window], tmp_path: Path
+    qtbot: QtBot, open_window: Opens, tmp_path: Path
 ) -> None:
     run_file = write_lab(tmp_path / "lab", 8, 5)
     bank = run_file.with_name("other.h5")
@@ -58,14 +43,13 @@ def test_given_a_run_of_another_process_then_it_is_followed_live_and_left_alone_
 
 
 def test_given_a_bank_that_another_process_holds_then_the_sentence_names_it(
-    qtbot: QtBot, open_window: Callable[..., Window], finished: Path
+    qtbot: QtBot, open_window: Opens, finished: Path
 ) -> None:
     window = open_window(finished)
     tab = campaign_of(window)
     with subprocess.Popen(
         [sys.executable, "-c", HOLDER, str(finished)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as owner:
-        assert owner.stdout is not None
         assert owner.stdout.readline().strip() == b"mine"
         wait(qtbot, lambda: tab.progress.state.text() == "preparing")
         assert not tab.controls.buttons["resume"].isEnabled()
@@ -77,7 +61,7 @@ def test_given_a_bank_that_another_process_holds_then_the_sentence_names_it(
 
 
 def test_given_orders_that_fail_then_their_sentences_are_messages(
-    qtbot: QtBot, open_window: Callable[..., Window], finished: Path, tmp_path: Path
+    qtbot: QtBot, open_window: Opens, finished: Path, tmp_path: Path
 ) -> None:
     window = open_window(finished)
     campaign_of(window).run.order("pause", finished)
@@ -85,33 +69,33 @@ def test_given_orders_that_fail_then_their_sentences_are_messages(
     wrong = write_lab(tmp_path / "wrong", 2, 2)
     wrong.write_text(wrong.read_text(encoding="utf-8").replace("taps = 1000", "taps = -3"), encoding="utf-8")
     window.open_file(wrong)
-    press(qtbot, campaign_of(window), "start")
+    press(qtbot, campaign_of(window).controls.buttons["start"])
     wait(qtbot, lambda: "capture.taps" in window.messages.sentence)
     assert "Traceback" not in window.messages.sentence
 
 
 def test_given_a_run_file_then_a_dry_run_can_be_cancelled_and_reports_positions_and_hours(
-    qtbot: QtBot, open_window: Callable[..., Window], tmp_path: Path
+    qtbot: QtBot, open_window: Opens, tmp_path: Path
 ) -> None:
     window = open_window(write_lab(tmp_path / "lab", 4, 3))
-    press(qtbot, campaign_of(window), "plan")
-    answer(qtbot, window, "Cancel")
+    press(qtbot, campaign_of(window).controls.buttons["plan"])
+    answer(window, "Cancel")
     wait(qtbot, lambda: "the dry run was cancelled" in window.messages.sentence)
-    press(qtbot, campaign_of(window), "plan")
+    press(qtbot, campaign_of(window).controls.buttons["plan"])
     wait(qtbot, lambda: "12 positions" in window.messages.sentence)
-    answer(qtbot, window, "Details")
+    answer(window, "Details")
     assert "within all limits" in campaign_of(window).findChild(QPlainTextEdit).toPlainText()
 
 
 def test_given_an_own_run_then_closing_can_leave_it_to_continue(
-    qtbot: QtBot, open_window: Callable[..., Window], long_run: Path
+    qtbot: QtBot, open_window: Opens, long_run: Path
 ) -> None:
     window = open_window(long_run)
     tab, bank = campaign_of(window), long_run.with_name("plate.h5")
-    press(qtbot, tab, "start")
+    press(qtbot, tab.controls.buttons["start"])
     wait(qtbot, lambda: tab.campaign.measured > 0)
     assert not window.close()
-    answer(qtbot, window, "Continue in the background")
+    answer(window, "Continue in the background")
     wait(qtbot, lambda: not window.isVisible())
     assert bank_owner(bank) is not None
     assert run(["stop", str(bank)]) == 0

@@ -5,31 +5,26 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from pathlib import Path
 
 import numpy as np
 import pytest
 import soundfile
-from PyQt5.QtCore import QEvent, QPointF, Qt, QTimer
-from PyQt5.QtGui import QMouseEvent
-from PyQt5.QtWidgets import QAbstractButton, QAbstractSpinBox, QApplication, QComboBox, QLineEdit
+from PyQt5.QtCore import Qt, QTimer
 from pytestqt.qtbot import QtBot
 
 from config.scene import SceneConfig
+from gui.scene.calculation import between
 from gui.scene.document import EMPTY, SceneDocument
 from gui.scene.exports import DRIVE, IDLE, MOVIE, OPENING, PLAYING, RENDERING, WAV
 from gui.scene.figures_view import GOOD, HELD
-from gui.scene.messages import between
 from gui.scene.results_panel import NO_BANK, ResultsPanel
-from gui.theme import DARK
+from gui.theme import redraw_all
 from gui.window import Window
 from storage.drive_file import Drive, read_drive, write_drive
-from tests.gui.conftest import wait
-from tests.gui.scenes import line_scene
+from tests.gui.conftest import LEFT, Opens, click, line_scene, pixel, wait
 from wavefocus.commands.gui import front_door
-
-LEFT = Qt.MouseButton.LeftButton
 
 
 class Bench:
@@ -67,7 +62,7 @@ class Bench:
 
 
 @pytest.fixture
-def bench(qtbot: QtBot, open_window: Callable[..., Window], finished: Path) -> Generator[Bench]:
+def bench(qtbot: QtBot, open_window: Opens, finished: Path) -> Generator[Bench]:
     made = Bench(qtbot, open_window(), finished)
     yield made
     made.panel.shut_down()
@@ -84,17 +79,14 @@ def test_given_edits_then_drives_field_and_figures_follow_and_nothing_of_an_olde
         bench.edit(line_scene(amplitude=amplitude), complete=False)
     wait(qtbot, lambda: panel.complete)
     first = panel.driven
-    assert first is not None
     assert first.number == panel.calculation.number
     assert bench.numbers[-1] == first.number
     assert first.limiting.decided_by is None
     bench.edit(line_scene(amplitude=4.0))
     louder = panel.driven
-    assert louder is not None
     np.testing.assert_allclose(louder.peak_v, 2.0 * first.peak_v, rtol=1e-5)
     limit_v = float(louder.peak_v.max()) / 4.0
     bench.edit(line_scene(amplitude=4.0, limit_v=limit_v))
-    assert panel.driven is not None
     assert panel.driven.peak_v.max() == pytest.approx(limit_v)
     assert panel.drives.note.text() == "scaled by 0.25 for limit_v"
     verdicts = {figure.name: figure.verdict for figure in panel.figures.figures}
@@ -114,47 +106,33 @@ def look_at_field(qtbot: QtBot, bench: Bench) -> None:
     panel, view = bench.panel, bench.panel.field
     panel.pages.setCurrentWidget(view)
     begun = view.predicted
-    assert begun is not None
     field = begun.field
     assert field.shape[1] == 12
     view.slider.to_mark(1)
-    assert view.time_s == pytest.approx(begun.marks_s[1], abs=1.0 / (begun.sample_rate_hz * begun.finer))
+    assert view.slider.time_s == pytest.approx(begun.marks_s[1], abs=1.0 / (begun.sample_rate_hz * begun.finer))
     place = view.slider.sample / begun.finer
     shown = view.map.values * begun.limit / view.map.levels[1]
     np.testing.assert_allclose(shown, between(field, place), rtol=1e-5)
-    at_mm = view.sources_mm(view.time_s)
-    np.testing.assert_allclose(at_mm, [[round(30.0 * view.time_s / 1.5 - 0.5) * 1.5, 0.0]], atol=1e-9)
+    at_mm = view.sources_mm(view.slider.time_s)
+    np.testing.assert_allclose(at_mm, [[round(30.0 * view.slider.time_s / 1.5 - 0.5) * 1.5, 0.0]], atol=1e-9)
     view.colours.setCurrentIndex(1)
     assert view.map.levels[0] == 0.0
     assert (view.map.values >= 0.0).all()
     assert "magnitude (" in view.bar.accessibleName()
-    click(view.map, 3.0, 1.5)
+    click(view.map, pixel(view.map, 3.0, 1.5))
     assert view.map.marked == 6
     assert "position 6 at (3.0, 1.5) mm" in view.waveform.getPlotItem().titleLabel.text
     np.testing.assert_allclose(view.waveform.curve.yData, field[:, 6])
     view.slider.go_to(0)
     qtbot.keyClick(view.slider.slider, Qt.Key.Key_Space)
     wait(qtbot, lambda: view.slider.sample > 0)
-    at_s = view.time_s
+    at_s = view.slider.time_s
     view.slider.pause()
     bench.edit(line_scene(amplitude=2.0))
-    assert view.time_s >= at_s - 1e-9
+    assert view.slider.time_s >= at_s - 1e-9
     assert view.map.marked == 6
-    for theme in (DARK,):
-        panel.apply_theme(theme)
-
-
-def click(shown, x_mm: float, y_mm: float) -> None:
-    at = shown.mapFromScene(shown.box.mapViewToScene(QPointF(x_mm, y_mm)))
-    viewport = shown.viewport()
-    for kind, held in (
-        (QEvent.Type.MouseMove, False), (QEvent.Type.MouseButtonPress, True), (QEvent.Type.MouseButtonRelease, False)
-    ):  # fmt: skip
-        button = Qt.MouseButton.NoButton if kind == QEvent.Type.MouseMove else LEFT
-        buttons = Qt.MouseButtons(LEFT if held else Qt.MouseButton.NoButton)
-        place = QPointF(viewport.mapToGlobal(at))
-        event = QMouseEvent(kind, QPointF(at), place, button, buttons, Qt.KeyboardModifier.NoModifier)
-        QApplication.sendEvent(viewport, event)
+    bench.window.choose_theme("dark")
+    redraw_all(panel)
 
 
 def test_given_no_bank_a_path_off_the_grid_or_a_bank_that_goes_and_comes_then_a_sentence_says_so(
@@ -188,7 +166,6 @@ def test_given_no_bank_a_path_off_the_grid_or_a_bank_that_goes_and_comes_then_a_
     assert panel.stage.text() == "stopped"
     bench.edit(line_scene(amplitude=2.0))
     process = panel.calculation.process_id
-    assert process is not None
     os.kill(process, signal.SIGTERM if os.name == "nt" else signal.SIGKILL)
     bench.says("process ended")
     assert panel.calculation.process_id is None
@@ -200,7 +177,6 @@ def test_given_no_bank_a_path_off_the_grid_or_a_bank_that_goes_and_comes_then_a_
 def test_given_save_then_the_files_are_what_the_command_makes(bench: Bench, tmp_path: Path) -> None:
     bench.edit(line_scene(limit_v=2.0))
     panel, driven = bench.panel, bench.panel.driven
-    assert driven is not None
     panel.save(DRIVE, tmp_path / "out.h5")
     assert panel.saving.busy
     assert not panel.bar.saves[WAV].isEnabled()
@@ -261,7 +237,6 @@ def test_given_play_then_the_rig_plays_the_scene_and_stop_mutes_it(bench: Bench,
     bench.qtbot.mouseClick(bar.buttons["play"], LEFT)
     wait(bench.qtbot, lambda: panel.playing.state == OPENING)
     process = panel.playing.pid
-    assert process is not None
     panel.shut_down()
     _, status = os.waitpid(process, 0)  # the window does not wait for it; it ends by itself, muted
     assert os.waitstatus_to_exitcode(status) != 0
@@ -275,18 +250,3 @@ def test_given_a_play_that_is_watched_then_it_ends_muted_when_its_input_closes(f
     ended = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
     assert ended.returncode == 130
     assert "stopped by the user; the outputs are muted" in ended.stderr
-
-
-def test_every_control_of_the_results_has_a_name_and_a_tooltip(bench: Bench) -> None:
-    kinds = (QAbstractButton, QAbstractSpinBox, QComboBox)
-    controls = [control for kind in kinds for control in bench.panel.findChildren(kind)]
-    own = [
-        control
-        for control in controls
-        if not control.objectName().startswith("qt_")
-        and not isinstance(control.parent(), QComboBox | QAbstractSpinBox | QLineEdit)
-        and type(control.parent()).__name__ not in ("QTabBar", "QTableWidget")
-        and type(control).__name__ != "QTableCornerButton"
-    ]
-    assert len(own) > 15
-    assert [type(control).__name__ for control in own if not control.accessibleName() or not control.toolTip()] == []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,16 +14,15 @@ from config.scene import SceneConfig, TextTable
 from gui.campaign.position_panel import GreenPlot, Greens
 from gui.field_map import MOST_COLUMNS, thinned
 from gui.scene.document import new_source
-from gui.scene.exports import SceneCommands
+from gui.scene.exports import SceneTask
 from gui.scene.tab import SceneTab
-from gui.window import Window
 from storage.errors import InputError
-from tests.gui.conftest import campaign_of, tab_of, wait, write_lab
+from tests.gui.conftest import Opens, campaign_of, tab_of, wait, write_lab
 from wavefocus.commands.gui import front_door
 
 
 def test_given_a_defect_while_a_bank_is_followed_then_the_window_says_so_and_goes_on_following(
-    qtbot: QtBot, open_window: Callable[..., Window], finished: Path
+    qtbot: QtBot, open_window: Opens, finished: Path
 ) -> None:
     broken = [True]
     front = front_door()
@@ -35,12 +33,12 @@ def test_given_a_defect_while_a_bank_is_followed_then_the_window_says_so_and_goe
     wait(qtbot, lambda: "is not followed" in window.messages.sentence)
     assert [button.text() for button in window.messages.buttons()] == ["Copy details"]
     broken.clear()
-    wait(qtbot, lambda: tab.campaign.trouble.sentence == "")
+    wait(qtbot, lambda: tab.campaign.trouble[0] == "")
     assert window.messages.sentence == ""
 
 
 def test_given_another_run_file_then_the_bank_of_the_former_one_is_let_go(
-    qtbot: QtBot, open_window: Callable[..., Window], finished: Path, tmp_path: Path
+    qtbot: QtBot, open_window: Opens, finished: Path, tmp_path: Path
 ) -> None:
     run_file, other = finished.with_name("run.toml"), write_lab(tmp_path / "other", 2, 2)
     window = open_window(run_file)
@@ -56,7 +54,7 @@ def test_given_another_run_file_then_the_bank_of_the_former_one_is_let_go(
     assert tab.bank_field.path == finished
 
 
-def test_given_virtual_typed_as_a_rig_then_it_stays_a_word(qtbot: QtBot, open_window: Callable[..., Window]) -> None:
+def test_given_virtual_typed_as_a_rig_then_it_stays_a_word(qtbot: QtBot, open_window: Opens) -> None:
     window = open_window()
     scene = tab_of(window, SceneTab)
     window._pages.setCurrentWidget(scene)
@@ -101,7 +99,7 @@ def test_given_a_weak_actuator_then_its_trace_can_be_drawn_to_its_own_peak(qtbot
 
 
 def test_given_a_large_scene_then_a_box_allows_it_in_the_window_and_in_its_commands(
-    qtbot: QtBot, open_window: Callable[..., Window]
+    qtbot: QtBot, open_window: Opens
 ) -> None:
     window = open_window()
     tab = tab_of(window, SceneTab)
@@ -112,7 +110,8 @@ def test_given_a_large_scene_then_a_box_allows_it_in_the_window_and_in_its_comma
         document.scene()
     tab.scene_form.large.setChecked(True)
     assert document.scene().allow_large
-    job = SceneCommands(window.context, document, "")
-    assert "--allow-large" in job.render()
-    job.close()
+    task = SceneTask(window.context, document, window)
+    assert task.prepare("", "nothing is rendered")
+    assert "--allow-large" in task.render()
+    task.close()
     wait(qtbot, lambda: bool(tab.live.idle and tab.live.preview.traces and not tab.live.preview.traces[0].problem))

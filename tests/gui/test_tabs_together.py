@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +15,10 @@ from gui.rig.tab import RigTab
 from gui.scene.exports import IDLE
 from gui.scene.tab import SceneTab
 from gui.verification.tab import VerificationTab
-from gui.window import Window
 from storage.bank.layout import BankHeader
 from storage.bank.writer import create_bank
-from tests.gui.conftest import campaign_of, tab_of, wait, write_lab
-from tests.gui.scenes import line_scene
-from tests.gui.test_run import HOLDER, answer, press
+from tests.gui.conftest import Opens, answer, campaign_of, line_scene, press, tab_of, wait, write_lab
+from tests.gui.test_run import HOLDER
 
 REAL = """
 [actuators]
@@ -39,7 +37,6 @@ address = "localhost:1"
 driver = "sounddevice"
 device = "none"
 """
-SCENE = line_scene(step_mm=4.0)
 
 
 @pytest.fixture
@@ -68,14 +65,13 @@ def measured_now(tmp_path: Path) -> Generator[tuple[Path, int]]:
     with subprocess.Popen(
         [sys.executable, "-c", HOLDER, str(bank)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as owner:
-        assert owner.stdout is not None
         assert owner.stdout.readline().strip() == b"mine"
         yield bank, owner.pid
         owner.communicate(timeout=20)
 
 
 def test_given_a_campaign_on_a_real_rig_then_other_tabs_say_that_its_instruments_are_busy(
-    qtbot: QtBot, open_window: Callable[..., Window], measured_now: tuple[Path, int], real_rig: Path, tmp_path: Path
+    qtbot: QtBot, open_window: Opens, measured_now: tuple[Path, int], real_rig: Path, tmp_path: Path
 ) -> None:
     bank, owner = measured_now
     window = open_window(bank, real_rig)
@@ -121,7 +117,7 @@ def test_given_a_campaign_on_a_real_rig_then_other_tabs_say_that_its_instruments
 
 
 def test_given_instruments_in_hand_then_a_campaign_on_them_is_not_started_without_a_word(
-    qtbot: QtBot, open_window: Callable[..., Window], real_rig: Path, tmp_path: Path
+    qtbot: QtBot, open_window: Opens, real_rig: Path, tmp_path: Path
 ) -> None:
     run = write_lab(tmp_path / "lab", 4, 3)
     text = run.read_text(encoding="utf-8").partition("[virtual]")[0]
@@ -131,34 +127,34 @@ def test_given_instruments_in_hand_then_a_campaign_on_them_is_not_started_withou
     wait(qtbot, tab.controls.buttons["start"].isEnabled)
     rig.take()
     assert rig.session.running
-    press(qtbot, tab, "start")
+    press(qtbot, tab.controls.buttons["start"])
     told = "the Rig tab has the instruments of real.toml, so the instruments are busy: stop it first"
     assert window.messages.sentence == told
     assert tab.run.own is None
-    answer(qtbot, window, "Start anyway")
+    answer(window, "Start anyway")
     assert tab.run.own is not None
     wait(qtbot, lambda: tab.run.own is None)  # the capture finds no such instruments
 
 
 def test_given_a_campaign_and_an_unsaved_scene_then_closing_asks_one_after_the_other_and_then_acts(
-    qtbot: QtBot, open_window: Callable[..., Window], long_run: Path
+    qtbot: QtBot, open_window: Opens, long_run: Path
 ) -> None:
     window = open_window(long_run)
     tab, scene = campaign_of(window), tab_of(window, SceneTab)
-    press(qtbot, tab, "start")
+    press(qtbot, tab.controls.buttons["start"])
     wait(qtbot, tab.controls.buttons["stop"].isEnabled)
-    scene.document.edit("draw", SCENE)
+    scene.document.edit("draw", line_scene(step_mm=4.0))
     window.close()
     assert "plate.h5 is being measured by a run of this window" in window.messages.sentence
-    answer(qtbot, window, "Stop after this position")
+    answer(window, "Stop after this position")
     assert "a new scene has unsaved changes" in window.messages.sentence
-    answer(qtbot, window, "Do not close")
+    answer(window, "Do not close")
     assert window.isVisible()
     assert window.messages.sentence == ""  # nothing was ordered
     assert tab.run.own is not None
     window.close()
-    answer(qtbot, window, "Stop after this position")
-    answer(qtbot, window, "Close without saving")
+    answer(window, "Stop after this position")
+    answer(window, "Close without saving")
     wait(qtbot, lambda: not window.isVisible())
     log = long_run.with_name("plate.events.jsonl")
     wait(qtbot, lambda: "session_ended" in log.read_text(encoding="utf-8"))

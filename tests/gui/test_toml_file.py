@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from gui.files import TomlKind, names_virtual_rig, runs_on_virtual_rig, toml_kind
 from gui.rig.tab import line_of, read_rig_file
-from gui.toml_files import TomlKind, names_virtual_rig, runs_on_virtual_rig, toml_kind
 
 REAL_RIG = '[rig]\nname = "lab"\n\n[mirror]\ndriver = "mirrorcle"\n\n[player]\nlimit_v = 2.0\n'
 

@@ -6,20 +6,19 @@ import json
 import os
 import shutil
 import signal
-from collections.abc import Callable
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from PyQt5.QtCore import QPointF, Qt
+from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
 from gui.time_slider import TimeSlider
 from gui.verification.tab import VerificationTab
 from gui.window import Window
-from tests.gui.conftest import campaign_of, wait
+from tests.gui.conftest import LEFT, Opens, campaign_of, pixel, shown_tab, wait
 from wavefocus.__main__ import run
 
 SCENE = """
@@ -72,24 +71,17 @@ def other_bank(lab: Path, name: str, *, gain: float = 1.0, copies: int = 1) -> P
     return lab / name
 
 
-def verification_of(window: Window) -> VerificationTab:
-    """The Verification tab of a window, brought to the front."""
-    tab = next(one for one in window.tabs if isinstance(one, VerificationTab))
-    window._pages.setCurrentWidget(tab)
-    return tab
-
-
-def opened(qtbot: QtBot, open_window: Callable[..., Window], lab: Path) -> tuple[Window, VerificationTab]:
+def opened(qtbot: QtBot, open_window: Opens, lab: Path) -> tuple[Window, VerificationTab]:
     """A window that shows what a lab's verification found."""
     window = open_window(lab / "verify" / "verify.json")
-    tab = verification_of(window)
+    tab = shown_tab(window, VerificationTab)
     wait(qtbot, lambda: tab.results is not None)
     return window, tab
 
 
 def ready(window: Window, bank: Path) -> VerificationTab:
     """The tab with all chosen that a verification of a bank needs; the folder is a new one."""
-    tab = verification_of(window)
+    tab = shown_tab(window, VerificationTab)
     tab.form.take_bank(bank)
     tab.form.out.show_path(bank.with_name("new"))
     window.refresh()
@@ -103,7 +95,7 @@ def cells(tab: VerificationTab, row: int) -> list[str]:
 
 
 def test_given_an_earlier_verification_then_its_fields_stand_side_by_side(
-    qtbot: QtBot, open_window: Callable[..., Window], verified: Path
+    qtbot: QtBot, open_window: Opens, verified: Path
 ) -> None:
     _, tab = opened(qtbot, open_window, verified)
     predicted, scanned, difference = tab.maps.maps
@@ -123,7 +115,7 @@ def test_given_an_earlier_verification_then_its_fields_stand_side_by_side(
 
 
 def test_given_the_figures_then_they_are_those_of_the_file_with_verdict_and_definition(
-    qtbot: QtBot, open_window: Callable[..., Window], verified: Path
+    qtbot: QtBot, open_window: Opens, verified: Path
 ) -> None:
     _, tab = opened(qtbot, open_window, verified)
     record = json.loads((verified / "verify" / "verify.json").read_text(encoding="utf-8"))
@@ -136,12 +128,12 @@ def test_given_the_figures_then_they_are_those_of_the_file_with_verdict_and_defi
             assert shown[5] == {True: "✓ pass", False: "✗ fail", None: "– not judged"}[figure["passed"]]
     error = next(one for one in record["figures"] if one["name"] == "normalised error")
     assert cells(tab, 0)[3:5] == [f"{error['difference']:.3g} %", "≤ 5 %"]
-    qtbot.mouseClick(tab.figures.buttons["copy"], Qt.MouseButton.LeftButton)
+    qtbot.mouseClick(tab.figures.buttons["copy"], LEFT)
     assert "normalised error\t" in QApplication.clipboard().text()
 
 
 def test_given_a_click_on_a_map_then_the_waveforms_there_and_their_figures(
-    qtbot: QtBot, open_window: Callable[..., Window], verified: Path
+    qtbot: QtBot, open_window: Opens, verified: Path
 ) -> None:
     window, tab = opened(qtbot, open_window, verified)
     qtbot.waitExposed(window)
@@ -149,8 +141,7 @@ def test_given_a_click_on_a_map_then_the_waveforms_there_and_their_figures(
     QApplication.processEvents()
     index = 7
     record = tab.results.record
-    place = scan.mapFromScene(scan.box.mapViewToScene(QPointF(*record.position_mm[index])))
-    qtbot.mouseClick(scan.viewport(), Qt.MouseButton.LeftButton, pos=place)
+    qtbot.mouseClick(scan.viewport(), LEFT, pos=pixel(scan, *record.position_mm[index]))
     wait(qtbot, lambda: tab.waveforms.index == index)
     assert all(one.marked == index for one in tab.maps.maps)
     assert f"position {record.position_index[index]} " in tab.waveforms.place.text()
@@ -161,13 +152,13 @@ def test_given_a_click_on_a_map_then_the_waveforms_there_and_their_figures(
 
 
 def test_given_the_time_slider_then_it_goes_from_focus_to_focus_and_the_maps_follow(
-    qtbot: QtBot, open_window: Callable[..., Window], verified: Path
+    qtbot: QtBot, open_window: Opens, verified: Path
 ) -> None:
     _, tab = opened(qtbot, open_window, verified)
     time, focus = tab.maps.time, tab.results.record.focus_s
     assert time.time_s == pytest.approx(focus[0], abs=1e-4)
     before = tab.maps.maps[0].values.copy()
-    qtbot.mouseClick(time.next, Qt.MouseButton.LeftButton)
+    qtbot.mouseClick(time.next, LEFT)
     assert time.time_s == pytest.approx(focus[1], abs=1e-4)
     assert time.time_label.text() == f"{1e3 * time.time_s:.2f} ms"
     assert not np.array_equal(before, tab.maps.maps[0].values)
@@ -197,7 +188,7 @@ def test_given_play_then_samples_follow_the_clock_loop_or_stop_at_the_end(qtbot:
 
 
 def test_given_a_bank_that_is_too_loud_then_the_run_is_watched_and_its_failure_told(
-    qtbot: QtBot, open_window: Callable[..., Window], lab: Path
+    qtbot: QtBot, open_window: Opens, lab: Path
 ) -> None:
     window = open_window()
     tab = ready(window, other_bank(lab, "loud.h5", gain=1.2))
@@ -226,7 +217,7 @@ def test_given_a_bank_that_is_too_loud_then_the_run_is_watched_and_its_failure_t
 
 @pytest.mark.skipif(os.name != "posix", reason="ends processes by signals")
 def test_given_a_long_scan_then_closing_asks_cancel_parks_and_a_killed_process_is_a_sentence(
-    qtbot: QtBot, open_window: Callable[..., Window], lab: Path
+    qtbot: QtBot, open_window: Opens, lab: Path
 ) -> None:
     window = open_window()
     tab = ready(window, other_bank(lab, "many.h5", copies=120))
@@ -253,10 +244,10 @@ def test_given_a_long_scan_then_closing_asks_cancel_parks_and_a_killed_process_i
 
 
 def test_given_a_verification_of_another_process_then_it_is_followed_and_can_be_ended(
-    qtbot: QtBot, open_window: Callable[..., Window], lab: Path
+    qtbot: QtBot, open_window: Opens, lab: Path
 ) -> None:
     window = open_window()
-    tab = verification_of(window)
+    tab = shown_tab(window, VerificationTab)
     log = lab / "verify" / "verify.events.jsonl"
     lines = log.read_text(encoding="utf-8").splitlines()
     scanning = next(number for number, line in enumerate(lines) if '"step": "scan"' in line)
@@ -276,7 +267,7 @@ def test_given_a_verification_of_another_process_then_it_is_followed_and_can_be_
 
 
 def test_given_a_spoilt_folder_then_one_sentence_and_what_was_shown_stays(
-    qtbot: QtBot, open_window: Callable[..., Window], lab: Path
+    qtbot: QtBot, open_window: Opens, lab: Path
 ) -> None:
     window, tab = opened(qtbot, open_window, lab)
     shown = tab.results
@@ -296,11 +287,9 @@ def test_given_a_spoilt_folder_then_one_sentence_and_what_was_shown_stays(
     assert "report.html is gone" in window.messages.sentence
 
 
-def test_given_files_then_each_is_opened_or_put_where_it_belongs(
-    qtbot: QtBot, open_window: Callable[..., Window], lab: Path
-) -> None:
+def test_given_files_then_each_is_opened_or_put_where_it_belongs(qtbot: QtBot, open_window: Opens, lab: Path) -> None:
     window = open_window(lab / "verify" / "scan.h5")
-    tab = verification_of(window)
+    tab = shown_tab(window, VerificationTab)
     wait(qtbot, lambda: tab.results is not None)
     assert not any(one is not tab and one.accepts(lab / "verify" / "scan.h5") for one in window.tabs)
     assert campaign_of(window).accepts(lab / "plate.h5")
@@ -314,12 +303,12 @@ def test_given_files_then_each_is_opened_or_put_where_it_belongs(
     tab.take_dropped(lab / "positions.csv")
     assert "positions.csv: drop a scene" in window.messages.sentence
     tab.save_settings()
-    again = verification_of(open_window())
+    again = shown_tab(open_window(), VerificationTab)
     assert [field.path for field in (again.form.scene, again.form.bank, again.form.rig, again.form.out)] == chosen
 
 
 def test_given_choices_of_positions_then_the_command_says_so_or_a_sentence_what_is_missing(
-    open_window: Callable[..., Window], lab: Path
+    open_window: Opens, lab: Path
 ) -> None:
     window = open_window()
     tab = ready(window, lab / "plate.h5")

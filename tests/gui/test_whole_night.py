@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -20,12 +19,8 @@ from rendering.verify.record import RECORD_NAME
 from storage.bank.reading import open_bank
 from storage.ledger.owner import bank_owner
 from storage.point_status import not_valid
-from tests.gui.conftest import campaign_of, tab_of, wait
-from tests.gui.test_details import click, pixel
+from tests.gui.conftest import LEFT, Opens, campaign_of, click, pixel, press, tab_of, wait
 from wavefocus.__main__ import run
-
-LEFT = Qt.MouseButton.LeftButton
-NONE = Qt.KeyboardModifier.NoModifier
 
 RUN = """
 rig = "rig.toml"
@@ -65,12 +60,6 @@ position_mm = [[109.0, 11.0], [50.0, 68.0], [-50.0, 68.0], [-109.0, -11.0], [-50
 DARK = 5
 # What 1500 positions may take on a busy machine; nothing is judged by it.
 A_NIGHT_MS = 600_000
-
-
-def press(qtbot: QtBot, button: QWidget) -> None:
-    """Click a button as soon as it can be clicked."""
-    wait(qtbot, lambda: button.isVisible() and button.isEnabled())
-    qtbot.mouseClick(button, LEFT)
 
 
 def turn_to(qtbot: QtBot, window: Window, title: str) -> None:
@@ -115,7 +104,7 @@ def choose(qtbot: QtBot, window: Window, field: PathField, name: str) -> None:
 @pytest.mark.timeout(1200)
 @pytest.mark.long
 def test_given_a_plate_then_a_night_of_it_is_run_interrupted_resumed_mended_rendered_and_verified_with_the_mouse_alone(
-    qtbot: QtBot, open_window: Callable[..., Window], memory: Settings, tmp_path: Path
+    qtbot: QtBot, open_window: Opens, memory: Settings, tmp_path: Path
 ) -> None:
     assert run(["init", str(tmp_path / "lab")]) == 0
     lab = tmp_path / "lab"

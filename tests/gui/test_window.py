@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +19,7 @@ from PyQt5.QtWidgets import (
     QProgressBar,
     QStyle,
     QStyleOptionButton,
+    QTabBar,
     QTableView,
 )
 from pytestqt.qtbot import QtBot
@@ -29,11 +29,10 @@ from gui.scene.tab import SceneTab
 from gui.theme import DARK, LIGHT, BoxStyle, Theme, palette_of
 from gui.window import Window
 from storage.errors import InputError
-from tests.gui.conftest import campaign_of, tab_of, wait, write_lab
+from tests.gui.conftest import LEFT, NO_KEY, Opens, campaign_of, tab_of, wait, write_lab
 from tests.system.test_startup import loaded_by
 from wavefocus.commands.gui import front_door
 
-LEFT, NO_KEY = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
 OPEN_WINDOW = """
 import os
 os.environ["QT_QPA_PLATFORM"] = "offscreen"
@@ -52,7 +51,7 @@ assert len(window.tabs) == 4
 
 
 def test_given_errors_in_slots_and_threads_then_they_are_messages_and_the_window_lives(
-    qtbot: QtBot, open_window: Callable[..., Window], finished: Path
+    qtbot: QtBot, open_window: Opens, finished: Path
 ) -> None:
     window = open_window(finished)
 
@@ -79,7 +78,7 @@ def test_given_errors_in_slots_and_threads_then_they_are_messages_and_the_window
 
 
 def test_given_messages_then_questions_wait_for_an_answer_and_no_control_moves(
-    qtbot: QtBot, open_window: Callable[..., Window]
+    qtbot: QtBot, open_window: Opens
 ) -> None:
     window = open_window()
     messages, button, answers = window.messages, campaign_of(window).run_field.browse, []
@@ -102,7 +101,7 @@ def test_given_messages_then_questions_wait_for_an_answer_and_no_control_moves(
 
 
 def test_given_files_then_those_that_a_tab_opens_can_be_dropped_and_are_remembered(
-    open_window: Callable[..., Window], finished: Path, memory: Settings, tmp_path: Path
+    open_window: Opens, finished: Path, memory: Settings, tmp_path: Path
 ) -> None:
     window = open_window()
     rig, run = tmp_path / "rig.toml", write_lab(tmp_path / "other", 2, 2)
@@ -131,7 +130,7 @@ def test_given_files_then_those_that_a_tab_opens_can_be_dropped_and_are_remember
 
 
 def test_given_large_text_and_a_long_message_then_the_window_still_fits_a_small_screen(
-    qtbot: QtBot, open_window: Callable[..., Window], finished: Path
+    qtbot: QtBot, open_window: Opens, finished: Path
 ) -> None:
     window = open_window(finished)
     window._resize_text(6)
@@ -150,7 +149,7 @@ def test_given_large_text_and_a_long_message_then_the_window_still_fits_a_small_
 
 
 def test_given_size_theme_text_run_and_bank_then_the_next_window_has_them_again(
-    qtbot: QtBot, open_window: Callable[..., Window], finished: Path, memory: Settings
+    qtbot: QtBot, open_window: Opens, finished: Path, memory: Settings
 ) -> None:
     window = open_window(finished.with_name("run.toml"))
     assert campaign_of(window).bank_field.path == finished
@@ -173,22 +172,21 @@ def test_given_size_theme_text_run_and_bank_then_the_next_window_has_them_again(
 
 
 def test_given_an_empty_window_then_names_tooltips_keys_and_units_are_complete(
-    open_window: Callable[..., Window],
+    open_window: Opens,
 ) -> None:
     window = open_window()
-    kinds = (QAbstractButton, QAbstractSpinBox, QComboBox, QLineEdit, QProgressBar, QTableView)
-    controls = [control for kind in kinds for control in window.findChildren(kind)]
+    with_tip = (QAbstractButton, QAbstractSpinBox, QComboBox)
+    kinds = (*with_tip, QLineEdit, QProgressBar, QTableView)
     own = [
         control
-        for control in controls
-        if not control.objectName().startswith("qt_") and type(control).__name__ not in ("QTableCornerButton",)
-        and not isinstance(control.parent(), QTableView | QComboBox | QAbstractSpinBox | QLineEdit)
-        and type(control.parent()).__name__ != "QTabBar"
+        for kind in kinds
+        for control in window.findChildren(kind)
+        if not control.objectName().startswith("qt_") and type(control).__name__ != "QTableCornerButton"
+        and not isinstance(control.parent(), QTableView | QComboBox | QAbstractSpinBox | QLineEdit | QTabBar)
     ]  # fmt: skip
-    assert len(own) > 20
+    assert len(own) > 150
     assert [type(control).__name__ for control in own if not control.accessibleName()] == []
-    buttons = [control for control in own if isinstance(control, QAbstractButton)]
-    assert [button.text() for button in buttons if not button.toolTip()] == []
+    assert [one.accessibleName() for one in own if isinstance(one, with_tip) and not one.toolTip()] == []
     actions = [action for tab in window.tabs[:2] for action in tab.menu_actions() if action is not None]
     everything = [one for tab in window.tabs for one in tab.menu_actions() if one is not None]
     keys = [action.shortcut().toString() for action in everything]

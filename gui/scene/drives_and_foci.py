@@ -1,22 +1,24 @@
-"""Drives of a scene while it is edited: to -60 dB, only the beginning of long ones, with limits and levels."""
+"""Drives of a scene while it is edited, to -60 dB, and the figures of its foci."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.wording import hours
 from config.scene import Output
 from gui.front_door import RigLimits
-from gui.scene.messages import Driven
+from gui.scene.calculation import Driven, Float32Array, Float64Array, FocusFigures, Int64Array, between
 from gui.surface import path_line
 from rendering.drive.coil_limits import DriveLimits, Limiting, largest_rms, limit_drive
 from rendering.drive.live import LiveDrive
 from rendering.drive.rendering import render_with_report
+from rendering.field.crosstalk import PathResponses
+from rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusInstant, evenly
+from rendering.field.metrics import focus_spot, grid_spacing_mm
 from rendering.greens.regularisation import row_weights, saturation_threshold
 from rendering.greens.source import read_row, refusal
 from rendering.report.movie import Foci
@@ -26,7 +28,6 @@ from storage.bank.reading import Bank
 from storage.drive_file import Drive
 from storage.errors import InputError
 
-Float64Array = NDArray[np.float64]
 OnProgress = Callable[[int, int], None]
 
 TOLERANCE_DB = -60.0
@@ -36,6 +37,9 @@ MOST_GAINS = 200
 MOST_PATH_POINTS = 400
 _BLOCK_SAMPLES = 8192
 _LISTED = 12
+MOST_FIGURES = 8
+MOST_CROSSTALK_POINTS = 24
+MOST_CROSSTALK_SOURCES = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,7 +206,7 @@ def _beginning(scene: Scene, bank: Bank, most: int, on_progress: OnProgress) -> 
 def _gains(scene: Scene, bank: Bank, drive: Drive) -> tuple[Float64Array, Float64Array]:
     """Focus instants, evenly chosen, and n(x) of eq. (15) at each."""
     order = np.argsort(drive.focus_sample, kind="stable")
-    chosen = order[np.unique(np.linspace(0, len(order) - 1, min(len(order), MOST_GAINS)).round().astype(int))]
+    chosen = order[evenly(len(order), MOST_GAINS)]
     threshold = saturation_threshold(scene.regularisation, bank)
     known: dict[int, float] = {}
     for position in np.unique(drive.focus_position[chosen]).tolist():
@@ -211,3 +215,67 @@ def _gains(scene: Scene, bank: Bank, drive: Drive) -> tuple[Float64Array, Float6
         known[position] = math.nan if found is None else math.ldexp(found.gain, found.gain_exponent)
     gain = np.array([known[position] for position in drive.focus_position[chosen].tolist()])
     return drive.focus_sample[chosen] / drive.sample_rate_hz, gain
+
+
+def focus_figures(
+    number: int, looked: Sequence[FocusInstant], field: Float32Array, field_rate_hz: float, rows: Int64Array,
+    bank: Bank, scene: Scene, drive: Drive, check: Callable[[], None],
+) -> FocusFigures:  # fmt: skip
+    """Compute the figures of some of the foci.
+
+    Parameters
+    ----------
+    number : int
+        Of the request.
+    looked : sequence of FocusInstant
+        As `rendering.field.foci.loudest_instants` returns them.
+    field : float32 array (samples, positions)
+        The beginning of the predicted field; figures beyond its end are NaN.
+    field_rate_hz : float
+        Its rate.
+    rows : int64 array (positions,)
+        Its positions' bank rows.
+    bank, scene, drive : Bank, Scene, Drive
+        Of the field.
+    check : callable
+        Called between the figures; what it raises ends the work.
+    """
+    instants = [looked[index] for index in evenly(len(looked), MOST_FIGURES)]
+    time_s = np.array([one.sample for one in instants]) / drive.sample_rate_hz
+    position_mm = np.asarray(bank.position_mm, np.float64)
+    there = position_mm[rows]
+    peak, off_mm, width_mm, artefact_db = np.full((4, len(instants)), np.nan)
+    spacing_mm = grid_spacing_mm(there) if len(there) > 1 else None
+    for index, place in enumerate(((time_s - drive.start_s) * field_rate_hz).tolist()):
+        check()
+        if place > len(field) - 1:
+            continue
+        point = position_mm[instants[index].row]
+        if found := focus_spot(there, between(field, place), point, FOCUS_RADIUS_MM, spacing_mm):
+            peak[index], off_mm[index] = abs(found.value), found.off_mm
+            width_mm[index], artefact_db[index] = found.width_mm, found.artefact_db
+    crosstalk = []
+    for source in range(min(len(scene.sources), MOST_CROSSTALK_SOURCES)):
+        check()
+        ratio = _crosstalk(scene, source, bank, drive)
+        if math.isfinite(ratio):
+            crosstalk.append((source, ratio))
+    return FocusFigures(number, time_s, peak, off_mm, width_mm, artefact_db, tuple(crosstalk))
+
+
+def _crosstalk(scene: Scene, index: int, bank: Bank, drive: Drive) -> float:
+    """Crosstalk along the middle of a source's path, as a ratio of amplitudes; NaN where it has but one point.
+
+    Every path point emits the source's signal where it emits per point, else one impulse.
+    """
+    source = scene.sources[index]
+    rows: Sequence[int] = drive.focus_position[drive.focus_source == index].tolist()
+    if len(rows) < 2 or source.speed_mm_s <= 0:
+        return math.nan
+    begin = (len(rows) - min(len(rows), MOST_CROSSTALK_POINTS)) // 2
+    signal = source.signal.samples(bank.sample_rate_hz) if source.emission == "per_point" else None
+    try:
+        responses = PathResponses(bank, rows[begin : begin + MOST_CROSSTALK_POINTS], signal, scene.regularisation)
+    except InputError:
+        return math.nan  # the emission is too long to be compared point by point
+    return math.sqrt(responses.energy_ratio(source.speed_mm_s, source.step_mm))

@@ -1,0 +1,378 @@
+"""Maps, waveforms and figures of a verification."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pyqtgraph
+from PyQt5.QtCore import Qt, pyqtSignal
+from PyQt5.QtWidgets import QGraphicsItem, QSizePolicy, QToolButton, QWidget
+
+from gui import widgets as ui
+from gui.field_map import ColourBar, FieldMap, Plot, scaled_unit, symmetric_levels, thinned
+from gui.theme import Theme, Themed
+from gui.time_slider import TimeSlider
+from gui.verification.run import Results
+
+if TYPE_CHECKING:
+    from rendering.verify.record import Figure, VerificationRecord
+
+
+_COLUMNS = (
+    ("Figure", "Definitions are in the tooltips of the lines"),
+    ("Predicted", "Of the prediction alone"),
+    ("Scanned", "Of the scan alone"),
+    ("Between", "Of both: the difference, or what only both together have"),
+    ("Tolerance", "By the run file"),
+    ("Verdict", "Whether the figure is within the tolerance"),
+)
+# Signs differ, too, not only colours.
+_VERDICTS = {True: "✓ pass", False: "✗ fail", None: "– not judged"}
+
+
+class FiguresPanel(Themed, QWidget):
+    """Verdict, table, buttons.
+
+    Parameters
+    ----------
+    acts : mapping of str to callable
+        Actions of the buttons ``"report"``, ``"folder"`` and ``"copy"``.
+    """
+
+    def __init__(self, acts: dict[str, Callable[[], object]]) -> None:
+        super().__init__()
+        self._record: VerificationRecord | None = None
+        self._folder = Path()
+        self.verdict = ui.Badge("Verdict")
+        self.summary = ui.label("Summary", wraps=True)
+        self.table = ui.table([title for title, _ in _COLUMNS], "Figures with tolerances", (0,))
+        self.table.setShowGrid(False)
+        for place, (_, tip) in enumerate(_COLUMNS):
+            if (title := self.table.horizontalHeaderItem(place)) is not None:
+                title.setToolTip(tip)
+        self.buttons: dict[str, QToolButton] = {
+            name: ui.tool_button(words, tip, acts[name])
+            for name, words, tip in (
+                ("report", "Open report", "The HTML report with all pictures, in the browser"),
+                ("folder", "Open folder", "The folder of drive, prediction, scan, report and verify.json"),
+                ("copy", "Copy figures", "All figures as text, columns separated by tabs"),
+            )
+        }
+        head = ui.row(self.verdict, (self.summary, 1))
+        head.setAlignment(self.verdict, Qt.Alignment() | Qt.AlignmentFlag.AlignTop)
+        ui.column(head, (self.table, 1), ui.row(*self.buttons.values(), None), owner=self, spacing=4)
+        self.show_results(None)
+
+    def show_results(self, results: Results | None) -> None:
+        """Show another verification's figures; None shows none."""
+        self._record = None if results is None else results.record
+        self._folder = Path() if results is None else results.folder
+        for button in self.buttons.values():
+            button.setEnabled(results is not None)
+        self.redraw()
+
+    def as_text(self) -> str:
+        """All figures, columns separated by tabs."""
+        record = self._record
+        if record is None:
+            return ""
+        lines = [
+            f"{record.scene}: {'passed' if record.passed else 'not good enough'}",
+            record.summary,
+            f"scene {record.scene_file}, bank {record.bank}, rig {record.rig}, {_when(record)}",
+            "\t".join(title for title, _ in _COLUMNS),
+        ]
+        return "\n".join([*lines, *("\t".join(_cells(one)) for one in record.figures)]) + "\n"
+
+    def redraw(self) -> None:
+        record, theme = self._record, self.theme
+        self.verdict.setVisible(record is not None)
+        self.table.setRowCount(0 if record is None else len(record.figures))
+        if record is None:
+            self.summary.setText("")
+            self.summary.setToolTip("")
+            return
+        self.verdict.show_word(
+            "✓ passed" if record.passed else "✗ not good enough", theme.good if record.passed else theme.fault
+        )
+        self.summary.setText(f"{record.scene}, {_when(record)}, in {self._folder.name}")
+        self.summary.setToolTip(
+            f"{record.summary}\nscene {record.scene_file}\nbank {record.bank}\nrig {record.rig}\n{self._folder}"
+        )
+        colours = {True: theme.good, False: theme.fault, None: theme.faint}
+        last = len(_COLUMNS) - 1
+        for number, figure in enumerate(record.figures):
+            tip = f"{figure.name}: {figure.definition}"
+            ui.fill_row(
+                self.table, number, _cells(figure), {last: colours[figure.passed]}, right=range(1, last), tip=tip
+            )
+
+
+def _cells(figure: Figure) -> list[str]:
+    from rendering.report.words import number, precise  # the window starts without scipy
+
+    shown = precise if "correlation" in figure.name else lambda value: number(value, figure.unit)
+    between = figure.difference
+    if between is None and figure.scanned is None:
+        between = figure.value
+    sides = ["" if value is None else shown(value) for value in (figure.predicted, figure.scanned, between)]
+    if figure.limit is None:
+        return [figure.name, *sides, "", ""]
+    sign = "≤" if figure.relation == "at most" else "≥"
+    return [figure.name, *sides, f"{sign} {number(figure.limit, figure.unit)}", _VERDICTS[figure.passed]]
+
+
+def _when(record: VerificationRecord) -> str:
+    return "" if record.made is None else record.made.astimezone().strftime("%d %b %Y %H:%M")
+
+
+class WaveformPanel(Themed, QWidget):
+    """A line of figures over a plot."""
+
+    #: A time of the scene in seconds that was clicked.
+    time_wanted = pyqtSignal(float)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._results: Results | None = None
+        self.index = -1
+        self.place = ui.label("Position shown", any_width=True)
+        self.figures = ui.label("Figures of the position", any_width=True, selectable=True)
+        self.legend = ui.label("Legend of the lines")  # outside the plot, where it would cover the waveforms
+        words = "time (ms); click: show that instant"
+        self.plot = Plot("Waveforms at the position", words, "response", axis_px=64)
+        self.plot.setMinimumHeight(90)
+        self.plot.setToolTip(
+            "Click: show that instant on the maps. Wheel: zoom. Drag: pan. Double click: show everything."
+        )
+        self._instant = pyqtgraph.InfiniteLine(angle=90, movable=False)
+        self.plot.scene().sigMouseClicked.connect(self._clicked)
+        head = ui.row((self.place, 1), self.legend, spacing=12)
+        ui.column(head, self.figures, (self.plot, 1), owner=self, spacing=2)
+        self.show_results(None)
+
+    def show_results(self, results: Results | None) -> None:
+        """Show another verification, at no position."""
+        self._results = results
+        self.show_position(-1)
+
+    def show_position(self, index: int) -> None:
+        """Show a position of the record, -1 for none."""
+        self.index = index
+        plot = self.plot.getPlotItem()
+        plot.clear()
+        results = self._results
+        for side in ("left", "bottom"):
+            plot.showAxis(side, results is not None and index >= 0)
+        if results is None or index < 0:
+            self.place.setText("" if results is None else "click a position on a map")
+            self.figures.setText("")
+            return
+        predicted, scanned = results.pair.at_position(index)
+        largest = max(float(np.abs(predicted).max()), float(np.nan_to_num(np.abs(scanned)).max()))
+        factor, unit = scaled_unit(results.pair.response_unit, largest)
+        plot.setLabel("left", f"response ({unit})")
+        time_ms = 1e3 * (results.pair.start_s + np.arange(results.pair.samples) / results.pair.sample_rate_hz)
+        colours = dict(_lines(self.theme))
+        # The prediction is the wider line: where both agree the scan lies inside it, and both are seen.
+        for name, values, width in (
+            ("prediction", predicted, 3.0),
+            ("scan", scanned, 1.2),
+            ("difference", scanned - predicted, 1.0),
+        ):
+            x, y = thinned(time_ms, factor * values)
+            line = plot.plot(x, y, pen=pyqtgraph.mkPen(colours[name], width=width), connect="finite")
+            # Cached: the mark of the instant moves over it twenty times a second.
+            line.curve.setCacheMode(QGraphicsItem.CacheMode.DeviceCoordinateCache)
+        plot.addItem(self._instant)
+        self.plot.setXRange(float(time_ms[0]), float(time_ms[-1]), padding=0.01)
+        plot.getViewBox().enableAutoRange(axis="y")
+        row, at_mm = int(results.record.position_index[index]), results.record.position_mm[index]
+        self.place.setText(f"position {row} at ({at_mm[0]:.1f}, {at_mm[1]:.1f}) mm")
+        text = _figures_text(results, index)
+        self.figures.setText(text)
+        self.figures.setToolTip(
+            f"relative {text}\nWithin the bank's band, over all samples of this position: norm of (scan − prediction) "
+            "over norm of the scan, zero-lag correlation, and norm of the scan over norm of the prediction"
+        )
+
+    def show_time(self, time_s: float) -> None:
+        """Mark the instant that the maps show."""
+        self._instant.setValue(1e3 * time_s)
+
+    def redraw(self) -> None:
+        lines = (f'<span style="color:{colour}">━ {name}</span>' for name, colour in _lines(self.theme))
+        self.legend.setText("   ".join(lines))
+        self._instant.setPen(pyqtgraph.mkPen(self.theme.faint, width=1, style=Qt.PenStyle.DashLine))
+        self.show_position(self.index)
+
+    def _clicked(self, event) -> None:  # type: ignore[no-untyped-def]
+        if self.index >= 0 and event.button() == Qt.MouseButton.LeftButton and not event.double():
+            point = self.plot.getPlotItem().getViewBox().mapSceneToView(event.scenePos())
+            self.time_wanted.emit(1e-3 * point.x())
+
+
+def _lines(theme: Theme) -> list[tuple[str, str]]:
+    """Names and colours of the lines."""
+    return [("prediction", theme.traces[0]), ("scan", theme.traces[1]), ("difference", theme.traces[3])]
+
+
+def _figures_text(results: Results, index: int) -> str:
+    """The figures of a position, or why it has none."""
+    row = int(results.record.position_index[index])
+    if excluded := [one.reason for one in results.record.excluded if one.position == row]:
+        return f"not compared: {excluded[0]}"
+    figures = results.pair.figures(index)
+    if math.isnan(figures.error):
+        return "silent, or not scanned"
+    return (
+        f"L2 error {100 * figures.error:.3g} %  ·  correlation {figures.correlation:.5f}  ·  "
+        f"level {round(figures.level_db, 2) + 0.0:+.2f} dB"
+    )
+
+
+# A few positions at nodes have huge relative errors; they must not make all others look alike.
+_ERRORS_SHOWN = 0.98
+
+
+class MapsPanel(Themed, QWidget):
+    """Three linked maps over a time slider."""
+
+    #: Index of the position that was clicked, in the record's order.
+    picked = pyqtSignal(int)
+    #: Sample shown.
+    moved = pyqtSignal(int)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._results: Results | None = None
+        self.maps = [FieldMap("Prediction"), FieldMap("Scan"), FieldMap("Difference")]
+        self.bars = [ColourBar(one.colour_map) for one in self.maps]
+        tip = "The difference at the instant shown, or the relative L2 error over all instants"
+        choices = ["Difference, scan − prediction", "Error at each position"]
+        self.third = ui.choice("Quantity on the third map", tip, choices)
+        tip = (
+            "Ends of the colours: the largest response of all focus instants, or of the instant shown (99.9 % of the "
+            "positions lie within them)"
+        )
+        self.scale = ui.choice("Colour scale", tip, ["scale of the scene", "scale of the instant"])
+        self.time = TimeSlider()
+        headings = (
+            ui.label(text="Prediction", role="strong"),
+            ui.label(text="Scan", role="strong"),
+            self.third,
+        )
+        columns = []
+        for field_map, bar, heading in zip(self.maps, self.bars, headings, strict=True):
+            heading.setFixedHeight(self.third.sizeHint().height())
+            heading.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+            field_map.setMinimumSize(150, 110)
+            columns.append((ui.column(heading, (field_map, 1), bar, spacing=2), 1))
+            field_map.picked.connect(self.picked)
+            if field_map is not self.maps[0]:
+                field_map.link(self.maps[0])
+        ui.column((ui.row(*columns, spacing=6), 1), ui.row((self.time, 1), self.scale), owner=self)
+        self.time.moved.connect(self._moved)
+        self.third.currentIndexChanged.connect(lambda _index: self._rescale())
+        self.scale.currentIndexChanged.connect(lambda _index: self._rescale())
+        self.show_results(None)
+
+    @property
+    def shows_error(self) -> bool:
+        """Whether the third map shows each position's error."""
+        return self.third.currentIndex() == 1
+
+    def show_results(self, results: Results | None) -> None:
+        """Show another verification, at its first focus instant; None shows nothing."""
+        self._results = results
+        self.setEnabled(results is not None)
+        for field_map, bar in zip(self.maps, self.bars, strict=True):
+            field_map.show_surface(None if results is None else results.surface)
+            bar.setVisible(results is not None)
+        if results is None:
+            self.time.show_samples(0.0, 1.0, 0)
+            return
+        self._rescale()
+        pair = results.pair
+        self.time.show_samples(pair.start_s, pair.sample_rate_hz, pair.samples, results.focus_sample)
+
+    def mark(self, index: int) -> None:
+        """Mark a position in all three maps; -1 for none."""
+        for field_map in self.maps:
+            field_map.mark(index)
+
+    def redraw(self) -> None:
+        self._rescale()
+
+    def _moved(self, sample: int) -> None:
+        if self._results is not None:
+            if self.scale.currentIndex() == 1:
+                self._rescale()
+            else:
+                self._show_instant()
+            self.moved.emit(sample)
+
+    def _show_instant(self) -> None:
+        results = self._results
+        if results is None:
+            return
+        predicted, scanned = results.pair.at_sample(self.time.sample)
+        factor, _, difference_factor, _ = self._units(*self._loudest())
+        for field_map, values in zip(self.maps, (predicted, scanned), strict=False):
+            field_map.show_values(factor * values)
+        if not self.shows_error:
+            difference = difference_factor * (scanned - predicted)
+            self.maps[2].show_values(np.where(results.record.compared, difference, np.nan))
+        places = [source.at_mm(self.time.time_s) for source in results.record.sources]
+        at_mm = np.array([place for place in places if place is not None], np.float64).reshape(-1, 2)
+        for field_map in self.maps:
+            field_map.show_sources(at_mm)
+
+    def _rescale(self) -> None:
+        results = self._results
+        if results is None:
+            return
+        loudest, loudest_difference = self._loudest()
+        factor, unit, difference_factor, difference_unit = self._units(loudest, loudest_difference)
+        whole_scene = self.scale.currentIndex() == 0
+        beyond = (whole_scene, whole_scene)
+        levels = symmetric_levels(factor * loudest)
+        self._set_scale(0, "prediction, both on one scale", unit, levels, beyond)
+        self._set_scale(1, "scan, both on one scale", unit, levels, beyond)
+        if self.shows_error:
+            error = 100.0 * results.record.position_error
+            known = error[np.isfinite(error)]
+            top = float(np.quantile(known, _ERRORS_SHOWN)) if known.size else 1.0
+            above = bool(known.size and float(known.max()) > top)
+            self.maps[2].name = "Error"
+            self._set_scale(2, "relative L2 error", "%", (0.0, top if top > 0.0 else 1.0), (False, above), signed=False)
+            self.maps[2].show_values(error)
+        else:
+            self.maps[2].name = "Difference"
+            levels = symmetric_levels(difference_factor * loudest_difference)
+            self._set_scale(2, "scan − prediction, own scale", difference_unit, levels, beyond)
+        self._show_instant()
+
+    def _set_scale(
+        self, index: int, title: str, unit: str, levels: tuple[float, float], beyond: tuple[bool, bool], *,
+        signed: bool = True,
+    ) -> None:  # fmt: skip
+        self.maps[index].show_scale(levels, unit, signed=signed)
+        self.bars[index].set_map(self.maps[index].colour_map)
+        self.bars[index].show_range(title, unit, levels, beyond)
+
+    def _loudest(self) -> tuple[float, float]:
+        assert self._results is not None
+        if self.scale.currentIndex() == 1:
+            return self._results.pair.loudest(np.array([self.time.sample], np.int64), self._results.record.compared)
+        return self._results.loudest, self._results.loudest_difference
+
+    def _units(self, loudest: float, difference: float) -> tuple[float, str, float, str]:
+        """Factor and unit of the fields, and of their difference."""
+        assert self._results is not None
+        unit = self._results.pair.response_unit
+        return *scaled_unit(unit, loudest), *scaled_unit(unit, difference)
