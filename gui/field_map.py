@@ -24,16 +24,10 @@ MOST_COLUMNS = 2000
 class Plot(Themed, pyqtgraph.PlotWidget):
     """A plot in the theme's colours without menu or buttons.
 
-    Parameters
-    ----------
-    name : str
-        Its accessible name.
-    bottom, left : str
-        Labels of the axes.
-    legend_at : tuple of int, optional
-        Where a legend lies, in pixels from the corner; without one, lines need no name.
-    axis_px : int, optional
-        Width of the left axis, where plots above one another are to have the same.
+    name: Its accessible name.
+    bottom, left: Labels of the axes.
+    legend_at: Where a legend lies, in pixels from the corner; without one, lines need no name.
+    axis_px: Width of the left axis, where plots above one another are to have the same.
     """
 
     def __init__(

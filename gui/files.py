@@ -8,7 +8,7 @@ from pathlib import Path
 
 from PyQt5.QtCore import QByteArray, QSettings, Qt, QUrl, pyqtSignal
 from PyQt5.QtGui import QDropEvent
-from PyQt5.QtWidgets import QFileDialog, QLabel, QLineEdit, QWidget
+from PyQt5.QtWidgets import QCheckBox, QComboBox, QFileDialog, QLabel, QLineEdit, QSpinBox, QSplitter, QWidget
 
 from config.loading import read_toml
 from gui import widgets as ui
@@ -61,6 +61,38 @@ class Settings:
     def forget_recent(self) -> None:
         self.keep("recent", "")
 
+    def save(self, key: str, widget: QWidget) -> None:
+        """Keep what a widget holds: a path, text, number, choice, tick, or the sizes of a splitter's parts."""
+        match widget:
+            case PathField():
+                self.keep(key, str(widget.path or ""))
+            case QSplitter():
+                self.keep(key, widget.saveState())
+            case QCheckBox():
+                self.keep(key, int(widget.isChecked()))
+            case QSpinBox():
+                self.keep(key, widget.value())
+            case QComboBox():
+                self.keep(key, str(widget.currentData()))
+            case QLineEdit():
+                self.keep(key, widget.text())
+
+    def restore(self, key: str, widget: QWidget) -> None:
+        """Show in a widget what `save` kept; it stays as it is where there is nothing."""
+        match widget:
+            case PathField():
+                widget.show_text(self.text(key))
+            case QSplitter():
+                widget.restoreState(self.bytes(key))
+            case QCheckBox():
+                widget.setChecked(bool(self.whole(key, widget.isChecked())))
+            case QSpinBox():
+                widget.setValue(self.whole(key, widget.value()))
+            case QComboBox():
+                widget.setCurrentIndex(max(0, widget.findData(self.text(key))))
+            case QLineEdit():
+                widget.setText(self.text(key))
+
 
 Chosen = Callable[[Path], None]
 
@@ -104,20 +136,12 @@ def _show(dialog: QFileDialog, chosen: Chosen) -> None:
 class PathField(QWidget):
     """A line for a path, with a button that opens a dialog.
 
-    Parameters
-    ----------
-    word : str
-        Label, with an ampersand before its key.
-    ending, kind : str
-        Ending of the files, ``".h5"``, and their name; an empty ending for folders.
-    settings : Settings
-        Has the folder of the last choice.
-    saves : bool
-        Whether the file may not exist yet.
-    words : collection of str
-        Words allowed in place of a path.
-    also : sequence of str
-        Other endings.
+    word: Label, with an ampersand before its key.
+    ending, kind: Ending of the files, ``".h5"``, and their name; an empty ending for folders.
+    settings: Has the folder of the last choice.
+    saves: Whether the file may not exist yet.
+    words: Words allowed in place of a path.
+    also: Other endings.
     """
 
     chosen = pyqtSignal(object)
@@ -246,10 +270,7 @@ def names_virtual_rig(rig: str | Path) -> bool:
 def rig_of_run(run: Path) -> Path | None:
     """The rig file that a run file names, None where it names none.
 
-    Raises
-    ------
-    InputError
-        The run file cannot be read, or is no TOML.
+    Raises InputError: The run file cannot be read, or is no TOML.
     """
     named = read_toml(run).get("rig")
     return run.parent / named if isinstance(named, str) and named != VIRTUAL else None

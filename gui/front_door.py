@@ -42,21 +42,14 @@ class RigLimits:
 class FrontDoor:
     """Services of the command line.
 
-    Parameters
-    ----------
-    command : sequence of str
-        Starts the command line in a separate process; arguments follow.
-    log_path, raw_path, said_path : callable
-        From a bank to its event log, its raw recordings, and the standard error of a capture that a window started.
-    read_drift : callable
-        From a bank to its drift history, oldest first.
-    session_failure : callable
-        From a bank and an instant to the failure of the session that ended last, as of `SessionEnded`; empty where
-        none has ended since.
-    read_pulse : callable
-        From a bank to its latest heartbeat; None where there is none.
-    read_rig_limits : callable
-        From a rig file, or ``virtual``, to its limits.
+    command: Starts the command line in a separate process; arguments follow.
+    log_path, raw_path, said_path: From a bank to its event log, its raw recordings, and the standard error of a capture
+        that a window started.
+    read_drift: From a bank to its drift history, oldest first.
+    session_failure: From a bank and an instant to the failure of the session that ended last, as of `SessionEnded`;
+        empty where none has ended since.
+    read_pulse: From a bank to its latest heartbeat; None where there is none.
+    read_rig_limits: From a rig file, or ``virtual``, to its limits.
     """
 
     command: Sequence[str]
@@ -75,17 +68,9 @@ _LIBRARIES = "libgl1 libglib2.0-0 libfontconfig1 libdbus-1-3 libxkbcommon-x11-0 
 def open_window(front: FrontDoor, files: Sequence[Path]) -> int:
     """Show the window until it is closed.
 
-    Parameters
-    ----------
-    front : FrontDoor
-        Starts commands.
-    files : sequence of Path
-        What to open: run files and banks.
+    files: Run files and banks to open.
 
-    Raises
-    ------
-    InputError
-        There is no display, or Qt cannot be loaded.
+    Raises InputError: There is no display, or Qt cannot be loaded.
     """
     require_display()
     try:
@@ -98,10 +83,7 @@ def open_window(front: FrontDoor, files: Sequence[Path]) -> int:
 def require_display() -> None:
     """Refuse where Qt would abort for want of a display.
 
-    Raises
-    ------
-    InputError
-        There is none.
+    Raises InputError: There is none.
     """
     platform = os.environ.get("QT_QPA_PLATFORM", "").partition(":")[0]
     if not sys.platform.startswith("linux") or platform not in ("", "xcb", "wayland"):

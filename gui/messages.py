@@ -29,12 +29,8 @@ def error_text(failure: BaseException) -> str:
 class ErrorHook(QObject):
     """Replaces `sys.excepthook` and `threading.excepthook` while a window is open.
 
-    Parameters
-    ----------
-    report : callable
-        Receives the message, and the traceback of a defect (empty for an error that a person can act on).
-    quit_window : callable
-        Called for Ctrl-C in the terminal.
+    report: Receives the message, and the traceback of a defect (empty for an error that a person can act on).
+    quit_window: Called for Ctrl-C in the terminal.
     """
 
     _reported = pyqtSignal(str, str)

@@ -35,25 +35,15 @@ class CommandProcess(QObject):
 
     Its signals arrive in the window's thread. A command that cannot be started ends with exit code 127.
 
-    Parameters
-    ----------
-    front : FrontDoor
-        Starts commands.
-    arguments : sequence of str
-        Command and arguments.
-    parent : QObject
-        Owner of this object; the process itself is never killed with it.
-    log_file : Path, optional
-        Receives standard error, so that the process can outlive the window; without it, both outputs are read here.
-    name, advice : str, optional
-        Subject of sentences about the process; what to do when it ended unexpectedly.
+    front: Starts commands.
+    arguments: Command and arguments.
+    parent: Owner of this object; the process itself is never killed with it.
+    log_file: Receives standard error, so that the process can outlive the window; without it, both outputs are read
+        here.
+    name, advice: Subject of sentences about the process; what to do when it ended unexpectedly.
 
-    Attributes
-    ----------
-    exit_code : int or None
-        None while the process runs; negative when a signal ended it.
-    last_message : dict
-        Last JSON object that it wrote.
+    exit_code: None while the process runs; negative when a signal ended it.
+    last_message: Last JSON object that it wrote.
     """
 
     received = pyqtSignal(dict)

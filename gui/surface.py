@@ -35,16 +35,11 @@ VIRTUAL = "virtual"
 class Raster:
     """Pixels of a surface.
 
-    Parameters
-    ----------
-    index : intp array (rows, columns)
-        Position that a pixel belongs to, `positions` where there is none; row 0 at the smallest y.
-    left_mm, bottom_mm, width_mm, height_mm : float
-        The rectangle that it covers.
-    spacing_mm : float
-        Median distance of neighbouring positions.
-    tree : cKDTree
-        Of the positions.
+    index, intp (rows, columns): Position that a pixel belongs to, `positions` where there is none; row 0 at the
+        smallest y.
+    left_mm, bottom_mm, width_mm, height_mm: The rectangle that it covers.
+    spacing_mm: Median distance of neighbouring positions.
+    tree: Of the positions.
     """
 
     index: NDArray[np.intp]
@@ -65,24 +60,14 @@ class Raster:
 class Surface:
     """A surface, and the attributes of its bank.
 
-    Parameters
-    ----------
-    position_mm : float64 array (positions, 2)
-        The grid, in any order.
-    actuator_mm : float64 array (actuators, 2)
-        NaN where unknown.
-    outline_mm : float64 array (points, 2) or None
-        Rim of the surface, closed; None where unknown.
-    raster : Raster
-        Position of each pixel.
-    paths_mm : sequence of float64 array (points, 2)
-        Paths of sources, NaN where they jump.
-    bank : Path
-        The bank's file; ``Path()`` without a bank.
-    sample_rate_hz, taps, band_hz, unit : float, int, tuple of float or None, str
-        Of the Green's functions.
-    is_virtual : bool
-        Whether the bank was measured on a virtual rig.
+    position_mm, float64 (positions, 2): The grid, in any order.
+    actuator_mm, float64 (actuators, 2): NaN where unknown.
+    outline_mm, float64 (points, 2) or None: Rim of the surface, closed; None where unknown.
+    raster: Position of each pixel.
+    paths_mm, sequence of float64 (points, 2): Paths of sources, NaN where they jump.
+    bank: The bank's file; ``Path()`` without a bank.
+    sample_rate_hz, taps, band_hz, unit: Of the Green's functions.
+    is_virtual: Whether the bank was measured on a virtual rig.
     """
 
     position_mm: Float64Array

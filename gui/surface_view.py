@@ -44,10 +44,7 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
     Clicks and drags arrive at `click_at`, `double_click_at`, `claims_drag` and `drag_to`, in millimetres; subclasses
     override them. What no subclass claims pans the view; the wheel zooms; a double click shows everything.
 
-    Parameters
-    ----------
-    name : str
-        Its accessible name.
+    name: Its accessible name.
     """
 
     #: A position that was clicked, or reached with the arrow keys.
@@ -287,14 +284,9 @@ class SurfaceBox(pyqtgraph.ViewBox):
 def next_position(position_mm: Float64Array, here: int, key: int) -> int:
     """Return the nearest position in an arrow key's direction, within 45 degrees of it.
 
-    Parameters
-    ----------
-    position_mm : float64 array (positions, 2)
-        The grid.
-    here : int
-        Where to start; returned where nothing lies in that direction. -1 goes to the middle of the grid.
-    key : int
-        One of `STEPS`.
+    position_mm, float64 (positions, 2): The grid.
+    here: Where to start; returned where nothing lies in that direction. -1 goes to the middle of the grid.
+    key: One of `STEPS`.
     """
     if here < 0:
         return int(np.hypot(*(position_mm - position_mm.mean(axis=0)).T).argmin())

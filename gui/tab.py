@@ -10,7 +10,7 @@ from typing import Any
 
 from PyQt5.QtCore import QObject, QUrl
 from PyQt5.QtGui import QDesktopServices
-from PyQt5.QtWidgets import QAction, QSplitter, QWidget
+from PyQt5.QtWidgets import QAction, QWidget
 
 from gui.files import Settings
 from gui.front_door import FrontDoor
@@ -82,16 +82,10 @@ class TabContext:
     def claim_instruments(self, asks: QWidget, word: str, act: Callable[[], object], *, virtual: bool) -> None:
         """Call `act`, which uses the rig's instruments, unless another tab has them; then offer "`word` anyway".
 
-        Parameters
-        ----------
-        asks : QWidget
-            The tab that wants the instruments, or a part of it.
-        word : str
-            Name of the action.
-        act : callable
-            The action.
-        virtual : bool
-            Whether the rig is virtual: several programs can use it at once.
+        asks: The tab that wants the instruments, or a part of it.
+        word: Name of the action.
+        act: The action.
+        virtual: Whether the rig is virtual: several programs can use it at once.
         """
         others = [tab for tab in self.tabs if tab is not asks and not tab.isAncestorOf(asks)]
         held = "" if virtual else next((held for tab in others if (held := tab.instruments_held())), "")
@@ -123,7 +117,7 @@ class Tab(QWidget):
     def __init__(self, context: TabContext) -> None:
         super().__init__()
         self.context = context
-        self._splitters: dict[str, QSplitter] = {}
+        self._remembered: dict[str, QWidget] = {}
         self.setAccessibleName(self.title)
 
     def menu_actions(self) -> list[QAction | None]:
@@ -159,16 +153,16 @@ class Tab(QWidget):
     def shut_down(self) -> None:
         """End threads, leave processes; the window closes."""
 
-    def divide(self, **splitters: QSplitter) -> None:
-        """Restore the positions of splitters, and save them with the settings."""
-        self._splitters = splitters
-        for name, splitter in splitters.items():
-            splitter.restoreState(self.context.settings.bytes(f"{self.title.lower()}/{name}"))
+    def remember(self, **widgets: QWidget) -> None:
+        """Show in widgets what they held in the last session; `save_settings` keeps it for the next one."""
+        self._remembered |= widgets
+        for name, widget in widgets.items():
+            self.context.settings.restore(f"{self.title.lower()}/{name}", widget)
 
     def save_settings(self) -> None:
         """Save what the next session restores."""
-        for name, splitter in self._splitters.items():
-            self.context.settings.keep(f"{self.title.lower()}/{name}", splitter.saveState())
+        for name, widget in self._remembered.items():
+            self.context.settings.save(f"{self.title.lower()}/{name}", widget)
 
     def restore_settings(self) -> None:
         """Open the files of the last session."""

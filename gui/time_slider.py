@@ -31,10 +31,7 @@ _ICONS = {
 class TimeSlider(Themed, QWidget):
     """Chooses a sample of a field, and plays it in slow motion until it is hidden.
 
-    Parameters
-    ----------
-    clock : callable
-        Seconds that only grow, for tests.
+    clock: Seconds that only grow, for tests.
     """
 
     #: The sample to be shown, 0 for the first of the field.
@@ -91,16 +88,10 @@ class TimeSlider(Themed, QWidget):
     ) -> None:
         """Show another field, at its first mark or else its first sample.
 
-        Parameters
-        ----------
-        start_s : float
-            Time of sample 0.
-        sample_rate_hz : float
-            Rate, > 0.
-        samples : int
-            Number of samples; 0 disables everything.
-        marks : sequence of int
-            Samples to be marked, in any order.
+        start_s: Time of sample 0.
+        sample_rate_hz: Rate, > 0.
+        samples: Number of samples; 0 disables everything.
+        marks: Samples to be marked, in any order.
         """
         self.pause()
         self._start_s, self._rate_hz = start_s, sample_rate_hz

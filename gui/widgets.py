@@ -218,12 +218,8 @@ def exclusive_buttons(
 ) -> dict[str, QToolButton]:
     """Make buttons of which one is down, the first one at first; `act` receives the choice that was pressed.
 
-    Parameters
-    ----------
-    choices : sequence of (str, str, str, str)
-        Each choice, with its button's text, tooltip and accessible name.
-    act : callable
-        Receives a choice.
+    choices: Each choice, with its button's text, tooltip and accessible name.
+    act: Receives a choice.
     """
     buttons = {}
     for choice, text, tip, name in choices:

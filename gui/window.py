@@ -224,10 +224,7 @@ _NAMES_WITHOUT_FONTS = {"Monospace", "Sans Serif", "Serif"}
 def make_application(arguments: Sequence[str] = ("wavefocus",)) -> QApplication:
     """Make the application, sharp at any scaling.
 
-    Raises
-    ------
-    InputError
-        The system has no font: Qt would show no text.
+    Raises InputError: The system has no font: Qt would show no text.
     """
     QApplication.setAttribute(Qt.ApplicationAttribute.AA_EnableHighDpiScaling, True)
     QApplication.setAttribute(Qt.ApplicationAttribute.AA_UseHighDpiPixmaps, True)
@@ -243,10 +240,7 @@ def make_application(arguments: Sequence[str] = ("wavefocus",)) -> QApplication:
 def require_fonts() -> None:
     """Refuse where Qt finds no font.
 
-    Raises
-    ------
-    InputError
-        There is none.
+    Raises InputError: There is none.
     """
     if not set(QFontDatabase().families()) - _NAMES_WITHOUT_FONTS:
         raise InputError(

@@ -34,10 +34,7 @@ _BLOCK_BYTES = 1 << 17
 class LogTail:
     """Reads what was appended since the last look; the file is never held open.
 
-    Parameters
-    ----------
-    path : Path
-        A file of JSON lines; it may not exist yet.
+    path: A file of JSON lines; it may not exist yet.
     """
 
     def __init__(self, path: Path) -> None:

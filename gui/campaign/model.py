@@ -153,9 +153,7 @@ _DROPPED_AT = 22_000
 _ASKED_AFTER_S = 0.05
 _ROLES = ("mirror", "recorder", "player")
 
-GOING = frozenset(
-    {State.RUNNING, State.PAUSING, State.PAUSED, State.SUSPENDED, State.RECOVERING, State.STOPPING},
-)
+GOING = frozenset({State.RUNNING, State.PAUSING, State.PAUSED, State.SUSPENDED, State.RECOVERING, State.STOPPING})
 _OVER = frozenset({State.IDLE, State.STOPPED, State.FINISHED, State.FAILED})
 
 

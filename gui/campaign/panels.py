@@ -30,10 +30,7 @@ _BUTTONS = (
 class Controls(QWidget):
     """Row of buttons; `actions_by_name` are in the menu, too.
 
-    Parameters
-    ----------
-    acts : dict of callable
-        Action of each button.
+    acts: Action of each button.
     """
 
     def __init__(self, acts: dict[str, Callable[[], object]]) -> None:

@@ -84,12 +84,8 @@ FIGURES = (
 def per_position(quality: Mapping[str, Float32Array], measured: NDArray[np.bool_]) -> dict[str, Float32Array]:
     """One number per position and figure, NaN where a position is not measured or the bank has no such figure.
 
-    Parameters
-    ----------
-    quality : mapping of array (positions,) or (positions, actuators)
-        Figures of the bank.
-    measured : bool array (positions,)
-        Positions to use.
+    quality, mapping of array (positions,) or (positions, actuators): Figures of the bank.
+    measured, bool (positions,): Positions to use.
     """
     found = {}
     for figure in FIGURES:

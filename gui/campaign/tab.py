@@ -31,12 +31,8 @@ _REREAD_EVERY_S = 0.5
 class CampaignRun:
     """At most one capture of this window, and one order or dry run at a time.
 
-    Attributes
-    ----------
-    own : CommandProcess or None
-        The window's capture.
-    bank : Path
-        Bank of that capture.
+    own: The window's capture.
+    bank: Bank of that capture.
     """
 
     def __init__(self, context: TabContext, owner: QWidget) -> None:
@@ -265,10 +261,7 @@ class CampaignTab(Tab):
         measured, total = campaign.measured, campaign.surface.positions if campaign.surface else 0
         self.progress.show_progress(measured, total, campaign.pace if state.measuring else None)
         orders = possible_orders(
-            state,
-            has_run=has_run and bank is not None,
-            has_bank=campaign.surface is not None,
-            left=total - measured,
+            state, has_run=has_run and bank is not None, has_bank=campaign.surface is not None, left=total - measured
         )
         self._paused = Order.CONTINUE in orders
         poor = int(((campaign.status & NOT_GOOD) > 0).sum())
@@ -311,7 +304,7 @@ class CampaignTab(Tab):
         upper = ui.side_by_side((self.map_panel, 700), (self.position_panel, 560))
         lower = ui.side_by_side((self.instruments, 480), (self.events, 780))
         both = ui.stacked((upper, 470), (lower, 190), growing=[0])
-        self.divide(upper=upper, lower=lower, both=both)
+        self.remember(upper=upper, lower=lower, both=both)
         files = ui.row((self.run_field, 1), (self.bank_field, 1))
         ui.column(files, self.controls, self.progress, (both, 1), owner=self, margins=ui.PAGE_MARGINS)
 

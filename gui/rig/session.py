@@ -76,18 +76,11 @@ class RigProcess(QObject):
 class ManualSession(RigProcess):
     """A rig that is operated by hand.
 
-    Attributes
-    ----------
-    state : str
-        ``"released"``, ``"opening"``, ``"ready"`` or ``"ending"``.
-    facts : Ready or None
-        The rig, once it is open.
-    beam : MirrorMoved
-        Place of the beam.
-    listening, sweeping : bool
-        Whether levels arrive; whether a sweep is under way.
-    sweep : SweepTaken or None
-        The last one.
+    state: ``"released"``, ``"opening"``, ``"ready"`` or ``"ending"``.
+    facts: The rig, once it is open.
+    beam: Place of the beam.
+    listening, sweeping: Whether levels arrive; whether a sweep is under way.
+    sweep: The last one.
     """
 
     state_changed = pyqtSignal()
@@ -246,18 +239,11 @@ class ManualSession(RigProcess):
 class Calibration(RigProcess):
     """A calibration.
 
-    Attributes
-    ----------
-    question : Question or None
-        What it asks now; None while it measures.
-    lines : list of str
-        Its report so far.
-    marks_mm : list of (float, float)
-        Marks of the mirror map.
-    outcome : CalibrationDone or None
-        Its result, at the end.
-    ending : str
-        Why it ended without a result; empty while it runs.
+    question: What it asks now; None while it measures.
+    lines: Its report so far.
+    marks_mm: Marks of the mirror map.
+    outcome: Its result, at the end.
+    ending: Why it ended without a result; empty while it runs.
     """
 
     changed = pyqtSignal()

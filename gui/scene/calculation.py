@@ -65,20 +65,13 @@ class Progress:
 class Driven:
     """The drives within the limits of scene and rig; `lasts_s` is the duration of the whole scene.
 
-    Parameters
-    ----------
-    peak_v, rms_v : float64 arrays (actuators,)
-        Largest magnitude, and largest rms over a second, after limiting.
-    omitted_bound : float
-        Proved bound on the relative L2 error; NaN where unknown.
-    gain_s, gain : float64 arrays (points,)
-        n(x) of eq. (15) at focus instants, at most some hundred.
-    focus_s, focus_stop_s, focus_mm : float64 arrays (foci,), (foci,), (foci, 2)
-        Each focus counts from its instant to the next one of its source.
-    paths_mm : list of float64 arrays (n, 2)
-        The sources' paths, NaN where they jump.
-    snap_mm : float
-        Largest distance of a path point from its position.
+    peak_v, rms_v, float64 (actuators,): Largest magnitude, and largest rms over a second, after limiting.
+    omitted_bound: Proved bound on the relative L2 error; NaN where unknown.
+    gain_s, gain, float64 (points,): n(x) of eq. (15) at focus instants, at most some hundred.
+    focus_s, focus_stop_s, focus_mm, float64 arrays (foci,), (foci,), (foci, 2): Each focus counts from its instant to
+        the next one of its source.
+    paths_mm, list of float64 (n, 2): The sources' paths, NaN where they jump.
+    snap_mm: Largest distance of a path point from its position.
     """
 
     number: int
@@ -108,18 +101,11 @@ class Driven:
 class PredictedField:
     """The predicted field of the measured positions; `lasts_s` is the duration of the whole response.
 
-    Parameters
-    ----------
-    surface, rows : Surface, int64 array (positions,)
-        The measured positions and their bank rows.
-    field : float32 array (samples, positions)
-        Low-passed below half its rate.
-    finer : int
-        Instants that can be interpolated per sample.
-    limit : float
-        Largest response at a focus.
-    marks_s : tuple of float
-        Instants at which foci are looked at.
+    surface, rows, Surface, int64 (positions,): The measured positions and their bank rows.
+    field, float32 (samples, positions): Low-passed below half its rate.
+    finer: Instants that can be interpolated per sample.
+    limit: Largest response at a focus.
+    marks_s: Instants at which foci are looked at.
     """
 
     number: int
@@ -139,13 +125,9 @@ class PredictedField:
 class FocusFigures:
     """Figures of the foci that were looked at; NaN where unknown.
 
-    Parameters
-    ----------
-    off_mm, width_mm, artefact_db : float64 arrays (foci,)
-        Distance of the largest response from the path point; full width at half maximum; level of the largest
-        response further away.
-    crosstalk : tuple of (source, ratio)
-        Amplitude of the response at a focus to all other foci of its path, over that to itself.
+    off_mm, width_mm, artefact_db, float64 (foci,): Distance of the largest response from the path point; full width at
+        half maximum; level of the largest response further away.
+    crosstalk: Amplitude of the response at a focus to all other foci of its path, over that to itself.
     """
 
     number: int
@@ -274,17 +256,11 @@ def _serve(connection: Connection, read_rig_limits: object) -> None:
 def between(field: Float32Array, place: float) -> Float32Array:
     """The field at an instant.
 
-    Parameters
-    ----------
-    field : float32 array, shape (samples, positions)
-        With nothing above `rendering.field.bank_spectra.PASSED` of half its rate.
-    place : float
-        In samples, from 0; need not be whole.
+    field, float32 array (samples, positions): With nothing above `rendering.field.bank_spectra.PASSED` of half its
+        rate.
+    place: In samples, from 0; need not be whole.
 
-    Returns
-    -------
-    float32 array, shape (positions,)
-        At whole samples what is there; elsewhere to 80 dB of the largest.
+    Returns float32 array, shape (positions,): At whole samples what is there; elsewhere to 80 dB of the largest.
     """
     nearest = int(np.floor(place))
     share = place - nearest

@@ -94,17 +94,10 @@ def moving(source: SourceTable) -> SourceTable:
 def scene_toml(scene: SceneConfig, folder: Path | None = None) -> str:
     """Write a scene as a scene file.
 
-    Parameters
-    ----------
-    scene : SceneConfig
-        The scene; nothing about it is checked here.
-    folder : Path, optional
-        Folder of the file: files inside it are named relative to it, others in full.
+    scene: The scene; nothing about it is checked here.
+    folder: Folder of the file: files inside it are named relative to it, others in full.
 
-    Returns
-    -------
-    str
-        TOML, as contract section 4 says.
+    Returns TOML, as contract section 4 says.
     """
     held = scene.regularisation
     return "\n".join(
@@ -126,17 +119,10 @@ def source_toml(source: SourceTable, folder: Path | None = None) -> str:
 def read_draft(text: str, path: Path) -> SceneConfig:
     """Read the text of a scene file, but not the files that it names.
 
-    Parameters
-    ----------
-    text : str
-        What the scene file holds.
-    path : Path
-        The scene file; names of files in the result are absolute.
+    text: What the scene file holds.
+    path: The scene file; names of files in the result are absolute.
 
-    Raises
-    ------
-    InputError
-        The text is no scene.
+    Raises InputError: The text is no scene.
     """
     scene = validated(SceneConfig, parse_toml(text, str(path)), str(path))
     return changed(
@@ -252,16 +238,10 @@ class SceneDocument(QObject):
     def edit(self, words: str, draft: SceneConfig, *, chosen: int | None = None, gesture: str = "") -> None:
         """Change the scene in a step that can be undone.
 
-        Parameters
-        ----------
-        words : str
-            Name of the step in the menu: ``"move"``.
-        draft : SceneConfig
-            The scene afterwards.
-        chosen : int, optional
-            The source chosen afterwards; as before where left out.
-        gesture : str
-            Steps of the same gesture that follow each other are undone as one.
+        words: Name of the step in the menu: ``"move"``.
+        draft: The scene afterwards.
+        chosen: The source chosen afterwards; as before where left out.
+        gesture: Steps of the same gesture that follow each other are undone as one.
         """
         chosen = self.chosen if chosen is None else chosen
         if draft == self.draft:
@@ -295,32 +275,22 @@ class SceneDocument(QObject):
     def load(self, path: Path) -> None:
         """Open a scene file.
 
-        Raises
-        ------
-        InputError
-            It cannot be read, or its text is wrong; the scene stays as it was.
+        Raises InputError: It cannot be read, or its text is wrong; the scene stays as it was.
         """
         self._begin(read_draft(read_text(path), path), path)
 
     def restore(self, text: str, path: Path | None) -> None:
         """Go on with a scene that was not saved.
 
-        Raises
-        ------
-        InputError
-            The text is no scene.
+        Raises InputError: The text is no scene.
         """
         self._begin(read_draft(text, path or self.place), path, unsaved=True)
 
     def save(self, path: Path) -> None:
         """Write the scene to a file, whole or not at all, and go on with that file.
 
-        Raises
-        ------
-        InputError
-            The scene could not be read again; nothing is written.
-        OSError
-            The file cannot be written.
+        Raises InputError: The scene could not be read again; nothing is written.
+        Raises OSError: The file cannot be written.
         """
         if not self.draft.source:
             raise InputError(f"{path}: not saved: {EMPTY}")

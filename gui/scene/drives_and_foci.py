@@ -57,23 +57,12 @@ def render_while_edited(
 ) -> Rendered:
     """Render a scene to -60 dB and limit it.
 
-    Parameters
-    ----------
-    scene : Scene
-        Its own limits are ignored.
-    bank : Bank
-        The bank.
-    limits : DriveLimits
-        Limits of every actuator.
-    on_progress : callable
-        Receives blocks done and blocks in all; what it raises ends the render.
-    most_bytes : int
-        Of longer drives only the beginning is rendered.
+    scene: Its own limits are ignored.
+    limits: Limits of every actuator.
+    on_progress: Receives blocks done and blocks in all; what it raises ends the render.
+    most_bytes: Of longer drives only the beginning is rendered.
 
-    Raises
-    ------
-    InputError
-        The scene does not fit the bank, or lasts too long.
+    Raises InputError: The scene does not fit the bank, or lasts too long.
     """
     plain = replace(scene, output=Output(interpolation=scene.output.interpolation))
     lasts_s = max(emission_s(source, bank.sample_rate_hz) for source in scene.sources)
@@ -223,22 +212,13 @@ def focus_figures(
 ) -> FocusFigures:  # fmt: skip
     """Compute the figures of some of the foci.
 
-    Parameters
-    ----------
-    number : int
-        Of the request.
-    looked : sequence of FocusInstant
-        As `rendering.field.foci.loudest_instants` returns them.
-    field : float32 array (samples, positions)
-        The beginning of the predicted field; figures beyond its end are NaN.
-    field_rate_hz : float
-        Its rate.
-    rows : int64 array (positions,)
-        Its positions' bank rows.
-    bank, scene, drive : Bank, Scene, Drive
-        Of the field.
-    check : callable
-        Called between the figures; what it raises ends the work.
+    number: Of the request.
+    looked: As `rendering.field.foci.loudest_instants` returns them.
+    field, float32 (samples, positions): The beginning of the predicted field; figures beyond its end are NaN.
+    field_rate_hz: Its rate.
+    rows, int64 (positions,): Its positions' bank rows.
+    bank, scene, drive: Of the field.
+    check: Called between the figures; what it raises ends the work.
     """
     instants = [looked[index] for index in evenly(len(looked), MOST_FIGURES)]
     time_s = np.array([one.sample for one in instants]) / drive.sample_rate_hz

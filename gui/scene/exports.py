@@ -48,12 +48,8 @@ class SceneTask(QObject):
     def prepare(self, rig: str, failing: str) -> bool:
         """Make the folder, with the present scene where its file is not up to date; later edits do not matter.
 
-        Parameters
-        ----------
-        rig : str
-            A rig file, or ``virtual``; empty for none.
-        failing : str
-            Beginning of the message that says why the folder cannot be made.
+        rig: A rig file, or ``virtual``; empty for none.
+        failing: Beginning of the message that says why the folder cannot be made.
         """
         document = self._document
         try:
@@ -137,16 +133,10 @@ class Saving(SceneTask):
     def save(self, kind: str, path: Path, rig: str, rate_hz: float | None) -> None:
         """Save the present scene.
 
-        Parameters
-        ----------
-        kind : str
-            `DRIVE`, `WAV` or `MOVIE`.
-        path : Path
-            The file; an existing one is replaced.
-        rig : str
-            A rig file whose limits count; empty for none.
-        rate_hz : float or None
-            Of the field that a movie is drawn from; None for that of the bank.
+        kind: `DRIVE`, `WAV` or `MOVIE`.
+        path: The file; an existing one is replaced.
+        rig: A rig file whose limits count; empty for none.
+        rate_hz: Of the field that a movie is drawn from; None for that of the bank.
         """
         if self.busy or not self.prepare(rig, f"{path.name} is not saved"):
             return
@@ -210,16 +200,10 @@ class Playing(SceneTask):
     def play(self, rig: str, gain_db: float, loops: int, lasts_s: float) -> None:
         """Play the present scene.
 
-        Parameters
-        ----------
-        rig : str
-            The rig file, or ``virtual``.
-        gain_db : float
-            Of the drives; the rig's limits hold.
-        loops : int
-            Number of repetitions, without a gap.
-        lasts_s : float
-            Duration of one repetition, for display.
+        rig: The rig file, or ``virtual``.
+        gain_db: Of the drives; the rig's limits hold.
+        loops: Number of repetitions, without a gap.
+        lasts_s: Duration of one repetition, for display.
         """
         if self.busy or not self.prepare(rig, "nothing is played"):
             return

@@ -24,14 +24,9 @@ _NO_UNIT = ("", 0.1)
 class Form(QWidget):
     """A row for each field of a table.
 
-    Parameters
-    ----------
-    model : type of Table
-        Its fields carry titles, descriptions, types and bounds.
-    without : sequence of str
-        Keys that are edited elsewhere.
-    needed : sequence of str
-        Keys that the table may leave out, but that are always given here.
+    model: Its fields carry titles, descriptions, types and bounds.
+    without: Keys that are edited elsewhere.
+    needed: Keys that the table may leave out, but that are always given here.
     """
 
     #: A key, and its new value.

@@ -41,12 +41,9 @@ _LARGEST_FILE = 64 * 2**20
 class Ground:
     """What a scene is drawn over: a bank's surface, or only an outline.
 
-    Parameters
-    ----------
-    outline_mm : float64 array (points, 2)
-        Rim of the surface, closed; a rectangle about the positions where the bank does not have it.
-    usable : bool array (positions,)
-        Positions that hold a valid measurement.
+    outline_mm, float64 (points, 2): Rim of the surface, closed; a rectangle about the positions where the bank does not
+        have it.
+    usable, bool (positions,): Positions that hold a valid measurement.
     """
 
     outline_mm: Float64Array
@@ -60,23 +57,14 @@ class Ground:
 class Trace:
     """One source as it is drawn.
 
-    Parameters
-    ----------
-    line_mm : float64 array (n, 2)
-        Its path, NaN where it jumps from stroke to stroke.
-    points_mm, instant_s, rows : arrays (k, 2), (k,), (k,)
-        Path points, when each is a focus, and the bank's position that each is snapped to; thinned where there are
-        many; no rows without a bank.
-    off : bool array (k,)
-        Points further than one grid spacing from every position, or nearest to one without a measurement.
-    far : int
-        How many of them are too far from the grid.
-    length_mm, period_s, lasts_s : float
-        Of the path, between path points (d / v), and of the emission.
-    points : int
-        Number M of path points.
-    problem : str
-        Why it cannot be drawn; empty where it is.
+    line_mm, float64 (n, 2): Its path, NaN where it jumps from stroke to stroke.
+    points_mm, instant_s, rows, arrays (k, 2), (k,), (k,): Path points, when each is a focus, and the bank's position
+        that each is snapped to; thinned where there are many; no rows without a bank.
+    off, bool (k,): Points further than one grid spacing from every position, or nearest to one without a measurement.
+    far: How many of them are too far from the grid.
+    length_mm, period_s, lasts_s: Of the path, between path points (d / v), and of the emission.
+    points: Number M of path points.
+    problem: Why it cannot be drawn; empty where it is.
     """
 
     line_mm: Float64Array

@@ -164,8 +164,7 @@ class SceneTab(Tab):
         self.actions_by_name = self._make_actions()
         self.bank_field = PathField("&Bank", ".h5", "bank file", context.settings)
         self.sources = SourceList(
-            self.document,
-            [self.actions_by_name[name] for name in ("duplicate", "delete", "up", "down")],
+            self.document, [self.actions_by_name[name] for name in ("duplicate", "delete", "up", "down")]
         )
         self.source_form = SourceForm(context, self.document)
         self.scene_form = SceneForm(self.document)
@@ -220,7 +219,6 @@ class SceneTab(Tab):
 
     def save_settings(self) -> None:
         super().save_settings()
-        self.context.settings.keep("scene/snaps", int(self.surface.snaps.isChecked()))
         self.context.settings.keep("scene/bank", str(self.document.bank or ""))
         self.files.save_settings()
 
@@ -275,10 +273,9 @@ class SceneTab(Tab):
         pages = ui.tab_pages("Forms of the source and of the scene", areas)
         left = ui.stacked((self.sources, 130), (pages, 500), growing=[1])
         columns = ui.side_by_side((left, 300), (self.surface, 490), (self.results, 470), growing=[1, 2])
-        self.divide(columns=columns, left=left)
+        self.remember(columns=columns, left=left, snaps=self.surface.snaps)
         top = ui.row(*buttons, (self._file, 1), (self.bank_field, 1))
         ui.column(top, (columns, 1), owner=self, margins=ui.PAGE_MARGINS)
-        self.surface.snaps.setChecked(bool(self.context.settings.whole("scene/snaps", 0)))
 
     def _bank_chosen(self, path: Path) -> None:
         self.context.settings.opened(path)

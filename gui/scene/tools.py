@@ -24,14 +24,9 @@ _POLYLINE_HINT = "Click each corner; double click or Enter ends, a click on the 
 class Handle:
     """A point of a path that can be dragged.
 
-    Parameters
-    ----------
-    name : str
-        ``"centre"``, ``"radius"``, or a vertex's number.
-    at_mm : tuple of float
-        Position.
-    words : str
-        Effect of dragging it.
+    name: ``"centre"``, ``"radius"``, or a vertex's number.
+    at_mm: Position.
+    words: Effect of dragging it.
     """
 
     name: str
@@ -189,19 +184,11 @@ def _distance(at: PointMm, start: PointMm, end: PointMm) -> float:
 class Tool:
     """Draws a path by clicks on its points, or by a drag from one point to the next.
 
-    Parameters
-    ----------
-    make : callable
-        From the points to the path; None where they are too near.
-    hint : str
-        Instruction for the user.
-    count : int or None
-        Number of points of the path; None for as many as are clicked.
+    make: From the points to the path; None where they are too near.
+    hint: Instruction for the user.
+    count: Number of points of the path; None for as many as are clicked.
 
-    Attributes
-    ----------
-    sketch, done : PathTable or None
-        The path so far, and the finished one.
+    sketch, done: The path so far, and the finished one.
     """
 
     def __init__(self, make: Callable[..., PathTable | None], hint: str, count: int | None) -> None:

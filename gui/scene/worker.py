@@ -172,14 +172,9 @@ def serve(connection: Connection, read_rig_limits: ReadRigLimits) -> None:
 class Calculator:
     """Calculates the latest scene that was asked for.
 
-    Parameters
-    ----------
-    connection : Connection
-        Brings orders and receives answers.
-    read_rig_limits : callable
-        As `gui.front_door.FrontDoor` has it.
-    most_field_bytes : int
-        Of a longer field only the beginning is predicted.
+    connection: Brings orders and receives answers.
+    read_rig_limits: As `gui.front_door.FrontDoor` has it.
+    most_field_bytes: Of a longer field only the beginning is predicted.
     """
 
     def __init__(
@@ -208,10 +203,7 @@ class Calculator:
     def calculate(self, request: Request, quiet_s: float = QUIET_S) -> bool:
         """Calculate a scene; returns False where it may succeed when the bank has changed.
 
-        Raises
-        ------
-        SupersededError
-            A newer order has arrived.
+        Raises SupersededError: A newer order has arrived.
         """
         try:
             self._calculate(request, quiet_s)

@@ -37,10 +37,7 @@ _VERDICTS = {True: "✓ pass", False: "✗ fail", None: "– not judged"}
 class FiguresPanel(Themed, QWidget):
     """Verdict, table, buttons.
 
-    Parameters
-    ----------
-    acts : mapping of str to callable
-        Actions of the buttons ``"report"``, ``"folder"`` and ``"copy"``.
+    acts: Actions of the buttons ``"report"``, ``"folder"`` and ``"copy"``.
     """
 
     def __init__(self, acts: dict[str, Callable[[], object]]) -> None:
@@ -261,11 +258,7 @@ class MapsPanel(Themed, QWidget):
         )
         self.scale = ui.choice("Colour scale", tip, ["scale of the scene", "scale of the instant"])
         self.time = TimeSlider()
-        headings = (
-            ui.label(text="Prediction", role="strong"),
-            ui.label(text="Scan", role="strong"),
-            self.third,
-        )
+        headings = (ui.label(text="Prediction", role="strong"), ui.label(text="Scan", role="strong"), self.third)
         columns = []
         for field_map, bar, heading in zip(self.maps, self.bars, headings, strict=True):
             heading.setFixedHeight(self.third.sizeHint().height())

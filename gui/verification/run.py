@@ -67,12 +67,8 @@ class Progress:
 class VerificationRun:
     """At most one verification of this window; one of another process in the same folder is followed, too.
 
-    Parameters
-    ----------
-    context : TabContext
-        Starts commands and shows messages.
-    done : callable
-        Receives the record's path when a verification has one.
+    context: Starts commands and shows messages.
+    done: Receives the record's path when a verification has one.
     """
 
     def __init__(self, context: TabContext, done: Callable[[Path], object]) -> None:
@@ -257,20 +253,12 @@ class Dropped(Enum):
 class Results:
     """One verification.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of prediction, scan and report.
-    record : VerificationRecord
-        Figures, foci, sources, errors.
-    pair : FieldPair
-        Prediction and scan.
-    surface : Surface
-        What the maps are drawn over.
-    focus_sample : int64 array (foci,)
-        Samples of the fields at which foci were looked at.
-    loudest, loudest_difference : float
-        Ends of the scales for the whole scene, in response units.
+    folder: Folder of prediction, scan and report.
+    record: Figures, foci, sources, errors.
+    pair: Prediction and scan.
+    surface: What the maps are drawn over.
+    focus_sample, int64 (foci,): Samples of the fields at which foci were looked at.
+    loudest, loudest_difference: Ends of the scales for the whole scene, in response units.
     """
 
     folder: Path
@@ -285,12 +273,8 @@ class Results:
 def read_results(record_file: Path, on_progress: Callable[[int, int], object], wanted: Callable[[], bool]) -> Results:
     """Read a verification; takes a second for some hundred megabytes.
 
-    Raises
-    ------
-    InputError
-        A file is missing, damaged or of another verification; the message names it.
-    CancelledError
-        `wanted` returned False.
+    Raises InputError: A file is missing, damaged or of another verification; the message names it.
+    Raises CancelledError: `wanted` returned False.
     """
     from rendering.verify.field_pair import read_pair  # the window starts without scipy
     from rendering.verify.record import read_record

@@ -60,6 +60,7 @@ class RequestForm(QWidget):
         for key, words, _ in _CHOICES:
             self.positions.addItem(words, key)
         self.step = ui.whole_box("One position in so many", "One position in so many, in the bank's order", 2, 1000)
+        self.step.setValue(4)
         self.rows = ui.named(QLineEdit(), "Bank rows from 0: single or as ranges, 3,5-9", "Bank rows to scan")
         self.rows.setPlaceholderText("0-99,120")
         tip = "Allow scenes of over an hour, 8 GiB of drives or a million path points (--allow-large)"
@@ -80,12 +81,21 @@ class RequestForm(QWidget):
             labels = [label for field in fields if (label := field.findChild(QLabel)) is not None]
             for label in labels:
                 label.setMinimumWidth(max(one.sizeHint().width() for one in labels))
+        self.choices: dict[str, QWidget] = {
+            "scene": self.scene,
+            "bank": self.bank,
+            "rig": self.rig,
+            "out": self.out,
+            "virtual": self.virtual,
+            "positions": self.positions,
+            "step": self.step,
+            "rows": self.rows,
+        }
         self.bank.chosen.connect(self.take_bank)
         for field in (self.scene, self.rig):
             field.chosen.connect(settings.opened)
         self.virtual.toggled.connect(self.rig.setDisabled)
         self.positions.currentIndexChanged.connect(self._show_choice)
-        self._restore_settings()
         self._show_choice()
 
     def take_bank(self, bank: Path) -> None:
@@ -108,10 +118,7 @@ class RequestForm(QWidget):
     def request(self) -> Request:
         """The command of the present choices; results in the folder are kept, and a numbered folder is used instead.
 
-        Raises
-        ------
-        InputError
-            A choice is missing, or the positions are wrong.
+        Raises InputError: A choice is missing, or the positions are wrong.
         """
         if missing := self.missing():
             raise InputError(f"{missing} first")
@@ -126,16 +133,6 @@ class RequestForm(QWidget):
         if positions := self._positions(bank):
             arguments += ["--positions", positions]
         return Request(tuple(arguments), out, names_virtual_rig(rig))
-
-    def save_settings(self) -> None:
-        """Keep the choices for the next session."""
-        settings = self._context.settings
-        for name, field in self._fields().items():
-            settings.keep(f"verification/{name}", str(field.path or ""))
-        settings.keep("verification/virtual", int(self.virtual.isChecked()))
-        settings.keep("verification/positions", str(self.positions.currentData()))
-        settings.keep("verification/step", self.step.value())
-        settings.keep("verification/rows", self.rows.text())
 
     def _positions(self, bank: Path) -> str:
         match self.positions.currentData():
@@ -168,19 +165,6 @@ class RequestForm(QWidget):
         self.positions.setToolTip(next(tip for one, _, tip in _CHOICES if one == key))
         self.step.setVisible(key == "every")
         self.rows.setVisible(key == "rows")
-
-    def _restore_settings(self) -> None:
-        settings = self._context.settings
-        for name, field in self._fields().items():
-            if text := settings.text(f"verification/{name}"):
-                field.show_path(Path(text))
-        self.virtual.setChecked(settings.whole("verification/virtual", 0) == 1)
-        self.positions.setCurrentIndex(max(0, self.positions.findData(settings.text("verification/positions", "all"))))
-        self.step.setValue(settings.whole("verification/step", 4))
-        self.rows.setText(settings.text("verification/rows"))
-
-    def _fields(self) -> dict[str, PathField]:
-        return {"scene": self.scene, "bank": self.bank, "rig": self.rig, "out": self.out}
 
 
 def unused_folder(folder: Path) -> Path:
@@ -341,10 +325,6 @@ class VerificationTab(Tab):
         self.background.end()
         self.run.detach()
 
-    def save_settings(self) -> None:
-        super().save_settings()
-        self.form.save_settings()
-
     def dragEnterEvent(self, event: QDragEnterEvent | None) -> None:  # noqa: N802
         if event is not None and any(dropped_kind(path) is not Dropped.OTHER for path in dropped_files(event)):
             event.acceptProposedAction()
@@ -378,7 +358,7 @@ class VerificationTab(Tab):
     def _lay_out(self) -> None:
         lower = ui.side_by_side((self.waveforms, 515), (self.figures, 745))
         both = ui.stacked((self.maps, 360), (lower, 260), growing=[0])
-        self.divide(lower=lower, both=both)
+        self.remember(lower=lower, both=both, **self.form.choices)
         self.pages = QStackedWidget()
         self.hint = ui.label(text=_HINT, role="faint", wraps=True)
         self.hint.setAlignment(Qt.Alignment() | Qt.AlignmentFlag.AlignCenter)

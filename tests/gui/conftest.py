@@ -17,7 +17,7 @@ os.environ.setdefault("QT_FONT_DPI", "96")
 
 from PyQt5.QtCore import QEvent, QPoint, QPointF, QSettings, Qt
 from PyQt5.QtGui import QMouseEvent
-from PyQt5.QtWidgets import QApplication, QWidget
+from PyQt5.QtWidgets import QApplication, QComboBox, QWidget
 from pytestqt.exceptions import TimeoutError
 from pytestqt.qtbot import QtBot
 
@@ -161,6 +161,12 @@ def press(qtbot: QtBot, button: QWidget) -> None:
     """Click a button as soon as it can be clicked."""
     wait(qtbot, lambda: button.isVisible() and button.isEnabled())
     qtbot.mouseClick(button, LEFT)
+
+
+def choose(box: QComboBox, value: str) -> None:
+    """Choose a value in a box, as a user does."""
+    box.setCurrentIndex(box.findData(value))
+    box.activated.emit(box.currentIndex())
 
 
 def answer(window: Window, word: str) -> None:

@@ -1,4 +1,4 @@
-"""The Rig tab in a real window: examine, operate by hand, calibrate; the virtual rig behind it in its own processes."""
+"""The Rig tab in a real window: examine, operate by hand, calibrate, on the virtual rig; and kinds of TOML files."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from pytestqt.qtbot import QtBot
 
 from calibration.mirror_map import MirrorMap
 from config.messages.rig_checks import Act, AskJog, Finding
-from gui.rig.examination import button_of
-from gui.rig.tab import RigTab, line_of
+from gui.files import TomlKind, names_virtual_rig, runs_on_virtual_rig, toml_kind
+from gui.rig.tab import RigTab, button_of, line_of, read_rig_file
 from gui.window import Window
 from tests.gui.conftest import LEFT, SOON_MS, Opens, pixel, press, shown_tab, wait, write_lab
 
@@ -36,6 +36,8 @@ limit_v = 2.0
 dead_actuators = [2]
 mirror_map = {[list(row) for row in MAP]}
 """
+
+REAL_RIG = '[rig]\nname = "lab"\n\n[mirror]\ndriver = "mirrorcle"\n\n[player]\nlimit_v = 2.0\n'
 
 
 @pytest.fixture
@@ -237,6 +239,38 @@ def test_given_findings_then_a_button_is_offered_where_something_can_be_done() -
     assert button_of(replace(finding, act=Act("edit-rig", "recorder.post_roll_s"))) == ("edit-rig", "Open the rig file")
     assert button_of(replace(finding, act=Act("calibrate"))) == ("calibrate", "Calibrate…")
     assert button_of(replace(finding, verdict="ok")) is None
+
+
+@pytest.mark.parametrize(
+    ("text", "kind"),
+    [
+        ('[[source]]\npath = { kind = "point" }\n', TomlKind.SCENE),
+        ('[scene]\nbank = "plate.h5"\n', TomlKind.SCENE),
+        (REAL_RIG, TomlKind.RIG),
+        ('[mirror]\ndriver = "virtual"\n[player]\nlimit_v = 1.0\n', TomlKind.RIG),
+        ('rig = "rig.toml"\n\n[grid]\nspacing_mm = 2.0\n', TomlKind.RUN),
+        ('format = "wavefocus-calibration"\nrig = "lab"\n[mirror]\ndevice = "virtual mirror"\n', TomlKind.OTHER),
+        ("\ufeff" + REAL_RIG, TomlKind.RIG),  # with a byte-order mark
+        ("rig = [", TomlKind.UNREADABLE),
+        (None, TomlKind.UNREADABLE),
+    ],
+)
+def test_the_kind_of_a_file_follows_from_its_tables(tmp_path: Path, text: str | None, kind: TomlKind) -> None:
+    file = tmp_path / "file.toml"
+    if text is not None:
+        file.write_text(text, encoding="utf-8")
+    assert toml_kind(file) is kind
+
+
+@pytest.mark.parametrize("mark", ["", "\ufeff"], ids=["plain", "with a byte-order mark"])
+def test_real_instruments_are_known_whatever_editor_wrote_the_files(tmp_path: Path, mark: str) -> None:
+    rig, run = tmp_path / "rig.toml", tmp_path / "run.toml"
+    rig.write_text(mark + REAL_RIG, encoding="utf-8")
+    run.write_text(mark + 'rig = "rig.toml"\n', encoding="utf-8")
+    assert not names_virtual_rig(rig)
+    assert not runs_on_virtual_rig(run)
+    assert not read_rig_file(rig).is_virtual
+    assert line_of(rig, "rig.name") == 2
 
 
 def meet(qtbot: QtBot, window: Window, number: int, off_mm: float = 0.0) -> None:

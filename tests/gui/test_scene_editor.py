@@ -49,7 +49,7 @@ from gui.window import Window
 from rendering.scene import paths
 from rendering.scene.model import build_scene, load_scene
 from storage.errors import InputError
-from tests.gui.conftest import LEFT, NO_KEY, Opens, click, double_click, drag, pixel, shown_tab, wait
+from tests.gui.conftest import LEFT, NO_KEY, Opens, choose, click, double_click, drag, pixel, shown_tab, wait
 from wavefocus.commands.gui import front_door
 
 SCENE = """
@@ -164,7 +164,7 @@ def test_given_each_tool_then_its_path_is_drawn_chosen_and_sampled_and_the_tool_
     assert not polyline.closed
     point = draw(qtbot, tab, "point")
     assert near(point.at_mm, -20, 10)
-    text = draw(qtbot, tab, "text")
+    draw(qtbot, tab, "text")
     assert QApplication.focusWidget() is tab.source_form.paths["text"].fields["string"]
     assert canvas.kind == ""
     assert tab.sources.list.count() == 5
@@ -297,20 +297,17 @@ def test_given_the_form_then_every_number_reaches_the_scene_and_undo_brings_it_b
     qtbot.keyClick(speed, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
     assert document.draft.source[0].speed_mm_s == 80.0
     assert speed.text() == "80 mm/s"
-    form.signal_kind.setCurrentIndex(form.signal_kind.findData("sine"))
-    form.signal_kind.activated.emit(form.signal_kind.currentIndex())
+    choose(form.signal_kind, "sine")
     assert isinstance(document.draft.source[0].signal, SineTable)
     wait(qtbot, lambda: isinstance(tab.live.preview.draft.source[0].signal, SineTable))
-    form.path_kind.setCurrentIndex(form.path_kind.findData("point"))
-    form.path_kind.activated.emit(form.path_kind.currentIndex())
+    choose(form.path_kind, "point")
     assert isinstance(document.draft.source[0].path, PointTable)
     assert not speed.isVisible()
     limit = tab.scene_form.tables["output"].fields["limit_v"]
     assert document.draft.output.limit_v == 1.0  # a new scene can be played
     limit.switch.click()  # type: ignore[union-attr]
     assert document.draft.output.limit_v is None
-    tab.scene_form.saturates.setCurrentIndex(1)
-    tab.scene_form.saturates.activated.emit(1)
+    choose(tab.scene_form.saturates, "saturation")
     assert document.draft.regularisation == Regularisation(saturation=0.5)
 
 
@@ -429,8 +426,7 @@ def test_given_a_drawing_then_it_comes_in_at_a_size_that_fits_and_its_paths_can_
     assert tab.document.draft.source[0].path == SvgTable(file=str(file), origin_mm=(-10.0, 5.0))
     form = tab.source_form
     wait(qtbot, lambda: form.path_ids.findData("second") >= 0)
-    form.path_ids.setCurrentIndex(form.path_ids.findData("second"))
-    form.path_ids.activated.emit(form.path_ids.currentIndex())
+    choose(form.path_ids, "second")
     settled(qtbot, tab)
     assert tab.live.preview.traces[0].length_mm == pytest.approx(500.0)
     canvas = tab.surface.canvas

@@ -171,9 +171,7 @@ def test_given_size_theme_text_run_and_bank_then_the_next_window_has_them_again(
     again.close_at_once()
 
 
-def test_given_an_empty_window_then_names_tooltips_keys_and_units_are_complete(
-    open_window: Opens,
-) -> None:
+def test_given_an_empty_window_then_names_tooltips_keys_and_units_are_complete(open_window: Opens) -> None:
     window = open_window()
     with_tip = (QAbstractButton, QAbstractSpinBox, QComboBox)
     kinds = (*with_tip, QLineEdit, QProgressBar, QTableView)
