@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from rendering.arrays import Float64Array
+
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
@@ -18,7 +20,6 @@ if TYPE_CHECKING:
     from rendering.scene.paths import Path as Path2D
     from storage.bank.reading import Bank
 
-Float64Array = NDArray[np.float64]
 
 _OUTLINE_POINTS = 181
 _MOST_PIXELS = 400_000

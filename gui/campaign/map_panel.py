@@ -14,11 +14,12 @@ from PyQt5.QtWidgets import QGraphicsPolygonItem, QLabel, QSizePolicy, QWidget
 
 from gui import widgets as ui
 from gui.campaign.model import Campaign
-from gui.campaign.quality import FIGURES, LOOKS, NOT_MEASURED, Figure, Float32Array, look_index, status_text
+from gui.campaign.quality import FIGURES, LOOKS, NOT_MEASURED, Figure, look_index, status_text
 from gui.field_map import ColourBar
 from gui.surface import Surface
 from gui.surface_view import MARK, Keys, PointMm, Spots, SurfaceView, looked_up, rgba
 from gui.theme import Themed
+from rendering.arrays import Float32Array
 from storage.bank.ledger import VALID
 
 # On a large map a few outliers must not press all others into one colour.

@@ -35,9 +35,10 @@ from config.messages.campaign import (
     StateChanged,
     event_of,
 )
-from gui.campaign.quality import DAMAGED, Float32Array, status_text
+from gui.campaign.quality import DAMAGED, status_text
 from gui.front_door import Pulse
 from gui.surface import Surface
+from rendering.arrays import Float32Array
 from storage.bank.ledger import VALID
 
 if TYPE_CHECKING:

@@ -141,7 +141,7 @@ class DriftPlot(QWidget):
         super().__init__()
         self.setAccessibleName("Drift of the sentinel position")
         labels = ("level (dB)", "delay (samples)", "1 − corr.")
-        self.plots = [Plot(f"Drift: {label}", "clock", label, axis_px=96) for label in labels]
+        self.plots = [Plot(f"Drift: {one}", "clock", one.replace(" (", "<br>("), axis_px=96) for one in labels]
         for plot in self.plots:
             plot.setAxisItems({"bottom": pyqtgraph.DateAxisItem()})
             plot.setXLink(self.plots[0])

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gui.theme import LIGHT, Theme
+from rendering.arrays import Float32Array
 from storage.bank.ledger import DISABLED, FAILED, OVER_RANGE, POOR_SIGNAL, VALID
-
-Float32Array = NDArray[np.float32]
 
 NOT_MEASURED = 0
 DAMAGED = 128  # not in the bank: a row whose checksum does not hold

@@ -18,14 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gui.front_door import FrontDoor
+from rendering.arrays import Float32Array, Float64Array, Int64Array
 
 if TYPE_CHECKING:
     from gui.surface import Surface
     from rendering.drive.coil_limits import DriveLimits, Limiting
 
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
-Int64Array = NDArray[np.int64]
 
 LOST = "the calculation's process ended, perhaps for lack of memory; it starts again with the next edit"
 _KILL_WAIT_S = 0.2

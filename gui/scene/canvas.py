@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import pyqtgraph
-from numpy.typing import NDArray
 from PyQt5.QtCore import Qt, pyqtSignal
 from PyQt5.QtGui import QKeyEvent, QMouseEvent
 
@@ -28,8 +27,7 @@ from gui.scene.tools import (
     without_vertex,
 )
 from gui.surface_view import MARK, STEPS, Keys, Spots, SurfaceView, looked_up, rgba
-
-Float64Array = NDArray[np.float64]
+from rendering.arrays import Float64Array
 
 _HANDLE_PX, _LINE_PX = 9.0, 7.0
 _NUDGE_MM, _LONG_NUDGE_MM = 1.0, 10.0

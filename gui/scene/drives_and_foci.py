@@ -11,8 +11,9 @@ import numpy as np
 from acquisition.wording import hours
 from config.scene import Output
 from gui.front_door import RigLimits
-from gui.scene.calculation import Driven, Float32Array, Float64Array, FocusFigures, Int64Array, between
+from gui.scene.calculation import Driven, FocusFigures, between
 from gui.surface import path_line
+from rendering.arrays import Float32Array, Float64Array, Int64Array
 from rendering.drive.coil_limits import DriveLimits, Limiting, largest_rms, limit_drive
 from rendering.drive.live import LiveDrive
 from rendering.drive.rendering import render_with_report

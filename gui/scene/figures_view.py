@@ -10,8 +10,9 @@ import numpy as np
 from PyQt5.QtWidgets import QWidget
 
 from gui import widgets as ui
-from gui.scene.calculation import Driven, Float64Array, FocusFigures, PredictedField
+from gui.scene.calculation import Driven, FocusFigures, PredictedField
 from gui.theme import Themed
+from rendering.arrays import Float64Array
 from storage.units import quantity
 
 # Verdicts.

@@ -17,14 +17,13 @@ from gui.process import Background
 from gui.scene.document import SceneDocument, source_toml
 from gui.surface import Surface, path_line, surface_from, surface_of
 from gui.tab import TabContext
+from rendering.arrays import Float64Array, Int64Array
 from storage.errors import InputError, WavefocusError
 
 if TYPE_CHECKING:
     from rendering.greens.interpolation.position_grid import PositionGrid
     from rendering.scene.model import Source
 
-Float64Array = NDArray[np.float64]
-Int64Array = NDArray[np.int64]
 
 # The surface of the virtual rig, and the rate of its banks, while there is no bank.
 _USUAL_RATE_HZ = 10_000.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -32,13 +33,17 @@ class ActionsBar(Themed, QWidget):
     """Rows of controls for saving and playing."""
 
     rig_changed = pyqtSignal()
-    #: Kind and file.
-    save_requested = pyqtSignal(str, object)
-    play_requested = pyqtSignal()
 
-    def __init__(self, context: TabContext, saving: Saving, playing: Playing) -> None:
+    def __init__(
+        self,
+        context: TabContext,
+        saving: Saving,
+        playing: Playing,
+        save: Callable[[str, Path], None],
+        play: Callable[[], None],
+    ) -> None:
         super().__init__()
-        self._context, self._saving, self._playing = context, saving, playing
+        self._context, self._saving, self._playing, self._save = context, saving, playing, save
         self.ready = False
         self.rig_field = PathField("Ri&g", ".toml", "rig file", context.settings, words=(VIRTUAL,))
         self.rig_field.line.setToolTip(
@@ -56,15 +61,13 @@ class ActionsBar(Themed, QWidget):
             for words, kind, keys, tip in _SAVES
         }
         self.cancel = ui.action(self, "&Cancel", saving.cancel, tip="Cancel saving")
-        self.play = ui.action(
-            self, "&Play", self.play_requested.emit, "F9", tip="Render within the rig's limits and play"
-        )
+        self.play = ui.action(self, "&Play", play, "F9", tip="Render within the rig's limits and play")
         self.stop = ui.action(self, "&Stop", playing.stop, "Shift+F9", tip="Stop at once and mute the outputs")
         actions = {**self.saves, "cancel": self.cancel, "play": self.play, "stop": self.stop}
         self.buttons: dict[str, QToolButton] = {name: ui.button(action) for name, action in actions.items()}
-        *saves, play, stop = self.buttons.values()
-        plays = ui.row(self.gain, self.loops, play, stop, None)
-        ui.column(ui.row(*saves, None), self.rig_field, plays, self.state, owner=self, margins=(4, 2, 4, 2), spacing=4)
+        *saves, plays, stops = self.buttons.values()
+        player = ui.row(self.gain, self.loops, plays, stops, None)
+        ui.column(ui.row(*saves, None), self.rig_field, player, self.state, owner=self, margins=(4, 2, 4, 2), spacing=4)
         for part in (saving, playing):
             part.changed.connect(self.show_state)
         self.rig_field.line.editingFinished.connect(self._check_rig)
@@ -111,8 +114,8 @@ class ActionsBar(Themed, QWidget):
             self.rig_changed.emit()
 
     def _choose(self, kind: str) -> None:
-        chosen = partial(self.save_requested.emit, kind)
-        choose_place(self, f"Save {kind}", self._saving.suggested(kind), _KINDS[kind], ENDINGS[kind], chosen)
+        suggested, save = self._saving.suggested(kind), partial(self._save, kind)
+        choose_place(self, f"Save {kind}", suggested, _KINDS[kind], ENDINGS[kind], save)
 
 
 _ANSWERS_PER_TICK = 8
@@ -141,7 +144,7 @@ class ResultsPanel(QWidget):
         self.complete = False
         self.drives, self.field, self.figures = DrivesView(), FieldView(), FiguresView()
         self.saving, self.playing = Saving(context, document, self), Playing(context, document, self)
-        self.bar = ActionsBar(context, self.saving, self.playing)
+        self.bar = ActionsBar(context, self.saving, self.playing, self.save, self.play)
         self.stage = ui.label("Stage of the calculation", any_width=True)
         self.problem = ui.label("Problem of the calculation", wraps=True)
         self.problem.setMinimumWidth(1)
@@ -162,8 +165,6 @@ class ResultsPanel(QWidget):
         for act in (self._clear, self._edited):
             document.bank_changed.connect(act)
         self.bar.rig_changed.connect(self._edited)
-        self.bar.save_requested.connect(self.save)
-        self.bar.play_requested.connect(self.play)
         self._edited()
 
     def menu_actions(self) -> list[QAction | None]:

@@ -19,7 +19,7 @@ import numpy as np
 
 from config.scene import Regularisation
 from gui.front_door import RigLimits
-from gui.scene.calculation import Answer, Finished, Int64Array, Order, PredictedField, Progress, Request
+from gui.scene.calculation import Answer, Finished, Order, PredictedField, Progress, Request
 from gui.scene.drives_and_foci import (
     focus_figures,
     missing_rows,
@@ -29,6 +29,7 @@ from gui.scene.drives_and_foci import (
     summarise,
 )
 from gui.surface import Surface, surface_of
+from rendering.arrays import Int64Array
 from rendering.field.bank_spectra import LARGEST_FACTOR, PASSED, BankSpectra
 from rendering.field.foci import loudest_instants
 from rendering.field.prediction import Prediction, field_unit, measured_positions

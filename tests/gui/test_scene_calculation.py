@@ -141,6 +141,9 @@ def test_given_rows_that_are_not_measured_then_they_are_listed(finished: Path, t
     assert listener.calculator.cache.changed(bank)
     assert listener.calculate(scene_text(), bank)
     assert listener.one(Driven).drive_v.any()
+    bank.unlink()
+    assert not listener.calculate(scene_text(), bank)
+    assert "is missing" in listener.one(Finished).problem
 
 
 def test_given_a_field_that_is_too_long_then_its_beginning_is_predicted(finished: Path) -> None:
