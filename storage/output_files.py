@@ -10,7 +10,7 @@ import os
 import shutil
 import stat
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from storage import durable
@@ -59,12 +59,15 @@ def replacement(path: Path, *, new: bool = False) -> Iterator[Path]:
 def staged_folder(folder: Path, last: str) -> Iterator[Path]:
     """Write files into a folder together: yields a hidden folder whose files are moved when the block ends well.
 
-    The file named `last` is moved last: who finds it new finds all others new. The folder is made where missing.
+    The file named `last` is moved last: who finds it new finds all others new. The folder is made where missing, and
+    removed where the block fails and it is empty.
 
     Raises InputError: they cannot be written; older files are there as before.
     """
-    with _named_failures(folder):
-        folder.mkdir(parents=True, exist_ok=True)
+    with ExitStack() as failed, _named_failures(folder):
+        if not folder.is_dir():
+            folder.mkdir(parents=True)
+            failed.callback(_remove_if_empty, folder)
         clear_leftovers(folder)
         with staging_dir(folder / _STAGED) as place:
             place.temporary.mkdir()
@@ -213,6 +216,11 @@ def _precious(path: Path) -> str:
     except InputError:
         return "is a damaged HDF5 file, perhaps a bank,"
     return ""
+
+
+def _remove_if_empty(folder: Path) -> None:
+    with suppress(OSError):
+        folder.rmdir()
 
 
 @contextmanager

@@ -150,7 +150,7 @@ class Crate:
                 "description": self.origin, "instrument": {"@id": "#software"},
             }  # fmt: skip
         if licence:
-            yield {"@id": licence, "@type": "CreativeWork", "name": about.licence}
+            yield {"@id": licence, "@type": "CreativeWork", "name": about.licence, "description": "Licence of the data"}
         for person in about.people:
             yield _known({
                 "@id": people[person.name], "@type": "Person", "name": person.name,
@@ -170,7 +170,9 @@ class Crate:
                 "name": f"{role}: {identity.product or 'not stated'}",
                 "manufacturer": identity.maker, "serialNumber": identity.serial,
             })  # fmt: skip
-        yield {"@id": "#software", "@type": "SoftwareApplication", "name": self.software}
+        known = re.match(r"(\S+) (\d[\w.+-]*)", self.software)
+        name, number = known.groups() if known else (self.software, "")
+        yield _known({"@id": "#software", "@type": "SoftwareApplication", "name": name, "version": number})
         instruments = _references(["#software", *(f"#device-{role}" for role in self.devices)])
         for number, session in enumerate(self.sessions, 1):
             yield _known({
@@ -241,8 +243,10 @@ def _reference(identifier: str | None) -> Entity | None:
     return {"@id": identifier} if identifier else None
 
 
-def _references(identifiers: Iterable[str]) -> list[Entity]:
-    return [{"@id": one} for one in identifiers]
+def _references(identifiers: Iterable[str]) -> list[Entity] | Entity:
+    """References to entities; one alone is no list, as RO-Crate recommends."""
+    references = [{"@id": one} for one in identifiers]
+    return references[0] if len(references) == 1 else references
 
 
 def _known(entity: Entity) -> Entity:

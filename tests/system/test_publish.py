@@ -69,7 +69,7 @@ def test_given_a_publication_then_the_crates_library_reads_who_what_and_how(crat
     assert session["actionStatus"] == "http://schema.org/CompletedActionStatus"
     instruments = {one.id: one for one in session["instrument"]}
     assert set(instruments) == {"#software", "#device-mirror", "#device-recorder", "#device-player"}
-    assert "wavefocus" in instruments["#software"]["name"]
+    assert instruments["#software"]["name"] == "wavefocus"
     facts = {one["name"]: one["value"] for one in root["variableMeasured"]}
     assert (facts["measured positions"], facts["taps"], facts["sample rate"]) == (6, 1000, 10_000.0)
 
