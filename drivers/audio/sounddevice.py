@@ -22,7 +22,6 @@ class SoundDevice:
     name = "sounddevice"
 
     def open(self, outputs: Outputs) -> Player:
-        """Open the device."""
         from drivers.audio.stream.player import StreamPlayer
 
         return StreamPlayer(

@@ -159,7 +159,6 @@ class SerialMirror:
         return f"{self._name}: {_words(self._identity or '')}, within +-{self._limit_mrad:g} mrad"
 
     def move_to(self, x_mrad: float, y_mrad: float) -> None:
-        """Start a move; angles in mrad, each within the limit."""
         doing = f"moving to ({x_mrad:.3f}, {y_mrad:.3f}) mrad"
         self._check_open(doing)
         self._check_reach(x_mrad, y_mrad, doing)

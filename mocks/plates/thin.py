@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Float64Array = NDArray[np.float64]
-Complex128Array = NDArray[np.complex128]
+from drivers.protocols import Float64Array
+from mocks.plates import Complex128Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -203,12 +203,10 @@ class VirtualDevice:
         return f"{self._name}, {self._limits}"
 
     def reconnect(self) -> None:
-        """Open the device afresh."""
         self._check_open("reconnecting")
         self._faults.meet("reconnect", "reconnecting")
 
     def close(self) -> None:
-        """Release the device; twice does no harm."""
         self._closed = True
 
     def _check_open(self, doing: str) -> None:

@@ -11,11 +11,8 @@ from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from drivers.protocols import Take
-
-Float32Array = NDArray[np.float32]
+from drivers.protocols import Float32Array, Take
 
 NANOSECONDS = 1_000_000_000
 

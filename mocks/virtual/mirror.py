@@ -121,7 +121,6 @@ class VirtualMirror(VirtualDevice):
         )
 
     def move_to(self, x_mrad: float, y_mrad: float) -> None:
-        """Start a move; angles in mrad, each within the limit."""
         doing = f"moving to ({x_mrad:.3f}, {y_mrad:.3f}) mrad"
         self._check_open(doing)
         limit = self._limit_mrad
@@ -133,7 +132,6 @@ class VirtualMirror(VirtualDevice):
         self.motion.start(float(x_mrad), float(y_mrad))
 
     def wait_settled(self, timeout_s: float) -> None:
-        """Return when the beam stands still, at the latest after `timeout_s`."""
         self._check_open("settling")
         self._faults.meet("wait_settled", "settling")
         settled_ns = self.motion.settled_at_ns()
@@ -145,6 +143,5 @@ class VirtualMirror(VirtualDevice):
             )
 
     def park(self) -> None:
-        """Move to the safe direction, from any state."""
         self._faults.meet("park", "parking")
         self.motion.start(*self.motion.park_mrad)

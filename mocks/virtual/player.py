@@ -8,17 +8,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.errors import TransientInstrumentError
-from drivers.protocols import Take
+from drivers.protocols import Float64Array, Take
 from mocks.virtual.faults import VirtualDevice
 from mocks.virtual.laboratory import NANOSECONDS, VirtualClock, take_share
 from mocks.virtual.settings import VirtualSettings
 from mocks.virtual.signals import PlayedSignal, SignalStore
 from mocks.virtual.synthesis import Play
-
-Float64Array = NDArray[np.float64]
 
 
 @dataclass(slots=True)
@@ -46,16 +43,13 @@ class VirtualPlayer(VirtualDevice):
 
     @property
     def channels(self) -> int:
-        """Number of output channels."""
         return self._settings.player_channels
 
     @property
     def full_scale_v(self) -> float:
-        """Largest output magnitude in volts."""
         return self._settings.full_scale_v
 
     def play(self, signals_v: Mapping[int, Float64Array], sample_rate_hz: float) -> None:
-        """Start playing; volts by channel, all of one length, none beyond full scale."""
         doing = f"playing on channels {sorted(signals_v)}" if len(signals_v) < 4 else "playing"
         self._check_open(doing)
         signals = {channel: self._checked(doing, channel, volts) for channel, volts in signals_v.items()}
@@ -109,14 +103,12 @@ class VirtualPlayer(VirtualDevice):
         return before_s
 
     def end_pieces(self) -> None:
-        """Say that no more comes."""
         pieces, self._pieces = self._begun(), None
         with self._lock:
             if pieces.play.samples:
                 self._plays.append(pieces.play)
 
     def wait(self, timeout_s: float) -> None:
-        """Return when everything has been played, at the latest after `timeout_s`."""
         self._check_open("waiting for the end of the signal")
         with self._lock:
             now_ns = self._clock.now_ns()
@@ -134,7 +126,6 @@ class VirtualPlayer(VirtualDevice):
             )
 
     def mute(self) -> None:
-        """Silence every channel at once, from any state."""
         self._pieces = None
         self._cut(self._clock.now_ns())
         self._faults.meet("mute", "muting")
@@ -145,7 +136,6 @@ class VirtualPlayer(VirtualDevice):
         super().reconnect()
 
     def close(self) -> None:
-        """Release the device, muted; twice does no harm."""
         if not self._closed:
             self._cut(self._clock.now_ns())
         super().close()

@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.errors import TransientInstrumentError
-from drivers.protocols import Recording, RecordRequest, Take
+from drivers.protocols import Float32Array, Recording, RecordRequest, Take
 from mocks.virtual.faults import Fault, VirtualDevice
 from mocks.virtual.laboratory import (
     DROPOUT,
@@ -26,8 +25,6 @@ from mocks.virtual.mirror import VirtualMirror
 from mocks.virtual.player import VirtualPlayer
 from mocks.virtual.settings import VirtualSettings
 from mocks.virtual.synthesis import Spot, Synthesis
-
-Float32Array = NDArray[np.float32]
 
 HUM_HZ = 50.0
 DROPOUT_S = (0.002, 0.010)  # how long speckle hides the surface
@@ -73,11 +70,9 @@ class VirtualRecorder(VirtualDevice):
 
     @property
     def input_ranges_v(self) -> tuple[float, ...]:
-        """Input ranges that it offers."""
         return tuple(sorted(one for one in self._settings.input_ranges_v if one <= self._settings.largest_range_v))
 
     def start(self, request: RecordRequest) -> None:
-        """Start one finite record."""
         doing = f"starting {request.take}"
         self._check_open(doing)
         largest = self._settings.largest_range_v
@@ -94,7 +89,6 @@ class VirtualRecorder(VirtualDevice):
         self._player.settle_latency(request.take)
 
     def read(self, timeout_s: float) -> Recording:
-        """Wait for the record to end, at the latest until `timeout_s`, and fetch it."""
         self._check_open("reading")
         with self._lock:
             if self._under_way is None:
@@ -117,7 +111,6 @@ class VirtualRecorder(VirtualDevice):
                 self._under_way = None
 
     def abort(self) -> None:
-        """Drop a record under way, from any state."""
         with self._lock:
             self._under_way = None
 
@@ -127,7 +120,6 @@ class VirtualRecorder(VirtualDevice):
         super().reconnect()
 
     def close(self) -> None:
-        """Release the device; twice does no harm."""
         self.abort()
         super().close()
 

@@ -7,12 +7,10 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from config.outline import Outline
+from drivers.protocols import Float64Array
 from mocks.virtual.faults import Fault
-
-Float64Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

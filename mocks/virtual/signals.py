@@ -10,9 +10,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-Float64Array = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
-Complex64Array = NDArray[np.complex64]
+from drivers.protocols import Float32Array, Float64Array
+from mocks.plates import Complex64Array
 
 # A waveform is kept at so many delays within a sample, with its first derivatives; a Taylor series leads from the
 # nearest to any other, with an error of -108 dB at half the sample rate and none to speak of below.

@@ -9,15 +9,12 @@ from math import ceil
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
-from mocks.plates import REFERENCE_C, Plate, make_plate
+from drivers.protocols import Float32Array, Float64Array
+from mocks.plates import REFERENCE_C, Complex64Array, Complex128Array, Plate, make_plate
 from mocks.plates.infinite import LONGEST_RINGING_S, impulse_length, phase_ramp
 from mocks.virtual.settings import VirtualSettings
 from mocks.virtual.signals import PlayedSignal
-
-Float64Array = NDArray[np.float64]
-Complex128Array = NDArray[np.complex128]
 
 AMPLIFIER_CORNER_HZ = 20.0  # the paper, section IV.A: amplified voltage signals from 20 Hz
 # Butterworth of two orders rather than one: the plate's slow diffusion would leave a long tail at the lowest
@@ -77,9 +74,6 @@ def output_errors(
     gain_db = chance.uniform(-gain_spread_db, gain_spread_db, outputs)
     return np.asarray(latency_s), np.asarray(10 ** (gain_db / 20), dtype=np.float64)
 
-
-Float32Array = NDArray[np.float32]
-Complex64Array = NDArray[np.complex64]
 
 TAIL_S = 0.3  # what a response may ring on before a transform may wrap
 LEFT_OUT = 1e-10  # share of a response's energy above the bins that are kept: -100 dB

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.protocols import Float32Array, Float64Array
 from mocks.virtual.laboratory import NANOSECONDS, PatchBay
 from mocks.virtual.mirror import MirrorMotion
 from mocks.virtual.settings import VirtualSettings
@@ -25,9 +25,6 @@ from mocks.wire.mirrors import mirror_device
 from mocks.wire.ni_server import NiServer
 from mocks.wire.serial_far_side import PtyWire, SerialDevice, SerialFarSide, TcpWire, Wire
 from mocks.wire.vibrometer import PolytecDevice
-
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
 
 # Silence on all channels that parts one sound from the next; sweeps of one record become one sound each, which the
 # store of signals then recognises.

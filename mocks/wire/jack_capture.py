@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Float32Array = NDArray[np.float32]
+from drivers.protocols import Float32Array
+
 Int64Array = NDArray[np.int64]
 
 HEADER = np.dtype(

@@ -12,14 +12,9 @@ from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 
-import numpy as np
-from numpy.typing import NDArray
-
 from mocks.wire.faults import WireFault
 from mocks.wire.jack_capture import PlayedAudio, make_ring
 from mocks.wire.jack_interface import DEVICE, PLACE_S, START_S, STOP_S
-
-Float32Array = NDArray[np.float32]
 
 ANSWER_S = PLACE_S + START_S + 10.0
 

@@ -10,12 +10,11 @@ from enum import Enum, IntEnum
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.protocols import Float64Array
 from mocks.virtual.laboratory import NANOSECONDS
 from mocks.wire.ni_products import PRODUCTS, Converter, Product
 
-Float64Array = NDArray[np.float64]
 Alive = Callable[[], bool]
 
 # How often a wait looks whether its caller is still there.

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from drivers.protocols import Float64Array
 from mocks.wire.faults import WireFault
-from mocks.wire.ni_box import Alive, Channel, Float64Array, NiBox, NiCode, NiError, NiTask, State
+from mocks.wire.ni_box import Alive, Channel, NiBox, NiCode, NiError, NiTask, State
 from mocks.wire.ni_products import DIFFERENTIAL, NRSE, RSE, Product
 
 Answer = dict[str, Any]

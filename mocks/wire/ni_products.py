@@ -11,9 +11,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float64Array = NDArray[np.float64]
+from drivers.protocols import Float64Array
 
 DIFFERENTIAL, RSE, NRSE = "differential", "rse", "nrse"
 # NI-DAQmx converts as fast as the box can and adds this for settling, where the sample rate leaves room for it;

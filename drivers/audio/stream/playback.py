@@ -9,10 +9,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float32Array = NDArray[np.float32]
-
+from drivers.protocols import Float32Array
 
 FADE_S = 0.002
 """A mute fades over so long, within one period, so that the coils do not click."""

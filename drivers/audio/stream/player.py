@@ -8,7 +8,6 @@ import time
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.audio.stream.playback import UNDERFLOW, Ended, Taken
 from drivers.audio.stream.player_process import Begin, EndPieces, Mute, Opened, Piece, Refused, Start
@@ -16,9 +15,7 @@ from drivers.audio.stream.portaudio import StreamRequest
 from drivers.audio.stream.signals import PlayOrders
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from drivers.process import ANSWER_S, OPENING_S, Alive, Ask, DriverProcess, ProcessGoneError
-from drivers.protocols import DeviceIdentity
-
-Float64Array = NDArray[np.float64]
+from drivers.protocols import DeviceIdentity, Float64Array
 
 OVERDUE_S = 5.0
 """A play that has not ended so long after it should have, and a tenth of its length, is not going to."""
@@ -77,7 +74,6 @@ class StreamPlayer:
 
     @property
     def channels(self) -> int:
-        """Number of output channels that are open."""
         return len(self._full_scale_v)
 
     @property
@@ -181,7 +177,6 @@ class StreamPlayer:
         return before_s
 
     def end_pieces(self) -> None:
-        """Say that no more comes; `wait` returns when all of it was played."""
         play = self._begun()
         play.length_s = play.waiting_frames / self._request.rate_hz
         play.asked_s = time.monotonic()

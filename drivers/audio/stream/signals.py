@@ -9,14 +9,11 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.audio.resampling import converted, lead_samples, rate_ratio
 from drivers.audio.stream.player_process import Forget, Store
 from drivers.errors import InstrumentError
-
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
+from drivers.protocols import Float32Array, Float64Array
 
 HALF_STEP = 2.0**-25
 """Half a step of a 24-bit converter, as a part of full scale: less than that at either end is silence."""

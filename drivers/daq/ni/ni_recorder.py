@@ -76,7 +76,6 @@ class NiRecorder:
 
     @property
     def identity(self) -> DeviceIdentity:
-        """Product and serial number of the device."""
         return self._identity
 
     @property
@@ -99,13 +98,11 @@ class NiRecorder:
 
     @property
     def input_ranges_v(self) -> tuple[float, ...]:
-        """Input ranges that the device has, ascending; none where it does not say."""
         with self._lock:
             known = None if self._session is None else self._session.limits.ranges_v
             return () if known is None else tuple(sorted(known))
 
     def start(self, request: RecordRequest) -> None:
-        """Start one finite record and return at once. Raises InstrumentError."""
         doing = f"starting {request.take}"
         with self._lock:
             session = self._connected(doing)
@@ -124,7 +121,6 @@ class NiRecorder:
             self._under_way = request
 
     def read(self, timeout_s: float) -> Recording:
-        """Wait for the record to end and fetch it. Raises TransientInstrumentError or InstrumentError."""
         with self._lock:
             session = self._connected("reading")
             request, task = self._under_way, self._task

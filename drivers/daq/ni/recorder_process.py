@@ -96,25 +96,20 @@ class ProcessRecorder:
 
     @property
     def identity(self) -> DeviceIdentity:
-        """Product and serial number of the device."""
         assert self._identity is not None  # since it was opened
         return self._identity
 
     @property
     def input_ranges_v(self) -> tuple[float, ...]:
-        """Input ranges that the device has, ascending; none where it does not say."""
         return self._ranges_v
 
     def identify(self) -> str:
-        """Product, serial number, driver version and inputs of the device."""
         return str(self._call("identifying", "identify"))
 
     def start(self, request: RecordRequest) -> None:
-        """Start one finite record and return at once. Raises InstrumentError."""
         self._call(f"starting {request.take}", "start", request)
 
     def read(self, timeout_s: float) -> Recording:
-        """Wait for the record to end and fetch it. Raises InstrumentError after `timeout_s`."""
         recording = self._call("reading", "read", timeout_s, limit_s=CALL_S + timeout_s)
         assert isinstance(recording, Recording)
         return recording
@@ -124,7 +119,6 @@ class ProcessRecorder:
         return float(self._call(f"reading {name}", "read_input_v", name))
 
     def abort(self) -> None:
-        """Drop a record under way; harmless when there is none. A read that waits for it fails."""
         if self._process is not None and not self._closed:
             with suppress(InstrumentLostError):  # with the process, its record has ended too
                 self._call("aborting", "abort")
@@ -140,7 +134,6 @@ class ProcessRecorder:
             self._open("reconnecting")
 
     def close(self) -> None:
-        """Release the device. Safe to call twice."""
         self._closed = True
         with self._connecting:
             self._end()
