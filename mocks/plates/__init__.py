@@ -67,13 +67,7 @@ class Plate(ABC):
     unit_force_n: float
     ringing_s: float = 0.0
 
-    def __init__(
-        self,
-        actuator_mm: Float64Array,
-        outline: Outline,
-        chain: Chain,
-        **keys: Any,
-    ) -> None:
+    def __init__(self, actuator_mm: Float64Array, outline: Outline, chain: Chain, **keys: Any) -> None:
         self._actuator_mm = actuator_mm
         self._outline = outline
         self._chain = chain
@@ -108,12 +102,7 @@ class Plate(ABC):
 
 
 def make_plate(
-    name: str,
-    actuator_mm: Float64Array,
-    outline: Outline,
-    chain: Chain,
-    keys: Mapping[str, Any],
-    warmer_k: float = 0.0,
+    name: str, actuator_mm: Float64Array, outline: Outline, chain: Chain, keys: Mapping[str, Any], warmer_k: float = 0.0
 ) -> Plate:
     """Make a plate by its name and the keys of its table, some kelvin above `REFERENCE_C`. Raises ValueError."""
     own = {key: value for key, value in keys.items() if key not in ("edge", "speed_per_k", "loss_per_k", "finger")}

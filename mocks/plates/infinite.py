@@ -159,10 +159,7 @@ class PlateTable:
 
 
 def phase_ramp(
-    radians_per_bin: Float64Array,
-    bins: int,
-    dtype: ComplexType,
-    amplitude: Float64Array | float = 1.0,
+    radians_per_bin: Float64Array, bins: int, dtype: ComplexType, amplitude: Float64Array | float = 1.0
 ) -> NDArray[np.complex128] | NDArray[np.complex64]:
     """Amplitude * exp(j * bin * radians_per_bin), from two short float64 exponentials a row.
 

@@ -42,13 +42,7 @@ class ModalPlate(Plate):
     mode_table: Modes that make up the responses at frequencies (step_hz, bins, single), made once.
     """
 
-    def __init__(
-        self,
-        actuator_mm: Float64Array,
-        outline: Outline,
-        chain: Chain,
-        mode_tolerance: float = 0.0,
-    ) -> None:
+    def __init__(self, actuator_mm: Float64Array, outline: Outline, chain: Chain, mode_tolerance: float = 0.0) -> None:
         super().__init__(actuator_mm, outline, chain)
         self._mode_tolerance = mode_tolerance
         self.mode_table = lru_cache(6)(self._make_table)

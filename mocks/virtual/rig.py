@@ -66,12 +66,7 @@ class VirtualRig:
         return self._synthesis.green((float(x_mm), float(y_mm)), taps, float(sample_rate_hz))
 
     def truth_spectra(
-        self,
-        position_mm: NDArray[np.float64],
-        taps: int,
-        length: int,
-        bins: slice,
-        sample_rate_hz: float = 10_000.0,
+        self, position_mm: NDArray[np.float64], taps: int, length: int, bins: slice, sample_rate_hz: float = 10_000.0
     ) -> NDArray[np.complex128]:
         """Some bins of the transforms of `truth` at many points, within 1e-6, without the transforms.
 

@@ -90,11 +90,7 @@ def test_given_a_micro_mirror_on_its_analog_inputs_then_the_command_that_ends_th
 
 
 @pytest.mark.parametrize(
-    "beyond",
-    [
-        {"limit_mrad": 250.0, "park_mrad": (-240.0, -240.0)},
-        {"limit_mrad": 161.0, "park_mrad": (0.0, 0.0)},
-    ],
+    "beyond", [{"limit_mrad": 250.0, "park_mrad": (-240.0, -240.0)}, {"limit_mrad": 161.0, "park_mrad": (0.0, 0.0)}]
 )
 def test_given_limits_beyond_those_of_the_controller_then_opening_refuses_them_and_nothing_moves(beyond, tmp_path):
     with bench_with(tmp_path) as bench:

@@ -143,9 +143,7 @@ def test_given_a_card_that_has_another_number_today_then_it_is_the_same_device(c
 
 
 @linux_only
-def test_given_a_refused_signal_then_the_next_play_is_whole_and_an_output_without_a_clock_keeps_time(
-    tmp_path,
-):
+def test_given_a_refused_signal_then_the_next_play_is_whole_and_an_output_without_a_clock_keeps_time(tmp_path):
     interface, signals = AlsaFile(tmp_path), noise(480, (0, 1))
     overshooting = np.sign(np.sin(np.pi / 2 * np.arange(480) + np.pi / 4)) * np.hanning(480)
     with ExitStack() as stack:

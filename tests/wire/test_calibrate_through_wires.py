@@ -6,7 +6,6 @@ import json
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ import pytest
 from calibration.mirror_map import MirrorMap
 from config.calibration import CalibrationRecord
 from mocks.virtual.synthesis import output_errors
-from tests.wire.emulated import ACTUATORS, FarSides, far_sides, free_port, rig_text
+from tests.wire.emulated import ACTUATORS, FarSides
 
 pytestmark = pytest.mark.long
 
@@ -32,18 +31,10 @@ reversed_actuators = [2]
 
 
 @pytest.fixture
-def rig(tmp_path: Path) -> Path:
-    file = tmp_path / "rig.toml"
+def rig(rig: Path) -> Path:
     # Without a mirror there is no light on a spot: its noise is nothing beside the widest range.
-    text = rig_text(tmp_path, f"localhost:{free_port()}").replace("response_range_v = 1.0\n", "")
-    file.write_text(text + FLAWS, encoding="utf-8")
-    return file
-
-
-@pytest.fixture
-def sides(rig: Path) -> Iterator[FarSides]:
-    with far_sides(rig) as sides:
-        yield sides
+    rig.write_text(rig.read_text(encoding="utf-8") + FLAWS, encoding="utf-8")
+    return rig
 
 
 def doctor(rig: Path, sides: FarSides) -> tuple[int, dict[str, Any]]:

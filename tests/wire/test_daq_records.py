@@ -157,8 +157,7 @@ def test_given_single_ended_wiring_then_the_task_has_it_and_the_response_is_samp
 
 
 @pytest.mark.parametrize(
-    ("product", "rate_hz", "delay_s"),
-    [("USB-6211", 10e3, 14e-6), ("USB-6211", 125e3, 4e-6), ("USB-6001", 10e3, 50e-6)],
+    ("product", "rate_hz", "delay_s"), [("USB-6211", 10e3, 14e-6), ("USB-6211", 125e3, 4e-6), ("USB-6001", 10e3, 50e-6)]
 )
 def test_given_a_rate_then_conversions_are_as_close_as_settling_allows(product, rate_hz, delay_s):
     assert PRODUCTS[product].channel_delay_s(rate_hz, 2) == pytest.approx(delay_s)

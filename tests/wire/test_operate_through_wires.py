@@ -3,30 +3,15 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tests.system.lines import Lines
-from tests.wire.emulated import FarSides, far_sides, free_port, rig_text
+from tests.wire.emulated import FarSides
 
 pytestmark = pytest.mark.long
-
-
-@pytest.fixture
-def rig(tmp_path: Path) -> Path:
-    file = tmp_path / "rig.toml"
-    text = rig_text(tmp_path, f"localhost:{free_port()}", period_frames=8192).replace("response_range_v = 1.0\n", "")
-    file.write_text(text, encoding="utf-8")
-    return file
-
-
-@pytest.fixture
-def sides(rig: Path) -> Iterator[FarSides]:
-    with far_sides(rig) as sides:
-        yield sides
 
 
 def spot_of(sides: FarSides) -> str:

@@ -127,8 +127,5 @@ def test_given_a_controller_unplugged_meanwhile_then_it_is_lost_until_it_is_back
 @settings(max_examples=15)
 @given(text=st.text(st.characters(min_codepoint=33, max_codepoint=126), max_size=12))
 def test_given_arbitrary_text_for_a_range_then_it_is_an_error(tmp_path_factory, text):
-    with (
-        controller(LOCAL, tmp_path_factory.mktemp("port"), range_text=text) as far,
-        pytest.raises(InstrumentError),
-    ):
+    with controller(LOCAL, tmp_path_factory.mktemp("port"), range_text=text) as far, pytest.raises(InstrumentError):
         read(far, answer_s=0.1)

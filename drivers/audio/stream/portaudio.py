@@ -189,11 +189,7 @@ class WatchedStream:
         try:
             sounddevice.check_output_settings(**settings)
             self._stream = sounddevice.OutputStream(
-                **settings,
-                blocksize=request.block_frames,
-                latency="high",
-                dither_off=True,
-                callback=self._callback,
+                **settings, blocksize=request.block_frames, latency="high", dither_off=True, callback=self._callback
             )
             told_s = float(self._stream.latency)
             self.latency_s = told_s if 0 <= told_s <= MOST_LATENCY_S else 0.0

@@ -56,9 +56,7 @@ MEANINGS = {
     -50405: USB_FAILED,
     -50808: USB_FAILED,
     -200088: Meaning(
-        InstrumentLostError,
-        "the driver has forgotten the task: it or the device was restarted",
-        "connect again",
+        InstrumentLostError, "the driver has forgotten the task: it or the device was restarted", "connect again"
     ),
 }
 """Codes that have a meaning of their own; NO_SUCH_DEVICE and IN_USE depend on what was before."""

@@ -122,10 +122,7 @@ class RecordTask:
             channels = self._configure()
             self._check(channels, operation)
             self._commit()
-            self.scales = (
-                self._scale(channels[0], timing.range_v[0]),
-                self._scale(channels[1], timing.range_v[1]),
-            )
+            self.scales = (self._scale(channels[0], timing.range_v[0]), self._scale(channels[1], timing.range_v[1]))
         except BaseException as failure:
             self._close_after(failure)
             raise

@@ -1,0 +1,26 @@
+"""What several suites on emulated wires share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.wire.emulated import FarSides, far_sides, free_port, rig_text
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Path:
+    """A rig file whose response range is the widest."""
+    file = tmp_path / "rig.toml"
+    text = rig_text(tmp_path, f"localhost:{free_port()}", period_frames=8192)
+    file.write_text(text.replace("response_range_v = 1.0\n", ""), encoding="utf-8")
+    return file
+
+
+@pytest.fixture
+def sides(rig: Path) -> Iterator[FarSides]:
+    """Its far sides."""
+    with far_sides(rig) as sides:
+        yield sides
