@@ -220,14 +220,7 @@ class Synthesis:
         return self._plate.ringing_s
 
     def green(self, place_mm: tuple[float, float], taps: int, sample_rate_hz: float) -> Float64Array:
-        """FIRs from drive to surface velocity, on the player's clock.
-
-        place_mm: Point on the surface in mm.
-        taps: Length of the FIRs.
-        sample_rate_hz: Their rate in Hz.
-
-        Returns float64 (actuators, taps): in (m/s)/V.
-        """
+        """FIRs from drive to surface velocity, as of `mocks.virtual.rig.VirtualRig.truth`."""
         length = impulse_length(taps, sample_rate_hz, self._plate.ringing_s)
         response = self._plate.response(place_mm, sample_rate_hz / length, length // 2 + 1, single=False)
         spectrum = response * self._velocity_per_volt[:, None]

@@ -164,11 +164,8 @@ class SerialFarSide:
             if now_s < self._read_again_s:
                 self._stopping.wait(TICK_S)
                 continue
-            data = self._wire.receive(self._patience_s(now_s), self._wake)
-            self._take(data)
-
-    def _patience_s(self, now_s: float) -> float:
-        return IDLE_S if self._plug_at_s is None else max(0.0, min(IDLE_S, self._plug_at_s - now_s))
+            idle_s = IDLE_S if self._plug_at_s is None else max(0.0, min(IDLE_S, self._plug_at_s - now_s))
+            self._take(self._wire.receive(idle_s, self._wake))
 
     def _take(self, data: bytes) -> None:
         self._input += data
@@ -189,7 +186,11 @@ class SerialFarSide:
         answer: bytes | None = None
         due = self._faults.due(operation)
         for fault in due:
-            if not self._before_answer(fault):
+            if fault.kind in {"silent", "stalled", "unplugged"}:  # the command does not reach the device
+                if fault.kind == "stalled":
+                    self._read_again_s = time.monotonic() + fault.seconds if fault.seconds else float("inf")
+                elif fault.kind == "unplugged":
+                    self._unplug(fault.seconds)
                 return
             if fault.kind == "refused":
                 answer = self._device.refusal(command).encode("latin-1")
@@ -204,14 +205,6 @@ class SerialFarSide:
             answer = self._spoilt(answer, fault)
         if answer and self._plugged:
             self._wire.send(answer)
-
-    def _before_answer(self, fault: WireFault) -> bool:
-        """Whether the command reaches the device."""
-        if fault.kind == "stalled":
-            self._read_again_s = time.monotonic() + fault.seconds if fault.seconds else float("inf")
-        elif fault.kind == "unplugged":
-            self._unplug(fault.seconds)
-        return fault.kind not in {"silent", "stalled", "unplugged"}
 
     def _spoilt(self, answer: bytes, fault: WireFault) -> bytes:
         if fault.kind == "late":

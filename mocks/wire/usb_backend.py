@@ -19,6 +19,13 @@ from mocks.wire.faults import WireFault, WireFaultPlan
 ENGLISH = 0x0409
 GET_DESCRIPTOR = 0x06
 STRING = 0x03
+# Constant fields of the descriptors (USB 2.0 specification, section 9.6).
+DEVICE = {"bLength": 18, "bDescriptorType": 1, "bcdUSB": 0x0200, "bDeviceSubClass": 0, "bDeviceProtocol": 0,
+          "bMaxPacketSize0": 64, "bcdDevice": 0x0100, "bNumConfigurations": 1, "speed": 3}  # fmt: skip
+CONFIGURATION = {"bLength": 9, "bDescriptorType": 2, "bConfigurationValue": 1, "iConfiguration": 0,
+                 "bmAttributes": 0x80, "bMaxPower": 50}  # fmt: skip
+INTERFACE = {"bLength": 9, "bDescriptorType": 4, "bAlternateSetting": 0, "bNumEndpoints": 0, "bInterfaceSubClass": 0,
+             "bInterfaceProtocol": 0, "iInterface": 0}  # fmt: skip
 # What libusb answers, by the errno that pyusb makes of it.
 LIBUSB_ERROR = {errno.EIO: -1, errno.EACCES: -3, errno.ENODEV: -4, errno.ENOENT: -5, errno.EBUSY: -6, errno.EPIPE: -9}
 
@@ -123,59 +130,32 @@ class VirtualUsb(IBackend):  # type: ignore[misc]  # pyusb ships no types
         texts = (device.manufacturer, device.product, device.serial_number)
         indices = [number + 1 if text else 0 for number, text in enumerate(texts)]
         return SimpleNamespace(
-            bLength=18,
-            bDescriptorType=1,
-            bcdUSB=0x0200,
+            **DEVICE,
             bDeviceClass=device.device_class,
-            bDeviceSubClass=0,
-            bDeviceProtocol=0,
-            bMaxPacketSize0=64,
             idVendor=device.vendor_id,
             idProduct=device.product_id,
-            bcdDevice=0x0100,
             iManufacturer=indices[0],
             iProduct=indices[1],
             iSerialNumber=indices[2],
-            bNumConfigurations=1,
             bus=device.bus,
             address=dev.address,
             port_number=device.port_path[-1] if device.port_path else None,
             port_numbers=device.port_path or None,
-            speed=3,
         )
 
     def get_configuration_descriptor(self, dev: _Node, config: int) -> SimpleNamespace:
         """The only configuration's descriptor."""
         if config != 0:
             raise IndexError(f"no configuration {config}")
-        return SimpleNamespace(
-            bLength=9,
-            bDescriptorType=2,
-            wTotalLength=9 + 9 * len(self._present(dev).device.interface_classes),
-            bNumInterfaces=len(dev.device.interface_classes),
-            bConfigurationValue=1,
-            iConfiguration=0,
-            bmAttributes=0x80,
-            bMaxPower=50,
-            extra_descriptors=[],
-        )
+        count = len(self._present(dev).device.interface_classes)
+        return SimpleNamespace(**CONFIGURATION, wTotalLength=9 + 9 * count, bNumInterfaces=count, extra_descriptors=[])
 
     def get_interface_descriptor(self, dev: _Node, intf: int, alt: int, config: int) -> SimpleNamespace:
         """The descriptor of one interface; none has alternate settings."""
         if config != 0 or alt != 0 or not 0 <= intf < len(self._present(dev).device.interface_classes):
             raise IndexError(f"no interface {intf}, alternate setting {alt}, configuration {config}")
-        return SimpleNamespace(
-            bLength=9,
-            bDescriptorType=4,
-            bInterfaceNumber=intf,
-            bAlternateSetting=0,
-            bNumEndpoints=0,
-            bInterfaceClass=dev.device.interface_classes[intf],
-            bInterfaceSubClass=0,
-            bInterfaceProtocol=0,
-            iInterface=0,
-            extra_descriptors=[],
-        )
+        kind = dev.device.interface_classes[intf]
+        return SimpleNamespace(**INTERFACE, bInterfaceNumber=intf, bInterfaceClass=kind, extra_descriptors=[])
 
     def open_device(self, dev: _Node) -> _Handle:
         """Open a device, where that is permitted."""

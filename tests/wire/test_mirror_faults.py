@@ -264,7 +264,7 @@ def test_given_a_peer_that_never_stops_sending_then_opening_ends(tmp_path):
             port = f"socket://127.0.0.1:{server.getsockname()[1]}"
             try:
                 with pytest.raises(InstrumentLostError, match="no end of the line"):
-                    bench.mirror(port=port, answer_s=ANSWER_S)
+                    bench.mirror(port=port, answer_s=10.0)
             finally:
                 stop.set()
                 thread.join()

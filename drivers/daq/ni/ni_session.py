@@ -160,17 +160,15 @@ class NiSession:
         self.owned = False  # whether this program may have reserved it
         self._seen = known
         self._channel: Any = None
-        doing = "opening"
-        self._nidaqmx = _package(self.instrument, doing)
+        self._nidaqmx = _packages(self.instrument, over_network=bool(address))
         # Whatever the driver warns about is an error here: no sample that it doubts is taken for good.
         warnings.filterwarnings("error", category=self._nidaqmx.errors.DaqWarning)
         self._options: Any = None
         try:
             if address:
-                _grpc(self.instrument, doing)
                 self._channel = self._opened_channel(address, answer_s, tls)
                 self._options = self._nidaqmx.GrpcSessionOptions(self._channel, "")
-            with self.telling(doing):
+            with self.telling("opening"):
                 self._open()
         except BaseException:
             self.close()
@@ -283,23 +281,19 @@ class NiSession:
             raise
 
 
-def _package(instrument: str, operation: str) -> Any:
+def _packages(instrument: str, *, over_network: bool) -> Any:
+    """The package nidaqmx, with what it needs for an address. Raises InstrumentError."""
+    missing = "the Python package nidaqmx is missing"
     try:
         import nidaqmx
         import nidaqmx.errors
         import nidaqmx.system
+
+        if over_network:
+            missing = "what the nidaqmx package needs for an address is missing"
+            import grpc  # noqa: F401
+            import nidaqmx._grpc_interpreter
     except ImportError as error:
-        cause = f"the Python package nidaqmx is missing ({error})"
         remedy = 'install it: pip install "nidaqmx[grpc]"'
-        raise InstrumentError(instrument, operation, cause, remedy) from error
+        raise InstrumentError(instrument, "opening", f"{missing} ({error})", remedy) from error
     return nidaqmx
-
-
-def _grpc(instrument: str, operation: str) -> None:
-    try:
-        import grpc  # noqa: F401
-        import nidaqmx._grpc_interpreter  # noqa: F401
-    except ImportError as error:
-        cause = f"what the nidaqmx package needs for an address is missing ({error})"
-        remedy = 'install it: pip install "nidaqmx[grpc]"'
-        raise InstrumentError(instrument, operation, cause, remedy) from error
