@@ -16,10 +16,11 @@ from acquisition.limits import QualityLimits
 from acquisition.plan import Plan
 from acquisition.plays import Play, keep_recordings
 from acquisition.setup import Setup, point_at, start_move, take_record
+from calibration import Float64Array, Int64Array
 from calibration.clock.timing import ReferenceMissingError
 from calibration.estimator.estimate import Estimate, PositionEstimator
 from drivers.errors import InstrumentError, TransientInstrumentError
-from drivers.protocols import Float64Array, Recording, Take
+from drivers.protocols import Recording, Take
 from storage.bank.ledger import PointRecord
 from storage.bank.writer import BankWriter
 from storage.point_status import Status
@@ -186,7 +187,7 @@ def evaluate(
     estimator: PositionEstimator,
     range_v: tuple[float, float],
     limits: QualityLimits,
-    distance_mm: NDArray[np.float64] | None = None,
+    distance_mm: Float64Array | None = None,
     before_db: float | None = None,
 ) -> AttemptResult:
     """Estimate the Green's functions of an attempt and judge them.
@@ -226,12 +227,7 @@ def row_of(result: AttemptResult, plan: Plan) -> Row | None:
 
 
 def commit_attempt(
-    bank: BankWriter,
-    result: AttemptResult,
-    attempts: int,
-    raw: RawWriter | None = None,
-    *,
-    count_anyway: bool = False,
+    bank: BankWriter, result: AttemptResult, attempts: int, raw: RawWriter | None = None, *, count_anyway: bool = False
 ) -> AttemptResult:
     """Commit the best attempt at a position, unless the bank already holds a better one.
 
@@ -320,18 +316,14 @@ def is_final(attempt: Attempt, judgement: Judgement, limits: QualityLimits) -> b
     return judgement.good or hopeless or attempt.of_session >= limits.max_attempts
 
 
-def first_attempts(rows: Sequence[int] | NDArray[np.int64], attempts: NDArray[np.int64]) -> Iterator[Attempt]:
+def first_attempts(rows: Sequence[int] | Int64Array, attempts: Int64Array) -> Iterator[Attempt]:
     """The first try of a session at each of some positions."""
     for row in rows:
         yield Attempt(int(row), int(attempts[row]) + 1, 1)
 
 
 def attempts_again(
-    order: NDArray[np.int64],
-    status: NDArray[np.uint8],
-    attempts: NDArray[np.int64],
-    setup: Setup,
-    limits: QualityLimits,
+    order: Int64Array, status: NDArray[np.uint8], attempts: Int64Array, setup: Setup, limits: QualityLimits
 ) -> list[Attempt]:
     """The tries of the next pass over all that is not valid, if there is one.
 
@@ -359,7 +351,7 @@ def attempts_again(
     return []
 
 
-def is_futile(order: NDArray[np.int64], status: NDArray[np.uint8], attempts: NDArray[np.int64], before: int) -> bool:
+def is_futile(order: Int64Array, status: NDArray[np.uint8], attempts: Int64Array, before: int) -> bool:
     """Whether the latest positions that a pass measured again have all stayed as they were.
 
     order, status, attempts: As of `attempts_again`.

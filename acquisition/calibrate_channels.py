@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.calibrate_mirror import BOTH, SUM, NotMeasuredError, Operator, output
 from acquisition.plays import channels_of
 from acquisition.setup import Setup, point_at, take_record
+from calibration import Float64Array
 from calibration.clock.timing import ReferenceMissingError
 from calibration.comparison import (
     DEAD_SNR_DB,
@@ -26,7 +26,7 @@ from calibration.estimator.estimate import Estimate
 from calibration.estimator.sequential import SequentialEstimator
 from calibration.sweeps import Excitation
 from drivers.errors import TransientInstrumentError
-from drivers.protocols import Float64Array, Recording, Take
+from drivers.protocols import Recording, Take
 
 # Above what coupling capacitors turn, and below what converters begin to fold back.
 LOWEST_HZ = 200.0
@@ -314,12 +314,12 @@ class ActuatorsTask:
     amplitude_v: Peak of the sweep in volts.
     """
 
-    position_mm: NDArray[np.float64]
+    position_mm: Float64Array
     amplitude_v: float
     sample_rate_hz: float
 
 
-def listening_places(actuator_mm: NDArray[np.float64], distance_mm: float) -> NDArray[np.float64]:
+def listening_places(actuator_mm: Float64Array, distance_mm: float) -> Float64Array:
     """Places at one distance from each actuator, on the way to the surface's centre.
 
     actuator_mm, float64 (actuators, 2): Where the actuators are.

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.setup import Setup, asking
+from calibration import Float64Array
 from calibration.mirror_map import LEAST_MARKS, MirrorFit, MirrorMap, fit_mirror_map
 from config.messages.rig_checks import By, Drop, Here, Keep, MapView, Redo, To
 from storage.errors import InputError, WavefocusError
@@ -131,8 +131,8 @@ def _numbers(path: Path, number: int, line: str, count: int) -> list[float]:
 class MirrorFigures:
     """The marks, the angles at which the beam was on them, and the map through them."""
 
-    place_mm: NDArray[np.float64]
-    angles_mrad: NDArray[np.float64]
+    place_mm: Float64Array
+    angles_mrad: Float64Array
     fit: MirrorFit
 
     @property
@@ -141,7 +141,7 @@ class MirrorFigures:
         return float(self.fit.residual_mm.max())
 
     @property
-    def off_mm(self) -> NDArray[np.float64]:
+    def off_mm(self) -> Float64Array:
         """Where the map lets the beam of each mark fall, less where the mark lies, shape (marks, 2)."""
         return np.stack(self.fit.mirror_map.surface_mm(*self.angles_mrad.T), axis=-1) - self.place_mm
 
@@ -157,7 +157,7 @@ class MirrorFigures:
         return int(np.argmin(without))
 
 
-def _rms_without(place_mm: NDArray[np.float64], angles_mrad: NDArray[np.float64], mark: int) -> float:
+def _rms_without(place_mm: Float64Array, angles_mrad: Float64Array, mark: int) -> float:
     try:
         return fit_mirror_map(np.delete(place_mm, mark, axis=0), np.delete(angles_mrad, mark, axis=0)).rms_mm
     except InputError:  # without it, the others decide nothing

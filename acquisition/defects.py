@@ -9,6 +9,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration import BoolArray, Float64Array
 from calibration.estimator.estimate import Estimate
 
 MAINS_HZ = (50.0, 60.0)
@@ -68,14 +69,12 @@ class DefectLimits:
     harmonic_db: float
 
 
-def dead_records(estimate: Estimate) -> NDArray[np.bool_]:
+def dead_records(estimate: Estimate) -> BoolArray:
     """Records whose response channel is constant."""
     return np.asarray(estimate.defects["dead"] == 1)
 
 
-def named_defects(
-    estimate: Estimate, limits: DefectLimits, distance_mm: NDArray[np.float64] | None
-) -> tuple[Defect, ...]:
+def named_defects(estimate: Estimate, limits: DefectLimits, distance_mm: Float64Array | None) -> tuple[Defect, ...]:
     """Name what the figures of an attempt's records show.
 
     Of one record the defect that explains the others is named alone: a lost sample also leaves a burst.
@@ -103,7 +102,7 @@ def named_defects(
     return tuple(found)
 
 
-def records_named(defects: Sequence[Defect], actuators: int) -> NDArray[np.bool_]:
+def records_named(defects: Sequence[Defect], actuators: int) -> BoolArray:
     """Which records have a name for what is wrong with them."""
     named = np.zeros(actuators, dtype=bool)
     for defect in defects:
@@ -211,7 +210,7 @@ def _line(estimate: Estimate, worst: NDArray[np.intp]) -> Defect:
     return _HUM.of(estimate, worst, hum_hz=multiple * mains, harmonic=harmonic)
 
 
-def _silent(estimate: Estimate, distance_mm: NDArray[np.float64] | None) -> NDArray[np.bool_]:
+def _silent(estimate: Estimate, distance_mm: Float64Array | None) -> BoolArray:
     """Records without a response where several farther actuators have a good one."""
     if distance_mm is None:
         return np.zeros(estimate.snr_db.size, dtype=bool)

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration import Float64Array
 from config.outline import EDGE_TOLERANCE_MM, Outline
 from storage.errors import InputError
 from storage.text_file import read_text
@@ -20,9 +20,7 @@ MOST_POSITIONS = 1_000_000
 Lattice = Literal["square", "hexagonal"]
 
 
-def surface_grid(
-    outline: Outline, margin_mm: float, spacing_mm: float, lattice: Lattice = "square"
-) -> NDArray[np.float64]:
+def surface_grid(outline: Outline, margin_mm: float, spacing_mm: float, lattice: Lattice = "square") -> Float64Array:
     """Place a grid on a surface, in serpentine order from the bottom row up.
 
     Columns lie at ``(i + 1/2) * spacing_mm`` and rows at ``j * spacing_mm``, i and j whole numbers, wherever
@@ -68,7 +66,7 @@ def surface_grid(
     return position_mm
 
 
-def read_positions_file(path: Path, outline: Outline) -> NDArray[np.float64]:
+def read_positions_file(path: Path, outline: Outline) -> Float64Array:
     """Read positions from a CSV file with the header ``x_mm,y_mm``, in the order of its lines.
 
     Blank lines and lines that start with ``#`` are passed over.

@@ -19,6 +19,7 @@ from acquisition.defects import (
     records_named,
 )
 from acquisition.limits import QualityLimits
+from calibration import BoolArray, Complex128Array, Float32Array, Float64Array
 from calibration.estimator.estimate import Estimate
 from storage.point_status import Status
 
@@ -39,8 +40,8 @@ class Row:
     moved_mm: Distance from the position; NaN where unknown.
     """
 
-    spectrum: NDArray[np.complex128]
-    snr_db: NDArray[np.float32]
+    spectrum: Complex128Array
+    snr_db: Float32Array
     moved_mm: float = 0.0
 
 
@@ -68,7 +69,7 @@ class Difference:
         )
 
 
-def in_band(green: NDArray[np.floating], sample_rate_hz: float, band_hz: tuple[float, float]) -> NDArray[np.complex128]:
+def in_band(green: NDArray[np.floating], sample_rate_hz: float, band_hz: tuple[float, float]) -> Complex128Array:
     """Spectra of Green's functions in the band of the sweep: outside of it, and at its edges, noise is magnified.
 
     green, (actuators, taps): Green's functions.
@@ -110,7 +111,7 @@ def difference(then: Row, now: Row) -> Difference:
     return Difference(tuple(which.tolist()), float(level_db), float(relative[worst]))
 
 
-def _noise_share(snr_db: NDArray[np.float32]) -> NDArray[np.float64]:
+def _noise_share(snr_db: Float32Array) -> Float64Array:
     """Energy of the noise in a Green's function over its own, at most."""
     finite_db = np.nan_to_num(snr_db.astype(np.float64), nan=0.0)
     return np.asarray(np.minimum(10.0 ** (-0.1 * finite_db), 1.0))
@@ -144,7 +145,7 @@ def judge(
     estimate: Estimate,
     over_range: bool,
     limits: QualityLimits,
-    distance_mm: NDArray[np.float64] | None = None,
+    distance_mm: Float64Array | None = None,
     before_db: float | None = None,
     *,
     calibrated: bool = True,
@@ -195,7 +196,7 @@ def differing(apart: Difference, score: float) -> Judgement:
     return Judgement(Status.POOR_SIGNAL, sentence, score, (Defect("differs", apart.actuators, sentence, Cure.AGAIN),))
 
 
-def _excess_db(estimate: Estimate, usable: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _excess_db(estimate: Estimate, usable: BoolArray) -> Float64Array:
     """Residual of each record in volts above that of the quietest usable one."""
     noise_v = np.maximum(estimate.noise_v.astype(np.float64), np.finfo(np.float32).tiny)
     quietest = np.min(noise_v[usable]) if np.any(usable) else 1.0
@@ -215,7 +216,7 @@ def _over_range(estimate: Estimate, over_range: bool) -> list[Defect]:
     return [Defect("over-range", worst, sentence, Cure.RANGE, over_range=True)]
 
 
-def _unknown(unknown: NDArray[np.bool_]) -> list[Defect]:
+def _unknown(unknown: BoolArray) -> list[Defect]:
     if not np.any(unknown):
         return []
     which = tuple(np.flatnonzero(unknown).tolist())
@@ -224,7 +225,7 @@ def _unknown(unknown: NDArray[np.bool_]) -> list[Defect]:
 
 
 def _unexplained(
-    estimate: Estimate, excess_db: NDArray[np.float64], unnamed: NDArray[np.bool_], limits: QualityLimits
+    estimate: Estimate, excess_db: Float64Array, unnamed: BoolArray, limits: QualityLimits
 ) -> list[Defect]:
     """Records that are bad without telling why."""
     suspect = unnamed & (excess_db > limits.excess_noise_db) & (estimate.residual_db > limits.poor_residual_db)
@@ -273,7 +274,7 @@ def _reference_level(
     return [Defect(REFERENCE_LEVEL, tuple(which.tolist()), sentence, Cure.AGAIN)]
 
 
-def _low_signal(estimate: Estimate, usable: NDArray[np.bool_], limits: QualityLimits) -> list[Defect]:
+def _low_signal(estimate: Estimate, usable: BoolArray, limits: QualityLimits) -> list[Defect]:
     if not np.any(usable):
         return []
     best_db = float(np.max(estimate.snr_db[usable]))

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from datetime import datetime
 
 import numpy as np
-from numpy.typing import NDArray
+
+from calibration import Float32Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +126,7 @@ class DriftFigures:
         )
 
 
-def compare_sentinel(then: NDArray[np.float32], now: NDArray[np.float32]) -> DriftFigures:
+def compare_sentinel(then: Float32Array, now: Float32Array) -> DriftFigures:
     """Compare two measurements of one position.
 
     then, now, float32 (actuators, taps): Green's functions of the first and of the new measurement.

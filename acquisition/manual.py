@@ -11,12 +11,13 @@ from acquisition.judgement import judge
 from acquisition.limits import QualityLimits
 from acquisition.plays import channels_of
 from acquisition.setup import Setup, record_samples, record_silence, take_record
+from calibration import Float32Array, Float64Array
 from calibration.blas import one_blas_thread
 from calibration.clock.timing import ReferenceMissingError
 from calibration.estimator.sequential import SequentialEstimator
 from calibration.sweeps import Excitation
 from config.messages.operate import ChannelLevel, Defect, InputLevels, SweepFigures, SweepTaken, TakeSweep
-from drivers.protocols import Float32Array, Float64Array, Recording, Take
+from drivers.protocols import Recording, Take
 from storage.errors import InputError
 
 LISTENS_S = 0.1

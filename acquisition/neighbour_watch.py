@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.attempt import AttemptResult, row_of
 from acquisition.defects import Cure, Defect
 from acquisition.judgement import Judgement, Row, difference, differing, in_band
 from acquisition.plan import Plan
 from acquisition.plays import MEASURED
+from calibration import BoolArray, Float32Array, Int64Array
 from calibration.neighbour_difference import Difference
 from calibration.neighbour_judge import NeighbourJudge, RowSpectra
 from storage.bank.writer import BankWriter
@@ -49,14 +49,14 @@ class NeighbourWatch:
         self._bank = bank
         self._marked: dict[int, bool] = {}
 
-    def is_done(self, covered: NDArray[np.int64]) -> bool:
+    def is_done(self, covered: Int64Array) -> bool:
         """Whether `mark` came to its end for these positions: the last of them says so."""
         if not len(covered):
             return True
         last = int(covered[-1])
         return bool(self._bank.status[last]) and self._bank.record(last).judged & ~ALONE == len(covered)
 
-    def mark(self, covered: NDArray[np.int64]) -> Iterator[tuple[int, Judgement]]:
+    def mark(self, covered: Int64Array) -> Iterator[tuple[int, Judgement]]:
         """Mark as poor what neighbours contradict, and, where the plan wants second looks, what they cannot judge.
 
         Rows that had a repeat in a pass are not judged once more. Whatever of it an interrupted session marked, the
@@ -127,7 +127,7 @@ class NeighbourWatch:
         judgement = differing(apart, judgement.score) if apart else replace(UNCONFIRMED, score=judgement.score)
         return replace(result, judgement=judgement)
 
-    def judge(self, position: int, green: NDArray[np.float32], before: Judgement) -> tuple[Judgement, bool]:
+    def judge(self, position: int, green: Float32Array, before: Judgement) -> tuple[Judgement, bool]:
         """Judge a repeat that is good by its own records.
 
         Where it differs from its neighbours without a cause in level, time, wiring or place, and what the bank holds
@@ -153,7 +153,7 @@ class NeighbourWatch:
             return before, True
         return _judgement(differences), True
 
-    def _alone(self) -> NDArray[np.bool_]:
+    def _alone(self) -> BoolArray:
         """Positions that neighbours could not judge, and that had no second look yet."""
         poor = np.asarray(self._bank.status == Status.POOR_SIGNAL)
         poor &= self._bank.attempts <= self._plan.quality.max_attempts
@@ -164,7 +164,7 @@ class NeighbourWatch:
         return poor
 
     def _differences(
-        self, rows: NDArray[np.int64], instead: dict[int, NDArray[np.float32]]
+        self, rows: Int64Array, instead: dict[int, Float32Array]
     ) -> tuple[dict[int, tuple[Difference, ...]], frozenset[int]]:
         """What differs, and the positions all of whose rows could be judged."""
         if not len(rows):
@@ -186,7 +186,7 @@ class NeighbourWatch:
             found[row] = (*found.get(row, ()), one)
         return found, frozenset(rows[(verdict.judged | ~strong).all(axis=1)].tolist())
 
-    def _strong(self, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def _strong(self, rows: Int64Array) -> BoolArray:
         """Actuators with enough signal at some positions, or at all positions around them."""
         snr_db = np.array([self._snr_db(row) for row in rows.tolist()]).reshape(len(rows), -1)
         strong = ~(snr_db < STRONG_DB)
@@ -197,7 +197,7 @@ class NeighbourWatch:
             strong[number] |= ~(np.median(around, axis=0) < STRONG_DB)
         return np.asarray(strong)
 
-    def _snr_db(self, row: int) -> NDArray[np.float32]:
+    def _snr_db(self, row: int) -> Float32Array:
         """Signal-to-noise ratios of a row, NaN where unknown."""
         if not self._bank.status[row]:
             return np.full(self._plan.actuators, np.nan, np.float32)
@@ -211,7 +211,7 @@ def _judgement(differences: tuple[Difference, ...]) -> Judgement:
     return Judgement(Status.POOR_SIGNAL, "; ".join(defect.sentence for defect in defects), score, defects)
 
 
-def _same(held: NDArray[np.float32], green: NDArray[np.float32], difference: Difference) -> bool:
+def _same(held: Float32Array, green: Float32Array, difference: Difference) -> bool:
     """Whether two measurements agree in the rows that differ from the neighbours."""
     rows = list(difference.actuators)
     apart = float(np.linalg.norm(held[rows].astype(np.float64) - green[rows]))

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from acquisition.limits import DriftLimits, QualityLimits
 from acquisition.setup import Rolls, record_samples
-from calibration.estimator.schedule_error import Method, Noise, expected_error
+from calibration import Float64Array, Int64Array
+from calibration.estimator.schedule_error import expected_error_db
 from calibration.sweeps import Excitation, StaggeredSignal
-from drivers.protocols import Float64Array
 
 # Time of a mirror move, of starting a task and of a commit, for the estimate before a run.
 POSITION_OVERHEAD_S = 0.05
@@ -42,7 +42,7 @@ class Plan:
 
     position_mm: Float64Array
     actuator_mm: Float64Array
-    order: NDArray[np.int64]
+    order: Int64Array
     excitation: Excitation
     taps: int
     sha256: str
@@ -65,9 +65,9 @@ class Plan:
         """Records of a position."""
         return self.actuators if self.staggered is None else self.staggered.groups
 
-    def to_do(self, status: NDArray[np.uint8]) -> NDArray[np.int64]:
+    def to_do(self, status: NDArray[np.uint8]) -> Int64Array:
         """Bank rows still to be measured, in order: the plan minus what is committed."""
-        left: NDArray[np.int64] = self.order[status[self.order] == 0]
+        left: Int64Array = self.order[status[self.order] == 0]
         return left
 
     def record_s(self, rolls: Rolls) -> float:
@@ -81,13 +81,13 @@ class Plan:
         """Seconds that one position takes: its records and the overhead around them."""
         return self.records * self.record_s(rolls) + POSITION_OVERHEAD_S
 
-    def campaign_s(self, rows: NDArray[np.int64], rolls: Rolls, speed_m_s: float = GEL_SPEED_M_S) -> float:
+    def campaign_s(self, rows: Int64Array, rolls: Rolls, speed_m_s: float = GEL_SPEED_M_S) -> float:
         """Seconds that some positions take, sentinel and second looks included."""
         position_s = self.position_s(rolls)
         count = len(rows) + self.second_looks(rows, speed_m_s)
         return (count + self.drift.passes(count, position_s)) * position_s
 
-    def second_looks(self, rows: NDArray[np.int64], speed_m_s: float = GEL_SPEED_M_S) -> int:
+    def second_looks(self, rows: Int64Array, speed_m_s: float = GEL_SPEED_M_S) -> int:
         """Number of positions that no neighbour can be expected to judge, so that they are measured twice.
 
         rows: The positions that are measured.
@@ -187,15 +187,6 @@ class Expectation:
     proportional_db: float
 
 
-def method_of(plan: Plan) -> Method:
-    """How a plan's actuators sound."""
-    rate, signal, excitation = plan.excitation.sample_rate_hz, plan.staggered, plan.excitation
-    if signal is None:
-        return Method(excitation.averages * excitation.duration_s, 1, excitation.duration_s + excitation.decay_s)
-    period_s = signal.period_samples / rate
-    return Method(signal.periods * period_s, signal.slots, period_s)
-
-
 def schedule_name(plan: Plan) -> str:
     """What a plan's schedule is called: ``sequential 3 x 1 s``, ``staggered 250 ms, groups of 5``."""
     excitation, signal = plan.excitation, plan.staggered
@@ -212,19 +203,16 @@ def expect(plan: Plan, rolls: Rolls, snr_db: float = ASSUMED_SNR_DB) -> Expectat
     rolls: How long a record is before and after its signal.
     snr_db: Response of one actuator that sounds alone, while it sounds, over the noise from 0 to half the sample rate.
     """
-
-    def error_db(noise: Noise) -> float:
-        return expected_error(
-            method_of(plan),
-            noise,
-            band_hz=plan.excitation.band_hz,
-            sample_rate_hz=plan.excitation.sample_rate_hz,
-            taps=plan.taps,
-        ).total_db
-
-    return Expectation(
-        schedule_name(plan),
-        plan.positions * plan.position_s(rolls),
-        error_db(Noise(additive_db=-snr_db)),
-        error_db(Noise(proportional_db=-snr_db)),
+    signal, excitation = plan.staggered, plan.excitation
+    rate_hz = excitation.sample_rate_hz
+    sounding_s, together = excitation.averages * excitation.duration_s, 1
+    if signal is not None:
+        sounding_s, together = signal.periods * signal.period_samples / rate_hz, signal.slots
+    additive_db, proportional_db = (
+        expected_error_db(
+            snr_db, sounding_s, loudness, band_hz=excitation.band_hz, sample_rate_hz=rate_hz, taps=plan.taps
+        )
+        for loudness in (1, together)
     )
+    seconds = plan.positions * plan.position_s(rolls)
+    return Expectation(schedule_name(plan), seconds, additive_db, proportional_db)

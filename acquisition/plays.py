@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from acquisition.plan import Plan, lead_samples
 from acquisition.setup import Rolls, Setup, record_samples
+from calibration import Float64Array
 from calibration.blas import one_blas_thread
 from calibration.estimator.estimate import Channels, PositionEstimator, Records
 from calibration.estimator.sequential import SequentialEstimator
 from calibration.estimator.staggered import StaggeredEstimator
-from drivers.protocols import Float64Array, Recording
+from drivers.protocols import Recording
 from storage.errors import InputError
 from storage.point_status import Status
 from storage.raw.header import RawHeader, sequential

@@ -8,18 +8,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from acquisition.conditions import NOTHING_WATCHED, Watch
+from calibration import Float64Array
 from calibration.mirror_map import MirrorMap
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from drivers.protocols import (
-    DeviceIdentity,
-    Float64Array,
-    Instrument,
-    Instruments,
-    Recorder,
-    Recording,
-    RecordRequest,
-    Take,
-)
+from drivers.protocols import DeviceIdentity, Instrument, Instruments, Recorder, Recording, RecordRequest, Take
 from drivers.timeouts import Role
 
 
@@ -193,11 +185,7 @@ def record_samples(rolls: Rolls, signal_samples: int, sample_rate_hz: float) -> 
 
 
 def take_record(
-    setup: Setup,
-    signals_v: Mapping[int, Float64Array],
-    sample_rate_hz: float,
-    take: Take,
-    samples: int | None = None,
+    setup: Setup, signals_v: Mapping[int, Float64Array], sample_rate_hz: float, take: Take, samples: int | None = None
 ) -> Recording:
     """Play signals and record reference and response around them.
 

@@ -15,15 +15,13 @@ from acquisition.plan import GROUP, Plan
 from acquisition.plays import Measuring, measuring_of
 from acquisition.setup import Setup, point_at
 from acquisition.wording import hours
+from calibration import Complex128Array, Float64Array
 from calibration.clock.timing import ReferenceMissingError
 from calibration.estimator.estimate import Estimate
 from calibration.estimator.schedule_error import Decay, degrees_of_freedom, measure_decay
 from calibration.sweeps import StaggeredSignal
 from drivers.protocols import Take
 from storage.errors import InputError
-
-Float64Array = NDArray[np.float64]
-Complex128Array = NDArray[np.complex128]
 
 # Measurements differ by more than their noise when their difference has so many times its energy.
 DISTINCT = 1.3

@@ -12,3 +12,15 @@
 `check`                        `check_bank`
 =============================  ==================================================================
 """
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float32Array = NDArray[np.float32]
+Float64Array = NDArray[np.float64]
+Complex64Array = NDArray[np.complex64]
+Complex128Array = NDArray[np.complex128]
+Int64Array = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]

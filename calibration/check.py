@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration import BoolArray, Float64Array
 from calibration.blas import one_blas_thread
 from calibration.neighbour_judge import NeighbourJudge, RowSpectra
 from storage.bank.ledger import VALID
@@ -155,7 +156,7 @@ def _status_or_none(bank: Bank) -> NDArray[np.uint8] | None:
         return None
 
 
-def _tail_db(energy: NDArray[np.float64]) -> float:
+def _tail_db(energy: Float64Array) -> float:
     """Energy of the last tenth of the taps against the strongest tenth, in dB."""
     if len(energy) < _TENTHS:
         return -np.inf
@@ -163,7 +164,7 @@ def _tail_db(energy: NDArray[np.float64]) -> float:
     return float(10 * np.log10(tenths[-1] / tenths.max())) if tenths[-1] > 0 else -np.inf
 
 
-def _check_tails(tail_db: NDArray[np.float64]) -> Iterator[Finding]:
+def _check_tails(tail_db: Float64Array) -> Iterator[Finding]:
     """One warning for all positions: where one response is too long or too noisy, its neighbours are too."""
     long = np.flatnonzero(tail_db > _TAIL_DB)
     if len(long):
@@ -175,7 +176,7 @@ def _check_tails(tail_db: NDArray[np.float64]) -> Iterator[Finding]:
         yield Finding(worst, None, message, "warning")
 
 
-def _check_levels(rms: NDArray[np.float64], *, certain: bool) -> Iterator[Finding]:
+def _check_levels(rms: Float64Array, *, certain: bool) -> Iterator[Finding]:
     """Check each position against the median of all, each actuator against the median of the others."""
     rows = np.sqrt(np.square(rms).mean(axis=1))
     measured = np.flatnonzero(np.isfinite(rows))
@@ -196,7 +197,7 @@ def _check_levels(rms: NDArray[np.float64], *, certain: bool) -> Iterator[Findin
             yield Finding(None, actuator, message, "warning")
 
 
-def _check_neighbours(bank: Bank, spectra: RowSpectra, measured: NDArray[np.bool_]) -> Iterator[Finding]:
+def _check_neighbours(bank: Bank, spectra: RowSpectra, measured: BoolArray) -> Iterator[Finding]:
     """Check each row against what the rows of its neighbours predict of it."""
     verdict = NeighbourJudge(bank.position_mm, bank.actuator_mm, spectra, measured).find()
     for one in verdict.differences:

@@ -9,6 +9,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import ArrayLike, NDArray
 
+from calibration import Float64Array
 from calibration.clock.timing import ClockFit, ClockFitter, ReferenceMissingError
 
 Verdict = Literal["good", "weak", "dead", "reversed", "unlike"]
@@ -36,8 +37,8 @@ class ActuatorComparison:
     verdict: ``"good"``, ``"weak"``, ``"dead"``, ``"reversed"`` or ``"unlike"``, for each.
     """
 
-    level_db: NDArray[np.float64]
-    likeness: NDArray[np.float64]
+    level_db: Float64Array
+    likeness: Float64Array
     verdict: tuple[Verdict, ...]
 
     @property
@@ -84,7 +85,7 @@ def _verdict(alive: np.bool_, level_db: float, likeness: float) -> Verdict:
     return "weak" if level_db < WEAK_DB else "good"
 
 
-def _correlations(shapes: NDArray[np.float64], common: NDArray[np.float64], most_lag: int) -> NDArray[np.float64]:
+def _correlations(shapes: Float64Array, common: Float64Array, most_lag: int) -> Float64Array:
     """The largest correlation in magnitude of each shape with the common one, over small lags."""
     length = scipy.fft.next_fast_len(shapes.shape[1] + most_lag, real=True)
     spectra = scipy.fft.rfft(shapes, length, axis=1) * scipy.fft.rfft(common, length).conj()
@@ -120,7 +121,7 @@ class ChannelComparer:
     sample_rate_hz: Nominal rate of the record.
     """
 
-    def __init__(self, known_v: NDArray[np.float64], sample_rate_hz: float) -> None:
+    def __init__(self, known_v: Float64Array, sample_rate_hz: float) -> None:
         self._fitter = ClockFitter(known_v)
         self._rate_hz = sample_rate_hz
         energy = known_v**2

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from calibration import Float64Array
 from storage.errors import InputError
-
-Float64Array = NDArray[np.float64]
 
 Row = tuple[float, float, float]
 
@@ -53,7 +52,7 @@ class MirrorMap:
             raise InputError(f"mirror distance_mm is {distance_mm:g}; allowed is a finite number above 0")
         return cls(((1.0 / distance_mm, 0.0, 0.0), (0.0, 1.0 / distance_mm, 0.0), (0.0, 0.0, 1.0)))
 
-    def angles_mrad(self, x_mm: ArrayLike, y_mm: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def angles_mrad(self, x_mm: ArrayLike, y_mm: ArrayLike) -> tuple[Float64Array, Float64Array]:
         """Optical angles that meet places on the surface.
 
         x_mm, y_mm, array_like, any one shape: Surface coordinates in millimetres.
@@ -64,7 +63,7 @@ class MirrorMap:
         tan_x, tan_y = _project(np.array(self.matrix), x_mm, y_mm, "surface place ({:g}, {:g}) mm")
         return 1000 * np.arctan(tan_x), 1000 * np.arctan(tan_y)
 
-    def surface_mm(self, x_mrad: ArrayLike, y_mrad: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def surface_mm(self, x_mrad: ArrayLike, y_mrad: ArrayLike) -> tuple[Float64Array, Float64Array]:
         """Places on the surface that optical angles meet; the inverse of `angles_mrad`.
 
         x_mrad, y_mrad, array_like, any one shape: Optical angles in milliradians, within a quarter turn.
@@ -78,9 +77,7 @@ class MirrorMap:
         return _project(inverse, tan_x, tan_y, "beam with tangents ({:g}, {:g})")
 
 
-def _project(
-    homography: NDArray[np.float64], x: ArrayLike, y: ArrayLike, what: str
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _project(homography: Float64Array, x: ArrayLike, y: ArrayLike, what: str) -> tuple[Float64Array, Float64Array]:
     x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
     u, v, scale = np.tensordot(homography, np.stack([x, y, np.ones_like(x)]), axes=1)
     # The origin is in front of the mirror, so everything visible has the sign of its scale, H[2, 2].

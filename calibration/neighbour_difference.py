@@ -7,10 +7,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float64Array = NDArray[np.float64]
-Complex128Array = NDArray[np.complex128]
+from calibration import Complex128Array, Float64Array
 
 EXPLAINED = 0.8
 """A cause is named when it explains this share of the difference."""

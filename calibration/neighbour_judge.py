@@ -13,14 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration import BoolArray, Complex128Array, Float64Array, Int64Array
 from calibration.blas import one_blas_thread
 from calibration.neighbour_difference import EXPLAINED, Difference, cause_of, relative_norm, swapped, together
 from calibration.neighbour_prediction import Gains, RowsPredicted, common_gains
-
-Float64Array = NDArray[np.float64]
-Complex128Array = NDArray[np.complex128]
-Int64Array = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 LINEAR_FREQUENCIES, OCTAVE_FREQUENCIES = 16, 16
 LEARNED_FROM = 12

@@ -12,15 +12,12 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+from calibration import BoolArray, Complex128Array, Float64Array, Int64Array
 from calibration.blas import one_blas_thread
 from calibration.wave_model import PatchKernel, WaveModel, fit_waves
-
-Float64Array = NDArray[np.float64]
-Complex128Array = NDArray[np.complex128]
 
 PENALTY = 4.0
 """In standard deviations of a factor that is fitted alone."""
@@ -51,7 +48,7 @@ def common_gains(
     coefficients: Callable[[Patch], Complex128Array],
     values: Complex128Array,
     typical: Float64Array,
-    judged: NDArray[np.bool_],
+    judged: BoolArray,
 ) -> Gains:
     """Find the positions whose rows all have one factor that is not 1.
 
@@ -116,9 +113,6 @@ def _normal_matrix(
     indices = (np.concatenate(row), np.concatenate(column))
     return sparse.coo_array((np.concatenate(entry), indices), shape=(count, count)).tocsc()
 
-
-Int64Array = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 REACH_SPACINGS = 2.6
 """Neighbours are this near, in grid spacings: 20 on a square grid, 18 on a hexagonal one."""

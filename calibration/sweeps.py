@@ -4,53 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration import Float64Array
 from storage.errors import InputError
 from storage.raw.header import EMPTY, Schedule, staggered
-
-Float64Array = NDArray[np.float64]
-
-
-class Sweeps(Protocol):
-    """Sweeps that follow each other, each with silence after it; what an estimator needs of them."""
-
-    @property
-    def sample_rate_hz(self) -> float:
-        """Rate in Hz."""
-        ...
-
-    @property
-    def start_hz(self) -> float:
-        """Lowest frequency in Hz."""
-        ...
-
-    @property
-    def stop_hz(self) -> float:
-        """Highest frequency in Hz."""
-        ...
-
-    @property
-    def averages(self) -> int:
-        """Number of sweeps in a record."""
-        ...
-
-    @property
-    def decay_samples(self) -> int:
-        """Samples of silence after each sweep."""
-        ...
-
-    @property
-    def decay_s(self) -> float:
-        """Silence after each sweep in seconds."""
-        ...
-
-    def base_v(self) -> NDArray[np.float64]:
-        """One sweep and its silence in volts."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +85,7 @@ class Excitation:
         """Lowest and highest frequency of the sweep in Hz."""
         return (self.start_hz, self.stop_hz)
 
-    def base_v(self) -> NDArray[np.float64]:
+    def base_v(self) -> Float64Array:
         """One sweep and its silence in volts, shape (period_samples,); peak `amplitude_v`, mean exactly 0."""
         samples = self.sweep_samples
         time_s = np.arange(samples) / self.sample_rate_hz
@@ -144,9 +103,35 @@ class Excitation:
         base[:samples] = sweep * (self.amplitude_v / np.abs(sweep).max())
         return base
 
-    def signal_v(self) -> NDArray[np.float64]:
+    def signal_v(self) -> Float64Array:
         """The whole record's drive in volts, shape (averages * period_samples,)."""
         return np.tile(self.base_v(), self.averages)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedSweeps:
+    """The sweeps of another program's sequential record as its reference channel carried them.
+
+    base, float64 (period,): One sweep and its silence in DAQ volts, on the playback clock.
+    sample_rate_hz: Rate in Hz.
+    start_hz, stop_hz: Lowest and highest frequency in Hz.
+    decay_samples: Samples of silence after each sweep.
+    averages: Number of sweeps in a record.
+    """
+
+    base: Float64Array
+    sample_rate_hz: float
+    start_hz: float
+    stop_hz: float
+    decay_samples: int
+    averages: int
+
+    def base_v(self) -> Float64Array:
+        """One sweep and its silence in volts, shape (period,)."""
+        return self.base
+
+
+Sweeps = Excitation | RecordedSweeps
 
 
 # A record is longer than its periods by this share, twice what the fastest clock allowed takes.

@@ -17,10 +17,9 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float64Array = NDArray[np.float64]
-Complex128Array = NDArray[np.complex128]
+from calibration import Complex128Array, Float64Array, Int64Array
+
 Disk = Callable[[Float64Array], Float64Array]
 
 DISK_RADIUS = 1.15
@@ -198,8 +197,6 @@ def _parts(
     ring = waves @ others.conj().transpose(0, 2, 1) / waves.shape[2]
     return np.asarray(ring), disk
 
-
-Int64Array = NDArray[np.int64]
 
 SCANNED_RADIANS = np.geomspace(0.1, 3.6, 24)
 """Wave numbers tried, times the grid spacing: from 60 positions per wavelength to fewer than two."""

@@ -94,11 +94,7 @@ class Campaign:
         self._last_fault: InstrumentError | None = None
 
     def run(
-        self,
-        positions: Sequence[int] | None = None,
-        *,
-        accept_drift: bool = False,
-        replaceable: Collection[int] = (),
+        self, positions: Sequence[int] | None = None, *, accept_drift: bool = False, replaceable: Collection[int] = ()
     ) -> SessionEnded:
         """Measure what is to do, or the given positions once more; then, in a pass, what did not become valid.
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.attempt import Attempt, AttemptResult
 from acquisition.engine.session import Session
 from acquisition.judgement import Judgement
 from acquisition.plan import Pace, Plan, sentinel_of
 from acquisition.setup import Setup, identities_of
+from calibration import Int64Array
 from config.messages.campaign import (
     PassStarted,
     PositionCommitted,
@@ -34,7 +34,7 @@ class CampaignReport:
         self._pace = Pace(0.0), Pace(0.0)
         self._second_looks = 0
 
-    def start(self, rows: NDArray[np.int64], instruments: tuple[str, ...], *, second_looks: bool) -> None:
+    def start(self, rows: Int64Array, instruments: tuple[str, ...], *, second_looks: bool) -> None:
         """The session begins, with these rows to do, and perhaps with second looks to come after them."""
         self._second_looks = self._plan.second_looks(rows) if second_looks else 0
         size = self._plan.positions, self._plan.actuators, self._done(), len(rows)

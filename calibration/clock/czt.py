@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 from scipy.fft import fft, ifft, next_fast_len
 
+from calibration import Complex64Array, Complex128Array, Float32Array, Float64Array, Int64Array
 from storage.errors import InputError
-
-Complex128Array = NDArray[np.complex128]
-Float64Array = NDArray[np.float64]
 
 
 def fourier_sum(signal: Float64Array | Complex128Array, turn: float, first: int, bins: int) -> Complex128Array:
@@ -124,13 +121,13 @@ def ring_spectrum(sums: Complex128Array, turn: float, samples: int) -> Complex12
     return np.asarray(found)
 
 
-def _dot(one: Complex128Array, other: Complex128Array) -> NDArray[np.float64]:
+def _dot(one: Complex128Array, other: Complex128Array) -> Float64Array:
     """Inner products of two-sided spectra that are given by their one side, shape (records, 1)."""
     products = (one.conj() * other).real
     return np.asarray(2 * products[:, 1:].sum(axis=1, keepdims=True) + products[:, :1])
 
 
-def _dirichlet(turn: float, samples: int, differences: NDArray[np.int64]) -> Complex128Array:
+def _dirichlet(turn: float, samples: int, differences: Int64Array) -> Complex128Array:
     """Sums over n = 0 ... samples - 1 of ``exp(-j n turn difference)``."""
     half = 0.5 * turn * differences
     sine = np.sin(half)
@@ -179,7 +176,7 @@ class BandSpectrum:
         passed = np.cos(omega[:, None] * around) @ filter_
         self._correction = (thinning * np.exp(-1j * omega * shift) / passed).astype(np.complex64)
 
-    def __call__(self, recording: NDArray[np.float32], starts: NDArray[np.int64]) -> NDArray[np.complex64]:
+    def __call__(self, recording: Float32Array, starts: Int64Array) -> Complex64Array:
         """Spectra of segments of recordings.
 
         recording, float32 (records, samples): Recordings, contiguous.

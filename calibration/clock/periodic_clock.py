@@ -7,14 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 
+from calibration import Complex128Array, Float64Array, Int64Array
 from calibration.clock.czt import fourier_sum, ring_signal
-from calibration.clock.known_signal import KERNEL_HALF, Thinned, Thinning, resampled
+from calibration.clock.resampling import KERNEL_HALF, Thinned, resampled
 from calibration.clock.timing import CORNERS
-
-Float64Array = NDArray[np.float64]
-Complex128Array = NDArray[np.complex128]
 
 # The search steps through the clock ratios so that the signal turns this far at most, in radians, at the ends
 # of the record and the top of the band.
@@ -36,7 +33,7 @@ class RingFit:
     ratio: DAQ rate over playback rate.
     gain: Recorded volts per volt of the base signal; negative when the wires are crossed.
     explained: Share of the recording's energy in band that this explains, 0 to 1.
-    coupling, float64 (parts,): Shares of the signal below each corner frequency, and of the signal a quarter turn late.
+    coupling, float64 (corners,): Shares of the signal below each corner frequency.
     """
 
     offset_samples: float
@@ -53,20 +50,9 @@ class RingClock:
         left out is not looked at.
     period: Samples of the period on the playback clock.
     max_ppm: Largest clock skew in parts per million.
-    any_phase: Whether all frequencies may be turned by one angle, small against a right one.
-    counted, bool (period,): Which samples of the period count for the fit; all, if absent.
     """
 
-    def __init__(
-        self,
-        spectrum: Complex128Array,
-        period: int,
-        max_ppm: float,
-        *,
-        any_phase: bool = False,
-        counted: NDArray[np.bool_] | None = None,
-    ) -> None:
-        self._counted = counted
+    def __init__(self, spectrum: Complex128Array, period: int, max_ppm: float) -> None:
         self._period, self._max_ppm, self._whole = period, max_ppm, spectrum
         power = np.abs(spectrum) ** 2
         below = np.cumsum(power)
@@ -80,19 +66,16 @@ class RingClock:
         # Corner frequencies in bins.
         corners = lowest * np.array(CORNERS)
         self._all_coupling = 1 / (1 + 1j * np.arange(spectrum.size) / corners[:, None])
-        if any_phase:
-            self._all_coupling = np.concatenate([self._all_coupling, np.full((1, spectrum.size), -1j)])
         self._coupling = self._all_coupling[:, self._first :]
 
     def coupled(self, fit: RingFit) -> Complex128Array:
         """Spectrum of the base signal (bins,) as the reference channel carries it, but for the offset."""
         return np.asarray(self._whole * (fit.gain + fit.coupling @ self._all_coupling))
 
-    def fit(self, thinned: Thinned, thinning: Thinning, expected: float = 1.0, *, search: bool = True) -> RingFit:
+    def fit(self, thinned: Thinned, expected: float = 1.0, *, search: bool = True) -> RingFit:
         """Find offset and ratio, first near the expected ratio, then further and further away.
 
         thinned: One recording of the reference.
-        thinning: How it was thinned.
         expected: Clock ratio that is tried first.
         search: Whether others are tried after it.
 
@@ -100,9 +83,9 @@ class RingClock:
         """
         inside = thinned.inside
         values = thinned.values[0, inside].astype(np.float64)
-        place = thinned.first + thinning.step * np.arange(inside.start, inside.stop)
+        place = thinned.first + thinned.step * np.arange(inside.start, inside.stop)
         # One period is enough to begin with, and lets the search take wider steps.
-        short = math.ceil(self._period / thinning.step)
+        short = math.ceil(self._period / thinned.step)
         short = values.size if values.size < 1.5 * short else short
         step = 2 * SEARCH_TURN / (math.pi * self._highest * (place[short - 1] - place[0]))
         best: RingFit | None = None
@@ -121,7 +104,7 @@ class RingClock:
             best = self._gauss_newton(values, place, best.offset_samples, best.ratio)
         return best
 
-    def _offset(self, values: Float64Array, place: NDArray[np.int64], ratio: float) -> float:
+    def _offset(self, values: Float64Array, place: Int64Array, ratio: float) -> float:
         """Offset in samples to about one, from the envelope of the cross-correlation on the ring."""
         step = int(place[1] - place[0])
         turn = 2 * np.pi / (self._period * ratio)
@@ -135,9 +118,7 @@ class RingClock:
         late = (top + 0.5 * (before - after) / bend) / length * self._period
         return float((late - self._period if late > self._period / 2 else late) * ratio)
 
-    def _gauss_newton(self, values: Float64Array, place: NDArray[np.int64], offset: float, ratio: float) -> RingFit:
-        if self._counted is not None:
-            values = values * self._counts(place, offset, ratio)
+    def _gauss_newton(self, values: Float64Array, place: Int64Array, offset: float, ratio: float) -> RingFit:
         energy = float(values @ values)
         middle = 0.5 * (place[0] + place[-1])
         lever = (place - middle) / max(place[-1] - middle, 1.0)
@@ -152,8 +133,6 @@ class RingClock:
             if far:
                 coupled = sampled[2:]
             model = np.concatenate([sampled[:2], (sampled[1] * lever)[None], coupled, ones[None]])
-            if self._counted is not None:
-                model *= self._counts(place, offset, ratio)
             size = np.sqrt(np.square(model).sum(axis=1)) + 1e-300
             model /= size[:, None]
             gram, matched = model @ model.T, model @ values
@@ -177,13 +156,7 @@ class RingClock:
         period = self._period * ratio
         return RingFit(offset - period * round(offset / period), ratio, gain, explained, coupling)
 
-    def _counts(self, place: NDArray[np.int64], offset: float, ratio: float) -> NDArray[np.bool_]:
-        assert self._counted is not None
-        return np.asarray(self._counted[np.round((place - offset) / ratio).astype(np.int64) % self._period])
-
-    def _waves_at(
-        self, amplitudes: Complex128Array, place: NDArray[np.int64], offset: float, ratio: float
-    ) -> Float64Array:
+    def _waves_at(self, amplitudes: Complex128Array, place: Int64Array, offset: float, ratio: float) -> Float64Array:
         """Ring signals (rows, values) at places of the recording."""
         turn = 2 * np.pi / (self._period * ratio)
         bins = self._first + np.arange(amplitudes.shape[1])
@@ -195,6 +168,9 @@ class RingClock:
 LAG_STEP = 0.1
 # Step over which a derivative is taken, in thinned samples.
 DERIVATIVE_STEP = 0.02
+# A clock fitted to the signal's own repeats must be as sure as this; 1 ppm would cost 1 dB at -63 dB.
+SURE_PPM = 0.3
+REPEATING = 0.03
 # Fewer thinned samples than this are not enough.
 LEAST_SAMPLES = 32
 
@@ -212,12 +188,16 @@ class RepeatFit:
     sigma_ppm: float
     misfit: float
 
+    @property
+    def is_sure(self) -> bool:
+        """Whether it repeats so well that its own clock can be used."""
+        return self.sigma_ppm < SURE_PPM and self.misfit < REPEATING
 
-def fit_repeats(thinned: Thinned, thinning: Thinning, period: float, samples: int, max_ppm: float) -> RepeatFit | None:
+
+def fit_repeats(thinned: Thinned, period: float, samples: int, max_ppm: float) -> RepeatFit | None:
     """Compare a recording with itself some periods later.
 
     thinned: One recording of a signal that repeats throughout it.
-    thinning: How it was thinned.
     period: The period in playback samples.
     samples: Length of the unthinned recording.
     max_ppm: Largest clock skew in parts per million.
@@ -228,7 +208,7 @@ def fit_repeats(thinned: Thinned, thinning: Thinning, period: float, samples: in
     values = values - values.mean()
     best: tuple[float, int, int] | None = None
     for periods in range(1, math.floor(samples / period) + 1):
-        longest = periods * period * (1 + 1e-6 * max_ppm) / thinning.step
+        longest = periods * period * (1 + 1e-6 * max_ppm) / thinned.step
         common = values.size - math.ceil(longest) - 2 * KERNEL_HALF
         worth = periods * math.sqrt(max(common, 0))
         if common >= LEAST_SAMPLES and (best is None or worth > best[0]):
@@ -236,7 +216,7 @@ def fit_repeats(thinned: Thinned, thinning: Thinning, period: float, samples: in
     if best is None:
         return None
     _, periods, common = best
-    lag = periods * period / thinning.step
+    lag = periods * period / thinned.step
     first = values[KERNEL_HALF : KERNEL_HALF + common]
 
     def later(by: float) -> Float64Array:
@@ -254,7 +234,7 @@ def fit_repeats(thinned: Thinned, thinning: Thinning, period: float, samples: in
         left = later(lag) - first
         if abs(moved) < 1e-7 * lag:
             break
-    ratio = lag * thinning.step / (periods * period)
+    ratio = lag * thinned.step / (periods * period)
     sigma = math.sqrt(float(left @ left) / common / steep) / lag
     energy = float(first @ first) + 1e-300
     return RepeatFit(ratio, 1e6 * sigma, float(left @ left) / energy)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 
+from calibration import Complex64Array, Float32Array, Float64Array, Int64Array
 from calibration.clock.czt import BandSpectrum
 from calibration.clock.timing import CORNERS, ReferenceMissingError, check_inside
 from calibration.sweeps import Sweeps
@@ -47,10 +47,10 @@ class Repeats:
     offset_samples, ratio, float64 (records,): As in `calibration.clock.timing.ClockFit`.
     """
 
-    starts: NDArray[np.int64]
-    spectra: NDArray[np.complex64]
-    offset_samples: NDArray[np.float64]
-    ratio: NDArray[np.float64]
+    starts: Int64Array
+    spectra: Complex64Array
+    offset_samples: Float64Array
+    ratio: Float64Array
 
 
 class RepeatFinder:
@@ -105,7 +105,7 @@ class RepeatFinder:
         self._tried = WRAP_TURN / bend * np.array(sorted(range(-steps, steps + 1), key=abs))
         self._solve = np.linalg.solve(weighted @ curves.T, weighted).T
 
-    def find(self, reference: NDArray[np.float32], first_record: int = 0) -> Repeats:
+    def find(self, reference: Float32Array, first_record: int = 0) -> Repeats:
         """Find the repeats in reference recordings.
 
         reference, float32 (records, samples): Reference channel in volts.
@@ -157,11 +157,11 @@ class RepeatFinder:
             )
         return Repeats(starts, spectra, offset, ratio)
 
-    def segment_spectra(self, recording: NDArray[np.float32], starts: NDArray[np.int64]) -> NDArray[np.complex64]:
+    def segment_spectra(self, recording: Float32Array, starts: Int64Array) -> Complex64Array:
         """Spectra (records, averages, bins) of the segments of one period at `starts` (records, averages)."""
         return self._spectrum(recording, starts)
 
-    def _first_guess(self, reference: NDArray[np.float32]) -> NDArray[np.float64]:
+    def _first_guess(self, reference: Float32Array) -> Float64Array:
         records, samples = reference.shape
         folded = np.zeros((records, self.period // self._guess_thinning), dtype=np.float32)
         for begin in range(0, samples, self.period):
@@ -180,12 +180,12 @@ class RepeatFinder:
                 guess[record] = inside[0]
         return guess
 
-    def _limited(self, starts: NDArray[np.int64], samples: int) -> NDArray[np.int64]:
+    def _limited(self, starts: Int64Array, samples: int) -> Int64Array:
         return np.clip(starts, 0, samples - self.period)
 
     def _coarse_delay(
-        self, spectra: NDArray[np.complex64], thin: int = 1, taken: NDArray[np.complex64] | None = None
-    ) -> NDArray[np.float64]:
+        self, spectra: Complex64Array, thin: int = 1, taken: Complex64Array | None = None
+    ) -> Float64Array:
         """Delay in samples, 0 to the period over `thin`, from the envelope of the cross-correlation."""
         length = scipy.fft.next_fast_len(2 * -(-self.omega.size // thin))
         cross = spectra[..., ::thin] * self._nominal[::thin].conj()
@@ -202,7 +202,7 @@ class RepeatFinder:
         peak = np.where(bend < 0, (around[0] - around[2]) / (2 * np.where(bend < 0, bend, 1.0)), 0.0)
         return np.asarray((top[..., 0] + peak) % length * (self.period / (thin * length)))
 
-    def _searched_stretch(self, spectra: NDArray[np.complex64]) -> NDArray[np.float64]:
+    def _searched_stretch(self, spectra: Complex64Array) -> Float64Array:
         """The stretch, of those tried, at which each segment (records, bins) correlates best with its sweep."""
         cross = spectra[:, ::THIN] * self._nominal[::THIN].conj()
         length = scipy.fft.next_fast_len(2 * cross.shape[1])
@@ -215,8 +215,8 @@ class RepeatFinder:
         return best
 
     def _phase_fit(
-        self, spectra: NDArray[np.complex64], near: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        self, spectra: Complex64Array, near: Float64Array
+    ) -> tuple[Float64Array, Float64Array, Float64Array]:
         """Delay in samples and stretch of each segment, and the share of a record's energy they explain.
 
         `near` (records,) is a stretch of each record's segments that is taken out before.
@@ -241,9 +241,7 @@ class RepeatFinder:
         share = matched**2 / np.maximum(energy * self.power[::THIN].sum(), 1e-300)
         return coarse + fitted[..., 0], fitted[..., 1] + near[:, None], share.min(axis=-1)
 
-    def _clock(
-        self, place: NDArray[np.float64], stretch: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _clock(self, place: Float64Array, stretch: Float64Array) -> tuple[Float64Array, Float64Array]:
         own = 1 + stretch.mean(axis=1)
         if self.averages == 1:
             return place[:, 0], own

@@ -8,14 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 
-from calibration.clock.known_signal import Thinned, Thinning
+from calibration import Complex64Array, Complex128Array, Float64Array
+from calibration.clock.resampling import Thinned
 from calibration.clock.timing import CORNERS
+from calibration.estimator.estimate import MAX_PPM
 from storage.raw.header import LAWS, Law
-
-Float64Array = NDArray[np.float64]
-Complex128Array = NDArray[np.complex128]
 
 # Fades, and where an abrupt end rings, are left out of the fit: this share of the sweep at either end.
 ENDS_SHARE = 0.12
@@ -63,12 +61,10 @@ class SweepFit:
 
 def fit_sweep_law(
     thinned: Thinned,
-    thinning: Thinning,
     sample_rate_hz: float,
     band_hz: tuple[float, float],
     sweep_samples: int | None,
     starts: Sequence[int],
-    max_ppm: float,
     *,
     period: int | None = None,
     laws: Sequence[Law] = LAWS,
@@ -79,26 +75,23 @@ def fit_sweep_law(
     blocks of all sweeps, turned back by that law, then give offset, clock ratio and phase by least squares.
 
     thinned: One recording.
-    thinning: How it was thinned.
     sample_rate_hz: Rate in Hz.
     band_hz: Where the sweeps begin and end in Hz.
     sweep_samples: Length of each; without it the roundest duration that the clocks allow is taken.
     starts: Playback samples at which sweeps begin, from the first one on.
-    max_ppm: Largest clock skew in parts per million.
     period: Playback samples after which all of them come again, before and after, for as long as the record lasts.
     laws: Those that are tried.
 
     Returns SweepFit or None: none where no such sweeps are there.
     """
-    recording = _Analytic(thinned, thinning, sample_rate_hz, band_hz)
-    run = recording.longest_run(band_hz)
-    if run is None or not 0 < band_hz[0] < band_hz[1]:
+    recording = _Analytic(thinned)
+    low, high = band_hz[0] / sample_rate_hz, band_hz[1] / sample_rate_hz
+    run = recording.longest_run(high - low)
+    if run is None or not 0 < low < high:
         return None
-    best: SweepFit | None = None
-    for law in laws:
-        fit = _fit(recording, run, law, sample_rate_hz, band_hz, sweep_samples, starts, max_ppm, period)
-        if fit is not None and (best is None or fit.explained > best.explained):
-            best = fit
+    ends = (low, high) if run.frequency[-1] > run.frequency[0] else (high, low)
+    fits = [_fit(recording, run, law, ends, sample_rate_hz, sweep_samples, starts, period) for law in laws]
+    best = max((fit for fit in fits if fit is not None), key=lambda fit: fit.explained, default=None)
     return best if best is not None and best.explained > LAW_SHARE else None
 
 
@@ -114,22 +107,19 @@ class _Run:
 class _Analytic:
     """A recording with its negative frequencies taken out."""
 
-    def __init__(
-        self, thinned: Thinned, thinning: Thinning, sample_rate_hz: float, band_hz: tuple[float, float]
-    ) -> None:
+    def __init__(self, thinned: Thinned) -> None:
         values = thinned.values[0]
         length = scipy.fft.next_fast_len(values.size)
         spectrum = scipy.fft.rfft(values.astype(np.float64), length)
-        cycles = np.arange(spectrum.size) / (length * thinning.step)
-        spectrum[(cycles == 0) | (cycles > thinning.highest)] = 0
+        cycles = np.arange(spectrum.size) / (length * thinned.step)
+        spectrum[(cycles == 0) | (cycles > thinned.highest)] = 0
         both = np.zeros(length, dtype=np.complex128)
         both[: spectrum.size] = 2 * spectrum
-        self.values: NDArray[np.complex64] = scipy.fft.ifft(both)[: values.size].astype(np.complex64)
-        self.first, self.step = thinned.first, thinning.step
-        self._band = band_hz[0] / sample_rate_hz, band_hz[1] / sample_rate_hz
+        self.values: Complex64Array = scipy.fft.ifft(both)[: values.size].astype(np.complex64)
+        self.first, self.step = thinned.first, thinned.step
 
-    def longest_run(self, band_hz: tuple[float, float]) -> _Run | None:
-        """The longest part in which the frequency rises all the time, or falls."""
+    def longest_run(self, width: float) -> _Run | None:
+        """The longest part in which the frequency, in a band so many cycles wide, rises all the time, or falls."""
         energy = np.square(np.abs(self.values))
         loud = np.flatnonzero(energy > LOUD_SHARE * np.quantile(energy, 0.99))
         if loud.size < LEAST_BLOCKS * LEAST_BLOCK:
@@ -142,14 +132,13 @@ class _Analytic:
         power = np.square(np.abs(rows)).sum(axis=1, dtype=np.float64)
         place = self.first + self.step * ((np.arange(blocks) + 0.5) * size - 0.5)
         sounds = power > LOUD_SHARE * np.quantile(power, 0.95)
-        low, high = self._band
         best: slice | None = None
         for direction in (1, -1):
             step = direction * np.diff(frequency)
-            goes_on = sounds[1:] & sounds[:-1] & (step > -JUMP_SHARE * (high - low))
+            goes_on = sounds[1:] & sounds[:-1] & (step > -JUMP_SHARE * width)
             edges = np.flatnonzero(np.diff(np.concatenate([[0], goes_on.astype(np.int8), [0]])))
             for first, last in edges.reshape(-1, 2):
-                rises = direction * (frequency[last] - frequency[first]) > JUMP_SHARE * (high - low)
+                rises = direction * (frequency[last] - frequency[first]) > JUMP_SHARE * width
                 if rises and (best is None or last + 1 - first > best.stop - best.start):
                     best = slice(int(first), int(last) + 1)
         if best is None or best.stop - best.start < LEAST_BLOCKS:
@@ -170,39 +159,33 @@ def _fit(
     recording: _Analytic,
     run: _Run,
     law: Law,
+    ends: tuple[float, float],
     sample_rate_hz: float,
-    band_hz: tuple[float, float],
     sweep_samples: int | None,
     starts: Sequence[int],
-    max_ppm: float,
     period: int | None,
 ) -> SweepFit | None:
-    low, high = (one / sample_rate_hz for one in band_hz)
-    first, last = (low, high) if run.frequency[-1] > run.frequency[0] else (high, low)
-    length, offset = _guess(run, law, first, last)
+    """The sweeps of one law between frequencies in cycles per sample, from their ends in time to all of them."""
+    length, offset = _guess(run, law, *ends)
     if not (np.isfinite(length) and np.isfinite(offset) and length > 0):
         return None
     if sweep_samples is not None and abs(length / sweep_samples - 1) > LENGTH_SHARE:
         return None
     # One sweep by itself: place and length.
-    alone = _Sweeps(law, first, last, [0.0], float(length if sweep_samples is None else sweep_samples))
+    alone = _Sweeps(law, *ends, [0.0], float(length if sweep_samples is None else sweep_samples))
     found = _refined(recording, alone, offset, length / alone.samples)
     if found is None:
         return None
-    samples = sweep_samples
-    if samples is None:
-        measured = found.ratio * alone.samples
-        samples = roundest(measured, sample_rate_hz, 0.0)
-    ratio = found.ratio * alone.samples / samples
+    offset, ratio, _ = found
+    samples = roundest(ratio * alone.samples, sample_rate_hz, 0.0) if sweep_samples is None else sweep_samples
+    ratio = ratio * alone.samples / samples
     # All sweeps together, each a whole number of playback samples after the first.
-    every = _all_starts(recording, found.offset, ratio, samples, starts, period)
-    if every is None:
+    every = _all_starts(recording, offset, ratio, samples, starts, period)
+    joint = _refined(recording, _Sweeps(law, *ends, every, float(samples)), offset, ratio)
+    if joint is None or abs(joint[1] - 1) > 1.01e-6 * MAX_PPM:
         return None
-    joint = _refined(recording, _Sweeps(law, first, last, every, float(samples)), found.offset, ratio)
-    if joint is None or abs(joint.ratio - 1) > 1.01e-6 * max_ppm:
-        return None
-    begins = joint.offset + (min(every) if period is None else 0.0) * joint.ratio
-    return SweepFit(begins, joint.ratio, joint.explained, law, samples)
+    offset, ratio, explained = joint
+    return SweepFit(offset + (min(every) if period is None else 0.0) * ratio, ratio, explained, law, samples)
 
 
 def _guess(run: _Run, law: Law, first: float, last: float) -> tuple[float, float]:
@@ -241,15 +224,8 @@ class _Sweeps:
         return (frequency - self.first) / growth, frequency
 
 
-@dataclass(frozen=True, slots=True)
-class _Place:
-    offset: float
-    ratio: float
-    explained: float
-
-
-def _refined(recording: _Analytic, sweeps: _Sweeps, offset: float, ratio: float) -> _Place | None:
-    """Offset and ratio by least squares on the phases of blocks; the first step on their frequencies."""
+def _refined(recording: _Analytic, sweeps: _Sweeps, offset: float, ratio: float) -> tuple[float, float, float] | None:
+    """Offset, ratio and explained share by least squares on the phases of blocks; at first on their frequencies."""
     size = max(round(sweeps.samples * (1 - 2 * ENDS_SHARE) * ratio / recording.step) // BLOCKS, 1)
     explained = 0.0
     for step in range(MOST_STEPS):
@@ -281,7 +257,7 @@ def _refined(recording: _Analytic, sweeps: _Sweeps, offset: float, ratio: float)
             return None
         if step >= len(BLOCK_PARTS) and (abs(moved) + sweeps.samples * abs(stretched)) < ENOUGH_TURNS * sweeps.samples:
             break
-    return _Place(offset, ratio, explained)
+    return offset, ratio, explained
 
 
 def _least_squares(model: Float64Array, phase: Float64Array, weight: Float64Array) -> tuple[Float64Array, Float64Array]:
@@ -310,13 +286,8 @@ def _phases(
 
 
 def _all_starts(
-    recording: _Analytic,
-    offset: float,
-    ratio: float,
-    samples: int,
-    starts: Sequence[int],
-    period: int | None,
-) -> list[float] | None:
+    recording: _Analytic, offset: float, ratio: float, samples: int, starts: Sequence[int], period: int | None
+) -> list[float]:
     """Starts of all sweeps in the recording, of which one begins at `offset`."""
     end = recording.first + recording.step * recording.values.size
     if period is not None:

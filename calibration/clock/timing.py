@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import scipy.fft
 from numpy.typing import ArrayLike, NDArray
 
-from calibration.clock.known_signal import BlockSearch, StretchedModels, resampled
+from calibration import Complex64Array, Complex128Array, Float32Array, Float64Array
+from calibration.clock.czt import fourier_sum
+from calibration.clock.resampling import resampled
 from storage.errors import InputError, WavefocusError
 
 # Reference not explained by the known signal, above which a fit would be a guess.
@@ -52,6 +56,118 @@ class ClockFit:
         return 1e6 * (self.ratio - 1)
 
 
+# Blocks of the known signal that are looked for one by one; silent ones are left out.
+BLOCKS = 8
+LEAST_ENERGY = 0.05
+# Points per bin of the band on the way back to lags: near enough for a parabola through the envelope's top.
+OVERSAMPLING = 1.5
+# Silence around the signal where its blocks are looked for in itself.
+TRIAL_MARGIN_SAMPLES = 200
+
+
+class BlockSearch:
+    """Finds blocks of a known signal by cross-correlation and draws a line through where they lie.
+
+    The envelopes of the blocks' correlations are added without phase, so that neither repeats in the signal
+    nor a drift over the record can mislead it. Only the band of the signal is transformed back.
+
+    A stretch moves a block of a sweep also because its frequencies are met elsewhere in the sweep. How far each
+    block moves per unit of stretch is therefore measured on the known signal, stretched on purpose.
+
+    known, float64 (known,): The signal, not all zeros.
+    band: Lowest and highest frequency that matter, in cycles per sample.
+    max_ppm: Largest skew of the clocks looked for, in parts per million.
+    """
+
+    def __init__(self, known: Float64Array, band: tuple[float, float], max_ppm: float) -> None:
+        self._known, self._band, self._max_ppm = known, band, max_ppm
+        edges = np.linspace(0, known.size, BLOCKS + 1).astype(int)
+        spans = [(int(low), int(high)) for low, high in itertools.pairwise(edges) if high > low]
+        energy = np.array([np.square(known[low:high]).sum() for low, high in spans])
+        loud = energy > LEAST_ENERGY * energy.max()
+        self._spans = [span for span, is_loud in zip(spans, loud, strict=True) if is_loud]
+        self._energy = energy[loud]
+        # Records of one campaign are equally long.
+        self._blocks = lru_cache(maxsize=1)(self._transformed)
+        self._moves = np.zeros(len(self._spans))
+        if len(self._spans) > 1:
+            trial = 0.5e-6 * max_ppm
+            samples = known.size + 2 * TRIAL_MARGIN_SAMPLES
+            lags = [
+                self._lags(resampled(known[None], -TRIAL_MARGIN_SAMPLES, 1 / (1 + skew), samples)[0])
+                for skew in (trial, -trial)
+            ]
+            self._moves = (lags[0] - lags[1]) / (2 * trial)
+
+    def first_guess(self, recorded: NDArray[np.floating]) -> tuple[float, float]:
+        """Offset and clock ratio, to about a sample over the record.
+
+        recorded, float (samples,): The recording; the signal may lie anywhere in it, or stick out at either end.
+        """
+        lags = self._lags(recorded)
+        share = self._energy / self._energy.sum()
+        moves = self._moves - share @ self._moves
+        spread = float(share @ moves**2)
+        # Blocks that all move alike do not show the stretch.
+        slope = float(share @ (moves * lags)) / spread if spread > 1.0 else 0.0
+        slope = min(max(slope, -1e-6 * self._max_ppm), 1e-6 * self._max_ppm)
+        return float(share @ (lags - slope * self._moves)), 1.0 + slope
+
+    def _lags(self, recorded: NDArray[np.floating]) -> Float64Array:
+        """Sample at which the signal would begin, by each block."""
+        blocks = self._blocks(recorded.size)
+        spectrum = scipy.fft.rfft(recorded.astype(np.float32, copy=False), blocks.length)[blocks.bins]
+        envelopes = np.abs(scipy.fft.ifft(spectrum * blocks.spectra, blocks.lags, axis=1))
+        step = blocks.length / blocks.lags
+        top = int(np.argmax(envelopes.sum(axis=0)))
+        # A sweep stretched moves its blocks by twice the stretch.
+        reach = math.ceil((2e-6 * self._max_ppm * self._known.size + 8) / step)
+        near = (top + np.arange(-reach - 1, reach + 2)) % blocks.lags
+        close = envelopes[:, near].astype(np.float64)
+        found = 1 + np.argmax(close[:, 1:-1], axis=1)
+        before, at, after = (close[np.arange(len(close)), found + side] for side in (-1, 0, 1))
+        bend = np.minimum(before - 2 * at + after, -1e-9 * at - 1e-30)
+        late = found - reach - 1 + np.clip(0.5 * (before - after) / bend, -1, 1)
+        return np.asarray(step * (top + late) - (blocks.length if step * top >= recorded.size else 0))
+
+    def _transformed(self, recorded: int) -> _Blocks:
+        length = scipy.fft.next_fast_len(recorded + self._known.size, real=True)
+        bins = slice(max(int(self._band[0] * length), 1), math.ceil(self._band[1] * length))
+        alone = np.zeros((len(self._spans), length))
+        for row, (low, high) in zip(alone, self._spans, strict=True):
+            row[low:high] = self._known[low:high]
+        spectra = scipy.fft.rfft(alone)[:, bins].conj().astype(np.complex64)
+        return _Blocks(length, bins, scipy.fft.next_fast_len(math.ceil(OVERSAMPLING * spectra.shape[1])), spectra)
+
+
+@dataclass(frozen=True, slots=True)
+class _Blocks:
+    """Conjugate spectra of the blocks, in the band of a transform of `length`; lags of the way back."""
+
+    length: int
+    bins: slice
+    lags: int
+    spectra: Complex64Array
+
+
+@dataclass(frozen=True, slots=True)
+class _Model:
+    """Parts of the spectrum of the known signal at one clock ratio, and how the share of each is found.
+
+    regressors, float64 (parts, 2 * bins): Real and imaginary parts in turn: the signal, its change with offset and with
+        ratio, and the signal below each corner frequency.
+    solve, float64 (parts, 2 * bins): Its product with a spectrum gives the parts' shares by least squares.
+    """
+
+    ratio: float
+    regressors: Float64Array
+    solve: Float64Array
+
+
+# Models made for one known signal; the last few are kept.
+KEPT_MODELS = 16
+
+
 class ClockFitter:
     """Finds offset, clock ratio and gain of one known signal in recordings of the reference channel.
 
@@ -86,8 +202,10 @@ class ClockFitter:
         # Half the sample rate is left out: a delay by a fraction of a sample is not defined there.
         self._bins = slice(first, min(last + 1, (self._length + 1) // 2))
         lowest = max(int(np.searchsorted(below, 0.01 * below[-1])), 1)
+        self._omega = 2 * np.pi / self._length * np.arange(self._bins.start, self._bins.stop)
         corners = [share * 2 * np.pi * lowest / self._length for share in CORNERS]
-        self._models = StretchedModels(known, self._length, self._bins, corners)
+        self._coupling = np.stack([1 / (1 + 1j * self._omega / corner) for corner in corners])
+        self._model = lru_cache(KEPT_MODELS)(self._stretched)
         band = (first / self._length, self._bins.stop / self._length)
         self._search = BlockSearch(known, band, max_ppm)
 
@@ -111,7 +229,7 @@ class ClockFitter:
         spectrum = scipy.fft.rfft(cut)[self._bins]
         step_ppm, gain = COARSE_PPM, 0.0
         for _ in range(MOST_STEPS):
-            model = self._models.at(step_ppm * round(1e6 * (ratio - 1) / step_ppm))
+            model = self._model(step_ppm * round(1e6 * (ratio - 1) / step_ppm))
             pairs = (spectrum * self._advance(offset - first)).view(np.float64)
             factors = model.solve @ pairs
             gain = factors[0] / model.ratio
@@ -138,7 +256,24 @@ class ClockFitter:
         check_inside(offset, ratio, self._known.size, recorded.size, "the reference")
         return ClockFit(float(offset), float(ratio), float(gain), float(residual_db))
 
-    def _cut(self, recorded: NDArray[np.floating], offset: float) -> tuple[NDArray[np.float64], int]:
+    def _stretched(self, skew_ppm: float) -> _Model:
+        """The model for clocks that differ by so many parts per million."""
+        ratio = 1 + 1e-6 * skew_ppm
+        # The spectrum of a stretched signal is its own at scaled frequencies: exact, no interpolation.
+        turn = 2 * np.pi * ratio / self._length
+        known, later = (
+            fourier_sum(signal, turn, self._bins.start, self._omega.size)
+            for signal in (self._known, np.arange(self._known.size) * self._known)
+        )
+        slopes = -1j * self._omega * np.stack([known, later])
+        regressors = np.concatenate([known[None], slopes, self._coupling * known]).view(np.float64)
+        # Scaled to one size, or the Gram matrix loses half its digits.
+        size = np.sqrt(np.square(regressors).sum(axis=1, keepdims=True))
+        size[size == 0] = 1.0
+        even = regressors / size
+        return _Model(ratio, regressors, np.linalg.pinv(even @ even.T, hermitian=True) @ even / size)
+
+    def _cut(self, recorded: NDArray[np.floating], offset: float) -> tuple[Float64Array, int]:
         """The part of the recording around the signal, zeros beyond its ends, and where it starts."""
         first = math.floor(offset) - GUARD_SAMPLES
         cut = np.zeros(self._length)
@@ -147,7 +282,7 @@ class ClockFitter:
             cut[low - first : high - first] = recorded[low:high]
         return cut, first
 
-    def _advance(self, samples: float) -> NDArray[np.complex128]:
+    def _advance(self, samples: float) -> Complex128Array:
         """The factor in each bin that undoes a delay, from two short exponentials."""
         bins = self._bins.stop - self._bins.start
         row = math.isqrt(bins) + 1
@@ -170,7 +305,7 @@ def fit_clock(recorded_v: ArrayLike, known_v: ArrayLike, *, max_ppm: float = 500
 
 def to_playback_clock(
     recorded: ArrayLike, fit: ClockFit, samples: int, first: int = 0, delay_samples: float = 0.0
-) -> NDArray[np.float32] | NDArray[np.float64]:
+) -> Float32Array | Float64Array:
     """Resample recordings to the clock that played the drive, band-limited.
 
     ``out[..., k]`` is the recording at DAQ sample ``offset + (first + k) * ratio + delay_samples``; beyond
@@ -193,12 +328,10 @@ def to_playback_clock(
             f"resampling to {samples} samples from DAQ sample {start:g}; "
             "allowed is 0 or more samples and a finite offset"
         )
-    rows = recorded.reshape(-1, recorded.shape[-1])
-    if rows.dtype == np.float32:
-        single = resampled(rows.astype(np.float32, copy=False), start, fit.ratio, samples)
-        return single.reshape(*recorded.shape[:-1], samples)
-    double = resampled(rows.astype(np.float64, copy=False), start, fit.ratio, samples)
-    return double.reshape(*recorded.shape[:-1], samples)
+    if recorded.dtype != np.float32:
+        recorded = recorded.astype(np.float64, copy=False)
+    found = resampled(recorded.reshape(-1, recorded.shape[-1]), start, fit.ratio, samples)
+    return found.reshape(*recorded.shape[:-1], samples)
 
 
 def check_inside(offset: float, ratio: float, known: int, recorded: int, what: str) -> None:

@@ -8,13 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.fft
 import scipy.linalg
-from numpy.typing import NDArray
 
+from calibration import Complex64Array, Complex128Array, Float32Array, Float64Array
 from calibration.clock.czt import fourier_sum, ring_signal
 
-Float64Array = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
-Complex64Array = NDArray[np.complex64]
 Operator = Callable[[Float64Array], Float64Array]
 
 # Clock ratios at which the solution is exact; between them a polynomial, good to -110 dB for 0.2 s of 500 Hz.
@@ -41,8 +38,8 @@ class CausalSolution:
     whole: Float64Array
     left: Float64Array
     variance: Float64Array
-    whitened: NDArray[np.complex64]
-    missed: NDArray[np.complex64]
+    whitened: Complex64Array
+    missed: Complex64Array
 
 
 class CausalFit:
@@ -84,7 +81,7 @@ class CausalFit:
             solutions.append(scipy.linalg.solve(gram, skewed.T @ left, assume_a="pos").T)
         self._solutions = np.concatenate(solutions).astype(np.float32)
 
-    def solve(self, spectrum: NDArray[np.complex64], skew: Float64Array) -> CausalSolution:
+    def solve(self, spectrum: Complex64Array, skew: Float64Array) -> CausalSolution:
         """Fit spectra (records, bins), each at its own clock ratio minus 1 (records,)."""
         data = self.whitened(spectrum)
         coefficients = self.coefficients(data)
@@ -102,7 +99,7 @@ class CausalFit:
             missed=missed,
         )
 
-    def whitened(self, spectrum: NDArray[np.complex64]) -> Float32Array:
+    def whitened(self, spectrum: Complex64Array) -> Float32Array:
         """Spectrum (records, bins) as real rows (records, 2 * bins) in which white noise is even."""
         weighted = spectrum * self._weight
         return np.concatenate([weighted.real, weighted.imag], axis=1)
@@ -131,7 +128,7 @@ class CausalFit:
         # Explicitly, since the difference of the two energies cancels to nothing in float32.
         return data - coefficients @ self._left_transposed
 
-    def spectra(self, rows: Float32Array) -> tuple[NDArray[np.complex64], NDArray[np.complex64]]:
+    def spectra(self, rows: Float32Array) -> tuple[Complex64Array, Complex64Array]:
         """Whitened rows (records, 2 * bins) as complex spectra (records, bins), and those with the weight taken off."""
         bins = self._weight.size
         whitened = np.empty((rows.shape[0], bins), dtype=np.complex64)
@@ -150,7 +147,7 @@ class CausalFit:
         return np.asarray((spread @ self._solutions) @ self._right)
 
 
-def _stacked(matrix: NDArray[np.complex128]) -> Float64Array:
+def _stacked(matrix: Complex128Array) -> Float64Array:
     return np.concatenate([matrix.real, matrix.imag])
 
 
@@ -223,10 +220,10 @@ class ToeplitzFit:
             missed=(left / self._weight).astype(np.complex64),
         )
 
-    def _solved(self, spectrum: NDArray[np.complex128], ratio: float) -> tuple[Complex64Array, NDArray[np.float32]]:
+    def _solved(self, spectrum: Complex128Array, ratio: float) -> tuple[Complex64Array, Float32Array]:
         turn = self._turn * ratio
 
-        def responses(amplitudes: NDArray[np.complex128]) -> Float64Array:
+        def responses(amplitudes: Complex128Array) -> Float64Array:
             return ring_signal(amplitudes, turn, self._first, self._taps)
 
         kernel = responses(self._square.astype(np.complex128))

@@ -8,6 +8,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from calibration import Float32Array, Int64Array
 from storage.errors import InputError
 
 # A converter's last counts belong to clipping: 0.1 % below the end of the range.
@@ -31,17 +32,14 @@ class Levels:
     clip_count, int32 (records,): Clipped samples of both channels.
     """
 
-    reference_v: NDArray[np.float32]
-    response_v: NDArray[np.float32]
-    loudest: NDArray[np.int64]
+    reference_v: Float32Array
+    response_v: Float32Array
+    loudest: Int64Array
     clip_count: NDArray[np.int32]
 
 
 def measure_levels(
-    reference_v: NDArray[np.float32],
-    response_v: NDArray[np.float32],
-    range_v: tuple[float, float],
-    name: str = "a recording",
+    reference_v: Float32Array, response_v: Float32Array, range_v: tuple[float, float], name: str = "a recording"
 ) -> Levels:
     """Measure records (records, samples) on converters that end at `range_v` on (reference, response).
 
@@ -54,7 +52,7 @@ def measure_levels(
     return Levels(reference_peak, peak, place, clipped + _count_clipped(response_v, peak, place, range_v[1]))
 
 
-def _peaks(channel: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+def _peaks(channel: Float32Array) -> tuple[Float32Array, Int64Array]:
     rows = np.arange(channel.shape[0])
     highest = np.array([recording.argmax() for recording in channel])
     lowest = np.array([recording.argmin() for recording in channel])
@@ -62,9 +60,7 @@ def _peaks(channel: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[n
     return np.maximum(up, down), np.where(up >= down, highest, lowest)
 
 
-def _count_clipped(
-    channel: NDArray[np.float32], peak_v: NDArray[np.float32], place: NDArray[np.int64], range_v: float
-) -> NDArray[np.int32]:
+def _count_clipped(channel: Float32Array, peak_v: Float32Array, place: Int64Array, range_v: float) -> NDArray[np.int32]:
     """Count samples at 0.999 of the range or beyond, or else those of a flat top below it.
 
     A flat top blurred by noise that was added after it is not seen; the fit's residual shows it then.
@@ -84,7 +80,7 @@ def _count_clipped(
     return count
 
 
-def _beyond(recording: NDArray[np.float32], level_v: float) -> int:
+def _beyond(recording: Float32Array, level_v: float) -> int:
     """Samples of this magnitude or more; two comparisons cost a fifth of one array of magnitudes."""
     level = np.float32(level_v)
     return int(np.count_nonzero(recording >= level) + np.count_nonzero(recording <= -level))
@@ -122,9 +118,7 @@ class ThirdHarmonic:
         self._length = 1 << max(5, round(np.log2(WINDOW_S * sample_rate_hz)))
         self._window = np.hanning(self._length + 1)[:-1].astype(np.float32)
 
-    def __call__(
-        self, response_v: NDArray[np.float32], loudest: NDArray[np.int64], which: NDArray[np.int64]
-    ) -> NDArray[np.float32]:
+    def __call__(self, response_v: Float32Array, loudest: Int64Array, which: Int64Array) -> Float32Array:
         """Look at a batch of recordings.
 
         response_v, float32 (records, samples): Recordings in volts.
@@ -148,9 +142,7 @@ class ThirdHarmonic:
             figure[unsure] = np.fmax(figure[unsure], self._level(response_v, which[unsure], middle))
         return figure
 
-    def _level(
-        self, response_v: NDArray[np.float32], which: NDArray[np.int64], centre: NDArray[np.int64]
-    ) -> NDArray[np.float32]:
+    def _level(self, response_v: Float32Array, which: Int64Array, centre: Int64Array) -> Float32Array:
         length = self._length
         first = np.clip(centre - length // 2, 0, response_v.shape[1] - length)
         pieces = response_v[which[:, None], first[:, None] + np.arange(length)]
@@ -168,7 +160,7 @@ class ThirdHarmonic:
         figure = np.where(stands_out, 10 * np.log10(np.maximum(level, FLOOR) / np.maximum(whole, FLOOR)), -np.inf)
         return np.where(audible, figure, np.nan).astype(np.float32)
 
-    def _middle(self, recording: NDArray[np.float32], loudest: int) -> int:
+    def _middle(self, recording: Float32Array, loudest: int) -> int:
         """The middle of the stretch that is nearly as loud as the loudest sample."""
         around = slice(max(0, loudest - self._period // 2), loudest + self._period // 2)
         high = np.flatnonzero(np.abs(recording[around]) >= np.float32(HIGH) * np.abs(recording[loudest]))

@@ -9,6 +9,7 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy.special import gammainccinv
 
+from calibration import BoolArray, Complex64Array, Float32Array, Float64Array
 from calibration.estimator.clipping import Levels, ThirdHarmonic
 
 DEFECTS = np.dtype(
@@ -75,10 +76,6 @@ def worst_of(defects: NDArray[np.void]) -> np.void:
             worst[name] = known[np.argmax(np.abs(known))] if name == "slip_samples" else known.max()
     return worst
 
-
-Complex64Array = NDArray[np.complex64]
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
 
 # Speckle takes the signal away for milliseconds.
 BURST_S = 0.005
@@ -246,7 +243,7 @@ class DefectFinder:
 
     def _suspicious(
         self, unexplained: Float32Array, differing_power: Float32Array | None, whole: Float64Array
-    ) -> NDArray[np.bool_]:
+    ) -> BoolArray:
         """Which records are worth a closer look.
 
         In all others the fit leaves no more than the sweeps differ by, and they differ by no more than in the
@@ -312,7 +309,7 @@ class DefectFinder:
         power: Float32Array,
         whole: Float64Array,
         defects: NDArray[np.void],
-    ) -> NDArray[np.bool_]:
+    ) -> BoolArray:
         """Which records hum beyond the band so loudly that this explains what is left in it: a tone leaks there."""
         rows = np.arange(len(outside))
         left = power.sum(axis=1, dtype=np.float64)

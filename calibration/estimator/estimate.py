@@ -9,12 +9,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration import Float32Array, Float64Array
 from calibration.estimator.defect_finder import not_looked_at, worst_of
 from storage.errors import InputError
 from storage.raw.header import Schedule
-
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
 
 MAX_PPM = 500.0
 # A bin this close to the end of the band is in it.
@@ -63,18 +61,18 @@ class Estimate:
         calibrated `reference_gain`, in dB: 0 where the rig is as it was calibrated. NaN by default.
     """
 
-    green: NDArray[np.float32]
-    snr_db: NDArray[np.float32]
-    residual_db: NDArray[np.float32]
-    coherence: NDArray[np.float32]
-    peak_v: NDArray[np.float32]
-    repeat_db: NDArray[np.float32]
-    noise_v: NDArray[np.float32]
+    green: Float32Array
+    snr_db: Float32Array
+    residual_db: Float32Array
+    coherence: Float32Array
+    peak_v: Float32Array
+    repeat_db: Float32Array
+    noise_v: Float32Array
     clip_count: NDArray[np.int32]
-    offset_samples: NDArray[np.float64]
-    clock_ratio: NDArray[np.float64]
+    offset_samples: Float64Array
+    clock_ratio: Float64Array
     defects: NDArray[np.void] = field(default_factory=lambda: not_looked_at(0))
-    reference_db: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))
+    reference_db: Float32Array = field(default_factory=lambda: np.zeros(0, np.float32))
 
     def __post_init__(self) -> None:
         rows = self.snr_db.size

@@ -8,14 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.fft
 import scipy.linalg
-from numpy.typing import NDArray
 
+from calibration import Complex64Array, Complex128Array, Float32Array, Float64Array, Int64Array
 from storage.errors import InputError
-
-Float64Array = NDArray[np.float64]
-Complex128Array = NDArray[np.complex128]
-Float32Array = NDArray[np.float32]
-Complex64Array = NDArray[np.complex64]
 
 # Bins of the left vectors that are made at once, for little memory.
 CHUNK = 512
@@ -266,7 +261,7 @@ class JointFit:
         return freedom, np.maximum(spread, 1.0)
 
 
-def ring_slots(delays: Float64Array, period: int, taps: int) -> tuple[int, NDArray[np.int64]] | None:
+def ring_slots(delays: Float64Array, period: int, taps: int) -> tuple[int, Int64Array] | None:
     """Find evenly spaced slots on the ring that hold all delays, as few as will do.
 
     delays, float64 (slots,): Delays in samples.
@@ -286,7 +281,7 @@ def ring_slots(delays: Float64Array, period: int, taps: int) -> tuple[int, NDArr
 
 
 def _harmonics(
-    left: NDArray[np.complex128], bins: NDArray[np.int64], slots: int, penalty: Float32Array
+    left: Complex128Array, bins: Int64Array, slots: int, penalty: Float32Array
 ) -> tuple[Complex64Array, float, Float64Array]:
     """Inverses of the harmonics' matrices, the fit's freedom and the variance of each direction's coefficient.
 

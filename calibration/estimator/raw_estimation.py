@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 
-from calibration.clock.played import RecordShape, find_sweeps, learn_base, learn_sweeps, whole_record
+from calibration import Float32Array
+from calibration.clock.played import find_sweeps, learn_base, learn_sweeps, shape_of, whole_record
 from calibration.clock.timing import ReferenceMissingError
 from calibration.estimator.estimate import Channels, Estimate, PositionEstimator, Records
 from calibration.estimator.multichannel_fir_fit import MOST_JOINT_BYTES, joint_bytes
@@ -22,8 +22,6 @@ from calibration.estimator.whole_record import WholeRecordEstimator
 from storage.errors import InputError
 from storage.raw.header import RawHeader
 from storage.raw.writer import DamagedError, RawFile, Recordings
-
-Float32Array = NDArray[np.float32]
 
 # References from which the base signal is learned: more make it cleaner, by 0.05 dB at 16.
 LEARNED_RECORDS = 16
@@ -176,86 +174,54 @@ def _recorded(raw: RawFile, most: int) -> Iterator[Recordings]:
 
 def _periodic(raw: RawFile, records: Records, first: Recordings, report: Callable[[str], None]) -> PositionEstimator:
     """The base signal is already running when a record starts."""
-    header = raw.header
-    period = header.schedule.period_s * header.sample_rate_hz
-    if abs(period - round(period)) > 1e-6 * period:
-        raise InputError(
-            f"period_s is {header.schedule.period_s:g}, which is {period:g} samples; a whole number of them is needed"
-        )
     references = list(first.reference_v[:LEARNED_RECORDS])
     if len(references) < LEARNED_RECORDS:
         for more in _recorded(raw, LEARNED_RECORDS):
             if not np.array_equal(more.reference_v[0], first.reference_v[0]):
                 references += list(more.reference_v)
-    base = learn_base(
-        references[:LEARNED_RECORDS],
-        round(period),
-        header.sample_rate_hz,
-        header.band_hz,
-        header.sweep_s,
-        laws=header.laws,
-        same_clock=header.same_clock,
-    )
-    report(f"a period of {header.schedule.period_s:g} s; clocks differ by {1e6 * (base.ratio - 1):.2f} ppm")
-    return StaggeredEstimator(base.base_v, records, expected_ratio=base.ratio)
+    base_v, ratio = learn_base(references[:LEARNED_RECORDS], raw.header)
+    report(f"a period of {raw.header.schedule.period_s:g} s; clocks differ by {1e6 * (ratio - 1):.2f} ppm")
+    return StaggeredEstimator(base_v, records, expected_ratio=ratio)
 
 
 def _with_silence(
     header: RawHeader, records: Records, first: Recordings, report: Callable[[str], None]
 ) -> PositionEstimator:
     """Each record begins and ends by itself."""
-    reference, rate, band_hz, taps = first.reference_v[0], header.sample_rate_hz, header.band_hz, header.taps
     if header.same_clock:
         report("same_clock: whole records, each with its own reference")
         return WholeRecordEstimator(records)
-    shape, laws = _shape(header), header.laws
-    sweep_samples = None if header.sweep_s is None else round(header.sweep_s * rate)
-    found = find_sweeps(reference, rate, band_hz, taps, shape, sweep_samples=sweep_samples, laws=laws)
+    reference, rate, taps = first.reference_v[0], header.sample_rate_hz, header.taps
+    given = shape_of(header) is not None
+    found = find_sweeps(reference, header)
+    shape, law = found.shape, f", {found.law}" if found.law else ""
     report(
-        f"{found.shape.averages} sweeps of {found.shape.sweep_samples / rate:g} s"
-        f"{f', {found.law}' if found.law else ''}; clocks differ by {1e6 * (found.ratio - 1):.2f} ppm"
+        f"{shape.averages} sweeps of {shape.sweep_samples / rate:g} s{law}; "
+        f"clocks differ by {1e6 * (found.ratio - 1):.2f} ppm"
     )
-    silence = found.shape.period_samples - found.shape.sweep_samples
-    whole = found.shape.averages * found.shape.period_samples
-    if header.schedule.is_sequential and taps <= silence and (shape is not None or whole <= header.samples):
-        sweeps = learn_sweeps(found, reference, rate, band_hz, taps, exact=shape is not None)
-        return SequentialEstimator(
-            sweeps, taps, records.channels, schedule=header.schedule, comparable=shape is not None
-        )
+    is_whole = given or shape.averages * shape.period_samples <= header.samples
+    if header.schedule.is_sequential and taps <= shape.period_samples - shape.sweep_samples and is_whole:
+        sweeps = learn_sweeps(found, reference, header)
+        return SequentialEstimator(sweeps, taps, records.channels, schedule=header.schedule, comparable=given)
     latest = round(header.schedule.delay_s[header.schedule.actuator >= 0].max() * rate)
     ring = scipy.fft.next_fast_len(2 * header.samples + latest + taps, real=True)
-    if joint_bytes(ring, (band_hz[1] - band_hz[0]) / rate, taps) > MOST_JOINT_BYTES:
+    if joint_bytes(ring, (header.band_hz[1] - header.band_hz[0]) / rate, taps) <= MOST_JOINT_BYTES:
+        return StaggeredEstimator(whole_record(found, reference, ring), records, expected_ratio=found.ratio)
 
-        def clock(reference_v: Float32Array) -> tuple[float, float]:
-            try:
-                here = find_sweeps(
-                    reference_v, rate, band_hz, taps, shape, sweep_samples=found.shape.sweep_samples, laws=laws
-                )
-            except InputError as error:
-                raise ReferenceMissingError(str(error)) from error
-            return here.ratio, here.offset
+    def clock(reference_v: Float32Array) -> tuple[float, float]:
+        try:
+            here = find_sweeps(reference_v, header, shape.sweep_samples)
+        except InputError as error:
+            raise ReferenceMissingError(str(error)) from error
+        return here.ratio, here.offset
 
-        return WholeRecordEstimator(records, clock_ratio=clock)
-    return StaggeredEstimator(whole_record(found, reference, ring), records, expected_ratio=found.ratio)
+    return WholeRecordEstimator(records, clock_ratio=clock)
 
 
 def records_of(header: RawHeader) -> Records:
     """The records of a position, as a raw file describes them."""
     channels = Channels(header.reference_gain, header.response_per_volt, header.inter_channel_delay_s)
     return Records(header.sample_rate_hz, header.band_hz, header.taps, header.schedule, channels)
-
-
-def _shape(header: RawHeader) -> RecordShape | None:
-    """How the sweeps of a record follow each other, if the file says so."""
-    if header.averages is None or header.sweep_s is None or header.decay_s is None:
-        return None
-    sweep, decay = (round(one * header.sample_rate_hz) for one in (header.sweep_s, header.decay_s))
-    if sweep < 1 or header.averages * (sweep + decay) > header.samples + decay:
-        raise InputError(
-            f"averages is {header.averages}, sweep_s {header.sweep_s:g} and decay_s {header.decay_s:g}; records of "
-            f"{header.samples} samples do not hold that"
-        )
-    return RecordShape(sweep, sweep + decay, header.averages)
 
 
 # Transforms of one record in complex128, those under way at a time, seen to be twelve.

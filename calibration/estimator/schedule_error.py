@@ -1,4 +1,4 @@
-"""What error a schedule will leave, and how long responses ring, before a campaign."""
+"""Error that a schedule will leave, and how long responses ring, before a campaign."""
 
 from __future__ import annotations
 
@@ -8,111 +8,28 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration import Float64Array
 from storage.errors import InputError
 
-Float64Array = NDArray[np.float64]
 
-# A cubic term changes the gain of what sounds together with power P by three times its coefficient times P, and puts
-# the rest of its energy between all that sounds, six times its coefficient squared times P cubed (a sum of many
-# sweeps is like a Gaussian signal). Of one actuator alone, swept through whatever resonances, it is this share of
-# the term's energy that lands in the response (measured: 24 modes, and the virtual plate).
-CUBIC_OF_ONE = 1.3
-
-
-@dataclass(frozen=True, slots=True)
-class Method:
-    """How a position is measured, as far as its error goes.
-
-    sounding_s: How long the sweep of each actuator sounds in all records of a position together, > 0.
-    together: How many actuators sound at once, >= 1.
-    window_s: Time on which what is unlike any response spreads: the period, or a sweep with its silence, > 0.
-
-    Raises InputError: a value outside the range above.
-    """
-
-    sounding_s: float
-    together: int
-    window_s: float
-
-    def __post_init__(self) -> None:
-        for name in ("sounding_s", "together", "window_s"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise InputError(f"{name} is {value:g}; allowed is a finite number above 0")
-
-
-@dataclass(frozen=True, slots=True)
-class Noise:
-    """What is wrong with the response, seen at one actuator that sounds alone, over its rms while it sounds.
-
-    additive_db: White noise (0 to half the sample rate) that is always there; -inf for none.
-    proportional_db: White noise that grows with all that sounds, over that; -inf for none.
-    cubic_db: Rms of a cubic term of the response; -inf for none.
-    sixth_moment: Mean sixth power of that response over the cube of its mean square, which says how peaked it is: 2.5
-        for a sweep that is equally loud everywhere, 3 on a plate that rings as little as the paper's, 15 where it is a
-        row of resonances.
-    """
-
-    additive_db: float = -math.inf
-    proportional_db: float = -math.inf
-    cubic_db: float = -math.inf
-    sixth_moment: float = 3.0
-
-
-@dataclass(frozen=True, slots=True)
-class ExpectedError:
-    """Expected relative L2 error in band of a typical Green's function, and what it comes from, all in dB."""
-
-    total_db: float
-    additive_db: float
-    proportional_db: float
-    cubic_db: float
-
-
-def expected_error(
-    method: Method,
-    noise: Noise,
-    *,
-    band_hz: tuple[float, float],
-    sample_rate_hz: float,
-    taps: int,
-    loudness: float | None = None,
-    effective: float | None = None,
-) -> ExpectedError:
-    """Predict the error of a schedule; within 1.5 dB of what is measured on the virtual rig.
+def expected_error_db(
+    snr_db: float, sounding_s: float, loudness: float, *, band_hz: tuple[float, float], sample_rate_hz: float, taps: int
+) -> float:
+    """Predict the relative L2 error in band that white noise leaves; within 1.5 dB of what the virtual rig measures.
 
     A causal FIR of T seconds has about 2 W T + 2 ln(2 pi W T) degrees of freedom in a band of W Hz. White
     noise leaves so many times its own energy per sample; the response has the energy of all samples in
-    which its sweep sounded. Noise that grows with the response grows with all actuators that sound together. A
-    cubic term grows with the square of that power, and no repetition averages it.
+    which its sweep sounded.
 
-    method: How a position is measured.
-    noise: What is wrong with the response.
+    snr_db: Response of one actuator that sounds alone, while it sounds, over the noise from 0 to half the sample rate.
+    sounding_s: How long the sweep of each actuator sounds in all records of a position together, > 0.
+    loudness: By how much the energy of the noise grows when several actuators sound together, >= 1.
     band_hz: Band of the sweep in Hz.
     sample_rate_hz: Rate in Hz.
     taps: Length L of the FIRs.
-    loudness: Energy of the responses of all actuators that sound together over that of this one, >= 1; by default that
-        of actuators that are alike.
-    effective: How many actuators make up what sounds together: the square of the sum of their responses' energies
-        over the sum of the squares; by default all of them.
-
-    Returns ExpectedError. Raises InputError: a band or a length that cannot be.
     """
-    low, high = band_hz
-    if not 0 <= low < high <= sample_rate_hz / 2:
-        raise InputError(f"band_hz is {low:g} to {high:g}; allowed is 0 <= low < high <= {sample_rate_hz / 2:g}")
-    if taps < 1:
-        raise InputError(f"taps is {taps}; allowed is 1 or more")
-    length_s = taps / sample_rate_hz
-    share = degrees_of_freedom(band_hz, length_s) / (method.sounding_s * sample_rate_hz)
-    loud = float(method.together) if loudness is None else loudness
-    additive = _energy(noise.additive_db) * share
-    proportional = _energy(noise.proportional_db) * loud * share
-    # Of one sweep there is nothing between what sounds.
-    mixed = 1 - 1 / (method.together if effective is None else max(effective, 1.0))
-    shared = 6 * loud**3 * mixed * length_s / method.window_s
-    cubic = _energy(noise.cubic_db) * (CUBIC_OF_ONE + (9 * loud * (loud - 1) + shared) / noise.sixth_moment)
-    return ExpectedError(_db(additive + proportional + cubic), _db(additive), _db(proportional), _db(cubic))
+    share = degrees_of_freedom(band_hz, taps / sample_rate_hz) / (sounding_s * sample_rate_hz)
+    return 10 * math.log10(loudness * share) - snr_db
 
 
 def degrees_of_freedom(band_hz: tuple[float, float], length_s: float) -> float:
@@ -123,14 +40,6 @@ def degrees_of_freedom(band_hz: tuple[float, float], length_s: float) -> float:
     """
     held = (band_hz[1] - band_hz[0]) * length_s
     return 2 * held + 2 * math.log(max(2 * math.pi * held, 1.0))
-
-
-def _energy(level_db: float) -> float:
-    return float(10.0 ** (level_db / 10))
-
-
-def _db(energy: float) -> float:
-    return 10 * math.log10(energy) if energy > 0 else -math.inf
 
 
 # Staggered responses come apart when each is over before the next begins; measured, with half of it to spare.
@@ -152,48 +61,34 @@ class Decay:
 
     rate_db_s: Fall of the energy in dB per second, late in the response, > 0.
     tail_db_at_0: Where that line would begin: energy left at time 0 over all energy.
-    floor_db: Energy of the noise in all taps over that of the response.
     sample_rate_hz: Rate in Hz.
     """
 
     rate_db_s: float
     tail_db_at_0: float
-    floor_db: float
     sample_rate_hz: float
 
-    def response_s(self, tail_db: float = TAIL_DB) -> float:
-        """Seconds after which less than `tail_db` of the energy is left."""
-        return max((self.tail_db_at_0 - tail_db) / self.rate_db_s, 1 / self.sample_rate_hz)
+    @property
+    def response_s(self) -> float:
+        """Seconds after which less than `TAIL_DB` of the energy is left."""
+        return max((self.tail_db_at_0 - TAIL_DB) / self.rate_db_s, 1 / self.sample_rate_hz)
 
-    def needed_taps(self, tail_db: float = TAIL_DB) -> int:
-        """Taps that leave less than `tail_db` of the energy out."""
-        return math.ceil(self.response_s(tail_db) * self.sample_rate_hz - 1e-9)
+    @property
+    def needed_taps(self) -> int:
+        """Taps that leave less than `TAIL_DB` of the energy out."""
+        return math.ceil(self.response_s * self.sample_rate_hz - 1e-9)
 
-    def needed_stagger_s(self, tail_db: float = TAIL_DB) -> float:
+    @property
+    def needed_stagger_s(self) -> float:
         """Shortest stagger in seconds that keeps such responses apart."""
-        return STAGGER_OVER_RESPONSE * self.response_s(tail_db)
+        return STAGGER_OVER_RESPONSE * self.response_s
 
-    def require(self, taps: int, stagger_s: float | None = None, *, tail_db: float = TAIL_DB) -> None:
-        """Refuse taps, and a stagger, that are too short for what was measured.
-
-        taps: Taps of the Green's functions.
-        stagger_s: Stagger in seconds, where actuators sound together.
-        tail_db: Energy that may be cut off, in dB of all.
-
-        Raises InputError: they are too short; the message says what is needed.
-        """
-        needed = self.needed_taps(tail_db)
-        if taps < needed:
+    def require(self, taps: int) -> None:
+        """Refuse taps that are too few for the measured responses: InputError names the number needed."""
+        if taps < self.needed_taps:
             raise InputError(
-                f"taps is {taps}; the measured responses need at least {needed} (they fall by {self.rate_db_s:.0f} dB "
-                f"a second and are {tail_db:g} dB down after {self.response_s(tail_db):.3g} s)"
-            )
-        shortest_s = self.needed_stagger_s(tail_db)
-        if stagger_s is not None and stagger_s < shortest_s:
-            raise InputError(
-                f"stagger_s is {stagger_s:g}; the measured responses need at least {shortest_s:.3g} "
-                f"({STAGGER_OVER_RESPONSE} times the {self.response_s(tail_db):.3g} s after which they are "
-                f"{tail_db:g} dB down)"
+                f"taps is {taps}; the measured responses need at least {self.needed_taps} (they fall by "
+                f"{self.rate_db_s:.0f} dB a second and are {TAIL_DB:g} dB down after {self.response_s:.3g} s)"
             )
 
 
@@ -232,7 +127,6 @@ def measure_decay(green: NDArray[np.floating], sample_rate_hz: float) -> Decay:
     return Decay(
         rate_db_s=10 / math.log(10) * rate,
         tail_db_at_0=10 * math.log10(tail / whole),
-        floor_db=10 * math.log10(BLOCKS * math.exp(floor) / whole),
         sample_rate_hz=sample_rate_hz,
     )
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration import Complex64Array, Float32Array, Float64Array
 from calibration.clock.repeats import RepeatFinder
 from calibration.estimator.causal_fit import CausalFit, ToeplitzFit
 from calibration.estimator.clipping import measure_levels
@@ -53,7 +53,7 @@ class SequentialEstimator:
             raise InputError(
                 f"taps is {taps}; allowed is 1 to the silence after each sweep, {excitation.decay_samples} samples"
             )
-        if abs(channels.inter_channel_delay_s) > excitation.decay_s:
+        if abs(channels.inter_channel_delay_s) * excitation.sample_rate_hz > excitation.decay_samples:
             raise InputError(
                 f"inter_channel_delay_s is {channels.inter_channel_delay_s:g}; allowed is at most decay_s either way"
             )
@@ -92,7 +92,7 @@ class SequentialEstimator:
         self._reference_power = excitation.averages * channels.reference_gain**2
 
     def estimate(
-        self, reference_v: NDArray[np.float32], response_v: NDArray[np.float32], *, range_v: tuple[float, float]
+        self, reference_v: Float32Array, response_v: Float32Array, *, range_v: tuple[float, float]
     ) -> Estimate:
         """See `calibration.estimator.estimate.PositionEstimator`; without a schedule, any number of records."""
         reference = np.ascontiguousarray(reference_v, dtype=np.float32)
@@ -122,11 +122,7 @@ class SequentialEstimator:
         )
 
     def _estimate(
-        self,
-        reference: NDArray[np.float32],
-        response: NDArray[np.float32],
-        range_v: tuple[float, float],
-        first: int,
+        self, reference: Float32Array, response: Float32Array, range_v: tuple[float, float], first: int
     ) -> Estimate:
         levels = measure_levels(reference, response, range_v)
         repeats = self._finder.find(reference, first)
@@ -182,8 +178,8 @@ class SequentialEstimator:
         )
 
     def _repeatability(
-        self, whole: NDArray[np.float64], differing_power: NDArray[np.float32] | None
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        self, whole: Float64Array, differing_power: Float32Array | None
+    ) -> tuple[Float32Array, Float32Array]:
         if differing_power is None:
             unknown = np.full(whole.shape, np.nan, dtype=np.float32)
             return unknown, unknown.copy()
@@ -193,5 +189,5 @@ class SequentialEstimator:
         return coherence.astype(np.float32), decibel(differing * averages / (averages - 1), whole)
 
 
-def _energy(spectra: NDArray[np.complex64]) -> NDArray[np.float32]:
+def _energy(spectra: Complex64Array) -> Float32Array:
     return np.square(spectra.real) + np.square(spectra.imag)

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 
+from calibration import Complex64Array, Complex128Array, Float32Array, Float64Array
 from calibration.clock.czt import require_coverage, ring_signal, ring_spectrum
-from calibration.clock.known_signal import Thinned, Thinning
 from calibration.clock.periodic_clock import RingClock, RingFit
+from calibration.clock.resampling import Thinned, thin
 from calibration.clock.timing import ReferenceMissingError
 from calibration.estimator.clipping import measure_levels
 from calibration.estimator.defect_finder import LEAKS, not_looked_at
 from calibration.estimator.estimate import EDGE, FLOOR, MAX_PPM, Estimate, Records, decibel
 from calibration.estimator.multichannel_fir_fit import JointFit
 from storage.errors import InputError
-
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
-Complex128Array = NDArray[np.complex128]
 
 RIDGE = 1e-6
 """Penalty on the FIRs' energy relative to the base signal's median power in band."""
@@ -66,7 +62,6 @@ class StaggeredEstimator:
         enough = enough[(enough > 0) & (enough < base_v.size / 2)]
         self._bins = slice(int(enough[0]), int(enough[-1]) + 1)
         self._highest = self._bins.stop / base_v.size
-        self._thinning = Thinning(self._highest)
         self._clock = RingClock(nominal[: self._bins.stop], base_v.size, MAX_PPM)
         self._nominal_power = power[self._bins]
         # What the sweep excites beyond its band is fitted and not judged: what hums there does no harm.
@@ -124,10 +119,10 @@ class StaggeredEstimator:
         samples = channels.shape[1]
         if self._runs_on:
             require_coverage(samples, self._period, self._highest, name)
-        thinned = self._thinning(channels)
+        thinned = thin(channels, self._highest)
         clock = self._found_clock(thinned, name)
         turn = 2 * np.pi / (self._period * clock.ratio)
-        sums = self._thinning.spectrum(thinned, turn, 0, self._bins.stop)
+        sums = thinned.spectrum(turn, 0, self._bins.stop)
         reference, answered = ring_spectrum(sums, turn, samples) if self._runs_on else sums * (2 / self._period)
         base = self._cleaned(reference[self._bins], clock)
         transfer = answered[self._bins] * base.conj() / np.maximum(np.square(np.abs(base)), FLOOR)
@@ -180,7 +175,7 @@ class StaggeredEstimator:
             return -np.inf, np.nan
         return float(decibel(float(moments[loudest]) / visible, whole)), loudest * step / self._rate_hz
 
-    def _line(self, left: NDArray[np.complex64], whole: float, visible: float) -> tuple[float, float]:
+    def _line(self, left: Complex64Array, whole: float, visible: float) -> tuple[float, float]:
         """Energy of a steady tone in the residual over all energy, in dB, and its frequency in Hz.
 
         -inf where none stands out of the others. Of a tone beyond the band that which leaks into it counts.
@@ -200,7 +195,7 @@ class StaggeredEstimator:
         return float(decibel(energy / visible, whole)), hertz
 
     def _found_clock(self, thinned: Thinned, name: str) -> RingFit:
-        clock = self._clock.fit(thinned, self._thinning, self._expected_ratio)
+        clock = self._clock.fit(thinned, self._expected_ratio)
         if not clock.explained > 1 - REFERENCE_LIMIT or abs(clock.ratio - 1) > 1.01e-6 * MAX_PPM:
             raise ReferenceMissingError(
                 f"the reference of {name} does not carry the base signal (explained {100 * clock.explained:.0f} % in "
@@ -225,7 +220,7 @@ class StaggeredEstimator:
         """Coherence and repeat difference: what of the response in band is not the same in every period."""
         if periods < LEAST_PERIODS:
             return float("nan"), float("nan")
-        inside, step = thinned.inside, self._thinning.step
+        inside, step = thinned.inside, thinned.step
         recorded = thinned.values[1, inside].astype(np.float64)
         place = thinned.first + step * inside.start
         bins = np.arange(answered.size)

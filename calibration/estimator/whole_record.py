@@ -7,18 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 
-from calibration.clock.known_signal import resampled
+from calibration import Complex128Array, Float32Array, Float64Array
+from calibration.clock.resampling import resampled
 from calibration.clock.timing import ReferenceMissingError
 from calibration.estimator.causal_fit import MOST_RIDGE, circulant_inverse, conjugate_gradients
 from calibration.estimator.clipping import measure_levels
 from calibration.estimator.estimate import FLOOR, Estimate, Records, decibel
 from storage.errors import InputError
-
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
-Complex128Array = NDArray[np.complex128]
 
 # Penalty relative to the excitation's median power in band; outside of the band it is a little more.
 RIDGE, OUTSIDE_RIDGE = 1e-6, 1e-5

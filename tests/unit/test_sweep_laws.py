@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.clock.known_signal import Thinning
 from calibration.clock.played import highest_cycles
+from calibration.clock.resampling import thin
 from calibration.clock.sweep_laws import fit_sweep_law
 
 
@@ -34,8 +34,8 @@ def recorded(rate_hz, law, band_hz, duration_s, ppm, *, starts=(0,), phase=1.0, 
 
 
 def fitted(reference, rate_hz, band_hz, sweep_samples, starts=(0,), **options):
-    thinning = Thinning(highest_cycles(band_hz, 0.5, rate_hz))
-    return fit_sweep_law(thinning(reference[None]), thinning, rate_hz, band_hz, sweep_samples, starts, 500.0, **options)
+    thinned = thin(reference[None], highest_cycles(band_hz, 0.5, rate_hz))
+    return fit_sweep_law(thinned, rate_hz, band_hz, sweep_samples, starts, **options)
 
 
 @pytest.mark.parametrize(

@@ -85,10 +85,10 @@ def _with_run(blueprint: Blueprint, run: RunConfig) -> Blueprint:
 def _advice(trial: Trial, capture: Capture) -> str:
     if trial.decay is None:
         return "the decay of the responses cannot be measured at this position: noise hides it"
-    needed = trial.decay.needed_taps()
+    needed = trial.decay.needed_taps
     if capture.taps < GENEROUS * needed:
         return ""
-    stagger_s = trial.decay.needed_stagger_s()
+    stagger_s = trial.decay.needed_stagger_s
     saved_s = trial.verdict.chosen.campaign_s * max(1 - stagger_s / capture.stagger_s, 0)
     saves = f" and save up to {hours(saved_s)}" if trial.verdict.chosen.groups else ""
     return (
