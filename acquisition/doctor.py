@@ -6,16 +6,15 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import NoReturn, Protocol, TypeVar, runtime_checkable
+from typing import Protocol, TypeVar, cast, runtime_checkable
 
 import numpy as np
 
 from acquisition.setup import Setup, point_at, record_silence, take_record
 from calibration.clock.timing import ReferenceMissingError, fit_clock
-from calibration.mirror_map import MirrorMap
 from calibration.sweeps import Excitation
 from config.messages.rig_checks import Act, Finding, Verdict
-from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from drivers.errors import InstrumentError, TransientInstrumentError
 from drivers.protocols import Clock, DeviceIdentity, Instruments, Mirror, Player, Recorder, Recording, Take
 from drivers.timeouts import CallThread, HungError
 
@@ -119,13 +118,9 @@ class RigUnderTest:
 
     clock: The time that the instruments live by.
     mirror, recorder, player, vibrometer: Open the instrument, or raise InstrumentError.
-    mirror_map: From surface millimetres to mirror angles.
+    wired: The rig of open instruments, with the vibrometer's sensitivity in m/s per V.
     corners_mm: Places on the surface that the mirror is sent to.
     limit_mrad: Largest angle of the mirror.
-    actuator_channels: Player channel of each actuator.
-    loopback_channel: Player channel that is looped back.
-    range_v: Input ranges of (reference, response).
-    reference_gain, inter_channel_delay_s, pre_roll_s, post_roll_s: As of `Setup`.
     amplitude_v: Peak of what is played, well within the limits.
     """
 
@@ -134,16 +129,9 @@ class RigUnderTest:
     recorder: Callable[[], Recorder]
     player: Callable[[], Player]
     vibrometer: Callable[[], VibrometerFacts]
-    mirror_map: MirrorMap
+    wired: Callable[[Instruments, float], Setup]
     corners_mm: Sequence[tuple[float, float]]
     limit_mrad: float
-    actuator_channels: tuple[int, ...]
-    loopback_channel: int
-    range_v: tuple[float, float]
-    reference_gain: float
-    inter_channel_delay_s: float
-    pre_roll_s: float
-    post_roll_s: float
     amplitude_v: float
     sample_rate_hz: float
 
@@ -168,36 +156,36 @@ class _Examination:
         self._recorder: Recorder | None = None
         self._player: Player | None = None
         self.identities: dict[str, DeviceIdentity] = {}
-        self._sensitivity = 1.0
-        self._points = False
 
     def run(self) -> None:
         try:
-            self._open()
-            self._points = self._check_mirror()
-            self._check_player()
-            self._check_sound()
+            sensitivity = self._open()
+            # What needs an instrument that is not there is skipped, so that nobody asks it.
+            opened = cast("tuple[Mirror, Recorder, Player]", (self._mirror, self._recorder, self._player))
+            setup = self._rig.wired(Instruments(*opened, self._rig.clock), sensitivity)
+            points = self._check_mirror(setup)
+            self._check_outputs(setup)
+            self._check_sound(setup, points=points)
         finally:
             self._put_to_rest()
 
-    def _open(self) -> None:
-        """Open and identify; an instrument that fails is left out."""
-        rig, findings = self._rig, self._findings
+    def _open(self) -> float:
+        """Open and identify; an instrument that fails is left out. The vibrometer's sensitivity."""
+        rig, findings, sensitivity = self._rig, self._findings, 1.0
         facts = findings.ask("vibrometer", "opening", rig.vibrometer, OPEN_S)
         if facts is not None:
-            self._sensitivity = facts.sensitivity_m_s_per_v
-            findings.add("vibrometer", "identity", "ok", f"{facts.identity}, {self._sensitivity:g} m/s per V")
+            sensitivity = facts.sensitivity_m_s_per_v
+            findings.add("vibrometer", "identity", "ok", f"{facts.identity}, {sensitivity:g} m/s per V")
             self._check_light(facts.signal_level)
         self._mirror = findings.ask("mirror", "opening", rig.mirror, OPEN_S)
         self._recorder = findings.ask("recorder", "opening", rig.recorder, OPEN_S)
         self._player = findings.ask("player", "opening", rig.player, OPEN_S)
         for name, role in (("mirror", self._mirror), ("recorder", self._recorder), ("player", self._player)):
-            if role is None:
-                continue
-            sentence = findings.ask(name, "identity", role.identify, ANSWER_S)
-            if sentence is not None:
+            sentence = None if role is None else findings.ask(name, "identity", role.identify, ANSWER_S)
+            if role is not None and sentence is not None:
                 findings.add(name, "identity", "ok", sentence)
                 self.identities[name] = role.identity
+        return sensitivity
 
     def _check_light(self, level: float | None) -> None:
         if level is None:
@@ -206,13 +194,13 @@ class _Examination:
         remedy = "focus the laser, clean its window, put reflective film on the surface" if weak else ""
         self._findings.add("vibrometer", "signal level", "warn" if weak else "ok", f"{level:.0%} of full", remedy)
 
-    def _check_mirror(self) -> bool:
+    def _check_mirror(self, setup: Setup) -> bool:
         """Send the mirror to the corners of the surface and back to its middle; True where it went there."""
         rig, findings, mirror = self._rig, self._findings, self._mirror
         if mirror is None:
             findings.skip("mirror", "corners", "the mirror is not there")
             return False
-        x_mrad, y_mrad = rig.mirror_map.angles_mrad(*np.array([*rig.corners_mm, (0.0, 0.0)]).T)
+        x_mrad, y_mrad = setup.mirror_map.angles_mrad(*np.array([*rig.corners_mm, (0.0, 0.0)]).T)
         angles = [(float(x), float(y)) for x, y in zip(x_mrad, y_mrad, strict=True)]
         reach_mrad = max(max(map(abs, pair)) for pair in angles)
         if reach_mrad > rig.limit_mrad:
@@ -235,57 +223,40 @@ class _Examination:
         findings.add("mirror", "corners", "ok", what)
         return True
 
-    def _check_player(self) -> None:
-        player, rig = self._player, self._rig
-        if player is None:
+    def _check_outputs(self, setup: Setup) -> None:
+        if self._player is None:
             self._findings.skip("player", "outputs", "the player is not there")
             return
-        needed = 1 + max((*rig.actuator_channels, rig.loopback_channel))
-        if player.channels >= needed:
-            self._findings.add("player", "outputs", "ok", f"{player.channels}, {needed} needed")
+        there, needed = self._player.channels, 1 + max((*setup.actuator_channels, setup.loopback_channel))
+        if there >= needed:
+            self._findings.add("player", "outputs", "ok", f"{there}, {needed} needed")
             return
         remedy = "choose the interface with enough outputs, or correct player.channels"
-        what = f"it has {player.channels}, {needed} are wired"
-        self._findings.add("player", "outputs", "fail", what, remedy, Act("edit-rig", "player.channels"))
+        act = Act("edit-rig", "player.channels")
+        self._findings.add("player", "outputs", "fail", f"it has {there}, {needed} are wired", remedy, act)
 
-    def _check_sound(self) -> None:
+    def _check_sound(self, setup: Setup, *, points: bool) -> None:
         """Records of silence, of the loopback and of actuators, as far as the instruments for them are there."""
-        recorder, player = self._recorder, self._player
-        if recorder is None:
-            self._findings.skip("recorder", "record", "the recorder is not there")
-        else:
-            rig = self._rig
-            silence = partial(check_silence, recorder, rig.sample_rate_hz, rig.range_v)
-            if self._tell("recorder", "record", silence) and player is not None and self._play:
-                self._check_playing(recorder, player)
-                return
-        why = "the recorder gave no record"
-        if player is None:
+        rig, skip = self._rig, self._findings.skip
+        why = ""
+        if self._recorder is None:
+            skip("recorder", "record", "the recorder is not there")
+            why = "the recorder gave no record"
+        elif not self._tell(
+            "recorder", "record", partial(check_silence, self._recorder, rig.sample_rate_hz, setup.range_v)
+        ):
+            why = "the recorder gave no record"
+        if self._player is None:
             why = "the player is not there"
         elif not self._play:
             why = "nothing was to be played"
-        self._findings.skip("player", "loopback", why)
-        self._findings.skip("vibrometer", "response", why)
-
-    def _check_playing(self, recorder: Recorder, player: Player) -> None:
-        rig = self._rig
-        setup = Setup(
-            instruments=Instruments(self._mirror or _NoMirror(), recorder, player, rig.clock),
-            mirror_map=rig.mirror_map,
-            actuator_channels=rig.actuator_channels,
-            loopback_channel=rig.loopback_channel,
-            range_v=rig.range_v,
-            response_per_volt=self._sensitivity,
-            reference_gain=rig.reference_gain,
-            inter_channel_delay_s=rig.inter_channel_delay_s,
-            pre_roll_s=rig.pre_roll_s,
-            post_roll_s=rig.post_roll_s,
-        )
-        looped = partial(check_loopback, setup, rig.amplitude_v, rig.sample_rate_hz)
-        if not self._tell("player", "loopback", looped):
-            self._findings.skip("vibrometer", "response", "without a loopback the response cannot be measured")
-        elif not self._points:
-            self._findings.skip("vibrometer", "response", "the mirror does not point, so the beam may be anywhere")
+        if why:
+            skip("player", "loopback", why)
+            skip("vibrometer", "response", why)
+        elif not self._tell("player", "loopback", partial(check_loopback, setup, rig.amplitude_v, rig.sample_rate_hz)):
+            skip("vibrometer", "response", "without a loopback the response cannot be measured")
+        elif not points:
+            skip("vibrometer", "response", "the mirror does not point, so the beam may be anywhere")
         else:
             self._tell("vibrometer", "response", partial(check_response, setup, rig.amplitude_v, rig.sample_rate_hz))
 
@@ -315,35 +286,6 @@ def _astray_mrad(mirror: Mirror, at_mrad: tuple[float, float]) -> list[float]:
     mirror.wait_settled(SETTLE_S)
     there = mirror.where_mrad() if isinstance(mirror, ReadsBack) else None
     return [] if there is None else [max(abs(a - b) for a, b in zip(there, at_mrad, strict=True))]
-
-
-class _NoMirror:
-    """The mirror of a rig whose mirror is not there: what needs it was skipped, so nobody asks it."""
-
-    def _refuse(self, doing: str) -> NoReturn:
-        raise InstrumentLostError("mirror", doing, "it is not there", "see what was said of opening it")
-
-    @property
-    def identity(self) -> DeviceIdentity:
-        self._refuse("identifying")
-
-    def identify(self) -> str:
-        self._refuse("identifying")
-
-    def move_to(self, x_mrad: float, y_mrad: float) -> None:
-        self._refuse("moving")
-
-    def wait_settled(self, timeout_s: float) -> None:
-        self._refuse("settling")
-
-    def park(self) -> None:
-        self._refuse("parking")
-
-    def reconnect(self) -> None:
-        self._refuse("reconnecting")
-
-    def close(self) -> None:
-        pass
 
 
 SILENCE_S = 0.5

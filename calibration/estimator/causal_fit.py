@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import scipy.fft
@@ -13,6 +14,7 @@ from calibration import Complex64Array, Complex128Array, Float32Array, Float64Ar
 from calibration.clock.czt import fourier_sum, ring_signal
 
 Operator = Callable[[Float64Array], Float64Array]
+Real = TypeVar("Real", Float32Array, Float64Array)
 
 # Clock ratios at which the solution is exact; between them a polynomial, good to -110 dB for 0.2 s of 500 Hz.
 NODES = 5
@@ -28,16 +30,11 @@ class CausalSolution:
     """Causal FIRs of a batch of spectra, and what they leave.
 
     green, float32 (records, taps): On the playback clock.
-    whole, left, float64 (records,): Energy of the whitened data, and what the FIR leaves of it.
-    variance, float64 (records,): Variance of the noise on one element of the whitened data.
     whitened, missed, complex64 (records, bins): What the FIR leaves of the data, whitened and with the weight taken
         off.
     """
 
     green: Float32Array
-    whole: Float64Array
-    left: Float64Array
-    variance: Float64Array
     whitened: Complex64Array
     missed: Complex64Array
 
@@ -70,7 +67,6 @@ class CausalFit:
         self.elements = matrix.shape[0]
         self._weight = weight.astype(np.float32)
         self._left = left.astype(np.float32)
-        self._left_transposed = np.ascontiguousarray(self._left.T)
         self._right = np.ascontiguousarray(right.astype(np.float32))
         self._nodes = 1e-6 * max_ppm * np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)
         solutions = []
@@ -82,68 +78,36 @@ class CausalFit:
         self._solutions = np.concatenate(solutions).astype(np.float32)
 
     def solve(self, spectrum: Complex64Array, skew: Float64Array) -> CausalSolution:
-        """Fit spectra (records, bins), each at its own clock ratio minus 1 (records,)."""
-        data = self.whitened(spectrum)
-        coefficients = self.coefficients(data)
-        unexplained = self.unexplained(data, coefficients)
-        left = np.square(unexplained).sum(axis=1, dtype=np.float64)
-        # The FIR's own freedom swallows its share of the noise.
-        variance = left / max(self.elements - self.rank, 1)
-        whitened, missed = self.spectra(unexplained)
-        return CausalSolution(
-            green=self.taps(self.denoised(coefficients, variance), skew),
-            whole=np.square(data).sum(axis=1, dtype=np.float64),
-            left=left,
-            variance=variance,
-            whitened=whitened,
-            missed=missed,
-        )
-
-    def whitened(self, spectrum: Complex64Array) -> Float32Array:
-        """Spectrum (records, bins) as real rows (records, 2 * bins) in which white noise is even."""
-        weighted = spectrum * self._weight
-        return np.concatenate([weighted.real, weighted.imag], axis=1)
-
-    def coefficients(self, data: Float32Array) -> Float32Array:
-        """Coefficients (records, rank) of whitened data in the space of causal responses."""
-        return data @ self._left
-
-    def denoised(self, coefficients: Float32Array, variance: Float64Array) -> Float32Array:
-        """Coefficients without what noise of `variance` (records,) alone could have put in weak directions.
+        """Fit spectra (records, bins), each at its own clock ratio minus 1 (records,).
 
         A direction that the sweep hardly excites, at the band's very edge, gives its noise back magnified by
         the inverse of its singular value. Where noise alone explains it, it is better left at zero: the
         non-negative garrote (Breiman 1995). Strong directions pass untouched, so the fit stays linear there.
         """
-        kept = np.square(coefficients)
-        weak = self._weak
-        squared = kept[:, weak]
-        noise = (GARROTE * variance).astype(np.float32)[:, None]
-        shrunk = coefficients.copy()
-        shrunk[:, weak] *= np.maximum(1 - noise / np.maximum(squared, np.float32(1e-30)), 0)
-        return shrunk
-
-    def unexplained(self, data: Float32Array, coefficients: Float32Array) -> Float32Array:
-        """What no causal FIR of L taps explains of whitened data, (records, 2 * bins)."""
+        weighted = spectrum * self._weight
+        data = np.concatenate([weighted.real, weighted.imag], axis=1)
+        coefficients = data @ self._left
         # Explicitly, since the difference of the two energies cancels to nothing in float32.
-        return data - coefficients @ self._left_transposed
-
-    def spectra(self, rows: Float32Array) -> tuple[Complex64Array, Complex64Array]:
-        """Whitened rows (records, 2 * bins) as complex spectra (records, bins), and those with the weight taken off."""
+        unexplained = data - coefficients @ self._left.T
+        # The FIR's own freedom swallows its share of the noise.
+        variance = np.square(unexplained).sum(axis=1, dtype=np.float64) / max(self.elements - self.rank, 1)
+        noise = (GARROTE * variance).astype(np.float32)[:, None]
+        squared = np.maximum(np.square(coefficients[:, self._weak]), np.float32(1e-30))
+        coefficients[:, self._weak] *= np.maximum(1 - noise / squared, 0)
         bins = self._weight.size
-        whitened = np.empty((rows.shape[0], bins), dtype=np.complex64)
-        whitened.real, whitened.imag = rows[:, :bins], rows[:, bins:]
-        return whitened, whitened / self._weight
+        whitened = np.empty((len(data), bins), dtype=np.complex64)
+        whitened.real, whitened.imag = unexplained[:, :bins], unexplained[:, bins:]
+        return CausalSolution(self._taps(coefficients, skew), whitened, whitened / self._weight)
 
-    def taps(self, coefficients: Float32Array, skew: Float64Array) -> Float32Array:
+    def _taps(self, coefficients: Float32Array, skew: Float64Array) -> Float32Array:
         """FIRs (records, L) on the playback clock; `skew` (records,) is each record's clock ratio minus 1."""
         difference = skew[:, None] - self._nodes
         lagrange = np.ones_like(difference)
-        for i in range(self._nodes.size):
-            for j in range(self._nodes.size):
+        for i, node in enumerate(self._nodes):
+            for j, other in enumerate(self._nodes):
                 if i != j:
-                    lagrange[:, i] *= difference[:, j] / (self._nodes[i] - self._nodes[j])
-        spread = (lagrange.astype(np.float32)[:, :, None] * coefficients[:, None, :]).reshape(coefficients.shape[0], -1)
+                    lagrange[:, i] *= difference[:, j] / (node - other)
+        spread = (lagrange.astype(np.float32)[:, :, None] * coefficients[:, None, :]).reshape(len(coefficients), -1)
         return np.asarray((spread @ self._solutions) @ self._right)
 
 
@@ -206,19 +170,11 @@ class ToeplitzFit:
 
     def solve(self, spectrum: Complex64Array, skew: Float64Array) -> CausalSolution:
         """Fit spectra (records, bins), each at its own clock ratio minus 1 (records,)."""
-        whitened = spectrum * self._weight
-        left, green = np.empty_like(whitened), np.empty((len(spectrum), self._taps), dtype=np.float32)
+        left = np.empty_like(spectrum)
+        green = np.empty((len(spectrum), self._taps), dtype=np.float32)
         for row, one in enumerate(spectrum):
             left[row], green[row] = self._solved(one.astype(np.complex128), 1 + float(skew[row]))
-        unexplained = _energy(left)
-        return CausalSolution(
-            green=green,
-            whole=_energy(whitened),
-            left=unexplained,
-            variance=unexplained / max(self.elements - self.rank, 1),
-            whitened=left,
-            missed=(left / self._weight).astype(np.complex64),
-        )
+        return CausalSolution(green, left, (left / self._weight).astype(np.complex64))
 
     def _solved(self, spectrum: Complex128Array, ratio: float) -> tuple[Complex64Array, Float32Array]:
         turn = self._turn * ratio
@@ -228,10 +184,10 @@ class ToeplitzFit:
 
         kernel = responses(self._square.astype(np.complex128))
         wanted = responses(self._square * spectrum)
-        gram = toeplitz_product(kernel)
+        product = toeplitz_product(kernel)
         green, ridge = np.zeros(self._taps), self._ridge
         for _ in range(2):
-            green = conjugate_gradients(gram, wanted, ridge, circulant_inverse(kernel, ridge), green)
+            green = conjugate_gradients(product, wanted, ridge, circulant_inverse(kernel, ridge), green)
             shown = fourier_sum(green, turn, self._first, spectrum.size)
             left = self._weight * (spectrum - shown)
             variance = float(np.vdot(left, left).real) / max(self.elements - self.rank, 1)
@@ -251,7 +207,7 @@ def toeplitz_product(kernel: Float64Array) -> Operator:
     ring[:taps] = kernel
     ring[length - taps + 1 :] = kernel[:0:-1]
     symbol = scipy.fft.rfft(ring)
-    return lambda taps_: np.asarray(scipy.fft.irfft(scipy.fft.rfft(taps_, length) * symbol, length)[:taps])
+    return lambda taps_: np.asarray(scipy.fft.irfft(scipy.fft.rfft(taps_, length) * symbol, length)[..., :taps])
 
 
 def circulant_inverse(kernel: Float64Array, ridge: float) -> Operator:
@@ -265,15 +221,22 @@ def circulant_inverse(kernel: Float64Array, ridge: float) -> Operator:
 
 
 def conjugate_gradients(
-    gram: Operator, wanted: Float64Array, ridge: float, inverse: Operator, start: Float64Array
-) -> Float64Array:
-    """Solve ``(gram + ridge) x = wanted`` from `start`, preconditioned by `inverse`."""
-    goal = ENOUGH**2 * float(np.vdot(wanted, inverse(wanted)))
+    gram: Callable[[Real], Real],
+    wanted: Real,
+    ridge: float | Real,
+    inverse: Callable[[Real], Real],
+    start: Real,
+    *,
+    enough: float = ENOUGH,
+    most_steps: int = MOST_STEPS,
+) -> Real:
+    """Solve ``(gram + ridge) x = wanted`` from `start`, preconditioned by `inverse`, to a relative residual."""
+    goal = enough**2 * float(np.vdot(wanted, inverse(wanted)))
     found = start.copy()
     left = wanted - gram(found) - ridge * found
     even = inverse(left)
     step, size = even.copy(), float(np.vdot(left, even))
-    for _ in range(MOST_STEPS):
+    for _ in range(most_steps):
         if size <= goal:
             break
         turned = gram(step) + ridge * step
@@ -284,7 +247,3 @@ def conjugate_gradients(
         before, size = size, float(np.vdot(left, even))
         step = even + (size / before) * step
     return found
-
-
-def _energy(rows: Complex64Array) -> Float64Array:
-    return np.asarray(np.square(np.abs(rows)).sum(axis=1, dtype=np.float64))

@@ -211,7 +211,7 @@ class DefectFinder:
         for name in ("burst_db", "cut_db", "slip_db", "line_db", "tail_db", "step_db", "harmonic_db"):
             defects[name] = -np.inf
         defects["dead"] = spectra.answered_energy <= DEAD_SHARE * np.square(spectra.levels.response_v, dtype=np.float64)
-        unexplained = _energy(missed) * spectra.reference_power
+        unexplained = energy(missed) * spectra.reference_power
         power = unexplained if differing_power is None else unexplained + differing_power
         self._lines(power, whole, defects)
         # What is cut where the response stays loud for long bends the fit and leaves nothing.
@@ -264,7 +264,7 @@ class DefectFinder:
 
     def _bursts(self, residual: Complex64Array, whole: Float64Array, defects: NDArray[np.void]) -> None:
         """Where in time the residual stands out, in one sweep or in all of them alike."""
-        envelope = _energy(scipy.fft.ifft(residual, self._length, axis=-1))
+        envelope = energy(scipy.fft.ifft(residual, self._length, axis=-1))
         within = _moving_sum(envelope, self._window)
         rows = np.arange(len(residual))
         # In energy of the residual's spectrum, as `whole` is.
@@ -330,7 +330,7 @@ class DefectFinder:
         """Whether the differences between the sweeps are those of a delay that jumps once."""
         records = len(differing)
         later = (np.complex64(-1j) * self._omega * transfer)[:, None] * reference  # what one sample of delay adds
-        strength = np.add.reduceat(_energy(later), self._parts, axis=-1).reshape(records, -1).astype(np.float64)
+        strength = np.add.reduceat(energy(later), self._parts, axis=-1).reshape(records, -1).astype(np.float64)
         np.conjugate(later, out=later)
         later *= differing
         matched = np.add.reduceat(later.real, self._parts, axis=-1).reshape(records, -1).astype(np.float64)
@@ -340,7 +340,7 @@ class DefectFinder:
         best = explained.argmax(axis=1)
         rows = np.arange(records)
         gained, jump = explained[rows, best], projected[rows, best] / norm[rows, best]
-        spread = np.maximum(_energy(differing).sum(axis=(1, 2), dtype=np.float64), FLOOR)
+        spread = np.maximum(energy(differing).sum(axis=(1, 2), dtype=np.float64), FLOOR)
         freedom = 2 * self._omega.size * (self._averages - 1)
         whole_samples = np.rint(jump)
         found = gained * freedom > SLIP_SIGNIFICANCE * spread
@@ -358,10 +358,10 @@ class DefectFinder:
     ) -> None:
         """Whether the differences between the sweeps are those of their level."""
         mean = transfer[:, None] * reference
-        strength = np.maximum(_energy(mean).sum(axis=-1).astype(np.float64), FLOOR)
+        strength = np.maximum(energy(mean).sum(axis=-1).astype(np.float64), FLOOR)
         over = (mean.conj() * differing).real.sum(axis=-1).astype(np.float64) / strength
         gained = np.square(over) * strength
-        spread = np.maximum(_energy(differing).sum(axis=-1).astype(np.float64) - gained, FLOOR)
+        spread = np.maximum(energy(differing).sum(axis=-1).astype(np.float64) - gained, FLOOR)
         freedom = 2 * self._omega.size
         # Something that happens in one sweep is no level of it: then the others differ less.
         found = gained.max(axis=1) * freedom > STEP_SIGNIFICANCE * spread.max(axis=1)
@@ -382,7 +382,7 @@ class DefectFinder:
         """Whether there is more response just after L taps than much later."""
         if self._late.stop - self._late.start < 8:
             return
-        delays = _energy(scipy.fft.ifft(whitened, self._length, axis=-1))
+        delays = energy(scipy.fft.ifft(whitened, self._length, axis=-1))
         floor = _median(delays[:, self._late]) / np.log(2)
         over = delays[:, self._tail].mean(axis=1) / np.maximum(floor, FLOOR)
         total = np.maximum(delays.sum(axis=1), FLOOR)
@@ -426,7 +426,8 @@ def _median(values: Float32Array) -> Float32Array:
     return np.asarray(np.partition(rows, middle, axis=1)[:, middle])
 
 
-def _energy(values: Complex64Array) -> Float32Array:
+def energy(values: Complex64Array) -> Float32Array:
+    """Squared magnitudes."""
     return np.square(values.real) + np.square(values.imag)
 
 

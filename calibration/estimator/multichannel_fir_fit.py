@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.fft
 import scipy.linalg
 
 from calibration import Complex64Array, Complex128Array, Float32Array, Float64Array, Int64Array
+from calibration.estimator.causal_fit import conjugate_gradients, toeplitz_product
 from storage.errors import InputError
 
 # Bins of the left vectors that are made at once, for little memory.
@@ -44,19 +44,11 @@ def causal_basis(omega: Float64Array, weight: Float64Array, taps: int, smallest:
 
     Returns CausalBasis.
     """
-    length = scipy.fft.next_fast_len(2 * taps, real=True)
-    kernel = np.zeros(length)
-    lags = np.arange(taps)
+    kernel, lags = np.zeros(taps), np.arange(taps)
     for low in range(0, omega.size, CHUNK):
         part = slice(low, low + CHUNK)
-        kernel[:taps] += np.square(weight[part]) @ np.cos(np.outer(omega[part], lags))
-    kernel[length - taps + 1 :] = kernel[taps - 1 : 0 : -1]
-    symbol = scipy.fft.rfft(kernel)
-
-    def gram(responses: Float64Array) -> Float64Array:
-        spread = scipy.fft.irfft(scipy.fft.rfft(responses, length) * symbol, length)
-        return np.asarray(spread[:, :taps])
-
+        kernel += np.square(weight[part]) @ np.cos(np.outer(omega[part], lags))
+    gram = toeplitz_product(kernel)
     spacing = float(np.diff(omega).min()) if omega.size > 1 else np.pi
     most = min(taps, 2 * omega.size)
     wanted = min(most, int(omega.size * taps * spacing / np.pi) + 48)
@@ -226,24 +218,15 @@ class JointFit:
         penalty = self._penalty[:, None]
         if seen.shape[1] == 1:
             return seen / (1 + penalty)
-        scaled = np.float32(1) / (1 + penalty)
-        found = np.zeros_like(seen)
-        left = seen.copy()
-        even = scaled * left
-        step = even.copy()
-        power = float(np.vdot(left, even))
-        goal = ENOUGH**2 * power
-        for _ in range(MOST_STEPS):
-            if power <= goal:
-                break
-            turned = self._seen(self._shown(step)) + penalty * step
-            length = np.float32(power / max(float(np.vdot(step, turned)), 1e-300))
-            found += length * step
-            left -= length * turned
-            even = scaled * left
-            before, power = power, float(np.vdot(left, even))
-            step = even + np.float32(power / before) * step
-        return found
+        return conjugate_gradients(
+            lambda found: self._seen(self._shown(found)),
+            seen,
+            penalty,
+            lambda left: left / (1 + penalty),
+            np.zeros_like(seen),
+            enough=ENOUGH,
+            most_steps=MOST_STEPS,
+        )
 
     def _probe(self) -> tuple[float, Float64Array]:
         """Freedom of the fit, and variance of each direction's coefficient, from its answers to random signs."""

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration import Complex64Array, Float32Array, Float64Array
+from calibration import Float32Array, Float64Array
 from calibration.clock.repeats import RepeatFinder
 from calibration.estimator.causal_fit import CausalFit, ToeplitzFit
 from calibration.estimator.clipping import measure_levels
-from calibration.estimator.defect_finder import DefectFinder, Residuals
+from calibration.estimator.defect_finder import DefectFinder, Residuals, energy
 from calibration.estimator.estimate import DIRECT, EDGE, FLOOR, MAX_PPM, Channels, Estimate, decibel
 from calibration.sweeps import Sweeps
 from storage.errors import InputError
@@ -128,22 +128,22 @@ class SequentialEstimator:
         repeats = self._finder.find(reference, first)
         x = repeats.spectra
         y = self._finder.segment_spectra(response, repeats.starts)
-        reference_power = _energy(x).sum(axis=1)
+        reference_power = energy(x).sum(axis=1)
         transfer = (x.conj() * y).sum(axis=1) / np.maximum(reference_power, np.float32(FLOOR))
         found = self._fit.solve(transfer * self._in_time, repeats.ratio - 1)
         here = self._in_band
-        answered = _energy(y[..., here]).sum(axis=(1, 2), dtype=np.float64)
+        answered = energy(y[..., here]).sum(axis=(1, 2), dtype=np.float64)
         # What one relation to the reference leaves of each sweep.
         differing = y - transfer[:, None] * x if x.shape[1] > 1 else None
-        differing_power = None if differing is None else _energy(differing).sum(axis=1)
+        differing_power = None if differing is None else energy(differing).sum(axis=1)
         missed = found.missed * self._in_time.conj()
-        outside = _energy(missed) * reference_power + (0 if differing_power is None else differing_power)
+        outside = energy(missed) * reference_power + (0 if differing_power is None else differing_power)
         outside[:, here] = 0
         if differing is not None and differing_power is not None:
             differing, differing_power = differing[..., here], differing_power[:, here]
         coherence, repeat_db = self._repeatability(answered, differing_power)
-        whole = _energy(transfer[:, here] * self._weight).sum(axis=1, dtype=np.float64)
-        left = _energy(found.whitened[:, here]).sum(axis=1, dtype=np.float64)
+        whole = energy(transfer[:, here] * self._weight).sum(axis=1, dtype=np.float64)
+        left = energy(found.whitened[:, here]).sum(axis=1, dtype=np.float64)
         variance = left / max(self._share * (self._fit.elements - self._fit.rank), 1.0)
         noise = variance * self._share * self._fit.elements
         gain = reference_power.sum(axis=1, dtype=np.float64) / self._finder.power.sum()
@@ -187,7 +187,3 @@ class SequentialEstimator:
         differing = differing_power.sum(axis=1, dtype=np.float64)
         coherence = 1 - (differing + FLOOR) / (whole + FLOOR)
         return coherence.astype(np.float32), decibel(differing * averages / (averages - 1), whole)
-
-
-def _energy(spectra: Complex64Array) -> Float32Array:
-    return np.square(spectra.real) + np.square(spectra.imag)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 from acquisition.doctor import Findings, RigUnderTest, examine
+from acquisition.setup import Setup
 from calibration.mirror_map import MirrorMap
 from config.messages.rig_checks import Finding
 from drivers.errors import InstrumentError, TransientInstrumentError
@@ -22,25 +23,30 @@ CORNERS = ((90.0, 50.0), (-90.0, 50.0), (-90.0, -50.0), (90.0, -50.0))
 def patient(rig: VirtualRig, **changes: object) -> RigUnderTest:
     roles = rig.instruments
     settings = rig.settings
+    wiring = Setup(
+        instruments=roles,
+        mirror_map=MirrorMap.straight(1000.0),
+        actuator_channels=settings.channel_of_actuator,
+        loopback_channel=settings.channel_of_loopback,
+        range_v=(10.0, 10.0),
+        response_per_volt=1.0,
+        inter_channel_delay_s=settings.inter_channel_delay_s,
+    )
     sound = RigUnderTest(
         clock=roles.clock,
         mirror=lambda: roles.mirror,
         recorder=lambda: roles.recorder,
         player=lambda: roles.player,
         vibrometer=lambda: Vibrometer(settings.sensitivity_m_s_per_v, "decoder", 0.0, None),
-        mirror_map=MirrorMap.straight(1000.0),
+        wired=lambda instruments, sensitivity: replace(wiring, instruments=instruments, response_per_volt=sensitivity),
         corners_mm=CORNERS,
         limit_mrad=250.0,
-        actuator_channels=settings.channel_of_actuator,
-        loopback_channel=settings.channel_of_loopback,
-        range_v=(10.0, 10.0),
-        reference_gain=1.0,
-        inter_channel_delay_s=settings.inter_channel_delay_s,
-        pre_roll_s=0.02,
-        post_roll_s=0.1,
         amplitude_v=1.0,
         sample_rate_hz=10_000.0,
     )
+    wired = {field.name: changes.pop(field.name) for field in fields(Setup) if field.name in changes}
+    if wired:
+        sound = replace(sound, wired=lambda instruments, _: replace(wiring, **wired, instruments=instruments))
     return replace(sound, **changes)
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.doctor import Findings, RigUnderTest, examine
+from acquisition.setup import Setup
 from calibration.mirror_map import MirrorMap
 from config.messages.codec import to_line
 from config.messages.rig_checks import Act, Examination, Finding, FindingMade
@@ -109,16 +110,20 @@ def _patient(rig: RigConfig) -> RigUnderTest:
         recorder=ways.recorder,
         player=ways.player,
         vibrometer=ways.vibrometer,
-        mirror_map=MirrorMap(rig.mirror.matrix),
+        wired=lambda instruments, sensitivity: Setup(
+            instruments=instruments,
+            mirror_map=MirrorMap(rig.mirror.matrix),
+            actuator_channels=player.channels,
+            loopback_channel=player.loopback_channel,
+            range_v=(recorder.reference_range_v, recorder.response_range_v),
+            response_per_volt=sensitivity,
+            reference_gain=recorder.reference_gain,
+            inter_channel_delay_s=recorder.inter_channel_delay_s,
+            pre_roll_s=recorder.pre_roll_s,
+            post_roll_s=recorder.post_roll_s,
+        ),
         corners_mm=((x_mm, y_mm), (-x_mm, y_mm), (-x_mm, -y_mm), (x_mm, -y_mm)),
         limit_mrad=rig.mirror.limit_mrad,
-        actuator_channels=player.channels,
-        loopback_channel=player.loopback_channel,
-        range_v=(recorder.reference_range_v, recorder.response_range_v),
-        reference_gain=recorder.reference_gain,
-        inter_channel_delay_s=recorder.inter_channel_delay_s,
-        pre_roll_s=recorder.pre_roll_s,
-        post_roll_s=recorder.post_roll_s,
         amplitude_v=safe_amplitude_v(rig),
         sample_rate_hz=SAMPLE_RATE_HZ,
     )
