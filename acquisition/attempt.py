@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.defects import Cure
-from acquisition.judgement import Judgement, Row, in_band, judge
+from acquisition.judgement import Judgement, judge
 from acquisition.limits import QualityLimits
 from acquisition.plan import Plan
 from acquisition.plays import Play, keep_recordings
@@ -30,16 +29,10 @@ from storage.raw.writer import RawWriter
 RECORD_REPEATS = 2
 
 
-class ReportFault(Protocol):
-    """Receives faults that passed while records were taken."""
-
-    def __call__(self, fault: InstrumentError, attempt: Attempt | None, *, retried: bool) -> None: ...
-
-
 class PositionRecords:
-    """Takes the records of positions, each of which plays one of `plays`."""
+    """Takes the records of positions, each of which plays one of `plays`; passed faults go to `report_fault`."""
 
-    def __init__(self, plan: Plan, setup: Setup, plays: tuple[Play, ...], report_fault: ReportFault) -> None:
+    def __init__(self, plan: Plan, setup: Setup, plays: tuple[Play, ...], report_fault: Callable[..., None]) -> None:
         self._plan, self._setup, self.plays, self._report_fault = plan, setup, plays, report_fault
 
     def take(
@@ -218,14 +211,6 @@ def evaluate(
     return AttemptResult(recorded.attempt, estimate, judgement, recordings=recorded.recordings)
 
 
-def row_of(result: AttemptResult, plan: Plan) -> Row | None:
-    """What an attempt would put into the bank, to be compared; None where it has no estimate."""
-    if result.estimate is None:
-        return None
-    spectrum = in_band(result.estimate.green, plan.excitation.sample_rate_hz, plan.excitation.band_hz)
-    return Row(spectrum, result.estimate.snr_db, math.hypot(*result.attempt.moved_mm))
-
-
 def commit_attempt(
     bank: BankWriter, result: AttemptResult, attempts: int, raw: RawWriter | None = None, *, count_anyway: bool = False
 ) -> AttemptResult:
@@ -247,15 +232,14 @@ def commit_attempt(
             bank.count_attempts(position, attempts)
         return replace(result, final=True, committed=False, recordings=())
     actuators, taps = len(bank.header.actuator_mm), bank.header.taps
-    nothing = np.full(actuators, np.nan, np.float32)
     estimate = result.estimate
     record = PointRecord(
         status=int(result.judgement.status),
         attempts=attempts,
-        snr_db=nothing if estimate is None else estimate.snr_db,
-        residual_db=nothing if estimate is None else estimate.residual_db,
-        coherence=nothing if estimate is None else estimate.coherence,
-        peak_v=nothing if estimate is None else estimate.peak_v,
+        **{
+            name: np.full(actuators, np.nan, np.float32) if estimate is None else getattr(estimate, name)
+            for name in ("snr_db", "residual_db", "coherence", "peak_v")
+        },
         moved_mm=math.hypot(*result.attempt.moved_mm),
         reference_db=float("nan") if estimate is None else float(np.median(estimate.reference_db)),
         judged=bank.record(position).judged if held else 0,
@@ -314,12 +298,6 @@ def is_final(attempt: Attempt, judgement: Judgement, limits: QualityLimits) -> b
     """Whether no further try follows in this round: it is good, the tries are used up, or none can help."""
     hopeless = judgement.cure is Cure.NOTHING and not judgement.status & Status.OVER_RANGE
     return judgement.good or hopeless or attempt.of_session >= limits.max_attempts
-
-
-def first_attempts(rows: Sequence[int] | Int64Array, attempts: Int64Array) -> Iterator[Attempt]:
-    """The first try of a session at each of some positions."""
-    for row in rows:
-        yield Attempt(int(row), int(attempts[row]) + 1, 1)
 
 
 def attempts_again(

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.limits import QualityLimits
 from calibration import BoolArray, Float64Array
 from calibration.estimator.estimate import Estimate
 
@@ -57,24 +57,12 @@ class Defect:
     over_range: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class DefectLimits:
-    """From where on a defect counts.
-
-    residual_db: Energy of a defect in the record's residual, in dB of the response.
-    harmonic_db: Third harmonic in dB of the fundamental.
-    """
-
-    residual_db: float
-    harmonic_db: float
-
-
 def dead_records(estimate: Estimate) -> BoolArray:
     """Records whose response channel is constant."""
     return np.asarray(estimate.defects["dead"] == 1)
 
 
-def named_defects(estimate: Estimate, limits: DefectLimits, distance_mm: Float64Array | None) -> tuple[Defect, ...]:
+def named_defects(estimate: Estimate, limits: QualityLimits, distance_mm: Float64Array | None) -> tuple[Defect, ...]:
     """Name what the figures of an attempt's records show.
 
     Of one record the defect that explains the others is named alone: a lost sample also leaves a burst.
@@ -90,7 +78,7 @@ def named_defects(estimate: Estimate, limits: DefectLimits, distance_mm: Float64
     unnamed = ~dead
     found = [_DEAD.of(estimate, np.flatnonzero(dead))] if np.any(dead) else []
     for figure, kind in _KINDS.items():
-        limit_db = limits.harmonic_db if figure == "harmonic_db" else limits.residual_db
+        limit_db = limits.poor_harmonic_db if figure == "harmonic_db" else limits.poor_residual_db
         beyond = np.flatnonzero(unnamed & (figures[figure] > limit_db + kind.above_limit_db))
         if beyond.size:
             worst = beyond[np.argsort(-figures[figure][beyond])]
@@ -100,14 +88,6 @@ def named_defects(estimate: Estimate, limits: DefectLimits, distance_mm: Float64
     if silent.size:
         found.append(_SILENT.of(estimate, silent))
     return tuple(found)
-
-
-def records_named(defects: Sequence[Defect], actuators: int) -> BoolArray:
-    """Which records have a name for what is wrong with them."""
-    named = np.zeros(actuators, dtype=bool)
-    for defect in defects:
-        named[list(defect.actuators)] = True
-    return named
 
 
 @dataclass(frozen=True, slots=True)

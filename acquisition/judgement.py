@@ -12,11 +12,9 @@ from acquisition.defects import (
     REFERENCE_LEVEL,
     Cure,
     Defect,
-    DefectLimits,
     dead_records,
     listed,
     named_defects,
-    records_named,
 )
 from acquisition.limits import QualityLimits
 from calibration import BoolArray, Complex128Array, Float32Array, Float64Array
@@ -171,8 +169,8 @@ def judge(
     excess_db = _excess_db(estimate, finite & ~dead)
     score = float(np.max(np.where(finite, excess_db, np.inf)))
     defects = list(_over_range(estimate, over_range))
-    defects += named_defects(estimate, DefectLimits(limits.poor_residual_db, limits.poor_harmonic_db), distance_mm)
-    named = records_named(defects, dead.size)
+    defects += named_defects(estimate, limits, distance_mm)
+    named = np.isin(np.arange(dead.size), [actuator for defect in defects for actuator in defect.actuators])
     defects += _unknown(~finite)
     defects += _unexplained(estimate, excess_db, finite & ~dead & ~named, limits)
     defects += _low_signal(estimate, finite & ~dead, limits)

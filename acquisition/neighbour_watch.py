@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from acquisition.attempt import AttemptResult, row_of
+from acquisition.attempt import AttemptResult
 from acquisition.defects import Cure, Defect
 from acquisition.judgement import Judgement, Row, difference, differing, in_band
 from acquisition.plan import Plan
@@ -101,7 +102,7 @@ class NeighbourWatch:
         replaceable: Whether a valid row may be replaced by another one.
         """
         position, judgement = result.attempt.position, result.judgement
-        row = row_of(result, self._plan)
+        row = self._row_of(result)
         if row is None or result.estimate is None or not judgement.good:
             return result
         status = Status(int(self._bank.status[position]))
@@ -121,11 +122,19 @@ class NeighbourWatch:
             apart = difference(Row(held, record.snr_db, record.moved_mm), row)
             if not apart:
                 return result
-        before = None if earlier is None else row_of(earlier, self._plan)
+        before = None if earlier is None else self._row_of(earlier)
         if twice and before is not None and not difference(before, row):
             return result
         judgement = differing(apart, judgement.score) if apart else replace(UNCONFIRMED, score=judgement.score)
         return replace(result, judgement=judgement)
+
+    def _row_of(self, result: AttemptResult) -> Row | None:
+        """What an attempt would put into the bank, to be compared; None where it has no estimate."""
+        if result.estimate is None:
+            return None
+        sweep = self._plan.excitation
+        spectrum = in_band(result.estimate.green, sweep.sample_rate_hz, sweep.band_hz)
+        return Row(spectrum, result.estimate.snr_db, math.hypot(*result.attempt.moved_mm))
 
     def judge(self, position: int, green: Float32Array, before: Judgement) -> tuple[Judgement, bool]:
         """Judge a repeat that is good by its own records.

@@ -11,7 +11,7 @@ from acquisition.conditions import NOTHING_WATCHED, Watch
 from calibration import Float64Array
 from calibration.mirror_map import MirrorMap
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from drivers.protocols import DeviceIdentity, Instrument, Instruments, Recorder, Recording, RecordRequest, Take
+from drivers.protocols import DeviceIdentity, Instruments, Recorder, Recording, RecordRequest, Take
 from drivers.timeouts import Role
 
 
@@ -116,16 +116,6 @@ def as_lost(failure: InstrumentError, cause: str) -> InstrumentLostError:
     lost = InstrumentLostError(failure.instrument, failure.operation, cause, failure.remedy)
     lost.role = failure.role
     return lost
-
-
-def instrument_of(instruments: Instruments, role: str) -> Instrument:
-    """The instrument that has a role."""
-    by_role: dict[str, Instrument] = {
-        "mirror": instruments.mirror,
-        "recorder": instruments.recorder,
-        "player": instruments.player,
-    }
-    return by_role[role]
 
 
 def names_of(instruments: Instruments) -> tuple[str, str, str]:

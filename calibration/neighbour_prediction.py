@@ -17,7 +17,7 @@ from scipy.sparse.linalg import splu
 
 from calibration import BoolArray, Complex128Array, Float64Array, Int64Array
 from calibration.blas import one_blas_thread
-from calibration.wave_model import PatchKernel, WaveModel, fit_waves
+from calibration.wave_model import Patch, PatchKernel, WaveModel, fit_waves
 
 PENALTY = 4.0
 """In standard deviations of a factor that is fitted alone."""
@@ -127,15 +127,6 @@ CHUNK = 256
 """Rows of the table of distances that are made at once."""
 
 
-@dataclass(frozen=True, slots=True)
-class Patch:
-    """A position and its neighbours: bank rows, its own first, and places relative to it."""
-
-    rows: Int64Array
-    offset_mm: Float64Array
-    key: bytes
-
-
 class RowsPredicted:
     """Leave-one-out predictions of all rows of a bank.
 
@@ -177,13 +168,13 @@ class RowsPredicted:
         with one_blas_thread():
             for positions in by_shape.values():
                 patch = self.patches[positions[0]]
-                inverse, weights = self._inverse(patch), self.coefficients(patch)
+                weights = self.coefficients(patch)
                 rows = np.stack([self.patches[position].rows for position in positions])
                 missed = np.zeros((len(positions), *self.values.shape[1:]), dtype=np.complex128)
                 for place in range(rows.shape[1]):
                     missed += self.values[rows[:, place]] * weights[:, place]
                 errors[positions] = missed
-                variance[positions] = 1.0 / inverse[:, 0, 0].real
+                variance[positions] = self._kernel(patch).left_out_variance
         return errors, variance
 
     def error_without(
@@ -198,7 +189,7 @@ class RowsPredicted:
         """
         patch = self.patches[position]
         out = np.concatenate([[0], np.flatnonzero(np.isin(patch.rows, others))])
-        inverse = self._inverse(patch)
+        inverse = self._kernel(patch).inverse
         known = inverse[:, out] @ self.values[patch.rows][:, actuators].transpose(2, 0, 1)
         left = np.linalg.inv(inverse[np.ix_(np.arange(len(inverse)), out, out)])[:, :1]
         return np.asarray((left @ known)[:, 0].T), np.asarray(left[:, 0, 0].real)
@@ -212,13 +203,12 @@ class RowsPredicted:
 
     def coefficients(self, patch: Patch) -> Complex128Array:
         """What each row of a patch counts in the error of its first, (frequencies, rows): 1 for the first."""
-        inverse = self._inverse(patch)
-        return np.asarray(inverse[:, 0] / inverse[:, :1, 0].real)
+        return self._kernel(patch).left_out
 
-    def _inverse(self, patch: Patch) -> Complex128Array:
+    def _kernel(self, patch: Patch) -> PatchKernel:
         if patch.key not in self._kernels:
             self._kernels[patch.key] = PatchKernel(self.waves, patch.offset_mm)
-        return self._kernels[patch.key].inverse
+        return self._kernels[patch.key]
 
     def _fit(self) -> WaveModel:
         """Fit the waves to patches of the commonest shapes, spread over the surface."""
@@ -226,20 +216,12 @@ class RowsPredicted:
         patches = [patch for patch in self.patches.values() if patch.key in common]
         spread = np.unique(np.linspace(0, len(patches) - 1, FIT_PATCHES).astype(np.int64))
         some = np.unique(np.linspace(0, len(self.frequency_hz) - 1, FIT_FREQUENCIES).astype(np.int64))
-        values = _SomeFrequencies(self.values, self.frequency_hz[some], some)
-        return fit_waves([patches[index] for index in spread], values, self.spacing_mm).at(self.frequency_hz)
 
+        def values(rows: Int64Array) -> Complex128Array:
+            return np.asarray(self.values[rows][..., some].transpose(2, 0, 1))
 
-@dataclass(frozen=True, slots=True)
-class _SomeFrequencies:
-    """Rows as `fit_waves` reads them."""
-
-    values: Complex128Array
-    frequency_hz: Float64Array
-    chosen: Int64Array
-
-    def of(self, rows: Int64Array) -> Complex128Array:
-        return np.asarray(self.values[rows][..., self.chosen].transpose(2, 0, 1))
+        chosen = [patches[index] for index in spread]
+        return fit_waves(chosen, self.frequency_hz[some], values, self.spacing_mm).at(self.frequency_hz)
 
 
 def have_neighbours(position_mm: Float64Array, furthest_spacing_mm: float) -> BoolArray:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -213,31 +213,24 @@ MARGIN = 1.02
 """A larger share of the disk is taken where it leaves at most this much more unexplained: it claims less."""
 
 
-class Patch(Protocol):
-    """A position and its neighbours: bank rows (n,), the position's own first, places relative to it (n, 2)."""
+@dataclass(frozen=True, slots=True)
+class Patch:
+    """A position and its neighbours.
 
-    @property
-    def rows(self) -> Int64Array: ...
+    rows, int64 (n,): Bank rows, that of the position itself first, then by distance and direction.
+    offset_mm, float64 (n, 2): Places relative to the position; the first is (0, 0).
+    key: Equal for patches of equal shape, for which everything but the rows is the same.
+    """
 
-    @property
-    def offset_mm(self) -> Float64Array: ...
-
-    @property
-    def key(self) -> bytes:
-        """Equal for patches of equal shape."""
-
-
-class Values(Protocol):
-    """Rows at some frequencies."""
-
-    @property
-    def frequency_hz(self) -> Float64Array: ...
-
-    def of(self, rows: Int64Array) -> Complex128Array:
-        """Values of rows, (frequencies, rows, actuators)."""
+    rows: Int64Array
+    offset_mm: Float64Array
+    key: bytes
 
 
-def fit_waves(patches: Sequence[Patch], values: Values, spacing_mm: float) -> WaveModel:
+Values = Callable[[Int64Array], Complex128Array]
+
+
+def fit_waves(patches: Sequence[Patch], frequency_hz: Float64Array, values: Values, spacing_mm: float) -> WaveModel:
     """Find wave number, disk share and ridge at each frequency.
 
     Each patch's first positions are left out, one at a time, and predicted from its others; what is least is
@@ -246,18 +239,14 @@ def fit_waves(patches: Sequence[Patch], values: Values, spacing_mm: float) -> Wa
     together: with much of the disk any wave number will do, and between two such frequencies none would be right.
 
     patches: Spread over the surface or along a path, at least one.
-    values: The rows, at more frequencies than are fitted: the highest of them, every second one below, and the lowest.
+    frequency_hz, float64 (frequencies,): Ascending; fitted are the highest, every second one below, and the lowest.
+    values: Gives the values of bank rows at these frequencies, complex128 (frequencies, rows, actuators).
     spacing_mm: Grid spacing.
     """
     shapes = _gather(patches, values)
-    chosen = sorted({0, *range(len(values.frequency_hz) - 1, -1, -EVERY)})
+    chosen = sorted({0, *range(len(frequency_hz) - 1, -1, -EVERY)})
     found = [_Fit([(offset_mm, parts[number]) for offset_mm, parts in shapes]).run(spacing_mm) for number in chosen]
-    return WaveModel(
-        values.frequency_hz[chosen],
-        np.array([item[0] for item in found]),
-        np.array([item[1] for item in found]),
-        np.array([item[2] for item in found]),
-    )
+    return WaveModel(frequency_hz[chosen], *(np.array(column) for column in zip(*found, strict=True)))
 
 
 class _Fit:
@@ -334,7 +323,7 @@ def _gather(patches: Sequence[Patch], values: Values) -> list[tuple[Float64Array
     for alike in by_shape.values():
         parts = []
         for patch in alike:
-            part = values.of(patch.rows)
+            part = values(patch.rows)
             strength = np.sqrt(np.mean(np.square(np.abs(part)), axis=(1, 2), keepdims=True))
             parts.append(part / np.where(strength > 0, strength, 1.0))
         shapes.append((alike[0].offset_mm, np.concatenate(parts, axis=2)))

@@ -21,7 +21,6 @@ from acquisition.attempt import (
     attempts_again,
     commit_attempt,
     evaluate,
-    first_attempts,
     is_final,
     is_futile,
     next_attempt,
@@ -33,7 +32,7 @@ from acquisition.engine.report import CampaignReport
 from acquisition.engine.session import Session, StoppedWhileWaitingError, StopRequest
 from acquisition.neighbour_watch import NeighbourWatch
 from acquisition.plan import Plan
-from acquisition.plays import measuring_of
+from acquisition.plays import channels_of, plays_of, position_estimator
 from acquisition.setup import Setup, names_of
 from calibration.blas import one_blas_thread
 from config.messages.campaign import PositionStarted, RecordTaken, SessionEnded, State, Subscriber
@@ -75,9 +74,8 @@ class Campaign:
         self._session = session = Session(setup.instruments.clock, publish, stop)
         self._report = CampaignReport(plan, setup, bank, session)
         self._recovery = recovery = Recovery(setup, session)
-        measuring = measuring_of(plan, setup)
-        self._estimator = measuring.estimator
-        self._records = records = PositionRecords(plan, setup, measuring.plays, session.fault)
+        self._estimator = position_estimator(plan, channels_of(setup))
+        self._records = records = PositionRecords(plan, setup, plays_of(plan, setup), session.fault)
         self._drift = DriftWatch(plan, bank, session, self._report, records, recovery, self._evaluate)
         conditions = Conditions(setup.watch, setup, plan.excitation)
         self._suspension = Suspension(setup, session, conditions, records, recovery)
@@ -111,7 +109,7 @@ class Campaign:
         self._replaceable, self._drift.accept_drift = frozenset(replaceable), accept_drift
         status = self._bank.status
         rows = np.asarray(self._plan.to_do(status) if positions is None else positions, dtype=np.int64)
-        self._queue = deque(first_attempts(rows, self._bank.attempts))
+        self._queue = deque(Attempt(row, int(self._bank.attempts[row]) + 1, 1) for row in rows.tolist())
         again = bool(len(rows)) and bool(np.all(status[rows]))
         if again or np.any(status[np.setdiff1d(self._plan.order, rows)] == 0):
             self._covered = self._plan.order[np.isin(self._plan.order, rows)]

@@ -10,7 +10,7 @@ from typing import TypeVar
 from acquisition.attempt import Attempt, PositionRecords
 from acquisition.conditions import Conditions
 from acquisition.engine.session import LOOKED_FOR_S, Session
-from acquisition.setup import Setup, as_lost, asking, instrument_of, silence
+from acquisition.setup import Setup, as_lost, asking, silence
 from acquisition.wording import hours
 from config.messages.campaign import ConditionsSeen, ReconnectTried, State
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
@@ -109,7 +109,7 @@ class Recovery:
             self._session.wait(wait_s, f" while {failure.instrument} was gone")
             self._tries[role] += 1
             try:
-                instrument_of(self._setup.instruments, role).reconnect()
+                getattr(self._setup.instruments, role).reconnect()
             except (InstrumentLostError, TransientInstrumentError) as absent:
                 left_s = round(until_s - self._clock.now_s(), 3)  # slices of time do not add up exactly
                 if time.monotonic() >= gives_up_wall_s:

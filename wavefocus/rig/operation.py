@@ -11,7 +11,7 @@ import numpy as np
 
 from acquisition.conditions import Sensor
 from acquisition.manual import ManualMeasurements, excitation_of
-from acquisition.setup import Setup, asking, instrument_of, names_of, silence
+from acquisition.setup import Setup, asking, names_of, silence
 from config.messages.codec import Message, MessageError, from_record
 from config.messages.operate import (
     ORDERS,
@@ -199,7 +199,7 @@ class Operation:
                 self._publish(self._spot)
             case Reconnect():
                 with asking(order.instrument):
-                    instrument_of(self._setup.instruments, order.instrument).reconnect()
+                    getattr(self._setup.instruments, order.instrument).reconnect()
                 self._publish(Reconnected(order.instrument))
 
     def _jog(self, order: Jog) -> None:

@@ -14,6 +14,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from calibration.wave_model import Patch
 from config.interpolations import INTERPOLATIONS
 from rendering.arrays import BoolArray, Float64Array, Int64Array
 from rendering.greens.interpolation.position_grid import PositionGrid
@@ -185,20 +186,6 @@ THIN = 1e-3
 
 class SparseError(InputError):
     """A position has too few neighbours, or all of them on one line."""
-
-
-@dataclass(frozen=True, slots=True)
-class Patch:
-    """A position and its neighbours.
-
-    rows, int64 (n,): Bank rows, that of the position itself first, then by distance and direction.
-    offset_mm, float64 (n, 2): Places relative to the position; the first is (0, 0).
-    key: Equal for patches of equal shape, for which everything but the rows is the same.
-    """
-
-    rows: Int64Array
-    offset_mm: Float64Array
-    key: bytes
 
 
 class Neighbourhoods:

@@ -14,7 +14,7 @@ from scipy import fft as scipy_fft
 from scipy.spatial import cKDTree
 
 from calibration.blas import one_blas_thread
-from calibration.wave_model import PatchKernel, WaveModel, fit_waves
+from calibration.wave_model import Patch, PatchKernel, WaveModel, fit_waves
 from rendering.arrays import Complex128Array, Float64Array, Int64Array
 from rendering.greens.interpolation.base import (
     NEIGHBOURS,
@@ -23,7 +23,6 @@ from rendering.greens.interpolation.base import (
     Neighbourhoods,
     Nodes,
     OffGridError,
-    Patch,
     SparseError,
     near,
     show_mm,
@@ -351,7 +350,7 @@ class KernelInterpolation(Interpolation):
         self.values = RowValues(bank, _bands_hz(bank, self.neighbourhoods))
         patches = self._patches(around_mm)
         with one_blas_thread():
-            self.waves = fit_waves(patches, self.values, self.neighbourhoods.spacing_mm)
+            self.waves = fit_waves(patches, self.values.frequency_hz, self.values.of, self.neighbourhoods.spacing_mm)
         self._rows = KernelRows(bank, self.waves, self.neighbourhoods)
         largest = float(np.max(np.abs(self.waves.wavenumber_rad_mm)))
         self._node_spacing_mm = node_spacing_mm(largest, PATH_ERROR)
