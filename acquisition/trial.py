@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from acquisition.attempt import record_play
 from acquisition.plan import GROUP, Plan
-from acquisition.plays import Play, channels_of, plays_of, position_estimator
+from acquisition.plays import Measuring, measuring_of
 from acquisition.setup import Setup, point_at
 from acquisition.wording import hours
 from calibration import Complex128Array, Float64Array
 from calibration.clock.timing import ReferenceMissingError
-from calibration.estimator.estimate import Estimate, PositionEstimator
+from calibration.estimator.estimate import Estimate
 from calibration.estimator.schedule_error import Decay, degrees_of_freedom, measure_decay
 from calibration.sweeps import StaggeredSignal
 from drivers.protocols import Take
@@ -275,8 +275,8 @@ class _Bench:
     def tried(self, groups: int, level_db: float) -> _Tried:
         """Measure by one schedule, staggered ones several times."""
         plan = scheduled(self._plan, groups, level_db)
-        plays, estimator = plays_of(plan, self._setup), position_estimator(plan, channels_of(self._setup))
-        takes = [self._measured(plan, plays, estimator) for _ in range(TAKES if groups else 1)]
+        measuring = measuring_of(plan, self._setup)
+        takes = [self._measured(plan, measuring) for _ in range(TAKES if groups else 1)]
         return _Tried(plan, groups, level_db, tuple(one for one, _ in takes), any(left for _, left in takes))
 
     def candidate(self, one: _Tried, error_db: float) -> Candidate:
@@ -285,16 +285,16 @@ class _Bench:
         error_db = float("inf") if one.over_range else error_db
         return Candidate(_name(one), one.groups, one.level_db, campaign_s, error_db)
 
-    def _measured(self, plan: Plan, plays: tuple[Play, ...], estimator: PositionEstimator) -> tuple[Estimate, bool]:
+    def _measured(self, plan: Plan, measuring: Measuring) -> tuple[Estimate, bool]:
         self._attempt += 1
         rate_hz = plan.excitation.sample_rate_hz
         recordings = [
             record_play(self._setup, play, rate_hz, Take(self._position, self._attempt, play.actuator, "trial"))
-            for play in plays
+            for play in measuring.plays
         ]
         reference_v, response_v = (np.stack([one.volts[row] for one in recordings]) for row in range(2))
         try:
-            estimate = estimator.estimate(reference_v, response_v, range_v=self._setup.range_v)
+            estimate = measuring.estimator.estimate(reference_v, response_v, range_v=self._setup.range_v)
         except ReferenceMissingError as missing:
             raise InputError(f"the trial before the campaign failed: {missing}") from missing
         left = any(any(one.over_range) for one in recordings) or bool(np.any(estimate.clip_count))

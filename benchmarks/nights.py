@@ -28,7 +28,7 @@ import scipy.signal
 from numpy.typing import NDArray
 
 from acquisition.plan import Plan
-from acquisition.plays import keep_recordings, plays_of, raw_header
+from acquisition.plays import keep_recordings, measuring_of, raw_header
 from acquisition.setup import point_at, take_record
 from acquisition.trial import check_position, run_trial
 from benchmarks.harness import Mark, Point, Timing, band_error_db
@@ -194,13 +194,14 @@ def record_sample(path: Path, positions: int, *, staggered: bool) -> None:
     setup = rig_setup(rig)
     position_mm = default_grid(rig)[np.linspace(0, NIGHT - 1, positions).astype(int)]
     plan = replace(sweep_plan(position_mm, rig, staggered=staggered), sha256="")
+    measuring = measuring_of(plan, setup)
     taken: list[list[Recording]] = []
     for position in range(min(DIFFERENT, positions)):
         point_at(setup, *position_mm[position])
         taken.append(
             [
                 play.cut(take_record(setup, play.signals_v, RATE_HZ, Take(position, 1, play.actuator), play.samples))
-                for play in plays_of(plan, setup)
+                for play in measuring.plays
             ]
         )
     create_raw(path, raw_header(plan, setup, rig_json="", run_json="", software="wavefocus bench estimate"))

@@ -32,7 +32,7 @@ from acquisition.engine.report import CampaignReport
 from acquisition.engine.session import Session, StoppedWhileWaitingError, StopRequest
 from acquisition.neighbour_watch import NeighbourWatch
 from acquisition.plan import Plan
-from acquisition.plays import channels_of, plays_of, position_estimator
+from acquisition.plays import measuring_of
 from acquisition.setup import Setup, names_of
 from calibration.blas import one_blas_thread
 from config.messages.campaign import PositionStarted, RecordTaken, SessionEnded, State, Subscriber
@@ -74,8 +74,9 @@ class Campaign:
         self._session = session = Session(setup.instruments.clock, publish, stop)
         self._report = CampaignReport(plan, setup, bank, session)
         self._recovery = recovery = Recovery(setup, session)
-        self._estimator = position_estimator(plan, channels_of(setup))
-        self._records = records = PositionRecords(plan, setup, plays_of(plan, setup), session.fault)
+        measuring = measuring_of(plan, setup)
+        self._estimator = measuring.estimator
+        self._records = records = PositionRecords(plan, setup, measuring.plays, session.fault)
         self._drift = DriftWatch(plan, bank, session, self._report, records, recovery, self._evaluate)
         conditions = Conditions(setup.watch, setup, plan.excitation)
         self._suspension = Suspension(setup, session, conditions, records, recovery)

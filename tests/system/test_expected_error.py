@@ -9,7 +9,7 @@ import pytest
 import scipy.signal
 
 from acquisition.plan import Plan
-from acquisition.plays import channels_of, plays_of, position_estimator
+from acquisition.plays import measuring_of
 from acquisition.setup import Setup, point_at, take_record
 from acquisition.trial import Band, decibel_of_median, relative, scheduled
 from calibration.estimator.schedule_error import expected_error_db
@@ -26,19 +26,19 @@ WITHIN_DB = 1.5
 
 def _measured_db(plan: Plan, setup: Setup, true: np.ndarray) -> float:
     """Median error over positions and actuators."""
-    plays, estimator = plays_of(plan, setup), position_estimator(plan, channels_of(setup))
+    measuring = measuring_of(plan, setup)
     band = Band(plan.excitation.band_hz, plan.excitation.sample_rate_hz, plan.taps)
     shares = []
     for position in POSITIONS:
         point_at(setup, *plan.position_mm[position])
         for attempt in (1, 2):
-            takes = [Take(position, attempt, play.actuator, "trial") for play in plays]
+            takes = [Take(position, attempt, play.actuator, "trial") for play in measuring.plays]
             recordings = [
                 play.cut(take_record(setup, play.signals_v, plan.excitation.sample_rate_hz, take, play.samples))
-                for play, take in zip(plays, takes, strict=True)
+                for play, take in zip(measuring.plays, takes, strict=True)
             ]
             reference_v, response_v = (np.stack([one.volts[row] for one in recordings]) for row in range(2))
-            found = estimator.estimate(reference_v, response_v, range_v=setup.range_v)
+            found = measuring.estimator.estimate(reference_v, response_v, range_v=setup.range_v)
             right = band.spectra(true[position])
             shares.append(relative(band.spectra(found.green), right, right))
     return decibel_of_median(np.concatenate(shares))
