@@ -269,7 +269,9 @@ class _Stage:
             artist.set_animated(True)
         self._canvas.draw()
         self._background = self._canvas.copy_from_bbox(figure.bbox)
-        self._still = [one for one in axes.get_children() if one not in moving and one is not axes.patch]
+        # The axes' ticks and labels lie outside of the cells.
+        below = (*moving, axes.patch, axes.xaxis, axes.yaxis)
+        self._still = [one for one in axes.get_children() if one not in below]
 
     def draw(self, frames: Float32Array, frame: int) -> NDArray[np.uint8]:
         """Draw one frame; uint8 (height, width, 3)."""
