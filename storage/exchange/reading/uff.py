@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import IO, Any
 
@@ -32,8 +34,7 @@ FREQUENCY, TIMES = (4, 5, 12), (25, 1, 0)
 _MOTION = {8: "{0}", 11: "{0}/s", 12: "{0}/s^2", 13: "{1}", 9: "{1}", 15: "Pa"}
 _AXIS_NAMES = {0: "scalar", 1: "x", 2: "y", 3: "z", 4: "rx", 5: "ry", 6: "rz"}
 _LINE = 1 << 12
-_DIGITS = np.uint8(ord("0"))
-_POWERS = 10.0 ** np.arange(-400, 401, dtype=np.longdouble)
+_POWERS = np.array([float(f"1e{power}") for power in range(-400, 308)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -236,6 +237,10 @@ def _contents(file: IO[bytes], path: Path) -> _Contents:
     return held
 
 
+def _size(file: IO[bytes]) -> int:
+    return os.fstat(file.fileno()).st_size
+
+
 def _lines(file: IO[bytes]) -> Iterator[bytes]:
     """Lines up to the end of a set."""
     while (line := file.readline(_LINE)) != b"" and line.strip() != b"-1":
@@ -304,6 +309,7 @@ def _decoded(text: bytes) -> str:
         return text.decode("latin-1").strip("\0 ")
 
 
+@cache
 def _labelled(over: str, under: str) -> str:
     """Unit by the labels of numerator and denominator; empty where they name none that is understood."""
     for unit in (over, f"{over}/{under}"):
@@ -343,7 +349,7 @@ def _binary(
     mixed = np.dtype([("x", f"{byte}f4"), ("y", kind, (numbers // count - 1,))])  # the standard's uneven axis is single
     is_mixed = not even and double and size == count * mixed.itemsize
     needed = count * mixed.itemsize if is_mixed else numbers * kind.itemsize
-    content = file.read(min(needed, path.stat().st_size))
+    content = file.read(min(needed, _size(file)))
     if len(content) != needed:
         raise InputError(f"{path} is truncated: a function (58b) needs {needed} bytes and {len(content)} are there")
     if is_mixed:
@@ -359,7 +365,7 @@ def _ascii(file: IO[bytes], numbers: int, path: Path, widths: tuple[int, ...]) -
     regular = len(first.rstrip(b"\r\n")) == sum(widths) and lines > 2 and len(set(widths)) == 1
     text = first
     if regular:
-        text += file.read(min(len(first) * (lines - 2), path.stat().st_size))
+        text += file.read(min(len(first) * (lines - 2), _size(file)))
         found = _fixed(text, len(first), widths[0])
         if found is not None and len(text) == len(first) * (lines - 1):
             last = file.readline(_LINE)
@@ -395,35 +401,65 @@ def _words(line: bytes, widths: tuple[int, ...]) -> list[float]:
         return found
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Layout:
+    """Characters of a number like ``-1.23456e-03`` in a field of fixed width.
+
+    lowest, span, uint8 (width,): The lowest character that may stand in each column, and how many more may.
+    weights, float32 (width, 3): Sums of a field's digits: the first digits, up to seven more, and the exponent.
+    sign, power: Columns of the two signs.
+    scale, places: Factor of the first digits, and digits after the point.
+    """
+
+    lowest: NDArray[np.uint8]
+    span: NDArray[np.uint8]
+    weights: NDArray[np.float32]
+    sign: int
+    power: int
+    scale: float
+    places: int
+
+
+@cache
+def _layout(width: int, point: int, exponent: int, letter: int) -> _Layout | None:
+    """The layout of fields with their point and exponent in these columns; None where it is another kind of number."""
+    digits = [point - 1, *range(point + 1, exponent)]
+    if point < 2 or exponent != width - 4 or not 1 < len(digits) <= 14:
+        return None
+    lowest = np.full(width, ord(" "), np.uint8)
+    lowest[[point, exponent]] = ord("."), letter
+    highest = lowest.copy()
+    lowest[[*digits, width - 2, width - 1]], highest[[*digits, width - 2, width - 1]] = ord("0"), ord("9")
+    highest[point - 2], lowest[width - 3], highest[width - 3] = ord("-"), ord("+"), ord("-")
+    early, late = digits[:-7], digits[-7:]
+    weights = np.zeros((width, 3), np.float32)
+    weights[early, 0] = 10.0 ** np.arange(len(early) - 1, -1, -1)
+    weights[late, 1] = 10.0 ** np.arange(len(late) - 1, -1, -1)
+    weights[[width - 2, width - 1], 2] = 10.0, 1.0
+    return _Layout(lowest, highest - lowest, weights, point - 2, width - 3, 10.0 ** len(late), len(digits) - 1)
+
+
 def _fixed(text: bytes, line_bytes: int, width: int) -> Float64Array | None:
-    """Numbers like ``-1.23456e-03``, all with their point and exponent in the same columns; None where they are not."""
+    """Numbers that all have their point and exponent in the same columns; None where they have not."""
     if len(text) % line_bytes:
         return None
     table = np.frombuffer(text, np.uint8).reshape(-1, line_bytes)
-    per_line = line_bytes // width
-    if (table[:, per_line * width :] > ord(" ")).any():
+    numbers_bytes = line_bytes // width * width
+    first = text[:width].upper()
+    layout = _layout(width, first.find(b"."), first.find(b"E"), text[max(first.find(b"E"), 0)])
+    if layout is None or (table[:, numbers_bytes:] > ord(" ")).any():
         return None
-    chars = table[:, : per_line * width].reshape(-1, width)
-    first = bytes(chars[0]).upper()
-    point, exponent = first.find(b"."), first.find(b"E")
-    if point < 1 or exponent != width - 4:
-        return None
-    digits = np.array([point - 1, *range(point + 1, exponent), width - 2, width - 1])
-    figures = chars[:, digits] - _DIGITS
-    signs, powers = chars[:, point - 2] if point > 1 else np.full(len(chars), ord(" "), np.uint8), chars[:, width - 3]
-    sound = (
-        figures.max() <= 9
-        and bool((chars[:, point] == ord(".")).all())
-        and bool(((chars[:, exponent] | 32) == ord("e")).all())
-        and bool(np.isin(signs, (ord(" "), ord("-"), ord("+"))).all())
-        and bool(np.isin(powers, (ord("+"), ord("-"))).all())
-        and bool((chars[:, : max(point - 2, 0)] == ord(" ")).all())
+    chars = np.ascontiguousarray(table[:, :numbers_bytes]).reshape(-1, width)
+    signs, powers = chars[:, layout.sign], chars[:, layout.power]
+    negative, small = signs == ord("-"), powers == ord("-")
+    figures = chars - layout.lowest  # beyond the span where a character is below the lowest
+    sound = bool((figures <= layout.span).all()) and bool(
+        (negative | (signs == ord(" ")) | (signs == ord("+"))).all() and (small | (powers == ord("+"))).all()
     )
     if not sound:
         return None
-    places = len(digits) - 3  # after the point
-    figures = figures.astype(np.float64)
-    value = figures[:, : places + 1] @ (10.0 ** np.arange(places, -1, -1))
-    power = (10 * figures[:, -2] + figures[:, -1]) * np.where(powers == ord("-"), -1, 1) - places
-    value *= _POWERS[power.astype(np.int64) + 400].astype(np.float64)
-    return np.where(signs == ord("-"), -value, value)
+    sums = figures.astype(np.float32) @ layout.weights  # columns without a digit have no weight
+    value = sums[:, 0] * layout.scale + sums[:, 1].astype(np.float64)
+    exponent = np.where(small, -sums[:, 2], sums[:, 2]).astype(np.int64) - layout.places
+    value *= _POWERS[exponent + 400]
+    return np.where(negative, -value, value)

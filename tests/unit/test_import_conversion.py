@@ -1,0 +1,209 @@
+"""Frequency responses, other units and places in space as an import turns them into Green's functions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calibration.imports.bank import Imported, import_bank
+from calibration.imports.projection import choose_projection
+from storage.bank.reading import open_bank
+from storage.errors import InputError
+from storage.exchange.reading.measured import ImportOptions, from_spherical
+
+RATE_HZ, TAPS, PERIOD = 2000.0, 300, 800
+POSITIONS, ACTUATORS = 6, 2
+STEP_HZ = RATE_HZ / PERIOD
+
+
+@pytest.fixture(scope="module")
+def green() -> np.ndarray:
+    """Causal responses of a few decaying modes, (positions, actuators, taps)."""
+    random, time_s = np.random.default_rng(1), np.arange(TAPS) / RATE_HZ
+    shape = (POSITIONS, ACTUATORS, 5, 1)
+    turn = 2 * np.pi * random.uniform(60, 400, shape) * time_s
+    modes = random.standard_normal(shape) * np.sin(turn + random.uniform(0, 6, shape)) * np.exp(-time_s / 0.015)
+    return np.asarray(modes.sum(axis=2))
+
+
+@pytest.fixture
+def imported(tmp_path: Path) -> Any:
+    """Import an array; returns Green's functions, the report and the band."""
+    places = tmp_path / "places.csv"
+    places.write_text("x_m,y_m\n" + "".join(f"{0.004 * (i % 3)},{0.004 * (i // 3)}\n" for i in range(POSITIONS)))
+
+    def do(values: np.ndarray, **options: Any) -> tuple[np.ndarray, Imported, Any]:
+        np.save(tmp_path / "a.npy", values)
+        out = tmp_path / "out.h5"
+        made = import_bank(tmp_path / "a.npy", out, ImportOptions(**{"places": places, "unit": "m/s/V", **options}))
+        with open_bank(out, contents=True) as bank:
+            return np.stack([bank.green(row) for row in range(bank.positions)]), made, bank
+
+    return do
+
+
+def off_db(found: np.ndarray, expected: np.ndarray) -> float:
+    """Relative difference over the taps or bins that both have."""
+    length = min(found.shape[-1], expected.shape[-1])
+    return float(20 * np.log10(np.linalg.norm(found[..., :length] - expected[..., :length]) / np.linalg.norm(expected)))
+
+
+def listed(tmp_path: Path, frequency_hz: np.ndarray) -> str:
+    np.save(tmp_path / "f.npy", frequency_hz)
+    return str(tmp_path / "f.npy")
+
+
+@pytest.mark.parametrize("kind", ["one-sided", "two-sided", "negative first", "to the rate", "odd"])
+def test_given_a_whole_frequency_axis_then_the_response_comes_back(
+    green: np.ndarray, imported: Any, tmp_path: Path, kind: str
+) -> None:
+    period = PERIOD + (kind == "odd")
+    spectra, axis_hz = np.fft.fft(green, period), np.fft.fftfreq(period, 1 / RATE_HZ)
+    if kind == "one-sided":
+        spectra, axis_hz = np.fft.rfft(green, period), np.fft.rfftfreq(period, 1 / RATE_HZ)
+    elif kind == "negative first":
+        spectra, axis_hz = np.fft.fftshift(spectra, -1), np.fft.fftshift(axis_hz)
+    elif kind == "to the rate":
+        axis_hz = np.arange(period) * RATE_HZ / period
+    found, made, bank = imported(spectra, frequencies=listed(tmp_path, axis_hz), taps=TAPS)
+    assert off_db(found, green) < -130
+    assert bank.sample_rate_hz == pytest.approx(RATE_HZ)
+    assert made.facts["residual_db"] < -130
+
+
+def test_given_a_band_then_the_causal_fit_explains_it_and_states_what_it_does_not(
+    green: np.ndarray, imported: Any
+) -> None:
+    bins = np.arange(20, 181)
+    spectra = np.fft.rfft(green, PERIOD)[..., bins]
+    frequencies = f"{bins[0] * STEP_HZ},{STEP_HZ}"
+    found, made, bank = imported(spectra, frequencies=frequencies, sample_rate_hz=RATE_HZ, taps=TAPS)
+    assert bank.band_hz == (50.0, 450.0)
+    left_db = off_db(np.fft.rfft(found, PERIOD)[..., bins], spectra)
+    assert left_db < -90
+    assert made.facts["residual_db"] == pytest.approx(left_db, abs=1.0)
+    short, made, _ = imported(spectra, frequencies=frequencies, sample_rate_hz=RATE_HZ, taps=20)
+    left_db = off_db(np.fft.rfft(short, PERIOD)[..., bins], spectra)
+    assert left_db > -40
+    assert made.facts["residual_db"] == pytest.approx(left_db, abs=0.1)
+
+
+@pytest.mark.parametrize("missing", ["left out", "NaN"])
+def test_given_no_value_at_0_hz_then_the_causal_fit_finds_it(green: np.ndarray, imported: Any, missing: str) -> None:
+    spectra = np.fft.rfft(green, PERIOD)
+    if missing == "NaN":
+        spectra[..., 0] = np.nan
+    found, _, _ = imported(
+        spectra if missing == "NaN" else spectra[..., 1:],
+        frequencies=f"0,{STEP_HZ}" if missing == "NaN" else f"{STEP_HZ},{STEP_HZ}",
+    )
+    assert found.shape[-1] == PERIOD // 2
+    assert off_db(found, green) < -90
+
+
+@pytest.mark.parametrize(("unit", "power", "size"), [("g/N", 1, 9.80665), ("um/V", -1, 1e-6), ("mm/s/N", 0, 1e-3)])
+def test_given_other_motions_then_they_become_velocities_when_asked(
+    green: np.ndarray, imported: Any, unit: str, power: int, size: float
+) -> None:
+    omega = 2 * np.pi * STEP_HZ * np.arange(PERIOD // 2 + 1)
+    spectra = np.fft.rfft(green, PERIOD) / size
+    spectra[..., 1:] *= (1j * omega[1:]) ** power
+    options = {"frequencies": f"0,{STEP_HZ}", "unit": unit, "band_hz": "50,450", "taps": TAPS}
+    found, _, bank = imported(spectra, to_velocity=True, **options)
+    band = slice(20, 181)
+    assert off_db(np.fft.rfft(found, PERIOD)[..., band], np.fft.rfft(green, PERIOD)[..., band]) < -90
+    assert bank.response_unit == f"m/s/{unit[-1]}"
+    _, _, bank = imported(spectra, **options)
+    assert (bank.response_unit, bank.drive_unit) == (unit, unit[-1])
+
+
+def test_given_samples_of_acceleration_then_they_are_integrated_in_the_band_that_is_named(
+    green: np.ndarray, imported: Any
+) -> None:
+    with pytest.raises(InputError, match="--band"):
+        imported(green, sample_rate_hz=RATE_HZ, unit="m/s^2/N", to_velocity=True)
+    found, made, _ = imported(
+        green, sample_rate_hz=RATE_HZ, unit="m/s^2/N", to_velocity=True, band_hz="50,450", taps=PERIOD // 2
+    )
+    bins = np.arange(20, 181)
+    expected = np.fft.rfft(green, PERIOD)[..., bins] / (2j * np.pi * STEP_HZ * bins)
+    left_db = off_db(np.fft.rfft(found, PERIOD)[..., bins], expected)
+    assert left_db < -40
+    assert made.facts["residual_db"] == pytest.approx(left_db, abs=6.0)
+
+
+@pytest.mark.parametrize(
+    ("axis_hz", "told"),
+    [
+        (np.geomspace(10, 1000, PERIOD // 2 + 1), "not evenly spaced"),
+        (0.7 + STEP_HZ * np.arange(PERIOD // 2 + 1), "no multiples"),
+        (np.zeros(PERIOD // 2 + 1), "does not ascend"),
+        (-STEP_HZ * (1 + np.arange(PERIOD // 2 + 1)), "0 Hz or above"),
+    ],
+)
+def test_given_an_axis_that_no_transform_has_then_it_is_refused(
+    green: np.ndarray, imported: Any, tmp_path: Path, axis_hz: np.ndarray, told: str
+) -> None:
+    with pytest.raises(InputError, match=told):
+        imported(np.fft.rfft(green, PERIOD), frequencies=listed(tmp_path, axis_hz))
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"sample_rate_hz": 1500.0}, "--sample-rate-hz"),
+        ({"band_hz": "450,50"}, "--band"),
+        ({"band_hz": "50"}, "--band"),
+        ({"band_hz": "51,52"}, "--band"),
+        ({"taps": PERIOD + 1}, "--taps"),
+        ({"unit": "parsec"}, "RESPONSE/DRIVE"),
+        ({"unit": "Pa/V", "to_velocity": True}, "--to-velocity"),
+        ({"axes": "position,sample"}, "--axes"),
+        ({"names": ("green",)}, "--names"),
+    ],
+)
+def test_given_an_option_out_of_range_then_it_is_named(
+    green: np.ndarray, imported: Any, options: dict[str, Any], told: str
+) -> None:
+    with pytest.raises(InputError, match=told):
+        imported(np.fft.rfft(green, PERIOD), **{"frequencies": f"0,{STEP_HZ}", **options})
+
+
+def test_given_fewer_taps_or_a_window_then_the_energy_that_is_lost_is_stated(green: np.ndarray, imported: Any) -> None:
+    found, made, _ = imported(green, sample_rate_hz=RATE_HZ, taps=50)
+    assert np.array_equal(found, green[..., :50].astype(np.float32))
+    lost_db = 10 * np.log10(np.square(green[..., 50:]).sum() / np.square(green).sum())
+    assert made.facts["residual_db"] == pytest.approx(lost_db, abs=1e-3)
+    faded, _, _ = imported(green, sample_rate_hz=RATE_HZ, taps=50, end="window")
+    assert np.array_equal(faded[..., :45], found[..., :45])
+    assert np.abs(faded[..., -1]).max() < 0.1 * np.abs(found[..., -1]).max()
+    damped, _, _ = imported(green, sample_rate_hz=RATE_HZ, end="damp")
+    assert np.allclose(damped[..., 150], green[..., 150] * 10**-1.5, rtol=1e-5)
+
+
+def test_given_a_tilted_plane_then_distances_stay_and_two_columns_do_for_places_in_space() -> None:
+    random = np.random.default_rng(5)
+    flat = np.column_stack([random.uniform(-0.1, 0.1, (20, 2)), np.zeros(20)])
+    tilt = np.linalg.qr(random.standard_normal((3, 3)))[0]
+    tilted = choose_projection(flat @ tilt.T + 0.3, "")
+    assert tilted.is_flat
+    between = np.linalg.norm(flat[:, None] - flat[None], axis=2) * 1e3
+    seen = tilted.on_surface_mm(flat @ tilt.T + 0.3)
+    assert np.allclose(np.linalg.norm(seen[:, None] - seen[None], axis=2), between, atol=1e-9)
+    assert np.allclose(choose_projection(flat[:, [2, 0, 1]], "").on_surface_mm(flat[:, [2, 0, 1]]), flat[:, :2] * 1e3)
+    places = random.uniform(-0.1, 0.1, (20, 3))
+    with pytest.raises(InputError, match="--columns"):
+        choose_projection(places, "")
+    chosen = choose_projection(places, "z,x")
+    assert not chosen.is_flat
+    assert np.allclose(chosen.on_surface_mm(places), places[:, [2, 0]] * 1e3)
+    with pytest.raises(InputError, match="--columns"):
+        choose_projection(places, "x,x")
+
+
+def test_given_spherical_coordinates_then_azimuth_runs_from_x_to_y_and_elevation_up() -> None:
+    places = from_spherical(np.array([[0.0, 0.0, 1.0], [90.0, 0.0, 2.0], [0.0, 90.0, 3.0]]))
+    assert np.allclose(places, [[1, 0, 0], [0, 2, 0], [0, 0, 3]])

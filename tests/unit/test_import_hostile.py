@@ -1,0 +1,278 @@
+"""Files that are damaged, or made to do harm, end an import in one sentence, in little memory."""
+
+from __future__ import annotations
+
+import io
+import random
+import shutil
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import scipy.io
+
+from calibration.imports.bank import import_bank
+from storage.errors import InputError
+from storage.exchange.reading.measured import ImportOptions
+from storage.exchange.reading.opening import opened
+from wavefocus.__main__ import run
+
+GREEN = np.random.default_rng(0).standard_normal((6, 2, 40)).astype(np.float32)
+PLACES_MM = np.array([[4.0 * (row % 3), 4.0 * (row // 3)] for row in range(6)])
+ARRAYS = {"green": GREEN, "position_mm": PLACES_MM, "sample_rate_hz": np.float64(2000.0), "response_unit": "m/s/V"}
+BOMB_BYTES = 200 << 20
+
+
+def hdf5(path: Path, change: Callable[[h5py.File], None]) -> Path:
+    with h5py.File(path, "w") as file:
+        for name, values in ARRAYS.items():
+            if name != "response_unit":
+                file[name] = values
+        file.attrs["response_unit"] = "m/s/V"
+        change(file)
+    return path
+
+
+def without_green(file: h5py.File) -> None:
+    del file["green"]
+
+
+def linked(tmp_path: Path) -> Path:
+    hdf5(tmp_path / "other.nc", lambda file: None)
+
+    def link(file: h5py.File) -> None:
+        del file["green"]
+        file["green"] = h5py.ExternalLink("other.nc", "/green")
+
+    return hdf5(tmp_path / "a.nc", link)
+
+
+def soft_linked(tmp_path: Path) -> Path:
+    def link(file: h5py.File) -> None:
+        file.move("green", "elsewhere")
+        file["green"] = h5py.SoftLink("/elsewhere")
+
+    return hdf5(tmp_path / "a.nc", link)
+
+
+def hollow(tmp_path: Path) -> Path:
+    def declare(file: h5py.File) -> None:
+        del file["green"]
+        file.create_dataset("green", (6, 10_000, 10_000), "f4", chunks=(1, 100, 100))
+
+    return hdf5(tmp_path / "a.nc", declare)
+
+
+def unfolding_hdf5(tmp_path: Path) -> Path:
+    def declare(file: h5py.File) -> None:
+        del file["green"]
+        shape = (6, 2, BOMB_BYTES // 48)
+        file.create_dataset("green", data=np.zeros(shape, np.float32), chunks=(1, 2, shape[2]), compression=9)
+
+    return hdf5(tmp_path / "a.nc", declare)
+
+
+def external_storage(tmp_path: Path) -> Path:
+    (tmp_path / "raw").write_bytes(GREEN.tobytes())
+
+    def store(file: h5py.File) -> None:
+        del file["green"]
+        file.create_dataset("green", GREEN.shape, "f4", external=[(str(tmp_path / "raw"), 0, h5py.h5f.UNLIMITED)])
+
+    return hdf5(tmp_path / "a.nc", store)
+
+
+def zipped(tmp_path: Path, name: str, content: bytes) -> Path:
+    np.savez(tmp_path / "a.npz", **{one: values for one, values in ARRAYS.items() if f"{one}.npy" != name})
+    with zipfile.ZipFile(tmp_path / "a.npz", "a", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(name, content)
+    return tmp_path / "a.npz"
+
+
+def npy(values: np.ndarray, header: str = "", *, pickled: bool = False) -> bytes:
+    content = io.BytesIO()
+    np.lib.format.write_array(content, values, allow_pickle=pickled)
+    return content.getvalue().replace(str(values.shape).encode(), header.encode() or str(values.shape).encode())
+
+
+def unfolding_zip(tmp_path: Path) -> Path:
+    return zipped(tmp_path, "green.npy", npy(np.zeros((1, 1, BOMB_BYTES // 4), np.float32)))
+
+
+def huge_shape(tmp_path: Path) -> Path:
+    return zipped(tmp_path, "green.npy", npy(GREEN, "(6, 2, 99999999999)"))
+
+
+def pickled_archive(tmp_path: Path) -> Path:
+    return zipped(tmp_path, "green.npy", npy(np.array([{"a": 1}], object), pickled=True))
+
+
+def pickled_array(tmp_path: Path) -> Path:
+    np.save(tmp_path / "a.npy", np.array([{"a": 1}], object), allow_pickle=True)
+    return tmp_path / "a.npy"
+
+
+def unfolding_mat(tmp_path: Path) -> Path:
+    scipy.io.savemat(tmp_path / "a.mat", {"green": GREEN})
+    header = (tmp_path / "a.mat").read_bytes()[:128]
+    piece = zlib.compress(bytes(BOMB_BYTES), 9)
+    tag = np.array([15, len(piece)], "<u4").tobytes()
+    (tmp_path / "a.mat").write_bytes(header + tag + piece)
+    return tmp_path / "a.mat"
+
+
+def cells(tmp_path: Path) -> Path:
+    green = np.empty((2, 1), object)
+    green[:, 0] = [GREEN, "text"]
+    scipy.io.savemat(tmp_path / "a.mat", ARRAYS | {"green": green})
+    return tmp_path / "a.mat"
+
+
+def not_finite(tmp_path: Path) -> Path:
+    green = GREEN.copy()
+    green[3, 1, 7] = np.nan
+    np.savez(tmp_path / "a.npz", **ARRAYS | {"green": green})
+    return tmp_path / "a.npz"
+
+
+def control_characters(tmp_path: Path) -> Path:
+    np.savez(tmp_path / "a.npz", **ARRAYS | {"response_unit": "m/s/V\x1b[31m"})
+    return tmp_path / "a.npz"
+
+
+def two_places(tmp_path: Path) -> Path:
+    np.savez(tmp_path / "a.npz", **ARRAYS | {"position_mm": PLACES_MM[:2]})
+    return tmp_path / "a.npz"
+
+
+def ascii_short(tmp_path: Path) -> Path:
+    file = exported(tmp_path, "uff")
+    content = file.read_text(encoding="ascii")
+    file.write_text(content.replace("        40         1", "  99999999         1", 1), encoding="ascii")
+    return file
+
+
+def exported(tmp_path: Path, kind: str, *options: str) -> Path:
+    np.savez(tmp_path / "b.npz", **ARRAYS)
+    if not (tmp_path / "bank.h5").exists():
+        import_bank(tmp_path / "b.npz", tmp_path / "bank.h5", ImportOptions())
+    out = tmp_path / f"exported.{kind}"
+    assert run(["export", str(tmp_path / "bank.h5"), str(out), "--to", kind, *options]) == 0
+    return out
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (linked, "link"),
+        (soft_linked, "link"),
+        (hollow, "holds"),
+        (unfolding_hdf5, "holds"),
+        (external_storage, "other files"),
+        (unfolding_zip, "holds"),
+        (huge_shape, "holds"),
+        (pickled_archive, "pickled"),
+        (pickled_array, "pickled"),
+        (unfolding_mat, "holds"),
+        (cells, "green"),
+        (not_finite, "position 3 to actuator 1"),
+        (control_characters, "control characters"),
+        (two_places, "places of 2 positions"),
+        (ascii_short, "declares 99999999 numbers"),
+    ],
+    ids=lambda one: getattr(one, "__name__", None),
+)
+def test_given_a_hostile_file_then_one_sentence_says_why(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], make: Callable[[Path], Path], told: str
+) -> None:
+    source = make(tmp_path)
+    before = sorted(tmp_path.iterdir())
+    capsys.readouterr()
+    assert run(["import", str(source), "--bank", str(tmp_path / "out.h5")]) == 2
+    sentence = capsys.readouterr().err
+    assert len(sentence.splitlines()) == 1
+    assert told in sentence
+    assert source.name in sentence
+    assert "\x1b" not in sentence
+    assert sorted(tmp_path.iterdir()) == before
+
+
+FORMATS = {"sofa": [], "uff": [], "mat": [], "npz": [], "netcdf": [], "wav": [], "binary uff": ["--binary"], "npy": []}
+
+
+def mutated(content: bytes, source: random.Random) -> bytes:
+    changed = bytearray(content)
+    at = source.randrange(min(len(changed), source.choice([256, 2048, len(changed)])))
+    match source.choice(["flip", "byte", "zeros", "noise", "cut", "twice", "digit"]):
+        case "flip":
+            changed[at] ^= 1 << source.randrange(8)
+        case "byte":
+            changed[at] = source.randrange(256)
+        case "zeros":
+            changed[at : at + 64] = bytes(len(changed[at : at + 64]))
+        case "noise":
+            changed[at : at + 8] = source.randbytes(8)
+        case "cut":
+            del changed[at:]
+        case "twice":
+            changed[at:at] = changed[at : at + 100]
+        case "digit":
+            digits = [place for place in range(min(len(changed), 4096)) if 48 <= changed[place] < 58] or [at]
+            changed[source.choice(digits)] = source.choice(b"0123456789-e.n ")
+    return bytes(changed)
+
+
+def mutations(tmp_path: Path, kind: str, count: int) -> Iterator[tuple[Path, str, ImportOptions]]:
+    """Damaged copies of a small file, with its format and options."""
+    form, options = kind.rsplit(maxsplit=1)[-1], ImportOptions()
+    if kind == "npy":
+        np.save(tmp_path / "exported.npy", GREEN)
+        whole = tmp_path / "exported.npy"
+        (tmp_path / "places.csv").write_text("x_mm,y_mm\n" + "".join(f"{x},{y}\n" for x, y in PLACES_MM.tolist()))
+        options = ImportOptions(places=tmp_path / "places.csv", unit="m/s/V", sample_rate_hz=2000.0)
+    else:
+        whole = exported(tmp_path, form, *FORMATS[kind])
+    source, copy = random.Random(5), tmp_path / "copy"
+    for _ in range(count):
+        if whole.is_dir():
+            shutil.rmtree(copy, ignore_errors=True)
+            shutil.copytree(whole, copy)
+            one = source.choice(sorted(copy.iterdir()))
+            one.write_bytes(mutated(one.read_bytes(), source))
+        else:
+            copy.write_bytes(mutated(whole.read_bytes(), source))
+        yield copy, form, options
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_given_a_damaged_file_then_it_is_read_or_refused(tmp_path: Path, kind: str) -> None:
+    outcomes = []
+    for copy, form, options in mutations(tmp_path, kind, 40):
+        try:
+            with opened(copy, form, options) as measured:
+                outcomes.append(sum(1 for _ in measured.rows) == measured.shape[0])
+        except InputError as error:
+            outcomes.append(len(str(error).splitlines()) == 1)
+    assert len(outcomes) == 40
+    assert all(outcomes)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", FORMATS)
+def test_given_hundreds_of_damaged_files_then_each_import_ends_well(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str
+) -> None:
+    for copy, form, options in mutations(tmp_path, kind, 300):
+        given = ["--from", form]
+        if options.places is not None:
+            given += ["--places", str(options.places), "--unit", "m/s/V", "--sample-rate-hz", "2000"]
+        out = tmp_path / "out.h5"
+        out.unlink(missing_ok=True)
+        code = run(["import", str(copy), "--bank", str(out), *given])
+        assert code in (0, 2)
+        assert out.exists() == (code == 0)
+        assert "Traceback" not in capsys.readouterr().err
