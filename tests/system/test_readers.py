@@ -1,4 +1,4 @@
-"""Readers of a bank in other languages: their page, the names that they read, and Octave's answers."""
+"""Readers of a bank in other languages: their page, the names that they read, and what Octave reads."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Literal
 
 import h5py
 import numpy as np
 import pytest
 
+import wavefocus
 from tests.unit.test_bank_writer import measured
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -56,14 +58,24 @@ def test_every_reader_reads_names_that_a_bank_has(tmp_path: Path, name: str) -> 
     assert {"green", "position_mm", "actuator_mm", "status", "time_s", "sample_rate_hz"} <= names
 
 
+def octave(script: str, folder: Path) -> list[np.ndarray]:
+    """The lines of numbers that Octave prints."""
+    program = shutil.which("octave-cli")
+    if program is None:
+        pytest.skip("Octave is not installed; on Debian: apt-get install octave octave-netcdf")
+    (folder / "show.m").write_text(script, encoding="utf-8")
+    done = subprocess.run(
+        [program, "--no-gui", "--norc", "show.m"], cwd=folder, capture_output=True, text=True, timeout=100, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return [np.array(line.split(), float) for line in done.stdout.splitlines()]
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("reader", "functions", "call"), [("octave", "", "ncread"), ("matlab", MATLAB_IN_OCTAVE, "h5read")]
 )
 def test_octave_reads_a_bank_with_equal_numbers(tmp_path: Path, reader: str, functions: str, call: str) -> None:
-    octave = shutil.which("octave-cli")
-    if octave is None:
-        pytest.skip("Octave is not installed; on Debian: apt-get install octave octave-netcdf")
     bank = measured(tmp_path / "bank.h5")
     page = (DOCS / "how-to" / "read-a-bank-elsewhere.md").read_text(encoding="utf-8")
     (one,) = re.findall(rf"`(squeeze\({call}\(.*)`", page)
@@ -71,12 +83,7 @@ def test_octave_reads_a_bank_with_equal_numbers(tmp_path: Path, reader: str, fun
         functions=functions, readers=DOCS / "readers", reader=f"read_bank_{reader}", file=bank,
         one=one.replace("(file,", f"('{bank}',").replace("701", "3") + "'",
     )  # fmt: skip
-    (tmp_path / "show.m").write_text(script, encoding="utf-8")
-    done = subprocess.run(
-        [octave, "--no-gui", "--norc", "show.m"], cwd=tmp_path, capture_output=True, text=True, timeout=100, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    lines = [np.array(line.split(), float) for line in done.stdout.splitlines()]
+    lines = octave(script, tmp_path)
     with h5py.File(bank) as file:
         green = file["green"][...]
         assert lines[0].tolist() == list(green.shape)
@@ -85,3 +92,25 @@ def test_octave_reads_a_bank_with_equal_numbers(tmp_path: Path, reader: str, fun
         assert np.array_equal(lines[3], file["status"][...])
         assert np.array_equal(lines[4], [file.attrs["sample_rate_hz"], *file["time_s"][...]])
         assert np.array_equal(lines[5].astype(np.float32), green[2].ravel())
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("to", "read"),
+    [
+        ("mat", "b = load('{file}'); green = b.green; places = b.position_mm;"),
+        (
+            "netcdf",
+            "pkg load netcdf; green = permute(ncread('{file}', 'green'), [3 2 1]);"
+            " places = ncread('{file}', 'position_mm')';",
+        ),
+    ],
+)
+def test_octave_reads_an_export_with_equal_numbers(tmp_path: Path, to: Literal["mat", "netcdf"], read: str) -> None:
+    bank, file = measured(tmp_path / "bank.h5"), tmp_path / f"bank.{to}"
+    wavefocus.export_bank(bank, file, to, positions=[2, 0])
+    show = "printf('%.9g ', permute(green, [3 2 1])); printf('\\n'); printf('%.17g ', places'); printf('\\n');"
+    green, places_mm = octave(f"1;\n{read.format(file=file)}\n{show}\n", tmp_path)
+    with h5py.File(bank) as held:
+        assert np.array_equal(green.astype(np.float32), held["green"][...][[2, 0]].ravel())
+        assert np.array_equal(places_mm, held["position_mm"][...][[2, 0]].ravel())

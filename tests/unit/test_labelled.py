@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import h5py
@@ -85,3 +86,9 @@ def test_a_bank_s_dataset_written_as_netcdf_then_comes_back_equal(bank: Bank, tm
     bank.to_xarray().to_netcdf(tmp_path / "bank.nc", engine="h5netcdf")
     with xarray.open_dataset(tmp_path / "bank.nc", engine="h5netcdf") as found:
         assert np.array_equal(found["green"], bank.to_xarray()["green"])
+
+
+def test_given_no_xarray_then_the_error_says_how_to_get_it(bank: Bank, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "xarray", None)  # as Python has it for a package that cannot be imported
+    with pytest.raises(InputError, match=r"pip install 'wavefocus\[exchange\]'"):
+        bank.to_xarray()
