@@ -47,26 +47,40 @@ class Import:
     reader: ``"module:function"``, called with path, options and an `ExitStack` that closes what stays open; returns
         `storage.exchange.measured.Measured`.
     title: The format's name in the command's help and in messages.
+    options: Options of the command that concern some formats, and this one.
     starts: How a file of the format begins.
     endings: How its name ends, where its content does not decide.
     """
 
     reader: str
     title: str
+    options: tuple[str, ...] = ()
     starts: tuple[bytes, ...] = ()
     endings: tuple[str, ...] = ()
 
 
+_ARRAYS = ("direction", "axes", "names", "frequencies")
+
 IMPORTS = {
-    "sofa": Import("storage.exchange.reading.sofa:read", "a SOFA file", endings=(".sofa",)),
-    "uff": Import(
-        "storage.exchange.reading.uff:read", "a universal file", (b"    -1\n", b"    -1\r\n"), (".uff", ".unv", ".uf")
+    "sofa": Import(
+        "storage.exchange.reading.sofa:read", "a SOFA file", ("direction", "measurements"), endings=(".sofa",)
     ),
-    "mat": Import("storage.exchange.reading.mat:read", "a MATLAB file", (b"MATLAB 5.0", b"MATLAB 7.3"), (".mat",)),
-    "npz": Import("storage.exchange.reading.npz:read", "a NumPy archive", (b"PK",), (".npz",)),
-    "npy": Import("storage.exchange.reading.npz:read_array", "a NumPy array", (b"\x93NUMPY",), (".npy",)),
+    "uff": Import(
+        "storage.exchange.reading.uff:read",
+        "a universal file",
+        ("direction",),
+        (b"    -1\n", b"    -1\r\n"),
+        (".uff", ".unv", ".uf"),
+    ),
+    "mat": Import(
+        "storage.exchange.reading.mat:read", "a MATLAB file", _ARRAYS, (b"MATLAB 5.0", b"MATLAB 7.3"), (".mat",)
+    ),
+    "npz": Import("storage.exchange.reading.npz:read", "a NumPy archive", _ARRAYS, (b"PK",), (".npz",)),
+    "npy": Import("storage.exchange.reading.npz:read_array", "a NumPy array", _ARRAYS, (b"\x93NUMPY",), (".npy",)),
     "netcdf": Import(
-        "storage.exchange.reading.netcdf:read", "a netCDF file", (b"CDF", b"\x89HDF"), (".nc", ".nc4", ".cdf")
+        "storage.exchange.reading.netcdf:read", "a netCDF file", _ARRAYS, (b"CDF", b"\x89HDF"), (".nc", ".nc4", ".cdf")
     ),
     "wav": Import("storage.exchange.reading.wav:read", "a folder of WAV files"),
 }
+SOME_FORMATS = frozenset(option for one in IMPORTS.values() for option in one.options)
+"""Options that concern some formats alone."""

@@ -24,7 +24,7 @@ from wavefocus.__main__ import run
 GREEN = np.random.default_rng(0).standard_normal((6, 2, 40)).astype(np.float32)
 PLACES_MM = np.array([[4.0 * (row % 3), 4.0 * (row // 3)] for row in range(6)])
 ARRAYS = {"green": GREEN, "position_mm": PLACES_MM, "sample_rate_hz": np.float64(2000.0), "response_unit": "m/s/V"}
-BOMB_BYTES = 200 << 20
+BOMB_BYTES = 100 << 20
 
 
 def hdf5(path: Path, change: Callable[[h5py.File], None]) -> Path:

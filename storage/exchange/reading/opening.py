@@ -10,7 +10,7 @@ from pathlib import Path
 
 from storage import hdf5_reading
 from storage.errors import InputError
-from storage.exchange import IMPORTS
+from storage.exchange import IMPORTS, SOME_FORMATS
 from storage.exchange.reading.measured import ImportOptions, Measured, guarded, readable
 from storage.ledger.owner import require_regular
 
@@ -47,6 +47,9 @@ def opened(path: Path, kind: str, options: ImportOptions) -> Iterator[Measured]:
     Raises InputError: it cannot be read, or a fact is missing that an option can give; also while rows are read.
     """
     form = IMPORTS[kind]
+    for option in sorted(SOME_FORMATS.difference(form.options)):
+        if getattr(options, option):
+            raise InputError(f"--{option} does not concern {form.title}; leave it out")
     if kind != "wav":
         require_regular(path)
     elif not path.is_dir():

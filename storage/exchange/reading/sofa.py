@@ -26,6 +26,7 @@ from storage.exchange.reading.measured import (
     length_unit,
     require_honest,
 )
+from storage.exchange.reading.places import table_of
 
 _AXES = {"FIR": "mrn", "FIR-E": "mrne", "FIRE": "mren", "TF": "mrn", "TF-E": "mrne"}
 _UNIT = re.compile(r"Data\.IR is in ([^\s,;]+)")
@@ -94,6 +95,8 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
             raise InputError(f"{path}: Data.SamplingRate is {rates.tolist()[:4]}; one rate above 0 is needed")
         rate_hz = float(rates[0])
     counts = (len(position_m), len(actuator_m))
+    if options.places is not None:
+        position_m, actuator_m = table_of(options, path, *counts)
     unit = _UNIT.search(text_attribute(file, "Comment"))
     status = _bank_status(file, counts[0], path) if role == "positions" and len(receivers) == 1 else None
     return Measured(
@@ -113,6 +116,9 @@ def _needed(file: h5py.File, name: str, path: Path) -> h5py.Dataset:
     found = numbers(file, name, path)
     if found is None or found.dtype.kind not in "fiu":
         raise InputError(f"{path} has no {name} of real numbers, which a SOFA file of this DataType needs")
+    packing = hdf5_reading.packing_of(found, path)
+    if packing.scale != 1.0 or packing.offset != 0.0:
+        raise InputError(f"{path}: {name} has a scale_factor or add_offset, which SOFA does not know")
     return found
 
 

@@ -1,0 +1,252 @@
+"""Rows of a file as Green's functions: unit, rate, taps, first sample and ends."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from calibration.imports.causal_response import CausalConverter, Motion, end_window, frequency_axis
+from storage.errors import InputError
+from storage.exchange.reading.measured import ImportOptions, Measured, pair_of, require_honest
+from storage.units import MOTIONS, split_unit
+
+Float64Array = NDArray[np.float64]
+
+
+class Conversion:
+    """Rows of a file as Green's functions, float32 (N, L), at the bank's rate and in its unit."""
+
+    def __init__(self, measured: Measured, options: ImportOptions, source: Path) -> None:
+        self._source, self._options = source, options
+        self.said: list[str] = []
+        self.assumed: list[str] = []
+        self._count = measured.shape[1]
+        motion = self._motion(measured)
+        rows = iter(measured.rows)
+        first = next(rows, None)
+        if first is None:
+            raise InputError(f"{source}: holds no response")
+        self._rows = itertools.chain([first], rows)
+        self._converter: CausalConverter | None = None
+        self._take: Callable[[NDArray[Any]], NDArray[Any]] = np.asarray
+        self._cut = self._whole = self._ends = self._kept = 0.0
+        self._shift = 0
+        if measured.frequency_hz is not None:
+            self._from_spectra(measured, np.asarray(first), motion)
+        else:
+            self._from_samples(measured, motion)
+        self._window = end_window(self.taps, options.end)
+
+    def _motion(self, measured: Measured) -> Motion:
+        unit = self._options.unit or measured.unit
+        if not unit:
+            raise InputError(
+                f"{self._source} does not say the unit of its responses; name it with --unit, as --unit m/s/V"
+            )
+        try:
+            over, self.drive_unit = split_unit(unit)
+        except InputError as error:
+            raise InputError(f"{self._source}: {error}; name it with --unit, as --unit m/s/V") from None
+        if self._options.unit and measured.unit and measured.unit != self._options.unit:
+            self.assumed.append(f"the unit is {unit}, as asked, where the file says {measured.unit}")
+        order, size = MOTIONS.get(over, (1, 1.0))
+        self.is_motion = over in MOTIONS
+        if not self._options.to_velocity:
+            self.response_unit = over if self.drive_unit == "1" else f"{over}/{self.drive_unit}"
+            return Motion()
+        if not self.is_motion:
+            raise InputError(f"--to-velocity: the responses are in {over}, which is no motion; leave the option out")
+        self.response_unit = f"m/s/{self.drive_unit}"
+        self.said.append(f"responses in {over} became velocities in m/s")
+        return Motion(size, 1 - order)
+
+    def _band(self, measured: Measured) -> tuple[float, float] | None:
+        if not self._options.band_hz:
+            return measured.band_hz
+        low, high = pair_of(self._options.band_hz, "--band", "two frequencies in Hz")
+        if not 0 <= low < high:
+            raise InputError(f"--band is {self._options.band_hz!r}; 0 <= low < high is needed, in Hz")
+        return low, high
+
+    def _from_spectra(self, measured: Measured, first: NDArray[Any], motion: Motion) -> None:
+        assert measured.frequency_hz is not None
+        try:
+            axis = frequency_axis(measured.frequency_hz, np.nan_to_num(first))
+        except InputError as error:
+            raise InputError(f"{self._source}: {error}") from None
+        step, bins = axis.step_hz, axis.bins
+        asked = self._options.sample_rate_hz or measured.sample_rate_hz
+        period = asked / step if asked else float(axis.period or 2 * bins[-1])
+        if abs(period - round(period)) > 0.01 or round(period) < 2 * bins[-1] or not period < 2**31:
+            raise InputError(
+                f"{self._source}: --sample-rate-hz {asked or 0:g}: a multiple of the frequencies' step, {step:.9g} Hz,"
+                f" and at least twice the highest, {bins[-1] * step:.9g} Hz, is needed"
+            )
+        period = round(period)
+        self.rate_hz = float(asked or self._tidy(period * step))
+        band = self._band(measured)
+        used = np.ones(len(bins), bool)
+        if band is not None:
+            used = (bins * step >= band[0] - 0.01 * step) & (bins * step <= band[1] + 0.01 * step)
+        constant = axis.one_sided(np.asarray(first))[:, 0]
+        if bins[0] == 0 and (motion.derivatives < 0 or not np.isfinite(constant).all()):
+            used[0] = False
+            self.said.append("the value at 0 Hz is left out")
+        if not asked and not axis.period:
+            self.assumed.append("the rate is twice the highest frequency; --sample-rate-hz names another")
+        if used.sum() < 2:
+            raise InputError(f"{self._source}: fewer than two frequencies lie in the band; name another with --band")
+        self._take = lambda row: axis.one_sided(row)[:, used]
+        bins = bins[used]
+        self.band_hz = (float(bins[0] * step), min(float(bins[-1] * step), self.rate_hz / 2))
+        complete = len(bins) == period // 2 + 1
+        self._fit(bins, period, period if complete else period // 2, motion)
+        side = "two-sided" if axis.period else "one-sided"
+        missing = "" if complete else "; the rest up to half the rate is left to the fit of a causal response"
+        self.said.append(
+            f"{len(bins)} frequencies from {self.band_hz[0]:g} to {self.band_hz[1]:g} Hz ({side}, step {step:.6g} Hz)"
+            f" became causal FIRs of {self.taps} taps of a period of {period}{missing}"
+        )
+
+    def _from_samples(self, measured: Measured, motion: Motion) -> None:
+        if not measured.sample_rate_hz:
+            raise InputError(f"{self._source} does not say its sample rate; name it with --sample-rate-hz")
+        asked = self._options.sample_rate_hz
+        if asked and not math.isclose(asked, measured.sample_rate_hz, rel_tol=1e-6):
+            raise InputError(
+                f"{self._source}: --sample-rate-hz {asked:g}: the file says {measured.sample_rate_hz:.9g} Hz, and"
+                " samples are not resampled; leave the option out"
+            )
+        self.rate_hz = self._tidy(measured.sample_rate_hz)
+        shift = measured.start_s * self.rate_hz
+        samples = measured.shape[2]
+        if not abs(shift) <= 10 * samples + 1e6 or abs(shift - round(shift)) > 0.05:
+            raise InputError(
+                f"{self._source}: the first sample is at {measured.start_s:.6g} s, {shift:.3f} samples; a whole number"
+                " is needed"
+            )
+        self._shift = round(shift)
+        if self._shift:
+            words = "zeros before it" if self._shift > 0 else "samples before 0 s left out"
+            self.said.append(f"the first sample is at {measured.start_s:.6g} s: {abs(self._shift)} {words}")
+        length = max(samples + self._shift, 1)
+        band = self._band(measured)
+        self.band_hz = (0.0, self.rate_hz / 2) if band is None else (band[0], min(band[1], self.rate_hz / 2))
+        if not self.band_hz[0] < self.band_hz[1]:
+            raise InputError(
+                f"{self._source}: the band is {band}; it ends below half the rate, {self.rate_hz / 2:g} Hz"
+            )
+        if band is None:
+            self.assumed.append("the band is not known and stands as 0 Hz to half the rate")
+        if not motion.derivatives:
+            self.taps = self._options.taps or length
+            self._factor = motion.factor
+            require_honest(self._source, "--taps", 4 * self._count * self.taps, 4 * self._count * length)
+            return
+        if motion.derivatives < 0 and (band is None or band[0] <= 0):
+            raise InputError(
+                f"{self._source}: --to-velocity integrates, and the band is not known; name it with --band LOW,HIGH"
+            )
+        period = int(scipy.fft.next_fast_len(2 * length, real=True))
+        period += period % 2
+        bins = np.arange(period // 2 + 1)
+        bins = bins[
+            (bins * self.rate_hz >= self.band_hz[0] * period) & (bins * self.rate_hz <= self.band_hz[1] * period)
+        ]
+        self._take = lambda row: scipy.fft.rfft(self._shifted(row, length), period)[:, bins]
+        self._fit(bins, period, length, motion)
+        self.said.append(f"between {self.band_hz[0]:g} and {self.band_hz[1]:g} Hz, by a fit of causal FIRs")
+
+    def _fit(self, bins: NDArray[np.int64], period: int, default: int, motion: Motion) -> None:
+        self.taps = self._options.taps or default
+        if self.taps > period:
+            raise InputError(f"{self._source}: --taps {self.taps}: at most the {period} samples of a period are there")
+        self._converter = CausalConverter(bins, period, self.rate_hz, self.taps, motion)
+
+    def _tidy(self, rate_hz: float) -> float:
+        """A whole rate where the file's digits allow it."""
+        whole = float(round(rate_hz))
+        if whole == rate_hz or not abs(whole - rate_hz) <= 1e-5 * rate_hz:
+            return rate_hz
+        if abs(whole - rate_hz) > 1e-9 * rate_hz:
+            self.assumed.append(f"the rate is {whole:g} Hz, where the file's digits give {rate_hz:.9g} Hz")
+        return whole
+
+    def _shifted(self, row: NDArray[Any], length: int) -> NDArray[Any]:
+        """Samples of a row from 0 s on, (N, length)."""
+        late = row[:, max(-self._shift, 0) :]
+        start = max(self._shift, 0)
+        out = np.zeros((len(row), length), row.dtype)
+        out[:, start : start + late.shape[1]] = late[:, : max(length - start, 0)]
+        return out
+
+    def rows(self) -> Iterator[tuple[int, NDArray[np.float32] | None, Float64Array | None]]:
+        """Position, Green's functions (None where it was not measured) and residual in dB of each actuator, if any."""
+        for position, row in enumerate(self._rows):
+            if np.isnan(row).all():
+                yield position, None, None
+                continue
+            share = None
+            if self._converter is not None:
+                values = self._take(row)
+                self._require_finite(values, position)
+                green, share = self._converter.convert(values)
+            else:
+                self._require_finite(row, position)
+                green = self._shifted(row, self.taps).astype(np.float32)
+                if self._factor != 1.0:
+                    green = (green * self._factor).astype(np.float32)
+                first, last = max(-self._shift, 0), max(self.taps - self._shift, 0)
+                self._whole += _energy(row)
+                self._cut += _energy(row[:, :first]) + _energy(row[:, max(last, first) :])
+            if self._options.end != "keep":
+                whole = green
+                green = (green * self._window).astype(np.float32)
+                self._ends += _energy(whole - green)
+                self._kept += _energy(whole)
+            self._require_finite(green, position)
+            with np.errstate(divide="ignore"):
+                yield position, green, None if share is None else 10 * np.log10(np.maximum(share, 1e-30))
+
+    def _require_finite(self, row: NDArray[Any], position: int) -> None:
+        if not np.isfinite(row).all():
+            actuator = int(np.argmin(np.isfinite(row).all(axis=1)))
+            raise InputError(
+                f"{self._source}: the response at position {position} to actuator {actuator} holds NaN or infinity, or"
+                " values beyond single precision; finite values are needed"
+            )
+
+    @property
+    def residual_db(self) -> float | None:
+        """Energy that causal FIRs, or samples that are left out, leave unexplained, in dB; None where nothing is."""
+        if self._converter is not None:
+            whole, left = self._converter.whole, self._converter.left
+            return 10 * math.log10(max(left / whole, 1e-16)) if whole > 0 else None
+        return 10 * math.log10(self._cut / self._whole) if self._cut > 0 else None
+
+    def ending(self) -> list[str]:
+        """Sentences about what the FIRs leave out, once all rows are converted."""
+        said = []
+        residual_db = self.residual_db
+        if self._converter is not None:
+            level = (
+                "nothing" if residual_db is None else f"{residual_db:.1f} dB" if residual_db > -140 else "below -140 dB"
+            )
+            said.append(f"the causal FIRs leave {level} of the energy in the band unexplained")
+        elif residual_db is not None:
+            said.append(f"samples left out hold {residual_db:.1f} dB of the energy")
+        if self._ends > 0:
+            level_db = 10 * math.log10(self._ends / self._kept)
+            said.append(f"--end {self._options.end} changes the responses by {level_db:.1f} dB of their energy")
+        return said
+
+
+def _energy(rows: NDArray[Any]) -> float:
+    return float(np.square(rows, dtype=np.float64).sum())

@@ -1,0 +1,305 @@
+"""Sets of a universal file in one pass: functions (58, text and binary), nodes (15, 2411), units (164)."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from storage.errors import InputError
+from storage.exchange.reading.measured import Float64Array, require_plain, uniform_step
+from storage.units import split_unit
+
+_LINE = 1 << 12
+_POWERS = np.array([float(f"1e{power}") for power in range(-400, 308)])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Function:
+    """A function of a node's response to another node's drive."""
+
+    kind: int
+    response: tuple[int, int]
+    reference: tuple[int, int]
+    values: NDArray[Any]
+    axis: tuple[float, float]
+    unit: str
+    quantities: tuple[int, int]
+    exact_rate_hz: float | None
+    status: int | None
+
+
+@dataclass(slots=True)
+class Contents:
+    """Functions, nodes in the file's unit of length, metres and newtons of a unit, sets that are not read."""
+
+    functions: list[Function] = field(default_factory=list)
+    nodes: dict[int, tuple[float, float, float]] = field(default_factory=dict)
+    per_metre: float | None = None
+    per_newton: float = 1.0
+    skipped: dict[int, int] = field(default_factory=dict)
+
+
+def contents(file: IO[bytes], path: Path) -> Contents:
+    """Read all sets; raises InputError, or what a damaged set makes NumPy and Python raise."""
+    held = Contents()
+    while (line := file.readline(_LINE)) != b"":
+        if line.strip() != b"-1":
+            continue
+        while (title := file.readline(_LINE)).strip() == b"-1":
+            pass  # the end of a function, and the beginning of the next set
+        words = title.split()
+        if not words:
+            continue
+        number = words[0].rstrip(b"b")
+        match number:
+            case b"58":
+                held.functions.append(_function(file, title, path))
+            case b"15" | b"2411":
+                _nodes(file, held, double=number == b"2411")
+            case b"164":
+                lines = list(_lines(file))
+                values = [_float(word) for line in lines[1:3] for word in (line[at : at + 25] for at in (0, 25, 50))]
+                if len(values) >= 2 and values[0] > 0 and values[1] > 0:
+                    held.per_metre, held.per_newton = values[0], values[1]
+            case _ if number.isdigit():
+                held.skipped[int(number)] = held.skipped.get(int(number), 0) + 1
+                for _ in _lines(file):
+                    pass
+    return held
+
+
+def _size(file: IO[bytes]) -> int:
+    return os.fstat(file.fileno()).st_size
+
+
+def _lines(file: IO[bytes]) -> Iterator[bytes]:
+    """Lines up to the end of a set."""
+    while (line := file.readline(_LINE)) != b"" and line.strip() != b"-1":
+        yield line.rstrip(b"\r\n")
+
+
+def _nodes(file: IO[bytes], held: Contents, *, double: bool) -> None:
+    lines = _lines(file)
+    for line in lines:
+        words = (line + b" " + next(lines, b"")).split() if double else line.split()
+        if len(words) >= 7:
+            place = tuple(_float(word) for word in words[4:7])
+            held.nodes[int(words[0])] = (place[0], place[1], place[2])
+
+
+def _float(word: bytes) -> float:
+    return float(word.strip().replace(b"D", b"E").replace(b"d", b"e") or b"nan")
+
+
+def _int(word: bytes) -> int:
+    return int(word.strip() or b"0")
+
+
+def _function(file: IO[bytes], title: bytes, path: Path) -> Function:
+    """Read one function."""
+    head = [file.readline(_LINE).rstrip(b"\r\n").ljust(80) for _ in range(11)]
+    place, form = head[5], head[6].split()
+    kind = int(place[0:5])
+    response, reference = ((_int(place[at : at + 10]), _int(place[at + 10 : at + 14])) for at in (41, 66))
+    data, count, even = (int(word) for word in form[:3])
+    start, step = _float(form[3]), _float(form[4])
+    if data not in (2, 4, 5, 6) or not 0 < count < 1 << 31:
+        raise InputError(f"{path}: a function (58) has data type {data} and {count} values; 2, 4, 5 or 6 is needed")
+    is_complex, double = data in (5, 6), data in (4, 6)
+    numbers = count * (2 if is_complex else 1) + (0 if even else count)
+    words = title.split()
+    if words[0] == b"58b":
+        flat = _binary(file, words, count, numbers, double=double, even=bool(even), path=path)
+    else:
+        flat = _ascii(file, numbers, path, _widths(is_complex=is_complex, double=double, even=bool(even)))
+    if not even:
+        table = flat.reshape(count, -1)
+        start, step = float(table[0, 0]), uniform_step(table[:, 0], path, f"the axis of node {response[0]}", "")
+        flat = np.ascontiguousarray(table[:, 1:]).reshape(-1)
+    if not (math.isfinite(start) and math.isfinite(step) and step > 0):
+        raise InputError(f"{path}: a function (58) has the step {step:g} of its axis; more than 0 is needed")
+    values = flat.view(np.complex128).astype(np.complex64) if is_complex else flat.astype(np.float32)
+    quantities = tuple(_int(line[:10]) for line in head[8:10])
+    labels = [require_plain(_decoded(line[47:67]), path, "a unit") for line in head[8:10]]
+    return Function(
+        kind,
+        response,
+        reference,
+        values,
+        (start, step),
+        _labelled(*labels),
+        (quantities[0], quantities[1]),
+        *_own_facts(head[:3], step),
+    )
+
+
+def _decoded(text: bytes) -> str:
+    try:
+        return text.decode().strip("\0 ")
+    except UnicodeDecodeError:
+        return text.decode("latin-1").strip("\0 ")
+
+
+@cache
+def _labelled(over: str, under: str) -> str:
+    """Unit by the labels of numerator and denominator; empty where they name none that is understood."""
+    for unit in (over, f"{over}/{under}"):
+        try:
+            split_unit(unit)
+        except InputError:
+            continue
+        return unit
+    return ""
+
+
+def _own_facts(lines: list[bytes], step: float) -> tuple[float | None, int | None]:
+    """The sample rate with all its digits and the status, from the identification lines that our own export writes."""
+    rate = re.search(rb", (\d+\.?\d*(?:e[+-]?\d+)?) samples a second", lines[2])
+    status = re.search(rb", status (\d{1,2})\b", lines[1])
+    if not (lines[0].startswith(b"Green's function, FIR") and rate and abs(float(rate[1]) * step - 1) < 1e-4):
+        return None, None
+    return float(rate[1]), int(status[1]) if status and 0 < int(status[1]) < 32 else None
+
+
+def _widths(*, is_complex: bool, double: bool, even: bool) -> tuple[int, ...]:
+    """Widths of the numbers on a line, by the standard."""
+    if even or not double:
+        return (20,) * 4 if double else (13,) * 6
+    return (13, 20, 20) if is_complex else (13, 20, 13, 20)
+
+
+def _binary(
+    file: IO[bytes], words: list[bytes], count: int, numbers: int, *, double: bool, even: bool, path: Path
+) -> Float64Array:
+    """Numbers of a binary function; the size that its header states is often wrong and is not relied on."""
+    order, form, size = int(words[1]), int(words[2]), int(words[4])
+    if form != 2 or order not in (1, 2):
+        raise InputError(f"{path}: a binary function (58b) is not in IEEE numbers; only those are read")
+    byte = "<" if order == 1 else ">"
+    kind = np.dtype(f"{byte}f8" if double else f"{byte}f4")
+    mixed = np.dtype([("x", f"{byte}f4"), ("y", kind, (numbers // count - 1,))])  # the standard's uneven axis is single
+    is_mixed = not even and double and size == count * mixed.itemsize
+    needed = count * mixed.itemsize if is_mixed else numbers * kind.itemsize
+    content = file.read(min(needed, _size(file)))
+    if len(content) != needed:
+        raise InputError(f"{path} is truncated: a function (58b) needs {needed} bytes and {len(content)} are there")
+    if is_mixed:
+        table = np.frombuffer(content, mixed)
+        return np.column_stack([table["x"], table["y"]]).reshape(-1)
+    return np.frombuffer(content, kind).astype(np.float64)
+
+
+def _ascii(file: IO[bytes], numbers: int, path: Path, widths: tuple[int, ...]) -> Float64Array:
+    """Read the numbers of a function: at once where all lines are alike, else word by word."""
+    first = file.readline(_LINE)
+    lines = -(-numbers // len(widths))
+    regular = len(first.rstrip(b"\r\n")) == sum(widths) and lines > 2 and len(set(widths)) == 1
+    text = first
+    if regular:
+        text += file.read(min(len(first) * (lines - 2), _size(file)))
+        found = _fixed(text, len(first), widths[0])
+        if found is not None and len(text) == len(first) * (lines - 1):
+            last = file.readline(_LINE)
+            tail = [last[at : at + widths[0]] for at in range(0, len(last.rstrip()), widths[0])]
+            flat = np.concatenate([found, [_float(word) for word in tail if word.strip()]])
+            if len(flat) != numbers:
+                raise InputError(f"{path}: a function (58) declares {numbers} numbers and holds {len(flat)}")
+            return flat
+    words: list[float] = []
+    ends = -1
+    for line in text.splitlines():
+        if line.strip() == b"-1":
+            ends = len(words)
+            break
+        words += _words(line, widths)
+    while ends < 0 and len(words) < numbers and (line := file.readline(_LINE)) != b"" and line.strip() != b"-1":
+        words += _words(line.rstrip(b"\r\n"), widths)
+    if len(words) != numbers:
+        raise InputError(f"{path}: a function (58) declares {numbers} numbers and holds {len(words)}")
+    return np.array(words)
+
+
+def _words(line: bytes, widths: tuple[int, ...]) -> list[float]:
+    """Numbers of a line, apart by spaces; by their widths where a sign has taken the space."""
+    try:
+        return [_float(word) for word in line.split()]
+    except ValueError:
+        found, at = [], 0
+        for width in widths:
+            if line[at : at + width].strip():
+                found.append(_float(line[at : at + width]))
+            at += width
+        return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Layout:
+    """Characters of a number like ``-1.23456e-03`` in a field of fixed width.
+
+    lowest, span, uint8 (width,): The lowest character that may stand in each column, and how many more may.
+    weights, float32 (width, 3): Sums of a field's digits: the first digits, up to seven more, and the exponent.
+    sign, power: Columns of the two signs.
+    scale, places: Factor of the first digits, and digits after the point.
+    """
+
+    lowest: NDArray[np.uint8]
+    span: NDArray[np.uint8]
+    weights: NDArray[np.float32]
+    sign: int
+    power: int
+    scale: float
+    places: int
+
+
+@cache
+def _layout(width: int, point: int, exponent: int, letter: int) -> _Layout | None:
+    """The layout of fields with their point and exponent in these columns; None where it is another kind of number."""
+    digits = [point - 1, *range(point + 1, exponent)]
+    if point < 2 or exponent != width - 4 or not 1 < len(digits) <= 14:
+        return None
+    lowest = np.full(width, ord(" "), np.uint8)
+    lowest[[point, exponent]] = ord("."), letter
+    highest = lowest.copy()
+    lowest[[*digits, width - 2, width - 1]], highest[[*digits, width - 2, width - 1]] = ord("0"), ord("9")
+    highest[point - 2], lowest[width - 3], highest[width - 3] = ord("-"), ord("+"), ord("-")
+    early, late = digits[:-7], digits[-7:]
+    weights = np.zeros((width, 3), np.float32)
+    weights[early, 0] = 10.0 ** np.arange(len(early) - 1, -1, -1)
+    weights[late, 1] = 10.0 ** np.arange(len(late) - 1, -1, -1)
+    weights[[width - 2, width - 1], 2] = 10.0, 1.0
+    return _Layout(lowest, highest - lowest, weights, point - 2, width - 3, 10.0 ** len(late), len(digits) - 1)
+
+
+def _fixed(text: bytes, line_bytes: int, width: int) -> Float64Array | None:
+    """Numbers that all have their point and exponent in the same columns; None where they have not."""
+    if len(text) % line_bytes:
+        return None
+    table = np.frombuffer(text, np.uint8).reshape(-1, line_bytes)
+    numbers_bytes = line_bytes // width * width
+    first = text[:width].upper()
+    layout = _layout(width, first.find(b"."), first.find(b"E"), text[max(first.find(b"E"), 0)])
+    if layout is None or (table[:, numbers_bytes:] > ord(" ")).any():
+        return None
+    chars = np.ascontiguousarray(table[:, :numbers_bytes]).reshape(-1, width)
+    signs, powers = chars[:, layout.sign], chars[:, layout.power]
+    negative, small = signs == ord("-"), powers == ord("-")
+    figures = chars - layout.lowest  # beyond the span where a character is below the lowest
+    sound = bool((figures <= layout.span).all()) and bool(
+        (negative | (signs == ord(" ")) | (signs == ord("+"))).all() and (small | (powers == ord("+"))).all()
+    )
+    if not sound:
+        return None
+    sums = figures.astype(np.float32) @ layout.weights  # columns without a digit have no weight
+    value = sums[:, 0] * layout.scale + sums[:, 1].astype(np.float64)
+    exponent = np.where(small, -sums[:, 2], sums[:, 2]).astype(np.int64) - layout.places
+    value *= _POWERS[exponent + 400]
+    return np.where(negative, -value, value)
