@@ -7,7 +7,9 @@ import shutil
 from collections.abc import Iterator
 from importlib.metadata import version as version_of
 
+from pygments.lexers.special import TextLexer
 from sphinx.application import Sphinx
+from sphinx.highlighting import lexers
 
 from wavefocus.cli import COMMANDS, Argument, Command
 
@@ -18,6 +20,7 @@ root_doc = "README"
 extensions = ["myst_parser"]
 myst_heading_anchors = 4  # links to headings are written as on a repository's pages
 highlight_language = "none"  # of blocks that name no language: what a program prints
+lexers["sh"] = TextLexer()  # a shell's colours would mark `export` and numbers in our commands
 smartquotes = False  # keys and values are shown as they are typed
 html_theme = "furo"
 html_static_path = ["site.css"]
