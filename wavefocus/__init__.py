@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from storage.errors import InputError
     from storage.field_file import Field, read_field, write_field
     from storage.raw.writer import RawFile, open_raw
-    from wavefocus.api import estimate, export_bank, focus_figures, import_bank, predict, render
+    from wavefocus.banks import estimate, export_bank, import_bank
+    from wavefocus.drives import focus_figures, predict, render
     from wavefocus.virtual import VirtualBench, virtual_rig
 
 _MODULES = {
@@ -48,19 +49,19 @@ _MODULES = {
     "SoundFile": "rendering.scene.signals",
     "Source": "rendering.scene.model",
     "VirtualBench": "wavefocus.virtual",
-    "estimate": "wavefocus.api",
+    "estimate": "wavefocus.banks",
     "estimate_positions": "calibration.estimator.raw_estimation",
     "estimator": "calibration.estimator.raw_estimation:estimator_of",
-    "export_bank": "wavefocus.api",
-    "focus_figures": "wavefocus.api",
-    "import_bank": "wavefocus.api",
+    "export_bank": "wavefocus.banks",
+    "focus_figures": "wavefocus.drives",
+    "import_bank": "wavefocus.banks",
     "load_scene": "rendering.scene.model",
     "open_bank": "storage.bank.reading",
     "open_raw": "storage.raw.writer",
-    "predict": "wavefocus.api",
+    "predict": "wavefocus.drives",
     "read_drive": "storage.drive_file",
     "read_field": "storage.field_file",
-    "render": "wavefocus.api",
+    "render": "wavefocus.drives",
     "virtual_rig": "wavefocus.virtual",
     "write_drive": "storage.drive_file",
     "write_field": "storage.field_file",
