@@ -398,6 +398,9 @@ COMMANDS = (
             argument("--positions", default="", metavar="I,J,...",
                      help="Bank rows to scan, or every:N for one of N, or path for those that the scene needs; by "
                      "default all."),
+            file("--against", metavar="verify.json",
+                 help="Also state what has changed since this earlier verification."),
+            switch("--linearity", help="Also play the scene 12 dB quieter, at up to 24 positions, and compare."),
             switch("--no-sentinel", "sentinel", off=True,
                    help="Do not measure the bank's sentinel position again."),
             LARGE, FORCE, JSON,

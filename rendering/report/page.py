@@ -20,6 +20,7 @@ from rendering.report.canvas import Picture, Surface
 from rendering.report.figures import drift_over_time
 from rendering.report.waves import wave_figures, waves_of, waves_picture
 from rendering.report.words import figure_lines, number, precise, remarks
+from rendering.verify.changes import change_lines
 from rendering.verify.record import PATH_POINTS, REPORT_NAME, path_line_mm
 from rendering.verify.verdict import Verification
 from storage.output_files import write_whole
@@ -78,6 +79,7 @@ def build_report(
         scene_name=scene.name,
         verification=verification,
         remarks=remarks(verification, drive, scan),
+        changes=verification.changes and change_lines(verification.changes),
         pictures=pictures,
         figures=[
             *figure_lines(verification, metrics.range_db(gain)),

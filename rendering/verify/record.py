@@ -39,8 +39,8 @@ RECORD_NAME = "verify.json"
 VERSION = 1
 LOG_NAME = "verify.events.jsonl"
 """Progress, while it works."""
-JOURNAL_NAME = "scan.unfinished"
-"""The positions scanned so far, until the verification is done."""
+JOURNAL_NAME, QUIET_JOURNAL_NAME = "scan.unfinished", "linearity.unfinished"
+"""The positions scanned so far, until the verification is done; and those of the quieter scan."""
 STOP_NAME = "verify.stop"
 """A file of this name ends the verification: outputs muted, mirror parked."""
 
@@ -121,6 +121,35 @@ class Drift:
 
 
 @dataclass(frozen=True)
+class Change:
+    """A figure then and now, None where it was not found; `noted` where it changed by more than scans differ."""
+
+    name: str
+    unit: str
+    before: float | None
+    now: float | None
+    noted: bool
+
+
+@dataclass(frozen=True)
+class Changes:
+    """What has changed since an earlier verification.
+
+    against, made: File and time of the earlier record.
+    inputs: Names of scene, bank and rig that are others now.
+    symptoms_gone, symptoms_new: Their sentences.
+    figures: All figures, those of each source and of each actuator included.
+    """
+
+    against: str
+    made: datetime
+    inputs: tuple[str, ...]
+    symptoms_gone: tuple[str, ...]
+    symptoms_new: tuple[str, ...]
+    figures: tuple[Change, ...]
+
+
+@dataclass(frozen=True)
 class SourceFigures:
     """Normalised error within 15 mm of a source's foci, and the foci's median distance from the path; None: unknown."""
 
@@ -186,6 +215,7 @@ class VerificationRecord(Message, format="wavefocus-verification"):
     actuators, source_figures: Of each actuator against the bank, and along the path of each source; records of before
         have none.
     drift: Of the bank's sentinel position; None where it was not measured again.
+    changes: Since an earlier verification; None where none was named.
     """
 
     format_version: int
@@ -210,6 +240,7 @@ class VerificationRecord(Message, format="wavefocus-verification"):
     actuators: tuple[ActuatorFigures, ...] = ()
     source_figures: tuple[SourceFigures, ...] = ()
     drift: Drift | None = None
+    changes: Changes | None = None
 
     @cached_property
     def position_index(self) -> Int64Array:
@@ -300,6 +331,7 @@ def write_record(
         actuators=verification.actuators,
         source_figures=verification.sources,
         drift=verification.drift,
+        changes=verification.changes,
     )
     path = out_dir / RECORD_NAME
     write_whole(path, json.dumps(to_record(record), allow_nan=False, indent=1) + "\n")

@@ -86,11 +86,13 @@ class ScanPlan:
     """Bank rows that a scan visits, in this order, none twice, and records at each before it is given up, >= 1.
 
     A record that reached the end of the input range is repeated once: more of the same drive would clip again. A record
-    in which the vibrometer lost the signal is repeated, and the last one kept as poor.
+    in which the vibrometer lost the signal is repeated, and the last one kept as poor. The instruments' logs name the
+    purpose.
     """
 
     position: tuple[int, ...]
     attempts: int = 3
+    purpose: str = "scan"
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,7 +216,7 @@ class _ScanRun:
     def _record(self, visit: _Visit) -> Recording:
         x_mm, y_mm = (float(value) for value in self._bank.position_mm[visit.row])
         point_at(self._setup, x_mm, y_mm)
-        take = Take(position=visit.row, attempt=visit.attempt, record=0, purpose="scan")
+        take = Take(position=visit.row, attempt=visit.attempt, record=0, purpose=self._plan.purpose)
         return take_record(self._setup, self._signals_v, self._scan.sample_rate_hz, take)
 
     def _collect(self, pending: _Pending) -> None:

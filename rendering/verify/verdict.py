@@ -15,13 +15,14 @@ from rendering.field import metrics
 from rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusTable, focus_table, median_or_none
 from rendering.report.words import number, precise
 from rendering.verify.comparison import FieldComparison, compare_fields
-from rendering.verify.record import ActuatorFigures, Drift, Figure, SourceFigures, Symptom, finite
+from rendering.verify.linearity import linearity_figures
+from rendering.verify.record import ActuatorFigures, Changes, Drift, Figure, SourceFigures, Symptom, finite
+from rendering.verify.scan import Scan
 from rendering.verify.sentinel import Sentinel, drift_figures, drift_of
 from rendering.verify.symptoms import Diagnosis, diagnose
 
 if TYPE_CHECKING:
     from rendering.greens.source import GreenSource
-    from rendering.verify.scan import Scan
     from storage.drive_file import Drive
     from storage.field_file import Field
 
@@ -56,6 +57,7 @@ class Verification:
     figures: Those that have a limit, then the others.
     diagnosis: What is wrong with the rig or the bank, as far as the scan shows it.
     drift: Of the bank's sentinel position; None where it was not measured again.
+    changes: Since an earlier verification; None where there is none to compare with.
     """
 
     fields: FieldComparison
@@ -65,6 +67,7 @@ class Verification:
     figures: tuple[Figure, ...]
     diagnosis: Diagnosis
     drift: Drift | None = None
+    changes: Changes | None = None
 
     @property
     def symptoms(self) -> tuple[Symptom, ...]:
@@ -144,6 +147,9 @@ class Verification:
             "symptoms": [dataclasses.asdict(symptom) | {"value": finite(symptom.value)} for symptom in self.symptoms],
             "actuators": [dataclasses.asdict(one) for one in self.actuators],
             "drift": None if self.drift is None else dataclasses.asdict(self.drift),
+            "changes": None
+            if self.changes is None
+            else dataclasses.asdict(self.changes) | {"made": self.changes.made.isoformat()},
             "sources": [dataclasses.asdict(one) for one in self.sources],
             "checks": [
                 {name: getattr(check, name) for name in keys} | {"value": finite(check.value)} for check in self.checks
@@ -167,6 +173,7 @@ def compare(
     bank: GreenSource,
     tolerances: Tolerances | None = None,
     *,
+    quiet: Scan | None = None,
     sentinel: Sentinel | None = None,
     drift_limits: DriftLimits | None = None,
 ) -> Verification:
@@ -176,6 +183,7 @@ def compare(
     where both have them, the scan has a sound record and the bank's row is valid. Both fields are limited to the bank's
     band, when it has one: outside it the Green's functions were not measured.
 
+    quiet: A scan of `rendering.verify.linearity.quieter`, at some of the positions, for the linearity.
     sentinel: The bank's sentinel position, measured again at the time of the scan; `drift_limits` judge it.
 
     Raises InputError: the fields do not belong together, or no position can be compared.
@@ -194,9 +202,17 @@ def compare(
     noise_error, limits = _noise_error(fields), tolerances or Tolerances()
     model_error = _model_error(fields.error, noise_error)
     checks = _checks(fields, focus, spacing_mm, limits)
+    linear = (
+        linearity_figures(scan, quiet, bank.band_hz, limits.normalised_error)
+        if quiet and isinstance(scan, Scan)
+        else ()
+    )
     diagnosis = diagnose(fields, bank, sentinel, error_limit=limits.normalised_error, model_error=model_error)
     drift = None if sentinel is None else drift_of(sentinel, bank, drift_limits or DriftLimits())
-    figures = (*checks, *_unlimited(fields, focus, noise_error), *(drift_figures(drift) if drift else ()))
+    figures = (
+        *checks, *linear[:1], *_unlimited(fields, focus, noise_error), *linear[1:],
+        *(drift_figures(drift) if drift else ()),
+    )  # fmt: skip
     return Verification(fields, focus, spacing_mm, noise_error, figures, diagnosis, drift)
 
 

@@ -9,7 +9,7 @@ import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
@@ -29,6 +29,8 @@ from rendering.report.page import build_report
 from rendering.report.words import percent
 from rendering.scene.model import Scene, load_scene
 from rendering.scene.scene_rows import scene_rows
+from rendering.verify.changes import change_lines, changes_since
+from rendering.verify.linearity import linearity_rows, quieter
 from rendering.verify.record import (
     DRIVE_NAME,
     FIELD_NAMES,
@@ -36,11 +38,14 @@ from rendering.verify.record import (
     LOG_NAME,
     PICTURE_NAMES,
     PREDICTION_NAME,
+    QUIET_JOURNAL_NAME,
     RECORD_NAME,
     REPORT_NAME,
     SCAN_NAME,
     STOP_NAME,
     Figure,
+    VerificationRecord,
+    read_record,
     write_record,
 )
 from rendering.verify.scan import Scan, ScanPlan, scan
@@ -78,6 +83,8 @@ def verify(
     out: Path,
     positions: str,
     *,
+    against: Path | None = None,
+    linearity: bool = False,
     sentinel: bool = True,
     force: bool = False,
     allow_large: bool = False,
@@ -85,6 +92,8 @@ def verify(
 ) -> Exit:
     """Check the focusing of a scene against a new scan; exit code 1 when it is not good enough.
 
+    With an earlier record to compare `against`, what has changed since is stated; with `linearity` the scene is also
+    played 12 dB quieter at some positions.
     The bank's sentinel position is measured again first, unless `sentinel` is false; its drift is stated.
 
     A scan that was interrupted goes on where it was.
@@ -92,9 +101,10 @@ def verify(
     A file ``verify.stop`` in the folder ends it as Ctrl-C does: outputs muted, mirror parked, exit code 130.
     """
     results = (RECORD_NAME, REPORT_NAME, *FIELD_NAMES, *PICTURE_NAMES)
-    inputs = input_files(scene_file, bank, rig_file)
-    journal = out / JOURNAL_NAME
-    require_output_folder(out, results, inputs, force=force, may_exist=(LOG_NAME, STOP_NAME, JOURNAL_NAME))
+    inputs = input_files(scene_file, bank, rig_file, against)
+    before = None if against is None else read_record(against)
+    journals = JOURNAL_NAME, QUIET_JOURNAL_NAME
+    require_output_folder(out, results, inputs, force=force, may_exist=(LOG_NAME, STOP_NAME, *journals))
     scene = load_scene(scene_file, allow_large=allow_large)
     with open_bank(bank) as view:
         view.require_sound()
@@ -104,9 +114,11 @@ def verify(
         out.mkdir(parents=True, exist_ok=True)
         with ending_at_once(), ended_by_file(out / STOP_NAME), VerifyLog(out) as log:
             with staged_folder(out, RECORD_NAME) as staged:
-                work = _Work(scene_file, scene, view, configuration, rig, staged, log, sentinel, journal, force)
-                verification = work.run(rows, str(rig_file))
-            journal.unlink(missing_ok=True)
+                work = _Work(scene_file, scene, view, configuration, rig, staged, log, out, linearity, sentinel, force)
+                earlier = None if before is None else (str(against), before)
+                verification = work.run(rows, str(rig_file), earlier)
+            for name in journals:
+                (out / name).unlink(missing_ok=True)
             report_file, record_file = out / REPORT_NAME, out / RECORD_NAME
             code = Exit.DONE if verification.passed else Exit.NOT_GOOD_ENOUGH
             log.done(code, verification.summary)
@@ -119,6 +131,10 @@ def verify(
         say("error {}: noise {}, model {}".format(*parts))
     if verification.drift is not None:
         say(drift_sentence(verification.drift))
+    if (changes := verification.changes) is not None:
+        say(f"since {changes.made:%Y-%m-%d %H:%M} ({changes.against}):")
+        for line in change_lines(changes):
+            say(f"  {line}")
     say(f"report: {report_file}")
     if as_json:
         print(json.dumps({"report": str(report_file), "record": str(record_file), **verification.as_dict()}))
@@ -134,12 +150,15 @@ class _Work:
     rig: RigConfig
     out: Path
     log: VerifyLog
+    journals: Path
+    linearity: bool
     sentinel: bool
-    journal: Path
     force: bool
 
-    def run(self, rows: list[int] | None, rig_name: str) -> Verification:
-        """Render, predict, scan, compare and report into `out`; return what was found."""
+    def run(
+        self, rows: list[int] | None, rig_name: str, earlier: tuple[str, VerificationRecord] | None
+    ) -> Verification:
+        """Render, predict, scan, compare, also with an `earlier` file, and report into `out`; return what was found."""
         out, bank = self.out, self.bank
         with self._step("render", 1) as report:
             drive, facts = rendered(self.scene_file, self.scene, bank)
@@ -153,7 +172,7 @@ class _Work:
         with self._step("predict", bank.positions if rows is None else len(rows)) as report:
             prediction = predict_field(drive, bank, rows, dtype=np.float32, on_progress=report)
         write_field(out / PREDICTION_NAME, prediction)
-        measured, sentinel, scan_s = self._scanned(drive, prediction)
+        measured, quiet, sentinel, scan_s = self._scanned(drive, prediction)
         write_field(out / SCAN_NAME, measured.as_field())
         outline_mm = self.rig.surface.outline.line(OUTLINE_POINTS)
         with self._step("compare and report", 3) as report:
@@ -164,9 +183,15 @@ class _Work:
                 drive,
                 bank,
                 _tolerances(self.configuration, bank),
+                quiet=quiet,
                 sentinel=sentinel,
                 drift_limits=drift_limits,
             )
+            names = {"scene_file": str(self.scene_file), "bank": str(bank.path), "rig": rig_name}
+            if earlier is not None:
+                file, record = earlier
+                changes = changes_since(record, file, verification, self.scene.name, names)
+                verification = replace(verification, changes=changes)
             report(1, 3)
             build_report(
                 out,
@@ -189,26 +214,34 @@ class _Work:
                 scene=self.scene,
                 prediction=prediction,
                 bank=bank,
-                names={"scene_file": str(self.scene_file), "bank": str(bank.path), "rig": rig_name},
+                names=names,
                 outline_mm=outline_mm,
             )
             report(3, 3)
         return verification
 
-    def _scanned(self, drive: Drive, prediction: Field) -> tuple[Scan, Sentinel | None, float]:
+    def _scanned(self, drive: Drive, prediction: Field) -> tuple[Scan, Scan | None, Sentinel | None, float]:
         with open_setup(self.rig, self.configuration.run) as setup:
             sentinel = self._sentinel(setup) if self.sentinel else None
             started_s = setup.instruments.clock.now_s()
             plan = ScanPlan(tuple(int(row) for row in prediction.position_index))
-            with self._journal(drive) as journal, self._step("scan", len(plan.position)) as report:
-                publish = self._publisher(report)
-                measured = scan(plan, setup, drive, self.bank, on_progress=report, publish=publish, journal=journal)
-            return measured, sentinel, setup.instruments.clock.now_s() - started_s
+            measured = self._scan(plan, setup, drive, self.journals / JOURNAL_NAME)
+            quiet = None
+            if self.linearity:
+                rows = linearity_rows(drive, measured.position_index)
+                some = ScanPlan(rows, purpose="linearity")
+                quiet = self._scan(some, setup, quieter(drive), self.journals / QUIET_JOURNAL_NAME)
+            return measured, quiet, sentinel, setup.instruments.clock.now_s() - started_s
+
+    def _scan(self, plan: ScanPlan, setup: Setup, drive: Drive, journal: Path) -> Scan:
+        with self._journal(drive, journal) as kept, self._step(plan.purpose, len(plan.position)) as report:
+            publish = self._publisher(report)
+            return scan(plan, setup, drive, self.bank, on_progress=report, publish=publish, journal=kept)
 
     @contextmanager
-    def _journal(self, drive: Drive) -> Iterator[ScanJournal]:
+    def _journal(self, drive: Drive, path: Path) -> Iterator[ScanJournal]:
         """The positions that were scanned before an interruption of this same scan, and are from now on."""
-        path, bank = self.journal, self.bank
+        bank = self.bank
         what = plan_sha256(self.rig, self.configuration.run, self.configuration.position_mm)
         identity = hashlib.sha256(what.encode() + np.ascontiguousarray(drive.drive_v, "<f8").tobytes()).hexdigest()
         samples = drive.drive_v.shape[1] + bank.taps - 1

@@ -1,0 +1,83 @@
+"""Linearity: the scene played once more at a lower level, and its responses scaled up, against those of the scan."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rendering.arrays import Int64Array
+from rendering.field.focus_figures import evenly
+from rendering.field.metrics import level_db
+from rendering.verify.field_pair import BandLimit
+from rendering.verify.record import Figure
+from rendering.verify.scan import Scan
+from storage.point_status import Status
+
+if TYPE_CHECKING:
+    from storage.drive_file import Drive
+
+QUIETER_DB = 12.0
+MOST_POSITIONS = 24
+"""Positions of the quieter scan; half of them are foci, where there are so many."""
+
+
+def quieter(drive: Drive) -> Drive:
+    """The drive, 12 dB quieter."""
+    return dataclasses.replace(drive, drive_v=drive.drive_v / _factor())
+
+
+def linearity_rows(drive: Drive, rows: Int64Array) -> tuple[int, ...]:
+    """Bank rows of the scanned ones that the quieter scan visits: some foci, and others spread evenly."""
+    foci = np.intersect1d(drive.focus_position, rows)
+    foci = foci[evenly(len(foci), MOST_POSITIONS // 2)]
+    others = np.setdiff1d(rows, foci)
+    others = others[evenly(len(others), MOST_POSITIONS - len(foci))]
+    return tuple(np.union1d(foci, others).tolist())
+
+
+def linearity_figures(
+    loud: Scan, quiet: Scan, band_hz: tuple[float, float] | None, error_limit: float
+) -> tuple[Figure, ...]:
+    """Difference of the responses at two levels, scaled to one level.
+
+    quiet: The scan of `quieter`, at some of the positions of `loud`.
+    band_hz: Band to which both are limited.
+    error_limit: Largest relative difference that passes, the noise's part taken off.
+
+    Returns no figure where no position has a sound record in both.
+    """
+    sound = [one.position_index[one.status == Status.VALID] for one in (loud, quiet)]
+    rows = np.intersect1d(*sound)
+    if not rows.size:
+        return ()
+    band = BandLimit(loud.field.shape[1], loud.sample_rate_hz, band_hz)
+    at_loud, at_quiet = (np.searchsorted(one.position_index, rows) for one in (loud, quiet))
+    fields = [
+        band.signals(band.spectrum(field)).astype(np.float64)
+        for field in (loud.field[at_loud], _factor() * quiet.field[at_quiet])
+    ]
+    energy = float(np.sum(fields[0] ** 2))
+    noise_rms = np.hypot(loud.noise_rms[at_loud], _factor() * quiet.noise_rms[at_quiet])
+    noise = float(np.nansum(noise_rms**2)) * loud.field.shape[1] * band.white_share
+    of_quiet = float(np.nansum((_factor() * quiet.noise_rms[at_quiet]) ** 2)) * loud.field.shape[1] * band.white_share
+    difference = float(np.sum((fields[0] - fields[1]) ** 2))
+    beyond = 100.0 * math.sqrt(max(difference - noise, 0.0) / energy) if energy > 0.0 else math.inf
+    gain = float(np.sum(fields[0] * fields[1])) / max(float(np.sum(fields[1] ** 2)) - of_quiet, 1e-300)
+    compressed_db = -level_db(max(gain, 0.0)) + 0.0
+    what = (
+        f" of the scan and of the same scene {QUIETER_DB:g} dB quieter, scaled to one level, at {len(rows)} positions"
+    )
+    return (
+        Figure("linearity", "%", f"norm of the difference{what}, without the noise's part, over the norm of the scan",
+               difference=beyond, value=beyond, limit=100.0 * error_limit, relation="at most",
+               passed=beyond <= 100.0 * error_limit),
+        Figure("compression", "dB", f"by how much the scan is quieter than in proportion, by the best gain{what}",
+               difference=compressed_db, value=compressed_db),
+    )  # fmt: skip
+
+
+def _factor() -> float:
+    return float(10.0 ** (QUIETER_DB / 20.0))
