@@ -80,6 +80,7 @@ class FiguresPanel(Themed, QWidget):
         lines = [
             f"{record.scene}: {'passed' if record.passed else 'not good enough'}",
             record.summary,
+            *_findings(record),
             f"scene {record.scene_file}, bank {record.bank}, rig {record.rig}, {_when(record)}",
             "\t".join(title for title, _ in _COLUMNS),
         ]
@@ -96,7 +97,9 @@ class FiguresPanel(Themed, QWidget):
         self.verdict.show_word(
             "✓ passed" if record.passed else "✗ not good enough", theme.good if record.passed else theme.fault
         )
-        self.summary.setText(f"{record.scene}, {_when(record)}, in {self._folder.name}")
+        self.summary.setText(
+            "\n".join([f"{record.scene}, {_when(record)}, in {self._folder.name}", *_findings(record)])
+        )
         self.summary.setToolTip(
             f"{record.summary}\nscene {record.scene_file}\nbank {record.bank}\nrig {record.rig}\n{self._folder}"
         )
@@ -121,6 +124,17 @@ def _cells(figure: Figure) -> list[str]:
         return [figure.name, *sides, "", ""]
     sign = "≤" if figure.relation == "at most" else "≥"
     return [figure.name, *sides, f"{sign} {number(figure.limit, figure.unit)}", _VERDICTS[figure.passed]]
+
+
+def _findings(record: VerificationRecord) -> list[str]:
+    """Symptoms with what to do, and what has changed since an earlier verification."""
+    from rendering.verify.changes import change_lines
+
+    lines = [f"{symptom.sentence} {symptom.remedy}" for symptom in record.symptoms]
+    if record.changes is not None:
+        since = record.changes.made.astimezone().strftime("%d %b %Y %H:%M")
+        lines.append(f"Since {since}: {'; '.join(change_lines(record.changes))}.")
+    return lines
 
 
 def _when(record: VerificationRecord) -> str:

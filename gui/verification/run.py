@@ -227,7 +227,9 @@ class VerificationRun:
             messages.fault(f"Not good enough. {reason}")
             self._done(out / RECORD_NAME)
         elif code == STOPPED_BY_USER:
-            messages.note("stopped; the outputs are muted and the mirror is parked, nothing was compared")
+            messages.note(
+                "stopped; the outputs are muted and the mirror is parked; Verify goes on with what was scanned"
+            )
         else:
             messages.fault(reason or failure or "the verification ended")
         if self._close is not None:

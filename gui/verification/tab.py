@@ -125,11 +125,13 @@ class RequestForm(QWidget):
         scene, bank, out = self.scene.path, self.bank.path, self.out.path
         assert bank is not None
         assert out is not None
-        out = unused_folder(out)
+        earlier, out = out / RECORD_NAME, unused_folder(out)
         rig = "virtual" if self.virtual.isChecked() else str(self.rig.path)
         arguments = ["verify", str(scene), "--bank", str(bank), "--rig", rig, "--out", str(out), "--json"]
         if self.large.isChecked():
             arguments.append("--allow-large")
+        if out != earlier.parent and earlier.is_file():
+            arguments += ["--against", str(earlier)]
         if positions := self._positions(bank):
             arguments += ["--positions", positions]
         return Request(tuple(arguments), out, names_virtual_rig(rig))
@@ -185,7 +187,14 @@ def _holds_results(folder: Path) -> bool:
 
 
 # Steps as the log names them, and as they are shown.
-_STEPS = {"render": "rendering", "predict": "predicting", "scan": "scanning", "compare and report": "comparing"}
+_STEPS = {
+    "render": "rendering",
+    "predict": "predicting",
+    "sentinel": "measuring the sentinel position",
+    "scan": "scanning",
+    "linearity": "scanning, quieter",
+    "compare and report": "comparing",
+}
 
 
 class RunRow(Themed, QWidget):
@@ -201,7 +210,7 @@ class RunRow(Themed, QWidget):
         super().__init__()
         tip = "Play the scene on the rig, scan it and compare"
         self.start = ui.action(self, "Verify", start, "Ctrl+Shift+V", tip=tip)
-        tip = "Stop: outputs muted, mirror parked, nothing compared"
+        tip = "Stop: outputs muted, mirror parked; Verify then goes on with the scan"
         self.cancel = ui.action(self, "Cancel", cancel, "Ctrl+Shift+X", tip=tip)
         tip = "Show an earlier verification: choose its verify.json"
         self.open_earlier = ui.action(self, "Open earlier…", open_earlier, "Ctrl+Shift+O", tip=tip)
@@ -229,7 +238,7 @@ class RunRow(Themed, QWidget):
             return
         word = "stopping" if stopping else _STEPS.get(progress.step, progress.step)
         self.state.show_word(word, self.theme.warning if stopping else self.theme.good)
-        self.bar.setFormat("%v of %m positions" if progress.step in ("scan", "predict") else "")
+        self.bar.setFormat("%v of %m positions" if progress.step in ("scan", "predict", "linearity") else "")
         if (self.bar.value(), self.bar.maximum()) != (progress.done, progress.total):
             self.bar.setMaximum(progress.total)  # 0: a busy indicator
             self.bar.setValue(progress.done)

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import soundfile
 
+from rendering.verify.record import read_record
 from storage.scan_journal import ScanJournal, ScannedPosition
 from tests.system.conftest import with_faults
 from wavefocus.__main__ import run
@@ -147,3 +148,31 @@ def test_given_what_an_interrupted_scan_of_another_scene_left_then_only_force_dr
     assert "--force" in capsys.readouterr().err
     (lab / "verify" / "scan.unfinished").write_bytes(b"somebody's")
     assert _verify(lab, bank, "--force") == 0
+
+
+def test_given_an_earlier_verification_then_what_has_changed_is_stated(
+    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _verify(lab, bank, "--linearity") == 0
+    earlier = lab / "verify" / "verify.json"
+    linearity = next(one for one in read_record(earlier).figures if one.name == "linearity")
+    assert linearity.passed is True
+    shutil.move(lab / "verify", lab / "first")
+    with (lab / "rig.toml").open("a", encoding="utf-8") as rig:
+        rig.write("\n[emulation]\noutput_gains_db = [0, 1]\n")
+    capsys.readouterr()
+    assert _verify(lab, bank, "--against", str(lab / "first" / "verify.json")) == 1
+    printed = capsys.readouterr()
+    changes = read_record(earlier).changes
+    assert changes is not None
+    noted = {one.name: (one.before, one.now) for one in changes.figures if one.noted}
+    assert noted["actuator 1: level"] == pytest.approx((0.0, 1.0), abs=0.05)
+    assert "actuator 0: level" not in noted
+    assert "source 1: error" in noted
+    (symptom,) = json.loads(printed.out)["symptoms"]
+    assert (symptom["code"], symptom["actuators"]) == ("level", [1])
+    assert changes.symptoms_new == (symptom["sentence"],)
+    assert f"new: {symptom['sentence']}" in printed.err
+    report = (lab / "verify" / "report.html").read_text(encoding="utf-8")
+    assert report.index(symptom["sentence"]) < report.index(symptom["remedy"]) < report.index("<table>")
+    assert _verify(lab, bank, "--force", "--against", str(earlier)) == 2  # it would be written over

@@ -16,6 +16,7 @@ from drivers.errors import InstrumentLostError
 from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
 from rendering.field.prediction import predict
 from rendering.greens.source import GreenArray
+from rendering.verify.linearity import linearity_figures, linearity_rows, quieter
 from rendering.verify.scan import Scan, ScanPlan, scan
 from rendering.verify.verdict import Tolerances, Verification, compare
 from storage.drive_file import Drive
@@ -277,3 +278,20 @@ def test_given_fields_of_different_drives_or_nothing_in_common_then_the_message_
     low = dataclasses.replace(prediction(), low_pass=LowPass(100.0, 4))
     with pytest.raises(InputError, match="4 times lower than the bank's, low-passed above 100 Hz"):
         compared(prediction().field, of=low)
+
+
+def test_given_a_surface_that_compresses_then_the_linearity_says_by_how_much() -> None:
+    drive, plan = impulse_drive(), ScanPlan(linearity_rows(impulse_drive(), np.array(AROUND)), purpose="linearity")
+    assert plan.position == AROUND
+    setup = setup_of(VirtualRig(dataclasses.replace(SETTINGS, cubic_per_v2=-0.3)))
+    loud, quiet = scan(plan, setup, drive, bank()), scan(plan, setup, quieter(drive), bank())
+    linearity, compression = linearity_figures(loud, quiet, bank().band_hz, 0.001)
+    sound = linearity_figures(*(scanned_at(plan, one) for one in (drive, quieter(drive))), bank().band_hz, 0.01)
+    assert linearity.passed is False
+    assert compression.value > 0.02
+    assert sound[0].passed is True
+    assert abs(sound[1].value) < 0.01
+
+
+def scanned_at(plan: ScanPlan, drive: Drive) -> Scan:
+    return scan(plan, setup_of(VirtualRig(SETTINGS)), drive, bank())
