@@ -180,39 +180,47 @@ class ColourBar(Themed, pyqtgraph.GraphicsView):
 
 
 class FieldMap(SurfaceView):
-    """One value per position as a colour; new values of 1500 positions are drawn in about a millisecond."""
+    """One value per position as a colour, and the colour bar; 1500 new values are drawn in about a millisecond.
+
+    `values` and `levels` are in the unit of the bar, which may have a prefix.
+    """
 
     levels = (-1.0, 1.0)
     signed = True
     _unit = ""
+    _factor = 1.0
 
     def __init__(self, name: str) -> None:
         self.values: Float64Array = np.zeros(0)
         super().__init__(name)
-
-    @property
-    def colour_map(self) -> pyqtgraph.ColorMap:
-        """The map that its colour bar shows."""
-        return signed_map(self.theme) if self.signed else magnitude_map()
+        self.bar = ColourBar(self._colour_map)
 
     def show_surface(self, surface: Surface | None) -> None:
         self.values = np.zeros(0)
         super().show_surface(surface)
 
-    def show_scale(self, levels: tuple[float, float], unit: str, *, signed: bool) -> None:
-        """Set the values at the ends of the colours; a signed scale has zero in its middle."""
-        self.levels, self._unit, self.signed = levels, unit, signed
-        self.show_values(self.values)
+    def show_scale(
+        self, title: str, levels: tuple[float, float], unit: str, beyond: tuple[bool, bool], *, signed: bool = True
+    ) -> None:
+        """Set what the colours mean; values are shown anew by the owner.
+
+        title: Of the colour bar.
+        levels: Values at the ends of the colours, in `unit`; a signed scale has zero in its middle.
+        beyond: Whether values lie below and above the ends.
+        """
+        self._factor, self._unit = scaled_unit(unit, levels[1])
+        self.levels, self.signed = (self._factor * levels[0], self._factor * levels[1]), signed
+        self.bar.set_map(self._colour_map)
+        self.bar.show_range(title, self._unit, self.levels, beyond)
 
     def show_values(self, values: NDArray[np.floating[Any]]) -> None:
-        """Colour the positions; NaN where there is no value."""
-        self.values = np.asarray(values, np.float64)
-        if self.surface is not None and len(values) == self.surface.positions:
-            self.paint(looked_up(self.colour_map, self.values, self.levels, self.theme.cell))
+        """Colour the positions by values in the scale's unit; NaN where there is no value."""
+        self.values = self._factor * np.asarray(values, np.float64)
+        self._paint_values()
 
     def redraw(self) -> None:
         super().redraw()
-        self.show_values(self.values)
+        self._paint_values()
 
     def position_text(self, position: int) -> str:
         assert self.surface is not None
@@ -220,3 +228,11 @@ class FieldMap(SurfaceView):
         value = self.values[position] if position < len(self.values) else np.nan
         text = f"{value:.3g} {self._unit}".rstrip() if np.isfinite(value) else "no value"
         return f"{self.name} at ({x_mm:.1f}, {y_mm:.1f}) mm: {text}"
+
+    @property
+    def _colour_map(self) -> pyqtgraph.ColorMap:
+        return signed_map(self.theme) if self.signed else magnitude_map()
+
+    def _paint_values(self) -> None:
+        if self.surface is not None and len(self.values) == self.surface.positions:
+            self.paint(looked_up(self._colour_map, self.values, self.levels, self.theme.cell))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from PyQt5.QtCore import QByteArray, QSettings, Qt, QUrl, pyqtSignal
 from PyQt5.QtGui import QDropEvent
-from PyQt5.QtWidgets import QCheckBox, QComboBox, QFileDialog, QLabel, QLineEdit, QSpinBox, QSplitter, QWidget
+from PyQt5.QtWidgets import QCheckBox, QComboBox, QFileDialog, QLineEdit, QSpinBox, QSplitter, QWidget
 
 from config.loading import read_toml
 from gui import widgets as ui
@@ -165,9 +165,8 @@ class PathField(QWidget):
         self.line.setAccessibleName(kind)
         self.line.setPlaceholderText(f"{kind}: type, choose or drop")
         self.line.setAcceptDrops(False)  # the window takes what is dropped
-        label = QLabel(word)
-        label.setBuddy(self.line)
         self.browse = ui.tool_button("…", f"Choose {kind}", self.open_dialog, f"Choose {kind}")
+        label, _ = ui.labelled(word, self.line)
         ui.row(label, (self.line, 1), self.browse, owner=self)
         self.line.editingFinished.connect(self._typed)
 

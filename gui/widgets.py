@@ -167,6 +167,13 @@ def label(
     return label
 
 
+def labelled(text: str, widget: QWidget) -> tuple[QLabel, QWidget]:
+    """Make a label whose key, after an ampersand, leads to a widget; return both."""
+    made = QLabel(text)
+    made.setBuddy(widget)
+    return made, widget
+
+
 def choice(name: str, tip: str, choices: Sequence[str], chosen: int = 0) -> QComboBox:
     """Make a box to choose one of several texts."""
     choice = named(QComboBox(), tip, name)

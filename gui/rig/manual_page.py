@@ -101,8 +101,9 @@ class SoundPanel(Themed, QWidget):
         self.spectrum = Plot("Spectrum of the sweep", bottom, "dB", legend_at=_LEGEND_AT)
         for plot in (self.waveform, self.spectrum):
             plot.setMinimumHeight(90)
-        first = (*_labelled("A&ctuator", self.actuator), *_labelled("Le&vel", self.level_v), self.sweep, self.again)
-        second = (*_labelled("&From", self.start_hz), *_labelled("to", self.stop_hz), *_labelled("for", self.length_s))
+        first = (*ui.labelled("A&ctuator", self.actuator), *ui.labelled("Le&vel", self.level_v), self.sweep, self.again)
+        pairs = (("&From", self.start_hz), ("to", self.stop_hz), ("for", self.length_s))
+        second = [part for pair in pairs for part in ui.labelled(*pair)]
         ui.column(
             ui.row(self.listen, self.sounds, None),
             self.meter,
@@ -264,12 +265,6 @@ class LevelMeter(Themed, QWidget):
         if name == "response" and self._levels is not None and self._levels.light is not None:
             text += f"; signal {self._levels.light:.0%}"
         return f"▲ over-range! {text}" if level.over_range else text
-
-
-def _labelled(text: str, widget: QWidget) -> tuple[QLabel, QWidget]:
-    label = QLabel(text)
-    label.setBuddy(widget)
-    return label, widget
 
 
 def _volts(value_v: float) -> str:

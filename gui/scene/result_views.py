@@ -12,7 +12,7 @@ from PyQt5.QtCore import QSize, Qt
 from PyQt5.QtWidgets import QWidget
 
 from gui import widgets as ui
-from gui.field_map import ColourBar, FieldMap, Plot, Real, scaled_unit, thinning_curve, whole_ticks
+from gui.field_map import FieldMap, Plot, Real, thinning_curve, whole_ticks
 from gui.scene.calculation import Driven, PredictedField, between
 from gui.theme import Themed
 from gui.time_slider import TimeSlider
@@ -221,20 +221,18 @@ class FieldView(Themed, QWidget):
         super().__init__()
         self.driven: Driven | None = None
         self.predicted: PredictedField | None = None
-        self._factor = 1.0
         self.map = FieldMap("response")
         self.slider = TimeSlider()
         tip = "Signed responses in two colours, or magnitudes in one"
         self.colours = ui.choice("Colours", tip, [_SIGNED, _MAGNITUDE])
         tip = "End of the colour scale, as a part of the largest response at a focus (%)"
         self.span = ui.number_box("End of the colour scale", tip, " %", 0, 1.0, 1000.0, value=100.0, prefix="to ")
-        self.bar = ColourBar(self.map.colour_map)
         self.note = ui.label(role="faint", any_width=True)
         self.waveform = ResponsePlot()
         # The slider's own row is as wide as the panel without the speed.
         choices = ui.row(self.colours, self.span, self.slider.slower, (self.note, 1), margins=(4, 4, 4, 0))
         upper = QWidget()
-        ui.column(choices, (self.map, 1), self.bar, self.slider, owner=upper, spacing=3)
+        ui.column(choices, (self.map, 1), self.map.bar, self.slider, owner=upper, spacing=3)
         ui.column(ui.stacked((upper, 420), (self.waveform, 130), growing=[0]), owner=self)
         self.slider.moved.connect(self._show_instant)
         self.map.picked.connect(self.show_position)
@@ -301,18 +299,16 @@ class FieldView(Themed, QWidget):
         if predicted is not None and not top > 0.0:
             top = float(np.abs(predicted.field[:: max(1, len(predicted.field) // 200)]).max(initial=0.0))
         top = (top or 1.0) * self.span.value() / 100.0
-        self._factor, unit = scaled_unit("" if predicted is None else predicted.unit, top)
-        levels = (-top * self._factor if signed else 0.0, top * self._factor)
-        self.map.show_scale(levels, unit, signed=signed)
-        self.bar.set_map(self.map.colour_map)
-        self.bar.show_range(self.colours.currentText(), unit, levels, (signed, True))
+        unit = "" if predicted is None else predicted.unit
+        levels = (-top if signed else 0.0, top)
+        self.map.show_scale(self.colours.currentText(), levels, unit, (signed, True), signed=signed)
         self._show_instant(self.slider.sample)
 
     def _show_instant(self, sample: int) -> None:
         predicted = self.predicted
         if predicted is None:
             return
-        values = between(predicted.field, sample / predicted.finer) * np.float32(self._factor)
+        values = between(predicted.field, sample / predicted.finer)
         self.map.show_values(values if self.map.signed else np.abs(values))
         self.map.show_sources(self.sources_mm(self.slider.time_s))
         self.waveform.show_time(self.slider.time_s)

@@ -13,7 +13,7 @@ from PyQt5.QtCore import Qt, pyqtSignal
 from PyQt5.QtWidgets import QGraphicsItem, QSizePolicy, QToolButton, QWidget
 
 from gui import widgets as ui
-from gui.field_map import ColourBar, FieldMap, Plot, scaled_unit, symmetric_levels, thinned
+from gui.field_map import FieldMap, Plot, scaled_unit, symmetric_levels, thinned
 from gui.theme import Theme, Themed
 from gui.time_slider import TimeSlider
 from gui.verification.run import Results
@@ -262,7 +262,6 @@ class MapsPanel(Themed, QWidget):
         super().__init__()
         self._results: Results | None = None
         self.maps = [FieldMap("Prediction"), FieldMap("Scan"), FieldMap("Difference")]
-        self.bars = [ColourBar(one.colour_map) for one in self.maps]
         tip = "The difference at the instant shown, or the relative L2 error over all instants"
         choices = ["Difference, scan − prediction", "Error at each position"]
         self.third = ui.choice("Quantity on the third map", tip, choices)
@@ -274,11 +273,11 @@ class MapsPanel(Themed, QWidget):
         self.time = TimeSlider()
         headings = (ui.label(text="Prediction", role="strong"), ui.label(text="Scan", role="strong"), self.third)
         columns = []
-        for field_map, bar, heading in zip(self.maps, self.bars, headings, strict=True):
+        for field_map, heading in zip(self.maps, headings, strict=True):
             heading.setFixedHeight(self.third.sizeHint().height())
             heading.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
             field_map.setMinimumSize(150, 110)
-            columns.append((ui.column(heading, (field_map, 1), bar, spacing=2), 1))
+            columns.append((ui.column(heading, (field_map, 1), field_map.bar, spacing=2), 1))
             field_map.picked.connect(self.picked)
             if field_map is not self.maps[0]:
                 field_map.link(self.maps[0])
@@ -297,9 +296,9 @@ class MapsPanel(Themed, QWidget):
         """Show another verification, at its first focus instant; None shows nothing."""
         self._results = results
         self.setEnabled(results is not None)
-        for field_map, bar in zip(self.maps, self.bars, strict=True):
+        for field_map in self.maps:
             field_map.show_surface(None if results is None else results.surface)
-            bar.setVisible(results is not None)
+            field_map.bar.setVisible(results is not None)
         if results is None:
             self.time.show_samples(0.0, 1.0, 0)
             return
@@ -328,12 +327,10 @@ class MapsPanel(Themed, QWidget):
         if results is None:
             return
         predicted, scanned = results.pair.at_sample(self.time.sample)
-        factor, _, difference_factor, _ = self._units(*self._loudest())
-        for field_map, values in zip(self.maps, (predicted, scanned), strict=False):
-            field_map.show_values(factor * values)
+        self.maps[0].show_values(predicted)
+        self.maps[1].show_values(scanned)
         if not self.shows_error:
-            difference = difference_factor * (scanned - predicted)
-            self.maps[2].show_values(np.where(results.record.compared, difference, np.nan))
+            self.maps[2].show_values(np.where(results.record.compared, scanned - predicted, np.nan))
         places = [source.at_mm(self.time.time_s) for source in results.record.sources]
         at_mm = np.array([place for place in places if place is not None], np.float64).reshape(-1, 2)
         for field_map in self.maps:
@@ -343,43 +340,23 @@ class MapsPanel(Themed, QWidget):
         results = self._results
         if results is None:
             return
-        loudest, loudest_difference = self._loudest()
-        factor, unit, difference_factor, difference_unit = self._units(loudest, loudest_difference)
         whole_scene = self.scale.currentIndex() == 0
-        beyond = (whole_scene, whole_scene)
-        levels = symmetric_levels(factor * loudest)
-        self._set_scale(0, "prediction, both on one scale", unit, levels, beyond)
-        self._set_scale(1, "scan, both on one scale", unit, levels, beyond)
+        loudest, loudest_difference = results.loudest, results.loudest_difference
+        if not whole_scene:
+            sample = np.array([self.time.sample], np.int64)
+            loudest, loudest_difference = results.pair.loudest(sample, results.record.compared)
+        beyond, unit = (whole_scene, whole_scene), results.pair.response_unit
+        for field_map, title in zip(self.maps, ("prediction", "scan"), strict=False):
+            field_map.show_scale(f"{title}, both on one scale", symmetric_levels(loudest), unit, beyond)
+        third = self.maps[2]
+        third.name = "Error" if self.shows_error else "Difference"
         if self.shows_error:
             error = 100.0 * results.record.position_error
             known = error[np.isfinite(error)]
             top = float(np.quantile(known, _ERRORS_SHOWN)) if known.size else 1.0
             above = bool(known.size and float(known.max()) > top)
-            self.maps[2].name = "Error"
-            self._set_scale(2, "relative L2 error", "%", (0.0, top if top > 0.0 else 1.0), (False, above), signed=False)
-            self.maps[2].show_values(error)
+            third.show_scale("relative L2 error", (0.0, top if top > 0.0 else 1.0), "%", (False, above), signed=False)
+            third.show_values(error)
         else:
-            self.maps[2].name = "Difference"
-            levels = symmetric_levels(difference_factor * loudest_difference)
-            self._set_scale(2, "scan − prediction, own scale", difference_unit, levels, beyond)
+            third.show_scale("scan − prediction, own scale", symmetric_levels(loudest_difference), unit, beyond)
         self._show_instant()
-
-    def _set_scale(
-        self, index: int, title: str, unit: str, levels: tuple[float, float], beyond: tuple[bool, bool], *,
-        signed: bool = True,
-    ) -> None:  # fmt: skip
-        self.maps[index].show_scale(levels, unit, signed=signed)
-        self.bars[index].set_map(self.maps[index].colour_map)
-        self.bars[index].show_range(title, unit, levels, beyond)
-
-    def _loudest(self) -> tuple[float, float]:
-        assert self._results is not None
-        if self.scale.currentIndex() == 1:
-            return self._results.pair.loudest(np.array([self.time.sample], np.int64), self._results.record.compared)
-        return self._results.loudest, self._results.loudest_difference
-
-    def _units(self, loudest: float, difference: float) -> tuple[float, str, float, str]:
-        """Factor and unit of the fields, and of their difference."""
-        assert self._results is not None
-        unit = self._results.pair.response_unit
-        return *scaled_unit(unit, loudest), *scaled_unit(unit, difference)

@@ -66,9 +66,7 @@ class RequestForm(QWidget):
         tip = "Allow scenes of over an hour, 8 GiB of drives or a million path points (--allow-large)"
         self.large = ui.check("large", tip, "Allow large scenes")
         self.choice = QWidget()
-        label = QLabel("&Positions")
-        label.setBuddy(self.positions)
-        ui.row(label, self.positions, self.step, self.rows, self.large, owner=self.choice)
+        ui.row(*ui.labelled("&Positions", self.positions), self.step, self.rows, self.large, owner=self.choice)
         rig = ui.row((self.rig, 1), self.virtual)
         grid = QGridLayout(self)
         grid.setContentsMargins(0, 0, 0, 0)
@@ -81,16 +79,9 @@ class RequestForm(QWidget):
             labels = [label for field in fields if (label := field.findChild(QLabel)) is not None]
             for label in labels:
                 label.setMinimumWidth(max(one.sizeHint().width() for one in labels))
-        self.choices: dict[str, QWidget] = {
-            "scene": self.scene,
-            "bank": self.bank,
-            "rig": self.rig,
-            "out": self.out,
-            "virtual": self.virtual,
-            "positions": self.positions,
-            "step": self.step,
-            "rows": self.rows,
-        }
+        files: dict[str, QWidget] = {"scene": self.scene, "bank": self.bank, "rig": self.rig, "out": self.out}
+        which = {"virtual": self.virtual, "positions": self.positions, "step": self.step, "rows": self.rows}
+        self.choices = files | which
         self.bank.chosen.connect(self.take_bank)
         for field in (self.scene, self.rig):
             field.chosen.connect(settings.opened)

@@ -118,7 +118,7 @@ def look_at_field(qtbot: QtBot, bench: Bench) -> None:
     view.colours.setCurrentIndex(1)
     assert view.map.levels[0] == 0.0
     assert (view.map.values >= 0.0).all()
-    assert "magnitude (" in view.bar.accessibleName()
+    assert "magnitude (" in view.map.bar.accessibleName()
     click(view.map, pixel(view.map, 3.0, 1.5))
     assert view.map.marked == 6
     assert "position 6 at (3.0, 1.5) mm" in view.waveform.getPlotItem().titleLabel.text

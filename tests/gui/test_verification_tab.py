@@ -106,8 +106,8 @@ def test_given_an_earlier_verification_then_its_fields_stand_side_by_side(
     assert np.linalg.norm(scanned.values - of_file) < 0.1 * np.linalg.norm(of_file)
     assert predicted.levels == scanned.levels
     assert predicted.levels[0] == -predicted.levels[1]
-    assert "mm/s" in tab.maps.bars[0].accessibleName()
-    in_mm_s = 1e-3 if "µm/s" in tab.maps.bars[2].accessibleName() else 1.0
+    assert "mm/s" in predicted.bar.accessibleName()
+    in_mm_s = 1e-3 if "µm/s" in difference.bar.accessibleName() else 1.0
     np.testing.assert_allclose(in_mm_s * difference.values, scanned.values - predicted.values, atol=1e-6)
     tab.maps.third.setCurrentIndex(1)
     record = json.loads((verified / "verify" / "verify.json").read_text(encoding="utf-8"))
