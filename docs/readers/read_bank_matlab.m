@@ -1,5 +1,5 @@
 function bank = read_bank_matlab(file)
-  % green is (position, actuator, tap): MATLAB has the dimensions of HDF5 in reverse order.
+  % green is (position, actuator, tap): MATLAB has HDF5's dimensions in reverse order.
   bank.green = permute(h5read(file, '/green'), [3 2 1]);
   bank.position_mm = h5read(file, '/position_mm')';
   bank.actuator_mm = h5read(file, '/actuator_mm')';

@@ -1,5 +1,5 @@
 function bank = read_bank_octave(file)
-  % green is (position, actuator, tap): Octave has the dimensions of HDF5 in reverse order.
+  % green is (position, actuator, tap): Octave has HDF5's dimensions in reverse order.
   pkg load netcdf
   bank.green = permute(ncread(file, 'green'), [3 2 1]);
   bank.position_mm = ncread(file, 'position_mm')';

@@ -16,7 +16,7 @@ NOTEBOOKS = sorted(FOLDER.glob("*.py"))
 
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
 def test_every_notebook_is_in_the_table_of_its_folder(notebook: Path) -> None:
-    assert f"| `{notebook.name}` |" in (FOLDER / "README.md").read_text(encoding="utf-8")
+    assert f"]({notebook.name})" in (FOLDER / "README.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.long
