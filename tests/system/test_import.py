@@ -15,6 +15,7 @@ import sofar
 import soundfile
 
 from storage.bank.reading import open_bank
+from storage.drive_file import read_drive
 from wavefocus.__main__ import run
 
 RATE_HZ, TAPS, ACTUATORS, POSITIONS = 2000.0, 60, 3, 12
@@ -121,6 +122,21 @@ def test_given_an_older_bank_then_it_is_never_written_over(bank: Path, tmp_path:
         assert run(["import", str(tmp_path / "b.npz"), "--bank", str(older), *force]) == 2
         assert run(["import", str(tmp_path / "b.npz"), "--bank", str(tmp_path / "b.npz"), *force]) == 2
     assert older.read_bytes() == content
+
+
+def test_given_an_imported_bank_then_it_renders_with_a_sound_file_and_is_not_resumed(
+    bank: Path, tmp_path: Path, imported: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["export", str(bank), str(tmp_path / "b.npz"), "--to", "npz"]) == 0
+    back, _ = imported(tmp_path / "b.npz")
+    (tmp_path / "scene.toml").write_text(SCENE.format(kind="nearest"), encoding="utf-8")
+    for one in (bank, back):
+        drive = ["--out", str(tmp_path / f"{one.stem}-drive.h5"), "--wav", str(tmp_path / f"{one.stem}.wav")]
+        assert run(["render", str(tmp_path / "scene.toml"), "--bank", str(one), *drive]) == 0
+    assert np.array_equal(*(read_drive(tmp_path / f"{one.stem}-drive.h5").drive_v for one in (bank, back)))
+    capsys.readouterr()
+    assert run(["resume", str(back)]) == 2
+    assert "other means" in capsys.readouterr().err
 
 
 def test_given_places_in_space_then_two_columns_are_chosen_and_what_does_not_apply_is_named(
@@ -246,6 +262,7 @@ path = {{ kind = "point", at_mm = [2, 2] }}
 signal = {{ kind = "sine", frequency_hz = 150.0, duration_s = 0.02 }}
 [output]
 interpolation = "{kind}"
+limit_v = 0.5
 """
 
 
