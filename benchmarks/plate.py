@@ -28,11 +28,10 @@ from scipy.signal import fftconvolve, get_window
 from benchmarks.harness import Findings, Mark, Point, measure, relative_error
 from benchmarks.rig_bank import RATE_HZ, TAPS, default_grid, true_bank
 from config.outline import Outline
-from mocks.plates.glass import ThinRectangle
 from mocks.plates.infinite import PlateTable
 from mocks.plates.soft import SOFT_PLATE
 from mocks.plates.stadium import Elements, triangulate
-from mocks.plates.thin import ExactPlate, ExplicitPlate, ImplicitPlate, ThinPlate, explicit_limit_s
+from mocks.plates.thin import ExactPlate, ExplicitPlate, ImplicitPlate, ThinPlate, ThinRectangle, explicit_limit_s
 from mocks.virtual.rig import VirtualRig, VirtualSettings
 from mocks.virtual.settings import rim_places
 from mocks.virtual.synthesis import chain_response

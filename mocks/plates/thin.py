@@ -1,21 +1,171 @@
-"""A thin rectangular plate, simply supported: its modes, exact in time, and two ways of stepping through time.
+"""Thin plates: of glass for the virtual rig, and any, simply supported, stepped through time.
 
-D (biharmonic) w + rho h w'' = q, kappa = sqrt(D / (rho h)). Mode (m, n) rings at w = kappa pi^2 (m^2/a^2 + n^2/b^2)
-(Timoshenko and Woinowsky-Krieger 1959). The modal sum is the right tool for stiff plates of high quality factor; the
-steppers show what time stepping costs, and say so before it goes wrong.
+kappa^2 biharmonic(w) - (kappa / Q) laplacian(w') + w'' = q / (rho h), kappa = sqrt(D / (rho h)): every wave loses the
+same share per period, and the modes of a simply supported rectangle all have the quality factor Q. Mode (m, n) rings at
+w = kappa pi^2 (m^2/a^2 + n^2/b^2) (Kirchhoff-Love; Timoshenko and Woinowsky-Krieger 1959). The modal sum is the right
+tool for stiff plates of high quality factor; the steppers show what time stepping costs, and say so before it goes
+wrong.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
-from drivers.protocols import Float64Array
-from mocks.plates import Complex128Array
+from config.outline import Outline
+from mocks.plates import MAGNET_RADIUS_MM, PLATES, UNCHANGED, Chain, Change, Complex128Array, Float64Array
+from mocks.plates.infinite import InfinitePlate
+from mocks.plates.modal import ALL, ModalPlate, Modes
+from mocks.plates.soft import mean_hankel
+
+KAPPA_M2_S = 1.57
+"""sqrt(D / (rho h)) of 1 mm of glass."""
+MASS_KG_M2 = 2.5
+QUALITY = 100.0
+HIGHEST_HZ = 8000.0
+"""Modes up to here are summed; those beyond move each response by less than 1 % in a band to 500 Hz."""
+STRENGTH = 5.0
+"""Force of an actuator relative to that on the soft plate, so that the same converters suit both."""
+
+INFINITE_STRENGTH = 150.0
+"""The same without an edge, where nothing resonates."""
+
+
+@PLATES.register
+class ThinRectangle(ModalPlate):
+    """A simply supported rectangle of glass.
+
+    actuator_mm, outline, chain: As of every plate; the outline is a rectangle. Raises ValueError.
+    quality: Quality factor of every mode, > 0, to 1e4: amplitudes decay as exp(-w t / (2 Q)).
+    mode_tolerance: As of `ModalPlate`.
+    """
+
+    name = "thin"
+    unit_force_n = STRENGTH
+
+    def __init__(
+        self,
+        actuator_mm: Float64Array,
+        outline: Outline,
+        chain: Chain,
+        *,
+        quality: float = QUALITY,
+        mode_tolerance: float = 0.0,
+        change: Change = UNCHANGED,
+    ) -> None:
+        super().__init__(actuator_mm, outline, chain, mode_tolerance)
+        if not (np.isfinite(quality) and quality > 0):
+            raise ValueError(f"quality is {quality}; it must be finite and greater than 0")
+        left, bottom, right, top = outline.box_mm
+        if outline.area_mm2 < (1 - 1e-6) * (right - left) * (top - bottom):
+            raise ValueError('the plate "thin" is a rectangle; set kind = "rectangle" in [surface] of the rig file')
+        kappa, quality = KAPPA_M2_S * change.speed**2, quality / max(change.loss, 1e-12)
+        self._corner_m = np.array([left, bottom]) / 1e3
+        self._plate = plate = ThinPlate((right - left) / 1e3, (top - bottom) / 1e3, kappa, MASS_KG_M2)
+        most = [int(np.sqrt(2 * HIGHEST_HZ / (np.pi * KAPPA_M2_S)) * side) for side in (plate.length_m, plate.width_m)]
+        across, along = (part.ravel() for part in np.meshgrid(*(np.arange(1, count + 1) for count in most)))
+        hertz = plate.mode_hz(across, along)
+        within = hertz <= HIGHEST_HZ
+        self._across, self._along = across[within], along[within]
+        self._angular, self._quality = 2 * np.pi * hertz[within], quality
+        self.ringing_s = float(np.log(1000.0) * 2 * quality / self._angular.min(initial=np.inf))
+        self._modal_mass_kg = plate.mass_kg_m2 * plate.length_m * plate.width_m / 4
+        # Mean of a mode over the disk of an actuator: its value at the centre times a factor of its wave number.
+        argument = np.sqrt(self._angular / kappa) * MAGNET_RADIUS_MM / 1e3
+        self._force = self._shapes(actuator_mm) * 2 * scipy.special.jv(1, argument) / argument
+
+    def coefficients(self, place_mm: Float64Array, modes: Modes = ALL) -> Float64Array:
+        return np.asarray(self._shapes(place_mm, modes)[:, None, :] * self._force[:, modes])
+
+    def largest_coefficients(self) -> Float64Array:
+        return np.abs(self._force)  # no sine is above 1
+
+    def mode_velocities(self, frequency_hz: Float64Array) -> Complex128Array:
+        angular = 2 * np.pi * np.asarray(frequency_hz, dtype=np.float64)
+        own = self._angular[:, None]
+        stiffness = own**2 - angular**2 + 1j * angular * own / self._quality
+        return np.asarray(STRENGTH * 1j * angular / (self._modal_mass_kg * stiffness))
+
+    def _shapes(self, place_mm: Float64Array, modes: Modes = ALL) -> Float64Array:
+        """Shapes of some modes at places (n, 2): (n, modes)."""
+        x, y = (np.asarray(place_mm, dtype=np.float64) / 1e3 - self._corner_m).T
+        plate = self._plate
+        return np.asarray(
+            np.sin(np.pi * x[:, None] * self._across[modes] / plate.length_m)
+            * np.sin(np.pi * y[:, None] * self._along[modes] / plate.width_m)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class FlexuralWave:
+    """One of the two waves of the infinite thin plate. Raises ValueError.
+
+    (k^2 - k1^2) (k^2 - k2^2) = k^4 + j (w / kappa) k^2 / Q - (w / kappa)^2 has the roots k1^2 = (w / kappa) e^{-j phi},
+    which travels, and k2^2 = -(w / kappa) e^{j phi}, which stays near the source; sin(phi) = 1 / (2 Q).
+
+    quality: Q, > 0.5.
+    travels: Which of the two it is.
+    kappa_m2_s: sqrt(D / (rho h)), > 0.
+    """
+
+    quality: float
+    travels: bool
+    kappa_m2_s: float = KAPPA_M2_S
+
+    plain_from_hz: ClassVar[float] = np.inf
+    speed_m_s: ClassVar[float] = np.inf
+    damping_per_s: ClassVar[float] = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.quality > 0.5:
+            raise ValueError(f"quality is {self.quality:g}; without an edge it must be above 0.5, or nothing travels")
+
+    @property
+    def _phi(self) -> float:
+        return float(np.arcsin(0.5 / self.quality))
+
+    def wavenumber(self, frequency_hz: Float64Array) -> Complex128Array:
+        """Complex wavenumber in rad/m."""
+        turn = np.exp(-0.5j * self._phi) if self.travels else -1j * np.exp(0.5j * self._phi)
+        return np.asarray(np.sqrt(2 * np.pi * frequency_hz / self.kappa_m2_s) * turn)
+
+    def kernels(self, frequency_hz: Float64Array, radius_mm: float, source_radius_mm: float) -> Complex128Array:
+        """Part of (H0(2)(k1 r) - H0(2)(k2 r)) / (8 sqrt(D rho h) cos(phi)); H0(2)(-j z) = (2j / pi) K0(z)."""
+        still = frequency_hz == 0
+        wavenumber = self.wavenumber(np.where(still, 1.0, frequency_hz))
+        mean = mean_hankel(wavenumber, radius_mm / 1e3, source_radius_mm / 1e3)
+        mobility = INFINITE_STRENGTH / (8 * MASS_KG_M2 * self.kappa_m2_s * np.cos(self._phi))
+        return np.asarray(np.where(still, 0.0, (mobility if self.travels else -mobility) * mean))[None]
+
+
+@PLATES.register
+class InfiniteGlass(InfinitePlate):
+    """Glass without an edge: waves leave and never come back; `quality` as of the rectangle."""
+
+    name = "thin, infinite"
+    unit_force_n = INFINITE_STRENGTH
+
+    def __init__(
+        self,
+        actuator_mm: Float64Array,
+        outline: Outline,
+        chain: Chain,
+        *,
+        quality: float = QUALITY,
+        change: Change = UNCHANGED,
+    ) -> None:
+        facts = quality / max(change.loss, 1e-12), KAPPA_M2_S * change.speed**2
+        waves = [FlexuralWave(facts[0], travels, facts[1]) for travels in (True, False)]
+        super().__init__(actuator_mm, outline, chain, tuple(waves))
+
+    def loudness(self, frequency_hz: Float64Array) -> Float64Array:
+        argument = np.sqrt(2 * np.pi * frequency_hz / KAPPA_M2_S) * MAGNET_RADIUS_MM / 1e3
+        return np.asarray(np.abs(scipy.special.jv(1, argument)) / argument**1.5)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocks.plates.glass import KAPPA_M2_S
+from mocks.plates.thin import KAPPA_M2_S
 from storage.bank.reading import open_bank
 from wavefocus.__main__ import run
 

@@ -11,11 +11,18 @@ from scipy.special import h2vp, hankel2, jv, jvp
 from config.outline import Outline
 from config.run import Virtual
 from mocks.plates import PLATES
-from mocks.plates.glass import HIGHEST_HZ as HIGHEST_HZ_GLASS
-from mocks.plates.glass import INFINITE_STRENGTH, KAPPA_M2_S, MASS_KG_M2, STRENGTH, InfiniteGlass, ThinRectangle
 from mocks.plates.soft import MAGNET_RADIUS_MM, SOFT_PLATE, thin_plate_green
 from mocks.plates.stadium import Elements, StadiumPlate, ritz_modes, spacing_mm, triangulate
-from mocks.plates.thin import ThinPlate
+from mocks.plates.thin import HIGHEST_HZ as HIGHEST_HZ_GLASS
+from mocks.plates.thin import (
+    INFINITE_STRENGTH,
+    KAPPA_M2_S,
+    MASS_KG_M2,
+    STRENGTH,
+    InfiniteGlass,
+    ThinPlate,
+    ThinRectangle,
+)
 from mocks.virtual.rig import VirtualRig
 from mocks.virtual.settings import VirtualSettings
 from mocks.virtual.synthesis import chain_response

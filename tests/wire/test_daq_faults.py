@@ -12,8 +12,7 @@ import pytest
 from nidaqmx.errors import DaqError
 
 from calibration.clock.timing import ReferenceMissingError, fit_clock
-from drivers.daq.ni.ni_errors import explain
-from drivers.daq.ni.ni_session import TlsFiles
+from drivers.daq.ni.ni_session import TlsFiles, explain
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from mocks.wire.faults import WireFault
 from mocks.wire.ni_server import NiServer

@@ -8,8 +8,7 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.daq.ni.ni_errors import REPEAT
-from drivers.daq.ni.ni_session import NiSession, TlsFiles
+from drivers.daq.ni.ni_session import REPEAT, NiSession, TlsFiles
 from drivers.daq.ni.ni_task import RecordTask, Timing, Wiring, check_request, check_wiring
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from drivers.protocols import DeviceIdentity, Recording, RecordRequest

@@ -1,4 +1,4 @@
-"""A connection to one NI device, through the local NI-DAQmx driver or NI's gRPC Device Server."""
+"""A connection to one NI device, by the local driver or NI's gRPC Device Server, and what its failures mean."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from drivers.daq.ni.ni_errors import NOT_SUPPORTED, ServerSilentError, explain
-from drivers.errors import InstrumentError
+from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from drivers.protocols import DeviceIdentity
 
 # Resetting and testing a device takes seconds.
@@ -297,3 +296,145 @@ def _packages(instrument: str, *, over_network: bool) -> Any:
         remedy = 'install it: pip install "nidaqmx[grpc]"'
         raise InstrumentError(instrument, "opening", f"{missing} ({error})", remedy) from error
     return nidaqmx
+
+
+# -- failures, in words for the person at the bench ---------------------------------------------------
+
+# Codes of nidaqmx.error_codes.DAQmxErrors and DAQmxWarnings.
+NO_SUCH_DEVICE = -200220
+IN_USE = -50103
+NOT_DONE = -200560
+NOT_YET_AVAILABLE = -200284
+NOT_SUPPORTED = (-200452, -200197)  # a property that this device or task has not
+STOPPED_BEFORE_DONE = 200010
+
+# Of one record, and not of the device or its settings: timestamp, input termination, converter, phase-locked loop.
+PASSING_WARNINGS = (200003, 200004, 200005, 200007)
+
+REPEAT = "try again; if it stays, close other programs or use another USB port"
+PLUG = (
+    "check its USB cable and its power, then try again; if it stays away, restart NI's gRPC Device Server where it has "
+    "one: its library may stay broken after a replug"
+)
+
+
+class ServerSilentError(Exception):
+    """NI's gRPC Device Server has not answered within the deadline of a call."""
+
+
+class Meaning(NamedTuple):
+    """What a code means: which error it becomes, the cause and the remedy."""
+
+    error: type[InstrumentError]
+    cause: str
+    remedy: str
+
+
+USB_FAILED = Meaning(
+    InstrumentLostError,
+    "the USB transfer was aborted",
+    "connect again, which resets it; if it stays, use another USB port or cable, and no hub",
+)
+MEANINGS = {
+    -200279: Meaning(TransientInstrumentError, "samples were overwritten before they could be read", REPEAT),
+    NOT_YET_AVAILABLE: Meaning(TransientInstrumentError, "samples are missing: they did not come in time", REPEAT),
+    -200278: Meaning(TransientInstrumentError, "samples are missing: the task had ended before they came", REPEAT),
+    -200361: Meaning(TransientInstrumentError, "the device's memory overflowed: the USB is too slow for it", REPEAT),
+    NOT_DONE: Meaning(TransientInstrumentError, "the record did not end in time", REPEAT),
+    -88709: Meaning(TransientInstrumentError, "the record was aborted from elsewhere", "keep other programs away"),
+    -88710: Meaning(TransientInstrumentError, "the record was aborted from elsewhere", "keep other programs away"),
+    -201003: Meaning(InstrumentLostError, "it cannot be accessed: unplugged, without power or in reset", PLUG),
+    -88705: Meaning(InstrumentLostError, "it is not present", PLUG),
+    -50300: Meaning(InstrumentLostError, "it is not present", PLUG),
+    -50400: USB_FAILED,
+    -50405: USB_FAILED,
+    -50808: USB_FAILED,
+    -200088: Meaning(
+        InstrumentLostError, "the driver has forgotten the task: it or the device was restarted", "connect again"
+    ),
+}
+"""Codes that have a meaning of their own; NO_SUCH_DEVICE and IN_USE depend on what was before."""
+
+GONE = Meaning(InstrumentLostError, "it is not there any more", PLUG)
+WRONG_NAME = Meaning(InstrumentError, "there is no device of this name", "put its name into device of [recorder]")
+STALE = Meaning(
+    InstrumentLostError,
+    "it is reserved, by what was left over or by another program",
+    "close other programs that use it, then connect again, which resets it",
+)
+OCCUPIED = Meaning(
+    InstrumentError,
+    "another program has reserved it",
+    "close that program (a test panel, LabVIEW, another wavefocus); if none is open, reset the device in NI MAX",
+)
+
+
+def explain(
+    failure: BaseException, instrument: str, operation: str, *, known: bool = False, owned: bool = False
+) -> InstrumentError:
+    """Turn a failure of the nidaqmx package into an `InstrumentError`.
+
+    failure: DaqError, RpcError, DaqWarning or another error of the package, ValueError of a closed channel, ...
+    instrument, operation: Who was asked what.
+    known: Whether the device has answered this program before: then it is gone rather than misspelt.
+    owned: Whether this program may have reserved it before: then what is reserved may be its own.
+    """
+    error, cause, remedy = _meaning(failure, known, owned)
+    return error(instrument, operation, cause, remedy)
+
+
+def _meaning(failure: BaseException, known: bool, owned: bool) -> Meaning:
+    if isinstance(failure, ServerSilentError):
+        remedy = "check that the computer with the device and the server on it are alive, then connect again"
+        return Meaning(InstrumentLostError, f"the server does not answer ({failure})", remedy)
+    if hasattr(failure, "rpc_code"):
+        return _meaning_of_rpc(failure)
+    code = getattr(failure, "error_code", None)
+    if isinstance(failure, Warning):
+        cause = f"NI-DAQmx warns: {_one_line(failure)}"
+        if code in PASSING_WARNINGS:
+            return Meaning(TransientInstrumentError, cause, "try again; if it stays, lower the signal or the rate")
+        return Meaning(InstrumentError, cause, "put right what it warns of: the device, or its settings in [recorder]")
+    if code is None:
+        return Meaning(InstrumentError, _one_line(failure), "close and open the rig again")
+    if code == NO_SUCH_DEVICE:
+        return _with_code(GONE if known else WRONG_NAME, code)
+    if code == IN_USE:
+        return _with_code(STALE if owned else OCCUPIED, code)
+    if code in MEANINGS:
+        meaning = _with_code(MEANINGS[code], code)
+        count = getattr(failure, "samps_per_chan_read", None)
+        return meaning._replace(cause=f"{meaning.cause}; {count} came") if count else meaning
+    return Meaning(InstrumentError, f"NI-DAQmx says: {_one_line(failure)}", "follow what it says, or look the code up")
+
+
+def _meaning_of_rpc(failure: Any) -> Meaning:
+    import grpc
+
+    if failure.rpc_code == grpc.StatusCode.UNAVAILABLE:
+        return Meaning(
+            InstrumentLostError,
+            "NI's gRPC Device Server cannot be reached, or went away during the call",
+            "start ni_grpc_device_server on the computer with the device; its server_config.json must say "
+            '"address": "[::]", for it serves its own computer alone ([::1]) otherwise; check address and, where the '
+            "server has a certificate, tls_root of [recorder], and the network",
+        )
+    if failure.rpc_code == grpc.StatusCode.CANCELLED:
+        return Meaning(TransientInstrumentError, "the call was cancelled: the connection was closed", "connect again")
+    if failure.rpc_code in (grpc.StatusCode.INTERNAL, grpc.StatusCode.RESOURCE_EXHAUSTED):
+        return Meaning(
+            TransientInstrumentError,
+            f"the server could not serve the call this time: {_one_line(failure)}",
+            "try again; if it stays, restart the server and look into its log",
+        )
+    if failure.rpc_code == grpc.StatusCode.UNIMPLEMENTED:
+        return Meaning(InstrumentError, _one_line(failure), "install a newer NI gRPC Device Server")
+    return Meaning(InstrumentError, f"the server says: {_one_line(failure)}", "look into the server's own log")
+
+
+def _with_code(meaning: Meaning, code: int) -> Meaning:
+    return meaning._replace(cause=f"{meaning.cause} (NI-DAQmx {code})")
+
+
+def _one_line(failure: BaseException) -> str:
+    return " ".join(str(failure).split()) or type(failure).__name__

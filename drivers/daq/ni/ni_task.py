@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.daq.ni.ni_errors import IN_USE, NOT_DONE, STOPPED_BEFORE_DONE
-from drivers.daq.ni.ni_session import TERMINALS, NiSession
+from drivers.daq.ni.ni_session import IN_USE, NOT_DONE, STOPPED_BEFORE_DONE, TERMINALS, NiSession
 from drivers.errors import InstrumentError
 from drivers.protocols import RecordRequest
 
