@@ -11,6 +11,7 @@ import pytest
 from config.rig import RigConfig, default_rig
 from drivers.errors import InstrumentError, InstrumentLostError
 from drivers.protocols import Mirror, Recorder
+from mocks.virtual.mirror import VirtualMirror
 from wavefocus.rig.instruments import Openers, in_time, open_rig, openers
 
 REAL = {
@@ -58,9 +59,9 @@ def test_given_a_mirror_opened_and_nothing_else_then_it_is_parked_before_it_is_r
     mirror.move_to(10.0, 10.0)
     with pytest.raises(InstrumentError):
         open_rig(replace(ways, recorder=absent("recorder")))
-    now_s = ways.clock.now_s()
-    (_, place_mm) = mirror.places_mm(round((now_s + 1) * 1e9), round((now_s + 2) * 1e9))[-1]  # type: ignore[attr-defined]
-    assert place_mm is None
+    later_ns = round((ways.clock.now_s() + 1) * 1e9)
+    assert isinstance(mirror, VirtualMirror)
+    assert mirror.motion.aims(later_ns, later_ns + 1) == [(later_ns, rig.mirror.park_mrad)]
 
 
 @pytest.mark.parametrize("role", ["mirror", "recorder", "player"])
