@@ -72,7 +72,8 @@ class Crate:
         """Write README, metadata and checksums of a folder that holds the parts."""
         (folder / README_NAME).write_text(self.readme(), encoding="utf-8", newline="\n")
         sums = _checksums(folder, [part for part in folder.rglob("*") if part.is_file()])
-        metadata = {"@context": f"{_CRATE}/context", "@graph": list(self._entities(folder, sums))}
+        graph = {entity["@id"]: entity for entity in self._entities(folder, sums)}  # one of people of one name
+        metadata = {"@context": f"{_CRATE}/context", "@graph": list(graph.values())}
         text = json.dumps(metadata, indent=2, ensure_ascii=False) + "\n"
         (folder / METADATA_NAME).write_text(text, encoding="utf-8", newline="\n")
         sums |= _checksums(folder, [folder / METADATA_NAME])
@@ -243,15 +244,15 @@ def _reference(identifier: str | None) -> Entity | None:
     return {"@id": identifier} if identifier else None
 
 
-def _references(identifiers: Iterable[str]) -> list[Entity] | Entity:
-    """References to entities; one alone is no list, as RO-Crate recommends."""
-    references = [{"@id": one} for one in identifiers]
-    return references[0] if len(references) == 1 else references
+def _references(identifiers: Iterable[str]) -> list[Entity]:
+    return [{"@id": one} for one in dict.fromkeys(identifiers)]
 
 
 def _known(entity: Entity) -> Entity:
-    return {key: value for key, value in entity.items() if value not in (None, "", [])}
+    """What is known of an entity; one value alone is no list, as RO-Crate recommends."""
+    known = {key: value for key, value in entity.items() if value not in (None, "", [])}
+    return {key: value[0] if isinstance(value, list) and len(value) == 1 else value for key, value in known.items()}
 
 
 def _shown(value: float | str) -> str:
-    return value if isinstance(value, str) else f"{value:.6g}"
+    return value.replace("|", "\\|") if isinstance(value, str) else f"{value:.6g}"

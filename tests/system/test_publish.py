@@ -33,6 +33,7 @@ references = ["https://doi.org/10.1000/xyz"]
 people = [
     { name = "Jane D\u00f6e", orcid = "0000-0002-1825-0097", affiliation = "A University" },
     { name = "John Roe" },
+    { name = "John Roe" },
 ]
 """
 
@@ -116,7 +117,9 @@ def test_given_a_crate_then_its_exports_hold_the_banks_rows(bank: Path, crate: P
 def test_given_a_crate_then_the_readme_says_it_to_people(crate: Path) -> None:
     text = (crate / "README.md").read_text(encoding="utf-8")
     assert text.startswith("# Three coils\n")
-    assert all(words in text for words in ("Jane D\u00f6e, John Roe", "CC-BY-4.0", "laboratory", "## Sessions"))
+    assert all(
+        words in text for words in ("Jane D\u00f6e, John Roe, John Roe", "CC-BY-4.0", "laboratory", "## Sessions")
+    )
     for name in re.findall(r"\]\((\S+)\)", text):
         assert (crate / name).read_bytes().startswith(b"\x89PNG")
 
