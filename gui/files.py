@@ -136,7 +136,7 @@ def _show(dialog: QFileDialog, chosen: Chosen) -> None:
 class PathField(QWidget):
     """A line for a path, with a button that opens a dialog.
 
-    word: Label, with an ampersand before its key.
+    word: Label, with an ampersand before its key; empty for none.
     ending, kind: Ending of the files, ``".h5"``, and their name; an empty ending for folders.
     settings: Has the folder of the last choice.
     saves: Whether the file may not exist yet.
@@ -166,8 +166,8 @@ class PathField(QWidget):
         self.line.setPlaceholderText(f"{kind}: type, choose or drop")
         self.line.setAcceptDrops(False)  # the window takes what is dropped
         self.browse = ui.tool_button("…", f"Choose {kind}", self.open_dialog, f"Choose {kind}")
-        label, _ = ui.labelled(word, self.line)
-        ui.row(label, (self.line, 1), self.browse, owner=self)
+        label = ui.labelled(word, self.line)[:1] if word else ()
+        ui.row(*label, (self.line, 1), self.browse, owner=self)
         self.line.editingFinished.connect(self._typed)
 
     @property
