@@ -119,14 +119,6 @@ def test_given_single_steps_then_they_give_what_the_plate_is(tmp_path: Path) -> 
     assert np.linalg.norm(measured - true) < 2e-3 * np.linalg.norm(true)
 
 
-def test_given_another_seed_then_the_bank_is_another(tmp_path: Path) -> None:
-    rigs = [wf.virtual_rig(actuators=1, position_mm=[[0, 0]], seed=seed) for seed in (1, 2)]
-    first, second = (rig.estimate(rig.record(0)).estimate for rig in rigs)
-    assert first is not None
-    assert second is not None
-    assert not np.array_equal(first.green, second.green)
-
-
 @pytest.mark.parametrize(
     ("keys", "named"),
     [
