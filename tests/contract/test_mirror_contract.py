@@ -14,35 +14,22 @@ def test_given_a_mirror_then_it_has_the_role_and_a_name(bench):
     assert bench.instruments.mirror.identity.product.strip()
 
 
-def test_given_a_direction_within_reach_then_the_beam_settles_in_time(bench):
+def test_given_a_direction_within_reach_then_the_beam_settles_in_time_and_waiting_again_returns_at_once(bench):
     mirror, clock = bench.instruments.mirror, bench.instruments.clock
     mirror.move_to(*bench.reachable_mrad)
-    before_s = clock.now_s()
-    mirror.wait_settled(bench.settle_timeout_s)
-    assert clock.now_s() - before_s <= bench.settle_timeout_s
+    for _ in range(2):
+        before_s = clock.now_s()
+        mirror.wait_settled(bench.settle_timeout_s)
+        assert clock.now_s() - before_s <= bench.settle_timeout_s
 
 
-def test_given_a_settled_beam_then_waiting_again_returns_at_once(bench):
-    mirror, clock = bench.instruments.mirror, bench.instruments.clock
-    mirror.move_to(*bench.reachable_mrad)
-    mirror.wait_settled(bench.settle_timeout_s)
-    settled_s = clock.now_s()
-    mirror.wait_settled(bench.settle_timeout_s)
-    assert clock.now_s() - settled_s < bench.settle_timeout_s
-
-
-def test_given_a_direction_out_of_reach_then_it_says_who_what_why_and_what_to_do(bench):
+def test_given_a_direction_out_of_reach_then_it_says_who_what_why_and_what_to_do_and_the_next_move_works(bench):
+    mirror = bench.instruments.mirror
     with pytest.raises(InstrumentError) as caught:
-        bench.instruments.mirror.move_to(*bench.unreachable_mrad)
+        mirror.move_to(*bench.unreachable_mrad)
     error = caught.value
     assert "mirror" in error.instrument
     assert all(text.strip() for text in (error.operation, error.cause, error.remedy))
-
-
-def test_given_a_refused_move_then_the_next_one_works(bench):
-    mirror = bench.instruments.mirror
-    with pytest.raises(InstrumentError):
-        mirror.move_to(*bench.unreachable_mrad)
     mirror.move_to(*bench.reachable_mrad)
     mirror.wait_settled(bench.settle_timeout_s)
 
