@@ -151,28 +151,21 @@ class AttemptResult:
         return tuple(defect.name for defect in self.judgement.defects)
 
     @property
-    def median_snr_db(self) -> float:
-        """Median signal-to-noise ratio over actuators, NaN without an estimate."""
-        return float("nan") if self.estimate is None else float(np.median(self.estimate.snr_db))
+    def figures(self) -> tuple[float, float, float, float]:
+        """For events; NaN without an estimate.
 
-    @property
-    def best_heard_residual_db(self) -> float:
-        """Residual of the strongest actuator, NaN without an estimate."""
+        Median signal-to-noise ratio in dB, residual of the strongest actuator in dB, median distance of the clock ratio
+        from 1 in ppm, median start offset of the player within the records in samples.
+        """
         if self.estimate is None:
-            return float("nan")
-        return float(self.estimate.residual_db[int(np.argmax(self.estimate.snr_db))])
-
-    @property
-    def clock_ppm(self) -> float:
-        """Median clock ratio between recorder and player, as its distance from 1 in ppm."""
-        if self.estimate is None:
-            return float("nan")
-        return float(np.median(self.estimate.clock_ratio) - 1.0) * 1e6
-
-    @property
-    def start_offset_samples(self) -> float:
-        """Median start offset of the player within the records, in samples."""
-        return float("nan") if self.estimate is None else float(np.median(self.estimate.offset_samples))
+            return (math.nan,) * 4
+        strongest = int(np.argmax(self.estimate.snr_db))
+        return (
+            float(np.median(self.estimate.snr_db)),
+            float(self.estimate.residual_db[strongest]),
+            float(np.median(self.estimate.clock_ratio) - 1.0) * 1e6,
+            float(np.median(self.estimate.offset_samples)),
+        )
 
 
 def evaluate(

@@ -8,8 +8,9 @@ from typing import Literal
 
 import numpy as np
 
+from acquisition.attempt import record_play
 from acquisition.calibrate_mirror import BOTH, SUM, NotMeasuredError, Operator, output
-from acquisition.plays import channels_of
+from acquisition.plays import Play, channels_of
 from acquisition.setup import Setup, point_at, take_record
 from calibration import Float64Array
 from calibration.clock.timing import ReferenceMissingError
@@ -121,16 +122,8 @@ class Probe:
     def _played(self, output: int | None, record: int) -> Recording:
         number = self._setup.loopback_channel if output is None else output
         signals_v = dict.fromkeys(sorted({self._setup.loopback_channel, number}), self._signal_v)
-        return self._recorded(signals_v, number, record)
-
-    def _recorded(self, signals_v: dict[int, Float64Array], number: int, record: int) -> Recording:
-        """A record, taken again after a passing fault."""
-        for attempt in range(1, TRIES):
-            try:
-                return take_record(self._setup, signals_v, self._rate_hz, Take(number, attempt, record, "calibration"))
-            except TransientInstrumentError:
-                continue
-        return take_record(self._setup, signals_v, self._rate_hz, Take(number, TRIES, record, "calibration"))
+        take = Take(number, 1, record, "calibration")
+        return record_play(self._setup, Play(number, signals_v), self._rate_hz, take)
 
 
 def check_loopback(missing: ReferenceMissingError) -> NotMeasuredError:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,12 +9,12 @@ from typing import Protocol
 
 import numpy as np
 
+from acquisition.grid import read_rows
 from acquisition.setup import Setup, asking
 from calibration import Float64Array
 from calibration.mirror_map import LEAST_MARKS, MirrorFit, MirrorMap, fit_mirror_map
 from config.messages.rig_checks import By, Drop, Here, Keep, MapView, Redo, To
 from storage.errors import InputError, WavefocusError
-from storage.text_file import read_text
 
 
 class NotMeasuredError(WavefocusError):
@@ -82,49 +81,23 @@ class Operator(Protocol):
 
 
 Place = tuple[float, float]
-
-
+Pair = Place
 PLACES = ["x_mm", "y_mm"]
 PLACES_AND_ANGLES = [*PLACES, "x_mrad", "y_mrad"]
 MOST_MARKS = 1000
-
-Pair = tuple[float, float]
 
 
 def read_fiducials(path: Path) -> tuple[tuple[Pair, ...], tuple[Pair, ...] | None]:
     """Read marks from a CSV file with the header ``x_mm,y_mm`` or ``x_mm,y_mm,x_mrad,y_mrad``.
 
-    Blank lines and lines that start with ``#`` are passed over.
-
     Returns places in millimetres, and angles in milliradians or None where the file has none.
-    Raises InputError: the file cannot be read, or a line is not as many finite numbers as the header; the message names
-    the line.
+    Raises InputError: too few marks or too many, and as `acquisition.grid.read_rows`.
     """
-    rows = [
-        (number, line.strip())
-        for number, line in enumerate(read_text(path).splitlines(), start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
-    header = [cell.strip() for cell in rows[0][1].split(",")] if rows else []
-    if header not in (PLACES, PLACES_AND_ANGLES):
-        number = rows[0][0] if rows else 1
-        raise InputError(f"{path}: line {number}: must be the header x_mm,y_mm or x_mm,y_mm,x_mrad,y_mrad")
-    if not 4 <= len(rows) - 1 <= MOST_MARKS:
-        raise InputError(f"{path}: has {len(rows) - 1} marks; a mirror map needs at least 4, and at most {MOST_MARKS}")
-    marks = [_numbers(path, number, line, len(header)) for number, line in rows[1:]]
-    places = tuple((mark[0], mark[1]) for mark in marks)
-    return places, tuple((mark[2], mark[3]) for mark in marks) if len(header) == len(PLACES_AND_ANGLES) else None
-
-
-def _numbers(path: Path, number: int, line: str, count: int) -> list[float]:
-    try:
-        values = [float(cell) for cell in line.split(",")]
-    except ValueError:
-        values = []
-    if len(values) != count or not all(math.isfinite(value) for value in values):
-        allowed = f"must be {count} finite numbers with commas between and decimal points"
-        raise InputError(f"{path}: line {number}: {line[:40]!r}: {allowed}")
-    return values
+    names, rows = read_rows(path, PLACES, PLACES_AND_ANGLES)
+    if not LEAST_MARKS <= len(rows) <= MOST_MARKS:
+        raise InputError(f"{path}: has {len(rows)} marks; a mirror map needs at least 4, and at most {MOST_MARKS}")
+    places = tuple((mark[0], mark[1]) for _, mark in rows)
+    return places, tuple((mark[2], mark[3]) for _, mark in rows) if names == PLACES_AND_ANGLES else None
 
 
 @dataclass(frozen=True, slots=True)

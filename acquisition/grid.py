@@ -69,48 +69,57 @@ def surface_grid(outline: Outline, margin_mm: float, spacing_mm: float, lattice:
 def read_positions_file(path: Path, outline: Outline) -> Float64Array:
     """Read positions from a CSV file with the header ``x_mm,y_mm``, in the order of its lines.
 
-    Blank lines and lines that start with ``#`` are passed over.
-
     outline: Of the surface; every position must lie on it.
 
     Returns float64 (positions, 2): x and y in millimetres.
     Raises InputError: the file cannot be read, or a line is not two finite numbers, lies outside the surface or repeats
     another line; the message names file and line.
     """
-    rows = [
-        (number, line)
-        for number, line in enumerate(read_text(path).splitlines(), start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
-    if not rows or [cell.strip() for cell in rows[0][1].split(",")] != ["x_mm", "y_mm"]:
-        number = rows[0][0] if rows else 1
-        raise InputError(f"{path}: line {number}: must be the header x_mm,y_mm")
-    if len(rows) == 1:
+    _, rows = read_rows(path, ["x_mm", "y_mm"])
+    if not rows:
         raise InputError(f"{path}: holds no position; must have at least one line after the header")
-    if len(rows) - 1 > MOST_POSITIONS:
-        raise InputError(f"{path}: has {len(rows) - 1:,} positions; at most {MOST_POSITIONS:,} are allowed")
-    line_of: dict[tuple[float, float], int] = {}
-    for number, line in rows[1:]:
-        point = _point(path, number, line)
+    if len(rows) > MOST_POSITIONS:
+        raise InputError(f"{path}: has {len(rows):,} positions; at most {MOST_POSITIONS:,} are allowed")
+    line_of: dict[tuple[float, ...], int] = {}
+    for number, point in rows:
         if point in line_of:
             raise InputError(f"{path}: line {number}: ({point[0]:g}, {point[1]:g}) mm repeats line {line_of[point]}")
         line_of[point] = number
     position_mm = np.array(list(line_of), dtype=np.float64)
     outside = np.flatnonzero(~outline.contains(position_mm))
     if len(outside):
-        number = rows[1 + int(outside[0])][0]
-        x_mm, y_mm = position_mm[outside[0]]
+        number, (x_mm, y_mm) = rows[int(outside[0])]
         raise InputError(f"{path}: line {number}: ({x_mm:g}, {y_mm:g}) mm lies outside the surface")
     return position_mm
 
 
-def _point(path: Path, number: int, line: str) -> tuple[float, float]:
-    allowed = "must be two finite numbers in mm with a comma between and a decimal point, such as -2.0,4.0"
-    shown = line.strip()[:40]
-    try:
-        x_mm, y_mm = (float(cell) for cell in line.split(","))
-    except ValueError:
-        raise InputError(f"{path}: line {number}: {shown!r}: {allowed}") from None
-    if not (math.isfinite(x_mm) and math.isfinite(y_mm)):
-        raise InputError(f"{path}: line {number}: {shown!r}: {allowed}")
-    return x_mm + 0.0, y_mm + 0.0  # + 0.0 turns -0 into 0, so that equal positions hash equally
+def read_rows(path: Path, *headers: list[str]) -> tuple[list[str], list[tuple[int, tuple[float, ...]]]]:
+    """Read a CSV file of numbers; blank lines and lines that start with ``#`` are passed over.
+
+    headers: Names of the columns that the file may have.
+
+    Returns the names that it has, and line number and numbers of each row.
+    Raises InputError: the file cannot be read, has none of these headers, or a line is not as many finite numbers; the
+    message names file and line.
+    """
+    lines = [
+        (number, line.strip())
+        for number, line in enumerate(read_text(path).splitlines(), start=1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    names = [cell.strip() for cell in lines[0][1].split(",")] if lines else []
+    if names not in headers:
+        wanted = " or ".join(",".join(header) for header in headers)
+        raise InputError(f"{path}: line {lines[0][0] if lines else 1}: must be the header {wanted}")
+    rows: list[tuple[int, tuple[float, ...]]] = []
+    for number, line in lines[1:]:
+        try:
+            # + 0.0 turns -0 into 0, so that equal positions hash equally.
+            values = tuple(float(cell) + 0.0 for cell in line.split(","))
+        except ValueError:
+            values = ()
+        if len(values) != len(names) or not all(map(math.isfinite, values)):
+            allowed = f"must be {len(names)} finite numbers with commas between and decimal points, such as -2.0,4.0"
+            raise InputError(f"{path}: line {number}: {line[:40]!r}: {allowed}")
+        rows.append((number, values))
+    return names, rows

@@ -98,6 +98,8 @@ class NeighbourJudge:
     actuator_mm, float64 (actuators, 2): Actuators in millimetres, NaN where unknown.
     spectra: The rows.
     usable, bool (positions,): Rows that are predicted from and judged.
+
+    judged, bool (positions, actuators): Rows that can be judged.
     """
 
     def __init__(
@@ -114,7 +116,7 @@ class NeighbourJudge:
         self._all = np.array(sorted(self._patches), dtype=np.int64)
         shape = values.shape
         self._out: BoolArray = np.zeros(shape[:2], dtype=bool)
-        self._judged: BoolArray = np.zeros(shape[:2], dtype=bool)
+        self.judged: BoolArray = np.zeros(shape[:2], dtype=bool)
         self._suspect: BoolArray = np.zeros(shape[:2], dtype=bool)
         self._tried: BoolArray = np.zeros(shape[:2], dtype=bool)
         self._gain: dict[int, float] = {}
@@ -144,11 +146,6 @@ class NeighbourJudge:
         self._common = np.maximum(np.nanmedian(strength[self._all], axis=0), np.finfo(np.float64).tiny)
         self._learn(self._all)
 
-    @property
-    def judged(self) -> BoolArray:
-        """Rows that can be judged, (positions, actuators)."""
-        return self._judged
-
     def find(self) -> Verdict:
         """Find all rows that differ, the worst of each neighbourhood first, so that no row is blamed for another.
 
@@ -162,7 +159,7 @@ class NeighbourJudge:
             int(position): np.flatnonzero(self._out[position]) for position in np.flatnonzero(self._out.any(axis=1))
         }
         differences = [one for position, out in rows.items() for one in self._named(position, out)]
-        return Verdict(tuple(differences), self._judged)
+        return Verdict(tuple(differences), self.judged)
 
     def _search(self) -> None:
         self._suspect[self._all] = self._differing(self._all, strict=False)
@@ -186,20 +183,20 @@ class NeighbourJudge:
         """Leave out positions whose rows all have one wrong factor, found together however near each other they are."""
         for _ in range(SEARCHES):
             # The wrong ones found so far no longer count in what predictions usually miss.
-            gains = common_gains(self._patches, self._rows.coefficients, self._values, self._typical, self._judged)
+            gains = common_gains(self._patches, self._rows.coefficients, self._values, self._typical, self.judged)
             wrong = self._wrong_by_gain(gains)
             found = set(wrong) - set(self._gain)
             self._gain |= {position: float(gains.value[position]) for position in wrong}
             if not found:
                 break
             new = np.isin(np.arange(len(self._out)), sorted(found))
-            self._leave_out(new[:, None] & self._judged)
+            self._leave_out(new[:, None] & self.judged)
         self._tried |= self._out
 
     def _wrong_by_gain(self, gains: Gains) -> list[int]:
         """Positions whose factors explain their errors; next to one that is wrong otherwise, factors mean nothing."""
         enough = (np.abs(gains.value - 1.0) > LEAST_DIFFERENCE) & (gains.sigmas > GAIN_SIGMAS)
-        enough &= self._judged.sum(axis=1) >= LEAST_ROWS
+        enough &= self.judged.sum(axis=1) >= LEAST_ROWS
         wrong: list[int] = []
         spoiled: set[int] = set()
         for position in sorted(np.flatnonzero(enough).tolist(), key=lambda one: -gains.sigmas[one]):
@@ -244,7 +241,7 @@ class NeighbourJudge:
             self._misses[some] = (np.square(np.abs(errors)) / typical).mean(axis=2)
             self._weight[some] = weight
             self._factor[some] = (predicted.conj() * values / typical).sum(axis=2) / np.maximum(weight, 1e-300)
-            self._judged[some] = weight > 0.5 / UNSURE**2
+            self.judged[some] = weight > 0.5 / UNSURE**2
 
     def _differing(self, positions: Int64Array, *, strict: bool) -> BoolArray:
         """Which rows differ, or, less strictly, may differ, (positions, actuators)."""
@@ -255,7 +252,7 @@ class NeighbourJudge:
         least = LEAST_DIFFERENCE * fewer * (1.0 + self._near_field[positions] * fewer**3)
         factor = self._factor[positions] - 1.0
         # A wrong row may hide that its neighbours can be judged.
-        judged = self._judged[positions] if strict else np.isfinite(misses)
+        judged = self.judged[positions] if strict else np.isfinite(misses)
         off = np.abs(factor)
         by_factor = np.square(np.abs(self._factor - 1.0)) * self._weight
         usual = self._usual(self._misses, nearest) if strict else np.ones_like(misses)
@@ -264,7 +261,7 @@ class NeighbourJudge:
         found = (misses > MISSES * usual) & (misses * len(self._frequency_hz) > np.square(least) * weight)
         found |= (by_factor[positions] > FACTOR * usual_factor) & (off > least)
         # All of a position by one factor: the median over its rows shows less than each of them could.
-        sure = self._judged[positions]
+        sure = self.judged[positions]
         factor = np.where(sure, factor, np.nan)
         middle = np.abs(_nanmedian(factor.real, axis=1) + 1j * _nanmedian(factor.imag, axis=1))
         count = np.maximum(sure.sum(axis=1), 1)
@@ -352,7 +349,7 @@ class NeighbourJudge:
     def _named(self, position: int, out: Int64Array) -> Iterable[Difference]:
         values, errors = self._values[position], self._errors[position]
         predicted, typical = values - errors, self._typical[position]
-        judged = np.flatnonzero(self._judged[position] | self._out[position])
+        judged = np.flatnonzero(self.judged[position] | self._out[position])
         if len(out) > 1 and 2 * len(out) > len(judged):
             cause = cause_of(values[judged], predicted[judged], typical[judged], self._frequency_hz)
             if cause is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -191,17 +191,8 @@ class StaggeredSignal:
 
     def period_sweep(self) -> Excitation:
         """One sweep as long as the period, without silence."""
-        sweep = self.sweep
-        return Excitation(
-            sweep.sample_rate_hz,
-            sweep.start_hz,
-            sweep.stop_hz,
-            self.period_samples / sweep.sample_rate_hz,
-            0.0,
-            sweep.amplitude_v,
-            1,
-            sweep.fade_s,
-        )
+        duration_s = self.period_samples / self.sweep.sample_rate_hz
+        return replace(self.sweep, duration_s=duration_s, decay_s=0.0, averages=1)
 
     def base_v(self) -> Float64Array:
         """One period of the base signal in volts, shape (period_samples,)."""

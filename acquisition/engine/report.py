@@ -69,8 +69,7 @@ class CampaignReport:
         """A position is done with for this session; `left` are not begun yet, and one may be recorded just now."""
         attempt, reason, names = result.attempt, result.judgement.reason, result.defect_names
         if result.committed:
-            figures = result.median_snr_db, result.best_heard_residual_db, result.clock_ppm, result.start_offset_samples
-            self._committed(attempt, result.judgement, figures, names)
+            self._committed(attempt, result.judgement, result.figures, names)
         else:
             self._session.publish(PositionKept, attempt.position, attempt.number, reason, names)
         for pace in self._pace:

@@ -12,23 +12,10 @@ from scipy.special import gammainccinv
 from calibration import BoolArray, Complex64Array, Float32Array, Float64Array
 from calibration.estimator.clipping import Levels, ThirdHarmonic
 
-DEFECTS = np.dtype(
-    [
-        ("burst_db", np.float32),
-        ("burst_s", np.float32),
-        ("cut_db", np.float32),
-        ("cut_s", np.float32),
-        ("slip_db", np.float32),
-        ("slip_samples", np.float32),
-        ("line_db", np.float32),
-        ("line_hz", np.float32),
-        ("tail_db", np.float32),
-        ("step_db", np.float32),
-        ("step_level_db", np.float32),
-        ("harmonic_db", np.float32),
-        ("dead", np.float32),
-    ]
-)
+_FIGURES = """
+burst_db burst_s cut_db cut_s slip_db slip_samples line_db line_hz tail_db step_db step_level_db harmonic_db dead
+"""
+DEFECTS = np.dtype([(name, np.float32) for name in _FIGURES.split()])
 """Defects of a record; energies are in dB of the response's in band, -inf where chance explains what is there,
 NaN where nothing was looked at.
 
@@ -62,7 +49,7 @@ dead
 def not_looked_at(records: int) -> NDArray[np.void]:
     """Figures of records that were not examined: all NaN, shape (records,)."""
     defects = np.zeros(records, DEFECTS)
-    for name in DEFECTS.names or ():
+    for name in _FIGURES.split():
         defects[name] = np.nan
     return defects
 
@@ -70,7 +57,7 @@ def not_looked_at(records: int) -> NDArray[np.void]:
 def worst_of(defects: NDArray[np.void]) -> np.void:
     """One row of figures for several records of one actuator: each figure's largest, NaN only where all are."""
     worst: np.void = not_looked_at(1)[0]
-    for name in DEFECTS.names or ():
+    for name in _FIGURES.split():
         known = defects[name][~np.isnan(defects[name])]
         if known.size:
             worst[name] = known[np.argmax(np.abs(known))] if name == "slip_samples" else known.max()

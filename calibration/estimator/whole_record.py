@@ -134,9 +134,9 @@ class _Fit:
         if not self._median > 0:
             raise ReferenceMissingError("the reference is silent in band_hz; check its cable and channel")
         kernel = scipy.fft.irfft(power, self._length)[:taps]
-        ring = scipy.fft.rfftfreq(scipy.fft.next_fast_len(2 * taps, real=True), 1 / rate_hz)
+        self._ring = scipy.fft.next_fast_len(2 * taps, real=True)
+        ring = scipy.fft.rfftfreq(self._ring, 1 / rate_hz)
         self._outside = np.where((ring >= band_hz[0]) & (ring <= band_hz[1]), 0.0, OUTSIDE_RIDGE * self._median)
-        self._ring = 2 * ring.size - 2 if scipy.fft.next_fast_len(2 * taps, real=True) % 2 == 0 else 2 * ring.size - 1
         penalty = scipy.fft.irfft(self._outside, self._ring)[:taps]
         self._kernel = kernel + penalty
 

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import io
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
+
+import h5py
 
 from storage.bank.writer import create_bank
 from wavefocus.__main__ import run
@@ -31,6 +35,28 @@ def empty_bank(lab: Path, name: str) -> Path:
 def capture(lab: Path, bank: Path) -> int:
     """Capture into a bank in this process, its events on standard output; the exit code."""
     return run(["capture", str(lab / "run.toml"), "--bank", str(bank), "--json"])
+
+
+def held(bank: Path, name: str = "status") -> list[int]:
+    """What a bank holds of its positions."""
+    with h5py.File(bank, "r") as file:
+        return list(file[name][...].tolist())
+
+
+def capture_process(lab: Path, bank: Path) -> subprocess.Popen[str]:
+    """A capture in a process of its own, its events on its standard output."""
+    command = [sys.executable, "-m", "wavefocus", "capture", str(lab / "run.toml"), "--bank", str(bank), "--json"]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def await_event(child: subprocess.Popen[str], kind: str, done: int = 0) -> None:
+    """Return when such a process reports an event of a kind, so many positions being done."""
+    assert child.stdout is not None
+    for line in child.stdout:
+        event = json.loads(line)
+        if event["event"] == kind and event.get("done", done) >= done:
+            return
+    raise AssertionError(f"ended before {kind}: {child.wait()}")
 
 
 class Listener(io.TextIOBase):

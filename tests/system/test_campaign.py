@@ -15,6 +15,7 @@ import h5py
 import numpy as np
 import pytest
 
+from tests.system.captures import await_event, capture_process, held
 from tests.system.conftest import with_faults, write_lab
 from wavefocus.__main__ import run
 
@@ -75,17 +76,11 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 def test_given_sigkill_at_any_moment_then_resume_ends_byte_identical(lab: Path, reference: bytes) -> None:
     _take_longer(lab)
     bank = lab / "plate.h5"
-    command = [sys.executable, "-m", "wavefocus"]
     for after in (1, 3):
         bank.unlink(missing_ok=True)
-        start = [*command, "capture", str(lab / "run.toml"), "--bank", str(bank), "--json"]
-        with subprocess.Popen(start, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as child:
-            assert child.stdout is not None
-            for line in child.stdout:
-                event = json.loads(line)
-                if event["event"] == "progress" and event["done"] >= after:
-                    child.kill()
-                    break
+        with capture_process(lab, bank) as child:
+            await_event(child, "progress", after)
+            child.kill()
         assert child.returncode != 0
         assert _wavefocus("resume", bank) == 0
         assert bank.read_bytes() == reference
@@ -96,14 +91,9 @@ def test_given_a_bank_deleted_while_it_is_measured_then_exit_3_and_the_rescue_fi
 ) -> None:
     _take_longer(lab)
     bank = lab / "plate.h5"
-    start = [sys.executable, "-m", "wavefocus", "capture", str(lab / "run.toml"), "--bank", str(bank), "--json"]
-    with subprocess.Popen(start, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
-        assert child.stdout is not None
-        for line in child.stdout:
-            event = json.loads(line)
-            if event["event"] == "progress" and event["done"] == 2:
-                bank.unlink()
-                break
+    with capture_process(lab, bank) as child:
+        await_event(child, "progress", 2)
+        bank.unlink()
         rest, told = child.communicate(timeout=60)
     assert child.returncode == 3, told
     assert _events(rest)[-1]["state"] == "failed"
@@ -132,15 +122,11 @@ def test_given_ctrl_c_then_exit_130_and_resume_ends_byte_identical(
 ) -> None:
     _take_longer(lab)
     bank = lab / "plate.h5"
-    start = [sys.executable, "-m", "wavefocus", "capture", str(lab / "run.toml"), "--bank", str(bank), "--json"]
-    with subprocess.Popen(start, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
-        assert child.stdout is not None
-        for line in child.stdout:
-            if json.loads(line)["event"] == "position_started":
-                for _ in range(interrupts):
-                    child.send_signal(signal.SIGINT)
-                    time.sleep(0.001)
-                break
+    with capture_process(lab, bank) as child:
+        await_event(child, "position_started")
+        for _ in range(interrupts):
+            child.send_signal(signal.SIGINT)
+            time.sleep(0.001)
         rest, told = child.communicate(timeout=60)
     assert child.returncode == 130, told
     ended = _events(rest)[-1]
@@ -150,22 +136,6 @@ def test_given_ctrl_c_then_exit_130_and_resume_ends_byte_identical(
     assert "Traceback" not in told
     assert _wavefocus("resume", bank) == 0
     assert bank.read_bytes() == reference
-
-
-def test_given_a_lost_instrument_then_exit_3_names_it_and_what_was_measured_is_safe(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with_faults(lab, 'role = "recorder"\noperation = "read"\nkind = "lost"\nposition = 2')
-    bank = lab / "plate.h5"
-    assert _wavefocus("capture", lab / "run.toml", "--bank", bank) == 3
-    told = capsys.readouterr().err
-    last = told.splitlines()[-1]
-    assert "recorder" in last
-    assert "position 2" in last
-    assert "cable" in last
-    assert "Traceback" not in told
-    with h5py.File(bank, "r") as file:
-        assert list(file["status"]) == [1, 1, 0, 0, 0, 0]
 
 
 @pytest.mark.parametrize("kind", ["short_read", "missing_reference", "over_range"])
@@ -179,9 +149,8 @@ def test_given_a_passing_fault_then_the_position_is_repeated_and_valid(
     repeated = [event for event in events if event["event"] == "position_repeated"]
     assert [event["position"] for event in repeated] == [2]
     assert repeated[0]["reason"]
-    with h5py.File(bank, "r") as file:
-        assert list(file["status"]) == [1] * 6
-        assert list(file["quality/attempts"]) == [1, 1, 2, 1, 1, 1]
+    assert held(bank) == [1] * 6
+    assert held(bank, "quality/attempts") == [1, 1, 2, 1, 1, 1]
 
 
 @pytest.mark.parametrize(("kind", "bit"), [("timeout", 8), ("missing_reference", 8), ("over_range", 2)])
@@ -272,12 +241,8 @@ def test_given_a_second_process_then_exit_75_names_the_owner(bank: Path) -> None
 def test_given_status_while_a_run_is_on_then_it_tells_the_owner_and_a_finish(lab: Path) -> None:
     _take_longer(lab)
     bank = lab / "plate.h5"
-    start = [sys.executable, "-m", "wavefocus", "capture", str(lab / "run.toml"), "--bank", str(bank), "--json"]
-    with subprocess.Popen(start, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as child:
-        assert child.stdout is not None
-        for line in child.stdout:
-            if json.loads(line)["event"] == "progress":
-                break
+    with capture_process(lab, bank) as child:
+        await_event(child, "progress")
         if os.name == "posix":
             child.send_signal(signal.SIGSTOP)
         told = subprocess.run(

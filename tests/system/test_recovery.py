@@ -9,10 +9,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-import h5py
 import pytest
 
-from tests.system.captures import Listener, capture, empty_bank, events_of, states_of
+from tests.system.captures import Listener, capture, empty_bank, events_of, held, states_of
 from tests.system.conftest import with_faults
 from wavefocus.__main__ import run
 
@@ -56,9 +55,8 @@ def test_given_a_hub_unplugged_then_both_instruments_on_it_come_back(
     assert capture(lab, lab / "plate.h5") == 0
     back = [one["role"] for one in events_of(capsys.readouterr().out, "reconnect_tried") if one["connected"]]
     assert sorted(back) == ["player", "recorder"]
-    with h5py.File(lab / "plate.h5", "r") as bank:
-        assert list(bank["status"]) == [1] * 6
-        assert list(bank["quality/attempts"]) == [1] * 6
+    assert held(lab / "plate.h5") == [1] * 6
+    assert held(lab / "plate.h5", "quality/attempts") == [1] * 6
 
 
 def test_given_an_instrument_that_stays_away_then_exit_3_tells_how_long_and_how_to_go_on(
@@ -119,9 +117,8 @@ def test_given_an_instrument_that_keeps_failing_passingly_then_it_gets_a_fresh_c
     assert capture(lab, lab / "plate.h5") == 0
     tries = events_of(capsys.readouterr().out, "reconnect_tried")
     assert [(one["role"], one["connected"]) for one in tries] == [("recorder", True)]
-    with h5py.File(lab / "plate.h5", "r") as bank:
-        assert list(bank["status"]) == [1] * 6
-        assert list(bank["quality/attempts"]) == [1, 1, 2, 2, 1, 1]
+    assert held(lab / "plate.h5") == [1] * 6
+    assert held(lab / "plate.h5", "quality/attempts") == [1, 1, 2, 2, 1, 1]
 
 
 def test_given_a_record_that_cannot_be_silenced_after_a_passing_fault_then_the_player_is_connected_afresh(

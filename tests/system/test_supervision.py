@@ -12,7 +12,6 @@ import sys
 import time
 from pathlib import Path
 
-import h5py
 import pytest
 
 from config.messages.campaign import (
@@ -21,7 +20,16 @@ from config.messages.campaign import (
     State,
     StateChanged,
 )
-from tests.system.captures import Listener, capture, empty_bank, events_of, states_of
+from tests.system.captures import (
+    Listener,
+    await_event,
+    capture,
+    capture_process,
+    empty_bank,
+    events_of,
+    held,
+    states_of,
+)
 from tests.system.conftest import with_faults
 from wavefocus.__main__ import run
 from wavefocus.campaign.sidecar_files import last_events
@@ -68,9 +76,10 @@ class _Orders:
         return [(code, json.loads(out), err) for (out, err), code in ended]
 
 
-def test_given_a_pause_from_another_process_then_the_position_is_finished_and_go_on_goes_on(lab: Path) -> None:
-    quiet, bank = empty_bank(lab, "quiet.h5"), empty_bank(lab, "plate.h5")
-    assert capture(lab, quiet) == 0
+def test_given_a_pause_from_another_process_then_the_position_is_finished_and_go_on_goes_on(
+    lab: Path, measured: Path
+) -> None:
+    bank = empty_bank(lab, "plate.h5")
     orders = _Orders(bank)
     listener = Listener(
         ('"event": "position_started"', lambda: orders.give("pause")),
@@ -85,16 +94,17 @@ def test_given_a_pause_from_another_process_then_the_position_is_finished_and_go
     assert len(events_of(before.rpartition("\n")[0], "position_committed")) == 1
     # Whoever was at the plate may have touched it.
     assert [one["verdict"] for one in events_of(listener.told, "drift")] == ["steady"]
-    assert bank.read_bytes() == quiet.read_bytes()
+    assert bank.read_bytes() == measured.read_bytes()
     assert not (lab / "plate.h5.orders").exists()
     for code, facts, _ in orders.answers():
         assert code == 0
         assert facts["heard"] is True
 
 
-def test_given_stop_from_another_process_then_exit_130_and_resume_ends_byte_identical(lab: Path) -> None:
-    quiet, bank = empty_bank(lab, "quiet.h5"), empty_bank(lab, "plate.h5")
-    assert capture(lab, quiet) == 0
+def test_given_stop_from_another_process_then_exit_130_and_resume_ends_byte_identical(
+    lab: Path, measured: Path
+) -> None:
+    bank = empty_bank(lab, "plate.h5")
     orders = _Orders(bank)
     listener = Listener(('"event": "position_started"', lambda: orders.give("stop")))
     with contextlib.redirect_stdout(listener):
@@ -105,7 +115,7 @@ def test_given_stop_from_another_process_then_exit_130_and_resume_ends_byte_iden
     assert (code, facts["carried_out"]) == (0, True)
     assert "stopped" in sentence
     assert run(["resume", str(bank)]) == 0
-    assert bank.read_bytes() == quiet.read_bytes()
+    assert bank.read_bytes() == measured.read_bytes()
 
 
 @pytest.mark.parametrize("asked", ["pause", "stop"])
@@ -247,8 +257,7 @@ def test_given_a_driver_that_never_comes_back_then_the_process_ends_with_exit_3_
     assert last.endswith(f"go on with: wavefocus resume {bank} --rig {lab / 'rig.toml'}")
     assert "on the way out: virtual mirror: parking" in ended.stderr  # so it was parked, though it said no
     assert "Traceback" not in ended.stderr
-    with h5py.File(bank, "r") as file:
-        assert list(file["status"]) == [1, 0, 0, 0, 0, 0]
+    assert held(bank) == [1, 0, 0, 0, 0, 0]
 
 
 # -- every way out ----------------------------------------------------------------------------------------------
@@ -256,17 +265,13 @@ def test_given_a_driver_that_never_comes_back_then_the_process_ends_with_exit_3_
 LONG_NIGHT = ("averages = 2", "averages = 40")
 
 
-def _start(lab: Path, bank: Path, **pipes: object) -> subprocess.Popen[str]:
+def _start(lab: Path, bank: Path) -> subprocess.Popen[str]:
     """A capture of its own, under way when this returns; parking fails, so that it is told."""
     _in_run(lab, *LONG_NIGHT)
     with_faults(lab, 'role = "mirror"\noperation = "park"\nkind = "timeout"\nat_call = 1')
-    start = [*WAVEFOCUS, "capture", str(lab / "run.toml"), "--bank", str(bank), "--json"]
-    child = subprocess.Popen(start, stdout=subprocess.PIPE, text=True, **pipes)  # type: ignore[call-overload]
-    assert child.stdout is not None
-    for line in child.stdout:
-        if json.loads(line)["event"] == "position_committed":
-            return child
-    raise AssertionError(f"ended before its first position: {child.wait()}")
+    child = capture_process(lab, bank)
+    await_event(child, "position_committed")
+    return child
 
 
 @POSIX
@@ -274,7 +279,7 @@ def _start(lab: Path, bank: Path, **pipes: object) -> subprocess.Popen[str]:
 @pytest.mark.parametrize("number", ["SIGTERM", "SIGHUP"])
 def test_given_a_signal_then_exit_130_and_the_mirror_is_parked(lab: Path, number: str) -> None:
     bank = lab / "plate.h5"
-    child = _start(lab, bank, stderr=subprocess.PIPE)
+    child = _start(lab, bank)
     child.send_signal(getattr(signal, number))
     rest, told = child.communicate(timeout=60)
     assert child.returncode == 130, told
@@ -291,7 +296,7 @@ def test_given_a_signal_then_exit_130_and_the_mirror_is_parked(lab: Path, number
 @pytest.mark.may_skip("a closed pipe is another thing on Windows")
 def test_given_nobody_who_reads_what_is_told_then_the_campaign_goes_on(lab: Path) -> None:
     bank = lab / "plate.h5"
-    child = _start(lab, bank, stderr=subprocess.PIPE)
+    child = _start(lab, bank)
     assert child.stdout is not None
     assert child.stderr is not None
     child.stdout.close()
@@ -395,9 +400,8 @@ def test_given_a_cold_room_then_it_is_waited_until_it_is_warm_and_has_settled(
     assert "room temperature 17 degrees C is below 18 degrees C" in str(changes[1]["reason"])
     # 18.5 degrees would not have suspended it and do not let it go on either; 20 seconds it must stay warm.
     assert 151 + 20 <= float(str(changes[2]["time_s"])) <= 151 + 20 + 2 * 10 + 5
-    with h5py.File(lab / "plate.h5", "r") as bank:
-        assert list(bank["status"]) == [1] * 6
-        assert list(bank["quality/attempts"]) == [1] * 6
+    assert held(lab / "plate.h5") == [1] * 6
+    assert held(lab / "plate.h5", "quality/attempts") == [1] * 6
 
 
 def test_given_a_condition_that_stays_away_then_exit_3_says_so_and_resume_goes_on(
@@ -415,8 +419,7 @@ def test_given_a_condition_that_stays_away_then_exit_3_says_so_and_resume_goes_o
     assert "suspended for 5 min" in last
     assert "vibrometer noise" in last
     assert states_of(told.out)[-2:] == ["suspended", "failed"]
-    with h5py.File(bank, "r") as file:
-        assert list(file["status"]) == [1, 1, 0, 0, 0, 0]  # nothing measured in the dark was called anything
+    assert held(bank) == [1, 1, 0, 0, 0, 0]  # nothing measured in the dark was called anything
     (lab / "run.toml").write_text(sound, encoding="utf-8")
     assert capture(lab, bank) == 0
     assert bank.read_bytes() == quiet.read_bytes()
@@ -432,8 +435,7 @@ def test_given_a_dark_spot_then_it_is_the_positions_fault_and_nothing_is_suspend
     bank = lab / "plate.h5"
     assert capture(lab, bank) == 0
     assert "suspended" not in states_of(capsys.readouterr().out)
-    with h5py.File(bank, "r") as file:
-        status = list(file["status"])
+    status = held(bank)
     assert status[2] & 1 == 0
     assert status[:2] + status[3:] == [1] * 5
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from drivers.protocols import DeviceIdentity
-from tests.system.captures import events_of
+from tests.system.captures import events_of, held
 from tests.system.conftest import with_faults
 from wavefocus.__main__ import run
 from wavefocus.campaign.sidecar_files import read_drift, session_failure
@@ -87,8 +87,7 @@ def test_given_drift_during_a_run_then_exit_3_names_the_positions_that_are_suspe
     assert events_of(told.out, "session_ended")[-1]["failure"] == "drift"
     assert session_failure(bank, datetime.now(UTC) - timedelta(minutes=5)) == "drift"
     assert session_failure(bank, datetime.now(UTC) + timedelta(minutes=5)) == ""
-    with h5py.File(bank, "r") as file:
-        assert list(file["status"]) == [1, 1, 0, 0, 0, 0]
+    assert held(bank) == [1, 1, 0, 0, 0, 0]
     assert run(["status", str(bank)]) == 0
     assert "--positions 0-1" in capsys.readouterr().out
     assert run(["status", str(bank), "--json"]) == 0
@@ -159,8 +158,7 @@ def test_given_another_calibration_then_capture_refuses_it_and_says_how_to_overr
     assert bank.read_bytes() == before
     assert _capture(lab, bank, "--accept-calibration") == 0
     assert "goes on with the calibration new.toml" in capsys.readouterr().err
-    with h5py.File(bank, "r") as file:
-        assert list(file["status"]) == [1] * 6
+    assert held(bank) == [1] * 6
 
 
 def test_given_a_calibration_of_another_device_then_resume_refuses_it_and_says_how_to_override(

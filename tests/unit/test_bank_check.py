@@ -39,12 +39,16 @@ def measured(path: Path, green: np.ndarray, grid: np.ndarray | None = None) -> P
     return path
 
 
-def flip(path: Path, offset: int) -> None:
-    with path.open("r+b") as file:
-        file.seek(offset)
-        byte = file.read(1)[0]
-        file.seek(offset)
-        file.write(bytes([byte ^ 4]))
+def flip(path: Path, dataset: str, byte: int, chunk: int | None = None) -> None:
+    """Flip one bit of a dataset, or of one chunk of it, so many bytes from its beginning."""
+    with h5py.File(path, "r") as file:
+        kept = file[dataset].id
+        offset = kept.get_offset() if chunk is None else kept.get_chunk_info(chunk).byte_offset
+    with path.open("r+b") as raw:
+        raw.seek(offset + byte)
+        found = raw.read(1)[0]
+        raw.seek(offset + byte)
+        raw.write(bytes([found ^ 4]))
 
 
 def only(findings: list[Finding]) -> Finding:
@@ -52,40 +56,32 @@ def only(findings: list[Finding]) -> Finding:
     return findings[0]
 
 
-def test_a_sound_bank_then_has_no_findings(tmp_path: Path) -> None:
-    assert check_bank(measured(tmp_path / "bank.h5", responses())) == []
+@pytest.mark.parametrize("positions", [POSITIONS, 2])
+def test_a_sound_bank_whole_or_half_measured_then_has_no_findings(tmp_path: Path, positions: int) -> None:
+    assert check_bank(measured(tmp_path / "bank.h5", responses()[:positions])) == []
 
 
-def test_a_half_measured_bank_then_has_no_findings(tmp_path: Path) -> None:
-    assert check_bank(measured(tmp_path / "bank.h5", responses()[:2])) == []
-
-
-def test_a_flipped_byte_in_the_data_then_is_an_error_at_its_position(tmp_path: Path) -> None:
-    path = measured(tmp_path / "bank.h5", responses())
-    with h5py.File(path, "r") as file:
-        offset = file["green"].id.get_chunk_info(4).byte_offset
-    flip(path, offset + 9)
-    finding = only(check_bank(path))
-    assert (finding.position, finding.severity) == (4, "error")
-    assert finding.message.startswith("position 4 is damaged")
-
-
-def test_a_flipped_byte_in_the_ledger_then_is_an_error_at_its_position(tmp_path: Path) -> None:
-    path = measured(tmp_path / "bank.h5", responses())
-    with h5py.File(path, "r") as file:
-        offset = file["durability/ledger"].id.get_offset()
-    flip(path, offset + 3 * 4096 + 1000)
-    findings = check_bank(path)
-    assert {(finding.position, finding.severity) for finding in findings} == {(3, "error")}
+@pytest.mark.parametrize(
+    ("positions", "damage", "position"),
+    [
+        (POSITIONS, ("green", 9, 4), 4),
+        (POSITIONS, ("durability/ledger", 3 * 4096 + 1000), 3),
+        (2, ("green", 9, 4), 4),
+    ],
+    ids=["of the data", "of the ledger", "at a position that is not measured"],
+)
+def test_a_flipped_bit_then_is_an_error_at_its_position(tmp_path: Path, positions, damage, position) -> None:
+    path = measured(tmp_path / "bank.h5", responses()[:positions])
+    flip(path, *damage)
+    assert {(finding.position, finding.severity) for finding in check_bank(path)} == {(position, "error")}
 
 
 @pytest.mark.parametrize("name", ["status", "quality/peak_v", "quality/attempts"])
 def test_a_figure_that_differs_from_the_ledger_then_is_an_error_and_opening_heals_it(tmp_path: Path, name: str) -> None:
     path = measured(tmp_path / "bank.h5", responses())
     with h5py.File(path, "r") as file:
-        dataset = file[name]
-        offset = dataset.id.get_offset() + 2 * dataset.id.get_type().get_size() * int(np.prod(dataset.shape[1:]))
-    flip(path, offset)
+        row_bytes = file[name].id.get_type().get_size() * int(np.prod(file[name].shape[1:]))
+    flip(path, name, 2 * row_bytes)
     finding = only(check_bank(path))
     assert (finding.position, finding.severity) == (2, "error")
     assert "differ from the ledger" in finding.message
@@ -95,42 +91,29 @@ def test_a_figure_that_differs_from_the_ledger_then_is_an_error_and_opening_heal
 
 def test_a_torn_journal_then_is_an_error_and_opening_clears_it(tmp_path: Path) -> None:
     path = measured(tmp_path / "bank.h5", responses())
-    with h5py.File(path, "r") as file:
-        offset = file["durability/journal"].id.get_offset()
-    flip(path, offset + 5000)
+    flip(path, "durability/journal", 5000)
     assert only(check_bank(path)).severity == "error"
     BankWriter.open(path).close()
     assert check_bank(path) == []
 
 
-def test_a_response_longer_than_the_taps_then_is_a_warning(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("rows", "factor", "position", "severity", "words"),
+    [
+        (np.s_[1], np.exp(np.arange(TAPS) / 18), 1, "warning", "longer than the taps"),
+        (np.s_[:, 2], 1e-3, None, "warning", "actuator 2"),
+        (np.s_[5], 50.0, 5, "warning", "from the median"),
+        (np.s_[0], 0.0, 0, "error", "only zeros"),
+    ],
+    ids=["a long response", "a dead actuator", "out of all proportion", "zeros"],
+)
+def test_responses_that_cannot_be_then_are_named(tmp_path: Path, rows, factor, position, severity, words) -> None:
     green = responses()
-    green[1] *= np.exp(np.arange(TAPS) / 18)
+    green[rows] *= factor
     finding = only(check_bank(measured(tmp_path / "bank.h5", green)))
-    assert (finding.position, finding.severity) == (1, "warning")
-    assert "longer than the taps" in finding.message
-
-
-def test_a_dead_actuator_then_is_a_warning(tmp_path: Path) -> None:
-    green = responses()
-    green[:, 2] *= 1e-3
-    finding = only(check_bank(measured(tmp_path / "bank.h5", green)))
-    assert (finding.position, finding.actuator) == (None, 2)
-
-
-def test_a_position_out_of_all_proportion_then_is_a_warning(tmp_path: Path) -> None:
-    green = responses()
-    green[5] *= 50
-    finding = only(check_bank(measured(tmp_path / "bank.h5", green)))
-    assert (finding.position, finding.severity) == (5, "warning")
-    assert "from the median" in finding.message
-
-
-def test_a_valid_position_of_zeros_then_is_an_error(tmp_path: Path) -> None:
-    green = responses()
-    green[0] = 0
-    finding = only(check_bank(measured(tmp_path / "bank.h5", green)))
-    assert (finding.position, finding.severity) == (0, "error")
+    assert (finding.position, finding.severity) == (position, severity)
+    assert finding.actuator == (2 if position is None else None)
+    assert words in finding.message
 
 
 def test_two_positions_at_one_place_then_are_a_warning(tmp_path: Path) -> None:
@@ -177,7 +160,7 @@ def test_a_damaged_ledger_page_then_is_found_by_every_reader_and_measured_again(
             raw.seek(offset)
             raw.write(bytes(4096))
     else:
-        flip(path, offset + 500)
+        flip(path, "durability/ledger", 3 * 4096 + 500)
     assert {(one.position, one.severity) for one in check_bank(path)} == {(3, "error")}
     with open_bank(path) as bank:
         assert np.flatnonzero(bank.broken).tolist() == [3]
@@ -206,15 +189,6 @@ def test_a_changed_unit_of_a_dataset_then_is_found(tmp_path: Path) -> None:
         file["quality/peak_v"].attrs["units"] = "mV"
     with pytest.raises(InputError, match="checksum of its contents"):
         check_bank(path)
-
-
-def test_values_at_a_position_that_is_not_measured_then_are_an_error(tmp_path: Path) -> None:
-    path = measured(tmp_path / "bank.h5", responses()[:2])
-    with h5py.File(path, "r") as file:
-        offset = file["green"].id.get_chunk_info(4).byte_offset
-    flip(path, offset + 9)
-    finding = only(check_bank(path))
-    assert (finding.position, finding.severity) == (4, "error")
 
 
 def test_a_bank_without_a_checksum_of_its_contents_then_is_read_and_checked_as_before(tmp_path: Path) -> None:
