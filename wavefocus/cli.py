@@ -445,7 +445,7 @@ COMMANDS = (
                      help="Unit of places that have none."),
             switch("--to-velocity", help="Turn displacement or acceleration into velocity in m/s."),
             argument("--band", dest="band_hz", default="", metavar="LOW,HIGH", help="Frequencies to use, in Hz."),
-            number("--taps", 1, 2**31 - 1, whole=True, help="Length of the Green's functions in samples."),
+            number("--taps", 1, whole=True, help="Length of the Green's functions in samples."),
             number("--sample-rate-hz", 1e-3, 1e12, help="Rate of the Green's functions."),
             argument("--frequencies", default="", metavar="FIRST,STEP|FILE",
                      help="Frequencies of complex values, in Hz, where the file holds none."),

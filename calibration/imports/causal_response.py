@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import scipy.fft
+import scipy.linalg
 from numpy.typing import NDArray
 
-from calibration.estimator.causal_fit import CausalFit, ToeplitzFit
-from calibration.estimator.sequential import DENSE_ELEMENTS
+from calibration.estimator.causal_fit import MOST_RIDGE, ToeplitzFit
 from storage.errors import InputError
 
 Float64Array = NDArray[np.float64]
@@ -19,6 +19,8 @@ ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 RIDGE = 1e-6
 """Penalty on a tap's energy relative to that of a bin, as in the estimators."""
+MOST_DENSE_TAPS = 4096
+"""FIRs up to this length are solved for with a matrix, of 128 MiB."""
 _MIRRORED = 1e-3
 """Asymmetry of a spectrum, relative to its largest value, up to which its upper half mirrors the lower one."""
 
@@ -108,10 +110,12 @@ class Motion:
 
 
 class CausalConverter:
-    """Turns frequency responses into causal FIRs, all by one fit in the least squares.
+    """Turns frequency responses into causal FIRs, by least squares with a small penalty.
 
     Where the frequencies reach from 0 to half the rate without a gap, the first taps of the inverse transform are that
-    fit; where they do not, and there are as many taps as the period has samples, what is missing is zero.
+    fit; where they do not, and there are as many taps as the period has samples, what is missing is zero. The penalty
+    follows the noise of the first responses, as in `calibration.estimator.causal_fit.ToeplitzFit`, which solves for
+    FIRs that are too long for a matrix.
 
     bins, int64 (bins,): Frequencies in steps, ascending.
     period: Samples of a period: the rate over the step of the frequencies.
@@ -126,37 +130,56 @@ class CausalConverter:
         with np.errstate(divide="ignore"):
             self._weights = motion.factor * (1j * omega) ** motion.derivatives
         self._weights[~np.isfinite(self._weights)] = 0.0
-        self.is_complete = len(bins) == period // 2 + 1
-        self._fit: CausalFit | ToeplitzFit | None = None
-        if not self.is_complete and taps < period:
-            turn, flat = 2 * np.pi * bins / period, np.full(len(bins), 1.0)
-            self._fit = (
-                CausalFit(turn, flat, period, taps, RIDGE, 1.0)
-                if 2 * len(bins) * taps <= DENSE_ELEMENTS
-                else ToeplitzFit(turn, flat, period, taps, RIDGE)
-            )
+        self._is_exact = len(bins) == period // 2 + 1 or taps == period
+        self._factor: tuple[Float64Array, bool] | None = None
         self.whole = self.left = 0.0
 
     def convert(self, spectra: ComplexArray) -> tuple[Float32Array, Float64Array]:
         """FIRs (n, taps) of spectra (n, bins), and the share of each one's energy that they leave unexplained."""
         values = spectra * self._weights
-        if self._fit is None:
-            ring = np.zeros((len(values), self._period // 2 + 1), complex)
-            ring[:, self._bins] = values
-            whole_ring = scipy.fft.irfft(ring, self._period)
-            green = whole_ring[:, : self.taps]
+        ring = np.zeros((len(values), self._period // 2 + 1), complex)
+        ring[:, self._bins] = values
+        whole_ring = scipy.fft.irfft(ring, self._period)
+        green = whole_ring[:, : self.taps]
+        if self._is_exact:
             whole, left = _energy(whole_ring), _energy(whole_ring[:, self.taps :])
         else:
-            # One scale for each, so that single precision is not the limit.
-            largest = np.abs(values).max(axis=1, keepdims=True)
-            scale = np.where(largest > 0, largest, 1.0)
-            found = self._fit.solve((values / scale).astype(np.complex64), np.zeros(len(values)))
-            green = (found.green * scale).astype(np.float64)
-            shown = scipy.fft.rfft(green, self._period)[:, self._bins]
-            whole, left = _energy(np.abs(values)), _energy(np.abs(values - shown))
+            green = self._fitted(values, green)
+            whole, left = _energy(np.abs(values)), self._left(values, green)
         self.whole += float(whole.sum())
         self.left += float(left.sum())
         return green.astype(np.float32), left / np.where(whole > 0, whole, 1.0)
+
+    def _fitted(self, values: ComplexArray, wanted: Float64Array) -> Float64Array:
+        if self.taps > MOST_DENSE_TAPS:
+            turn = 2 * np.pi * self._bins / self._period
+            fit = ToeplitzFit(turn, np.ones(len(turn)), self._period, self.taps, RIDGE)
+            largest = np.abs(values).max(axis=1, keepdims=True)
+            scale = np.where(largest > 0, largest, 1.0)  # single precision is not the limit
+            return np.asarray(fit.solve((values / scale).astype(np.complex64), np.zeros(len(values))).green * scale)
+        if self._factor is None:
+            self._factor = self._factorised(RIDGE)
+            green = scipy.linalg.cho_solve(self._factor, wanted.T).T
+            elements = 2 * len(self._bins)
+            freedom = elements - min(self.taps, elements * self.taps / self._period + 2 * np.log(self.taps + 1))
+            variance = 2 / self._period * self._left(values, green) / max(freedom, 1.0)
+            energy = _energy(green) / self.taps
+            likely = float(np.median(variance / np.where(energy > 0, energy, np.inf)))
+            if likely > 2 * RIDGE:
+                self._factor = self._factorised(min(likely, MOST_RIDGE))
+        return np.asarray(scipy.linalg.cho_solve(self._factor, wanted.T).T)
+
+    def _factorised(self, ridge: float) -> tuple[Float64Array, bool]:
+        """The normal equations' matrix: 1 where all frequencies are there."""
+        there = np.zeros(self._period // 2 + 1)
+        there[self._bins] = 1.0
+        gram = scipy.linalg.toeplitz(scipy.fft.irfft(there, self._period)[: self.taps])
+        gram[np.diag_indices_from(gram)] += ridge
+        lower, is_lower = scipy.linalg.cho_factor(gram, overwrite_a=True, check_finite=False)
+        return lower, bool(is_lower)
+
+    def _left(self, values: ComplexArray, green: Float64Array) -> Float64Array:
+        return _energy(np.abs(values - scipy.fft.rfft(green, self._period)[:, self._bins]))
 
 
 def end_window(taps: int, kind: str) -> Float64Array:

@@ -167,7 +167,8 @@ def test_given_sound_files_and_a_table_then_each_pair_is_found(tmp_path: Path, i
         for source, name in enumerate(("left", "right")):
             soundfile.write(folder / f"{place}{name}.wav", sound[place, source], 48_000, subtype="FLOAT")
             lines.append(f"{place}{name}.wav,{0.5 * place},{0.1 * place**2},{name},")
-    (tmp_path / "p.csv").write_text("\n".join([*lines, ",2,0,right,actuator"]), encoding="utf-8")
+    table_text = "\n".join([*lines, ",2,0,right,actuator"])
+    (tmp_path / "p.csv").write_text("\ufeff" + table_text.replace(",", ";"), encoding="utf-8")
     back, told = imported(folder, "--places", str(tmp_path / "p.csv"), "--unit", "Pa/V")
     assert np.array_equal(green_of(back)[:, [1, 0]], sound)
     with open_bank(back) as view:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
+import scipy.io
 
 from calibration.imports.bank import Imported, import_bank
 from calibration.imports.projection import choose_projection
@@ -207,3 +210,51 @@ def test_given_a_tilted_plane_then_distances_stay_and_two_columns_do_for_places_
 def test_given_spherical_coordinates_then_azimuth_runs_from_x_to_y_and_elevation_up() -> None:
     places = from_spherical(np.array([[0.0, 0.0, 1.0], [90.0, 0.0, 2.0], [0.0, 90.0, 3.0]]))
     assert np.allclose(places, [[1, 0, 0], [0, 2, 0], [0, 0, 3]])
+
+
+@pytest.mark.parametrize("kind", ["mat", "mat 7.3", "npz", "netcdf", "netcdf in parts", "netcdf 3", "npz, directions"])
+def test_given_frequency_responses_as_named_arrays_then_every_format_gives_the_same(
+    green: np.ndarray, tmp_path: Path, kind: str
+) -> None:
+    spectra = np.fft.rfft(green, PERIOD)
+    arrays: dict[str, Any] = {
+        "position_mm": np.array([[4.0 * (row % 3), 4.0 * (row // 3)] for row in range(POSITIONS)]),
+        "actuator_mm": np.array([[30.0, 0.0], [np.nan, np.nan]]),
+        "frequency_hz": STEP_HZ * np.arange(PERIOD // 2 + 1),
+    }
+    parts = {"green_real": spectra.real, "green_imag": spectra.imag}
+    options, file = ImportOptions(unit="m/s/N", taps=TAPS), tmp_path / "a"
+    match kind:
+        case "mat":
+            scipy.io.savemat(file, arrays | {"green": spectra}, appendmat=False)
+        case "mat 7.3":
+            pairs = np.empty(spectra.T.shape, [("real", "f8"), ("imag", "f8")])
+            pairs["real"], pairs["imag"] = spectra.real.T, spectra.imag.T
+            with h5py.File(file, "w", userblock_size=512) as content:
+                content["green"] = pairs
+                for name, values in arrays.items():
+                    content[name] = np.atleast_2d(values).T
+            whole = file.read_bytes()
+            file.write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\0\2IM" + whole[128:])
+        case "npz":
+            np.savez(file.with_suffix(".npz"), **arrays, green=spectra)
+            file = file.with_suffix(".npz")
+        case "npz, directions":
+            np.savez(file.with_suffix(".npz"), **arrays, green=np.stack([0 * spectra, spectra], axis=2))
+            file, options = file.with_suffix(".npz"), replace(options, direction="1")
+        case "netcdf 3":
+            with scipy.io.netcdf_file(file, "w") as content:
+                for name, values in (arrays | parts).items():
+                    axes = tuple(f"{name}{axis}" for axis in range(values.ndim))
+                    for axis, length in zip(axes, values.shape, strict=True):
+                        content.createDimension(axis, length)
+                    content.createVariable(name, "f8", axes)[:] = values
+        case _:
+            with h5py.File(file, "w") as content:
+                for name, values in (arrays | (parts if "parts" in kind else {"green": spectra})).items():
+                    content[name] = values
+    import_bank(file, tmp_path / "out.h5", options)
+    with open_bank(tmp_path / "out.h5") as bank:
+        assert off_db(np.stack([bank.green(row) for row in range(POSITIONS)]), green) < -130
+        assert np.array_equal(bank.position_mm, arrays["position_mm"])
+        assert np.array_equal(bank.actuator_mm, arrays["actuator_mm"], equal_nan=True)

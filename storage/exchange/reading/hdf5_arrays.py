@@ -55,7 +55,8 @@ def read_arrays(
     names = sorted(name for name in file if not name.startswith("#"))
     group = ""
     if "green" not in names and not options.names:
-        groups = [name for name in names if isinstance(file.get(name, getlink=True), h5py.HardLink)]
+        hard = [name for name in names if isinstance(file.get(name, getlink=True), h5py.HardLink)]
+        groups = [name for name in hard if file.get(name, getclass=True) is h5py.Group]
         group = next((f"{one}/" for one in groups if hdf5_reading.has(file, f"{one}/green")), "")
 
     def get(name: str) -> Any:

@@ -43,14 +43,16 @@ class Place:
 
 
 def read_places(path: Path, options: ImportOptions) -> list[Place]:
-    """Read a table with a header line.
+    """Read a table with a header line, its columns apart by commas, semicolons or tabs.
 
     Coordinates are columns named `WANTED`; ``x``, ``y``, ``z`` are in --length-unit. Column ``role`` is ``position``
     (or empty) or ``actuator``.
 
     Raises InputError: no such columns, a coordinate that is no number, a role that is neither.
     """
-    lines = csv.reader(read_text(path).splitlines())
+    content = read_text(path).splitlines()
+    first = content[0] if content else ""
+    lines = csv.reader(content, delimiter=max(",;\t", key=first.count))  # as spreadsheets of several countries write it
     try:
         header = [name.strip().lower() for name in next(lines, [])]
         axes, metres = _columns(header, path, options)
