@@ -48,7 +48,7 @@ FUNCTIONS = {
     "Recordings": ("estimate", "open_raw", "estimator", "estimate_positions"),
 }
 CLASSES = {
-    "Files and arrays": ("Bank", "GreenArray", "Drive", "Field", "Foci", "RawFile"),
+    "Files and arrays": ("Bank", "GreenArray", "Drive", "Field", "FocusResults", "RawFile"),
     "Scenes": ("Scene", "Source", "Point", "Line", "Circle", "Polyline", "Impulse", "Sine", "Noise", "SoundFile"),
     "The virtual rig": ("VirtualBench",),
     "Errors": ("InputError",),

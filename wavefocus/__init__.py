@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from calibration.estimator.raw_estimation import estimate_positions
     from calibration.estimator.raw_estimation import estimator_of as estimator
-    from rendering.field.foci import Foci
+    from rendering.field.foci import FocusResults
     from rendering.greens.source import GreenArray
     from rendering.scene.model import Scene, Source, load_scene
     from rendering.scene.paths import Circle, Line, Point, Polyline
@@ -35,7 +35,7 @@ _MODULES = {
     "Circle": "rendering.scene.paths",
     "Drive": "storage.drive_file",
     "Field": "storage.field_file",
-    "Foci": "rendering.field.foci",
+    "FocusResults": "rendering.field.foci",
     "GreenArray": "rendering.greens.source",
     "Impulse": "rendering.scene.signals",
     "InputError": "storage.errors",
@@ -72,7 +72,7 @@ __all__ = [
     "Circle",
     "Drive",
     "Field",
-    "Foci",
+    "FocusResults",
     "GreenArray",
     "Impulse",
     "InputError",

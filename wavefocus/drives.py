@@ -16,7 +16,7 @@ from storage.field_file import Field, read_field
 from wavefocus.banks import OnProgress, opened_bank
 
 if TYPE_CHECKING:
-    from rendering.field.foci import Foci
+    from rendering.field.foci import FocusResults
     from rendering.greens.source import GreenSource
     from rendering.scene.model import Scene
 
@@ -169,7 +169,7 @@ def focus_figures(
     field: Field | str | Path | None = None,
     *,
     on_progress: OnProgress | None = None,
-) -> Foci:
+) -> FocusResults:
     """Place, height, width and artefacts of a drive's foci.
 
     Parameters
@@ -186,7 +186,7 @@ def focus_figures(
 
     Returns
     -------
-    Foci
+    FocusResults
         An array for each figure, a row per focus: ``source``, ``position``, ``time_s``, ``intended_mm``, ``at_mm``,
         ``peak``, ``off_mm``, ``width_mm`` and ``artefact_db``; NaN where a focus has none. Foci quieter than a quarter
         of the loudest are left out.

@@ -54,7 +54,7 @@ def loudest_instants(drive: Drive, bank: GreenSource) -> LoudestInstants:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Foci:
+class FocusResults:
     """Figures of K foci, in the order of the drive's; NaN where a focus has none.
 
     source, position, int64 (K,): Index of the scene's source, bank row of the path point.
@@ -87,7 +87,7 @@ def focus_figures(
     field: Field | None = None,
     *,
     on_progress: Callable[[int, int], None] | None = None,
-) -> Foci:
+) -> FocusResults:
     """Find place, height, width and artefacts of a drive's foci, at most 64 of them, evenly chosen.
 
     field: The field to look at; by default the predicted one at all measured positions, computed at those instants
@@ -122,7 +122,9 @@ def focus_figures(
             on_progress(index + 1, count)
     position = np.array([one.row for one in instants], np.int64)
     source = np.array([one.source for one in instants], np.int64)
-    return Foci(source, position, sample / rate_hz, position_mm[position], at_mm, peak, off_mm, width_mm, artefact_db)
+    return FocusResults(
+        source, position, sample / rate_hz, position_mm[position], at_mm, peak, off_mm, width_mm, artefact_db
+    )
 
 
 def predicted_at(drive: Drive, bank: GreenSource, rows: Int64Array, sample: Int64Array) -> Float64Array:
