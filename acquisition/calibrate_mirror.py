@@ -81,13 +81,12 @@ class Operator(Protocol):
 
 
 Place = tuple[float, float]
-Pair = Place
 PLACES = ["x_mm", "y_mm"]
 PLACES_AND_ANGLES = [*PLACES, "x_mrad", "y_mrad"]
 MOST_MARKS = 1000
 
 
-def read_fiducials(path: Path) -> tuple[tuple[Pair, ...], tuple[Pair, ...] | None]:
+def read_fiducials(path: Path) -> tuple[tuple[Place, ...], tuple[Place, ...] | None]:
     """Read marks from a CSV file with the header ``x_mm,y_mm`` or ``x_mm,y_mm,x_mrad,y_mrad``.
 
     Returns places in millimetres, and angles in milliradians or None where the file has none.

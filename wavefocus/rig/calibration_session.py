@@ -30,7 +30,7 @@ from acquisition.calibrate_mirror import (
     Judged,
     NotMeasuredError,
     Operator,
-    Pair,
+    Place,
     fitted_marks,
     measure_mirror,
     output,
@@ -108,12 +108,12 @@ def amplitude_v(rig: RigConfig, request: Request) -> float:
     return request.amplitude_v
 
 
-def marks(rig: RigConfig, request: Request) -> tuple[tuple[Pair, ...], tuple[Pair, ...] | None]:
+def marks(rig: RigConfig, request: Request) -> tuple[tuple[Place, ...], tuple[Place, ...] | None]:
     """Places of the marks in millimetres, and their angles in milliradians where they are given.
 
     Raises InputError: A file that cannot be understood, or marks that no map can be fitted through.
     """
-    angles: tuple[Pair, ...] | None = None
+    angles: tuple[Place, ...] | None = None
     if request.fiducials is None:
         places = default_marks_mm(rig.surface.length_mm, rig.surface.width_mm)
         if not rig.surface.outline.contains(places).all():
