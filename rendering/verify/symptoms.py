@@ -9,18 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.optimize
-from numpy.typing import NDArray
 
-from calibration.neighbour_judge import RowSpectra
-from rendering.arrays import Complex128Array, Float32Array, Float64Array, Int64Array
+from rendering.arrays import Complex128Array, Float64Array
 from rendering.field.focus_figures import evenly
 from rendering.verify import symptom_words as words
 from rendering.verify.record import ActuatorFigures, Symptom
 from rendering.verify.row_shift import Shifts, find_shifts
+from rendering.verify.superposition import ALLOWED, Blocks, block_of, energy, sentinel_block, transforms
 
 if TYPE_CHECKING:
     from rendering.greens.source import GreenSource
@@ -31,8 +30,6 @@ MOST_ROWS, LEAST_ROWS, SPEED_ROWS = 48, 4, 12
 ROWS_BYTES = 64 << 20
 MOST_SENTINEL_ACTUATORS = 128
 """The sentinel's equations grow with the square of the number of actuators."""
-ALLOWED = 0.01
-"""Error of a sound bank, relative to the response."""
 LEAST_REDUCTION = 6.0
 """A cause takes off so much of the sum of squares, in units of what is allowed at one position."""
 LEAST_SHARE = 0.1
@@ -59,62 +56,6 @@ class Diagnosis:
     actuators: tuple[ActuatorFigures, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Block:
-    """Responses (rows, K) and what they are made of, each row over what is allowed of it: ``sum_i green_i drive_i``.
-
-    rows, float32 (r, A, L): Green's functions; `row_of` (rows,) says which of them belongs to a response.
-    """
-
-    frequency_hz: Float64Array
-    rate_hz: float
-    rows: Float32Array
-    row_of: Int64Array
-    weight: Float64Array
-    green: Complex128Array
-    drive: Complex128Array
-    response: Complex128Array
-
-    def stretched(self, speed: float) -> _Block:
-        """The same with waves so much faster: all that depends on time over distance comes earlier."""
-        green = transforms(self.rows, self.frequency_hz / (1.0 + speed), self.rate_hz)
-        return replace(self, green=green[self.row_of] * self.weight[:, None, None])
-
-    def driven(self, factor: Complex128Array | Float64Array) -> _Block:
-        """The same with drives multiplied by (A,) or (A, K)."""
-        return replace(self, drive=self.drive * factor)
-
-    def exchanged(self, one: int, other: int) -> _Block:
-        """The same with the drives of two actuators exchanged."""
-        order = np.arange(self.drive.shape[1])
-        order[[one, other]] = other, one
-        return replace(self, drive=self.drive[:, order])
-
-    def some(self, most: int) -> _Block:
-        """The same with some of the responses, or all where they share their rows."""
-        if len(self.rows) <= most:
-            return self
-        chosen = evenly(len(self.rows), most)
-        drive = self.drive if len(self.drive) == 1 else self.drive[chosen]
-        return replace(
-            self, rows=self.rows[chosen], row_of=np.arange(len(chosen)), weight=self.weight[chosen],
-            green=self.green[chosen], drive=drive, response=self.response[chosen],
-        )  # fmt: skip
-
-    @property
-    def parts(self) -> Complex128Array:
-        """What each actuator contributes, (rows, A, K)."""
-        return np.asarray(self.green * self.drive)
-
-    @property
-    def difference(self) -> Complex128Array:
-        """Response minus prediction, (rows, K)."""
-        return np.asarray(self.response - np.einsum("rak,rak->rk", self.green, self.drive))
-
-
-Blocks = tuple[_Block, ...]
-
-
 @dataclass(frozen=True, slots=True)
 class _State:
     """Blocks, and what was put right in them: factor and delay of each actuator (A,)."""
@@ -126,7 +67,7 @@ class _State:
     @property
     def left(self) -> float:
         """Sum of squares of the differences, in units of what is allowed."""
-        return sum(_energy(block.difference) for block in self.blocks)
+        return sum(energy(block.difference) for block in self.blocks)
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,14 +79,6 @@ class _Cause:
     apply: Callable[[], _State]
     named: bool
     """Whether it is large enough to be named where the error is within its limit."""
-
-
-def transforms(rows: NDArray[Any], frequency_hz: Float64Array, rate_hz: float) -> Complex128Array:
-    """Fourier transforms (..., K) of real rows (..., taps) at any frequencies."""
-    turns = np.remainder(np.outer(np.arange(rows.shape[-1]), frequency_hz / rate_hz), 1.0)
-    matrix = np.exp(-2j * np.pi * turns).astype(np.complex64).view(np.float32)
-    values = np.ascontiguousarray(rows, np.float32).reshape(-1, rows.shape[-1]) @ matrix
-    return np.asarray(values.view(np.complex64).reshape(*rows.shape[:-1], -1), np.complex128)
 
 
 def diagnose(
@@ -186,13 +119,12 @@ def diagnose(
     first, start, count = state, state.left, sum(len(block.response) for block in state.blocks)
     within = fields.error <= error_limit
     found: list[Symptom] = list(shifts.symptoms)
-    while len(found) < MOST_CAUSES:
+    for _ in range(2 * MOST_CAUSES):
         cause = _best(list(_causes(state)))
-        if cause is None or cause.reduction < max(LEAST_REDUCTION, LEAST_SHARE * start):
+        if cause is None or cause.reduction < max(LEAST_REDUCTION, LEAST_SHARE * start) or len(found) == MOST_CAUSES:
             break
-        if within and not cause.named:
-            break
-        found.append(replace(cause.symptom, explained=cause.reduction / start))
+        if cause.named or not within:
+            found.append(replace(cause.symptom, explained=cause.reduction / start))
         state = cause.apply()
     levels_db, left = _levels_together(first)
     uneven = np.abs(levels_db - np.median(levels_db)) >= LEAST_DB
@@ -213,17 +145,19 @@ def _state(fields: FieldComparison, bank: GreenSource, sentinel: Sentinel | None
     scanned = spectra.scanned[chosen].astype(np.complex128)
     own = np.arange(len(chosen))
     drive, noise = spectra.drive[None], spectra.noise[chosen]
-    blocks: Blocks = (_block(green, own, spectra.frequency_hz, bank.sample_rate_hz, drive, scanned, noise),)
+    blocks: Blocks = (block_of(green, own, spectra.frequency_hz, bank.sample_rate_hz, drive, scanned, noise),)
     if sentinel is not None and bank.actuators <= MOST_SENTINEL_ACTUATORS:
         row = shifts.row_at.get(sentinel.position, sentinel.position)
         if row >= 0:
-            blocks = (*blocks, _sentinel_block(sentinel, np.asarray(bank.green(row), np.float32), bank))
+            blocks = (*blocks, sentinel_block(sentinel, np.asarray(bank.green(row), np.float32), bank))
     return _State(blocks, np.ones(bank.actuators), np.zeros(bank.actuators))
 
 
 def wave_speed(sentinel: Sentinel, bank: GreenSource) -> float | None:
     """Change of the wave speed in % that explains most of the sentinel's change; None where it explains little."""
-    block = _sentinel_block(sentinel, np.asarray(bank.green(sentinel.position), np.float32), bank)
+    if bank.actuators > MOST_SENTINEL_ACTUATORS:
+        return None
+    block = sentinel_block(sentinel, np.asarray(bank.green(sentinel.position), np.float32), bank)
     state = _State((block,), np.ones(bank.actuators), np.zeros(bank.actuators))
     cause = _best(list(_causes(state)))
     if cause is None or cause.symptom.code != "speed" or cause.reduction < EXPLAINED * state.left:
@@ -233,38 +167,6 @@ def wave_speed(sentinel: Sentinel, bank: GreenSource) -> float | None:
 
 def _most_rows(bank: GreenSource) -> int:
     return int(np.clip(ROWS_BYTES // (4 * bank.actuators * bank.taps), LEAST_ROWS, MOST_ROWS))
-
-
-def _block(
-    rows: Float32Array,
-    row_of: Int64Array,
-    frequency_hz: Float64Array,
-    rate_hz: float,
-    drive: Complex128Array,
-    response: Complex128Array,
-    noise: Float64Array,
-) -> _Block:
-    green = transforms(rows, frequency_hz, rate_hz)[row_of]
-    predicted = np.einsum("rak,rak->rk", green, np.broadcast_to(drive, (len(row_of), *drive.shape[1:])))
-    level = 0.5 * (_energies(predicted) + _energies(response))
-    allowed = np.nan_to_num(noise) + ALLOWED**2 * level
-    weight = 1.0 / np.sqrt(np.where(allowed > 0.0, allowed, np.inf))
-    return _Block(
-        frequency_hz, rate_hz, rows, row_of, weight, green * weight[:, None, None], drive, response * weight[:, None]
-    )
-
-
-def _sentinel_block(sentinel: Sentinel, green: Float32Array, bank: GreenSource) -> _Block:
-    """One response for each actuator, which alone is driven, with 1 V at all frequencies."""
-    actuators, taps = green.shape
-    frequency_hz = RowSpectra(1, actuators, taps, bank.sample_rate_hz, bank.band_hz).frequency_hz
-    alone = np.repeat(np.eye(actuators)[:, :, None], len(frequency_hz), axis=2).astype(np.complex128)
-    response = transforms(sentinel.green, frequency_hz, bank.sample_rate_hz)
-    noise = (
-        2.0 * _energies(response) * 10.0 ** (-np.asarray(sentinel.snr_db, np.float64) / 10.0)
-    )  # of both measurements
-    row_of = np.zeros(actuators, np.int64)
-    return _block(green[None], row_of, frequency_hz, bank.sample_rate_hz, alone, response, noise)
 
 
 def _best(causes: list[_Cause]) -> _Cause | None:
@@ -385,10 +287,10 @@ def _at_speed(state: _State, speed: float) -> tuple[float, float]:
     """Sum of squares that is left with waves so much faster, and the factor on all responses that fits best."""
     blocks = [block.stretched(speed) for block in state.blocks]
     predicted = [block.response - block.difference for block in blocks]
-    energy = sum(_energy(one) for one in predicted)
+    own = sum(energy(one) for one in predicted)
     matched = sum(float((one.conj() * block.response).sum().real) for one, block in zip(predicted, blocks, strict=True))
-    factor = matched / energy if energy > 0.0 else 1.0
-    return sum(_energy(block.response) for block in blocks) - factor * matched, factor
+    factor = matched / own if own > 0.0 else 1.0
+    return sum(energy(block.response) for block in blocks) - factor * matched, factor
 
 
 def _best_speed(state: _State) -> tuple[float, float]:
@@ -432,7 +334,7 @@ def _solved(state: _State, *, delays: bool) -> tuple[Float64Array, float]:
         columns = np.concatenate([parts, -2j * np.pi * block.frequency_hz * parts], axis=1) if delays else parts
         matrix += np.einsum("rak,rbk->ab", columns.conj(), columns, optimize=True).real
         right += np.einsum("rak,rk->a", columns.conj(), difference).real
-        left += _energy(difference)
+        left += energy(difference)
     scale = np.sqrt(np.where(np.diag(matrix) > 0.0, np.diag(matrix), 1.0))
     changes = np.linalg.lstsq(matrix / np.outer(scale, scale), right / scale, rcond=1e-6)[0] / scale
     return changes, left - float(changes @ right)
@@ -457,11 +359,3 @@ def _actuator_figures(state: _State) -> tuple[ActuatorFigures, ...]:
 
 def _with_total(parts: Complex128Array) -> Complex128Array:
     return np.concatenate([parts, parts.sum(axis=1, keepdims=True)], axis=1)
-
-
-def _energies(values: NDArray[Any]) -> Float64Array:
-    return np.asarray(np.square(np.abs(values)).sum(axis=1), np.float64)
-
-
-def _energy(values: NDArray[Any]) -> float:
-    return float(np.square(np.abs(values)).sum())

@@ -1,0 +1,129 @@
+"""Responses as sums over actuators, ``sum_i green_i drive_i`` at some frequencies, each in units of what is allowed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.neighbour_judge import RowSpectra
+from rendering.arrays import Complex128Array, Float32Array, Float64Array, Int64Array
+from rendering.field.focus_figures import evenly
+
+if TYPE_CHECKING:
+    from rendering.greens.source import GreenSource
+    from rendering.verify.sentinel import Sentinel
+
+ALLOWED = 0.01
+"""Error of a sound bank, relative to the response."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Block:
+    """Responses (rows, K) and what they are made of, each row over what is allowed of it: ``sum_i green_i drive_i``.
+
+    rows, float32 (r, A, L): Green's functions; `row_of` (rows,) says which of them belongs to a response.
+    """
+
+    frequency_hz: Float64Array
+    rate_hz: float
+    rows: Float32Array
+    row_of: Int64Array
+    weight: Float64Array
+    green: Complex128Array
+    drive: Complex128Array
+    response: Complex128Array
+
+    def stretched(self, speed: float) -> Block:
+        """The same with waves so much faster: all that depends on time over distance comes earlier."""
+        green = transforms(self.rows, self.frequency_hz / (1.0 + speed), self.rate_hz)
+        return replace(self, green=green[self.row_of] * self.weight[:, None, None])
+
+    def driven(self, factor: Complex128Array | Float64Array) -> Block:
+        """The same with drives multiplied by (A,) or (A, K)."""
+        return replace(self, drive=self.drive * factor)
+
+    def exchanged(self, one: int, other: int) -> Block:
+        """The same with the drives of two actuators exchanged."""
+        order = np.arange(self.drive.shape[1])
+        order[[one, other]] = other, one
+        return replace(self, drive=self.drive[:, order])
+
+    def some(self, most: int) -> Block:
+        """The same with some of the responses, or all where they share their rows."""
+        if len(self.rows) <= most:
+            return self
+        chosen = evenly(len(self.rows), most)
+        drive = self.drive if len(self.drive) == 1 else self.drive[chosen]
+        return replace(
+            self, rows=self.rows[chosen], row_of=np.arange(len(chosen)), weight=self.weight[chosen],
+            green=self.green[chosen], drive=drive, response=self.response[chosen],
+        )  # fmt: skip
+
+    @property
+    def parts(self) -> Complex128Array:
+        """What each actuator contributes, (rows, A, K)."""
+        return np.asarray(self.green * self.drive)
+
+    @property
+    def difference(self) -> Complex128Array:
+        """Response minus prediction, (rows, K)."""
+        return np.asarray(self.response - np.einsum("rak,rak->rk", self.green, self.drive))
+
+
+Blocks = tuple[Block, ...]
+
+
+def transforms(rows: NDArray[Any], frequency_hz: Float64Array, rate_hz: float) -> Complex128Array:
+    """Fourier transforms (..., K) of real rows (..., taps) at any frequencies."""
+    turns = np.remainder(np.outer(np.arange(rows.shape[-1]), frequency_hz / rate_hz), 1.0)
+    matrix = np.exp(-2j * np.pi * turns).astype(np.complex64).view(np.float32)
+    values = np.ascontiguousarray(rows, np.float32).reshape(-1, rows.shape[-1]) @ matrix
+    return np.asarray(values.view(np.complex64).reshape(*rows.shape[:-1], -1), np.complex128)
+
+
+def block_of(
+    rows: Float32Array,
+    row_of: Int64Array,
+    frequency_hz: Float64Array,
+    rate_hz: float,
+    drive: Complex128Array,
+    response: Complex128Array,
+    noise: Float64Array,
+) -> Block:
+    """Put together responses (rows, K), drives (rows or 1, A, K) and Green's functions, each row in its own unit.
+
+    rows, row_of, frequency_hz, rate_hz: As of `Block`.
+    noise, float64 (rows,): Energy of the noise in each response, at these frequencies; NaN where unknown.
+    """
+    green = transforms(rows, frequency_hz, rate_hz)[row_of]
+    predicted = np.einsum("rak,rak->rk", green, np.broadcast_to(drive, (len(row_of), *drive.shape[1:])))
+    level = 0.5 * (energies(predicted) + energies(response))
+    allowed = np.nan_to_num(noise) + ALLOWED**2 * level
+    weight = 1.0 / np.sqrt(np.where(allowed > 0.0, allowed, np.inf))
+    return Block(
+        frequency_hz, rate_hz, rows, row_of, weight, green * weight[:, None, None], drive, response * weight[:, None]
+    )
+
+
+def sentinel_block(sentinel: Sentinel, green: Float32Array, bank: GreenSource) -> Block:
+    """One response for each actuator, which alone is driven, with 1 V at all frequencies."""
+    actuators, taps = green.shape
+    frequency_hz = RowSpectra(1, actuators, taps, bank.sample_rate_hz, bank.band_hz).frequency_hz
+    alone = np.repeat(np.eye(actuators)[:, :, None], len(frequency_hz), axis=2).astype(np.complex128)
+    response = transforms(sentinel.green, frequency_hz, bank.sample_rate_hz)
+    noise = 2.0 * energies(response) * 10.0 ** (-np.asarray(sentinel.snr_db, np.float64) / 10.0)  # of both measurements
+    row_of = np.zeros(actuators, np.int64)
+    return block_of(green[None], row_of, frequency_hz, bank.sample_rate_hz, alone, response, noise)
+
+
+def energies(values: NDArray[Any]) -> Float64Array:
+    """Sum of squares of each row."""
+    return np.asarray(np.square(np.abs(values)).sum(axis=1), np.float64)
+
+
+def energy(values: NDArray[Any]) -> float:
+    """Sum of squares of all values."""
+    return float(np.square(np.abs(values)).sum())
