@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.blas import one_blas_thread
 from calibration.imports.conversion import Conversion
 from calibration.imports.projection import Projection, choose_projection
 from storage.bank.layout import BankHeader
@@ -61,7 +62,7 @@ def import_bank(
     Raises InputError: the file cannot be read, or lacks a fact that an option can give.
     """
     kind = kind or recognised(source)
-    with opened(source, kind, options) as found:
+    with opened(source, kind, options) as found, one_blas_thread():
         measured = _swapped(found, source) if options.swap_roles else found
         try:
             projection = choose_projection(measured.position_m, options.columns)

@@ -131,7 +131,7 @@ class CausalConverter:
             self._weights = motion.factor * (1j * omega) ** motion.derivatives
         self._weights[~np.isfinite(self._weights)] = 0.0
         self._is_exact = len(bins) == period // 2 + 1 or taps == period
-        self._factor: tuple[Float64Array, bool] | None = None
+        self._inverse: Float64Array | None = None
         self.whole = self.left = 0.0
 
     def convert(self, spectra: ComplexArray) -> tuple[Float32Array, Float64Array]:
@@ -157,26 +157,25 @@ class CausalConverter:
             largest = np.abs(values).max(axis=1, keepdims=True)
             scale = np.where(largest > 0, largest, 1.0)  # single precision is not the limit
             return np.asarray(fit.solve((values / scale).astype(np.complex64), np.zeros(len(values))).green * scale)
-        if self._factor is None:
-            self._factor = self._factorised(RIDGE)
-            green = scipy.linalg.cho_solve(self._factor, wanted.T).T
+        if self._inverse is None:
+            self._inverse = self._inverted(RIDGE)
+            green = wanted @ self._inverse
             elements = 2 * len(self._bins)
             freedom = elements - min(self.taps, elements * self.taps / self._period + 2 * np.log(self.taps + 1))
             variance = 2 / self._period * self._left(values, green) / max(freedom, 1.0)
             energy = _energy(green) / self.taps
             likely = float(np.median(variance / np.where(energy > 0, energy, np.inf)))
             if likely > 2 * RIDGE:
-                self._factor = self._factorised(min(likely, MOST_RIDGE))
-        return np.asarray(scipy.linalg.cho_solve(self._factor, wanted.T).T)
+                self._inverse = self._inverted(min(likely, MOST_RIDGE))
+        return wanted @ self._inverse
 
-    def _factorised(self, ridge: float) -> tuple[Float64Array, bool]:
-        """The normal equations' matrix: 1 where all frequencies are there."""
+    def _inverted(self, ridge: float) -> Float64Array:
+        """The inverse of the normal equations' matrix, which is 1 where all frequencies are there."""
         there = np.zeros(self._period // 2 + 1)
         there[self._bins] = 1.0
         gram = scipy.linalg.toeplitz(scipy.fft.irfft(there, self._period)[: self.taps])
         gram[np.diag_indices_from(gram)] += ridge
-        lower, is_lower = scipy.linalg.cho_factor(gram, overwrite_a=True, check_finite=False)
-        return lower, bool(is_lower)
+        return np.asarray(scipy.linalg.inv(gram, overwrite_a=True, check_finite=False))
 
     def _left(self, values: ComplexArray, green: Float64Array) -> Float64Array:
         return _energy(np.abs(values - scipy.fft.rfft(green, self._period)[:, self._bins]))

@@ -262,6 +262,7 @@ def test_given_a_damaged_file_then_it_is_read_or_refused(tmp_path: Path, kind: s
 
 
 @pytest.mark.long
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize("kind", FORMATS)
 def test_given_hundreds_of_damaged_files_then_each_import_ends_well(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str
