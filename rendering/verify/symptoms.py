@@ -37,7 +37,8 @@ LEAST_SHARE = 0.1
 EXPLAINED = 0.8
 MANY_LEFT = 0.05
 """The levels of many actuators are named together when they leave no more than this share."""
-TIE = 0.02
+TIE, LEAST_TIE = 0.02, 0.5
+"""Causes that take off so little less, as a share or in units of what is allowed, do about as well."""
 MOST_CAUSES = 3
 LEAST_DB, LEAST_DELAY_S, LEAST_SPEED = 0.5, 1e-4, 0.01
 """Smaller causes are not named while the error is within its limit: 1 dB, 0.2 ms and 2 % are, whatever the noise."""
@@ -128,7 +129,8 @@ def diagnose(
         state = cause.apply()
     levels_db, left = _levels_together(first)
     uneven = np.abs(levels_db - np.median(levels_db)) >= LEAST_DB
-    if np.count_nonzero(uneven) >= max(2, len(uneven) / 2) and left < min(start * MANY_LEFT, state.left):
+    many = np.count_nonzero(uneven) >= max(2, len(uneven) / 2) and state.left > count
+    if many and left < min(start * MANY_LEFT, state.left / 4):
         return Diagnosis((*shifts.symptoms, words.other_levels(levels_db)), _actuator_figures(first))
     if state.left > max((1.0 - EXPLAINED) * start, count * (error_limit / ALLOWED) ** 2):
         nameless = (words.unexplained(fields.correlation_median, ALIKE),) if model_error > error_limit else ()
@@ -170,12 +172,16 @@ def _most_rows(bank: GreenSource) -> int:
 
 
 def _best(causes: list[_Cause]) -> _Cause | None:
-    """The cause that takes off most; of those that do about as well, the first, which is the plainest."""
+    """The cause that takes off most; of kinds that do about as well, the first, which is the plainest."""
     if not causes:
         return None
     most = max(cause.reduction for cause in causes)
-    enough = most - max(LEAST_REDUCTION, TIE * most)
-    return next(cause for cause in causes if cause.reduction >= enough)
+    first = next(cause for cause in causes if cause.reduction >= most - max(TIE * abs(most), LEAST_TIE))
+    kind = first.symptom.code, len(first.symptom.actuators)
+    return max(
+        (cause for cause in causes if (cause.symptom.code, len(cause.symptom.actuators)) == kind),
+        key=lambda cause: cause.reduction,
+    )
 
 
 def _causes(state: _State) -> Iterator[_Cause]:
