@@ -192,28 +192,32 @@ class Conversion:
         for position, row in enumerate(self._rows):
             if np.isnan(row).all():
                 yield position, None, None
-                continue
-            share = None
-            if self._converter is not None:
-                values = self._take(row)
-                self._require_finite(values, position)
-                green, share = self._converter.convert(values)
             else:
-                self._require_finite(row, position)
-                green = self._shifted(row, self.taps).astype(np.float32)
-                if self._factor != 1.0:
-                    green = (green * self._factor).astype(np.float32)
-                first, last = max(-self._shift, 0), max(self.taps - self._shift, 0)
-                self._whole += _energy(row)
-                self._cut += _energy(row[:, :first]) + _energy(row[:, max(last, first) :])
-            if self._options.end != "keep":
-                whole = green
-                green = (green * self._window).astype(np.float32)
-                self._ends += _energy(whole - green)
-                self._kept += _energy(whole)
-            self._require_finite(green, position)
-            with np.errstate(divide="ignore"):
-                yield position, green, None if share is None else 10 * np.log10(np.maximum(share, 1e-30))
+                # What is beyond single precision becomes infinite and is refused.
+                with np.errstate(over="ignore", invalid="ignore"):
+                    green, residual_db = self._converted(row, position)
+                yield position, green, residual_db
+
+    def _converted(self, row: NDArray[Any], position: int) -> tuple[NDArray[np.float32], Float64Array | None]:
+        residual_db = None
+        if self._converter is not None:
+            values = self._take(row)
+            self._require_finite(values, position)
+            green, share = self._converter.convert(values)
+            residual_db = 10 * np.log10(np.maximum(share, 1e-30))
+        else:
+            self._require_finite(row, position)
+            green = (self._shifted(row, self.taps) * self._factor).astype(np.float32)
+            first, last = max(-self._shift, 0), max(self.taps - self._shift, 0)
+            self._whole += _energy(row)
+            self._cut += _energy(row[:, :first]) + _energy(row[:, max(last, first) :])
+        if self._options.end != "keep":
+            whole = green
+            green = (green * self._window).astype(np.float32)
+            self._ends += _energy(whole - green)
+            self._kept += _energy(whole)
+        self._require_finite(green, position)
+        return green, residual_db
 
     def _require_finite(self, row: NDArray[Any], position: int) -> None:
         if not np.isfinite(row).all():

@@ -127,7 +127,8 @@ def _function(file: IO[bytes], title: bytes, path: Path) -> Function:
         flat = np.ascontiguousarray(table[:, 1:]).reshape(-1)
     if not (math.isfinite(start) and math.isfinite(step) and step > 0):
         raise InputError(f"{path}: a function (58) has the step {step:g} of its axis; more than 0 is needed")
-    values = flat.view(np.complex128).astype(np.complex64) if is_complex else flat.astype(np.float32)
+    with np.errstate(over="ignore"):  # what is beyond single precision becomes infinite and is refused
+        values = flat.view(np.complex128).astype(np.complex64) if is_complex else flat.astype(np.float32)
     quantities = tuple(_int(line[:10]) for line in head[8:10])
     labels = [require_plain(_decoded(line[47:67]), path, "a unit") for line in head[8:10]]
     return Function(
