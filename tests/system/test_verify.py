@@ -132,7 +132,7 @@ def test_given_a_verification_killed_in_its_scan_then_the_same_command_goes_on_t
     assert not (out / "verify.json").exists()
     capsys.readouterr()
     assert run(command) == 0
-    assert "are scanned already" in capsys.readouterr().err
+    assert "the interrupted scan goes on" in capsys.readouterr().err
     assert (out / "scan.h5").read_bytes() == undisturbed
     assert not journal.exists()
 

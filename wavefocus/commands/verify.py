@@ -247,12 +247,12 @@ class _Work:
         samples = drive.drive_v.shape[1] + bank.taps - 1
         with ScanJournal(path, identity, samples, replace=self.force) as journal:
             if len(journal):
-                say(f"{len(journal)} positions are scanned already: the scan goes on; {path} keeps them")
+                say(f"the interrupted scan goes on; positions scanned before: {len(journal)}, kept in {path}")
             try:
                 yield journal
             except BaseException:
                 if len(journal):
-                    say(f"{path} keeps the {len(journal)} positions scanned so far; the same command goes on with them")
+                    say(f"positions scanned so far: {len(journal)}, kept in {path}; the same command goes on with them")
                 raise
 
     def _sentinel(self, setup: Setup) -> Sentinel | None:
