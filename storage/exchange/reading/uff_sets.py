@@ -299,8 +299,9 @@ def _fixed(text: bytes, line_bytes: int, width: int) -> Float64Array | None:
     )
     if not sound:
         return None
-    sums = figures.astype(np.float32) @ layout.weights  # columns without a digit have no weight
-    value = sums[:, 0] * layout.scale + sums[:, 1].astype(np.float64)
+    # Columns without a digit have no weight; the sums are whole and below 2**24, exact in single precision.
+    sums = (figures.astype(np.float32) @ layout.weights).astype(np.float64)
+    value = sums[:, 0] * layout.scale + sums[:, 1]
     exponent = np.where(small, -sums[:, 2], sums[:, 2]).astype(np.int64) - layout.places
     value *= _POWERS[exponent + 400]
     return np.where(negative, -value, value)
