@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import io
 import struct
 import zlib
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from storage import hdf5_reading
 from storage.errors import InputError
@@ -18,39 +19,91 @@ from storage.exchange.reading.hdf5_arrays import compound_complex, read_arrays, 
 from storage.exchange.reading.measured import SPARE_BYTES, UNFOLDS, ImportOptions, Measured, require_honest
 from storage.exchange.reading.named_arrays import NamedArrays, measured_arrays
 
-_HEADER_BYTES, _COMPRESSED, _MATRIX = 128, 15, 14
+_HEADER_BYTES, _MATRIX, _COMPRESSED = 128, 14, 15
+_STRUCT, _CHAR, _NUMBERS = 2, 4, range(6, 16)
+_TYPES = {
+    1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8", 16: "u1", 17: "u2",
+}  # fmt: skip
 
 
 def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
-    """Read variables by name, or the fields of the one struct that holds `green`; objects are never made."""
+    """Read variables by name, or the fields of the one struct that holds `green`; objects are never made.
+
+    Level 5 is read here and not by SciPy, which a damaged file can crash (MAT-File Format, MathWorks, chapter 1).
+    """
     with path.open("rb") as file:
-        head = file.read(10)
+        head = file.read(_HEADER_BYTES)
     if head.startswith(b"MATLAB 7.3"):
         return read_arrays(path, options, stack, _understand)
     if head.startswith(b"\x89HDF"):
         raise InputError(f"{path} is HDF5 without MATLAB's header; import it with --from netcdf")
-    from scipy.io import loadmat, whosmat
-
-    plain = stack.enter_context(_unfolded(path))
-    kinds = {name: kind for name, _, kind in whosmat(plain)}
-    structs = [name for name, kind in kinds.items() if kind == "struct"]
-    inside: dict[str, Any] = {}
-    if "green" not in kinds and len(structs) == 1 and not options.names:
-        plain.seek(0)
-        value = loadmat(plain, variable_names=structs)[structs[0]]
-        if value.size == 1 and value.dtype.names:
-            inside = {name: value.reshape(-1)[0][name] for name in value.dtype.names}
+    order = "<" if head[126:128] == b"IM" else ">"
+    variables: dict[str, Any] = {}
+    for kind, content in _elements(np.memmap(path, np.uint8, "r").data[_HEADER_BYTES:], order):
+        element = (kind, content)
+        if kind == _COMPRESSED:
+            most = UNFOLDS * len(content) + SPARE_BYTES
+            whole = zlib.decompressobj().decompress(content, most)
+            if len(whole) == most:
+                require_honest(path, "a compressed element", most + 1, len(content))
+            element = next(_elements(memoryview(whole), order))
+        if element[0] == _MATRIX:
+            name, value = _matrix(element[1], order)
+            variables[name] = value
+    structs = [value for value in variables.values() if isinstance(value, dict)]
+    if "green" not in variables and len(structs) == 1 and not options.names:
+        variables = structs[0]
 
     def get(name: str) -> Any:
-        value = inside.get(name)
-        if value is None and name in kinds and kinds[name] not in ("object", "opaque", "function", "cell", "struct"):
-            plain.seek(0)
-            value = loadmat(plain, variable_names=[name]).get(name)
-        if isinstance(value, np.ndarray) and value.dtype.kind == "U":
-            return str(value.reshape(-1)[0]) if value.size else ""
-        return _squeezed(name, value)
+        value = variables.get(name)
+        return None if isinstance(value, dict) else _squeezed(name, value)
 
-    return measured_arrays(NamedArrays(path, get, inside or kinds), options)
+    return measured_arrays(NamedArrays(path, get, variables), options)
+
+
+def _elements(content: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
+    """Type and content of each data element, one after the other."""
+    at = 0
+    while at + 8 <= len(content):
+        kind, count = struct.unpack_from(f"{order}II", content, at)
+        start, step = at + 8, count if kind == _COMPRESSED else -(-count // 8) * 8
+        if kind >> 16:  # a small element: type, size and content in 8 bytes
+            kind, count, start, step = kind & 0xFFFF, kind >> 16, at + 4, 0
+        if start + count > len(content):
+            raise ValueError(f"an element declares {count} bytes and {len(content) - start} are there")
+        yield kind, content[start : start + count]
+        at = max(start, at + 8) + step
+
+
+def _matrix(content: memoryview, order: str) -> tuple[str, Any]:
+    """Name and value of an array: numbers, a text, a struct as a dictionary; None for what is neither."""
+    parts = _elements(content, order)
+    if not len(content):
+        return "", None
+    (_, flags), (_, extents), (_, name) = next(parts), next(parts), next(parts)
+    kind, shape = int(np.frombuffer(flags, f"{order}u4")[0]), np.frombuffer(extents, f"{order}i4").tolist()
+    label = bytes(name).decode("latin-1")
+    if kind & 0xFF == _CHAR:
+        code, text = next(parts, (1, memoryview(b"")))
+        return label, bytes(text).decode(
+            {17: "utf-16-le" if order == "<" else "utf-16-be", 4: "utf-16-le"}.get(code, "utf-8")
+        )
+    if kind & 0xFF == _STRUCT and shape == [1, 1]:
+        width = int(np.frombuffer(next(parts)[1], f"{order}i4")[0])
+        names = bytes(next(parts)[1])
+        keys = [names[at : at + width].split(b"\0")[0].decode("latin-1") for at in range(0, len(names), max(width, 1))]
+        return label, {key: _matrix(part, order)[1] for key, (_, part) in zip(keys, parts, strict=False)}
+    if kind & 0xFF not in _NUMBERS:
+        return label, None
+    values = _numbers(next(parts), order)
+    if kind & 0x0800:
+        values = values + 1j * _numbers(next(parts), order)
+    return label, values.reshape(shape, order="F")
+
+
+def _numbers(element: tuple[int, memoryview], order: str) -> NDArray[Any]:
+    kind, content = element
+    return np.frombuffer(content, f"{order}{_TYPES[kind]}")
 
 
 def _squeezed(name: str, value: Any) -> Any:
@@ -66,34 +119,3 @@ def _understand(dataset: h5py.Dataset) -> Any:
         return "".join(chr(int(one)) for one in values.reshape(-1)[:255])
     name = str(dataset.name).rpartition("/")[2]
     return _squeezed(name, compound_complex(values).T)
-
-
-def _unfolded(path: Path) -> Any:
-    """A file of level 5 without compression: in memory, bounded, where an element is compressed."""
-    size = path.stat().st_size
-    file = path.open("rb")
-    header = file.read(_HEADER_BYTES)
-    order = "<" if header[126:128] == b"IM" else ">"
-    whole, compressed = io.BytesIO(), False
-    whole.write(header)
-    while len(tag := file.read(8)) == 8:
-        kind, count = struct.unpack(f"{order}II", tag)
-        if count > size:
-            file.close()
-            raise InputError(f"{path} is damaged: an element declares {count} bytes and the file holds {size}")
-        if kind != _COMPRESSED:
-            if not compressed and kind == _MATRIX:
-                file.seek(0)
-                return file
-            whole.write(tag + file.read(count))
-            continue
-        compressed = True
-        most = UNFOLDS * count + SPARE_BYTES
-        piece = zlib.decompressobj().decompress(file.read(count), most)
-        if len(piece) == most:
-            file.close()
-            require_honest(path, "a compressed element", most + 1, count)
-        whole.write(piece)
-    file.close()
-    whole.seek(0)
-    return whole
