@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+_LONGEST_S = 100 * 365.25 * 86400
+
 
 def a_while(seconds: float) -> str:
     """A duration that is not over, for people: as `hours`, but never 0 s."""
@@ -15,6 +17,8 @@ def hours(seconds: float) -> str:
     """A duration for people: ``2 h 05 min``, ``4 min 10 s``, ``12 s``."""
     if not math.isfinite(seconds):
         return "unknown"
+    if seconds > _LONGEST_S:
+        return "over 100 years"
     whole = max(0, round(seconds))
     if whole >= 3600:
         return f"{whole // 3600} h {whole % 3600 // 60:02d} min"

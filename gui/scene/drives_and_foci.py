@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -68,8 +69,9 @@ def render_while_edited(
     plain = replace(scene, output=Output(interpolation=scene.output.interpolation))
     lasts_s = max(emission_s(source, bank.sample_rate_hz) for source in scene.sources)
     if lasts_s > LONGEST_S:
+        length = hours(min(lasts_s, sys.float_info.max))
         raise InputError(
-            f"the scene lasts {hours(lasts_s)}; while it is edited, scenes of up to {hours(LONGEST_S)} are calculated."
+            f"the scene lasts {length}; while it is edited, scenes of up to {hours(LONGEST_S)} are calculated."
             " Shorten it, or save the drive, which may last longer"
         )
     lasts_s += (bank.taps - 1) / bank.sample_rate_hz
@@ -166,7 +168,8 @@ def emission_s(source: Source, sample_rate_hz: float) -> float:
         signal_s = len(source.signal.samples(sample_rate_hz)) / sample_rate_hz
     travel_s = 0.0
     if source.path.length_mm > 0 and source.speed_mm_s > 0 and source.step_mm > 0:
-        points = math.floor(source.path.length_mm / source.step_mm + 1e-9) + 1
+        steps = source.path.length_mm / source.step_mm + 1e-9
+        points = math.floor(steps) + 1 if math.isfinite(steps) else math.inf
         travel_s = points * source.step_mm / source.speed_mm_s
         if source.emission == "continuous":
             return source.start_s + travel_s

@@ -181,6 +181,7 @@ def test_given_a_drive_that_is_too_long_then_its_beginning_is_rendered(finished:
         (Source(Point((0.0, 0.0)), Sine(100.0, 0.5), start_s=1.0), 1.5),
         (Source(Line((0.0, 0.0), (4.5, 0.0)), Sine(100.0, 0.5), speed_mm_s=15.0, step_mm=1.5), 0.4),
         (Source(Line((0.0, 0.0), (4.5, 0.0)), Impulse(), speed_mm_s=15.0, step_mm=1.5, emission="per_point"), 0.4001),
+        (Source(Line((0.0, 0.0), (1e308, 1e308)), Impulse(), speed_mm_s=1.0, step_mm=1e-12), np.inf),
     ],
 )
 def test_given_a_source_then_it_is_known_how_long_it_emits_before_it_is_sampled(source: Source, lasts_s: float) -> None:

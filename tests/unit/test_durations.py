@@ -14,6 +14,7 @@ from acquisition.wording import hours
         (3599.6, "1 h 00 min"),
         (108_000.0, "30 h 00 min"),
         (-5.0, "0 s"),
+        (1e300, "over 100 years"),
         (float("inf"), "unknown"),
         (float("nan"), "unknown"),
     ],
