@@ -20,6 +20,7 @@ from rendering.verify.scan import ScanPlan, scan
 from rendering.verify.sentinel import measure_sentinel
 from rendering.verify.verdict import Verification, compare
 from storage.bank.reading import Bank, open_bank
+from tests.system.conftest import RUN
 from wavefocus.__main__ import run
 from wavefocus.campaign.blueprint import bank_configuration, blueprint_of
 from wavefocus.commands.render import rendered
@@ -29,28 +30,7 @@ from wavefocus.rig.setup import open_setup
 ACTUATOR_MM = [[110.0, 5.0], [10.0, 60.0], [-100.0, 20.0], [-15.0, -62.0]]
 AXIS_MM = [-8.0, -4.0, 0.0, 4.0, 8.0]
 RIG = f'[rig]\nname = "four coils"\n\n[actuators]\nposition_mm = {ACTUATOR_MM}\n'
-RUN = """
-rig = "rig.toml"
-
-[grid]
-positions_file = "positions.csv"
-
-[sweep]
-duration_s = 0.3
-
-[capture]
-averages = 2
-decay_s = 0.1
-taps = 1000
-
-[quality]
-second_look = "never"
-
-[virtual]
-seed = 3
-noise_v = 1e-4
-speed_per_k = 0.02
-"""
+SLOWER_WHEN_COLD = RUN + "speed_per_k = 0.02\n"
 SCENE = """
 [scene]
 name = "stroke"
@@ -71,7 +51,7 @@ limit_v = 1.0
 def measured_lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a bank of 25 positions and 4 actuators, measured on a sound rig."""
     lab = tmp_path_factory.mktemp("sound")
-    for name, text in (("rig.toml", RIG), ("run.toml", RUN), ("scene.toml", SCENE)):
+    for name, text in (("rig.toml", RIG), ("run.toml", SLOWER_WHEN_COLD), ("scene.toml", SCENE)):
         (lab / name).write_text(text, encoding="utf-8")
     places = "".join(f"{x},{y}\n" for y in AXIS_MM for x in AXIS_MM)
     (lab / "positions.csv").write_text("x_mm,y_mm\n" + places, encoding="utf-8")
