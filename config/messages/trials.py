@@ -1,0 +1,123 @@
+"""Orders to ``wavefocus trials --lines`` and its events, one JSON object per line; the window uses them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from config.messages.codec import Message
+
+Phase = Literal["welcome", "familiarisation", "trial", "break", "done"]
+
+
+@dataclass(frozen=True)
+class GoOn(Message, order="go_on"):
+    """Leave the first page, a break, or go to the next trial where trials wait for it."""
+
+
+@dataclass(frozen=True)
+class Answer(Message, order="answer"):
+    """The participant's answer to the trial that waits for one.
+
+    choice: One of the design's answers.
+    at_s: Instant on the machine's monotonic clock (`time.monotonic`, shared by its processes); None: when it arrives.
+    by: Input it came from.
+    """
+
+    sparse = True
+    choice: str
+    at_s: float | None = None
+    by: Literal["keyboard", "button", "touch", "program"] = "program"
+
+
+@dataclass(frozen=True)
+class Replay(Message, order="replay"):
+    """Present the same stimulus again; counted, refused where the design does not allow it."""
+
+
+@dataclass(frozen=True)
+class EndTrials(Message, order="end"):
+    """Mute and end; the session goes on with the next trial when the same command is given again."""
+
+
+ORDERS = (GoOn, Answer, Replay, EndTrials)
+
+
+@dataclass(frozen=True)
+class Welcome(Message, event="welcome"):
+    """First page.
+
+    stored: Sentences that say what is stored about a participant, and where.
+    done, of: Trials with an answer and in all; `resumed` where some were answered before.
+    answers: Choices with the keys that give them.
+    """
+
+    name: str
+    participant: str
+    instruction: str
+    question: str
+    stored: tuple[str, ...]
+    done: int
+    of: int
+    resumed: bool
+    answers: Mapping[str, str]
+    replay_allowed: bool
+
+
+@dataclass(frozen=True)
+class TrialsState(Message, event="state"):
+    """Where the session stands.
+
+    waiting: What it waits for: an order "go_on", an order "answer", or the end of a stimulus ("playing").
+    trial, of: Number of the trial from 1, and of all; None for an adaptive design whose length is open.
+    block, blocks: Likewise.
+    note: A sentence for the experimenter, as that a trial is repeated since an instrument was lost; else empty.
+    """
+
+    phase: Phase
+    waiting: Literal["go_on", "answer", "playing", "nothing"]
+    trial: int
+    of: int | None
+    block: int
+    blocks: int | None
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Presented(Message, event="presented"):
+    """A stimulus has sounded to its end; onset on the machine's monotonic clock, None in the familiarisation."""
+
+    trial: int
+    stimulus: str
+    onset_s: float | None
+    onset_error_ms: float | None
+
+
+@dataclass(frozen=True)
+class AnswerStored(Message, event="stored"):
+    """The answer is on disk."""
+
+    trial: int
+    choice: str
+    correct: bool | None
+    reaction_s: float
+
+
+@dataclass(frozen=True)
+class TrialsRefused(Message, event="refused"):
+    """An order was wrong: what, and what is allowed."""
+
+    sentence: str
+
+
+@dataclass(frozen=True)
+class TrialsEnded(Message, event="ended"):
+    """The last line; the outputs are muted."""
+
+    done: int
+    of: int | None
+    complete: bool
+
+
+EVENTS = (Welcome, TrialsState, Presented, AnswerStored, TrialsRefused, TrialsEnded)

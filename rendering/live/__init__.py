@@ -1,0 +1,1 @@
+"""Drives of sources whose positions arrive while they sound."""
