@@ -93,6 +93,10 @@ class PositionedFile:
                 self.read_into(offset, memoryview(block)[:readable])
             self.write(offset, memoryview(block))
 
+    def truncate(self, size: int) -> None:
+        """Drop what lies beyond ``size`` bytes."""
+        os.ftruncate(self._fd, size)
+
     def size(self) -> int:
         """Bytes in the file."""
         return os.fstat(self._fd).st_size

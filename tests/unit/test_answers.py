@@ -1,0 +1,145 @@
+"""The file of answers: what is stored stays, what was not is cut off, and what others wrote is refused."""
+
+from __future__ import annotations
+
+import csv
+import os
+from dataclasses import astuple, replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from storage.errors import BankBusyError, InputError
+from trials.answers import (
+    ANSWERS,
+    COLUMNS,
+    AnswersFile,
+    Row,
+    check_participant,
+    read_answers,
+    read_facts,
+    write_facts,
+)
+
+ROW = Row(
+    "P01", 1, 1, "", "right-40mm_s-burst", 'to the "right", slowly', "burst", 40.0, 0.1 + 0.2, 1, "right", True,
+    0.612345678901234, -0.0625, 0, 1, "keyboard", "2026-11-25T21:40:00.123+01:00", "a" * 64, "b" * 64, "c" * 64,
+)  # fmt: skip
+NEXT = replace(ROW, trial=2, correct=None, speed_mm_s=None, onset_error_ms=None, by="touch")
+
+
+def stored(folder: Path, *rows: Row) -> bytes:
+    with AnswersFile(folder) as file:
+        for row in rows:
+            file.append(row)
+    return (folder / ANSWERS).read_bytes()
+
+
+def test_given_answers_then_they_are_read_as_they_were_and_by_any_csv_reader(tmp_path: Path) -> None:
+    stored(tmp_path, ROW, NEXT)
+    assert read_answers(tmp_path) == (ROW, NEXT)
+    with (tmp_path / ANSWERS).open(newline="", encoding="utf-8") as file:
+        first, second = csv.DictReader(file)
+    assert tuple(first) == tuple(COLUMNS) == Row.__slots__
+    assert float(first["amplitude"]) == 0.1 + 0.2
+    assert (second["correct"], second["speed_mm_s"], first["path"]) == ("", "", 'to the "right", slowly')
+    assert not (tmp_path / "trials.csv.owner").exists()
+
+
+def test_given_a_power_cut_at_every_byte_of_an_answer_then_those_before_it_stay_and_the_next_follows(
+    tmp_path: Path,
+) -> None:
+    before = stored(tmp_path, ROW)
+    whole = stored(tmp_path, NEXT)
+    for length in range(len(before), len(whole)):
+        for rest in (b"", b"\0" * (len(whole) - length)):  # a file system may have made room and written nothing
+            (tmp_path / ANSWERS).write_bytes(whole[:length] + rest)
+            kept = read_answers(tmp_path)
+            assert kept in ((ROW,), (ROW, NEXT))
+            assert (kept == (ROW, NEXT)) == (length >= len(whole) - 2 and not rest)
+            later = replace(NEXT, trial=3)
+            stored(tmp_path, later)
+            assert read_answers(tmp_path) == (*kept, later)
+
+
+def test_given_a_power_cut_while_the_file_was_made_then_it_is_made(tmp_path: Path) -> None:
+    header = stored(tmp_path)
+    for length in range(len(header)):
+        (tmp_path / ANSWERS).write_bytes(header[:length])
+        assert read_answers(tmp_path) == ()
+        assert stored(tmp_path) == header
+
+
+@pytest.mark.parametrize(
+    ("find", "put"),
+    [
+        (b"\r\n", b"\n"),  # resaved
+        (b"participant", b"\xef\xbb\xbfparticipant"),
+        (b"P01,1,1", b"P01,1,0"),
+        (b"P01,1,1", b"P01,1"),
+        (b"P01,1,1", b"Ann Smith,1,1"),
+        (b"true", b"yes"),
+        (b"40.0", b"inf"),
+        (b"a" * 64, b"a" * 63),
+        (b"burst,40", b"b\xffrst,40"),
+        (b"burst,40", b"b\x00rst,40"),
+    ],
+)
+def test_given_answers_that_another_program_changed_then_they_are_refused_and_stay(
+    tmp_path: Path, find: bytes, put: bytes
+) -> None:
+    content = stored(tmp_path, ROW, NEXT).replace(find, put)
+    (tmp_path / ANSWERS).write_bytes(content)
+    for opens in (read_answers, AnswersFile):
+        with pytest.raises(InputError, match="line"):
+            opens(tmp_path)
+    assert (tmp_path / ANSWERS).read_bytes() == content
+
+
+def test_given_a_link_or_a_second_process_then_nothing_is_written(tmp_path: Path) -> None:
+    (tmp_path / "elsewhere.csv").write_bytes(b"")
+    (tmp_path / ANSWERS).symlink_to(tmp_path / "elsewhere.csv")
+    with pytest.raises(InputError):
+        AnswersFile(tmp_path)
+    with AnswersFile(tmp_path / "folder"), pytest.raises(BankBusyError, match=str(os.getpid())):
+        AnswersFile(tmp_path / "folder")
+
+
+def test_given_what_no_row_can_hold_then_it_is_refused_before_it_is_written(tmp_path: Path) -> None:
+    before = stored(tmp_path, ROW)
+    for wrong in ({"stimulus": "a\r\nb"}, {"reaction_s": float("nan")}, {"participant": "Ann Smith"}, {"trial": 0}):
+        with pytest.raises(ValueError, match=r"."):
+            stored(tmp_path, replace(ROW, **wrong))  # type: ignore[arg-type]
+    assert (tmp_path / ANSWERS).read_bytes() == before
+
+
+@given(
+    text=st.text(st.characters(exclude_categories=["C", "Z"]), max_size=20),
+    number=st.floats(allow_nan=False, allow_infinity=False),
+)
+def test_given_any_texts_and_numbers_then_a_row_comes_back_to_the_bit(
+    tmp_path_factory: pytest.TempPathFactory, text: str, number: float
+) -> None:
+    folder = tmp_path_factory.mktemp("answers")
+    row = replace(ROW, stimulus=text, answer=text, amplitude=number, reaction_s=number)
+    if text.isprintable():
+        stored(folder, row)
+        assert astuple(read_answers(folder)[0]) == astuple(row)
+
+
+def test_given_names_of_people_then_they_are_no_codes() -> None:
+    assert check_participant("P-07") == "P-07"
+    for name in ("", "Ann Smith", "x" * 21, "../P1", "Ä", "P1\n"):
+        with pytest.raises(InputError, match="participant"):
+            check_participant(name)
+
+
+def test_given_facts_then_they_come_back_with_every_column(tmp_path: Path) -> None:
+    write_facts(tmp_path, {"name": "paper"})
+    assert read_facts(tmp_path)["name"] == "paper"
+    assert set(read_facts(tmp_path)["columns"]) == set(Row.__slots__)
+    (tmp_path / "trials.json").write_text("{}")
+    with pytest.raises(InputError):
+        read_facts(tmp_path)

@@ -1,0 +1,324 @@
+"""The answers of an experiment: ``trials.csv``, one row per answer, and ``trials.json``, its facts and columns.
+
+A row is on the disk before its answer counts as stored. What a power cut left of a row that was not is cut off when the
+file is opened again; the rows before it stay as they are.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import re
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import astuple, dataclass
+from pathlib import Path
+from typing import Any, get_type_hints
+
+from storage import durable
+from storage.durable import Closing
+from storage.errors import InputError
+from storage.ledger.owner import remove_owner, take_ownership, write_owner
+from storage.output_files import write_whole
+from storage.sidecar_files import create
+from storage.text_file import read_text
+
+ANSWERS, FACTS = "trials.csv", "trials.json"
+FORMAT = "wavefocus-trials"
+_LINE_END = "\r\n"  # RFC 4180
+_CODE = re.compile(r"[A-Za-z0-9-]{1,20}")
+_SHA256 = re.compile(r"[0-9a-f]{64}")
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One answer; `COLUMNS` describes each field. Fields that are None, and empty texts, are empty in the file."""
+
+    participant: str
+    block: int
+    trial: int
+    track: str
+    stimulus: str
+    path: str
+    signal: str
+    speed_mm_s: float | None
+    amplitude: float
+    plays: int
+    answer: str
+    correct: bool | None
+    reaction_s: float
+    onset_error_ms: float | None
+    replays: int
+    attempts: int
+    by: str
+    answered_at: str
+    stimulus_sha256: str
+    bank_sha256: str
+    trials_sha256: str
+
+
+COLUMNS: Mapping[str, Mapping[str, Any]] = {
+    "participant": {"Description": "Code of the participant"},
+    "block": {"Description": "Number of the block, from 1"},
+    "trial": {"Description": "Number of the trial in the order of this participant, from 1"},
+    "track": {"Description": "Adaptive track that the trial belongs to; empty where the design is not adaptive"},
+    "stimulus": {"Description": "Name of the stimulus, as of its drive file in the folder stimuli"},
+    "path": {"Description": "Path of the source, by its name in the trials file"},
+    "signal": {"Description": "Signal of the source, by its name in the trials file"},
+    "speed_mm_s": {"Description": "Speed along the path; empty for a point", "Units": "mm/s"},
+    "amplitude": {
+        "Description": "Amplitude of the source, in the bank's response unit where the design normalises; 0: no"
+        " stimulus"
+    },
+    "plays": {"Description": "Plays of the stimulus in one presentation"},
+    "answer": {"Description": "The participant's answer"},
+    "correct": {
+        "Description": "Whether the answer is right; empty where the design has no right answer",
+        "Levels": {"true": "right", "false": "wrong"},
+    },
+    "reaction_s": {
+        "Description": "From the onset of the last presentation, as the recorder's loopback shows it, to the answer",
+        "Units": "s",
+    },
+    "onset_error_ms": {
+        "Description": "Onset by the recorder's loopback minus the onset by the request to play and the player's stated"
+        " latency; empty where the player states none",
+        "Units": "ms",
+    },
+    "replays": {"Description": "How often the participant asked for the stimulus again"},
+    "attempts": {
+        "Description": "Presentations begun for this answer but for replays; more than 1 where an instrument was lost,"
+        " or the onset was not found, and the trial was repeated"
+    },
+    "by": {
+        "Description": "Input of the answer",
+        "Levels": {
+            "keyboard": "key",
+            "button": "button on the screen, by a pointer",
+            "touch": "button on the screen, by touch",
+            "program": "program that answers",
+        },
+    },
+    "answered_at": {"Description": "Instant of the answer, ISO 8601 with time zone"},
+    "stimulus_sha256": {"Description": "SHA-256 of the values of the stimulus's drive"},
+    "bank_sha256": {"Description": "SHA-256 that identifies the bank of Green's functions"},
+    "trials_sha256": {"Description": "SHA-256 of the trials file"},
+}
+"""Description of every column, in their order, with the keys of BIDS sidecar files."""
+
+_HEADER = ",".join(COLUMNS) + _LINE_END
+_TYPES = get_type_hints(Row)
+_NUMBERS = {"block": 1, "trial": 1, "plays": 1, "replays": 0, "attempts": 1}
+
+
+def check_participant(code: str) -> str:
+    """Return a participant's code. Raises InputError: it is none."""
+    if not _CODE.fullmatch(code):
+        raise InputError(
+            f"participant is {code!r}; allowed: a code of 1 to 20 letters, digits and hyphens, and no name"
+        )
+    return code
+
+
+class AnswersFile(Closing):
+    """The one process that stores answers in a folder; a context manager.
+
+    folder: Of the experiment; it and its ``trials.csv`` are made where missing.
+
+    Raises InputError: the file is a link, or holds something that was not written here. BankBusyError: another process
+    stores answers in the folder.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / ANSWERS
+        if folder.exists() and not folder.is_dir():
+            raise InputError(f"{folder} is not a folder; name a folder")
+        folder.mkdir(parents=True, exist_ok=True)
+        _require_no_link(self.path)
+        if not self.path.exists():
+            create(self.path).close()
+            durable.sync_folder(folder)
+        self._file = durable.open_file(self.path, write=True)
+        try:
+            take_ownership(self.path, self._file, "answers file")
+            write_owner(self.path)
+            content = bytearray(self._file.size())
+            self._file.read_into(0, memoryview(content))
+            self.rows, whole = _rows_of(bytes(content), self.path)
+            self._cut_off(whole)
+        except BaseException:
+            self._file.close()
+            raise
+
+    def append(self, row: Row) -> None:
+        """Store an answer; it is on the disk when this returns.
+
+        Raises InputError: it cannot be written; the answers before it are intact.
+        """
+        line = _line(row)
+        try:
+            self._file.write(self._end, line)
+            self._file.sync()
+        except OSError as error:
+            with suppress(OSError):
+                self._file.truncate(self._end)
+            raise InputError(
+                f"{self.path} cannot be written: {error.strerror or error}; the answer to trial {row.trial} is not"
+                " stored, those before it are: free some space and give the same command again"
+            ) from error
+        self._end += len(line)
+        self.rows = (*self.rows, row)
+
+    def close(self) -> None:
+        """Release the file."""
+        remove_owner(self.path)
+        self._file.close()
+
+    def _cut_off(self, whole: bytes) -> None:
+        """Write what the file shall begin with where it does not yet, and drop what follows."""
+        self._end = len(whole)
+        held = self._file.size()
+        if held < self._end:
+            self._file.write(0, whole)
+        if held > self._end:
+            self._file.truncate(self._end)
+        if held != self._end:
+            self._file.sync()
+
+
+def read_answers(folder: Path) -> tuple[Row, ...]:
+    """Read all answers of a folder, also while a session goes on; the file is not changed.
+
+    Raises InputError: there is no file, or it is damaged.
+    """
+    path = folder / ANSWERS
+    if not path.exists():
+        raise InputError(f"{folder} holds no {ANSWERS}; name the folder that `wavefocus trials` wrote")
+    if not path.is_file():
+        raise InputError(f"{path} is no regular file")
+    return _rows_of(path.read_bytes(), path)[0]
+
+
+def write_facts(folder: Path, facts: Mapping[str, object]) -> None:
+    """Write ``trials.json``: the facts of the experiment, and the description of every column.
+
+    Raises InputError: it cannot be written, or is a link.
+    """
+    _require_no_link(folder / FACTS)
+    content = {"format": FORMAT, "format_version": 1, **facts, "columns": COLUMNS}
+    write_whole(folder / FACTS, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
+
+
+def read_facts(folder: Path) -> dict[str, Any]:
+    """Read ``trials.json``. Raises InputError: it is missing, or holds something else."""
+    path = folder / FACTS
+    try:
+        facts = json.loads(read_text(path))
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path} is no JSON: it was changed by another program") from None
+    if not isinstance(facts, dict) or facts.get("format") != FORMAT:
+        raise InputError(f'{path} is not what `wavefocus trials` wrote: "format" must be "{FORMAT}"')
+    return facts
+
+
+def _rows_of(content: bytes, path: Path) -> tuple[tuple[Row, ...], bytes]:
+    """The rows of a file, and the part of it that is whole, its header completed."""
+    header = _HEADER.encode()
+    if header.startswith(content):  # new, or a power cut while it was made
+        return (), header
+    if not content.startswith(header):
+        raise InputError(
+            f"{path}: line 1 is not the header that `wavefocus trials` writes; it was changed by another program: put"
+            " the original back, or name another folder"
+        )
+    *lines, rest = content.removeprefix(header).split(b"\n")
+    rows = []
+    for number, line in enumerate(lines, 2):
+        try:
+            rows.append(_row(line + b"\n"))
+        except ValueError as error:
+            raise InputError(f"{path}: line {number}: {error}; put the original file back") from None
+    whole = content[: len(content) - len(rest)]
+    # Of a row that lacks no more than its line end nothing is lost; any other was never acknowledged.
+    with suppress(ValueError):
+        end = rest.removesuffix(b"\r") + _LINE_END.encode()
+        rows.append(_row(end))
+        whole += end
+    return tuple(rows), whole
+
+
+def _line(row: Row) -> bytes:
+    """A row as a line. Raises ValueError: a text holds a line end or the like, a number is not finite."""
+    cells = []
+    for value in astuple(row):
+        if isinstance(value, bool):
+            cells.append("true" if value else "false")
+        elif isinstance(value, float):
+            if not math.isfinite(value):
+                raise ValueError(f"{value} is not finite")
+            cells.append(repr(value))
+        else:
+            cells.append("" if value is None else str(value))
+    text = io.StringIO()
+    csv.writer(text, lineterminator=_LINE_END).writerow(cells)
+    line = text.getvalue().encode()
+    if _row(line) != row:
+        raise ValueError("a row would not be read as it is")
+    return line
+
+
+def _row(line: bytes) -> Row:
+    """A line as a row. Raises ValueError."""
+    try:
+        text = line.decode()
+    except UnicodeDecodeError:
+        raise ValueError("not UTF-8 text") from None
+    body = text.removesuffix(_LINE_END)
+    if body == text or not body.isprintable():
+        raise ValueError("not a line that `wavefocus trials` writes")
+    try:
+        cells = next(csv.reader([body], strict=True))
+    except (csv.Error, StopIteration):
+        raise ValueError("not a line that `wavefocus trials` writes") from None
+    if len(cells) != len(COLUMNS):
+        raise ValueError(f"{len(cells)} columns; {len(COLUMNS)} are needed")
+    values = {name: _value(name, cell) for name, cell in zip(COLUMNS, cells, strict=True)}
+    return Row(**values)
+
+
+def _value(name: str, cell: str) -> Any:
+    """The value of a cell. Raises ValueError."""
+    kind = _TYPES[name]
+    if not cell and kind not in (str, int, float):
+        return None
+    if name == "participant" and not _CODE.fullmatch(cell):
+        raise ValueError(f"{name} is {cell!r}; allowed: a code of letters, digits and hyphens")
+    if name.endswith("_sha256") and not _SHA256.fullmatch(cell):
+        raise ValueError(f"{name} is {cell!r}; allowed: 64 hexadecimal digits")
+    if name == "correct":
+        if cell not in ("true", "false"):
+            raise ValueError(f"correct is {cell!r}; allowed: true, false or nothing")
+        return cell == "true"
+    if kind is str:
+        return cell
+    least = _NUMBERS.get(name)
+    if least is not None:
+        if not re.fullmatch(r"\d{1,9}", cell) or int(cell) < least:
+            raise ValueError(f"{name} is {cell!r}; allowed: a whole number, {least} or more")
+        return int(cell)
+    try:
+        number = float(cell)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise ValueError(f"{name} is {cell!r}; allowed: a finite number")
+    return number
+
+
+def _require_no_link(path: Path) -> None:
+    if path.is_symlink() or (path.exists() and not path.is_file()):
+        raise InputError(f"{path} is no regular file; remove it, or name another folder")
