@@ -128,12 +128,11 @@ def build_scene(config: SceneConfig, file: Path, *, allow_large: bool = False) -
     built = []
     for index, table in enumerate(config.source):
         key = f"source[{index}]"
-        may_be_large = {"allow_large": allow_large} if table.path.kind in ("svg", "text") else {}
         try:
             built.append(
                 Source(
-                    path=PATHS[table.path.kind](**_parameters(table.path, file, f"{key}.path"), **may_be_large),
-                    signal=SIGNALS[table.signal.kind](**_parameters(table.signal, file, f"{key}.signal")),
+                    path=build_path(table.path, file, f"{key}.path", allow_large=allow_large),
+                    signal=build_signal(table.signal, file, f"{key}.signal"),
                     start_s=table.start_s,
                     speed_mm_s=table.speed_mm_s or 0.0,
                     step_mm=table.step_mm or 0.0,
@@ -168,6 +167,17 @@ SIGNALS: Mapping[str, Callable[..., Signal]] = {
     "file": signals.SoundFile,
 }
 """Classes by the kind of a table, whose keys are their parameters."""
+
+
+def build_path(table: PathTable, file: Path, key: str, *, allow_large: bool = False) -> paths.Path:
+    """Make the path of a table named `key` in `file`. Raises InputError: a file that it names cannot be used."""
+    may_be_large = {"allow_large": allow_large} if table.kind in ("svg", "text") else {}
+    return PATHS[table.kind](**_parameters(table, file, key), **may_be_large)
+
+
+def build_signal(table: SignalTable, file: Path, key: str) -> Signal:
+    """Make the signal of a table named `key` in `file`. Raises InputError: a file that it names is missing."""
+    return SIGNALS[table.kind](**_parameters(table, file, key))
 
 
 def _parameters(table: PathTable | SignalTable, scene_file: Path, key: str) -> dict[str, Any]:
