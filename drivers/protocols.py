@@ -201,6 +201,11 @@ class PiecewisePlayer(Player, Protocol):
         """How long after it was taken a sample leaves the outputs, as far as the device reports it."""
         ...
 
+    @property
+    def written_s(self) -> float:
+        """When the last piece was handed to the interface, of `time.monotonic`; `add_piece` returns later."""
+        ...
+
     def begin_pieces(self, channels: Sequence[int], sample_rate_hz: float, ahead_s: float) -> None:
         """Begin a play that comes in pieces, at the interface's own rate; the other channels stay silent.
 

@@ -287,6 +287,10 @@ class BoundedPlayer(_Bounded[Player]):
     def latency_s(self) -> float:
         return self._piecewise("asking for its latency").latency_s
 
+    @property
+    def written_s(self) -> float:
+        return self._piecewise("asking for its last piece").written_s
+
     def begin_pieces(self, channels: Sequence[int], sample_rate_hz: float, ahead_s: float) -> None:
         doing = "beginning to play piece by piece"
         player, self._ahead_s = self._piecewise(doing), ahead_s

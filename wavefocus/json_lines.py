@@ -9,7 +9,7 @@ import os
 import queue
 import sys
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from typing import NoReturn
 
@@ -103,42 +103,45 @@ class LinesIn:
             self._lines.put(line)
 
     def _read(self, overtakes: Callable[[Mapping[str, object]], object]) -> None:
-        # Not through sys.stdin: its lock, held by a thread that waits, would hold up the end of the process.
-        descriptor, rest = sys.stdin.fileno(), b""
-        while True:
-            try:
-                block = os.read(descriptor, _MOST_BYTES)
-            except OSError:
-                block = b""
-            *lines, rest = (rest + block).split(b"\n")
-            if not block and rest.strip():
-                lines.append(rest)
-            elif len(rest) > _MOST_BYTES:
-                lines, rest = [*lines, rest], b""
-            for line in lines:
-                if line.strip():
-                    self._take(line, overtakes)
-            if not block:
-                self._lines.put(None)
-                return
+        for line in input_objects():
+            if not isinstance(line, InputError):
+                overtakes(line)
+            self._lines.put(line)
+        self._lines.put(None)
 
-    def _take(self, line: bytes, overtakes: Callable[[Mapping[str, object]], object]) -> None:
-        # Some programs (PowerShell) begin what they write with a byte-order mark.
-        text = line.removeprefix(codecs.BOM_UTF8)
-        if not text.strip():
-            return
+
+def input_objects() -> Iterator[Mapping[str, object] | InputError]:
+    """JSON objects on standard input, one a line, to its end; an InputError for a line that is none."""
+    # Not through sys.stdin: its lock, held by a thread that waits, would hold up the end of the process.
+    descriptor, rest = sys.stdin.fileno(), b""
+    while True:
         try:
-            content = json.loads(text.decode(), parse_float=_finite, parse_constant=_refused)
-        except (ValueError, RecursionError):
-            content = None
-        if not isinstance(content, dict):
-            shown = line[:60].decode("utf-8", "replace").strip()
-            self._lines.put(
-                InputError(f"{shown!r} is no JSON object on one line, or holds a number that is not finite")
-            )
+            block = os.read(descriptor, _MOST_BYTES)
+        except OSError:
+            block = b""
+        *lines, rest = (rest + block).split(b"\n")
+        if not block and rest.strip():
+            lines.append(rest)
+        elif len(rest) > _MOST_BYTES:
+            lines, rest = [*lines, rest], b""
+        for line in lines:
+            # Some programs (PowerShell) begin what they write with a byte-order mark.
+            text = line.removeprefix(codecs.BOM_UTF8)
+            if text.strip():
+                yield _object(text)
+        if not block:
             return
-        overtakes(content)
-        self._lines.put(content)
+
+
+def _object(line: bytes) -> Mapping[str, object] | InputError:
+    try:
+        content = json.loads(line.decode(), parse_float=_finite, parse_constant=_refused)
+    except (ValueError, RecursionError):
+        content = None
+    if isinstance(content, dict):
+        return content
+    shown = line[:60].decode("utf-8", "replace").strip()
+    return InputError(f"{shown!r} is no JSON object on one line, or holds a number that is not finite")
 
 
 def _finite(digits: str) -> float:

@@ -20,7 +20,8 @@ NANOSECONDS = 1_000_000_000
 class VirtualClock:
     """Virtual time in whole nanoseconds, so that differences do not depend on the hour.
 
-    realtime: Let the wall's clock keep pace: a wait of one virtual second lasts one second.
+    realtime: Virtual time is the wall's: a wait of one virtual second lasts one second, and what a program does takes
+        time, too.
     """
 
     def __init__(self, *, realtime: bool = False) -> None:
@@ -35,13 +36,12 @@ class VirtualClock:
     def now_ns(self) -> int:
         """Virtual nanoseconds since the clock was made."""
         with self._lock:
-            return self._now_ns
+            return self._caught_up_ns()
 
     def sleep(self, seconds: float) -> None:
         """Let `seconds` of virtual time pass; a negative time is none."""
         with self._lock:
-            self._now_ns += max(0, round(seconds * NANOSECONDS))
-            target_ns = self._now_ns
+            self._now_ns = target_ns = self._caught_up_ns() + max(0, round(seconds * NANOSECONDS))
         self._keep_pace(target_ns)
 
     def advance_to_ns(self, instant_ns: int) -> None:
@@ -49,6 +49,11 @@ class VirtualClock:
         with self._lock:
             self._now_ns = max(self._now_ns, instant_ns)
         self._keep_pace(instant_ns)
+
+    def _caught_up_ns(self) -> int:
+        if self._wall_start_ns is not None:
+            self._now_ns = max(self._now_ns, time.monotonic_ns() - self._wall_start_ns)
+        return self._now_ns
 
     def _keep_pace(self, instant_ns: int) -> None:
         if self._wall_start_ns is None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,7 +22,7 @@ from mocks.virtual.synthesis import Play
 
 @dataclass(slots=True)
 class _Pieces:
-    """A play that comes in pieces; `ahead_s` of it may wait."""
+    """A play that comes in pieces; it sounds when `ahead_s` of it is there, and so much may wait."""
 
     rows: int
     play: Play
@@ -38,6 +40,7 @@ class VirtualPlayer(VirtualDevice):
         self._store = SignalStore(settings.full_scale_v)
         self._plays: deque[Play] = deque(maxlen=8)
         self._pieces: _Pieces | None = None
+        self.written_s = -math.inf
         self._lock = threading.RLock()
         self._take_under_way: Callable[[], Take | None] = lambda: None
 
@@ -89,16 +92,27 @@ class VirtualPlayer(VirtualDevice):
             self._pieces = _Pieces(len(channels), Play(now_ns, float(sample_rate_hz), {}, 0), ahead_s)
 
     def add_piece(self, volts: Float64Array) -> float:
-        """Let the time pass until there is room for more; returns how much was waiting before, in seconds."""
+        """Let the time pass until there is room for more; returns how much was waiting before, in seconds.
+
+        On a clock that is the wall's, a piece that comes when all before it has been played comes too late.
+        """
         pieces = self._begun()
         reaches_v = float(np.abs(volts).max(initial=0.0))
         if volts.ndim != 2 or len(volts) != pieces.rows or not reaches_v <= self.full_scale_v:
             cause = f"a piece of shape {volts.shape} that reaches {reaches_v:g} V"
             remedy = f"give {pieces.rows} rows within +-{self.full_scale_v:g} V"
             raise self._refusal("playing piece by piece", cause, remedy)
-        play = pieces.play
-        before_s = play.duration_s - max(0, self._clock.now_ns() - play.requested_ns) / NANOSECONDS
+        play, now_ns = pieces.play, self._clock.now_ns()
+        if play.duration_s < pieces.ahead_s:
+            play.requested_ns = now_ns  # it does not sound yet
+        before_s = play.duration_s - max(0, now_ns - play.requested_ns) / NANOSECONDS
+        if before_s < 0:
+            self._pieces = None
+            cause = f"underflow: the next piece came {-1e3 * before_s:.1f} ms late"
+            remedy = "have more of it ready beforehand, leave out more, close other programs"
+            raise TransientInstrumentError(self._name, "playing piece by piece", cause, remedy)
         play.samples += volts.shape[1]
+        self.written_s = time.monotonic()
         self._clock.advance_to_ns(play.requested_ns + round((play.duration_s - pieces.ahead_s) * NANOSECONDS))
         return before_s
 

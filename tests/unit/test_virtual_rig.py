@@ -1,12 +1,13 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 
 import numpy as np
 import pytest
 
 from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from drivers.protocols import Recording, RecordRequest, Take
+from drivers.protocols import PiecewisePlayer, Recording, RecordRequest, Take
 from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
 
 RATE_HZ = 10_000.0
@@ -363,3 +364,17 @@ def test_given_many_positions_then_their_true_spectra_are_those_of_the_truth(tap
         expected = np.fft.rfft(rig.truth(*place_mm, taps), 4000)[:, band]
         error = np.linalg.norm(found - expected, axis=1) / np.linalg.norm(expected, axis=1)
         assert error.max() < 2e-5 if taps == 600 else error.max() < 1e-6
+
+
+def test_given_a_clock_that_is_the_walls_then_a_piece_that_comes_too_late_finds_the_player_dry() -> None:
+    player = VirtualRig(changed(realtime=True)).instruments.player
+    assert isinstance(player, PiecewisePlayer)
+    player.begin_pieces([0], 48_000.0, 0.01)
+    before_s = time.monotonic()
+    player.add_piece(np.zeros((1, 480)))
+    assert before_s <= player.written_s <= time.monotonic()
+    time.sleep(0.03)
+    with pytest.raises(TransientInstrumentError, match="underflow"):
+        player.add_piece(np.zeros((1, 480)))
+    player.begin_pieces([0], 48_000.0, 0.01)
+    assert player.add_piece(np.zeros((1, 960))) == 0.0

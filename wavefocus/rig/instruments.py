@@ -67,12 +67,15 @@ class OpenedRig:
     virtual_sensors: Mapping[str, Sensor] = field(default_factory=dict)
 
 
-def openers(rig: RigConfig, virtual: Virtual | None = None) -> Openers:
-    """Find the driver of each instrument; nothing is opened yet."""
+def openers(rig: RigConfig, virtual: Virtual | None = None, *, realtime: bool = False) -> Openers:
+    """Find the driver of each instrument; nothing is opened yet.
+
+    realtime: A virtual rig's seconds last as long as the wall's; by default they take no time.
+    """
     if rig.is_virtual:
         from wavefocus.rig.virtual_bench import virtual_rig  # a real rig needs none of what stands in for one
 
-        bench = virtual_rig(rig, virtual)
+        bench = virtual_rig(rig, virtual, realtime=realtime)
         roles = bench.instruments
         return Openers(
             roles.clock,
@@ -223,9 +226,9 @@ def require_address_space() -> None:
 
 
 @contextmanager
-def open_player(rig: RigConfig) -> Iterator[tuple[BoundedPlayer, Clock]]:
-    """Open the interface alone; whatever happens, its outputs are muted and released on the way out."""
-    ways = openers(rig)
+def open_player(rig: RigConfig, *, realtime: bool = False) -> Iterator[tuple[BoundedPlayer, Clock]]:
+    """Open the interface alone, `realtime` as of `openers`; whatever happens, its outputs are muted and released."""
+    ways = openers(rig, realtime=realtime)
     player = BoundedPlayer(ways.player(), rig.recovery.hung_after_s)
     try:
         yield player, ways.clock

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from config.plate import plate_of
@@ -13,9 +15,9 @@ from mocks.virtual.settings import MirrorGeometry, VirtualSettings
 from mocks.virtual.synthesis import output_errors
 
 
-def virtual_rig(rig: RigConfig, virtual: Virtual | None = None) -> VirtualRig:
-    """Build the virtual rig that a configuration describes."""
-    return VirtualRig(virtual_settings(rig, virtual))
+def virtual_rig(rig: RigConfig, virtual: Virtual | None = None, *, realtime: bool = False) -> VirtualRig:
+    """Build the virtual rig that a configuration describes; `realtime` as of its settings."""
+    return VirtualRig(replace(virtual_settings(rig, virtual), realtime=realtime))
 
 
 def virtual_settings(rig: RigConfig, virtual: Virtual | None = None) -> VirtualSettings:

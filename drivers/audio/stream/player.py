@@ -65,6 +65,7 @@ class StreamPlayer:
         self._ordering = threading.Lock()
         self._closed = False
         self._plays = 0
+        self.written_s = -math.inf
         self._opened = self._open("opening", InstrumentError)
 
     @property
@@ -160,6 +161,7 @@ class StreamPlayer:
         before_s = play.waiting_frames / rate_hz
         play.sent_frames += len(frames)
         self._send(play.doing, Piece(frames))
+        self.written_s = time.monotonic()
 
         def there_is_room() -> bool | None:
             return True if play.outcome or play.waiting_frames <= play.ahead_frames else None
