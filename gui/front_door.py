@@ -80,6 +80,22 @@ def open_window(front: FrontDoor, files: Sequence[Path]) -> int:
     return show(front, files)
 
 
+def open_trials(front: FrontDoor, arguments: Sequence[str], say: Callable[[str], object]) -> int:
+    """Run one participant's trials in a window of their own; return the command's exit code.
+
+    arguments: Of ``wavefocus trials``, without ``--lines``; the same command runs as a child with it.
+    say: Receives why the child ended early, a sentence.
+
+    Raises InputError: There is no display, or Qt cannot be loaded.
+    """
+    require_display()
+    try:
+        from gui.trials.window import show
+    except ImportError as missing:
+        raise InputError(_missing(missing)) from missing
+    return show(front, arguments, say)
+
+
 def require_display() -> None:
     """Refuse where Qt would abort for want of a display.
 

@@ -45,6 +45,14 @@ ORDERS = (GoOn, Answer, Replay, EndTrials)
 
 
 @dataclass(frozen=True)
+class Preparing(Message, event="preparing"):
+    """Stimuli are rendered and checked; the first event, with done = 0, once the input was found right."""
+
+    done: int
+    of: int
+
+
+@dataclass(frozen=True)
 class Welcome(Message, event="welcome"):
     """First page.
 
@@ -120,4 +128,4 @@ class TrialsEnded(Message, event="ended"):
     complete: bool
 
 
-EVENTS = (Welcome, TrialsState, Presented, AnswerStored, TrialsRefused, TrialsEnded)
+EVENTS = (Preparing, Welcome, TrialsState, Presented, AnswerStored, TrialsRefused, TrialsEnded)
