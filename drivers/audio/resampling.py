@@ -83,12 +83,56 @@ def converted(signals: Float64Array, ratio: Fraction) -> Float64Array:
 @lru_cache(maxsize=8)
 def _weights(ratio: Fraction) -> tuple[int, Float64Array]:
     """How many old samples before its first a block needs, and the weights (old samples, new samples) of a block."""
-    reach = HALF_LENGTH * max(1.0, 1 / float(ratio))
-    around = math.ceil(reach)
+    around = math.ceil(HALF_LENGTH * max(1.0, 1 / float(ratio)))
     place = np.arange(ratio.numerator) * ratio.denominator / ratio.numerator
     distance = np.arange(-around, ratio.denominator + around)[:, np.newaxis] - place
-    inside = np.clip(1 - (distance / reach) ** 2, 0, None)
+    return around, _low_pass(distance, ratio, HALF_LENGTH, CUT)
+
+
+def _low_pass(distance: Float64Array, ratio: Fraction, half_length: int, cut: float) -> Float64Array:
+    """Weights of old samples by their distance from a new one, in old samples.
+
+    half_length, cut: Reach in periods of the lower rate; the edge as a part of half the lower rate.
+    """
+    lower = min(1.0, float(ratio))
+    inside = np.clip(1 - (distance * lower / half_length) ** 2, 0, None)
     window = np.i0(BETA * np.sqrt(inside)) / np.i0(BETA) * (inside > 0)
-    cut = CUT * min(1.0, float(ratio))
-    weights: Float64Array = cut * np.sinc(cut * distance) * window
-    return around, weights
+    weights: Float64Array = lower * cut * np.sinc(lower * cut * distance) * window
+    return weights
+
+
+LIVE_HALF_LENGTH = 12
+"""Of `LiveConversion`: flat up to 0.7 of half the lower rate, and nothing left above 1.3 of it, both to -100 dB."""
+
+
+class LiveConversion:
+    """Signals at `ratio` times their rate, block by block, with a short low-pass; ratio 1 passes them on.
+
+    What has at most 0.7 of half the lower rate comes out to -100 dB. Images that lie higher are not removed, as the
+    drives of a bank have nothing in its upper band.
+
+    delay_samples: Old samples by which what comes out lags.
+    """
+
+    def __init__(self, channels: int, ratio: Fraction) -> None:
+        self._up, self._down = ratio.numerator, ratio.denominator
+        self.delay_samples = 0 if ratio == 1 else math.ceil(LIVE_HALF_LENGTH * max(1.0, 1 / float(ratio)))
+        distance = np.arange(1 - self.delay_samples, self.delay_samples + 1) - np.arange(self._up)[:, None] / self._up
+        self._weights = _low_pass(distance, ratio, LIVE_HALF_LENGTH, 1.0)
+        self._recent: Float64Array = (
+            np.zeros((channels, 2 * self.delay_samples - 1)) if ratio != 1 else np.zeros((0, 0))
+        )
+        self._place = 0
+
+    def convert(self, block: Float64Array) -> Float64Array:
+        """The next frames (channels, frames), as many as the samples of the block (channels, samples) reach."""
+        if not self.delay_samples or not block.shape[1]:
+            return block
+        samples = np.concatenate([self._recent, block], axis=1)
+        # Places of the new frames in the block, in old samples times `up`.
+        place = np.arange(self._place, self._up * block.shape[1], self._down)
+        self._place += self._down * len(place) - self._up * block.shape[1]
+        windows = np.lib.stride_tricks.sliding_window_view(samples, 2 * self.delay_samples, axis=1)
+        self._recent = samples[:, block.shape[1] :]
+        frames: Float64Array = np.einsum("cft,ft->cf", windows[:, place // self._up], self._weights[place % self._up])
+        return frames
