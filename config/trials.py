@@ -2,118 +2,169 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
-from config.fields import Finite, NonNegative, Positive, Switch, Table, Text, Whole, mistake
+from config.fields import Finite, NonNegative, Positive, Switch, Table, Text, Whole, like, mistake
 from config.scene import Output, PathTable, Regularisation, SignalTable
 
 Count = Annotated[Whole, Field(ge=1, le=10_000)]
-Name = Annotated[Text, Field(max_length=60)]
+Pause = Annotated[NonNegative, Field(le=600)]
+Words = Annotated[Text, Field(max_length=60)]
+Name = Annotated[str, like(r"[A-Za-z0-9_-]{1,40}", "must be 1 to 40 letters, digits, - and _; files are named by it")]
+Key = Annotated[
+    str, like(r"[A-Za-z0-9]|Left|Right|Up|Down|Space", "must be a letter, a digit, Left, Right, Up, Down or Space")
+]
+Factor = Literal["path", "signal", "speed_mm_s", "amplitude"]
+
+
+def _listed(value: Any) -> Any:
+    """A level that stands alone is a list of one."""
+    return value if isinstance(value, list | tuple) else (value,)
+
+
+Names = Annotated[tuple[Name, ...], BeforeValidator(_listed), Field(min_length=1)]
+Speeds = Annotated[tuple[Positive, ...], BeforeValidator(_listed)]
+Amplitudes = Annotated[tuple[Finite, ...], BeforeValidator(_listed), Field(min_length=1)]
 
 
 class TrialsTable(Table):
-    """What is asked, and how often."""
+    """The question, its answers, and the order and number of trials."""
 
-    name: Name = Field(default="trials", title="Name", description="Of the experiment, for files and pages")
-    instruction: str = Field(default="", title="Instruction", description="First page: what participants feel and do")
-    question: Text = Field(title="Question", description="Asked after each stimulus")
-    answers: tuple[Name, ...] = Field(
+    name: Name = Field(default="trials", title="Name", description="Name of the experiment, for files and pages")
+    instruction: str = Field(
+        default="", title="Instruction", description="Text of the first page: what participants feel and do"
+    )
+    question: Text = Field(title="Question", description="Question asked after each stimulus")
+    answers: tuple[Words, ...] = Field(
         title="Answers", description="Choices, from left to right on the screen", min_length=2, max_length=9
     )
-    keys: tuple[Name, ...] = Field(
-        default=(), title="Keys", description="Key of each answer, as Left or F; empty: 1, 2, ..."
+    keys: tuple[Key, ...] = Field(
+        default=(),
+        title="Keys",
+        description="Key of each answer: a letter, a digit, Left, Right, Up, Down or Space; empty: 1, 2, ...",
     )
-    correct: Name | None = Field(
+    correct: Factor | None = Field(
         default=None,
         title="Correct",
-        description="Factor (path, signal, amplitude, ...) whose level is the right answer, or given by correct_levels",
+        description="Factor whose level decides the right answer; without it no answer is right or wrong",
     )
-    correct_levels: dict[str, str] = Field(
+    correct_levels: dict[str, Words] = Field(
         default={},
         title="Correct levels",
-        description="Answer that is right for each level of that factor, where they are not named alike",
+        description="Right answer for each level of that factor; a level that is not listed is an answer itself",
     )
-    repetitions: Count = Field(default=10, title="Repetitions", description="Of every stimulus, over the whole session")
+    repetitions: Count = Field(
+        default=10, title="Repetitions", description="Trials with each stimulus, all blocks together"
+    )
     blocks: Count = Field(
-        default=1, title="Blocks", description="Each holds every stimulus equally often, so repetitions / blocks times"
+        default=1, title="Blocks", description="Parts of the session; each holds every stimulus equally often"
     )
-    most_alike: Whole = Field(
-        default=2,
-        title="Most alike",
-        description="Trials in a row with one level of alike; 0: any number",
-        ge=0,
-        le=100,
+    most_alike: Annotated[Whole, Field(ge=0, le=100)] = Field(
+        default=2, title="Most alike", description="Most trials in a row with one level of alike; 0: any number"
     )
-    alike: Name | None = Field(
-        default=None, title="Alike", description="Factor that most_alike counts; by default correct, else the stimulus"
+    alike: Factor | Literal["stimulus"] | None = Field(
+        default=None, title="Alike", description="Factor that most_alike is about; by default correct, else stimulus"
     )
-    seed: Whole = Field(default=1, title="Seed", description="Of all orders; each participant has another", ge=0)
+    seed: Annotated[Whole, Field(ge=0, le=2**63 - 1)] = Field(
+        default=1, title="Seed", description="Seed of the orders; with the participant's code it gives each order"
+    )
     familiarise: Switch = Field(
-        default=True, title="Familiarise", description="Present every stimulus once first, without a question"
+        default=True, title="Familiarise", description="Whether every stimulus is felt once first, without a question"
     )
-    replays: Whole = Field(
-        default=0, title="Replays", description="How often a participant may ask for a stimulus again", ge=0, le=100
+    replays: Annotated[Whole, Field(ge=0, le=100)] = Field(
+        default=0, title="Replays", description="Times that a participant may ask for the stimulus of a trial again"
     )
-    break_every: Whole = Field(
-        default=0, title="Break every", description="Trials between breaks; 0: between blocks", ge=0
+    break_every: Annotated[Whole, Field(ge=0, le=10_000)] = Field(
+        default=0, title="Break every", description="Trials between breaks; 0: breaks between blocks alone"
     )
-    waits: Switch = Field(
-        default=False, title="Waits", description="Whether each trial waits for the participant to start it"
-    )
-    before_s: NonNegative = Field(
-        default=0.5, title="Before", description="Pause between an answer and the next stimulus"
-    )
-    pause_s: NonNegative = Field(default=1.0, title="Pause", description="Between the plays of one stimulus")
+    waits: Switch = Field(default=False, title="Waits", description="Whether the participant starts each trial")
+    before_s: Pause = Field(default=0.5, title="Before", description="Pause before each stimulus")
+    pause_s: Pause = Field(default=1.0, title="Pause", description="Pause between the plays of one stimulus")
+
+    @model_validator(mode="after")
+    def _one_key_each(self) -> TrialsTable:
+        if len(set(self.answers)) < len(self.answers):
+            raise mistake("answers", self.answers, "must differ")
+        if self.keys and len({key.upper() for key in self.keys}) != len(self.answers):
+            raise mistake("keys", self.keys, f"must be {len(self.answers)} different keys, one for each answer")
+        return self
+
+    @model_validator(mode="after")
+    def _blocks_are_alike(self) -> TrialsTable:
+        if self.repetitions % self.blocks:
+            raise mistake("repetitions", self.repetitions, f"must be a multiple of blocks, {self.blocks}")
+        if self.correct_levels and self.correct is None:
+            raise mistake("correct", None, "is needed with correct_levels: the factor of these levels")
+        return self
 
 
 class StimuliTable(Table):
-    """Stimuli: all combinations of the listed levels; each key whose level differs between stimuli is a factor."""
+    """Stimuli: all combinations of the levels listed; a level that stands alone needs no brackets."""
 
-    path: tuple[Name, ...] = Field(title="Paths", description="Names from the table path", min_length=1)
-    signal: tuple[Name, ...] = Field(title="Signals", description="Names from the table signal", min_length=1)
-    speed_mm_s: tuple[Positive, ...] = Field(default=(), title="Speeds", description="Along the path; not for points")
-    amplitude: tuple[Finite, ...] = Field(
-        default=(1.0,),
-        title="Amplitudes",
-        description="As of a scene's source; 0 is a trial without a stimulus",
-        min_length=1,
+    path: Names = Field(title="Paths", description="Names of tables [path.NAME]")
+    signal: Names = Field(title="Signals", description="Names of tables [signal.NAME]")
+    speed_mm_s: Speeds = Field(default=(), title="Speeds", description="Speeds along the path; none for a point")
+    amplitude: Amplitudes = Field(
+        default=(1.0,), title="Amplitudes", description="Amplitudes as of a scene's source; 0: no stimulus"
     )
-    step_mm: Positive | None = Field(default=None, title="Step", description="As of a scene's source")
+    step_mm: Positive | None = Field(
+        default=None, title="Step", description="Distance between path points, as of a scene's source"
+    )
     emission: Literal["per_point", "continuous"] = Field(
-        default="continuous", title="Emission", description="As of a scene's source"
+        default="continuous", title="Emission", description="Emission as of a scene's source"
     )
-    plays: Count = Field(default=1, title="Plays", description="How often one presentation plays it")
+    plays: Annotated[Whole, Field(ge=1, le=100)] = Field(
+        default=1, title="Plays", description="Times that a stimulus is played in one trial"
+    )
 
 
 class AdaptiveTable(Table):
-    """Levels that follow the answers, in place of repetitions."""
+    """Levels of one factor that follow the answers, in place of repetitions."""
 
-    method: Literal["up_down", "quest_plus"] = Field(title="Method", description="Staircase, or QUEST+ (Watson 2017)")
-    factor: Literal["amplitude", "speed_mm_s"] = Field(
-        title="Factor",
-        description="Key of stimuli whose levels are the ladder; each combination of the others is a track",
+    method: Literal["up_down", "quest_plus"] = Field(
+        title="Method", description="Transformed up-down staircase, or QUEST+ (Watson 2017)"
     )
-    trials: Count = Field(default=60, title="Trials", description="Of each track at most")
-    down: Count = Field(default=2, title="Down", description="up_down: right answers in a row that lower the level")
-    up: Count = Field(default=1, title="Up", description="up_down: wrong answers in a row that raise it")
-    reversals: Count = Field(default=10, title="Reversals", description="up_down: a track ends after so many")
+    factor: Literal["amplitude", "speed_mm_s"] = Field(
+        title="Factor", description="Factor whose levels in [[stimuli]] are the ladder"
+    )
+    harder: Literal["lower", "higher"] = Field(
+        default="lower", title="Harder", description="Levels of that factor that are harder to answer rightly"
+    )
+    trials: Count = Field(default=40, title="Trials", description="Trials of each track at most")
+    right: Annotated[Whole, Field(ge=1, le=10)] = Field(
+        default=2, title="Right answers", description="Right answers in a row that make it harder (up_down)"
+    )
+    wrong: Annotated[Whole, Field(ge=1, le=10)] = Field(
+        default=1, title="Wrong answers", description="Wrong answers in a row that make it easier (up_down)"
+    )
+    reversals: Annotated[Whole, Field(ge=4, le=1000)] = Field(
+        default=10, title="Reversals", description="Reversals after which a track ends (up_down)"
+    )
     guess_rate: Annotated[Finite, Field(ge=0, lt=1)] = Field(
-        default=0.5, title="Guess rate", description="Share of right answers without a stimulus"
+        default=0.5, title="Guess rate", description="Share of right answers where nothing is felt"
     )
     lapse_rate: Annotated[Finite, Field(ge=0, lt=0.5)] = Field(
-        default=0.02, title="Lapse rate", description="Share of slips with any stimulus"
+        default=0.02, title="Lapse rate", description="Share of wrong answers at the easiest levels"
     )
+
+    @model_validator(mode="after")
+    def _rises(self) -> AdaptiveTable:
+        if self.guess_rate + self.lapse_rate >= 1:
+            raise mistake("guess_rate", self.guess_rate, f"must be below 1 - lapse_rate, {1 - self.lapse_rate:g}")
+        return self
 
 
 class MaskingTable(Table):
     """Pink noise that plays with every stimulus on an output of its own, for headphones."""
 
-    output: Whole = Field(title="Output", description="Of the audio interface, from 0; none of an actuator", ge=0)
-    rms_v: Positive = Field(title="Level", description="RMS of the noise in volts")
-    around_s: NonNegative = Field(
-        default=0.5, title="Around", description="Before and after the stimulus, fades included"
+    output: Annotated[Whole, Field(ge=0, le=1023)] = Field(
+        title="Output", description="Output of the audio interface, from 0; not of an actuator nor of the loopback"
+    )
+    rms_v: Positive = Field(title="Level", description="RMS voltage of the noise")
+    around_s: Pause = Field(
+        default=0.5, title="Around", description="Time before and after each stimulus in which the noise plays, too"
     )
 
 
@@ -121,8 +172,8 @@ class TrialsConfig(Table):
     """A validated trials file."""
 
     trials: TrialsTable
-    path: dict[Name, PathTable] = Field(min_length=1, max_length=1000)
-    signal: dict[Name, SignalTable] = Field(min_length=1, max_length=1000)
+    path: Annotated[dict[Name, PathTable], Field(min_length=1, max_length=1000)]
+    signal: Annotated[dict[Name, SignalTable], Field(min_length=1, max_length=1000)]
     stimuli: Annotated[tuple[StimuliTable, ...], Field(min_length=1, max_length=1000)]
     adaptive: AdaptiveTable | None = None
     masking: MaskingTable | None = None
@@ -130,10 +181,29 @@ class TrialsConfig(Table):
     output: Output = Output()
 
     @model_validator(mode="after")
-    def _names_exist(self) -> TrialsConfig:
+    def _names_exist_and_paths_have_speeds(self) -> TrialsConfig:
         for number, table in enumerate(self.stimuli):
-            for key, known in (("path", self.path), ("signal", self.signal)):
+            for key, tables in (("path", self.path), ("signal", self.signal)):
                 for name in getattr(table, key):
-                    if name not in known:
-                        raise mistake(f"stimuli[{number}].{key}", name, f"must be one of {', '.join(known)}")
+                    if name not in tables:
+                        allowed = f"must be a table [{key}.NAME], of {', '.join(tables)}"
+                        raise mistake(f"stimuli.[{number}].{key}", name, allowed)
+            moving = [name for name in table.path if self.path[name].kind != "point"]
+            if moving and not (table.speed_mm_s and table.step_mm):
+                key, unit = ("step_mm", "mm") if table.speed_mm_s else ("speed_mm_s", "mm/s")
+                raise mistake(f"stimuli.[{number}].{key}", None, f"is needed in {unit} for the path {moving[0]}")
+            if table.speed_mm_s and len(moving) < len(table.path):
+                allowed = "is for paths that move; list points in a table [[stimuli]] of their own"
+                raise mistake(f"stimuli.[{number}].speed_mm_s", table.speed_mm_s, allowed)
+        return self
+
+    @model_validator(mode="after")
+    def _adaptive_or_repeated(self) -> TrialsConfig:
+        if self.adaptive is None:
+            return self
+        for key in ("repetitions", "blocks"):
+            if key in self.trials.model_fields_set:
+                raise mistake(f"trials.{key}", getattr(self.trials, key), "must be left out where [adaptive] is given")
+        if self.trials.correct is None:
+            raise mistake("trials.correct", None, "is needed with [adaptive]: levels follow right and wrong answers")
         return self

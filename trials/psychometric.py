@@ -13,7 +13,7 @@ def share_right(
 
     level: x, the common logarithm of the stimulus's level.
     threshold: The x at which p lies midway between guess and 1 - lapse.
-    slope: Per unit of x, so per decade of the level; positive.
+    slope: Per unit of x, so per decade of the level; negative where higher levels are harder.
     guess, lapse: Share of right answers without a stimulus, and of slips with any.
 
     All broadcast. Source: Wichmann and Hill, Percept. Psychophys. 63 (2001), 1293, equation 1.
