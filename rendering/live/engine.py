@@ -1,0 +1,421 @@
+"""Drives of sources whose positions arrive while they sound, block by block.
+
+A drive sample n is made of the source samples n to n + L - 1, L the bank's taps (eq. 9, with p(s) the place of the
+source at sample s):
+
+    f_i[n] = sum_s u[s] g_i(p(s))[s - n]
+
+Every block is computed anew from the courses of all sources as they are known or predicted now, for two blocks of
+drives at once; the second half is crossfaded with the first half of the next computation, so that a prediction that
+did not come true makes no click. Where nothing changed, both are the same numbers.
+
+A position becomes that of the source `look_ahead_samples` later. With at least `sufficient_samples` and the time
+between positions nothing is predicted, and the drives are those of the recorded scene.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from config.scene import Regularisation
+from rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
+from rendering.band import Band, scale
+from rendering.device import fast_length, host_device
+from rendering.drive.windows import Events, RowSpectra, Windows
+from rendering.greens.regularisation import BankRows
+from rendering.greens.source import GreenSource
+from rendering.live.lives import JUMP_MM_S, VELOCITY_S, Life, Timing, trajectory
+from rendering.live.surface import Surface
+from rendering.scene.signals import Noise, Signal, signal_size
+from rendering.scene.trajectory import Trajectory
+from storage.errors import InputError
+
+MOST_NAMES = 64
+"""Names whose signals are kept; of more, those that were silent longest are forgotten."""
+LONGEST_NAME = 100
+LONGEST_SIGNAL_S = 60.0
+LARGEST_AMPLITUDE = 1e9
+CACHE_BYTES = 2**30
+"""Memory of row spectra: 1500 positions of 20 actuators and 2000 taps take half of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """Bounds on what is computed.
+
+    bound_db: Relative error that may be made by leaving out bins, < 0; None: all bins.
+    most_sources: Sources that may sound; the latest are left out. None: as many as the engine allows.
+    """
+
+    bound_db: float | None = None
+    most_sources: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SourceState:
+    """A source as its drives begin now.
+
+    fading: It was ended, or its positions are late.
+    dropped: It is left out, see `Effort`.
+    """
+
+    name: str
+    at_mm: tuple[float, float]
+    amplitude: float
+    fading: bool
+    dropped: bool
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedLife:
+    """Knots of one life of a source that became final: from its appearance to its end, with one signal.
+
+    number: Counts lives from 0; the parts of one life have the same.
+    signal, repeat: Begins at the life's first knot.
+    knots: Those since the part before; they continue it.
+    over: No further part follows.
+    """
+
+    number: int
+    name: str
+    signal: Signal
+    repeat: bool
+    knots: Trajectory
+    over: bool
+
+
+@dataclass(slots=True)
+class _Source:
+    """A name, its signal at the bank's rate, and its life where it sounds."""
+
+    signal: Signal
+    values: Float64Array
+    repeat: bool
+    at_mm: tuple[float, float] = (0.0, 0.0)
+    amplitude: float = 1.0
+    life: Life | None = None
+    appeared: int = 0
+    due: int = -1
+    """Sample of the last position."""
+
+
+class LiveEngine:
+    """Drives of several sources, block by block; not for several threads.
+
+    bank: Read a row at a time, when a source first comes near; see `preload`.
+    block_samples: Drive samples of a block, at the bank's rate, B.
+    look_ahead_samples: By how much sources lag their positions, >= 0.
+    regularisation, interpolation: As of a scene; an interpolation that prepares paths beforehand is refused.
+    hold_s: For how long a source goes on at its last velocity without a position.
+    fade_s: Duration of each fade.
+    most_sources: Names that may sound at a time.
+    signal: Of sources that were given none; by default noise of the bank's band, 1 s, repeating.
+    record: Whether knots are kept for `take_record`.
+
+    Raises InputError: a value is out of range, or the bank does not allow the interpolation or regularisation.
+    """
+
+    next_sample: int = 0
+    """Scene sample of the first sample of the next block."""
+
+    def __init__(
+        self,
+        bank: GreenSource,
+        *,
+        block_samples: int,
+        look_ahead_samples: int,
+        regularisation: Regularisation | None = None,
+        interpolation: str = "nearest",
+        hold_s: float = 0.25,
+        fade_s: float = 0.01,
+        most_sources: int = 8,
+        signal: Signal | None = None,
+        record: bool = False,
+    ) -> None:
+        for key, value, least in (
+            ("block_samples", block_samples, 1), ("look_ahead_samples", look_ahead_samples, 0),
+            ("most_sources", most_sources, 1), ("hold_s", hold_s, 0), ("fade_s", fade_s, 0),
+        ):  # fmt: skip
+            if not least <= value < math.inf:
+                raise InputError(f"{key} is {value}; it must be a finite number, {least} or more")
+        self.rate_hz, self.actuators, self.block_samples = float(bank.sample_rate_hz), bank.actuators, block_samples
+        self._look_ahead, self._most_sources = look_ahead_samples, most_sources
+        self._lead = bank.taps - 1
+        self.sufficient_samples = self._lead + 2 * block_samples
+        self._rows = BankRows(bank, Regularisation() if regularisation is None else regularisation)
+        self._window = self._lead + 2 * block_samples
+        device = replace(host_device(), memory_bytes=CACHE_BYTES)
+        self._fft_samples = fast_length(self._window)
+        self._spectra = RowSpectra(self._rows, Band.whole(self._fft_samples), device, bounded=True)
+        self._surface = Surface(bank, interpolation, lambda row: self._spectra.load([row]))
+        self.x_mm, self.y_mm = self._surface.x_mm, self._surface.y_mm
+        self._timing = Timing(
+            fade=max(1, round(fade_s * self.rate_hz)), hold=max(1, round(hold_s * self.rate_hz)),
+            velocity=round(VELOCITY_S * self.rate_hz), jump_mm_per_sample=JUMP_MM_S / self.rate_hz,
+        )  # fmt: skip
+        self._default_signal = default_signal(bank) if signal is None else signal
+        self._record, self._effort = record, Effort()
+        self._sources: dict[str, _Source] = {}
+        self._lives: dict[int, Life] = {}
+        self._lives_begun = self._appearances = 0
+        self._exponent: int | None = None
+        self._kept_drive: Float64Array = np.zeros((self.actuators, block_samples))
+        self._rise = (np.arange(block_samples) + 0.5) / block_samples
+
+    def preload(self) -> None:
+        """Read rows beforehand, as many as fit into memory: about 1 ms each."""
+        for row in range(min(self._rows.bank.positions, self._spectra.most_rows)):
+            self._surface.try_admit(row)
+
+    def move(self, name: str, at_mm: tuple[float, float], amplitude: float | None = None) -> None:
+        """Take a position of a source, as it is now; a name that does not sound begins to.
+
+        amplitude: None: as before, 1 at first.
+
+        Raises InputError: the place cannot be rendered from, a number is out of range, or too many sources sound.
+        """
+        self._surface.require(at_mm, name)
+        if amplitude is not None and not abs(amplitude) <= LARGEST_AMPLITUDE:
+            raise InputError(
+                f"amplitude of source {name!r} is {amplitude}; it must be a number from {-LARGEST_AMPLITUDE:g} to"
+                f" {LARGEST_AMPLITUDE:g}"
+            )
+        due = self.next_sample + self._look_ahead
+        sounding = self._active(due)
+        if name not in sounding and len(sounding) >= self._most_sources:
+            raise InputError(f"source {name!r} is one too many; at most {self._most_sources} may sound at a time")
+        source = self._named(name)
+        if name not in sounding:
+            self._appearances += 1
+            source.appeared, source.life, source.amplitude = self._appearances, None, 1.0
+        place = (float(at_mm[0]), float(at_mm[1]))
+        source.at_mm, source.due = place, due
+        source.amplitude = source.amplitude if amplitude is None else float(amplitude)
+        if name in self._dropped(due):
+            return
+        life = source.life
+        if life is not None:
+            life.settle(due)
+            if not life.ended and life.moved(due, place, source.amplitude):
+                return
+            life.finish(due)
+        source.life = self._begin(name, source, due, place)
+
+    def set_signal(self, name: str, signal: Signal, *, repeat: bool = True) -> None:
+        """Give a source another signal; what sounds with the former one fades while the new one appears.
+
+        Raises InputError: the signal cannot be made at the bank's rate, or is too long.
+        """
+        source = self._named(name, (signal, repeat))
+        values = self._sampled(signal)
+        if signal == source.signal and repeat == source.repeat:
+            return
+        source.signal, source.values, source.repeat = signal, values, repeat
+        due, before = self.next_sample + self._look_ahead, source.life
+        if before is None:
+            return
+        before.settle(due)
+        if not before.ended:
+            (place_mm,), _ = before.course.at(np.array([due]))
+            before.finish(due)
+            source.life = self._begin(name, source, due, (float(place_mm[0]), float(place_mm[1])), before)
+
+    def end_source(self, name: str) -> None:
+        """Let a source fade and vanish. Raises InputError: none of that name sounds."""
+        due = self.next_sample + self._look_ahead
+        if name not in self._active(due):
+            raise InputError(f"no source {name[:LONGEST_NAME]!r} sounds; allowed are the names that do")
+        source = self._sources[name]
+        source.due = -1
+        if source.life is not None:
+            source.life.settle(due)
+            source.life.finish(due)
+
+    def set_effort(self, effort: Effort) -> None:
+        """Bound what is computed from the next block on.
+
+        With a bound, bins from the highest downwards are left out of each computation as far as the norm of what is
+        missing is proved to be at most the bound times R, the root mean square of the norms of the blocks delivered in
+        the second before. As each block counts in one second's worth of R, and a crossfade only lessens the sum of both
+        errors' squares, the drives' L2 error over the session is at most the bound times their L2 norm, beside
+        rounding.
+
+        Raises InputError: a value is out of range.
+        """
+        if effort.bound_db is not None and not (math.isfinite(effort.bound_db) and effort.bound_db < 0):
+            raise InputError(f"bound_db is {effort.bound_db}; it must be a finite number below 0")
+        if effort.most_sources is not None and effort.most_sources < 0:
+            raise InputError(f"most_sources is {effort.most_sources}; it must be 0 or more")
+        self._effort = effort
+        due = self.next_sample + self._look_ahead
+        for name in self._dropped(due):
+            life = self._sources[name].life
+            if life is not None:
+                life.settle(due)
+                life.finish(due)
+                self._sources[name].life = None
+
+    def state(self) -> tuple[SourceState, ...]:
+        """Sources that sound now, in the order of their appearance, the dropped ones too."""
+        due, now = self.next_sample + self._look_ahead, np.array([self.next_sample])
+        dropped, states = self._dropped(due), []
+        for name, source in sorted(self._sources.items(), key=lambda item: item[1].appeared):
+            life = source.life
+            if name in dropped:
+                states.append(SourceState(name, source.at_mm, 0.0, fading=False, dropped=True))
+            elif life is not None and life.end >= self.next_sample:
+                (place_mm,), (amplitude,) = life.course.at(now)
+                fading = life.ended or due > source.due + self._timing.hold
+                at_mm = (float(place_mm[0]), float(place_mm[1]))
+                states.append(SourceState(name, at_mm, float(amplitude), fading=fading, dropped=False))
+        return tuple(states)
+
+    def take_record(self) -> tuple[RecordedLife, ...]:
+        """Knots that became final since the last call, life by life; they are given once."""
+        due, parts = self.next_sample + self._look_ahead, []
+        for number, life in self._lives.items():
+            before = life.taken
+            knots = life.take(due)
+            if knots and not before:
+                parts.append(
+                    RecordedLife(number, life.name, life.signal, life.repeat, trajectory(knots), over=life.ended)
+                )
+        return tuple(parts)
+
+    def next_block(self) -> Float64Array:
+        """Compute the next block of drives, (actuators, block_samples), in volts.
+
+        Raises InputError: the drives do not fit into float64.
+        """
+        due = self.next_sample + self._look_ahead
+        for life in self._lives.values():
+            life.settle(due)
+        computed = self._compute()
+        block = computed[:, : self.block_samples] * self._rise
+        block += self._kept_drive * (1.0 - self._rise)
+        if not np.isfinite(block).all():
+            raise InputError(
+                f"the drive from sample {self.next_sample} on does not fit into float64; lower the amplitude or check"
+                " the bank"
+            )
+        self._kept_drive = computed[:, self.block_samples :]
+        self.next_sample += self.block_samples
+        self._forget()
+        return block
+
+    def _compute(self) -> Float64Array:
+        """Drives (actuators, 2 B) from `next_sample` on."""
+        windows = Windows(self._events())
+        silent = np.zeros((self.actuators, 2 * self.block_samples))
+        if not len(windows.pairs[0]):
+            return silent
+        if self._exponent is None:
+            rows, by = windows.pairs
+            self._exponent = int(np.frexp(self._rows.weigh(rows[:1], by[:1])[0][0])[1])
+        windows.weigh(self._weigh)
+        total = self._total(windows, windows.spectra(0, len(windows), self._fft_samples))
+        samples = np.fft.irfft(total, n=self._fft_samples, axis=1)[:, self._lead : self._window]
+        return scale(samples, self._exponent + self._rows.drive_exponent)
+
+    def _events(self) -> Events:
+        """What all sources emit from `next_sample` on, as far as it reaches the block."""
+        first, stop = self.next_sample, self.next_sample + self._window
+        parts = []
+        for life in self._lives.values():
+            sample = np.arange(max(first, life.begin), min(stop, life.end + 1))
+            if not len(sample):
+                continue
+            places_mm, amplitude = life.course.at(sample)
+            nodes, since = self._surface.nodes(places_mm), sample - life.begin
+            value = life.values[since % len(life.values)] * amplitude
+            if not life.repeat:
+                value[since >= len(life.values)] = 0.0
+            parts.append(Events(nodes.rows, nodes.weights, nodes.nearest, sample - first, value))
+        if not parts:
+            nothing = np.zeros(0, dtype=np.int64)
+            return Events(np.zeros((0, 1), dtype=np.int64), np.zeros((0, 1)), nothing, nothing, np.zeros(0))
+        return Events(
+            np.concatenate([part.rows for part in parts]), np.concatenate([part.weights for part in parts]),
+            np.concatenate([part.regularised_by for part in parts]), np.concatenate([part.sample for part in parts]),
+            np.concatenate([part.values for part in parts]),
+        )  # fmt: skip
+
+    def _total(self, windows: Windows, emitted: Complex128Array) -> Complex128Array:
+        """Spectra (actuators, bins) of windows times their time-reversed rows."""
+        total = np.zeros((self.actuators, emitted.shape[1]), dtype=np.complex128)
+        rows, regularised_by = windows.rows.tolist(), windows.regularised_by.tolist()
+        for row, by, window in zip(rows, regularised_by, emitted, strict=True):
+            self._spectra.load([row])
+            product = self._spectra[row].kept * window
+            if by >= 0 and (sigma := self._rows.sigma(by)) is not None:
+                product *= sigma[:, None]
+            total += product
+        return total
+
+    def _weigh(self, rows: Int64Array, regularised_by: Int64Array) -> tuple[Float64Array, BoolArray]:
+        return self._rows.weigh(rows, regularised_by, self._exponent or 0)
+
+    def _begin(
+        self, name: str, source: _Source, due: int, at_mm: tuple[float, float], before: Life | None = None
+    ) -> Life:
+        life = Life(
+            name, source.signal, source.values, repeat=source.repeat, surface=self._surface, timing=self._timing,
+            begin=due, at_mm=at_mm, amplitude=source.amplitude, before=before,
+        )  # fmt: skip
+        self._lives[self._lives_begun] = life
+        self._lives_begun += 1
+        return life
+
+    def _forget(self) -> None:
+        """Drop knots and lives that no later block needs."""
+        if not self._record:
+            self.take_record()
+        for number, life in list(self._lives.items()):
+            life.forget(self.next_sample)
+            if life.taken and life.end < self.next_sample:
+                del self._lives[number]
+                source = self._sources.get(life.name)
+                if source is not None and source.life is life:
+                    source.life = None
+
+    def _active(self, due: int) -> list[str]:
+        """Names that sound or are dropped, in the order of their appearance: those with a position not too late."""
+        names = [name for name, one in self._sources.items() if one.due >= 0 and due <= one.due + self._timing.hold]
+        return sorted(names, key=lambda name: self._sources[name].appeared)
+
+    def _dropped(self, due: int) -> list[str]:
+        most = self._effort.most_sources
+        return [] if most is None else self._active(due)[most:]
+
+    def _named(self, name: str, given: tuple[Signal, bool] | None = None) -> _Source:
+        """The source of a name, a new one with the default signal, or the given one."""
+        if name in self._sources:
+            return self._sources[name]
+        if not 0 < len(name) <= LONGEST_NAME:
+            raise InputError(f"a source's name has {len(name)} characters; allowed are 1 to {LONGEST_NAME}")
+        signal, repeat = (self._default_signal, True) if given is None else given
+        source = _Source(signal, self._sampled(signal), repeat)
+        active = self._active(self.next_sample + self._look_ahead)
+        while len(self._sources) >= max(MOST_NAMES, self._most_sources + 1):
+            del self._sources[next(one for one in self._sources if one not in active)]
+        self._sources[name] = source
+        return source
+
+    def _sampled(self, signal: Signal) -> Float64Array:
+        samples, _ = signal_size(signal, self.rate_hz)
+        if not samples <= LONGEST_SIGNAL_S * self.rate_hz:
+            raise InputError(
+                f"a signal of {samples / self.rate_hz:.4g} s is too long; live sources take up to"
+                f" {LONGEST_SIGNAL_S:g} s"
+            )
+        return signal.samples(self.rate_hz)
+
+
+def default_signal(bank: GreenSource) -> Signal:
+    """Noise of the bank's band, 1 s; of 50 to 450 Hz, as far as the rate allows, where the band is not stated."""
+    half_hz = float(bank.sample_rate_hz) / 2.0
+    low_hz, high_hz = bank.band_hz or (min(50.0, half_hz / 4.0), min(450.0, half_hz))
+    return Noise((low_hz, min(high_hz, half_hz)), 1.0)

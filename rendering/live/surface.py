@@ -1,0 +1,117 @@
+"""The part of the surface that sources may be rendered on while they sound."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+
+import numpy as np
+
+from rendering.arrays import BoolArray, Float64Array
+from rendering.greens.interpolation.base import GridInterpolation, Nodes, OffGridError, interpolation_method, show_mm
+from rendering.greens.interpolation.position_grid import PositionGrid
+from rendering.greens.source import GreenSource, usable
+from storage.errors import InputError
+
+
+class Surface:
+    """Places of a bank from which the interpolation can be made; a row is read when a place first needs it.
+
+    interpolation: "nearest", "bilinear" or "bicubic".
+    read: Reads a row. Raises InputError where it may not be used.
+
+    Raises InputError: the bank does not allow the interpolation, or no position was measured.
+    """
+
+    x_mm: tuple[float, float]
+    y_mm: tuple[float, float]
+    """Bounding box of the positions that may be used."""
+
+    def __init__(self, bank: GreenSource, interpolation: str, read: Callable[[int], None]) -> None:
+        method = interpolation_method(interpolation)
+        if not issubclass(method, GridInterpolation):
+            raise InputError(
+                f"interpolation is {interpolation!r}, which prepares a path beforehand; live sources need 'nearest',"
+                " 'bilinear' or 'bicubic'"
+            )
+        if reason := getattr(bank, "import_facts", {}).get("unsuited", {}).get(interpolation):
+            raise InputError(f"interpolation is {interpolation!r}, and the bank was imported: {reason}; use 'nearest'")
+        self._method = method(PositionGrid(bank.position_mm))
+        self._read, self._usable = read, usable(bank)
+        self._unread = self._usable.copy()
+        if not self._usable.any():
+            raise InputError("no position of the bank was measured; live sources need some")
+        position_mm = np.asarray(bank.position_mm, dtype=np.float64)[self._usable]
+        (left, lower), (right, upper) = position_mm.min(axis=0).tolist(), position_mm.max(axis=0).tolist()
+        self.x_mm, self.y_mm = (left, right), (lower, upper)
+
+    def require(self, at_mm: tuple[float, float], name: str) -> None:
+        """Raise InputError where a source may not be at a place in millimetres."""
+        if not np.isfinite(at_mm).all():
+            raise InputError(
+                f"at_mm of source {name!r} is {at_mm}; two finite numbers (x, y) in millimetres are expected"
+            )
+        place_mm = np.array([at_mm], dtype=np.float64)
+        try:
+            nodes = self._method.nodes(place_mm)
+        except OffGridError as error:
+            raise InputError(f"the position of source {name!r} {error}") from error
+        for row in _needed(nodes):
+            try:
+                self.admit(row)
+            except InputError as error:
+                raise InputError(f"source {name!r} may not be at {show_mm(place_mm[0])} mm: {error}") from error
+
+    def admit(self, row: int) -> None:
+        """Read a row if that was not done yet. Raises InputError where it may not be used."""
+        if self._unread[row]:
+            self._unread[row] = self._usable[row] = False
+            self._read(row)
+            self._usable[row] = True
+        elif not self._usable[row]:
+            self._read(row)
+
+    def try_admit(self, row: int) -> None:
+        """Read a row if that was not done yet, and note whether it may be used."""
+        if self._unread[row]:
+            with suppress(InputError):
+                self.admit(row)
+
+    def reach(self, at_mm: Float64Array) -> int:
+        """Count the places (n, 2), from the first on, up to one that cannot be rendered from."""
+        count = len(at_mm)
+        while count:
+            try:
+                nodes = self._method.nodes(at_mm[:count])
+            except OffGridError as off:
+                count = off.point
+                continue
+            for row in _needed(nodes):
+                self.try_admit(row)
+            refused = self._refused(nodes)
+            return int(np.argmax(refused)) if refused.any() else count
+        return 0
+
+    def nodes(self, at_mm: Float64Array) -> Nodes:
+        """Rows and weights of places (n, 2) that `reach` allows.
+
+        Places that rounding puts beyond are taken at the one before them. Raises OffGridError: there is none.
+        """
+        try:
+            return self._method.nodes(at_mm)
+        except OffGridError:
+            held_mm, first = at_mm.copy(), self.reach(at_mm)
+            held_mm[first:] = at_mm[max(first - 1, 0)]
+            return self._method.nodes(held_mm)
+
+    def _refused(self, nodes: Nodes) -> BoolArray:
+        missing = (nodes.weights != 0) & ~self._usable[nodes.rows]
+        return np.asarray(missing.any(axis=1) | ~self._usable[nodes.nearest])
+
+
+def _needed(nodes: Nodes) -> list[int]:
+    """Rows that nodes are made of or regularised by, in the order in which they are needed."""
+    rows = np.concatenate([nodes.nearest[:, None], np.where(nodes.weights != 0, nodes.rows, nodes.nearest[:, None])], 1)
+    found, first = np.unique(rows, return_index=True)
+    needed: list[int] = found[np.argsort(first)].tolist()
+    return needed
