@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol
 
 from acquisition.conditions import NOTHING_WATCHED, Watch
 from calibration import Float64Array
@@ -151,6 +151,8 @@ def silence(instruments: Instruments) -> list[InstrumentError]:
     return failures
 
 
+# Steps of a record: the recorder is about to be started; it has started; the player has the signals.
+Step = Literal["starting", "started", "playing"]
 # A driver that has not answered this long after the record should have ended is not going to.
 ANSWER_MARGIN_S = 5.0
 
@@ -175,7 +177,12 @@ def record_samples(rolls: Rolls, signal_samples: int, sample_rate_hz: float) -> 
 
 
 def take_record(
-    setup: Setup, signals_v: Mapping[int, Float64Array], sample_rate_hz: float, take: Take, samples: int | None = None
+    setup: Setup,
+    signals_v: Mapping[int, Float64Array],
+    sample_rate_hz: float,
+    take: Take,
+    samples: int | None = None,
+    reached: Callable[[Step], object] = lambda step: None,
 ) -> Recording:
     """Play signals and record reference and response around them.
 
@@ -187,6 +194,7 @@ def take_record(
     sample_rate_hz: Rate of the signals and of the record.
     take: What the record is for.
     samples: Samples of the record; by default ``record_samples(...)``, so that it outlasts the signal.
+    reached: Called when a step is reached, so that its instant can be noted.
 
     Returns as many samples of both channels.
     Raises InstrumentError: of the instrument that failed, with its role; the player is muted and the recorder stopped.
@@ -203,11 +211,14 @@ def take_record(
     timeout_s += ANSWER_MARGIN_S
     player, recorder = setup.instruments.player, setup.instruments.recorder
     try:
+        reached("starting")
         with asking("recorder"):
             recorder.start(request)
+        reached("started")
         setup.instruments.clock.sleep(setup.pre_roll_s)
         with asking("player"):
             player.play(signals_v, sample_rate_hz)
+            reached("playing")
             player.wait(timeout_s)
         with asking("recorder"):
             return recorder.read(timeout_s)

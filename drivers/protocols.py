@@ -18,10 +18,10 @@ Float64Array = NDArray[np.float64]
 class Take:
     """Which measurement a record belongs to, for messages and logs.
 
-    position: Row of the bank, from 0.
+    position: Row of the bank, from 0; number of the trial, from 1, where a stimulus is presented.
     attempt: 1 for the first try at this position.
     record: Index of the record within the attempt, from 0.
-    purpose: ``"capture"``, ``"sentinel"``, ``"probe"`` or ``"scan"``.
+    purpose: ``"capture"``, ``"sentinel"``, ``"probe"``, ``"scan"`` or ``"presentation"``.
     """
 
     position: int
@@ -30,6 +30,8 @@ class Take:
     purpose: str = "capture"
 
     def __str__(self) -> str:
+        if self.purpose == "presentation":
+            return f"presentation of trial {self.position}, attempt {self.attempt}"
         return f"{self.purpose} of position {self.position}, attempt {self.attempt}, record {self.record}"
 
 

@@ -111,6 +111,7 @@ class VirtualSettings:
     room_c, light: Instants in s on the rig's clock, rising, with the room's temperature in degrees Celsius, and with
         the share of light that comes back to the vibrometer, as its controller would report it.
     realtime: Let virtual seconds last a second.
+    outputs: Outputs of the player, where it has more than are wired.
     """
 
     seed: int = 1
@@ -148,6 +149,7 @@ class VirtualSettings:
     room_c: tuple[tuple[float, float], ...] = ((0.0, 21.0),)
     light: tuple[tuple[float, float], ...] = ((0.0, 1.0),)
     realtime: bool = False
+    outputs: int = 0
 
     def __post_init__(self) -> None:
         for name in (
@@ -174,11 +176,12 @@ class VirtualSettings:
         wired = (*self.channel_of_actuator, self.channel_of_loopback)
         once = len(set(wired)) == len(wired) == self.actuators + 1 and min(wired) >= 0
         _require("actuator_channels", wired, once, "one channel of its own per actuator and the loopback")
-        late_s, count = self.output_latency_s or (0.0,) * self.player_channels, self.player_channels
-        within = len(late_s) == count and max(map(abs, late_s)) <= MOST_DELAY_S
-        _require("output_latency_s", late_s, within, f"one per output, {count} in all, within +-{MOST_DELAY_S}")
+        outputs = max(wired) + 1
+        late_s = self.output_latency_s or (0.0,) * outputs
+        within = len(late_s) == outputs and max(map(abs, late_s)) <= MOST_DELAY_S
+        _require("output_latency_s", late_s, within, f"one per output, {outputs} in all, within +-{MOST_DELAY_S}")
         for name, factors, count in (
-            ("output_gain", self.output_gain, self.player_channels),
+            ("output_gain", self.output_gain, outputs),
             ("actuator_strength", self.actuator_strength, self.actuators),
         ):
             there = factors is None or (len(factors) == count and bool(np.isfinite(factors).all()))
@@ -209,7 +212,7 @@ class VirtualSettings:
     @property
     def player_channels(self) -> int:
         """How many channels the player has."""
-        return max(*self.channel_of_actuator, self.channel_of_loopback) + 1
+        return max(*self.channel_of_actuator, self.channel_of_loopback, self.outputs - 1) + 1
 
     @property
     def clock_ratio(self) -> float:

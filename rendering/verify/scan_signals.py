@@ -39,10 +39,7 @@ class Aligned:
 
 
 def scan_signals(setup: Setup, drive: Drive, samples: int) -> dict[int, Float64Array]:
-    """Put the drive on the actuators' channels and a marker sweep on the loopback channel.
-
-    The sweep runs from 20 Hz to 1 kHz, or to 0.4 of the rate where that is lower, over the whole
-    record, at half of full scale or 0.7 of the reference input's range.
+    """Put the drive on the actuators' channels and a marker sweep over the whole record on the loopback channel.
 
     Raises InputError: the rig cannot play the drive.
     """
@@ -61,15 +58,23 @@ def scan_signals(setup: Setup, drive: Drive, samples: int) -> dict[int, Float64A
     signals_v: dict[int, Float64Array] = {}
     for channel, signal in zip(setup.actuator_channels, drive.drive_v, strict=True):
         signals_v[channel] = np.concatenate([signal, np.zeros(samples - drive_samples)])
-    rate_hz = drive.sample_rate_hz
-    amplitude_v = min(0.5 * full_scale_v, 0.7 * setup.range_v[0] / setup.reference_gain)
+    signals_v[setup.loopback_channel] = marker_v(setup, samples, drive.sample_rate_hz)
+    return signals_v
+
+
+def marker_v(setup: Setup, samples: int, rate_hz: float) -> Float64Array:
+    """A sweep for the loopback channel, in volts, by which a fit finds the start of a play in its record.
+
+    It runs from 20 Hz to 1 kHz, or to 0.4 of the rate where that is lower, at half of full scale or 0.7 of the
+    reference input's range, faded at both ends.
+    """
+    amplitude_v = min(0.5 * setup.instruments.player.full_scale_v, 0.7 * setup.range_v[0] / setup.reference_gain)
     time_s = np.arange(samples) / rate_hz
     stop_hz = min(0.4 * rate_hz, MARKER_STOP_HZ)
     slope = (stop_hz - MARKER_START_HZ) / (samples / rate_hz)
     sweep = np.sin(2.0 * np.pi * (MARKER_START_HZ + 0.5 * slope * time_s) * time_s)
     fade = np.sin(0.5 * np.pi * np.clip(np.minimum(time_s, time_s[::-1]) / MARKER_FADE_S, 0.0, 1.0)) ** 2
-    signals_v[setup.loopback_channel] = amplitude_v * fade * sweep
-    return signals_v
+    return np.asarray(amplitude_v * fade * sweep)
 
 
 class Alignment:

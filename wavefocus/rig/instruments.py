@@ -67,15 +67,16 @@ class OpenedRig:
     virtual_sensors: Mapping[str, Sensor] = field(default_factory=dict)
 
 
-def openers(rig: RigConfig, virtual: Virtual | None = None, *, realtime: bool = False) -> Openers:
+def openers(rig: RigConfig, virtual: Virtual | None = None, *, realtime: bool = False, outputs: int = 0) -> Openers:
     """Find the driver of each instrument; nothing is opened yet.
 
     realtime: A virtual rig's seconds last as long as the wall's; by default they take no time.
+    outputs: Outputs of the player to open, where more are needed than the rig file wires.
     """
     if rig.is_virtual:
         from wavefocus.rig.virtual_bench import virtual_rig  # a real rig needs none of what stands in for one
 
-        bench = virtual_rig(rig, virtual, realtime=realtime)
+        bench = virtual_rig(rig, virtual, realtime=realtime, outputs=outputs)
         roles = bench.instruments
         return Openers(
             roles.clock,
@@ -91,7 +92,7 @@ def openers(rig: RigConfig, virtual: Virtual | None = None, *, realtime: bool = 
         clock,
         lambda: _mirror(rig, clock),
         lambda: _recorder(rig),
-        lambda: _player(rig),
+        lambda: _player(rig, outputs),
         lambda: _vibrometer(rig),
     )
 
@@ -164,9 +165,11 @@ def _recorder(rig: RigConfig) -> Recorder:
     return driver.open()
 
 
-def _player(rig: RigConfig) -> Player:
+def _player(rig: RigConfig, outputs: int) -> Player:
     driver: PlayerDriver = rig.player.make_driver()
-    return driver.open(Outputs(rig.player.output_full_scale_v, rig.player.interface_rate_hz))
+    wired_v = rig.player.output_full_scale_v
+    further_v = (rig.player.full_scale_v,) * (outputs - len(wired_v))
+    return driver.open(Outputs(wired_v + further_v, rig.player.interface_rate_hz))
 
 
 def read_vibrometer(section: VibrometerSection, *, any_level: bool = False) -> VibrometerReading:

@@ -23,12 +23,17 @@ from wavefocus.rig.instruments import OpenedRig, in_time, open_rig, openers, rea
 
 
 @contextmanager
-def open_setup(rig: RigConfig, run: RunConfig) -> Iterator[Setup]:
+def open_setup(rig: RigConfig, run: RunConfig | None, *, realtime: bool = False, outputs: int = 0) -> Iterator[Setup]:
     """Open the instruments of a rig; on the way out they are muted, parked and released.
+
+    run: Says what a virtual rig is like; None for a flawless one.
+    realtime, outputs: As of `wavefocus.rig.instruments.openers`.
 
     Raises InstrumentError: an instrument cannot be opened, or could not be put to rest.
     """
-    ways = in_time(openers(rig, run.virtual), RECONNECTING * rig.recovery.hung_after_s)
+    virtual = None if run is None else run.virtual
+    ways = openers(rig, virtual, realtime=realtime, outputs=outputs)
+    ways = in_time(ways, RECONNECTING * rig.recovery.hung_after_s)
     setup = setup_of(rig, open_rig(ways))
     with put_to_rest(setup):
         if rig.calibration.measured is not None:

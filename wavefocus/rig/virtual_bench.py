@@ -15,9 +15,11 @@ from mocks.virtual.settings import MirrorGeometry, VirtualSettings
 from mocks.virtual.synthesis import output_errors
 
 
-def virtual_rig(rig: RigConfig, virtual: Virtual | None = None, *, realtime: bool = False) -> VirtualRig:
-    """Build the virtual rig that a configuration describes; `realtime` as of its settings."""
-    return VirtualRig(replace(virtual_settings(rig, virtual), realtime=realtime))
+def virtual_rig(
+    rig: RigConfig, virtual: Virtual | None = None, *, realtime: bool = False, outputs: int = 0
+) -> VirtualRig:
+    """Build the virtual rig that a configuration describes; `realtime` and `outputs` as of its settings."""
+    return VirtualRig(replace(virtual_settings(rig, virtual), realtime=realtime, outputs=outputs))
 
 
 def virtual_settings(rig: RigConfig, virtual: Virtual | None = None) -> VirtualSettings:
