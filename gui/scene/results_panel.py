@@ -30,7 +30,7 @@ _KINDS = {DRIVE: "drive file", WAV: "sound file", MOVIE: "movie"}
 
 
 class ActionsBar(Themed, QWidget):
-    """Rows of controls for saving and playing."""
+    """Rows of controls for saving and playing; the owner places `rig_field`, which other pages use, too."""
 
     rig_changed = pyqtSignal()
 
@@ -67,7 +67,7 @@ class ActionsBar(Themed, QWidget):
         self.buttons: dict[str, QToolButton] = {name: ui.button(action) for name, action in actions.items()}
         *saves, plays, stops = self.buttons.values()
         player = ui.row(self.gain, self.loops, plays, stops, None)
-        ui.column(ui.row(*saves, None), self.rig_field, player, self.state, owner=self, margins=(4, 2, 4, 2), spacing=4)
+        ui.column(ui.row(*saves, None), player, self.state, owner=self, margins=(4, 2, 4, 2), spacing=4)
         for part in (saving, playing):
             part.changed.connect(self.show_state)
         self.rig_field.line.editingFinished.connect(self._check_rig)

@@ -2,151 +2,34 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 
-import numpy as np
-import pyqtgraph
-from numpy.typing import NDArray
 from PyQt5.QtCore import Qt
 from PyQt5.QtGui import QShowEvent
-from PyQt5.QtWidgets import QAction, QWidget
+from PyQt5.QtWidgets import QAction, QStackedWidget, QWidget
 
 from config.scene import SourceTable, TextTable
 from gui import widgets as ui
-from gui.field_map import ColourBar, Plot
 from gui.files import PathField, TomlKind, toml_kind
-from gui.scene.canvas import SceneCanvas, span_s
-from gui.scene.document import EMPTY, SceneDocument
+from gui.scene.document import SceneDocument
+from gui.scene.exports import IDLE
 from gui.scene.files import SceneFiles
 from gui.scene.forms import SceneForm, SourceForm
-from gui.scene.preview import LivePreview, problem_of
+from gui.scene.live_panel import LivePanel
+from gui.scene.live_run import LiveRun
+from gui.scene.live_surface import LiveSurface
+from gui.scene.preview import LivePreview
 from gui.scene.results_panel import ResultsPanel
 from gui.scene.sources import SourceActions, SourceList
+from gui.scene.surface_panel import SurfacePanel
 from gui.tab import Question, Tab, TabContext
-from gui.theme import Themed
 
-_TOOLS = (
-    ("", "Select", "V", "Choose, move and shape paths"),
-    ("point", "Point", "D", "Draw a source at rest"),
-    ("line", "Line", "L", "Draw a straight line"),
-    ("circle", "Circle", "C", "Draw a circle from its centre"),
-    ("polyline", "Polyline", "P", "Draw straight lines from corner to corner"),
-    ("text", "Text", "T", "Write a text"),
+# Modes of the tab: key of its page, button, tooltip.
+DRAW, LIVE = "draw", "live"
+_MODES = (
+    (DRAW, "Draw", "Draw the scene, and see its drives and its field"),
+    (LIVE, "Live", "Move sources by hand while they sound; leaving this page mutes them"),
 )
-_LONGEST = 240
-_HINT_LINES = 3
-_PLACE_PX = 76
-_SIGNAL_LINES = 8
-_FEW_SAMPLES = 32
-
-
-class SurfacePanel(Themed, QWidget):
-    """Where scenes are drawn."""
-
-    def __init__(self, document: SceneDocument, live: LivePreview, acts: SourceActions) -> None:
-        super().__init__()
-        self._document, self._live = document, live
-        #: What is wrong with the scene; empty where nothing is.
-        self.problem = ""
-        self.canvas = SceneCanvas(document, live)
-        tip = "Draw and move from position to position of the bank; whole millimetres without a bank"
-        self.snaps = ui.check("Snap", tip, "Snap to positions")
-        choices = [(kind, text, f"{tip} ({key}, on the surface)", f"Tool: {text}") for kind, text, key, tip in _TOOLS]
-        self.tools = ui.exclusive_buttons(choices, self._use_tool)
-        for kind, text, key, _ in _TOOLS:
-            action = ui.action(self.canvas, text, partial(self.canvas.use_tool, kind), key)
-            action.setShortcutContext(Qt.ShortcutContext.WidgetShortcut)
-            self.canvas.addAction(action)
-        tip = "Add a path of an SVG file; files can also be dropped on the window"
-        drawing = ui.tool_button("SVG…", tip, acts.choose_drawing, "Add a drawing")
-        self.colours = ColourBar(self.canvas.picture.colour_map)
-        self.colours.show_range("Focus instant", "s", (0.0, 1.0))
-        self.signal = SignalPlot()
-        self.hint = ui.label("Hint, or problem of the scene", wraps=True, selectable=True)
-        self.hint.setAlignment(Qt.Alignment() | Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignTop)
-        # A fixed height: the surface must not move below the mouse when a problem appears.
-        self.hint.setFixedHeight(_HINT_LINES * self.hint.fontMetrics().lineSpacing() + 2)
-        self.place = ui.label("Position of the mouse")
-        self.place.setParent(self.canvas)
-        self.place.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
-        self.place.move(_PLACE_PX, 2)
-        tools = ui.row(*self.tools.values(), drawing, None, self.snaps, spacing=3)
-        ui.column(tools, (self.canvas, 1), self.colours, self.hint, self.signal, owner=self, spacing=4)
-        self.snaps.toggled.connect(partial(setattr, self.canvas, "snaps"))
-        self.canvas.drawn.connect(acts.add)
-        self.canvas.delete_wanted.connect(acts.delete)
-        self.canvas.hovered.connect(self._hover)
-        self.canvas.tool_changed.connect(self._tool_changed)
-        document.chosen_changed.connect(self.redraw)
-        document.edited.connect(self.redraw)
-        live.updated.connect(self._show_preview)
-        self._tool_changed("")
-
-    def _use_tool(self, kind: str) -> None:
-        self.canvas.use_tool(kind)
-        self.canvas.setFocus(Qt.FocusReason.OtherFocusReason)
-
-    def _tool_changed(self, kind: str) -> None:
-        self.tools[kind].setChecked(True)
-        self.redraw()
-
-    def _show_preview(self) -> None:
-        preview = self._live.preview
-        if preview.draft == self._document.draft:
-            self.signal.show_signal(preview.signal, preview.ground.sample_rate_hz)
-        self.colours.show_range("Focus instant", "s", span_s(preview.traces))
-        self.problem = problem_of(preview)
-        self.redraw()
-
-    def redraw(self) -> None:
-        """Show the problem; without one, and while something is drawn, what the mouse does."""
-        drawing = bool(self.canvas.kind)
-        words = self.canvas.hint if drawing or self._document.draft.source else EMPTY
-        wrong = bool(self.problem and not drawing)
-        text = self.problem if wrong else words[:1].upper() + words[1:]
-        self.hint.setText(text if len(text) < _LONGEST else f"{text[:_LONGEST]}…")
-        self.hint.setToolTip(text)
-        self.hint.setStyleSheet(f"QLabel {{ color: {self.theme.fault if wrong else self.theme.faint}; }}")
-
-    def _hover(self, at: tuple[float, float] | None) -> None:
-        self.place.setText("" if at is None else f"({at[0]:.1f}, {at[1]:.1f}) mm")
-        self.place.adjustSize()
-
-
-class SignalPlot(Plot):
-    """The chosen source's signal, amplitude included."""
-
-    def __init__(self) -> None:
-        self._shown: tuple[NDArray[np.float64] | str, float] = ("", 1.0)
-        super().__init__("Signal of the chosen source", "time (ms)", "amplitude")
-        self.setFixedHeight(_SIGNAL_LINES * self.fontMetrics().lineSpacing())
-
-    def show_signal(self, samples: NDArray[np.float64] | str, sample_rate_hz: float) -> None:
-        """Show samples, or why there are none."""
-        if samples is self._shown[0] and sample_rate_hz == self._shown[1]:
-            return
-        self._shown = samples, sample_rate_hz
-        plot = self.getPlotItem()
-        plot.clear()
-        if isinstance(samples, str):
-            self.title(samples[:1].upper() + samples[1:], faint=True, size="8pt")
-            return
-        plot.setTitle(None)
-        time_ms, colour = np.arange(len(samples)) / sample_rate_hz * 1e3, self.theme.traces[0]
-        if len(samples) <= _FEW_SAMPLES:  # stems: an impulse is one sample
-            stems = np.stack([np.zeros(len(samples)), samples], axis=1).ravel()
-            plot.plot(np.repeat(time_ms, 2), stems, pen=pyqtgraph.mkPen(colour, width=1.5), connect="pairs")
-            plot.plot(time_ms, samples, pen=None, symbol="o", symbolSize=6, symbolBrush=colour, symbolPen=None)
-        else:
-            self.line(time_ms, samples, colour)
-        plot.getViewBox().autoRange()
-
-    def redraw(self) -> None:
-        super().redraw()
-        samples, rate_hz = self._shown
-        self._shown = "", 0.0
-        self.show_signal(samples, rate_hz)
 
 
 class SceneTab(Tab):
@@ -170,6 +53,14 @@ class SceneTab(Tab):
         self.scene_form = SceneForm(self.document)
         self.surface = SurfacePanel(self.document, self.live, self.acts)
         self.results = ResultsPanel(context, self.document)
+        self.live_run = LiveRun(context, self.document, self)
+        self.live_surface = LiveSurface(self.live_run, self.live)
+        bar, playing = self.results.bar, self.results.playing
+        self.live_panel = LivePanel(
+            context, self.document, self.live_run, lambda: bar.rig, lambda: playing.state != IDLE
+        )
+        self._stacks = QStackedWidget(), QStackedWidget()
+        self.modes = ui.exclusive_buttons([(mode, text, tip, text) for mode, text, tip in _MODES], self.use_mode)
         self._file = ui.label("Scene file")
         self._lay_out()
         self.bank_field.chosen.connect(self._bank_chosen)
@@ -179,6 +70,7 @@ class SceneTab(Tab):
         self.document.chosen_changed.connect(self._show_possible)
         self.document.file_changed.connect(self._show_possible)
         self._show_possible()
+        bar.rig_changed.connect(self.live_panel.show_run)
         self.files.restore_unsaved()
 
     def menu_actions(self) -> list[QAction | None]:
@@ -186,7 +78,7 @@ class SceneTab(Tab):
         return [
             named["new"], named["save"], named["save as"], None, named["undo"], named["redo"], None,
             *(named[name] for name in ("copy", "paste", "duplicate", "delete", "up", "down")), None,
-            named["drawing"], None, *self.results.menu_actions(),
+            named["drawing"], None, *self.results.menu_actions(), None, self.live_panel.start, self.live_panel.stop,
         ]  # fmt: skip
 
     def accepts(self, path: Path) -> bool:
@@ -208,7 +100,7 @@ class SceneTab(Tab):
         self.results.poll()
 
     def instruments_held(self) -> str:
-        return self.results.playing.instruments_held()
+        return self.results.playing.instruments_held() or self.live_run.instruments_held()
 
     def closing_question(self) -> Question | None:
         return self.files.closing_question()
@@ -216,6 +108,7 @@ class SceneTab(Tab):
     def shut_down(self) -> None:
         self.live.shut_down()
         self.results.shut_down()
+        self.live_run.close()
 
     def save_settings(self) -> None:
         super().save_settings()
@@ -232,7 +125,21 @@ class SceneTab(Tab):
                 self.document.use_bank(bank)
         else:
             self.live.read_bank()
-        self.surface.canvas.setFocus(Qt.FocusReason.OtherFocusReason)
+        self._focus_surface()
+
+    def use_mode(self, mode: str) -> None:
+        """Show a page, `DRAW` or `LIVE`; what sounds on the other one ends."""
+        self.modes[mode].setChecked(True)
+        if mode == LIVE:
+            self.results.playing.stop()
+        self.results.bar.play.setVisible(mode == DRAW)  # its key, too: one of both sounds
+        for stack in self._stacks:
+            stack.setCurrentIndex([DRAW, LIVE].index(mode))
+        self._focus_surface()
+
+    def _focus_surface(self) -> None:
+        surface = self.live_surface if self.modes[LIVE].isChecked() else self.surface.canvas
+        surface.setFocus(Qt.FocusReason.OtherFocusReason)
 
     def _make_actions(self) -> dict[str, QAction]:
         acts, files, steps = self.acts, self.files, self.document.steps
@@ -272,9 +179,20 @@ class SceneTab(Tab):
             area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         pages = ui.tab_pages("Forms of the source and of the scene", areas)
         left = ui.stacked((self.sources, 130), (pages, 500), growing=[1])
-        columns = ui.side_by_side((left, 300), (self.surface, 490), (self.results, 470), growing=[1, 2])
-        self.remember(columns=columns, left=left, snaps=self.surface.snaps)
-        top = ui.row(*buttons, (self._file, 1), (self.bank_field, 1))
+        surface = QWidget()
+        ui.column((self.live_surface, 1), self.live_panel.hint, owner=surface, spacing=4)
+        middle, right = self._stacks
+        for stack, parts in ((middle, (self.surface, surface)), (right, (self.results, self.live_panel))):
+            for part in parts:
+                stack.addWidget(part)
+        columns = ui.side_by_side((left, 300), (middle, 490), (right, 470), growing=[1, 2])
+        live = self.live_panel
+        self.remember(
+            columns=columns, left=left, snaps=self.surface.snaps,
+            look_ahead=live.look_ahead, records=live.records, recordings=live.folder,
+        )  # fmt: skip
+        fields = (self.bank_field, 3), (self.results.bar.rig_field, 2)
+        top = ui.row(*buttons, 6, *self.modes.values(), 6, (self._file, 1), *fields)
         ui.column(top, (columns, 1), owner=self, margins=ui.PAGE_MARGINS)
 
     def _bank_chosen(self, path: Path) -> None:

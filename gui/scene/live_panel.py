@@ -1,0 +1,263 @@
+"""Start, stop, latency, load and notices of live sources."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+from functools import partial
+
+import numpy as np
+import pyqtgraph
+from PyQt5.QtCore import Qt
+from PyQt5.QtGui import QHideEvent, QShowEvent
+from PyQt5.QtWidgets import QListWidget, QWidget
+
+from config.messages.live import LiveReady, LiveState
+from gui import widgets as ui
+from gui.field_map import Plot
+from gui.files import PathField, names_virtual_rig
+from gui.scene.document import SceneDocument
+from gui.scene.live_run import LIVE, SILENT, STARTING, STOPPING, LiveRun
+from gui.tab import TabContext
+from gui.theme import Themed
+
+LATENCY_GOAL_MS = 20.0
+_LOOK_AHEAD_MS, _LONGEST_LOOK_AHEAD_MS = 50, 2000
+_SHOWN_S = 60.0
+_AXIS_PX = 52
+_NOTICES_KEPT = 100
+_NOTICE_LINES = 3
+_HINTS = {
+    SILENT: "Press Start (F8); sources then follow mouse and fingers on the surface",
+    STARTING: "Bank and rig are being opened",
+    LIVE: "Press on the surface and drag; each finger has a source of its own. Or use Space and the arrow keys",
+    STOPPING: "The sources fade",
+}
+_ONCE = ". The chosen source's signal is an impulse, which sounds once: choose another one to feel the source move."
+
+
+class TrendPlot(Plot):
+    """A figure over the last minute with the line that it is to stay below.
+
+    goal: Height of the line.
+    """
+
+    def __init__(self, name: str, left: str, goal: float) -> None:
+        self._goal, self._curve = pyqtgraph.InfiniteLine(goal, angle=0), pyqtgraph.PlotDataItem(antialias=True)
+        super().__init__(name, "time (s)", left, axis_px=_AXIS_PX)
+        plot = self.getPlotItem()
+        plot.addItem(self._goal)
+        plot.addItem(self._curve)
+        plot.setMouseEnabled(x=False, y=False)
+        self.setMinimumHeight(90)
+        self.redraw()
+        self.show_values(np.zeros(0), np.zeros(0))
+
+    def show_values(self, time_s: np.ndarray, values: np.ndarray) -> None:
+        """Show values, NaN where there is none; the axis begins at 0 and holds the line."""
+        self._curve.setData(time_s, values, connect="finite")
+        ends_s = max(_SHOWN_S, float(time_s[-1])) if len(time_s) else _SHOWN_S
+        largest = float(np.nanmax(values)) if np.isfinite(values).any() else 0.0
+        self.setXRange(ends_s - _SHOWN_S, ends_s, padding=0.01)
+        self.setYRange(0.0, 1.2 * max(self._goal.value(), largest), padding=0.0)
+
+    def redraw(self) -> None:
+        super().redraw()
+        self._goal.setPen(pyqtgraph.mkPen(self.theme.fault, width=1.2, style=Qt.PenStyle.DashLine))
+        self._curve.setPen(pyqtgraph.mkPen(self.theme.traces[0], width=1.5))
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One line of the table; `wrong` marks a value that needs attention."""
+
+    name: str
+    value: str
+    definition: str
+    wrong: bool = False
+
+
+def figures_of(ready: LiveReady | None, state: LiveState | None) -> list[Figure]:
+    """Return the figures of a session; they have no value while there is none."""
+    p999_ms = None if state is None else state.latency_p999_ms
+    behind_ms = math.nan if ready is None or p999_ms is None else ready.look_ahead_ms + p999_ms + ready.interface_ms
+    look_ahead = "" if ready is None else f"{ready.look_ahead_ms:g} ms; exact from {ready.sufficient_ms:.0f} ms"
+    return [
+        Figure(
+            "latency", "" if p999_ms is None else f"{p999_ms:.1f} ms",
+            "99.9th percentile of the session, from a position received to the first drive sample made with it,"
+            f" written; it should be at most {LATENCY_GOAL_MS:g} ms",
+            p999_ms is not None and p999_ms > LATENCY_GOAL_MS,
+        ),
+        Figure(
+            "underruns", "" if state is None else str(state.underruns),
+            "Blocks that came too late: the interface ran dry, and sources began anew",
+            state is not None and state.underruns > 0,
+        ),
+        Figure(
+            "left out", "" if state is None else _left_out(state),
+            "Parts that are left out so that computing keeps pace: first frequencies within a bound on the error of the"
+            " drives, then the sources that came last",
+            state is not None and state.degradation != "none",
+        ),
+        Figure(
+            "limiter", "" if state is None else _limited(state),
+            "Least gain on all drives since the last figures; below 0 dB they would have exceeded the rig's limits",
+            state is not None and state.limited_db < 0.0,
+        ),
+        Figure(
+            "look-ahead", look_ahead,
+            "Delay by which sources follow their pointers on purpose. Below the second figure the end of a source's"
+            " path is predicted from its velocity",
+        ),
+        Figure(
+            "pointer to sound", "" if math.isnan(behind_ms) else f"{behind_ms:.0f} ms",
+            "Look-ahead, latency, what waits to be played, and the interface's own latency",
+        ),
+    ]  # fmt: skip
+
+
+def _left_out(state: LiveState) -> str:
+    parts = []
+    if state.bound_db is not None:
+        parts.append(f"frequencies, to {state.bound_db:g} dB")
+    if state.dropped:
+        parts.append(f"source{'s' if len(state.dropped) > 1 else ''} {', '.join(state.dropped)}")
+    return "; ".join(parts) or ("nothing" if state.degradation == "none" else state.degradation)
+
+
+def _limited(state: LiveState) -> str:
+    return f"{state.limited_db:.1f} dB" if state.limited_db < 0.0 else "not reached"
+
+
+class LivePanel(Themed, QWidget):
+    """Controls and figures of live sources; hidden, it ends the session.
+
+    rig: The rig file, or ``virtual``; empty where there is none.
+    playing: Whether the scene is being played.
+    """
+
+    def __init__(
+        self,
+        context: TabContext,
+        document: SceneDocument,
+        run: LiveRun,
+        rig: Callable[[], str],
+        playing: Callable[[], bool],
+    ) -> None:
+        super().__init__()
+        self.setAccessibleName("Live sources")
+        self._context, self._document, self._run, self._rig, self._playing = context, document, run, rig, playing
+        tip = "Open the rig; then press on the surface"
+        self.start = ui.action(self, "Start li&ve sources", self.begin, "F8", tip=tip)
+        tip = "Let the sources fade, and mute the outputs"
+        self.stop = ui.action(self, "Stop live sources", run.stop, "Shift+F8", tip=tip)
+        tip = "Delay by which sources follow their pointers, so that less of their path has to be predicted (ms)"
+        self.look_ahead = ui.whole_box("Look-ahead in ms", tip, 0, _LONGEST_LOOK_AHEAD_MS, "look-ahead ")
+        self.look_ahead.setSuffix(" ms")
+        self.look_ahead.setValue(_LOOK_AHEAD_MS)
+        tip = "Save each session as a scene in a new folder, named by the time, inside this one"
+        self.records = ui.check("&Record in", tip, "Record the session")
+        self.folder = PathField("", "", "folder for recordings", context.settings)
+        self.state = ui.Badge("State of the live session")
+        self.latency = TrendPlot("Latency over time", "latency (ms)", LATENCY_GOAL_MS)
+        self.load = TrendPlot("Load over time", "load (%)", 100.0)
+        self.table = ui.table(("figure", "value"), "Figures of the live session", (1,))
+        self.table.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.notices = ui.named(QListWidget(), "Notices of the session, the latest one first", "Notices")
+        self.notices.setWordWrap(True)
+        self.notices.setAlternatingRowColors(True)
+        self.hint = ui.label("Hint", role="faint", wraps=True)
+        self.start.setIconText("Start")
+        self.stop.setIconText("Stop")
+        self.buttons = {name: ui.button(action) for name, action in (("start", self.start), ("stop", self.stop))}
+        ui.column(
+            ui.row(*self.buttons.values(), 6, self.state, None, self.look_ahead),
+            ui.row(self.records, (self.folder, 1)),
+            (self.latency, 3), (self.load, 2), self.table, self.notices,
+            owner=self, margins=(4, 0, 4, 0), spacing=4,
+        )  # fmt: skip
+        run.changed.connect(self.show_run)
+        run.figures_changed.connect(self._show_figures)
+        run.noticed.connect(self.note)
+        for changed in (document.bank_changed, document.edited, document.chosen_changed, self.records.toggled):
+            changed.connect(self.show_run)
+        self.redraw()
+
+    def _hint(self) -> str:
+        """What can be done now."""
+        missing = [word for word, there in (("a bank", self._document.bank), ("a rig", self._rig())) if not there]
+        if missing:
+            return f"Choose {' and '.join(missing)} above"
+        source = self._document.source
+        once = source is not None and source.signal.kind == "impulse"
+        return f"{_HINTS[self._run.state]}{_ONCE if once else ''}"
+
+    def begin(self) -> None:
+        """Start a session, unless something else has the instruments."""
+        rig, record = self._rig(), self.folder.path if self.records.isChecked() else None
+        if self._playing():
+            self._context.messages.warn("the scene is being played: stop it first")
+        elif self.records.isChecked() and record is None:
+            self._context.messages.warn("choose the folder to record in, or record nothing")
+        else:
+            act = partial(self._run.start, rig, self.look_ahead.value(), record)
+            self._context.claim_instruments(self, "Start", act, virtual=names_virtual_rig(rig))
+
+    def note(self, sentence: str) -> None:
+        """Add a notice."""
+        self.notices.insertItem(0, f"{datetime.now():%H:%M:%S}  {sentence}")
+        while self.notices.count() > _NOTICES_KEPT:
+            self.notices.takeItem(self.notices.count() - 1)
+        self.notices.scrollToTop()
+
+    def show_run(self) -> None:
+        """Show what can be done, and the state of the session."""
+        state = self._run.state
+        ready = self._document.bank is not None and bool(self._rig())
+        self.start.setEnabled(state == SILENT and ready and self.isVisible())
+        self.stop.setEnabled(state in (STARTING, LIVE))
+        for part in (self.look_ahead, self.records, self.folder):
+            part.setEnabled(state == SILENT)
+        self.folder.setEnabled(state == SILENT and self.records.isChecked())
+        if state == STARTING:
+            self.notices.clear()
+        ui.put(self.hint, self._hint())
+        self.state.show_word(state, {LIVE: self.theme.good, SILENT: self.theme.faint}.get(state, self.theme.warning))
+        self._show_figures()
+
+    def redraw(self) -> None:
+        self.buttons["stop"].setStyleSheet(f"QToolButton:enabled {{ color: {self.theme.warning}; font-weight: 600; }}")
+        lines = self.notices.fontMetrics().lineSpacing()
+        self.notices.setFixedHeight(_NOTICE_LINES * lines + 8)
+        self.show_run()
+
+    def hideEvent(self, event: QHideEvent | None) -> None:  # noqa: N802
+        """Mute: nobody sees any more that something sounds."""
+        super().hideEvent(event)
+        self._run.stop()
+        self.show_run()
+
+    def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802
+        super().showEvent(event)
+        self.show_run()
+
+    def _show_figures(self) -> None:
+        states = self._run.states
+        latest = states[-1] if states else None
+        time_s = np.array([one.played_s for one in states])
+        latency_ms = np.array([math.nan if one.latency_ms is None else one.latency_ms for one in states])
+        self.latency.show_values(time_s, latency_ms)
+        self.load.show_values(time_s, 100.0 * np.array([one.load for one in states]))
+        figures = figures_of(self._run.ready, latest)
+        self.table.setRowCount(len(figures))
+        for number, one in enumerate(figures):
+            colours = {1: self.theme.fault} if one.wrong else {}
+            texts = (one.name, f"▲ {one.value}" if one.wrong else one.value or "–")
+            ui.fill_row(self.table, number, texts, colours, tip=one.definition)
+        rows, titles = self.table.verticalHeader(), self.table.horizontalHeader()
+        assert rows is not None
+        assert titles is not None
+        self.table.setFixedHeight(rows.length() + titles.sizeHint().height() + 2 * self.table.frameWidth())

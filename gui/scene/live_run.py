@@ -1,0 +1,206 @@
+"""The ``wavefocus live`` process of the Scene tab, and the sources that pointers hold."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from datetime import datetime
+from pathlib import Path
+
+from PyQt5.QtCore import QObject, pyqtSignal
+
+from acquisition.wording import hours
+from config.messages.codec import Message, message_of, to_record
+from config.messages.live import (
+    EVENTS,
+    EndLive,
+    EndSource,
+    LiveEnded,
+    LiveNotice,
+    LiveReady,
+    LiveRefused,
+    LiveState,
+    MoveSource,
+    PointMm,
+    SetSignal,
+)
+from config.scene import ImpulseTable, SignalTable
+from gui.files import names_virtual_rig
+from gui.process import STOPPED_BY_USER, CommandProcess
+from gui.process import Message as Record
+from gui.scene.document import SceneDocument
+from gui.scene.exports import SceneTask
+from gui.tab import TabContext
+
+SILENT, STARTING, LIVE, STOPPING = "silent", "starting", "live", "stopping"
+# Muting takes a moment; a process that is still opening bank and rig ends, silent, when it has.
+_MUTES_WITHIN_MS, _OPENS_WITHIN_MS = 4000, 30_000
+# States come five times a second. A session that writes none for so long gets no positions: writing to a full pipe
+# would hold up the window.
+_STALLED_AFTER_S = 2.0
+_STATES_KEPT = 300
+
+
+class LiveRun(SceneTask):
+    """At most one live session of the window; `changed` is emitted when its state is another one.
+
+    state: `SILENT`, `STARTING`, `LIVE` or `STOPPING`.
+    ready: Facts of the session, from `LIVE` on.
+    states: Figures of the last minute.
+    places: Where pointers hold sources, by name, in mm.
+    """
+
+    #: A `LiveState` has arrived.
+    figures_changed = pyqtSignal()
+    #: A sentence for the list of notices.
+    noticed = pyqtSignal(str)
+
+    def __init__(self, context: TabContext, document: SceneDocument, parent: QObject) -> None:
+        super().__init__(context, document, parent)
+        self.state = SILENT
+        self.ready: LiveReady | None = None
+        self.states: deque[LiveState] = deque(maxlen=_STATES_KEPT)
+        self.places: dict[str, PointMm] = {}
+        self._rig = self._refusal = ""
+        self._signal: SignalTable | None = None
+        self._heard_s = 0.0
+        self._ended: LiveEnded | None = None
+        document.edited.connect(self._set_signals)
+        document.chosen_changed.connect(self._set_signals)
+
+    @property
+    def pid(self) -> int | None:
+        """Process id of the session, None while there is none."""
+        return None if self._process is None else self._process.pid
+
+    def instruments_held(self) -> str:
+        """Subject and verb of a message about a real rig that sounds; empty for none."""
+        silent = self.state == SILENT or names_virtual_rig(self._rig)
+        return "" if silent else f"the Scene tab plays live on {Path(self._rig).name}"
+
+    def start(self, rig: str, look_ahead_ms: int, record: Path | None) -> None:
+        """Start a session with the present scene's signal, regularisation and limits.
+
+        rig: The rig file, or ``virtual``.
+        look_ahead_ms: By how much sources lag the pointers, so that less has to be predicted.
+        record: Folder for a new folder with the session's scene; None: not recorded.
+        """
+        if self.busy or not self.prepare("", "nothing sounds"):
+            return
+        document = self._document
+        scene = ["--scene", str(self._scene_file)] if document.draft.source else []
+        name = f"live-{datetime.now():%Y-%m-%d-%H%M%S}"
+        kept = [] if record is None else ["--record", str(record / name)]
+        arguments = ["live", str(document.bank), "--rig", rig, "--json", f"--look-ahead-ms={look_ahead_ms}"]
+        self._rig, self._refusal, self.ready, self._ended = rig, "", None, None
+        self.states.clear()
+        self._process = self._context.run(
+            [*arguments, *scene, *kept], self._finished, self._receive, advice="check that the rig is silent"
+        )
+        self._enter(STARTING)
+
+    def stop(self) -> None:
+        """Let the sources fade, mute, and end the session."""
+        if self._process is not None and self.state in (STARTING, LIVE):
+            grace_ms = _MUTES_WITHIN_MS if self.state == LIVE else _OPENS_WITHIN_MS
+            if self.state == LIVE:
+                self._send(EndLive())
+            self._enter(STOPPING)
+            self._process.stop(grace_ms, _MUTES_WITHIN_MS)
+
+    def close(self) -> None:
+        """The window closes: the process mutes and ends by itself."""
+        if self._process is not None:
+            self._process.detach()
+            self._process = None
+        self.places.clear()
+        self.state = SILENT
+        self.release()
+
+    def press(self, name: str, at_mm: PointMm) -> None:
+        """Let a source begin to sound."""
+        if self.state == LIVE:
+            self.places[name] = at_mm
+            self._set_signal(name)
+            self._send(self._move(name))
+
+    def move(self, name: str, at_mm: PointMm) -> None:
+        """Move a source that sounds; its position is sent with the others."""
+        if name in self.places:
+            self.places[name] = at_mm
+
+    def lift(self, name: str) -> None:
+        """Let a source fade and vanish."""
+        if self.places.pop(name, None) is not None:
+            self._send(EndSource(name))
+
+    def send_places(self) -> None:
+        """Send the position of each source that is held; a source without positions would fade."""
+        for name in self.places:
+            self._send(self._move(name))
+
+    def _move(self, name: str) -> MoveSource:
+        source = self._document.source
+        return MoveSource(name, self.places[name], None if source is None else source.amplitude)
+
+    def _set_signals(self) -> None:
+        source = self._document.source
+        if source is not None and source.signal != self._signal:
+            for name in self.places:
+                self._set_signal(name)
+
+    def _set_signal(self, name: str) -> None:
+        """Give a source the signal of the chosen source; without one it has that of the session."""
+        if (source := self._document.source) is not None:
+            self._signal = source.signal
+            repeats = not isinstance(source.signal, ImpulseTable)  # repeated at every sample it would be a constant
+            self._send(SetSignal(name, source.signal.model_dump(exclude_none=True), repeats))
+
+    def _send(self, order: Message) -> None:
+        if self._process is not None and self.state == LIVE and time.monotonic() - self._heard_s < _STALLED_AFTER_S:
+            self._process.send(**to_record(order))
+
+    def _receive(self, record: Record) -> None:
+        self._heard_s = time.monotonic()
+        match message_of(record, EVENTS):
+            case LiveReady() as ready:
+                self.ready = ready
+                if self.state == STARTING:
+                    self._enter(LIVE)
+            case LiveState() as state:
+                self.states.append(state)
+                self.figures_changed.emit()
+            case LiveNotice(sentence=sentence):
+                self.noticed.emit(sentence)
+            case LiveRefused(sentence=sentence) if sentence != self._refusal:  # positions come a hundred times a second
+                self._refusal = sentence
+                self.noticed.emit(sentence)
+            case LiveEnded() as ended:
+                self._ended = ended
+
+    def _finished(self, process: CommandProcess) -> None:
+        self._process = None
+        if not self.busy:  # the window closes
+            return
+        messages, ended = self._context.messages, self._ended
+        if process.exit_code in (0, STOPPED_BY_USER):
+            messages.note("muted" if ended is None else _summary(ended))
+        else:
+            messages.fault(self._plain(process.failure))
+        self.places.clear()
+        self.release()
+        self._enter(SILENT)
+
+    def _enter(self, state: str) -> None:
+        self.state = state
+        self.changed.emit()
+
+
+def _summary(ended: LiveEnded) -> str:
+    parts = [f"live for {hours(ended.played_s)}, muted", f"{ended.positions} positions"]
+    if ended.latency_p999_ms is not None:
+        parts.append(f"99.9 % of them within {ended.latency_p999_ms:.1f} ms")
+    parts.append(f"{ended.underruns} underrun{'' if ended.underruns == 1 else 's'}")
+    if ended.recorded:
+        parts.append(f"recorded in {ended.recorded}")
+    return "; ".join(parts)

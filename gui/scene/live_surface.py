@@ -1,0 +1,248 @@
+"""The surface of live sources: mouse, fingers and keys hold sources on it; rings show where they sound."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pyqtgraph
+from PyQt5.QtCore import QEvent, QPointF, Qt, QTimer
+from PyQt5.QtGui import QFocusEvent, QKeyEvent, QMouseEvent, QTouchEvent
+
+from config.messages.live import PointMm, SoundingSource
+from gui.scene.live_run import LIVE, LiveRun
+from gui.scene.preview import Ground, LivePreview
+from gui.surface_view import MARK, STEPS, Spots, SurfaceView, rgba
+
+# A source follows its pointer at a steady rate; one at rest needs positions, too.
+POSITIONS_EVERY_MS = 10
+KEY_SPEED_MM_S, SLOW_KEY_SPEED_MM_S = 80.0, 20.0
+_SPOT_PX = 17
+_SLACK = 1e-9
+MOUSE, KEYS = "mouse", "keys"
+
+
+def on_grid(ground: Ground, at_mm: PointMm) -> PointMm | None:
+    """Return the place nearest to a point that a source can have.
+
+    A source can be up to one grid spacing away from the position nearest to it; None where that position has no valid
+    measurement, and without a bank.
+    """
+    if ground.grid is None or ground.usable is None:
+        return None
+    point_mm = np.array([at_mm])
+    (row,), (distance_mm,) = ground.grid.nearest(point_mm)
+    if not ground.usable[row]:
+        return None
+    reach_mm = ground.grid.spacing_mm * (1.0 - _SLACK)
+    if distance_mm <= reach_mm:
+        return at_mm
+    position_mm = ground.grid.position_mm[row]
+    x_mm, y_mm = position_mm + reach_mm / distance_mm * (point_mm[0] - position_mm)
+    return float(x_mm), float(y_mm)
+
+
+class LiveSurface(SurfaceView):
+    """The measured surface with the sources that pointers hold (spots) and that sound (rings, with their names).
+
+    Pressing begins a source, dragging moves it, releasing ends it; each finger has one of its own. Space begins and
+    ends one that the arrow keys move. The wheel zooms, the middle button pans.
+    """
+
+    def __init__(self, run: LiveRun, live: LivePreview) -> None:
+        self._run, self._live = run, live
+        self._fingers: dict[int, str] = {}
+        self._steps: set[int] = set()
+        self._slow = False
+        self._key_mm: PointMm | None = None
+        self._ticked_s = 0.0
+        self._spots: Spots | None = None
+        self._labels: list[pyqtgraph.TextItem] = []
+        self._sounding: tuple[SoundingSource, ...] = ()
+        super().__init__("Surface of live sources")
+        self.setAccessibleDescription("Press to let a source sound; Space begins and ends one that the arrow keys move")
+        viewport = self.viewport()
+        assert viewport is not None
+        viewport.setAttribute(Qt.WidgetAttribute.WA_AcceptTouchEvents)
+        self._spots = Spots(symbol="o", size=_SPOT_PX)
+        self.add_item(self._spots, 85)
+        self._timer = QTimer(self)
+        self._timer.setTimerType(Qt.TimerType.PreciseTimer)
+        self._timer.setInterval(POSITIONS_EVERY_MS)
+        self._timer.timeout.connect(self._tick)
+        run.changed.connect(self._show_run)
+        run.figures_changed.connect(lambda: self.show_sounding(run.states[-1].sources))
+        live.ground_changed.connect(self._show_ground)
+        self.redraw()
+        self._show_ground()
+
+    def show_sounding(self, sources: tuple[SoundingSource, ...]) -> None:
+        """Draw a ring with its name around each source that sounds."""
+        self._sounding = sources
+        self.show_sources(np.array([one.at_mm for one in sources], np.float64).reshape(-1, 2))
+        while len(self._labels) < len(sources):
+            self._labels.append(pyqtgraph.TextItem(anchor=(-0.1, 1.1)))
+            self.add_item(self._labels[-1], 95)
+        for number, label in enumerate(self._labels):
+            label.setVisible(number < len(sources))
+            if number < len(sources):
+                source = sources[number]
+                label.setText(f"{source.name}, fading" if source.fading else source.name)
+                label.setColor(self.theme.faint if source.fading else self.theme.text)
+                label.setPos(*source.at_mm)
+
+    def redraw(self) -> None:
+        super().redraw()
+        if self._spots is not None:
+            self._spots.setPen(pyqtgraph.mkPen(self.theme.base, width=1.5))
+            self._spots.setBrush(pyqtgraph.mkBrush(MARK))
+            self._paint_positions()
+            self.show_sounding(self._sounding)
+
+    def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
+        """Begin the mouse's source; other buttons pan."""
+        assert event is not None
+        if event.button() == Qt.MouseButton.LeftButton:
+            self._press(MOUSE, event.localPos())
+        else:
+            super().mousePressEvent(event)
+
+    def mouseMoveEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
+        assert event is not None
+        if event.buttons() & Qt.MouseButton.LeftButton:
+            self._drag(MOUSE, event.localPos())
+        else:
+            super().mouseMoveEvent(event)
+
+    def mouseReleaseEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
+        assert event is not None
+        if event.button() == Qt.MouseButton.LeftButton:
+            self._lift(MOUSE)
+        else:
+            super().mouseReleaseEvent(event)
+
+    def mouseDoubleClickEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
+        self.mousePressEvent(event)
+
+    def viewportEvent(self, event: QEvent | None) -> bool:  # noqa: N802
+        """Give each finger a source of its own."""
+        if not isinstance(event, QTouchEvent):
+            return bool(super().viewportEvent(event))
+        if event.type() == QEvent.Type.TouchCancel:
+            self._lift_fingers()
+        for point in event.touchPoints():
+            if point.state() == Qt.TouchPointState.TouchPointPressed:
+                numbers = (number for number in range(1, 100) if f"finger {number}" not in self._fingers.values())
+                self._fingers[point.id()] = f"finger {next(numbers)}"
+                self._press(self._fingers[point.id()], point.pos())
+            elif point.id() in self._fingers:
+                if point.state() == Qt.TouchPointState.TouchPointReleased:
+                    self._lift(self._fingers.pop(point.id()))
+                else:
+                    self._drag(self._fingers[point.id()], point.pos())
+        event.accept()  # no mouse events are made of it
+        return True
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802
+        """Begin or end the keys' source, or move it."""
+        assert event is not None
+        if event.key() == Qt.Key.Key_Space and not event.isAutoRepeat():
+            if KEYS in self._run.places:
+                self._lift(KEYS)
+            elif self._key_mm is not None:
+                self._run.press(KEYS, self._key_mm)
+                self._show_spots()
+        elif event.key() in STEPS:
+            self._steps.add(event.key())
+            self._slow = bool(event.modifiers() & Qt.KeyboardModifier.ShiftModifier)
+        elif event.key() != Qt.Key.Key_Space:
+            super().keyPressEvent(event)
+
+    def keyReleaseEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802
+        assert event is not None
+        if event.key() in STEPS:
+            if not event.isAutoRepeat():
+                self._steps.discard(event.key())
+        else:
+            super().keyReleaseEvent(event)
+
+    def focusOutEvent(self, event: QFocusEvent | None) -> None:  # noqa: N802
+        """Stop walking: releases of keys do not arrive any more."""
+        super().focusOutEvent(event)
+        self._steps.clear()
+
+    def _press(self, name: str, at: QPointF) -> None:
+        self.setFocus(Qt.FocusReason.MouseFocusReason)
+        at_mm = on_grid(self._live.ground, self._mm(at))
+        if at_mm is not None:
+            self._run.press(name, at_mm)
+            self._show_spots()
+
+    def _drag(self, name: str, at: QPointF) -> None:
+        """Move a source; where it cannot follow it stays at the last place."""
+        at_mm = on_grid(self._live.ground, self._mm(at))
+        if at_mm is not None:
+            self._run.move(name, at_mm)
+            self._show_spots()
+
+    def _lift(self, name: str) -> None:
+        self._run.lift(name)
+        self._show_spots()
+
+    def _lift_fingers(self) -> None:
+        for name in self._fingers.values():
+            self._lift(name)
+        self._fingers.clear()
+
+    def _mm(self, at: QPointF) -> PointMm:
+        """A place in the viewport, in mm; of half pixels, too."""
+        transform, _ = self.viewportTransform().inverted()
+        point = self.box.mapSceneToView(transform.map(at))
+        return float(point.x()), float(point.y())
+
+    def _tick(self) -> None:
+        now_s = time.monotonic()
+        elapsed_s, self._ticked_s = now_s - self._ticked_s, now_s
+        if self._steps and self._key_mm is not None:
+            step_mm = elapsed_s * (SLOW_KEY_SPEED_MM_S if self._slow else KEY_SPEED_MM_S)
+            way = np.sum([STEPS[key] for key in self._steps], axis=0)
+            x_mm, y_mm = self._key_mm + step_mm * way
+            self._key_mm = on_grid(self._live.ground, (float(x_mm), float(y_mm))) or self._key_mm
+            self._run.move(KEYS, self._key_mm)
+            self._show_spots()
+        self._run.send_places()
+
+    def _show_spots(self) -> None:
+        assert self._spots is not None
+        self._spots.setData(pos=np.array([*self._run.places.values()]).reshape(-1, 2))
+
+    def _show_run(self) -> None:
+        if self._run.state == LIVE and not self._timer.isActive():
+            self._ticked_s = time.monotonic()
+            self._timer.start()
+        elif self._run.state != LIVE:
+            self._timer.stop()
+            self._fingers.clear()
+            self._steps.clear()
+            self.show_sounding(())
+        self._show_spots()
+
+    def _show_ground(self) -> None:
+        ground = self._live.ground
+        self.show_surface(ground.surface)
+        self.show_outline(ground.outline_mm)
+        self.show_everything()
+        self._paint_positions()
+        self._key_mm = None
+        if ground.surface is not None and ground.usable is not None and ground.usable.any():
+            places_mm = ground.surface.position_mm[ground.usable]
+            x_mm, y_mm = places_mm[np.hypot(*(places_mm - places_mm.mean(axis=0)).T).argmin()]
+            self._key_mm = float(x_mm), float(y_mm)
+
+    def _paint_positions(self) -> None:
+        """Draw the positions; those without a valid measurement are faint."""
+        ground = self._live.ground
+        if ground.surface is not None and ground.usable is not None:
+            colours = np.tile(rgba(self.theme.cell), (ground.surface.positions, 1))
+            colours[~ground.usable] = rgba(self.theme.alternate)
+            self.paint(colours)
