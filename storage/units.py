@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from storage.errors import InputError
 
+PLAYED_UNITS = ("V", "1")
+"""Units of drives that are played as volts; 1 is that of a bank without a unit."""
 _VOLTS = ("V", "volt", "volts")
 _ONE = ("", "1")
 

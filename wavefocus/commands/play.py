@@ -26,6 +26,7 @@ from rendering.scene.model import Scene, load_scene
 from storage.bank.reading import Bank, open_bank
 from storage.drive_file import Drive, read_drive
 from storage.errors import InputError
+from storage.units import PLAYED_UNITS
 from wavefocus.commands.render import RenderOptions, naming
 from wavefocus.configuration import named_rig
 from wavefocus.console import Report, print_line, progress, say
@@ -33,7 +34,7 @@ from wavefocus.ending import ended_by_input, ending_at_once
 from wavefocus.exits import Exit
 from wavefocus.input_files import name_unverified
 from wavefocus.rig.instruments import open_player
-from wavefocus.rig.limits import PLAYED_UNITS, check_drive, interface_of, limited_words, rig_of, within
+from wavefocus.rig.limits import check_drive, interface_of, limited_words, rig_of, within
 
 # What the player's process holds is kept in memory whole, so that nothing but a play that fits is begun.
 MOST_BYTES = 4 * 2**30

@@ -27,13 +27,12 @@ from storage.bank.reading import Bank, open_bank
 from storage.drive_file import Drive, DriveAbout, drive_in_blocks, write_drive
 from storage.errors import InputError
 from storage.output_files import require_outputs, write_whole
-from storage.units import quantity
+from storage.units import PLAYED_UNITS, quantity
 from wavefocus.console import progress, say
 from wavefocus.input_files import input_files
 from wavefocus.rig.limits import (
     DEFAULT_FULL_SCALE_V,
     DEFAULT_INTERFACE_RATE_HZ,
-    PLAYED_UNITS,
     interface_of,
     limited_words,
     rig_of,

@@ -16,6 +16,7 @@ from rendering.scene.model import Scene
 from storage.bank.reading import Bank
 from storage.drive_file import Drive
 from storage.errors import InputError
+from storage.units import PLAYED_UNITS
 
 if TYPE_CHECKING:
     from config.rig import RigConfig
@@ -37,10 +38,6 @@ def largest_sine_v(player: PlayerSection) -> float:
     """Largest peak of a sine or a sweep that any actuator may get for as long as one likes."""
     rms_v = player.largest_rms_v
     return player.largest_v if rms_v is None else min(player.largest_v, 2**0.5 * rms_v)
-
-
-PLAYED_UNITS = ("V", "1")
-"""Units of drives that are played as volts; 1 is that of a bank without a unit."""
 
 
 def limits_of(player: PlayerSection) -> DriveLimits:

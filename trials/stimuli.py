@@ -1,0 +1,195 @@
+"""Drives of all stimuli of an experiment, rendered, held against limits, and hashed before the first person arrives."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from config.loading import printable
+from config.scene import Output
+from rendering.drive.coil_limits import DriveLimits, Reached, largest_rms, peaks, strictest
+from rendering.drive.rendering import render_with_report
+from rendering.drive.wav import Interface
+from rendering.scene.model import Scene
+from storage.bank.reading import Bank
+from storage.drive_file import Drive, read_drive, write_drive
+from storage.errors import InputError
+from storage.hdf5_digest import values_sha256
+from storage.output_files import require_output_folder, write_whole
+from storage.text_file import read_text
+from storage.units import PLAYED_UNITS
+from trials.design import FACTORS, Stimulus, TrialsDesign
+
+FOLDER, MANIFEST = "stimuli", "manifest.json"
+FORMAT = "wavefocus-stimuli"
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """Stimuli of an experiment on disk.
+
+    folder: Folder of the manifest and of the drive files, NAME.h5.
+    bank_sha256: SHA-256 of the bank file's bytes.
+    sha256: Of each stimulus' drive, by name: the attribute ``sha256`` of ``/drive`` (contract section 5).
+    warnings: Warnings of what was rendered just now, one sentence each.
+    """
+
+    folder: Path
+    bank_sha256: str
+    sha256: Mapping[str, str]
+    warnings: tuple[str, ...] = ()
+
+    def drive(self, name: str) -> Drive:
+        """Read the drive of a stimulus. Raises InputError: its file is missing, damaged or holds another drive."""
+        file = self.folder / f"{name}.h5"
+        drive = read_drive(file)
+        if values_sha256(drive.drive_v) != self.sha256[name]:
+            raise InputError(f"{file}: holds another drive than {MANIFEST} lists; restore the file")
+        return drive
+
+
+def prepare(
+    design: TrialsDesign,
+    bank: Bank,
+    folder: Path,
+    *,
+    limits: DriveLimits,
+    interface: Interface,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Prepared:
+    """Render all stimuli that are not in `folder`/stimuli yet, and verify those that are.
+
+    A drive is that of amplitude 1 times the stimulus' amplitude, so that a ladder of amplitudes is rendered once. It is
+    never scaled down to a limit, which would change the experiment.
+
+    limits: Of the design's table [output] or of the rig, whichever is stricter.
+    interface: Outputs of the rig's actuators.
+    on_progress: Called with stimuli done and stimuli in all.
+
+    Raises InputError: the bank does not cover a path, does not fit the rig or takes no volts; a drive is beyond a
+    limit; the folder holds stimuli of another trials file or bank, damaged ones, or such as are rendered otherwise now.
+    """
+    if bank.drive_unit not in PLAYED_UNITS:
+        raise InputError(f"{bank.path}: takes drives in {bank.drive_unit}, and the player plays volts")
+    if bank.actuators != len(interface.full_scale_v):
+        raise InputError(f"{bank.path}: has {bank.actuators} actuators, the rig {len(interface.full_scale_v)}")
+    with bank.path.open("rb") as file:
+        bank_sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+    place = folder / FOLDER
+    origin = {"format": FORMAT, "trials_sha256": design.sha256, "bank_sha256": bank_sha256}
+    listed = _listed(design, bank, place, origin)
+    before = Prepared(place, bank_sha256, {name: entry["sha256"] for name, entry in listed.items()})
+    renderer = _Renderer(bank)
+    entries: dict[str, Any] = {}
+    for done, (name, stimulus) in enumerate(design.stimuli.items()):
+        on_progress(done, len(design.stimuli))
+        path = place / f"{name}.h5"
+        there = name in listed and path.exists()
+        try:
+            drive = before.drive(name) if there else renderer.drive(stimulus)
+            _check_limits(drive, stimulus, limits, interface)
+        except InputError as error:
+            text = str(error)
+            about = "" if text.startswith(str(path)) else f"{design.file}: stimulus {name}: "
+            raise InputError(printable(about + text)) from None
+        entries[name] = _entry(stimulus, drive) if not there else listed[name]
+        if name in listed and entries[name]["sha256"] != listed[name]["sha256"]:
+            raise InputError(f"{path}: is missing, and is rendered otherwise now than {MANIFEST} lists; restore it")
+        if not there:
+            write_drive(path, drive)
+    on_progress(len(design.stimuli), len(design.stimuli))
+    if entries != listed:
+        _write_manifest(place, origin, entries)
+    return Prepared(
+        place, bank_sha256, {name: one["sha256"] for name, one in entries.items()}, tuple(renderer.warnings)
+    )
+
+
+class _Renderer:
+    """Renders stimuli; of those that differ in amplitude alone and follow each other the first one only."""
+
+    def __init__(self, bank: Bank) -> None:
+        self.warnings: dict[str, None] = {}
+        self._bank = bank
+        self._last: tuple[Scene, Drive] | None = None
+
+    def drive(self, stimulus: Stimulus) -> Drive:
+        (source,) = stimulus.scene.sources
+        output = Output(interpolation=stimulus.scene.output.interpolation)
+        scene = replace(stimulus.scene, name="", sources=(replace(source, amplitude=1.0),), output=output)
+        if self._last is None or self._last[0] != scene:
+            drive, report = render_with_report(scene, self._bank)
+            self.warnings |= dict.fromkeys(f"stimulus {stimulus.name}: {text}" for text in report.warnings)
+            self._last = scene, drive
+        drive = self._last[1]
+        with np.errstate(over="ignore"):
+            return replace(drive, drive_v=drive.drive_v * stimulus.amplitude)
+
+
+def _check_limits(drive: Drive, stimulus: Stimulus, limits: DriveLimits, interface: Interface) -> None:
+    reached = [interface.between_samples(drive.drive_v, drive.sample_rate_hz)]
+    if limits.peak_v is not None:
+        reached.append(Reached(limits.peak_key, limits.peak_v, peaks(drive.drive_v)))
+    if limits.rms_v is not None:
+        # As if plays and trials followed each other without a pause.
+        rms_v = largest_rms(drive.drive_v, drive.sample_rate_hz, repeated=True)
+        reached.append(Reached(limits.rms_key, limits.rms_v, rms_v, summed=True))
+    limiting = strictest(reached)
+    if limiting.decided_by is not None:
+        raise InputError(
+            f"actuator {limiting.actuator} would reach {limiting.reached_v:.4g} V, more than {limiting.decided_by} ="
+            f" {limiting.limit_v:g} V; stimuli are not scaled down: give it an amplitude of"
+            f" {abs(stimulus.amplitude) * limiting.scale * 0.995:.3g} or less"
+        )
+
+
+def _entry(stimulus: Stimulus, drive: Drive) -> dict[str, Any]:
+    """What the manifest says of a stimulus."""
+    return {
+        **{factor: getattr(stimulus, factor) for factor in FACTORS},
+        "plays": stimulus.plays,
+        "seconds": drive.drive_v.shape[1] / drive.sample_rate_hz,
+        "peak_v": float(peaks(drive.drive_v).max()),
+        "sha256": values_sha256(drive.drive_v),
+    }
+
+
+def _listed(design: TrialsDesign, bank: Bank, place: Path, origin: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Stimuli of the manifest; where there is none it is begun, empty, so that the folder's files have an origin."""
+    path = place / MANIFEST
+    if not path.exists():
+        require_output_folder(place, [MANIFEST, *(f"{name}.h5" for name in design.stimuli)], (bank.path,), force=False)
+        try:
+            place.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(printable(f"{place}: cannot be written: {error.strerror}")) from None
+        _write_manifest(place, origin, {})
+        return {}
+    try:
+        manifest = json.loads(read_text(path))
+        listed = {name: dict(manifest["stimuli"][name]) for name in manifest["stimuli"]}
+        hashes = [one["sha256"] for one in listed.values()]
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path}: is damaged; restore it") from None
+    if manifest.get("format") != FORMAT or not all(isinstance(one, str) for one in hashes):
+        raise InputError(f"{path}: is no list of stimuli; restore it")
+    for key, what in (("trials_sha256", design.file), ("bank_sha256", bank.path)):
+        if manifest.get(key) != origin[key]:
+            changed = f"{path}: its stimuli are of another {what}, or it has changed since then"
+            raise InputError(printable(f"{changed}; restore it, or choose another folder with --out"))
+    return {name: entry for name, entry in listed.items() if name in design.stimuli}
+
+
+def _write_manifest(place: Path, origin: Mapping[str, Any], entries: Mapping[str, Any]) -> None:
+    software = f"wavefocus {version('wavefocus')}"
+    text = json.dumps({**origin, "format_version": 1, "software": software, "stimuli": entries}, indent=2)
+    write_whole(place / MANIFEST, text + "\n")
