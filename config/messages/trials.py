@@ -9,6 +9,7 @@ from typing import Literal
 from config.messages.codec import Message
 
 Phase = Literal["welcome", "familiarisation", "trial", "break", "done"]
+Waiting = Literal["go_on", "answer", "playing", "nothing"]
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ class Welcome(Message, event="welcome"):
     """First page.
 
     stored: Sentences that say what is stored about a participant, and where.
-    done, of: Trials with an answer and in all; `resumed` where some were answered before.
+    done, of: Trials with an answer and in all, None where answers decide it; `resumed` where some were answered before.
     answers: Choices with the keys that give them.
     """
 
@@ -67,7 +68,7 @@ class Welcome(Message, event="welcome"):
     question: str
     stored: tuple[str, ...]
     done: int
-    of: int
+    of: int | None
     resumed: bool
     answers: Mapping[str, str]
     replay_allowed: bool
@@ -84,7 +85,7 @@ class TrialsState(Message, event="state"):
     """
 
     phase: Phase
-    waiting: Literal["go_on", "answer", "playing", "nothing"]
+    waiting: Waiting
     trial: int
     of: int | None
     block: int
@@ -94,12 +95,18 @@ class TrialsState(Message, event="state"):
 
 @dataclass(frozen=True)
 class Presented(Message, event="presented"):
-    """A stimulus has sounded to its end; onset on the machine's monotonic clock, None in the familiarisation."""
+    """A stimulus has sounded to its end.
+
+    trial: Its number; 0 in the familiarisation.
+    onset_s: Onset on the machine's monotonic clock, by the recorder's loopback, known to `onset_within_ms`.
+    onset_error_ms: How much later that is than by the request to play and the player's latency; None without one.
+    """
 
     trial: int
     stimulus: str
-    onset_s: float | None
+    onset_s: float
     onset_error_ms: float | None
+    onset_within_ms: float
 
 
 @dataclass(frozen=True)

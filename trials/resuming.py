@@ -1,0 +1,58 @@
+"""Where a participant's trials go on: after the answers that are stored, if they are of this very experiment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from storage.errors import InputError
+from trials.answers import Row
+from trials.design import TrialsDesign
+from trials.order import Order, order_of
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """An experiment whose stimuli are ready: SHA-256 of each stimulus by its name, and of the bank."""
+
+    design: TrialsDesign
+    stimulus_sha256: Mapping[str, str]
+    bank_sha256: str
+
+
+def begun(experiment: Experiment, participant: str, rows: Sequence[Row]) -> tuple[Order, int]:
+    """Make the order of a participant, at the trial after those that are answered, and count these.
+
+    rows: Answers of all participants.
+
+    Raises InputError: the participant is complete, has a code that differs from another one's in small and capital
+    letters alone, or has answered trials of another trials file, bank or order.
+    """
+    design, order, done = experiment.design, order_of(experiment.design, participant), 0
+    for row in rows:
+        if row.participant != participant:
+            if row.participant.casefold() == participant.casefold():
+                raise InputError(f"participant is {participant}, and {row.participant} has answers: use another code")
+            continue
+        trial = order.next_trial()
+        where = f"participant {participant} answered trial {row.trial}"
+        for what, then, now in (
+            (f"{design.file}, the trials file,", row.trials_sha256, design.sha256),
+            ("the bank", row.bank_sha256, experiment.bank_sha256),
+            (f"the stimulus {row.stimulus}", row.stimulus_sha256, experiment.stimulus_sha256.get(row.stimulus)),
+        ):
+            if then != now:
+                raise InputError(
+                    f"{where} before {what} was changed: put it back, or begin with another code or folder"
+                )
+        if trial is None or (trial.number, trial.stimulus) != (row.trial, row.stimulus):
+            expected = "none" if trial is None else f"trial {trial.number}, {trial.stimulus}"
+            raise InputError(
+                f"{where}, {row.stimulus}, where the order has {expected}: the answers were changed, or stored by"
+                " another version; begin with another code"
+            )
+        order.answered(row.answer)
+        done += 1
+    if order.next_trial() is None:
+        raise InputError(f"participant {participant} is complete: {done} trials are answered; use another code")
+    return order, done

@@ -1,0 +1,305 @@
+"""One participant's session: familiarisation, trials with their answers, breaks; goes on where the answers end."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Set
+from contextlib import suppress
+from dataclasses import replace
+from datetime import UTC, datetime
+from enum import Enum
+from typing import Any, ClassVar, Protocol
+
+from config.messages.codec import Message
+from config.messages.trials import (
+    Answer,
+    AnswerStored,
+    EndTrials,
+    GoOn,
+    Phase,
+    Presented,
+    Replay,
+    TrialsRefused,
+    TrialsState,
+    Waiting,
+    Welcome,
+)
+from storage.errors import InputError
+from trials.answers import ANSWERS, AnswersFile, Row, check_participant
+from trials.order import Trial
+from trials.presentation import Onset
+from trials.resuming import Experiment, begun
+
+# An answer's instant may lie so far in the future of this process: clocks are read one after the other.
+AHEAD_S = 0.05
+
+
+class Presenter(Protocol):
+    """Lets a participant feel stimuli."""
+
+    def present(self, stimulus: str, trial: int, note: Callable[[str], object]) -> Onset:
+        """Present a stimulus to its end; `note` receives a sentence about each presentation that is repeated."""
+
+    def mute(self) -> None:
+        """Silence all outputs."""
+
+
+class Orders(Protocol):
+    """Orders of a participant or a program, in turn."""
+
+    def next(self, timeout_s: float | None) -> Message | None:
+        """The next order; None at their end. Raises TimeoutError: none came in time. InputError: it is wrong."""
+
+
+class State(Enum):
+    """Where a session stands: its phase, and what it waits for."""
+
+    value: tuple[Phase, Waiting]
+    WELCOME = ("welcome", "go_on")
+    FAMILIARISATION = ("familiarisation", "go_on")
+    FAMILIARISING = ("familiarisation", "playing")
+    READY = ("trial", "go_on")
+    PLAYING = ("trial", "playing")
+    ASKING = ("trial", "answer")
+    BREAK = ("break", "go_on")
+    DONE = ("done", "nothing")
+
+
+class IllegalStateError(RuntimeError):
+    """A state that cannot follow the present one: a defect of the program."""
+
+
+class _EndedError(Exception):
+    """The orders have ended, or one of them says so."""
+
+
+class TrialsSession:
+    """A session of one participant.
+
+    participant: The code.
+    answers: File that gets an answer before it counts.
+    publish: Receives every event.
+    hurried: Leave out the pauses before stimuli, where a program answers.
+
+    Raises InputError: the participant is complete, or has answered trials of another trials file, bank or order.
+    """
+
+    FOLLOWS: ClassVar[Mapping[State, Set[State]]] = {
+        State.WELCOME: {State.FAMILIARISATION, State.READY, State.PLAYING},
+        State.FAMILIARISATION: {State.FAMILIARISING},
+        State.FAMILIARISING: {State.FAMILIARISING, State.READY},
+        State.READY: {State.PLAYING},
+        State.PLAYING: {State.ASKING},
+        State.ASKING: {State.PLAYING, State.READY, State.BREAK, State.DONE},
+        State.BREAK: {State.READY, State.PLAYING},
+        State.DONE: set(),
+    }
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        participant: str,
+        answers: AnswersFile,
+        presenter: Presenter,
+        orders: Orders,
+        publish: Callable[[Message], object],
+        *,
+        hurried: bool = False,
+    ) -> None:
+        self._experiment, self._participant, self._answers = experiment, check_participant(participant), answers
+        self._presenter, self._orders, self._publish, self._hurried = presenter, orders, publish, hurried
+        self._design = experiment.design
+        self._table = experiment.design.config.trials
+        self._order, self.done = begun(experiment, participant, answers.rows)
+        self._resumed_at = self.done
+        self._state = State.WELCOME
+        self._trial = self._order.next_trial()
+        self._shown = (self.done + 1, self.of)
+
+    @property
+    def of(self) -> int | None:
+        """Trials in all; None where answers decide their number."""
+        return self._design.trials
+
+    def run(self) -> bool:
+        """Carry the session out until it is complete (True), or ended by an order or the end of the orders.
+
+        Raises InstrumentError: an instrument failed for good. InputError: an answer cannot be stored. Answers that were
+        stored stay in either case, and the outputs are muted.
+        """
+        try:
+            self._welcome()
+            if self._table.familiarise and not self._resumed_at:
+                self._familiarise()
+            while self._trial is not None:
+                self._carry_out(self._trial)
+        except _EndedError:
+            return False
+        finally:
+            self._presenter.mute()
+        return True
+
+    def _welcome(self) -> None:
+        table, folder = self._table, self._answers.path.parent
+        self._publish(
+            Welcome(
+                name=table.name,
+                participant=self._participant,
+                instruction=table.instruction,
+                question=table.question,
+                stored=(
+                    f"Stored about you are the code {self._participant} and, for each trial, the stimulus, your answer,"
+                    " its instant and reaction time: no name, and nothing else.",
+                    f"It is stored on this computer, in {folder / ANSWERS}.",
+                    "You can end at any time, without giving a reason.",
+                ),
+                done=self.done,
+                of=self.of,
+                resumed=self._resumed_at > 0,
+                answers=self._design.keys,
+                replay_allowed=table.replays > 0,
+            )
+        )
+        of = "" if self.of is None else f" of {self.of}"
+        self._publish_state(f"resumes at trial {self.done + 1}{of}" if self._resumed_at else "")
+        self._expect(GoOn)
+
+    def _familiarise(self) -> None:
+        felt = [one.name for one in self._design.stimuli.values() if one.amplitude]
+        self._shown = 1, len(felt)
+        self._enter(State.FAMILIARISATION)
+        self._expect(GoOn)
+        for number, name in enumerate(felt, 1):
+            self._shown = number, len(felt)
+            self._present(State.FAMILIARISING, name, 0)
+
+    def _carry_out(self, trial: Trial) -> None:
+        self._shown = trial.number, self.of
+        if self._table.waits or self._state is State.FAMILIARISING:
+            self._enter(State.READY)
+            self._expect(GoOn)
+        onset = self._present(State.PLAYING, trial.stimulus, trial.number)
+        attempts, replays = onset.attempts, 0
+        while isinstance(asked := self._ask(onset, replays), Replay):
+            onset = self._present(State.PLAYING, trial.stimulus, trial.number)
+            attempts, replays = attempts + onset.attempts - 1, replays + 1
+        row = self._row(trial, asked, onset, replays, attempts)
+        self._answers.append(row)
+        self._publish(AnswerStored(trial.number, row.answer, row.correct, row.reaction_s))
+        self._order.answered(row.answer)
+        self.done += 1
+        self._trial = self._order.next_trial()
+        if self._trial is None:
+            self._enter(State.DONE)
+        elif self._is_break_due(trial, self._trial):
+            self._shown = self._trial.number, self.of
+            self._enter(State.BREAK)
+            self._expect(GoOn)
+
+    def _is_break_due(self, last: Trial, following: Trial) -> bool:
+        every = self._table.break_every
+        return self.done % every == 0 if every else following.block != last.block
+
+    def _present(self, state: State, stimulus: str, number: int) -> Onset:
+        self._enter(state)
+        if not self._hurried:
+            self._refuse_orders(self._table.before_s)
+        onset = self._presenter.present(stimulus, number, self._publish_state)
+        self._refuse_orders(0.0)
+        self._publish(Presented(number, stimulus, onset.at_s, onset.error_ms, onset.within_ms))
+        return onset
+
+    def _ask(self, onset: Onset, replays: int) -> Answer | Replay:
+        """Wait for an answer that the design knows, or a replay that it allows."""
+        self._enter(State.ASKING)
+        while True:
+            order: Answer | Replay = self._expect(Answer, Replay)
+            if isinstance(order, Replay):
+                if replays < self._table.replays:
+                    return order
+                self._refuse(f"replay: {replays} of {self._table.replays} replays of this trial are used")
+                continue
+            now_s = time.monotonic()
+            at_s = now_s if order.at_s is None else order.at_s
+            if order.choice not in self._table.answers:
+                self._refuse(f"choice is {order.choice!r}; allowed: {', '.join(self._table.answers)}")
+            elif not onset.at_s <= at_s <= now_s + AHEAD_S:
+                allowed = f"from the onset, {onset.at_s:.3f}, to now, {now_s:.3f}, of this machine's monotonic clock"
+                self._refuse(f"at_s is {at_s:.3f}; allowed: {allowed}")
+            else:
+                return replace(order, at_s=at_s)
+
+    def _row(self, trial: Trial, answer: Answer, onset: Onset, replays: int, attempts: int) -> Row:
+        stimulus = self._design.stimuli[trial.stimulus]
+        assert answer.at_s is not None
+        return Row(
+            participant=self._participant,
+            block=trial.block,
+            trial=trial.number,
+            track=trial.track,
+            stimulus=stimulus.name,
+            path=stimulus.path,
+            signal=stimulus.signal,
+            speed_mm_s=stimulus.speed_mm_s,
+            amplitude=stimulus.amplitude,
+            plays=stimulus.plays,
+            answer=answer.choice,
+            correct=None if stimulus.correct is None else answer.choice == stimulus.correct,
+            reaction_s=answer.at_s - onset.at_s,
+            onset_error_ms=onset.error_ms,
+            replays=replays,
+            attempts=attempts,
+            by=answer.by,
+            answered_at=datetime.now(UTC).astimezone().isoformat(timespec="milliseconds"),
+            stimulus_sha256=self._experiment.stimulus_sha256[stimulus.name],
+            bank_sha256=self._experiment.bank_sha256,
+            trials_sha256=self._design.sha256,
+        )
+
+    def _expect(self, *kinds: type[Message]) -> Any:
+        """Wait for an order of one of some kinds; others are refused. Raises _EndedError."""
+        while True:
+            order = self._next(None)
+            if isinstance(order, kinds):
+                return order
+            if order is not None:
+                self._refuse(f"{order.tag['order']} is not for now; allowed: {_named(*kinds, EndTrials)}")
+
+    def _refuse_orders(self, seconds: float) -> None:
+        """Let time pass in which nothing may be ordered but the end."""
+        until_s = time.monotonic() + seconds
+        with suppress(TimeoutError):
+            while True:
+                order = self._next(max(0.0, until_s - time.monotonic()))
+                if order is not None:
+                    self._refuse(f"{order.tag['order']} is not for now: the stimulus comes first; allowed: end")
+
+    def _next(self, timeout_s: float | None) -> Message | None:
+        """The next order; None where it was wrong. Raises TimeoutError, _EndedError."""
+        try:
+            order = self._orders.next(timeout_s)
+        except InputError as wrong:
+            self._refuse(str(wrong))
+            return None
+        if order is None or isinstance(order, EndTrials):
+            raise _EndedError
+        return order
+
+    def _refuse(self, sentence: str) -> None:
+        self._publish(TrialsRefused(sentence))
+
+    def _enter(self, state: State) -> None:
+        """Change the state; raises IllegalStateError where the table does not have this change."""
+        if state not in self.FOLLOWS[self._state]:
+            raise IllegalStateError(f"{state} cannot follow {self._state}")
+        self._state = state
+        self._publish_state()
+
+    def _publish_state(self, note: str = "") -> None:
+        (number, of), block = self._shown, 1 if self._trial is None else self._trial.block
+        phase, waiting = self._state.value
+        self._publish(TrialsState(phase, waiting, number, of, block, self._table.blocks, note))
+
+
+def _named(*kinds: type[Message]) -> str:
+    return ", ".join(kind.tag["order"] for kind in kinds)
