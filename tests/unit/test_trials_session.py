@@ -1,0 +1,259 @@
+"""The session of one participant: its states, its answers, and where it goes on; stimuli are presented in memory."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+
+from config.messages.codec import Message
+from config.messages.trials import (
+    Answer,
+    AnswerStored,
+    EndTrials,
+    GoOn,
+    Presented,
+    Replay,
+    TrialsRefused,
+    TrialsState,
+    Welcome,
+)
+from drivers.errors import InstrumentLostError
+from storage.errors import InputError
+from trials.answers import AnswersFile, read_answers
+from trials.design import load_trials
+from trials.presentation import Onset
+from trials.resuming import Experiment
+from trials.session import State, TrialsSession
+
+TRIALS = """
+[trials]
+question = "Which way?"
+answers = ["left", "right"]
+keys = ["Left", "Right"]
+correct = "path"
+repetitions = 4
+blocks = 2
+replays = 1
+
+[path.left]
+kind = "line"
+start_mm = [8, 0]
+end_mm = [0, 0]
+
+[path.right]
+kind = "line"
+start_mm = [0, 0]
+end_mm = [8, 0]
+
+[signal.burst]
+kind = "sine"
+frequency_hz = 200.0
+duration_s = 0.02
+
+[[stimuli]]
+path = ["left", "right"]
+signal = "burst"
+speed_mm_s = 200
+step_mm = 4
+"""
+
+
+class InMemory:
+    """Presents nothing; each onset lies so long before its end."""
+
+    def __init__(self, attempts: Sequence[int] = (1,), lost: int = 0) -> None:
+        self.presented: list[tuple[str, int]] = []
+        self.muted = 0
+        self._attempts, self._lost = itertools.cycle(attempts), lost
+
+    def present(self, stimulus: str, trial: int, note: Callable[[str], object]) -> Onset:
+        self.presented.append((stimulus, trial))
+        if len(self.presented) == self._lost:
+            raise InstrumentLostError("player", "playing", "it is gone", "plug it in")
+        return Onset(time.monotonic() - 1.0, 0.25, 0.01, next(self._attempts))
+
+    def mute(self) -> None:
+        self.muted += 1
+
+
+class Program:
+    """Goes on and answers as the states ask for; `instead` gives other orders for some states of some trials."""
+
+    def __init__(self, instead: dict[tuple[int, str], list[Message | None]] | None = None) -> None:
+        self.events: list[Message] = []
+        self._instead = instead or {}
+        self._state: TrialsState | None = None
+
+    def __call__(self, event: Message) -> None:
+        self.events.append(event)
+        if isinstance(event, TrialsState):
+            self._state = event
+
+    def next(self, timeout_s: float | None) -> Message | None:
+        state = self._state
+        assert state is not None
+        trial = state.trial if state.phase in ("trial", "break") else 0
+        if orders := self._instead.get((trial, state.waiting)):
+            return orders.pop(0)
+        if timeout_s is not None:
+            raise TimeoutError
+        return GoOn() if state.waiting == "go_on" else Answer("right", time.monotonic(), "keyboard")
+
+    def states(self) -> list[tuple[str, str]]:
+        return [(one.phase, one.waiting) for one in self.events if isinstance(one, TrialsState)]
+
+    def those(self, kind: type[Message]) -> list[Message]:
+        return [one for one in self.events if isinstance(one, kind)]
+
+
+@pytest.fixture
+def experiment(tmp_path: Path) -> Experiment:
+    return made(tmp_path, TRIALS)
+
+
+def made(folder: Path, text: str) -> Experiment:
+    (folder / "trials.toml").write_text(text, encoding="utf-8")
+    design = load_trials(folder / "trials.toml")
+    return Experiment(design, dict.fromkeys(design.stimuli, "a" * 64), "b" * 64)
+
+
+def run(
+    experiment: Experiment, folder: Path, program: Program, presenter: InMemory, participant: str = "P1"
+) -> tuple[bool, TrialsSession]:
+    with AnswersFile(folder) as answers:
+        session = TrialsSession(experiment, participant, answers, presenter, program, program, hurried=True)
+        return session.run(), session
+
+
+def test_given_a_participant_then_every_stimulus_is_felt_first_and_each_trial_is_answered(
+    experiment: Experiment, tmp_path: Path
+) -> None:
+    program, presenter = Program(), InMemory(attempts=(1, 1, 1, 3))
+    complete, session = run(experiment, tmp_path / "out", program, presenter)
+    assert complete
+    assert (session.done, session.of, presenter.muted) == (8, 8, 1)
+    playing, asking, pause = ("trial", "playing"), ("trial", "answer"), ("break", "go_on")
+    block = [playing, asking] * 4
+    assert program.states() == [
+        ("welcome", "go_on"), ("familiarisation", "go_on"), ("familiarisation", "playing"),
+        ("familiarisation", "playing"), ("trial", "go_on"), *block, pause, *block, ("done", "nothing"),
+    ]  # fmt: skip
+    rows = read_answers(tmp_path / "out")
+    assert [number for _, number in presenter.presented] == [0, 0, *range(1, 9)]
+    assert [row.stimulus for row in rows] == [name for name, _ in presenter.presented[2:]]
+    assert [row.attempts for row in rows] == [1, 3, 1, 1, 1, 3, 1, 1]
+    assert [row.correct for row in rows] == [row.path == "right" for row in rows]
+    assert all(1.0 <= row.reaction_s < 30.0 and row.onset_error_ms == 0.25 for row in rows)
+    stored = [one.trial for one in program.those(AnswerStored) if isinstance(one, AnswerStored)]
+    assert stored == [row.trial for row in rows] == list(range(1, 9))
+    welcome = program.events[0]
+    assert isinstance(welcome, Welcome)
+    assert welcome.answers == {"left": "Left", "right": "Right"}
+    assert any("P1" in sentence and "no name" in sentence for sentence in welcome.stored)
+
+
+def test_given_an_end_at_any_order_then_the_session_goes_on_in_the_same_order_and_loses_nothing(
+    experiment: Experiment, tmp_path: Path
+) -> None:
+    whole = InMemory()
+    run(experiment, tmp_path / "whole", Program(), whole)
+    expected = [row.stimulus for row in read_answers(tmp_path / "whole")]
+    for end in (EndTrials(), None):  # an order, and the end of the input
+        folder = tmp_path / f"out {end}"
+        for trial in range(1, 9):
+            waiting = "playing" if trial % 2 else "answer"
+            program, presenter = Program({(trial, waiting): [end]}), InMemory()
+            complete, session = run(experiment, folder, program, presenter)
+            assert (complete, session.done, presenter.muted) == (False, trial - 1, 1)
+            assert len(read_answers(folder)) == trial - 1
+            following = Program({(trial + 1, "playing"): [end], (trial + 1, "go_on"): [end]})
+            complete, session = run(experiment, folder, following, InMemory())
+            assert session.done == trial
+            if trial > 1:
+                assert isinstance(state := following.those(TrialsState)[0], TrialsState)
+                assert state.note == f"resumes at trial {trial} of 8"
+                assert ("familiarisation", "playing") not in following.states()
+        assert [row.stimulus for row in read_answers(folder)] == expected
+        assert [row.trial for row in read_answers(folder)] == list(range(1, 9))
+        with pytest.raises(InputError, match="complete"):
+            run(experiment, folder, Program(), InMemory())
+
+
+def test_given_orders_that_are_not_for_now_then_each_is_refused_and_the_next_one_counts(
+    experiment: Experiment, tmp_path: Path
+) -> None:
+    later, before = time.monotonic() + 3600, time.monotonic() - 3600
+    wrong = [GoOn(), Answer("up"), Answer("right", later), Answer("right", before), Replay(), Replay(), Answer("left")]
+    program = Program({(1, "playing"): [Answer("right")], (1, "answer"): wrong, (2, "playing"): [EndTrials()]})
+    presenter = InMemory(attempts=(2,))
+    run(experiment, tmp_path, program, presenter)
+    assert len(program.those(TrialsRefused)) == 6
+    (row,) = read_answers(tmp_path)
+    assert (row.answer, row.replays, row.attempts, row.by) == ("left", 1, 3, "program")
+    assert [number for _, number in presenter.presented] == [0, 0, 1, 1, 2]
+
+
+def test_given_an_instrument_that_is_lost_for_good_then_what_was_answered_stays_and_the_outputs_are_muted(
+    experiment: Experiment, tmp_path: Path
+) -> None:
+    presenter = InMemory(lost=5)
+    with pytest.raises(InstrumentLostError):
+        run(experiment, tmp_path, Program(), presenter)
+    assert len(read_answers(tmp_path)) == 2
+    assert presenter.muted == 1
+
+
+def test_given_something_else_than_the_participant_began_with_then_it_is_refused(
+    experiment: Experiment, tmp_path: Path
+) -> None:
+    run(experiment, tmp_path, Program({(2, "playing"): [None]}), InMemory())
+    design, stimuli = experiment.design, experiment.stimulus_sha256
+    others = {
+        "the bank": Experiment(design, stimuli, "c" * 64),
+        "stimulus": Experiment(design, dict.fromkeys(stimuli, "c" * 64), "b" * 64),
+        "trials file": made(tmp_path, TRIALS + "\n"),
+    }
+    for word, other in others.items():
+        with pytest.raises(InputError, match=word):
+            run(other, tmp_path, Program(), InMemory())
+    with pytest.raises(InputError, match="P1 has answers"):
+        run(experiment, tmp_path, Program(), InMemory(), "p1")
+    with pytest.raises(InputError, match="allowed"):
+        run(experiment, tmp_path, Program(), InMemory(), "Ann Smith")
+    assert run(experiment, tmp_path, Program(), InMemory(), "P2")[0]
+    assert {row.participant for row in read_answers(tmp_path)} == {"P1", "P2"}
+
+
+def test_given_a_design_that_is_adaptive_then_its_levels_follow_the_answers_and_a_resumed_one_goes_on_alike(
+    tmp_path: Path,
+) -> None:
+    table = '[adaptive]\nmethod = "up_down"\nfactor = "amplitude"\nreversals = 4\ntrials = 12\n'
+    text = TRIALS.replace("repetitions = 4\nblocks = 2\n", "").replace("[path.left]", f"{table}\n[path.left]")
+    experiment = made(tmp_path, text + "amplitude = [0.25, 0.5, 1]\n")
+    run(experiment, tmp_path / "whole", Program(), InMemory())
+    whole = [(row.stimulus, row.track) for row in read_answers(tmp_path / "whole")]
+    for trial in itertools.count(2):
+        complete, _ = run(experiment, tmp_path / "parts", Program({(trial, "playing"): [None]}), InMemory())
+        if complete:
+            break
+    assert [(row.stimulus, row.track) for row in read_answers(tmp_path / "parts")] == whole
+    assert len(set(whole)) > 2
+
+
+def test_given_the_states_then_all_are_reached_and_one_is_the_last() -> None:
+    reached = set().union(*TrialsSession.FOLLOWS.values()) | {State.WELCOME}
+    assert reached == set(State) == set(TrialsSession.FOLLOWS)
+    assert [state for state, follows in TrialsSession.FOLLOWS.items() if not follows] == [State.DONE]
+    assert {state.value[1] for state in State} == {"go_on", "answer", "playing", "nothing"}
+
+
+def test_given_presentations_then_each_is_reported_with_its_onset(experiment: Experiment, tmp_path: Path) -> None:
+    program = Program()
+    run(experiment, tmp_path, program, InMemory())
+    presented = [one for one in program.those(Presented) if isinstance(one, Presented)]
+    assert [one.trial for one in presented] == [0, 0, *range(1, 9)]
+    assert all(one.onset_s < time.monotonic() and one.onset_error_ms == 0.25 for one in presented)
