@@ -207,6 +207,14 @@ def _play(
     )
 
 
+def _live(**given: Any) -> int:
+    from wavefocus.commands import live as command
+    from wavefocus.live_session.opening import LiveOptions
+
+    options = {name: given.pop(name) for name in LiveOptions.__dataclass_fields__ if name in given}
+    return command.live(options=LiveOptions(**options), **given)
+
+
 COMMANDS = (
     Command(
         "init", "init:init", "Write rig.toml, run.toml and scene.toml, commented.",
@@ -388,6 +396,29 @@ COMMANDS = (
             number("--ahead-s", 0.05, 60, help="How much of a scene is rendered ahead; by default 2 s."),
             switch("--watched", help="End, muted, when standard input closes; print a JSON line when it plays."),
             LARGE, JSON,
+        ),
+    ),
+    Command(
+        "live", _live,
+        "Move sources while they sound.\n\n"
+        "Orders are JSON lines on standard input, or OSC messages; the end of standard input ends it, muted:\n\n"
+        '{"order": "move", "name": "finger", "at_mm": [10, 5], "amplitude": 1} moves a source, or lets it appear.\n\n'
+        '{"order": "signal", "name": "finger", "signal": {"kind": "sine", "frequency_hz": 200, "duration_s": 1}}\n\n'
+        '{"order": "end_source", "name": "finger"} lets it fade; {"order": "end"} ends all.\n\n'
+        "docs/reference/live.md has every order, event and OSC address. Ctrl-C mutes at once.",
+        (
+            BANK, ON_RIG,
+            file("--scene", dest="scene_file", metavar="SCENE.toml",
+                 help="Its regularisation, output and first source's signal; by default noise of the bank's band."),
+            number("--look-ahead-ms", 0, 2000, default=50.0,
+                   help="By how much sources lag their positions; what is not known by then is predicted."),
+            number("--block-ms", 1, 50, default=5.0, help="Time computed at once."),
+            number("--ahead-ms", 1, 1000, help="So much waits to be played; by default 20 ms, more where needed."),
+            number("--gain-db", -200, 200, default=0.0, help="Softer (negative) or louder; limits hold all the same."),
+            number("--duration-s", 0, 1e6, help="End by itself after so long."),
+            argument("--osc", nargs="?", const="127.0.0.1:9000", metavar="HOST:PORT",
+                     help="Also take orders by OSC over UDP; by default at 127.0.0.1:9000, of this computer alone."),
+            JSON_LINES,
         ),
     ),
     Command(

@@ -9,6 +9,7 @@ import os
 import queue
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from typing import NoReturn
@@ -103,15 +104,18 @@ class LinesIn:
             self._lines.put(line)
 
     def _read(self, overtakes: Callable[[Mapping[str, object]], object]) -> None:
-        for line in input_objects():
+        for line, _ in input_objects():
             if not isinstance(line, InputError):
                 overtakes(line)
             self._lines.put(line)
         self._lines.put(None)
 
 
-def input_objects() -> Iterator[Mapping[str, object] | InputError]:
-    """JSON objects on standard input, one a line, to its end; an InputError for a line that is none."""
+def input_objects() -> Iterator[tuple[Mapping[str, object] | InputError, float]]:
+    """JSON objects on standard input, one a line, to its end, and when each was read, of `time.monotonic`.
+
+    An InputError in place of the object for a line that is none.
+    """
     # Not through sys.stdin: its lock, held by a thread that waits, would hold up the end of the process.
     descriptor, rest = sys.stdin.fileno(), b""
     while True:
@@ -119,6 +123,7 @@ def input_objects() -> Iterator[Mapping[str, object] | InputError]:
             block = os.read(descriptor, _MOST_BYTES)
         except OSError:
             block = b""
+        read_s = time.monotonic()
         *lines, rest = (rest + block).split(b"\n")
         if not block and rest.strip():
             lines.append(rest)
@@ -128,7 +133,7 @@ def input_objects() -> Iterator[Mapping[str, object] | InputError]:
             # Some programs (PowerShell) begin what they write with a byte-order mark.
             text = line.removeprefix(codecs.BOM_UTF8)
             if text.strip():
-                yield _object(text)
+                yield _object(text), read_s
         if not block:
             return
 

@@ -81,6 +81,7 @@ class SoundingSource:
 
 
 Degradation = Literal["none", "bins", "sources"]
+NoticeCode = Literal["degraded", "recovered", "underrun", "limited", "late", "lost", "reconnected"]
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,7 @@ class LiveRefused(Message, event="refused"):
 class LiveNotice(Message, event="notice"):
     """Something that a person should read: degraded, recovered, ran dry, limited."""
 
-    code: Literal["degraded", "recovered", "underrun", "limited", "late", "reconnected"]
+    code: NoticeCode
     sentence: str
 
 

@@ -204,13 +204,15 @@ class LiveEngine:
             life.finish(due)
         source.life = self._begin(name, source, due, place)
 
-    def set_signal(self, name: str, signal: Signal, *, repeat: bool = True) -> None:
+    def set_signal(self, name: str, signal: Signal, *, repeat: bool = True, values: Float64Array | None = None) -> None:
         """Give a source another signal; what sounds with the former one fades while the new one appears.
+
+        values: Its `live_samples`, where they were made before.
 
         Raises InputError: the signal cannot be made at the bank's rate, or is too long.
         """
         source = self._named(name, (signal, repeat))
-        values = self._sampled(signal)
+        values = live_samples(signal, self.rate_hz) if values is None else values
         if signal == source.signal and repeat == source.repeat:
             return
         source.signal, source.values, source.repeat = signal, values, repeat
@@ -397,21 +399,25 @@ class LiveEngine:
         if not 0 < len(name) <= LONGEST_NAME:
             raise InputError(f"a source's name has {len(name)} characters; allowed are 1 to {LONGEST_NAME}")
         signal, repeat = (self._default_signal, True) if given is None else given
-        source = _Source(signal, self._sampled(signal), repeat)
+        source = _Source(signal, live_samples(signal, self.rate_hz), repeat)
         active = self._active(self.next_sample + self._look_ahead)
         while len(self._sources) >= max(MOST_NAMES, self._most_sources + 1):
             del self._sources[next(one for one in self._sources if one not in active)]
         self._sources[name] = source
         return source
 
-    def _sampled(self, signal: Signal) -> Float64Array:
-        samples, _ = signal_size(signal, self.rate_hz)
-        if not samples <= LONGEST_SIGNAL_S * self.rate_hz:
-            raise InputError(
-                f"a signal of {samples / self.rate_hz:.4g} s is too long; live sources take up to"
-                f" {LONGEST_SIGNAL_S:g} s"
-            )
-        return signal.samples(self.rate_hz)
+
+def live_samples(signal: Signal, rate_hz: float) -> Float64Array:
+    """Samples of a signal for a live source.
+
+    Raises InputError: the signal cannot be made at this rate, or is too long.
+    """
+    samples, _ = signal_size(signal, rate_hz)
+    if not samples <= LONGEST_SIGNAL_S * rate_hz:
+        raise InputError(
+            f"a signal of {samples / rate_hz:.4g} s is too long; live sources take up to {LONGEST_SIGNAL_S:g} s"
+        )
+    return signal.samples(rate_hz)
 
 
 def default_signal(bank: GreenSource) -> Signal:

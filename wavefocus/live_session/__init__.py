@@ -1,0 +1,1 @@
+"""A live session: sources that move while they sound, from orders to the interface."""

@@ -1,0 +1,114 @@
+"""A live session from files: bank, rig and scene, checked together, and the instruments opened."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from config.messages.live import LiveReady
+from config.scene import Output, Regularisation
+from rendering.live.engine import LiveEngine
+from rendering.scene.model import load_scene
+from rendering.scene.signals import Signal
+from storage.bank.reading import open_bank
+from storage.errors import InputError
+from storage.units import PLAYED_UNITS
+from wavefocus.commands.render import naming
+from wavefocus.console import progress
+from wavefocus.live_session.output import LiveOutput
+from wavefocus.live_session.session import LiveSession, Publish
+from wavefocus.rig.instruments import open_player
+from wavefocus.rig.limits import interface_of, rig_of, stricter
+
+AHEAD_MS = 20.0
+"""What waits to be played at first where nothing is asked for; an interface with long periods gets more, see `adapts`
+of the session."""
+
+
+@dataclass(frozen=True, slots=True)
+class LiveOptions:
+    """Settings of a live session, as of the options of ``wavefocus live``.
+
+    scene_file: Its regularisation, its output and the signal of its first source are used.
+    look_ahead_ms: By how much sources lag what is ordered.
+    block_ms: Time of a block, rounded to whole samples of the bank.
+    ahead_ms: So much waits to be played; None: 20 ms, and twice as much after each underrun.
+    gain_db: On the amplitudes of all orders.
+    duration_s: The session ends by itself after so long.
+    """
+
+    scene_file: Path | None = None
+    look_ahead_ms: float = 50.0
+    block_ms: float = 5.0
+    ahead_ms: float | None = None
+    gain_db: float = 0.0
+    duration_s: float | None = None
+
+
+@contextmanager
+def open_session(
+    bank: Path, rig_file: Path, options: LiveOptions, publish: Publish, osc: str = ""
+) -> Iterator[tuple[LiveSession, LiveReady]]:
+    """Open everything; whatever happens, the outputs are muted and released on the way out.
+
+    publish: As of `LiveSession`. osc: Address that takes OSC messages, for the message.
+
+    Raises InputError: bank, rig and scene do not go together. Raises InstrumentError: the interface cannot be opened.
+    """
+    regularisation, output, signal = _of_scene(options.scene_file)
+    with ExitStack() as opened:
+        view = opened.enter_context(open_bank(bank))
+        view.require_sound()
+        if view.drive_unit not in PLAYED_UNITS:
+            raise InputError(f"{bank} takes drives in {view.drive_unit}, and the player plays volts")
+        rig = rig_of(rig_file, view)
+        assert rig is not None  # one that is named is there
+        rate_hz = float(view.sample_rate_hz)
+        frames = LiveOutput(interface_of(rig), rate_hz, stricter(output, rig.player))
+        with naming(options.scene_file or bank, view):
+            engine = LiveEngine(
+                view,
+                block_samples=max(1, round(options.block_ms * rate_hz / 1e3)),
+                look_ahead_samples=round(options.look_ahead_ms * rate_hz / 1e3),
+                regularisation=regularisation,
+                interpolation=output.interpolation,
+                signal=signal,
+            )
+        with progress("reading the bank", 1):
+            engine.preload()
+        player, _ = opened.enter_context(open_player(rig, realtime=True))
+        ahead_ms = AHEAD_MS if options.ahead_ms is None else options.ahead_ms
+        session = LiveSession(
+            engine,
+            player,
+            frames,
+            publish,
+            channels=rig.player.channels,
+            ahead_s=ahead_ms / 1e3,
+            adapts=options.ahead_ms is None,
+            gives_up_s=rig.recovery.give_up_after_s,
+            duration_s=options.duration_s,
+            gain=10.0 ** (options.gain_db / 20.0),
+        )
+        ready = LiveReady(
+            player.identify(),
+            str(bank),
+            engine.actuators,
+            1e3 * engine.block_samples / rate_hz,
+            options.look_ahead_ms,
+            1e3 * engine.sufficient_samples / rate_hz,
+            ahead_ms + 1e3 * (frames.delay_frames / frames.rate_hz + player.latency_s),
+            engine.x_mm,
+            engine.y_mm,
+            osc,
+        )
+        yield session, ready
+
+
+def _of_scene(scene_file: Path | None) -> tuple[Regularisation, Output, Signal | None]:
+    if scene_file is None:
+        return Regularisation(), Output(), None
+    scene = load_scene(scene_file)
+    return scene.regularisation, scene.output, scene.sources[0].signal
