@@ -91,15 +91,20 @@ def fields_of(model: type[BaseModel], path: str = "") -> dict[str, FieldInfo]:
 
 
 def with_explanations(text: str, model: type[BaseModel]) -> str:
-    """A TOML file with a comment after each ``key = value`` that has none; also where the key is commented out."""
-    lines, fields = [], fields_of(model)
+    """A TOML file with a comment after each ``key = value`` that has none; also where the key is commented out.
+
+    In a list of tables a key is explained where it stands first.
+    """
+    lines, fields, heading, explained = [], fields_of(model), "", set()
     for line in text.splitlines():
-        if heading := re.match(r"(?:# )?\[+([\w.]+)\]+", line):
-            fields = fields_of(model, heading[1])
+        if found := re.match(r"(?:# )?\[+([\w.]+)\]+", line):
+            heading = found[1]
+            fields = fields_of(model, heading)
         key = re.match(r"(?:# )?(\w+) = [^#]*[^#\[{(,\s]$", line)
-        if key is None or key[1] not in fields or not fields[key[1]].description:
+        if key is None or key[1] not in fields or not fields[key[1]].description or (heading, key[1]) in explained:
             lines.append(line)
             continue
+        explained.add((heading, key[1]))
         column = max(_COLUMN, len(line) + 2)
         about = textwrap.wrap(explanation(key[1], fields[key[1]]), _WIDTH - _COLUMN - 2)
         if column + 2 + len(about[0]) > _WIDTH:

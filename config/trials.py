@@ -67,7 +67,7 @@ class TrialsTable(Table):
     alike: Factor | Literal["stimulus"] | None = Field(
         default=None, title="Alike", description="Factor that most_alike is about; by default correct, else stimulus"
     )
-    seed: Annotated[Whole, Field(ge=0, le=2**63 - 1)] = Field(
+    seed: Annotated[Whole, Field(ge=0)] = Field(
         default=1, title="Seed", description="Seed of the orders; with the participant's code it gives each order"
     )
     familiarise: Switch = Field(

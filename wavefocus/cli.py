@@ -217,7 +217,7 @@ def _live(**given: Any) -> int:
 
 COMMANDS = (
     Command(
-        "init", "init:init", "Write rig.toml, run.toml and scene.toml, commented.",
+        "init", "init:init", "Write rig.toml, run.toml, scene.toml and trials.toml, commented.",
         (
             file("folder", metavar="DIR", help="Where to write; made when missing."),
             argument("--rig", choices=("virtual", "template", "emulated"), default="virtual",

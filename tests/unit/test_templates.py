@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -14,12 +15,14 @@ from config.fields import explanation, fields_of, with_explanations
 from config.rig import RigConfig, default_rig
 from config.run import RunConfig, Virtual, default_run
 from config.scene import SceneConfig
+from config.trials import TrialsConfig
 from mocks.virtual.faults import ANYWHERE, CORRUPTING
 from mocks.virtual.rig import VirtualRig
 from rendering.drive.rendering import render_with_report
 from rendering.greens.source import GreenArray
 from rendering.scene.model import load_scene
 from storage.errors import InputError
+from trials.design import load_trials
 from wavefocus.commands.init import write_templates
 from wavefocus.configuration import Configuration, load_rig, load_run
 
@@ -90,16 +93,39 @@ def test_template_scene_renders_without_a_warning_or_scaling_on_a_bank_with_nois
     assert drive.scale == 1.0
 
 
+def test_template_of_trials_is_the_papers_experiment(tmp_path: Path) -> None:
+    write_templates(tmp_path, "template")
+    design = load_trials(tmp_path / "trials.toml")
+    player = load_rig(tmp_path / "rig.toml").player
+    position_mm = load_run(tmp_path / "run.toml").position_mm
+    assert 9 * (design.trials or 0) == 720
+    assert Counter((one.speed_mm_s, one.plays) for one in design.stimuli.values()) == {
+        (40.0, 1): 2, (100.0, 2): 2, (250.0, 3): 2, (500.0, 4): 2,
+    }  # fmt: skip
+    for one in design.stimuli.values():
+        (source,) = one.scene.sources
+        points_mm = source.path.point_at(source.step_mm * np.arange(6.0))
+        assert source.path.length_mm == 5 * source.step_mm == 120.0
+        assert [np.hypot(*(position_mm - point_mm).T).min() for point_mm in points_mm] == [0.0] * 6
+        assert len(source.signal.samples(10_000.0)) / 10_000.0 < source.step_mm / source.speed_mm_s
+        assert one.correct == ("right" if points_mm[-1, 0] > points_mm[0, 0] else "left")
+    assert design.config.masking is not None
+    assert design.config.masking.output not in (*player.channels, player.loopback_channel)
+
+
 @pytest.mark.parametrize("kind", ["virtual", "template", "emulated"])
 def test_every_key_of_every_template_is_explained(tmp_path: Path, kind: str) -> None:
     for path in write_templates(tmp_path, kind):
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines, table, explained = path.read_text(encoding="utf-8").splitlines(), "", set()
         for before, line in zip(["", *lines], lines, strict=False):
+            table = line if line.startswith("[") else table
             if " = " in line and not line.startswith(("#", " ", "name")):
-                assert "#" in line or before.startswith("#") or line.startswith("rig"), line
+                key = table.split("]")[0], line.split(" = ")[0]
+                assert "#" in line or before.startswith("#") or line.startswith("rig") or key in explained, line
+                explained.add(key)
 
 
-@pytest.mark.parametrize("name", ["rig.toml", "run.toml", "scene.toml"])
+@pytest.mark.parametrize("name", ["rig.toml", "run.toml", "scene.toml", "trials.toml"])
 def test_file_that_is_there_is_never_overwritten(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("mine")
     with pytest.raises(InputError, match=rf"{name}: is there already"):
@@ -113,6 +139,7 @@ def test_folder_is_made_and_a_file_in_its_place_is_told(tmp_path: Path) -> None:
         "rig.toml",
         "run.toml",
         "scene.toml",
+        "trials.toml",
     ]
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="file"):
@@ -124,6 +151,7 @@ TABLES = {
                          "virtual"),
     (RigConfig, "rig"): ("rig", "surface", "actuators", "mirror", "recorder", "player", "vibrometer", "recovery",
                          "watch", "watch.room", "messages", "calibration", "usb", "emulation"),
+    (TrialsConfig, "trials"): ("trials", "stimuli", "adaptive", "masking"),
     (SceneConfig, "scene"): ("scene", "source", "regularisation", "output"),
 }  # fmt: skip
 

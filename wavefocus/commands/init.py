@@ -11,13 +11,14 @@ from config.loading import printable
 from config.rig import RigConfig
 from config.run import RunConfig
 from config.scene import SceneConfig
+from config.trials import TrialsConfig
 from storage.errors import InputError
 from storage.output_files import replacement
 from wavefocus.console import say
 
 
 def init(folder: Path, rig: str) -> None:
-    """Write rig.toml, run.toml and scene.toml into `folder`; existing files are never touched."""
+    """Write rig.toml, run.toml, scene.toml and trials.toml into `folder`; existing files are never touched."""
     for path in write_templates(folder, rig):
         say(f"wrote {path}")
     rig_file = folder / "rig.toml"
@@ -30,13 +31,15 @@ def init(folder: Path, rig: str) -> None:
 
 
 def write_templates(folder: Path, rig: str) -> tuple[Path, ...]:
-    """Write rig.toml, run.toml and scene.toml with every key explained; nothing is ever overwritten.
+    """Write rig.toml, run.toml, scene.toml and trials.toml with every key explained; nothing is ever overwritten.
 
     Returns the files written. Raises InputError: one of the files is there already, or the folder cannot be written to.
     """
     templates = files("wavefocus") / "templates"
-    models: dict[str, type[Table]] = {"rig.toml": RigConfig, "run.toml": RunConfig, "scene.toml": SceneConfig}
-    named = {"rig.toml": f"rig-{rig}.toml", "run.toml": "run.toml", "scene.toml": "scene.toml"}
+    models: dict[str, type[Table]] = {
+        "rig.toml": RigConfig, "run.toml": RunConfig, "scene.toml": SceneConfig, "trials.toml": TrialsConfig,
+    }  # fmt: skip
+    named = {name: f"rig-{rig}.toml" if name == "rig.toml" else name for name in models}
     for name in named:
         if os.path.lexists(folder / name):
             there = printable(str(folder / name))
