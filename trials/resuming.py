@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from storage.errors import InputError
 from trials.answers import Row
@@ -13,11 +13,11 @@ from trials.order import Order, order_of
 
 @dataclass(frozen=True, slots=True)
 class Experiment:
-    """An experiment whose stimuli are ready: SHA-256 of each stimulus by its name, and of the bank."""
+    """An experiment; SHA-256 of each stimulus by its name, and of the bank, once they are prepared."""
 
     design: TrialsDesign
-    stimulus_sha256: Mapping[str, str]
-    bank_sha256: str
+    stimulus_sha256: Mapping[str, str] = field(default_factory=dict)
+    bank_sha256: str | None = None
 
 
 def begun(experiment: Experiment, participant: str, rows: Sequence[Row]) -> tuple[Order, int]:
@@ -41,7 +41,7 @@ def begun(experiment: Experiment, participant: str, rows: Sequence[Row]) -> tupl
             ("the bank", row.bank_sha256, experiment.bank_sha256),
             (f"the stimulus {row.stimulus}", row.stimulus_sha256, experiment.stimulus_sha256.get(row.stimulus)),
         ):
-            if then != now:
+            if now is not None and then != now:
                 raise InputError(
                     f"{where} before {what} was changed: put it back, or begin with another code or folder"
                 )

@@ -106,7 +106,9 @@ class TrialsSession:
         *,
         hurried: bool = False,
     ) -> None:
+        assert experiment.bank_sha256 is not None
         self._experiment, self._participant, self._answers = experiment, check_participant(participant), answers
+        self._bank_sha256 = experiment.bank_sha256
         self._presenter, self._orders, self._publish, self._hurried = presenter, orders, publish, hurried
         self._design = experiment.design
         self._table = experiment.design.config.trials
@@ -252,7 +254,7 @@ class TrialsSession:
             by=answer.by,
             answered_at=datetime.now(UTC).astimezone().isoformat(timespec="milliseconds"),
             stimulus_sha256=self._experiment.stimulus_sha256[stimulus.name],
-            bank_sha256=self._experiment.bank_sha256,
+            bank_sha256=self._bank_sha256,
             trials_sha256=self._design.sha256,
         )
 
@@ -296,7 +298,8 @@ class TrialsSession:
         self._publish_state()
 
     def _publish_state(self, note: str = "") -> None:
-        (number, of), block = self._shown, 1 if self._trial is None else self._trial.block
+        number, of = self._shown
+        block = self._table.blocks if self._trial is None else self._trial.block
         phase, waiting = self._state.value
         self._publish(TrialsState(phase, waiting, number, of, block, self._table.blocks, note))
 

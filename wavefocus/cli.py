@@ -422,6 +422,22 @@ COMMANDS = (
         ),
     ),
     Command(
+        "trials", "trials:trials",
+        "Run a perception experiment with a participant.\n\n"
+        "Stimuli are rendered, held against the rig's limits and hashed first. Each answer is on disk before the next "
+        "trial; the same command resumes. docs/reference/trials.md has orders, events and columns.",
+        (
+            file("trials_file", metavar="TRIALS.toml", help="The trials file."),
+            FROM_BANK, ON_RIG,
+            argument("--participant", default="", metavar="ID", help="Code of the participant; no name."),
+            _out("FOLDER", "Folder for stimuli and answers, of all participants."),
+            switch("--prepare", "only_prepare", help="Only prepare the stimuli."),
+            switch("--lines", "as_lines", help="Orders and events as JSON lines, in place of the window."),
+            switch("--fast", help="Let a virtual rig's seconds take no time, for programs that answer."),
+            switch("--json", "as_json", help="With --prepare: print JSON on standard output."),
+        ),
+    ),
+    Command(
         "verify", "verify:verify", "Play a scene, scan it, compare it with the prediction.",
         (
             SCENE, FROM_BANK, ON_RIG,

@@ -55,12 +55,14 @@ class LinesIn:
         self,
         overtakes: Callable[[Mapping[str, object]], object] = lambda _line: None,
         fails: Callable[[], object] = lambda: None,
+        ends: Callable[[], object] = lambda: None,
     ) -> None:
-        """Begin to read."""
+        """Begin to read; `ends` is called at the end of the input, whatever still waits."""
 
         def read() -> None:
             try:
                 self._read(overtakes)
+                ends()
             except BaseException as failure:  # raised again by `next`
                 self._failure = failure
                 try:
