@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from config.messages.codec import Message
@@ -41,9 +42,7 @@ def live(bank: Path, rig_file: Path, options: LiveOptions, *, osc: str | None, a
                 if not receiver.loopback:
                     say(f"warning: every computer that reaches {receiver.address} can move sources")
             with ending_at_once(), open_session(bank, rig_file, options, messages) as (session, ready):
-                messages(ready if receiver is None else replace(ready, osc=receiver.address))
-                _read_orders(session, messages, receiver)
-                session.run()
+                session.run(partial(_begin, ready, session, messages, receiver))
         except KeyboardInterrupt:
             code = Exit.STOPPED
         finally:
@@ -54,8 +53,9 @@ def live(bank: Path, rig_file: Path, options: LiveOptions, *, osc: str | None, a
     return code
 
 
-def _read_orders(session: LiveSession, messages: Messages, receiver: OscInput | None) -> None:
-    """Begin to read orders from standard input and from the receiver."""
+def _begin(ready: LiveReady, session: LiveSession, messages: Messages, receiver: OscInput | None) -> None:
+    """Report that it plays, and read orders from standard input and from the receiver from now on."""
+    messages(ready if receiver is None else replace(ready, osc=receiver.address))
     folder = Path()
 
     def receive(content: Mapping[str, object] | InputError, arrived_s: float) -> None:

@@ -7,12 +7,15 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from config.messages.live import LiveReady
 from config.scene import Output, Regularisation
+from rendering.greens.source import usable
 from rendering.live.engine import LiveEngine
 from rendering.scene.model import load_scene
 from rendering.scene.signals import Signal
-from storage.bank.reading import open_bank
+from storage.bank.reading import Bank, open_bank
 from storage.errors import InputError
 from storage.units import PLAYED_UNITS
 from wavefocus.commands.render import naming
@@ -25,6 +28,7 @@ from wavefocus.rig.limits import interface_of, rig_of, stricter
 AHEAD_MS = 20.0
 """What waits to be played at first where nothing is asked for; an interface with long periods gets more, see `adapts`
 of the session."""
+WARM_BLOCKS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +70,8 @@ def open_session(
         rig = rig_of(rig_file, view)
         assert rig is not None  # one that is named is there
         rate_hz = float(view.sample_rate_hz)
-        frames = LiveOutput(interface_of(rig), rate_hz, stricter(output, rig.player))
-        with naming(options.scene_file or bank, view):
+
+        def engine_and_output() -> tuple[LiveEngine, LiveOutput]:
             engine = LiveEngine(
                 view,
                 block_samples=max(1, round(options.block_ms * rate_hz / 1e3)),
@@ -76,6 +80,11 @@ def open_session(
                 interpolation=output.interpolation,
                 signal=signal,
             )
+            return engine, LiveOutput(interface_of(rig), rate_hz, stricter(output, rig.player))
+
+        with naming(options.scene_file or bank, view):
+            _warm_up(*engine_and_output(), view)
+            engine, frames = engine_and_output()
         with progress("reading the bank", 1):
             engine.preload()
         player, _ = opened.enter_context(open_player(rig, realtime=True))
@@ -105,6 +114,15 @@ def open_session(
             osc,
         )
         yield session, ready
+
+
+def _warm_up(engine: LiveEngine, output: LiveOutput, bank: Bank) -> None:
+    """Compute some blocks: what is loaded and planned when it is first used does not delay those of the session."""
+    at_mm = bank.position_mm[int(np.flatnonzero(usable(bank))[0])].tolist()
+    for _ in range(WARM_BLOCKS):
+        engine.move("warm", (at_mm[0], at_mm[1]))
+        output.frames(engine.next_block())
+    engine.state()
 
 
 def _of_scene(scene_file: Path | None) -> tuple[Regularisation, Output, Signal | None]:

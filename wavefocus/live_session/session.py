@@ -43,6 +43,9 @@ Publish = Callable[[Message], object]
 STATES_EVERY_S = 0.2
 NOTICES_EVERY_S = 2.0
 MOST_AHEAD_S = 1.0
+PACED = 0.95
+"""Blocks begin so many block times apart where enough waits to be played: an interface asks for a period at a time, and
+several blocks computed in a burst would leave positions waiting for the next one."""
 ENDING_S = 5.0
 """Beyond what waits to be played and the interface's latency, the last sound has left after so long."""
 SWITCH_S = 0.0005
@@ -108,13 +111,16 @@ class LiveSession:
         self._stop.set()
         self._ending.set()
 
-    def run(self) -> None:
+    def run(self, on_begun: Callable[[], object] = lambda: None) -> None:
         """Play until `EndLive`, the end of the duration, or `stop`.
+
+        on_begun: Called when orders take effect at once.
 
         Raises InstrumentError: The interface failed, or did not come back.
         """
         with one_blas_thread(), _undisturbed():
             self._begin()
+            on_begun()
             while not self._stop.is_set():
                 try:
                     self._next_block()
@@ -143,11 +149,13 @@ class LiveSession:
         frames = self._output.frames(self.engine.next_block())
         computed_s = time.monotonic() - begun_s
         self._unwritten.extend((first, arrived_s) for arrived_s in self._arrived)
-        self._player.add_piece(frames)
+        waiting_s = self._player.add_piece(frames)
         self._frames += frames.shape[1]
         while self._unwritten and self._unwritten[0][0] < self._frames:
             self._latency.add(self._player.written_s - self._unwritten.popleft()[1])
         self._account(computed_s)
+        if waiting_s > self._ahead_s / 2:
+            time.sleep(max(0.0, begun_s + PACED * self._block_s - time.monotonic()))
 
     def _apply_orders(self) -> None:
         self._arrived = []
