@@ -107,15 +107,16 @@ class QuestPlus:
         self._right = share_right(x[:, None], self._threshold, self._slope, adaptive.guess_rate, adaptive.lapse_rate)
         """Share of right answers by level and grid point."""
         self._posterior = np.full(len(self._threshold), 1.0 / len(self._threshold))
+        self._at = self._best()
 
     def next_level(self) -> float | None:
-        return self._ladder[self._best()] if self._left else None
+        return self._ladder[self._at] if self._left else None
 
     def answered(self, correct: bool) -> None:
-        share = self._right[self._best()]
+        share = self._right[self._at]
         self._posterior = self._posterior * (share if correct else 1.0 - share)
         self._posterior /= self._posterior.sum()
-        self._left -= 1
+        self._at, self._left = self._best(), self._left - 1
 
     @property
     def threshold(self) -> float:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from itertools import accumulate
 from typing import Protocol
 
-from trials.design import Stimulus, TrialsDesign
+from trials.design import TrialsDesign
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ class FixedOrder:
         trials = design.config.trials
         each = trials.repetitions // trials.blocks
         names = ordered(
-            list(design.stimuli.values()), lambda one: one.level(design.alike), draws_of(design, participant),
+            list(design.stimuli), lambda name: design.stimuli[name].level(design.alike), draws_of(design, participant),
             each=each, blocks=trials.blocks, most_alike=trials.most_alike,
         )  # fmt: skip
         in_block = each * len(design.stimuli)
@@ -93,8 +93,8 @@ class FixedOrder:
 
 
 def ordered(
-    stimuli: Sequence[Stimulus],
-    level_of: Callable[[Stimulus], str],
+    stimuli: Sequence[str],
+    level_of: Callable[[str], str],
     draws: Draws,
     *,
     each: int,
@@ -108,12 +108,14 @@ def ordered(
     for every level, and c <= m - k + m r for one that stands k times in a row already: the others part it into r + 1
     rows. Of two levels never both break this, and none does where the design's check passed; so there always is a draw.
     """
-    levels = list(dict.fromkeys(level_of(one) for one in stimuli))
+    of_level: dict[str, list[str]] = {}
+    for name in stimuli:
+        of_level.setdefault(level_of(name), []).append(name)
     most = most_alike or each * len(stimuli) * blocks
-    names: list[str] = []
+    order: list[str] = []
     last, run = -1, 0
     for _ in range(blocks):
-        left = [[one.name for one in stimuli if level_of(one) == level] * each for level in levels]
+        left = [names * each for names in of_level.values()]
         for after in reversed(range(each * len(stimuli))):
             weights = [len(one) for one in left]
             tight = [c for c, count in enumerate(weights) if count * (most + 1) > most * (after + 1)]
@@ -125,5 +127,5 @@ def ordered(
                     break
                 weights[level] = 0
             last, run = level, row
-            names.append(left[level].pop(draws.below(count + 1)))
-    return names
+            order.append(left[level].pop(draws.below(count + 1)))
+    return order

@@ -1,0 +1,141 @@
+"""Adaptive levels: staircases and QUEST+, and their order with several tracks."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from config.trials import AdaptiveTable
+from trials.adaptive import QuestPlus, Track, UpDown, track_of
+from trials.design import load_trials
+from trials.order import Trial, order_of
+from trials.psychometric import share_right
+
+LADDER = tuple(np.geomspace(0.01, 1.0, 17).tolist())
+
+
+def table(**keys: object) -> AdaptiveTable:
+    return AdaptiveTable.model_validate({"method": "up_down", "factor": "amplitude", **keys})
+
+
+def levels_of(track: Track, answers: str) -> list[float | None]:
+    levels = []
+    for answer in answers:
+        levels.append(track.next_level())
+        track.answered(answer == "+")
+    return [*levels, track.next_level()]
+
+
+def test_staircase_goes_down_after_two_right_answers_and_up_after_a_wrong_one() -> None:
+    track = UpDown(table(reversals=4), [4.0, 3.0, 2.0, 1.0])
+    assert levels_of(track, "++++-++-++") == [4, 4, 3, 3, 2, 3, 3, 2, 3, 3, None]
+    assert track.reversals == [2, 3, 2, 3]
+    assert track.threshold == pytest.approx((math.log10(2) + math.log10(3)) / 2)
+
+
+def test_staircase_at_either_end_of_its_ladder_stays_there_and_ends_by_its_number_of_trials() -> None:
+    assert levels_of(UpDown(table(trials=6), [2.0, 1.0]), "++++++") == [2, 2, 1, 1, 1, 1, None]
+    assert levels_of(UpDown(table(trials=3), [2.0, 1.0]), "---") == [2, 2, 2, None]
+
+
+def test_ladder_begins_at_its_easiest_level() -> None:
+    assert track_of(table(), [1.0, 3.0, 2.0]).next_level() == 3.0
+    assert track_of(table(factor="speed_mm_s", harder="higher"), [1.0, 3.0, 2.0]).next_level() == 1.0
+
+
+@pytest.mark.parametrize(("harder", "sign"), [("lower", 1), ("higher", -1)])
+def test_quest_plus_finds_threshold_and_slope_of_an_observer(harder: str, sign: int) -> None:
+    rng = np.random.default_rng(5)
+    thresholds, slopes = [], []
+    for _ in range(8):
+        track = QuestPlus(table(method="quest_plus", trials=100, harder=harder), LADDER[::-sign])
+        while (level := track.next_level()) is not None:
+            track.answered(bool(rng.random() < share_right(math.log10(level), -0.9, 8.0 * sign, 0.5, 0.02)))
+        thresholds.append(track.threshold)
+        slopes.append(math.log(sign * track.slope))
+    assert np.mean(thresholds) == pytest.approx(-0.9, abs=0.05)
+    assert np.std(thresholds) < 0.15
+    assert np.mean(slopes) == pytest.approx(math.log(8.0), abs=0.35)
+
+
+def test_quest_plus_takes_the_level_of_least_expected_entropy() -> None:
+    settings = table(method="quest_plus", trials=5)
+    for answers in ("", "+", "+-", "+-+"):
+        track, entropy = QuestPlus(settings, LADDER[::-1]), {}
+        levels_of(track, answers)
+        taken = track.next_level()
+        before = track._posterior.copy()
+        for level in LADDER:
+            share = share_right(math.log10(level), track._threshold, track._slope, 0.5, 0.02)
+            entropy[level] = 0.0
+            for likelihood in (share, 1.0 - share):
+                chance = float(before @ likelihood)
+                after = before * likelihood / chance
+                entropy[level] -= chance * float(after @ np.log(after))
+        assert taken == min(entropy, key=entropy.__getitem__)
+
+
+DESIGN = """
+[trials]
+question = "Which way?"
+answers = ["left", "right"]
+correct = "path"
+familiarise = false
+
+[path]
+right = { kind = "line", start_mm = [-8, 0], end_mm = [8, 0] }
+left = { kind = "line", start_mm = [8, 0], end_mm = [-8, 0] }
+
+[signal]
+burst = { kind = "impulse" }
+tone = { kind = "sine", frequency_hz = 200, duration_s = 0.05 }
+
+[[stimuli]]
+path = ["left", "right"]
+signal = ["burst", "tone"]
+speed_mm_s = 100
+step_mm = 4
+amplitude = [0.5, 1, 2, 4]
+
+[adaptive]
+method = "up_down"
+factor = "amplitude"
+trials = 40
+"""
+
+
+def test_tracks_take_random_turns_and_resume_from_the_answers_alone(tmp_path: Path) -> None:
+    (tmp_path / "trials.toml").write_text(DESIGN)
+    design = load_trials(tmp_path / "trials.toml")
+    assert (design.tracks, design.trials) == (("100mm_s-burst", "100mm_s-tone"), None)
+    order, chance = order_of(design, "P1"), random.Random(1)
+    trials: list[Trial] = []
+    answers: list[str] = []
+    while (trial := order.next_trial()) is not None:
+        trials.append(trial)
+        answers.append(chance.choice(("left", "right")))
+        order.answered(answers[-1])
+    resumed = order_of(design, "P1")
+    for trial, answer in zip(trials, answers, strict=True):
+        assert resumed.next_trial() == trial
+        assert design.stimuli[trial.stimulus].track == trial.track
+        resumed.answered(answer)
+    assert resumed.next_trial() is None
+    paths = [design.stimuli[trial.stimulus].path for trial in trials]
+    assert set(paths) == {"left", "right"}
+    assert all(len(set(paths[k : k + 3])) > 1 for k in range(len(paths) - 2))
+    turns = [trial.track for trial in trials]
+    assert 0.2 < np.mean([a != b for a, b in itertools.pairwise(turns)]) < 0.9
+    for name in design.tracks:
+        track = track_of(table(trials=40), [0.5, 1.0, 2.0, 4.0])
+        for trial, answer in zip(trials, answers, strict=True):
+            stimulus = design.stimuli[trial.stimulus]
+            if trial.track == name:
+                assert track.next_level() == stimulus.amplitude
+                track.answered(answer == stimulus.correct)
+        assert track.next_level() is None

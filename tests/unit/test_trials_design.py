@@ -1,0 +1,197 @@
+"""Trials files: stimuli, right answers, and the order of each participant's trials."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from rendering.scene.model import Source
+from rendering.scene.paths import Line, Point
+from rendering.scene.signals import Noise
+from storage.errors import InputError
+from trials.design import TrialsDesign, load_trials
+from trials.order import Draws, FixedOrder, order_of, ordered
+
+TRIALS = """
+[trials]
+question = "Which way?"
+answers = ["left", "right"]
+correct = "path"
+repetitions = 6
+blocks = 2
+
+[path]
+right = { kind = "line", start_mm = [-60, 0], end_mm = [60, 0] }
+left = { kind = "line", start_mm = [60, 0], end_mm = [-60, 0] }
+here = { kind = "point", at_mm = [0, 0] }
+
+[signal]
+burst = { kind = "noise", band_hz = [150, 300], duration_s = 0.05, seed = 1 }
+tap = { kind = "impulse" }
+"""
+STIMULI = """
+[[stimuli]]
+path = ["left", "right"]
+signal = "burst"
+speed_mm_s = [40, 100]
+step_mm = 24
+emission = "per_point"
+plays = 2
+"""
+POINT = '\n[[stimuli]]\npath = "here"\nsignal = ["tap", "burst"]\namplitude = [0, 0.5]\n'
+ADAPTIVE = '\n[adaptive]\nmethod = "up_down"\nfactor = "amplitude"\n'
+ONE = '\n[[stimuli]]\npath = ["left", "right"]\nsignal = "tap"\nspeed_mm_s = 40\nstep_mm = 24\n'
+
+
+def design_of(folder: Path, text: str) -> TrialsDesign:
+    file = folder / "trials.toml"
+    file.write_text(text, encoding="utf-8")
+    return load_trials(file)
+
+
+def test_stimuli_are_all_combinations_of_the_levels_of_each_table(tmp_path: Path) -> None:
+    design = design_of(tmp_path, TRIALS + STIMULI)
+    assert list(design.stimuli) == [
+        "left-40mm_s-burst", "left-100mm_s-burst", "right-40mm_s-burst", "right-100mm_s-burst",
+    ]  # fmt: skip
+    one = design.stimuli["right-100mm_s-burst"]
+    assert (one.path, one.speed_mm_s, one.signal, one.amplitude, one.plays) == ("right", 100.0, "burst", 1.0, 2)
+    assert (one.correct, one.track) == ("right", "")
+    assert one.scene.sources == (
+        Source(Line((-60, 0), (60, 0)), Noise((150, 300), 0.05, 1), 0.0, 100.0, 24.0, 1.0, "per_point"),
+    )
+    assert design.trials == 24
+    assert design.sha256 == hashlib.sha256((tmp_path / "trials.toml").read_bytes()).hexdigest()
+    assert dict(design.keys) == {"left": "1", "right": "2"}
+
+
+def test_given_several_amplitudes_then_names_have_them_and_zero_is_an_answer_of_its_own(tmp_path: Path) -> None:
+    text = TRIALS.replace('"left", "right"', '"no", "yes"').replace('"path"', '"amplitude"')
+    text = text.replace("repetitions", 'correct_levels = { 0 = "no", "0.5" = "yes" }\nrepetitions')
+    design = design_of(tmp_path, text + POINT)
+    assert {name: one.correct for name, one in design.stimuli.items()} == {
+        "here-tap-amp0": "no", "here-tap-amp0.5": "yes", "here-burst-amp0": "no", "here-burst-amp0.5": "yes",
+    }  # fmt: skip
+    assert design.stimuli["here-tap-amp0"].speed_mm_s is None
+    assert design.stimuli["here-tap-amp0"].scene.sources[0].path == Point((0, 0))
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "key"),
+    [
+        ('answers = ["left", "right"]', 'answers = ["left", "left"]', "trials.answers"),
+        ("repetitions", 'keys = ["F", "f"]\nrepetitions', "trials.keys"),
+        ("repetitions", 'keys = ["Esc", "F"]\nrepetitions', "trials.keys[0]"),
+        ("blocks = 2", "blocks = 4", "trials.repetitions"),
+        ("repetitions = 6", "repetitions = 5000", "trials.repetitions"),
+        ("repetitions", 'correct_levels = { up = "left" }\nrepetitions', "trials.correct_levels"),
+        ('"left", "right"]\ncorrect', '"left", "up"]\ncorrect', "trials.correct"),
+        ('correct = "path"', 'correct = "wind"', "trials.correct"),
+        ("repetitions", 'alike = "signal"\nrepetitions', "trials.most_alike"),
+        ('path = ["left", "right"]', 'path = ["left", "away"]', "stimuli[0].path"),
+        ('path = ["left", "right"]', 'path = ["left", "here"]', "stimuli[0].speed_mm_s"),
+        ('path = ["left", "right"]', 'path = ["left", "left"]', "stimuli[0]"),
+        ("speed_mm_s = [40, 100]", "speed_mm_s = []", "stimuli[0].speed_mm_s"),
+        ("step_mm = 24", "", "stimuli[0].step_mm"),
+        ("plays = 2", "plays = 0", "stimuli[0].plays"),
+        ("plays = 2", "play = 2", "stimuli[0].play"),
+        ("here =", '"../here" =', "path.../here"),
+        ('tap = { kind = "impulse" }', 'tap = { kind = "file", path = "none.wav" }', "signal.tap.path"),
+        ("plays = 2", f"plays = 2\n{ADAPTIVE}", "trials.repetitions"),
+        ("plays = 2", "plays = 2\n[masking]\noutput = 21\nrms_v = 0", "masking.rms_v"),
+    ],
+)
+def test_given_a_mistake_then_the_sentence_names_file_and_key(
+    tmp_path: Path, before: str, after: str, key: str
+) -> None:
+    text = TRIALS + STIMULI
+    assert text.count(before) >= 1
+    with pytest.raises(InputError) as raised:
+        design_of(tmp_path, text.replace(before, after, 1))
+    assert str(raised.value).startswith(f"{tmp_path / 'trials.toml'}: {key}")
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("stimuli", "more", "key"),
+    [
+        (ONE, "", "adaptive.factor"),
+        (ONE + "amplitude = [0, 1]", "", "adaptive.factor"),
+        (ONE + "amplitude = [1, 2]" + ONE.replace('"left", ', "") + "amplitude = 3", "", "adaptive.factor"),
+        (ONE.replace('"left", ', "") + "amplitude = [1, 2]", "", "trials.most_alike"),
+        (ONE + "amplitude = [1, 2]", "trials = 9999", "adaptive.trials"),
+        (ONE + "amplitude = [1, 2]", "guess_rate = 0.98", "adaptive.guess_rate"),
+    ],
+)
+def test_given_no_ladder_then_an_adaptive_design_is_refused(tmp_path: Path, stimuli: str, more: str, key: str) -> None:
+    text = TRIALS.replace("repetitions = 6\nblocks = 2\n", "") + stimuli
+    second = stimuli.replace('"tap"', '"burst"')
+    with pytest.raises(InputError, match=rf"trials.toml: {key}"):
+        design_of(tmp_path, text + second + ADAPTIVE + more)
+
+
+def longest_run(levels: list[Any]) -> int:
+    return max(len(list(same)) for _, same in itertools.groupby(levels))
+
+
+@settings(deadline=None, max_examples=200)
+@given(
+    counts=st.lists(st.integers(1, 7), min_size=1, max_size=5),
+    each=st.integers(1, 4),
+    blocks=st.integers(1, 4),
+    most_alike=st.integers(0, 4),
+    seed=st.integers(0, 10**6),
+)
+def test_order_is_balanced_in_each_block_and_never_too_many_are_alike(
+    counts: list[int], each: int, blocks: int, most_alike: int, seed: int
+) -> None:
+    level_of = {f"{level}-{k}": str(level) for level, count in enumerate(counts) for k in range(count)}
+    others = sum(counts) - max(counts)
+    # Exactly what a design may be: see `trials.design`.
+    assume(not most_alike or each * max(counts) <= most_alike * (each * others + (blocks == 1)))
+    names = ordered(
+        list(level_of), level_of.__getitem__, Draws(str(seed)), each=each, blocks=blocks, most_alike=most_alike
+    )
+    size = each * len(level_of)
+    for block in range(blocks):
+        assert Counter(names[block * size : (block + 1) * size]) == dict.fromkeys(level_of, each)
+    assert len(names) == blocks * size
+    if most_alike:
+        assert longest_run([level_of[name] for name in names]) <= most_alike
+
+
+def test_each_participant_has_an_order_of_their_own_that_no_version_of_python_changes(tmp_path: Path) -> None:
+    design = design_of(tmp_path, TRIALS + STIMULI)
+    first, again, other = (order_of(design, code) for code in ("P01", "P01", "P02"))
+    assert isinstance(first, FixedOrder)
+    assert isinstance(again, FixedOrder)
+    assert isinstance(other, FixedOrder)
+    assert first.trials == again.trials != other.trials
+    assert [(one.number, one.block) for one in first.trials] == [(1 + k, 1 + k // 12) for k in range(24)]
+    assert " ".join(one.stimulus.removesuffix("mm_s-burst") for one in first.trials[:6]) == (
+        "right-100 right-40 left-100 right-100 left-100 right-100"
+    )
+
+
+def test_order_is_followed_answer_by_answer_to_its_end(tmp_path: Path) -> None:
+    order = order_of(design_of(tmp_path, TRIALS + STIMULI), "P01")
+    for number in range(1, 25):
+        trial = order.next_trial()
+        assert trial is not None
+        assert (trial.number, order.next_trial()) == (number, trial)
+        order.answered("left")
+    assert order.next_trial() is None
+
+
+def test_ten_thousand_trials_of_two_hundred_stimuli_are_ordered() -> None:
+    names = [str(k) for k in range(200)]
+    order = ordered(names, lambda name: name, Draws("1"), each=50, blocks=1, most_alike=1)
+    assert longest_run(order) == 1
+    assert len(order) == 10_000
