@@ -91,6 +91,17 @@ class TextTable(Table):
     centre_mm: PointMm = Field(default=(0.0, 0.0), title="Centre", description="Centre of the text")
 
 
+class TrajectoryTable(Table):
+    """Places in time, as a finger was: a CSV file of instants, places and amplitudes."""
+
+    kind: Literal["trajectory"] = "trajectory"
+    file: Text = Field(
+        title="File",
+        description="CSV file with the header time_s,x_mm,y_mm or time_s,x_mm,y_mm,amplitude, relative to the scene"
+        " file; times count from start_s",
+    )
+
+
 class ImpulseTable(Table):
     """One sample of 1."""
 
@@ -134,7 +145,8 @@ class FileTable(Table):
 
 
 PathTable = Annotated[
-    PointTable | LineTable | CircleTable | PolylineTable | SvgTable | TextTable, Field(discriminator="kind")
+    PointTable | LineTable | CircleTable | PolylineTable | SvgTable | TextTable | TrajectoryTable,
+    Field(discriminator="kind"),
 ]
 SignalTable = Annotated[ImpulseTable | SineTable | NoiseTable | FileTable, Field(discriminator="kind")]
 
@@ -144,12 +156,13 @@ class SourceTable(Table):
 
     start_s: NonNegative = Field(default=0.0, title="Start time", description="Start time in the scene")
     speed_mm_s: NonNegative | None = Field(
-        default=None, title="Speed", description="Speed along the path; not needed for a point"
+        default=None, title="Speed", description="Speed along the path; not needed for a point or a trajectory"
     )
     step_mm: Positive | None = Field(
         default=None,
         title="Step",
-        description="Distance d between path points; one is emitted every d / v; not needed for a point",
+        description="Distance d between path points; one is emitted every d / v; not needed for a point or a"
+        " trajectory",
     )
     amplitude: Finite = Field(
         default=1.0,
@@ -166,9 +179,15 @@ class SourceTable(Table):
         description="Continuous along the path, or the whole signal anew at every path point",
     )
 
+    repeat: Switch = Field(
+        default=False,
+        title="Repeat",
+        description="Whether the signal of a continuous source begins anew at its end, as long as the source moves",
+    )
+
     @model_validator(mode="after")
     def _moves_somehow(self) -> SourceTable:
-        if self.path.kind != "point":
+        if self.path.kind not in ("point", "trajectory"):
             for key, unit in (("speed_mm_s", "mm/s"), ("step_mm", "mm")):
                 if getattr(self, key) is None:
                     raise mistake(key, None, f"is needed in {unit} for a path of kind {self.path.kind}")

@@ -49,7 +49,19 @@ FUNCTIONS = {
 }
 CLASSES = {
     "Files and arrays": ("Bank", "GreenArray", "Drive", "Field", "FocusResults", "RawFile"),
-    "Scenes": ("Scene", "Source", "Point", "Line", "Circle", "Polyline", "Impulse", "Sine", "Noise", "SoundFile"),
+    "Scenes": (
+        "Scene",
+        "Source",
+        "Point",
+        "Line",
+        "Circle",
+        "Polyline",
+        "TrajectoryPath",
+        "Impulse",
+        "Sine",
+        "Noise",
+        "SoundFile",
+    ),
     "The virtual rig": ("VirtualBench",),
     "Errors": ("InputError",),
 }

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from rendering.scene.model import Scene, Source, load_scene
     from rendering.scene.paths import Circle, Line, Point, Polyline
     from rendering.scene.signals import Impulse, Noise, Sine, SoundFile
+    from rendering.scene.trajectory_path import TrajectoryPath
     from storage.bank.reading import Bank, open_bank
     from storage.drive_file import Drive, read_drive, write_drive
     from storage.errors import InputError
@@ -48,6 +49,7 @@ _MODULES = {
     "Sine": "rendering.scene.signals",
     "SoundFile": "rendering.scene.signals",
     "Source": "rendering.scene.model",
+    "TrajectoryPath": "rendering.scene.trajectory_path",
     "VirtualBench": "wavefocus.virtual",
     "estimate": "wavefocus.banks",
     "estimate_positions": "calibration.estimator.raw_estimation",
@@ -85,6 +87,7 @@ __all__ = [
     "Sine",
     "SoundFile",
     "Source",
+    "TrajectoryPath",
     "VirtualBench",
     "estimate",
     "estimate_positions",

@@ -29,6 +29,7 @@ from config.scene import (
     SourceTable,
     SvgTable,
     TextTable,
+    TrajectoryTable,
 )
 from storage.errors import InputError
 from storage.output_files import replacement
@@ -51,6 +52,7 @@ NEW_PATHS: dict[str, PathTable] = {
         PolylineTable(points_mm=((-20.0, -10.0), (0.0, 20.0), (20.0, -10.0))),
         TextTable(string="text", height_mm=20.0),
         SvgTable.model_construct(file=""),
+        TrajectoryTable.model_construct(file=""),
     )
 }
 NEW_SIGNALS: dict[str, SignalTable] = {
@@ -83,7 +85,9 @@ def new_source(path: PathTable, model: SourceTable | None = None) -> SourceTable
         source = SourceTable.model_construct(path=path, signal=NEW_SIGNALS["noise"], emission="per_point")
     else:
         source = changed(model, path=path)
-    return source if path.kind == "point" else moving(source)
+    if path.kind == "point":
+        return changed(source, repeat=False)
+    return changed(source, emission="continuous") if path.kind == "trajectory" else moving(source)
 
 
 def moving(source: SourceTable) -> SourceTable:
@@ -132,7 +136,7 @@ def read_draft(text: str, path: Path) -> SceneConfig:
 
 def with_files(source: SourceTable, rename: Callable[[str], str]) -> SourceTable:
     """Return the source with other names of the files that it has."""
-    if isinstance(source.path, SvgTable):
+    if isinstance(source.path, SvgTable | TrajectoryTable):
         source = changed(source, path=changed(source.path, file=rename(source.path.file)))
     if isinstance(source.signal, FileTable):
         source = changed(source, signal=changed(source.signal, path=rename(source.signal.path)))

@@ -26,6 +26,8 @@ from rendering.greens.source import read_row, refusal
 from rendering.report.movie import Foci
 from rendering.scene.model import Scene, Source
 from rendering.scene.scene_rows import scene_rows
+from rendering.scene.size import points_and_travel
+from rendering.scene.trajectory_path import TrajectoryPath
 from storage.bank.reading import Bank
 from storage.drive_file import Drive
 from storage.errors import InputError
@@ -114,8 +116,11 @@ def summarise(
     snaps = [0.0]
     for index, source in enumerate(scene.sources):
         own = drive.focus_source == index
-        along = np.arange(np.count_nonzero(own)) * source.step_mm
-        points = source.path.point_at(np.minimum(along, source.path.length_mm))
+        count = np.count_nonzero(own)
+        if isinstance(source.path, TrajectoryPath):
+            points = source.path.foci(0.0)[1][:count]
+        else:
+            points = source.path.point_at(np.minimum(np.arange(count) * source.step_mm, source.path.length_mm))
         snaps.append(float(np.hypot(*(points - position_mm[drive.focus_position[own]]).T).max(initial=0.0)))
     return Driven(
         number=number,
@@ -166,14 +171,9 @@ def emission_s(source: Source, sample_rate_hz: float) -> float:
     signal_s = getattr(source.signal, "duration_s", None)
     if signal_s is None:
         signal_s = len(source.signal.samples(sample_rate_hz)) / sample_rate_hz
-    travel_s = 0.0
-    if source.path.length_mm > 0 and source.speed_mm_s > 0 and source.step_mm > 0:
-        steps = source.path.length_mm / source.step_mm + 1e-9
-        points = math.floor(steps) + 1 if math.isfinite(steps) else math.inf
-        travel_s = points * source.step_mm / source.speed_mm_s
-        if source.emission == "continuous":
-            return source.start_s + travel_s
-    return source.start_s + travel_s + float(signal_s)
+    _, travel_s = points_and_travel(source)
+    runs_on = travel_s > 0 and source.emission == "continuous"
+    return source.start_s + travel_s + (0.0 if runs_on else float(signal_s))
 
 
 def _beginning(scene: Scene, bank: Bank, most: int, on_progress: OnProgress) -> Drive:

@@ -20,6 +20,7 @@ from config.scene import (
     SineTable,
     SourceTable,
     SvgTable,
+    TrajectoryTable,
 )
 from gui import widgets as ui
 from gui.files import PathField
@@ -51,6 +52,7 @@ class SourceForm(QWidget):
         self.vertices = VertexTable()
         self.drawing = PathField("", ".svg", "drawing", context.settings)
         self.path_ids = ChoiceField("Path of the drawing", "Path of the drawing, by its id")
+        self.trajectory = PathField("", ".csv", "trajectory", context.settings)
         self.sound = PathField("", ".wav", "sound", context.settings, also=(".flac", ".ogg", ".aiff"))
         self.figures = ui.label(role="faint", wraps=True)
         self._lay_out()
@@ -62,6 +64,7 @@ class SourceForm(QWidget):
         self.motion.edited.connect(lambda key, value: document.edit_source("edit", key, **{key: value}))
         self.vertices.edited.connect(lambda points: self._edit_path("", points_mm=points))
         self.drawing.chosen.connect(lambda file: self._edit_path("", file=str(file), path_id=""))
+        self.trajectory.chosen.connect(lambda file: self._edit_path("", file=str(file)))
         self.path_ids.edited.connect(lambda path_id: self._edit_path("", path_id=path_id))
         self.sound.chosen.connect(lambda file: self._edit_signal("", path=str(file)))
         document.edited.connect(self.show_source)
@@ -86,11 +89,15 @@ class SourceForm(QWidget):
         if isinstance(path, SvgTable):
             self.drawing.show_text(path.file)
             self._list_paths(path)
+        if isinstance(path, TrajectoryTable):
+            self.trajectory.show_text(path.file)
         if isinstance(signal, FileTable):
             self.sound.show_text(signal.path)
         self.motion.show_values(source)
         for key in _MOTION:
-            self.motion.show_row(key, not isinstance(path, PointTable))
+            self.motion.show_row(key, not isinstance(path, PointTable | TrajectoryTable))
+        self.motion.show_row("emission", not isinstance(path, TrajectoryTable))
+        self.motion.show_row("repeat", not isinstance(path, PointTable))
 
     def show_preview(self, preview: Preview) -> None:
         if 0 <= self._document.chosen < len(preview.traces):
@@ -100,6 +107,7 @@ class SourceForm(QWidget):
         self.paths["polyline"].insert("Vertices", self.vertices)
         self.paths["svg"].insert("Path", self.path_ids)
         self.paths["svg"].insert("File", self.drawing)
+        self.paths["trajectory"].insert("File", self.trajectory)
         self.signals["file"].insert("File", self.sound)
         path_row, signal_row = _kind_row("Path", self.path_kind), _kind_row("Signal", self.signal_kind)
         forms = [*self.paths.values(), self.motion, *self.signals.values()]
@@ -124,8 +132,8 @@ class SourceForm(QWidget):
         here, there = anchor_of(path), anchor_of(source.path)
         moved = new_source(shifted(path, (there[0] - here[0], there[1] - here[1])), source)
         self._document.edit_source("edit", **dict(moved))
-        if kind == "svg":
-            self.drawing.open_dialog()
+        if kind in ("svg", "trajectory"):
+            (self.drawing if kind == "svg" else self.trajectory).open_dialog()
 
     def _change_signal_kind(self, kind: str) -> None:
         source = self._document.source

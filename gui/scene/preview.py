@@ -61,7 +61,7 @@ class Trace:
         that each is snapped to; thinned where there are many; no rows without a bank.
     off, bool (k,): Points further than one grid spacing from every position, or nearest to one without a measurement.
     far: How many of them are too far from the grid.
-    length_mm, period_s, lasts_s: Of the path, between path points (d / v), and of the emission.
+    length_mm, period_s, lasts_s: Of the path, between path points (d / v; 0 of a trajectory), and of the emission.
     points: Number M of path points.
     problem: Why it cannot be drawn; empty where it is.
     """
@@ -193,7 +193,8 @@ def trace_text(trace: Trace) -> str:
     emits = f"emits for {_duration(trace.lasts_s)}"
     if trace.points == 1 and not trace.length_mm:
         return f"At rest, {emits}"
-    points = f"{trace.points} point{'s' if trace.points > 1 else ''}, one every {_duration(trace.period_s)}"
+    points = f"{trace.points} point{'s' if trace.points > 1 else ''}"
+    points += f", one every {_duration(trace.period_s)}" if trace.period_s else ""
     return f"{trace.length_mm:.4g} mm, {points}; {emits}"
 
 
@@ -287,17 +288,24 @@ def _samples(draft: SourceTable, times: tuple[int, ...], allow_large: bool, rate
 
 def _drawn(source: Source, ground: Ground, signal_s: float) -> Trace:
     from rendering.scene.sampling import point_count
+    from rendering.scene.trajectory_path import TrajectoryPath
 
     points = point_count(source, 0)
     moves = points > 1 or (source.path.length_mm > 0 and source.speed_mm_s > 0)
-    period_s = source.step_mm / source.speed_mm_s if moves else 0.0
-    if not math.isfinite(source.start_s + points * period_s):
-        raise InputError("its last focus is later than numbers reach; raise speed_mm_s")
     number = np.unique(np.linspace(0, points - 1, min(points, MOST_DRAWN)).astype(np.int64))
-    points_mm = source.path.point_at(number * (source.step_mm if points > 1 else 0.0))
+    if isinstance(source.path, TrajectoryPath):
+        instant_s, points_mm = (part[number] for part in source.path.foci(source.start_s))
+        period_s, lasts_s = 0.0, source.travel_s
+    else:
+        period_s = source.step_mm / source.speed_mm_s if moves else 0.0
+        if not math.isfinite(source.start_s + points * period_s):
+            raise InputError("its last focus is later than numbers reach; raise speed_mm_s")
+        instant_s = np.asarray(source.start_s + number * period_s, np.float64)
+        points_mm = source.path.point_at(number * (source.step_mm if points > 1 else 0.0))
+        runs_on = source.emission == "continuous" and moves
+        lasts_s = points * period_s if runs_on else (points - 1) * period_s + signal_s
     if not np.isfinite(points_mm).all():
         raise InputError("a path point is further away than numbers reach")
-    runs_on = source.emission == "continuous" and moves
     rows, off, far = np.zeros(0, np.int64), np.zeros(len(points_mm), np.bool_), 0
     if ground.grid is not None and ground.usable is not None:
         rows, distance_mm = ground.grid.nearest(points_mm)
@@ -306,13 +314,13 @@ def _drawn(source: Source, ground: Ground, signal_s: float) -> Trace:
     return Trace(
         line_mm=path_line(source.path, int(min(_LINE_POINTS_PER_MM * source.path.length_mm, _MOST_LINE_POINTS)) + 3),
         points_mm=points_mm,
-        instant_s=np.asarray(source.start_s + number * period_s, np.float64),
+        instant_s=instant_s,
         rows=rows,
         off=off,
         far=far,
         length_mm=source.path.length_mm,
         period_s=period_s,
-        lasts_s=points * period_s if runs_on else (points - 1) * period_s + signal_s,
+        lasts_s=lasts_s,
         points=points,
     )
 

@@ -8,7 +8,7 @@ from PyQt5.QtCore import Qt
 from PyQt5.QtGui import QShowEvent
 from PyQt5.QtWidgets import QAction, QStackedWidget, QWidget
 
-from config.scene import SourceTable, TextTable
+from config.scene import SourceTable, TextTable, TrajectoryTable
 from gui import widgets as ui
 from gui.files import PathField, TomlKind, toml_kind
 from gui.scene.document import SceneDocument
@@ -36,7 +36,7 @@ class SceneTab(Tab):
     """Draw a scene, see its drives and field, save, render and play it."""
 
     title = "Scene"
-    opens = (".toml", ".svg", ".wav")
+    opens = (".toml", ".svg", ".csv", ".wav")
 
     def __init__(self, context: TabContext) -> None:
         super().__init__(context)
@@ -82,15 +82,17 @@ class SceneTab(Tab):
         ]  # fmt: skip
 
     def accepts(self, path: Path) -> bool:
-        """Scenes, drawings and sounds."""
+        """Scenes, drawings, trajectories and sounds."""
         name = path.name.lower()
-        return name.endswith((".svg", ".wav")) or (name.endswith(".toml") and toml_kind(path) is TomlKind.SCENE)
+        return name.endswith((".svg", ".csv", ".wav")) or (name.endswith(".toml") and toml_kind(path) is TomlKind.SCENE)
 
     def open_file(self, path: Path) -> None:
-        """Open a scene, add a drawing, or let the chosen source emit a sound."""
+        """Open a scene, add a drawing or a trajectory, or let the chosen source emit a sound."""
         ending = path.suffix.lower()
         if ending == ".svg":
             self.acts.add_drawing(path)
+        elif ending == ".csv":
+            self.acts.add(TrajectoryTable(file=str(path)))
         elif ending == ".wav":
             self.acts.use_sound(path)
         else:

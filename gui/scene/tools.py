@@ -6,7 +6,16 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from config.scene import CircleTable, LineTable, PathTable, PointTable, PolylineTable, SvgTable, TextTable
+from config.scene import (
+    CircleTable,
+    LineTable,
+    PathTable,
+    PointTable,
+    PolylineTable,
+    SvgTable,
+    TextTable,
+    TrajectoryTable,
+)
 from gui.scene.document import NEW_PATHS, PointMm, changed
 
 Box = tuple[PointMm, PointMm]
@@ -49,6 +58,8 @@ def handles_of(path: PathTable, box: Box | None = None) -> list[Handle]:
         case TextTable(centre_mm=(x, y)):
             height = Handle("height", (x, y + path.height_mm / 2), "sets the height")
             return [Handle("centre", (x, y), "moves the text"), height]
+        case TrajectoryTable():
+            return []
     origin = Handle("origin", path.origin_mm, "moves the drawing")
     corner = _far_corner(path, box)
     return [origin] if corner is None else [origin, Handle("scale", corner, "sets the scale")]
@@ -70,7 +81,9 @@ def with_handle_at(path: PathTable, name: str, to_mm: PointMm, box: Box | None =
 
 
 def shifted(path: PathTable, by_mm: PointMm) -> PathTable:
-    """The path moved as a whole."""
+    """The path moved as a whole; a trajectory stays where its file says."""
+    if isinstance(path, TrajectoryTable):
+        return path
     if isinstance(path, PolylineTable):
         return changed(path, points_mm=tuple(_plus(at, by_mm) for at in path.points_mm))
     if isinstance(path, LineTable):
@@ -86,6 +99,8 @@ def _anchor_key(path: PathTable) -> str:
 
 def anchor_of(path: PathTable) -> PointMm:
     """The point of a path that snaps when all of it is moved."""
+    if isinstance(path, TrajectoryTable):
+        return 0.0, 0.0
     if isinstance(path, PolylineTable):
         return path.points_mm[0]
     at: PointMm = getattr(path, _anchor_key(path))

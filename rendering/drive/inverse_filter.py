@@ -203,10 +203,10 @@ def _wanted(
     """Spectra of the response wanted at the control points, (bins, points)."""
     wanted = np.zeros((points, length))
     for source, anew, at in zip(sources, per_point, place, strict=True):
-        begins = source.focus_sample
+        begins, first = source.focus_sample, source.emission.first_sample
         ends = np.append(begins[1:], source.emission.stop_sample)
         for point, begin, end in zip(at.tolist(), begins.tolist(), ends.tolist(), strict=True):
-            part = source.signal if anew else source.signal[begin - begins[0] : end - begins[0]]
+            part = source.signal if anew else source.signal[begin - first : end - first]
             wanted[point, lead + begin : lead + begin + len(part)] += part
     spectra = np.fft.rfft(wanted, axis=1)[:, band.bins].T
     return np.asarray(spectra * band.weights[:, None])

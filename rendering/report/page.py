@@ -20,6 +20,7 @@ from rendering.report.canvas import Picture, Surface
 from rendering.report.figures import drift_over_time
 from rendering.report.waves import wave_figures, waves_of, waves_picture
 from rendering.report.words import figure_lines, number, precise, remarks
+from rendering.scene.trajectory_path import TrajectoryPath
 from rendering.verify.changes import change_lines
 from rendering.verify.record import PATH_POINTS, REPORT_NAME, path_line_mm
 from rendering.verify.verdict import Verification
@@ -165,7 +166,9 @@ def _facts(
     facts: list[tuple[str, str]] = [("scene", scene.name)]
     for index, source in enumerate(scene.sources, 1):
         motion = "at rest"
-        if source.path.length_mm > 0.0:
+        if isinstance(source.path, TrajectoryPath):
+            motion = f"{source.path.length_mm:.4g} mm long, {source.travel_s:.4g} s, {len(source.path.time_s)} rows"
+        elif source.path.length_mm > 0.0:
             motion = (
                 f"{source.path.length_mm:.4g} mm long, {source.speed_mm_s:g} mm/s, "
                 f"a point every {source.step_mm:g} mm, {source.emission.replace('_', ' ')} emission"

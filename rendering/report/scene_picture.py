@@ -37,6 +37,7 @@ class _Drawn:
     source: Source
     line_mm: Float64Array
     points_mm: Float64Array
+    focus_s: Float64Array
     rows: Int64Array
     snap_mm: Float64Array
 
@@ -84,9 +85,9 @@ def _sources(scene: Scene, bank: GreenSource) -> list[_Drawn]:
     drawn = []
     for source, sampled in zip(scene.sources, sample_scene(scene, bank, "sampled").sources, strict=True):
         count = min(MOST_LINE_POINTS, max(2, int(4 * source.path.length_mm) + 2))
-        drawn.append(
-            _Drawn(source, path_line_mm(source, count), sampled.points_mm, sampled.focus_position, sampled.snap_mm)
-        )
+        focus_s = sampled.focus_sample / float(bank.sample_rate_hz)
+        line_mm, rows = path_line_mm(source, count), sampled.focus_position
+        drawn.append(_Drawn(source, line_mm, sampled.points_mm, focus_s, rows, sampled.snap_mm))
     return drawn
 
 
@@ -133,7 +134,8 @@ def _draw_snapped(
     for index, one in enumerate(sources):
         colour = SOURCE_COLOURS[index % len(SOURCE_COLOURS)]
         visited = surface.position_mm[one.rows]
-        axes.plot(*_broken(visited, 1.5 * one.source.step_mm + surface.spacing_mm).T, color=colour, lw=0.8, zorder=5)
+        furthest_mm = 1.5 * (one.source.step_mm or np.inf) + surface.spacing_mm
+        axes.plot(*_broken(visited, furthest_mm).T, color=colour, lw=0.8, zorder=5)
         moved = np.stack([one.points_mm, visited, np.full_like(visited, np.nan)], axis=1).reshape(-1, 2)
         axes.plot(*moved.T, color=INK, lw=0.5, zorder=5)
         axes.plot(*one.points_mm.T, ".", color=INK, ms=1.8, zorder=6)
@@ -160,9 +162,8 @@ def _gains(scene: Scene, bank: GreenSource, rows: Int64Array) -> Float64Array | 
 def _first_instants(sources: list[_Drawn], rows: Int64Array) -> Float64Array:
     first = dict.fromkeys(rows.tolist(), np.inf)
     for one in sources:
-        moving = one.source.step_mm / one.source.speed_mm_s if len(one.rows) > 1 else 0.0
-        for place, row in enumerate(one.rows.tolist()):
-            first[row] = min(first[row], one.source.start_s + place * moving)
+        for row, focus_s in zip(one.rows.tolist(), one.focus_s.tolist(), strict=True):
+            first[row] = min(first[row], focus_s)
     return np.array([first[row] for row in rows.tolist()])
 
 
@@ -179,7 +180,8 @@ def _keys(sources: list[_Drawn]) -> list[object]:
     for index, one in enumerate(sources[:MOST_NAMED]):
         source = one.source
         if len(one.rows) > 1:
-            way = f"{source.path.length_mm:.0f} mm at {source.speed_mm_s:g} mm/s"
+            pace = f"at {source.speed_mm_s:g} mm/s" if source.speed_mm_s else f"in {source.travel_s:.3g} s"
+            way = f"{source.path.length_mm:.0f} mm {pace}"
             text = f"source {index}: {way}, from {source.start_s:g} s"
         else:
             x_mm, y_mm = one.points_mm[0]

@@ -13,6 +13,7 @@ from config.scene import Output, PathTable, Regularisation, SceneConfig, SignalT
 from rendering.scene import paths, signals
 from rendering.scene.signals import Signal
 from rendering.scene.svg import SvgPath
+from rendering.scene.trajectory_path import TrajectoryPath, read_trajectory
 from storage.errors import InputError
 
 Emission = Literal["continuous", "per_point"]
@@ -24,10 +25,12 @@ class Source:
 
     signal: Its signal, peak 1 before `amplitude`.
     start_s: Start in scene time, >= 0: the drive array has no room before the lead-in.
-    speed_mm_s: Speed, > 0 on a path that moves; ignored for a point.
-    step_mm: Path sample distance d, > 0 on a path that moves.
+    speed_mm_s: Speed, > 0 on a path that moves; ignored for a point and a trajectory.
+    step_mm: Path sample distance d, > 0 on a path that moves; ignored for a point and a trajectory.
     amplitude: In the bank's response unit when the scene normalises.
-    emission, {"continuous", "per_point"}: The signal runs on along the path, or every path point emits all of it anew.
+    emission, {"continuous", "per_point"}: The signal runs on along the path, or every path point emits all of it anew;
+        a trajectory is continuous.
+    repeat: A continuous signal begins anew at its end, as long as the source moves.
 
     Raises InputError where a value is out of range.
     """
@@ -39,17 +42,29 @@ class Source:
     step_mm: float = 0.0
     amplitude: float = 1.0
     emission: Emission = "continuous"
+    repeat: bool = False
 
     def __post_init__(self) -> None:
         _check(self.start_s >= 0, "start_s", self.start_s, ", 0 or above")
         _check(True, "amplitude", self.amplitude, "")
         if self.emission not in ("continuous", "per_point"):
             raise InputError(f"emission is {self.emission!r}; allowed are 'continuous' and 'per_point'")
+        if self.emission == "per_point" and isinstance(self.path, TrajectoryPath):
+            raise InputError("emission is 'per_point'; a trajectory needs 'continuous'")
+        if self.repeat and (self.emission == "per_point" or not self.travel_s):
+            raise InputError("repeat is true; it needs emission 'continuous' and a path that the source moves along")
         if isinstance(self.path, paths.Point):
             return
         for name in ("speed_mm_s", "step_mm"):
             value = getattr(self, name)
             _check(value >= 0, name, value, " above 0")
+
+    @property
+    def travel_s(self) -> float:
+        """Seconds from its start to the end of its path; 0 where it stands still or is not given a speed."""
+        if isinstance(self.path, TrajectoryPath):
+            return float(self.path.time_s[-1])
+        return self.path.length_mm / self.speed_mm_s if self.path.length_mm > 0 and self.speed_mm_s > 0 else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +153,7 @@ def build_scene(config: SceneConfig, file: Path, *, allow_large: bool = False) -
                     step_mm=table.step_mm or 0.0,
                     amplitude=table.amplitude,
                     emission=table.emission,
+                    repeat=table.repeat,
                 )
             )
         except InputError as error:
@@ -159,6 +175,7 @@ PATHS: Mapping[str, Callable[..., paths.Path]] = {
     "polyline": paths.Polyline,
     "svg": SvgPath,
     "text": paths.TextPath,
+    "trajectory": read_trajectory,
 }
 SIGNALS: Mapping[str, Callable[..., Signal]] = {
     "impulse": signals.Impulse,

@@ -10,12 +10,21 @@ import numpy as np
 
 from rendering.arrays import Complex128Array, Float64Array, Int64Array
 from rendering.drive.windows import Events
-from rendering.greens.interpolation.base import Follow, Interpolation, Nodes, OffGridError, scene_interpolation, show_mm
+from rendering.greens.interpolation.base import (
+    Follow,
+    GridInterpolation,
+    Interpolation,
+    Nodes,
+    OffGridError,
+    scene_interpolation,
+    show_mm,
+)
 from rendering.greens.source import GreenSource
 from rendering.scene.model import Scene, Source
 from rendering.scene.paths import Point
 from rendering.scene.signals import MOST_SAMPLES
 from rendering.scene.size import check_scene_size
+from rendering.scene.trajectory_path import TrajectoryPath
 from storage.errors import InputError
 
 NodesAt = Callable[[int, int], tuple[Int64Array, Float64Array, Int64Array]]
@@ -144,13 +153,14 @@ Method = Literal["sampled", "exact"]
 
 MOST_POINTS = 10**8
 LEAST_PIECE_SAMPLES = 2048
+SAMPLES_AT_ONCE = 2**16
 
 
 @dataclass(frozen=True, slots=True)
 class SampledSource:
     """A source ready to be accumulated.
 
-    arc_length_mm, float64 (points,): Arc lengths of the path points, m * d.
+    arc_length_mm, float64 (points,): Arc lengths of the path points, m * d; of a trajectory those of its foci.
     focus_sample, int64 (points,): n_m, counted from scene time zero.
     focus_position, int64 (points,): Bank row nearest to each path point.
     snap_mm, float64 (points,): Distance from each path point to that row's position.
@@ -191,13 +201,16 @@ def sample_source(
 
     M = floor(length / d + 1e-9) + 1 points at arc length m d are emitted at
     n_m = round((start_s + m d / v) rate), each from absolute time and half to even, so that no error adds up.
-    A path of no length is a static focus: it emits its whole signal at `start_s`.
+    A path of no length is a static focus: it emits its whole signal at `start_s`. A trajectory is at its place of every
+    sample, whatever the method.
 
     Raises InputError: the source does not move although its path does, emits nothing, is too long, or leaves the grid.
     """
     signal = source.amplitude * source.signal.samples(sample_rate_hz)
     if not len(signal):
         raise InputError(f"the signal of source {index} is empty; it must have at least one sample")
+    if isinstance(source.path, TrajectoryPath):
+        return _sample_trajectory(source, source.path, index, interpolation, signal, sample_rate_hz)
     points = point_count(source, index)
     moving = points > 1 or (source.path.length_mm > 0 and source.speed_mm_s > 0)
     number = np.arange(points + 1)
@@ -232,6 +245,8 @@ def sample_source(
                 f"source {index} moves on within one sample of its start and emits nothing; lower speed_mm_s"
                 f" ({source.speed_mm_s:g}) or lengthen the path"
             )
+        if source.repeat:
+            signal = np.resize(signal, last - int(focus[0]))
         emission = (
             ContinuousEmission(signal, int(focus[0]), last, of_samples)
             if exact
@@ -250,11 +265,62 @@ def sample_source(
     )
 
 
+def _sample_trajectory(
+    source: Source,
+    path: TrajectoryPath,
+    index: int,
+    interpolation: Interpolation,
+    signal: Float64Array,
+    sample_rate_hz: float,
+) -> SampledSource:
+    course = path.trajectory(source.start_s, sample_rate_hz)
+    first, stop = int(course.sample[0]), int(course.sample[-1])
+    if first == stop:
+        raise InputError(f"the trajectory of source {index} ends within one sample of its start and emits nothing")
+    signal = np.resize(signal, stop - first) if source.repeat else signal[: stop - first].copy()
+    for begin in range(0, len(signal), SAMPLES_AT_ONCE):
+        part = signal[begin : begin + SAMPLES_AT_ONCE]
+        with np.errstate(over="ignore", invalid="ignore"):  # drives that are not finite are refused
+            part *= course.at(first + np.arange(begin, begin + len(part)))[1]
+    try:
+        follow = None if isinstance(interpolation, GridInterpolation) else interpolation.follow(path)
+    except OffGridError as error:
+        raise InputError(f"the path of source {index} {error}") from error
+
+    def nodes_at(sample: Int64Array) -> Nodes:
+        # Ties between positions fall as while it sounded only at the same places to the bit.
+        if follow is None:
+            return interpolation.nodes(course.at(sample)[0])
+        return follow(path.arc_length_mm(sample / sample_rate_hz - source.start_s))
+
+    def of_samples(start: int, stop: int) -> tuple[Int64Array, Float64Array, Int64Array]:
+        sample = first + np.arange(start, stop)
+        try:
+            found = nodes_at(sample)
+        except OffGridError as error:
+            at_s = sample[error.point] / sample_rate_hz - source.start_s
+            raise InputError(f"source {index}, {at_s:.6g} s after its start, {error}") from error
+        return found.rows, found.weights, found.nearest
+
+    focus_s, points_mm = path.foci(source.start_s)
+    focus = np.rint(focus_s * sample_rate_hz).astype(np.int64)
+    try:
+        nodes = nodes_at(focus)
+    except OffGridError as error:
+        raise InputError(f"row {path.focus_rows[error.point]} of the trajectory of source {index} {error}") from error
+    emission, arc_mm = ContinuousEmission(signal, first, stop, of_samples), path.arc_length_mm(focus_s - source.start_s)
+    return SampledSource(
+        index, emission, arc_mm, points_mm, focus, nodes.nearest, nodes.distance_mm, signal, nodes.rows.shape[1]
+    )
+
+
 def point_count(source: Source, index: int) -> int:
-    """M, the number of path points of a source, 1 where it stands still.
+    """M, the number of path points of a source, 1 where it stands still; of a trajectory the number of its foci.
 
     Raises InputError: the source does not move although its path does, or it has too many path points.
     """
+    if isinstance(source.path, TrajectoryPath):
+        return len(source.path.focus_rows)
     length = source.path.length_mm
     if isinstance(source.path, Point) or length == 0:
         return 1

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from rendering.scene.model import Scene, Source
 from rendering.scene.signals import MOST_SAMPLES, signal_size
+from rendering.scene.trajectory_path import TrajectoryPath
 from storage.errors import InputError
 
 MOST_SECONDS = 3600.0
@@ -47,8 +48,11 @@ def scene_size(scene: Scene, *, sample_rate_hz: float, taps: int, actuators: int
     """
     points, signals, last = 0.0, 0.0, 0.0
     for source in scene.sources:
-        count, travel_s = _points_and_travel(source)
+        count, travel_s = points_and_travel(source)
         samples, held = signal_size(source.signal, sample_rate_hz)
+        held = (
+            max(held, travel_s * sample_rate_hz) if source.repeat or isinstance(source.path, TrajectoryPath) else held
+        )
         emitted = samples if source.emission == "per_point" or not travel_s else 0.0
         last = max(last, (source.start_s + travel_s) * sample_rate_hz + emitted)
         points, signals = points + count, signals + held
@@ -84,8 +88,10 @@ def size_words(count: float) -> str:
     return f"{count / 1024:.4g} KiB"
 
 
-def _points_and_travel(source: Source) -> tuple[float, float]:
+def points_and_travel(source: Source) -> tuple[float, float]:
     """M and the seconds until n_M, as `rendering.scene.sampling` makes them; it refuses a source that cannot move."""
+    if isinstance(source.path, TrajectoryPath):
+        return float(len(source.path.focus_rows)), source.travel_s
     length_mm = source.path.length_mm
     if not (length_mm > 0 and source.step_mm > 0):
         return 1.0, 0.0

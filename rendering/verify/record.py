@@ -344,12 +344,8 @@ def finite(value: float | None) -> float | None:
 
 
 def _recorded(source: Source) -> RecordedSource:
-    length_mm = source.path.length_mm
-    moves = length_mm > 0.0 and source.speed_mm_s > 0.0
-    stop_s = source.start_s + (length_mm / source.speed_mm_s if moves else 0.0)
-    return RecordedSource(
-        source.start_s, stop_s, _points(np.round(path_line_mm(source, PATH_POINTS if moves else 1), 3))
-    )
+    line_mm = path_line_mm(source, PATH_POINTS if source.travel_s else 1)
+    return RecordedSource(source.start_s, source.start_s + source.travel_s, _points(np.round(line_mm, 3)))
 
 
 def _points(places_mm: Float64Array) -> tuple[PointMm, ...]:
