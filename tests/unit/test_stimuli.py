@@ -1,0 +1,176 @@
+"""Stimuli on disk: rendered once, verified after that, refused beyond limits."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from rendering.drive.coil_limits import DriveLimits, peaks
+from rendering.drive.rendering import render
+from rendering.drive.wav import Interface
+from storage.bank.reading import Bank, open_bank
+from storage.drive_file import read_drive, write_drive
+from storage.errors import InputError
+from tests.unit.plate_banks import ACTUATOR_MM, RATE_HZ, SQUARE_MM, plate_greens
+from trials.design import TrialsDesign, load_trials
+from trials.stimuli import Prepared, prepare
+
+TRIALS = """
+[trials]
+question = "Felt?"
+answers = ["no", "yes"]
+
+[path]
+right = { kind = "line", start_mm = [-8, 0], end_mm = [8, 0] }
+
+[signal]
+tap = { kind = "impulse" }
+
+[[stimuli]]
+path = "right"
+signal = "tap"
+speed_mm_s = 100
+amplitude = [0, 0.003, 0.007]
+step_mm = 4
+emission = "per_point"
+"""
+NAMES = ["right-100mm_s-tap-amp0", "right-100mm_s-tap-amp0.003", "right-100mm_s-tap-amp0.007"]
+LOUDEST = NAMES[-1]
+NO_LIMITS = DriveLimits()
+INTERFACE = Interface(48_000, np.full(len(ACTUATOR_MM), 5.0))
+
+
+@pytest.fixture
+def bank(tmp_path: Path) -> Iterator[Bank]:
+    near = SQUARE_MM[(np.abs(SQUARE_MM) <= (8, 4)).all(axis=1)]
+    with h5py.File(tmp_path / "bank.h5", "w") as file:
+        file["green"] = plate_greens(near).astype(np.float32)
+        file["position_mm"] = near
+        file.attrs["sample_rate_hz"] = RATE_HZ
+    with open_bank(tmp_path / "bank.h5") as view:
+        yield view
+
+
+def design_of(folder: Path, text: str = TRIALS) -> TrialsDesign:
+    (folder / "trials.toml").write_text(text, encoding="utf-8")
+    return load_trials(folder / "trials.toml")
+
+
+def prepared(design: TrialsDesign, bank: Bank, limits: DriveLimits = NO_LIMITS) -> Prepared:
+    return prepare(design, bank, design.file.parent / "out", limits=limits, interface=INTERFACE)
+
+
+def test_stimuli_are_the_drives_of_their_scenes_and_stand_in_the_manifest(tmp_path: Path, bank: Bank) -> None:
+    design = design_of(tmp_path)
+    done: list[tuple[int, int]] = []
+    made = prepare(
+        design, bank, tmp_path / "out", limits=NO_LIMITS, interface=INTERFACE,
+        on_progress=lambda *count: done.append(count),
+    )  # fmt: skip
+    assert done == [(0, 3), (1, 3), (2, 3), (3, 3)]
+    manifest = json.loads((made.folder / "manifest.json").read_text(encoding="utf-8"))
+    assert (manifest["trials_sha256"], manifest["bank_sha256"]) == (design.sha256, made.bank_sha256)
+    assert list(manifest["stimuli"]) == list(made.sha256) == NAMES
+    assert not made.drive(NAMES[0]).drive_v.any()
+    for name in NAMES[1:]:
+        stimulus = design.stimuli[name]
+        drive, right = made.drive(name), render(stimulus.scene, bank)
+        entry = manifest["stimuli"][name]
+        assert np.abs(drive.drive_v - right.drive_v).max() <= 1e-15 * np.abs(right.drive_v).max()
+        assert (drive.start_s, drive.scale, drive.drive_v.shape) == (right.start_s, 1.0, right.drive_v.shape)
+        assert entry["sha256"] == made.sha256[name]
+        assert (entry["amplitude"], entry["peak_v"]) == (stimulus.amplitude, peaks(drive.drive_v).max())
+
+
+def test_given_again_then_only_what_is_missing_is_rendered(tmp_path: Path, bank: Bank) -> None:
+    design = design_of(tmp_path)
+    first = prepared(design, bank)
+    (first.folder / f"{LOUDEST}.h5").unlink()
+    times = {file: file.stat().st_mtime_ns for file in first.folder.iterdir()}
+    assert prepared(design, bank) == first
+    assert (first.folder / f"{LOUDEST}.h5").is_file()
+    assert {file: file.stat().st_mtime_ns for file in times} == times
+
+
+def test_given_a_limit_then_a_stimulus_beyond_it_is_refused_with_the_amplitude_that_fits(
+    tmp_path: Path, bank: Bank
+) -> None:
+    peak_v = float(peaks(render(design_of(tmp_path).stimuli[LOUDEST].scene, bank).drive_v).max())
+    for limits in (DriveLimits(peak_v=0.9 * peak_v, peak_key="player.limit_v"), DriveLimits(rms_v=0.1 * peak_v)):
+        with pytest.raises(InputError) as refused:
+            prepared(design_of(tmp_path), bank, limits)
+        text = str(refused.value)
+        assert text.startswith(f"{tmp_path / 'trials.toml'}: stimulus {LOUDEST}: ")
+        assert (limits.peak_key if limits.peak_v else limits.rms_key) in text
+        fits = text.split("amplitude of ")[1].split(maxsplit=1)[0]
+        (tmp_path / "again").mkdir(exist_ok=True)
+        prepared(design_of(tmp_path / "again", TRIALS.replace("0.003, 0.007", fits)), bank, limits)
+        for file in (tmp_path / "again" / "out" / "stimuli").iterdir():
+            file.unlink()
+
+
+def test_given_outputs_of_little_full_scale_then_a_stimulus_beyond_it_is_refused(tmp_path: Path, bank: Bank) -> None:
+    weak = Interface(48_000, np.full(len(ACTUATOR_MM), 1e-6))
+    with pytest.raises(InputError, match="full scale"):
+        prepare(design_of(tmp_path), bank, tmp_path / "out", limits=NO_LIMITS, interface=weak)
+
+
+def test_given_a_path_beyond_the_bank_or_another_rig_then_it_is_refused(tmp_path: Path, bank: Bank) -> None:
+    with pytest.raises(InputError, match=rf"trials.toml: stimulus {NAMES[0]}: .*point"):
+        prepared(design_of(tmp_path, TRIALS.replace("[8, 0]", "[80, 0]")), bank)
+    few = Interface(48_000, np.full(3, 5.0))
+    with pytest.raises(InputError, match=r"10 actuators, the rig 3"):
+        prepare(design_of(tmp_path), bank, tmp_path / "new", limits=NO_LIMITS, interface=few)
+    with pytest.raises(InputError, match="drives in A"):
+        prepared(design_of(tmp_path), replace(bank, drive_unit="A"))
+
+
+def test_given_another_table_or_bank_then_its_stimuli_are_refused(tmp_path: Path, bank: Bank) -> None:
+    prepared(design_of(tmp_path), bank)
+    with pytest.raises(InputError, match=r"manifest.json: .*trials.toml"):
+        prepared(design_of(tmp_path, TRIALS + "# another\n"), bank)
+    design = design_of(tmp_path)
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["green"] = plate_greens(SQUARE_MM[:1])
+        file["position_mm"] = SQUARE_MM[:1]
+        file.attrs["sample_rate_hz"] = RATE_HZ
+    with open_bank(tmp_path / "other.h5") as other, pytest.raises(InputError, match=r"manifest.json: .*other.h5"):
+        prepared(design, other)
+
+
+def test_given_a_damaged_or_exchanged_drive_then_its_file_is_named(tmp_path: Path, bank: Bank) -> None:
+    design = design_of(tmp_path)
+    made = prepared(design, bank)
+    file = made.folder / f"{LOUDEST}.h5"
+    content = file.read_bytes()
+    file.write_bytes(content[: len(content) // 2] + b"\xff" + content[len(content) // 2 + 1 :])
+    with pytest.raises(InputError, match=rf"^{file}"):
+        prepared(design, bank)
+    write_drive(file, read_drive(made.folder / f"{NAMES[1]}.h5"))
+    with pytest.raises(InputError, match=rf"^{file}: holds another drive"):
+        prepared(design, bank)
+
+
+def test_given_a_manifest_that_is_none_then_it_is_named(tmp_path: Path, bank: Bank) -> None:
+    design = design_of(tmp_path)
+    file = tmp_path / "out" / "stimuli" / "manifest.json"
+    file.parent.mkdir(parents=True)
+    for text in ("", "[]", '{"stimuli": 3}', '{"stimuli": {"a": {}}}', '{"stimuli": {"a": {"sha256": 1}}}'):
+        file.write_text(text)
+        with pytest.raises(InputError, match=r"manifest.json: is"):
+            prepared(design, bank)
+
+
+def test_given_files_of_another_origin_then_none_is_written_over(tmp_path: Path, bank: Bank) -> None:
+    (tmp_path / "out" / "stimuli").mkdir(parents=True)
+    mine = tmp_path / "out" / "stimuli" / f"{LOUDEST}.h5"
+    mine.write_text("mine")
+    with pytest.raises(InputError, match="exists"):
+        prepared(design_of(tmp_path), bank)
+    assert mine.read_text() == "mine"
