@@ -44,6 +44,7 @@ green = bank.to_xarray()["green"].sel(actuator=0, time_s=slice(0, 0.02))
 FUNCTIONS = {
     "Banks": ("open_bank", "virtual_rig", "import_bank", "export_bank"),
     "Scenes, drives and fields": ("load_scene", "render", "predict", "focus_figures"),
+    "Live sources": ("live",),
     "Files": ("read_drive", "write_drive", "read_field", "write_field"),
     "Recordings": ("estimate", "open_raw", "estimator", "estimate_positions"),
 }
@@ -62,6 +63,7 @@ CLASSES = {
         "Noise",
         "SoundFile",
     ),
+    "Live sources": ("LiveSources",),
     "The virtual rig": ("VirtualBench",),
     "Errors": ("InputError",),
 }

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from storage.raw.writer import RawFile, open_raw
     from wavefocus.banks import estimate, export_bank, import_bank
     from wavefocus.drives import focus_figures, predict, render
+    from wavefocus.live_session.sources import LiveSources, live
     from wavefocus.virtual import VirtualBench, virtual_rig
 
 _MODULES = {
@@ -44,6 +45,7 @@ _MODULES = {
     "Noise": "rendering.scene.signals",
     "Point": "rendering.scene.paths",
     "Polyline": "rendering.scene.paths",
+    "LiveSources": "wavefocus.live_session.sources",
     "RawFile": "storage.raw.writer",
     "Scene": "rendering.scene.model",
     "Sine": "rendering.scene.signals",
@@ -57,6 +59,7 @@ _MODULES = {
     "export_bank": "wavefocus.banks",
     "focus_figures": "wavefocus.drives",
     "import_bank": "wavefocus.banks",
+    "live": "wavefocus.live_session.sources",
     "load_scene": "rendering.scene.model",
     "open_bank": "storage.bank.reading",
     "open_raw": "storage.raw.writer",
@@ -79,6 +82,7 @@ __all__ = [
     "Impulse",
     "InputError",
     "Line",
+    "LiveSources",
     "Noise",
     "Point",
     "Polyline",
@@ -95,6 +99,7 @@ __all__ = [
     "export_bank",
     "focus_figures",
     "import_bank",
+    "live",
     "load_scene",
     "open_bank",
     "open_raw",

@@ -53,11 +53,11 @@ class LiveOptions:
 
 @contextmanager
 def open_session(
-    bank: Path, rig_file: Path, options: LiveOptions, publish: Publish, osc: str = ""
+    bank: Path, rig_file: Path | None, options: LiveOptions, publish: Publish
 ) -> Iterator[tuple[LiveSession, LiveReady]]:
     """Open everything; whatever happens, the outputs are muted and released on the way out.
 
-    publish: As of `LiveSession`. osc: Address that takes OSC messages, for the message.
+    rig_file: By default the bank's own rig. publish: As of `LiveSession`.
 
     Raises InputError: bank, rig and scene do not go together. Raises InstrumentError: the interface cannot be opened.
     """
@@ -68,7 +68,8 @@ def open_session(
         if view.drive_unit not in PLAYED_UNITS:
             raise InputError(f"{bank} takes drives in {view.drive_unit}, and the player plays volts")
         rig = rig_of(rig_file, view)
-        assert rig is not None  # one that is named is there
+        if rig is None:
+            raise InputError(f"{bank} does not say what rig it was measured with; name a rig file")
         rate_hz = float(view.sample_rate_hz)
 
         def engine_and_output() -> tuple[LiveEngine, LiveOutput]:
@@ -111,7 +112,6 @@ def open_session(
             ahead_ms + 1e3 * (frames.delay_frames / frames.rate_hz + player.latency_s),
             engine.x_mm,
             engine.y_mm,
-            osc,
         )
         yield session, ready
 
