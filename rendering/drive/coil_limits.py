@@ -140,9 +140,12 @@ def largest_rms(
     """Largest rms of each actuator's drive (actuators, samples) over any window, (actuators,).
 
     A drive that is shorter than the window is one window. A `repeated` one begins anew at its end, so that a window may
-    span both.
+    span both, or several.
     """
-    window = max(1, min(drive_v.shape[1], round(window_s * sample_rate_hz)))
+    whole, samples = max(1, round(window_s * sample_rate_hz)), drive_v.shape[1]
+    if repeated and samples < whole:
+        drive_v = np.tile(drive_v, -(-whole // samples))
+    window = min(drive_v.shape[1], whole)
     most = peaks(drive_v)
     rms = _SlidingRms(window, np.where(most > 0, most, 1.0))
     rms.add(drive_v)
