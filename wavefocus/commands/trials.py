@@ -13,12 +13,11 @@ from config.messages.codec import Message, MessageError, from_record
 from config.messages.trials import ORDERS, EndTrials, Preparing, TrialsEnded
 from config.rig import RigConfig
 from config.run import RunConfig
-from rendering.drive.coil_limits import DriveLimits, largest_rms
 from storage.bank.reading import Bank, open_bank
 from storage.errors import InputError
 from trials.answers import AnswersFile, check_participant, write_facts
 from trials.design import TrialsDesign, load_trials
-from trials.presentation import MASKING_CREST, Masking, Onset, RigPresenter, Sound, presented_v
+from trials.presentation import MASKING_CREST, Masking, Onset, RigPresenter, Sound
 from trials.resuming import Experiment, begun
 from trials.session import TrialsSession
 from trials.stimuli import Prepared, prepare
@@ -232,24 +231,7 @@ def _prepared(design: TrialsDesign, bank: Bank, rig: RigConfig, out: Path, publi
         prepared = prepare(design, bank, out, limits=limits, interface=interface_of(rig), on_progress=show)
     for warning in prepared.warnings:
         say(f"warning: {warning}")
-    _check_plays(design, prepared, limits)
     return prepared
-
-
-def _check_plays(design: TrialsDesign, prepared: Prepared, limits: DriveLimits) -> None:
-    """Refuse stimuli whose plays are beyond the limit on the rms together."""
-    rate_hz = None
-    for name, stimulus in design.stimuli.items():
-        if limits.rms_v is None or stimulus.plays == 1:
-            continue
-        rate_hz = rate_hz or prepared.drive(name).sample_rate_hz
-        drive_v = presented_v(sound_of(prepared, name, stimulus.plays), design.config.trials.pause_s, rate_hz)
-        reached_v = float(largest_rms(drive_v, rate_hz).max())
-        if reached_v > limits.rms_v * (1 + 1e-9):
-            raise InputError(
-                f"{design.file}: stimulus {name}: its {stimulus.plays} plays reach {reached_v:.4g} V rms within a"
-                f" second, more than {limits.rms_key} = {limits.rms_v:g} V: raise trials.pause_s or lower its amplitude"
-            )
 
 
 def _facts(design: TrialsDesign, bank: Bank, rig: RigConfig, prepared: Prepared) -> dict[str, object]:
