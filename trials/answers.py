@@ -143,11 +143,11 @@ class AnswersFile(Closing):
         self._file = durable.open_file(self.path, write=True)
         try:
             take_ownership(self.path, self._file, "answers file")
-            write_owner(self.path)
             content = bytearray(self._file.size())
             self._file.read_into(0, memoryview(content))
             self.rows, whole = _rows_of(bytes(content), self.path)
             self._cut_off(whole)
+            write_owner(self.path)
         except BaseException:
             self._file.close()
             raise

@@ -63,6 +63,7 @@ def prepare(
     limits: DriveLimits,
     interface: Interface,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
+    anew: bool = False,
 ) -> Prepared:
     """Render all stimuli that are not in `folder`/stimuli yet, and verify those that are.
 
@@ -72,6 +73,7 @@ def prepare(
     limits: Of the design's table [output] or of the rig, whichever is stricter.
     interface: Outputs of the rig's actuators.
     on_progress: Called with stimuli done and stimuli in all.
+    anew: Whether stimuli of another trials file or bank are removed first: where nobody has answered yet.
 
     Raises InputError: the bank does not cover a path, does not fit the rig or takes no volts; a drive is beyond a
     limit; the folder holds stimuli of another trials file or bank, damaged ones, or such as are rendered otherwise now.
@@ -84,7 +86,7 @@ def prepare(
         bank_sha256 = hashlib.file_digest(file, "sha256").hexdigest()
     place = folder / FOLDER
     origin = {"format": FORMAT, "trials_sha256": design.sha256, "bank_sha256": bank_sha256}
-    listed = _listed(design, bank, place, origin)
+    listed = _listed(design, bank, place, origin, anew=anew)
     before = Prepared(place, bank_sha256, {name: entry["sha256"] for name, entry in listed.items()})
     renderer = _Renderer(bank)
     entries: dict[str, Any] = {}
@@ -161,7 +163,9 @@ def _entry(stimulus: Stimulus, drive: Drive) -> dict[str, Any]:
     }
 
 
-def _listed(design: TrialsDesign, bank: Bank, place: Path, origin: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+def _listed(
+    design: TrialsDesign, bank: Bank, place: Path, origin: Mapping[str, Any], *, anew: bool
+) -> dict[str, dict[str, Any]]:
     """Stimuli of the manifest; where there is none it is begun, empty, so that the folder's files have an origin."""
     path = place / MANIFEST
     if not path.exists():
@@ -182,6 +186,11 @@ def _listed(design: TrialsDesign, bank: Bank, place: Path, origin: Mapping[str, 
         raise InputError(f"{path}: is damaged; restore it") from None
     if manifest.get("format") != FORMAT or not all(isinstance(one, str) for one in hashes):
         raise InputError(f"{path}: is no list of stimuli; restore it")
+    if anew and any(manifest.get(key) != value for key, value in origin.items()):
+        for file in place.glob("*.h5"):
+            file.unlink()
+        _write_manifest(place, origin, {})
+        return {}
     for key, what in (("trials_sha256", design.file), ("bank_sha256", bank.path)):
         if manifest.get(key) != origin[key]:
             changed = f"{path}: its stimuli are of another {what}, or it has changed since then"

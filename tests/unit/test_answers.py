@@ -8,7 +8,7 @@ from dataclasses import astuple, replace
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from storage.errors import BankBusyError, InputError
@@ -54,7 +54,8 @@ def test_given_a_power_cut_at_every_byte_of_an_answer_then_those_before_it_stay_
     before = stored(tmp_path, ROW)
     whole = stored(tmp_path, NEXT)
     for length in range(len(before), len(whole)):
-        for rest in (b"", b"\0" * (len(whole) - length)):  # a file system may have made room and written nothing
+        # A file system may have made room and written nothing.
+        for rest in (b"", b"\0" * (len(whole) - length))[: 1 + (length % 20 == 0)]:
             (tmp_path / ANSWERS).write_bytes(whole[:length] + rest)
             kept = read_answers(tmp_path)
             assert kept in ((ROW,), (ROW, NEXT))
@@ -115,6 +116,7 @@ def test_given_what_no_row_can_hold_then_it_is_refused_before_it_is_written(tmp_
     assert (tmp_path / ANSWERS).read_bytes() == before
 
 
+@settings(max_examples=25)
 @given(
     text=st.text(st.characters(exclude_categories=["C", "Z"]), max_size=20),
     number=st.floats(allow_nan=False, allow_infinity=False),

@@ -69,7 +69,7 @@ def trials(
         masking = _masking(design, rig)
         if not only_prepare:
             begun(Experiment(design), participant, answers.rows)
-        prepared = _prepared(design, view, rig, out, publish)
+        prepared = _prepared(design, view, rig, out, publish, anew=not answers.rows)
         experiment = Experiment(design, prepared.sha256, prepared.bank_sha256)
         if only_prepare:
             say(f"{out}: {len(design.stimuli)} stimuli are ready")
@@ -219,7 +219,9 @@ def _masking(design: TrialsDesign, rig: RigConfig) -> Masking | None:
     return Masking(table.output, table.rms_v, table.around_s, design.config.trials.seed)
 
 
-def _prepared(design: TrialsDesign, bank: Bank, rig: RigConfig, out: Path, publish: LinesOut | None) -> Prepared:
+def _prepared(
+    design: TrialsDesign, bank: Bank, rig: RigConfig, out: Path, publish: LinesOut | None, *, anew: bool
+) -> Prepared:
     limits = stricter(design.config.output, rig.player)
     with progress("prepare", len(design.stimuli)) as report:
 
@@ -228,7 +230,8 @@ def _prepared(design: TrialsDesign, bank: Bank, rig: RigConfig, out: Path, publi
             if publish is not None:
                 publish(Preparing(done, total))
 
-        prepared = prepare(design, bank, out, limits=limits, interface=interface_of(rig), on_progress=show)
+        interface = interface_of(rig)
+        prepared = prepare(design, bank, out, limits=limits, interface=interface, on_progress=show, anew=anew)
     for warning in prepared.warnings:
         say(f"warning: {warning}")
     return prepared

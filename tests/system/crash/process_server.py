@@ -53,7 +53,7 @@ def tell(word: str, number: int) -> None:
 
 def become(order: dict[str, object]) -> None:
     """Be the process that was ordered."""
-    for number, name in ((0, os.devnull), (1, order["stdout"]), (2, order["stderr"])):
+    for number, name in ((0, order["stdin"]), (1, order["stdout"]), (2, order["stderr"])):
         fd = os.open(str(name), os.O_RDONLY if number == 0 else os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
         os.dup2(fd, number)
         os.close(fd)

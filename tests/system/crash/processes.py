@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -106,7 +107,12 @@ class Processes:
         self._answer("ready")
 
     def start(
-        self, *arguments: object, order: Order | None = None, entry: str = COMMAND, log: Path | None = None
+        self,
+        *arguments: object,
+        order: Order | None = None,
+        entry: str = COMMAND,
+        log: Path | None = None,
+        stdin: Path | str = os.devnull,
     ) -> int:
         """Start a process; return its number."""
         order = order or Order()
@@ -114,7 +120,7 @@ class Processes:
             (self.folder / name).unlink(missing_ok=True)
         line = {
             "entry": entry, "arguments": [str(one) for one in arguments], "folder": str(self.watched),
-            "stdout": str(self.folder / "out.txt"), "stderr": str(self.folder / "err.txt"),
+            "stdin": str(stdin), "stdout": str(self.folder / "out.txt"), "stderr": str(self.folder / "err.txt"),
             "ended": str(self.folder / "calls.txt"), "log": str(log) if log else "",
             "how": order.how, "call": order.call, "part": order.part, "error": order.error,
         }  # fmt: skip
@@ -153,6 +159,38 @@ class Processes:
         if not self._has_answer():
             os.kill(self.pid, signal.SIGKILL)
         return self.wait()
+
+    def converse(
+        self, answers: Callable[[str], str], *arguments: object, order: Order | None = None, lifetime_s: float = 1e9
+    ) -> Ended:
+        """Start a process, write the answer to each line that it prints to its input, and wait for its end.
+
+        It is killed after so many seconds, or when it becomes silent for a minute.
+        """
+        pipe, printed, rest = self.folder / "in.fifo", 0, b""
+        pipe.unlink(missing_ok=True)
+        os.mkfifo(pipe)
+        descriptor = os.open(pipe, os.O_RDWR)  # so that neither end waits for the other
+        try:
+            self.start(*arguments, order=order, stdin=pipe)
+            started_s = last_s = time.monotonic()
+            while not self._has_answer():
+                if time.monotonic() > min(started_s + lifetime_s, last_s + PATIENCE_S):
+                    os.kill(self.pid, signal.SIGKILL)
+                    break
+                out = self.folder / "out.txt"
+                content = out.read_bytes()[printed:] if out.exists() else b""
+                printed += len(content)
+                *lines, rest = (rest + content).split(b"\n")
+                for line in lines:
+                    last_s = time.monotonic()
+                    if answer := answers(line.decode()):
+                        os.write(descriptor, answer.encode() + b"\n")
+                if not lines:
+                    time.sleep(0.001)
+            return self.wait()
+        finally:
+            os.close(descriptor)
 
     def close(self) -> None:
         """End the server."""

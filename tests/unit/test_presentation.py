@@ -1,0 +1,122 @@
+"""Stimuli on the virtual rig: their onsets against its true latency, masking on its output alone, faults repeated."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+from scipy.signal import welch
+
+from acquisition.setup import Setup
+from calibration.mirror_map import MirrorMap
+from drivers.errors import InstrumentError, TransientInstrumentError
+from drivers.protocols import Take
+from mocks.virtual.laboratory import take_share
+from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
+from trials.presentation import MASKING_CREST, Masking, RigPresenter, Sound, pink_noise, presented_v
+
+RATE_HZ = 10_000.0
+MASKING = Masking(output=5, rms_v=0.3, around_s=0.4, seed=2)
+SETTINGS = VirtualSettings(actuator_mm=((60.0, 0.0), (-60.0, 0.0), (0.0, 40.0)), outputs=6)
+STIMULUS = Sound(np.vstack([np.sin(np.arange(4000) / 8.0), np.zeros(4000), np.cos(np.arange(4000) / 8.0)]), 1500, 2)
+
+
+def presenter(*faults: Fault, masking: Masking | None = None, pause_s: float = 1.0) -> RigPresenter:
+    rig = VirtualRig(VirtualSettings(actuator_mm=SETTINGS.actuator_mm, outputs=6, fault_plan=faults))
+    setup = Setup(
+        instruments=rig.instruments,
+        mirror_map=MirrorMap.straight(1000.0),
+        actuator_channels=(0, 1, 2),
+        loopback_channel=3,
+        range_v=(10.0, 10.0),
+        response_per_volt=0.125,
+    )
+    return RigPresenter(setup, lambda name: STIMULUS, RATE_HZ, pause_s, masking)
+
+
+def true_error_ms(take: Take) -> float:
+    """How much earlier than by the longest latency, which the virtual player states, it began."""
+    shortest_s, longest_s = SETTINGS.latency_s
+    return 1e3 * (shortest_s - longest_s) * (1 - take_share(SETTINGS.seed, take))
+
+
+@pytest.mark.parametrize("masking", [None, MASKING], ids=["alone", "masked"])
+def test_given_stimuli_then_their_onsets_are_those_of_the_rig_to_a_tenth_of_a_millisecond(
+    masking: Masking | None,
+) -> None:
+    rig = presenter(masking=masking)
+    for trial in range(1, 6):
+        began_s = time.monotonic()
+        onset = rig.present("any", trial, pytest.fail)
+        # The clock of the recorder is 30 ppm off.
+        assert onset.error_ms == pytest.approx(true_error_ms(Take(trial, 1, 0, "presentation")), abs=0.1)
+        # Two plays of 0.4 s with a pause of 1 s between them had sounded; the rig's seconds take no time.
+        assert onset.at_s < began_s - 1.0
+        assert (onset.within_ms, onset.attempts) == (0.0, 1)
+
+
+def test_given_plays_then_the_onset_of_each_comes_a_pause_after_the_end_of_the_one_before() -> None:
+    for pause_s in (1.0, 0.15, 0.05):
+        whole = presented_v(STIMULUS, pause_s, RATE_HZ)
+        second = whole.shape[1] - 4000
+        assert second + STIMULUS.onset_samples - 4000 == max(round(pause_s * RATE_HZ), STIMULUS.onset_samples)
+        assert np.array_equal(whole[:, :4000], whole[:, second:])
+        assert not whole[:, 4000:second].any()
+
+
+def test_given_masking_then_it_sounds_on_its_output_alone_around_the_stimulus_and_the_marker_at_the_onset() -> None:
+    rig = presenter(masking=MASKING)
+    signals_v, onset = rig.signals_v(STIMULUS, Take(1, 1, 0, "presentation"))
+    assert sorted(signals_v) == [0, 2, 3, 5]  # the second actuator has nothing to do
+    around = round(MASKING.around_s * RATE_HZ)
+    drive_v = presented_v(STIMULUS, 1.0, RATE_HZ)
+    for channel in (0, 2):
+        sounding = np.flatnonzero(signals_v[channel])
+        assert sounding[0] >= around
+        assert np.array_equal(signals_v[channel][around : around + drive_v.shape[1]], drive_v[channel])
+    assert onset == around + STIMULUS.onset_samples
+    marker = np.flatnonzero(signals_v[3])
+    assert onset <= marker[0] < onset + 5
+    assert marker[-1] < onset + 1000
+    assert {one.size for one in signals_v.values()} == {drive_v.shape[1] + 2 * around}
+    noise_v = signals_v[MASKING.output]
+    assert np.abs(noise_v).max() <= MASKING_CREST * MASKING.rms_v
+    assert np.abs(noise_v[[0, -1]]).max() < 1e-3 * MASKING.rms_v
+    again = presenter(masking=MASKING).signals_v(STIMULUS, Take(1, 1, 0, "presentation"))[0][MASKING.output]
+    other = rig.signals_v(STIMULUS, Take(2, 1, 0, "presentation"))[0][MASKING.output]
+    assert np.array_equal(noise_v, again)
+    assert not np.array_equal(noise_v, other)
+
+
+def test_given_pink_noise_then_its_density_falls_by_3_db_per_octave_within_its_band_alone() -> None:
+    noise_v = pink_noise(400_000, 48_000.0, 0.5, b"seed")
+    hertz, density = welch(noise_v, 48_000.0, nperseg=8192)
+    octaves = [density[(hertz >= low) & (hertz < 2 * low)].mean() for low in (125, 250, 500, 1000, 2000, 4000)]
+    assert np.diff(10 * np.log10(octaves)) == pytest.approx(-10 * np.log10(2), abs=0.5)
+    assert density[hertz > 8500].max() < 1e-6 * octaves[-1]
+    assert noise_v.std() == pytest.approx(0.5, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("fault", "notes"),
+    [
+        (Fault("recorder", "read", "missing_reference", position=2, purpose="presentation"), 1),
+        (Fault("player", "wait", "underflow", position=2, purpose="presentation"), 1),
+        (Fault("player", "wait", "unplugged", position=2, purpose="presentation", tries=2), 4),
+    ],
+    ids=["no marker", "underflow", "unplugged"],
+)
+def test_given_a_presentation_that_fails_then_it_is_repeated_said_and_counted(fault: Fault, notes: int) -> None:
+    rig, said = presenter(fault), list[str]()
+    assert [rig.present("any", trial, said.append).attempts for trial in (1, 2, 3)] == [1, 2, 1]
+    assert len(said) == notes
+
+
+def test_given_a_loopback_that_stays_silent_then_the_cable_is_named() -> None:
+    fault = Fault("recorder", "read", "missing_reference", position=1, count=9, purpose="presentation")
+    with pytest.raises(InstrumentError, match="loopback cable, from output 3"):
+        presenter(fault).present("any", 1, lambda note: None)
+    fault = Fault("recorder", "read", "short_read", position=1, count=9, purpose="presentation")
+    with pytest.raises(TransientInstrumentError):
+        presenter(fault).present("any", 1, lambda note: None)
