@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, StrictBool
@@ -112,6 +112,26 @@ def with_explanations(text: str, model: type[BaseModel]) -> str:
         else:
             lines += [f"{line:<{column - 1}} # {about[0]}", *(f"{'#':<{_COLUMN}}# {one}" for one in about[1:])]
     return "\n".join(lines) + "\n"
+
+
+def toml_table(heading: str, table: Table, changes: Mapping[str, object] | None = None) -> str:
+    """A table as a file holds it, keys of None left out; `changes` are other values of some keys."""
+    values = {**dict(table), **(changes or {})}
+    lines = (f"{key} = {_toml_value(value)}" for key, value in values.items() if value is not None)
+    return "\n".join([heading, *lines]) + "\n"
+
+
+def _toml_value(value: object) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        # TOML escapes as JSON does, and the delete character too.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, tuple):
+        return f"[{', '.join(_toml_value(entry) for entry in value)}]"
+    if isinstance(value, Table):
+        return f"{{ {', '.join(f'{key} = {_toml_value(entry)}' for key, entry in value)} }}"
+    return repr(value)
 
 
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:

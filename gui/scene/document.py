@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 from PyQt5.QtCore import QObject, QTimer, pyqtSignal
 from PyQt5.QtWidgets import QUndoCommand, QUndoStack
 
-from config.fields import Table
+from config.fields import Table, toml_table
 from config.loading import parse_toml, validated
 from config.scene import (
     CircleTable,
@@ -106,10 +105,10 @@ def scene_toml(scene: SceneConfig, folder: Path | None = None) -> str:
     held = scene.regularisation
     return "\n".join(
         [
-            _table("[scene]", scene.scene),
+            toml_table("[scene]", scene.scene),
             *(source_toml(source, folder) for source in scene.source),
-            _table("[regularisation]", held, {} if held.saturation_absolute else {"saturation_absolute": None}),
-            _table("[output]", scene.output),
+            toml_table("[regularisation]", held, {} if held.saturation_absolute else {"saturation_absolute": None}),
+            toml_table("[output]", scene.output),
         ]
     )
 
@@ -117,7 +116,7 @@ def scene_toml(scene: SceneConfig, folder: Path | None = None) -> str:
 def source_toml(source: SourceTable, folder: Path | None = None) -> str:
     """Write one source as its `[[source]]` table."""
     start = "" if folder is None else f"{folder}/"
-    return _table("[[source]]", with_files(source, lambda file: file.removeprefix(start)))
+    return toml_table("[[source]]", with_files(source, lambda file: file.removeprefix(start)))
 
 
 def read_draft(text: str, path: Path) -> SceneConfig:
@@ -141,25 +140,6 @@ def with_files(source: SourceTable, rename: Callable[[str], str]) -> SourceTable
     if isinstance(source.signal, FileTable):
         source = changed(source, signal=changed(source.signal, path=rename(source.signal.path)))
     return source
-
-
-def _table(heading: str, table: Table, changes: dict[str, object] | None = None) -> str:
-    values = {**dict(table), **(changes or {})}
-    lines = (f"{key} = {_value(value)}" for key, value in values.items() if value is not None)
-    return "\n".join([heading, *lines]) + "\n"
-
-
-def _value(value: object) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        # TOML escapes as JSON does, and the delete character too.
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, tuple):
-        return f"[{', '.join(_value(entry) for entry in value)}]"
-    if isinstance(value, Table):
-        return f"{{ {', '.join(f'{key} = {_value(entry)}' for key, entry in value)} }}"
-    return repr(value)
 
 
 # A drag makes more changes than can be seen.

@@ -1,0 +1,182 @@
+"""The record of a live session: a scene that renders to the drives that were played, written while it goes on."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Iterable
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from config.fields import toml_table
+from config.loading import printable
+from config.scene import (
+    FileTable,
+    ImpulseTable,
+    NoiseTable,
+    Output,
+    Regularisation,
+    SceneTable,
+    SignalTable,
+    SineTable,
+    SourceTable,
+    TrajectoryTable,
+)
+from rendering.live.engine import RecordedLife
+from rendering.scene.signals import Impulse, Noise, Signal, Sine
+from rendering.scene.trajectory import Trajectory
+from storage import durable
+from storage.errors import InputError
+from storage.output_files import replacement, require_output_folder, write_whole
+
+SCENE_NAME = "scene.toml"
+MOST_LIVES = 10_000
+"""Sources of one scene file; further lives go into ``scene-2.toml`` and so on, whose drives add to those of the first.
+A scene of so many takes about 20 s to render."""
+
+
+class SessionRecording:
+    """Writes ``scene.toml`` and a trajectory for each life of a source into a folder, from a thread of its own.
+
+    A life is one ``[[source]]``, with the file ``source-N.csv`` of its knots. Both only grow: what a killed session
+    leaves is a scene up to then. Sound files and signals of other kinds are kept as WAV files of float64 at the bank's
+    rate. The session's limits are no part of it: the scene renders to the drives before the limiter.
+
+    folder: Made where missing; it must not hold a scene.
+    rate_hz: The bank's.
+    about: One line that the scene file begins with.
+
+    Raises InputError: the folder holds a scene, or cannot be written.
+    """
+
+    def __init__(
+        self, folder: Path, *, rate_hz: float, regularisation: Regularisation, interpolation: str, about: str = ""
+    ) -> None:
+        self._folder, self._rate_hz = folder, rate_hz
+        held = {} if regularisation.saturation_absolute else {"saturation_absolute": None}
+        self._head = "\n".join(
+            [
+                f"# {printable(about) or 'Recorded by wavefocus live'}\n",
+                toml_table("[scene]", SceneTable(name="live")),
+                toml_table("[regularisation]", regularisation, held),
+                toml_table("[output]", Output(interpolation=interpolation)),
+            ]
+        )
+        require_output_folder(folder, [SCENE_NAME], [], force=False)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be made: {error.strerror or error}") from error
+        self._lives: dict[int, _Written] = {}
+        self._named = 0
+        self._waiting: queue.SimpleQueue[tuple[RecordedLife, ...] | None] = queue.SimpleQueue()
+        self.failure = ""
+        """Why nothing more is written; empty while all is well."""
+        self._writer = threading.Thread(target=self._write, name="recording", daemon=True)
+        self._writer.start()
+
+    def __enter__(self) -> SessionRecording:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def add(self, lives: Iterable[RecordedLife]) -> None:
+        """Take what `LiveEngine.take_record` gave; a few times a second is often enough. Never waits or raises."""
+        if lives := tuple(lives):
+            self._waiting.put(lives)
+
+    def close(self) -> Path | None:
+        """Write what waits; give the scene file, None where nothing sounded, or nothing could be written."""
+        self._waiting.put(None)
+        self._writer.join()
+        scene = self._folder / SCENE_NAME
+        return scene if self._named else None
+
+    def _write(self) -> None:
+        while (lives := self._waiting.get()) is not None:
+            if self.failure:
+                continue
+            try:
+                for life in lives:
+                    self._append(life)
+            except OSError as error:
+                self.failure = f"{self._folder}: cannot be written: {error.strerror or error}"
+            except InputError as error:
+                self.failure = str(error)
+
+    def _append(self, life: RecordedLife) -> None:
+        file = self._folder / f"source-{life.number}.csv"
+        written = self._lives.get(life.number)
+        if written is None:
+            written = self._lives[life.number] = _Written(int(life.knots.sample[0]))
+            file.write_text("time_s,x_mm,y_mm,amplitude\n", encoding="utf-8", newline="\n")
+        with file.open("a", encoding="utf-8", newline="\n") as table:
+            table.write(_rows(life.knots, written.first_sample, self._rate_hz))
+        written.rows += len(life.knots.sample)
+        # A trajectory has two rows or more.
+        if written.rows > 1 and not written.named:
+            self._name(life, written, file)
+        if life.over:
+            durable.sync_path(file)
+            del self._lives[life.number]
+
+    def _name(self, life: RecordedLife, written: _Written, file: Path) -> None:
+        """Add a life to the scene file."""
+        signal, amplitude = self._signal(life)
+        source = SourceTable(
+            start_s=written.first_sample / self._rate_hz, amplitude=amplitude, path=TrajectoryTable(file=file.name),
+            signal=signal, repeat=life.repeat,
+        )  # fmt: skip
+        text = f"\n# {printable(life.name)}\n{toml_table('[[source]]', source)}"
+        part, number = divmod(self._named, MOST_LIVES)
+        scene = self._folder / (SCENE_NAME if not part else f"scene-{part + 1}.toml")
+        if number:
+            with scene.open("a", encoding="utf-8", newline="\n") as file_of_scene:
+                file_of_scene.write(text)
+        else:
+            write_whole(scene, self._head + text)
+        self._named, written.named = self._named + 1, True
+
+    def _signal(self, life: RecordedLife) -> tuple[SignalTable, float]:
+        """The table of a signal, and the amplitude that goes with it."""
+        match signal := life.signal:
+            case Impulse():
+                return ImpulseTable(), 1.0
+            case Sine():
+                return SineTable(frequency_hz=signal.frequency_hz, duration_s=signal.duration_s), 1.0
+            case Noise():
+                return NoiseTable(band_hz=signal.band_hz, duration_s=signal.duration_s, seed=signal.seed), 1.0
+        return self._sound(signal, self._folder / f"signal-{life.number}.wav")
+
+    def _sound(self, signal: Signal, file: Path) -> tuple[SignalTable, float]:
+        import soundfile  # loaded where a sound was used
+
+        rate_hz, samples = round(self._rate_hz), signal.samples(self._rate_hz)
+        if rate_hz != self._rate_hz:
+            raise InputError(
+                f"{file}: not written: the bank's rate is {self._rate_hz:g} Hz, and a sound file needs a whole number"
+            )
+        with replacement(file) as temporary:
+            soundfile.write(temporary, samples, rate_hz, format="WAV", subtype="DOUBLE")
+        return FileTable(path=file.name), float(np.abs(samples).max())
+
+
+class _Written:
+    """A life that goes on, as far as it is on disk."""
+
+    def __init__(self, first_sample: int) -> None:
+        self.first_sample = first_sample
+        self.rows = 0
+        self.named = False
+
+
+def _rows(knots: Trajectory, first_sample: int, rate_hz: float) -> str:
+    """Lines of a trajectory's file; the time of each, from the first knot of the life, gives back its sample."""
+    time_s = (knots.sample - first_sample) / rate_hz
+    columns = zip(time_s.tolist(), *knots.at_mm.T.tolist(), knots.amplitude.tolist(), strict=True)
+    return "".join(f"{','.join(map(repr, row))}\n" for row in columns)

@@ -1,0 +1,103 @@
+"""Records of live sessions: scenes that render to the drives of the engine, at every moment of the session."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from config.scene import Regularisation
+from rendering.drive.rendering import render_with_report
+from rendering.greens.source import GreenArray
+from rendering.live.engine import LiveEngine
+from rendering.live.recording import SessionRecording
+from rendering.scene.model import load_scene
+from rendering.scene.signals import Impulse, Noise, Signal, Sine
+from storage.errors import InputError
+
+RATE_HZ, TAPS, BLOCK = 1000.0, 40, 5
+GRID_MM = np.array([(4.0 * x - 16.0, 4.0 * y - 12.0) for y in range(7) for x in range(9)])
+BANK = GreenArray(np.random.default_rng(0).standard_normal((len(GRID_MM), 3, TAPS)), GRID_MM, RATE_HZ)
+HELD = Regularisation(saturation=0.8)
+
+
+class Burst:
+    """A signal that no table of a scene file describes."""
+
+    def samples(self, sample_rate_hz: float) -> np.ndarray:
+        return 0.3 * np.hanning(round(0.05 * sample_rate_hz))
+
+
+def engine_of(interpolation: str = "nearest") -> LiveEngine:
+    return LiveEngine(
+        BANK, block_samples=BLOCK, look_ahead_samples=100, regularisation=HELD, interpolation=interpolation,
+        signal=Noise((50.0, 400.0), 0.1, 1), record=True,
+    )  # fmt: skip
+
+
+def recording_into(folder: Path, interpolation: str = "nearest") -> SessionRecording:
+    return SessionRecording(
+        folder, rate_hz=RATE_HZ, regularisation=HELD, interpolation=interpolation, about="session\nof a test"
+    )
+
+
+def step(engine: LiveEngine, block: int, signals: list[Signal]) -> None:
+    """Orders of a block: a finger that jumps, changes its signal, lets go and comes again; another one that is late."""
+    at_s = block * BLOCK / RATE_HZ
+    if block % 3 == 0 and not 90 <= block < 120:
+        side = -1.0 if 60 <= block < 90 else 1.0
+        engine.move("finger \x7f\n\ud800", (side * 12.0 * np.cos(9.0 * at_s), 10.1 * np.sin(7.0 * at_s)), 1.0 + at_s)
+    if block == 90:
+        engine.end_source("finger \x7f\n\ud800")
+    if block in (15, 30, 130, 150):
+        engine.set_signal("finger \x7f\n\ud800", signals.pop(), repeat=block != 15)
+    if block == 40:
+        engine.move("thumb", (3.0, 3.0), 2.0)
+
+
+@pytest.mark.parametrize("interpolation", ["nearest", "bilinear"])
+def test_given_sufficient_look_ahead_then_the_record_renders_to_the_live_drives(interpolation, tmp_path):
+    engine, blocks = engine_of(interpolation), []
+    signals: list[Signal] = [Noise((100.0, 300.0), 0.05, 2), Burst(), Impulse(), Sine(83.0, 0.03)]
+    with recording_into(tmp_path / "session", interpolation) as recording:
+        for block in range(260):
+            step(engine, block, signals)
+            blocks.append(engine.next_block())
+            if block % 40 == 0:
+                recording.add(engine.take_record())
+        recording.add(engine.take_record())
+        scene_file = recording.close()
+    assert scene_file == tmp_path / "session" / "scene.toml"
+    scene = load_scene(scene_file)
+    drive, _ = render_with_report(scene, BANK)
+    live_v, offline_v = np.concatenate(blocks, axis=1), drive.drive_v[:, TAPS - 1 :]
+    assert len(scene.sources) == 7
+    assert offline_v.shape[1] > 1000
+    assert np.abs(live_v[:, offline_v.shape[1] :]).max() < 1e-12
+    error = np.abs(live_v[:, : offline_v.shape[1]] - offline_v).max()
+    assert error < 1e-9 * np.abs(offline_v).max()
+
+
+def test_given_a_session_that_goes_on_then_its_folder_holds_a_scene_up_to_now(tmp_path):
+    engine, recording = engine_of(), recording_into(tmp_path)
+    drives = []
+    for block in range(120):
+        if block % 3 == 0:
+            engine.move("finger", (0.1 * block, 0.0))
+        drives.append(engine.next_block())
+        recording.add(engine.take_record())
+    while len((tmp_path / "source-0.csv").read_text().splitlines()) < 30:
+        pass
+    whole = render_with_report(load_scene(tmp_path / "scene.toml"), BANK)[0].drive_v[:, TAPS - 1 :]
+    whole = whole[:, :300]
+    np.testing.assert_allclose(np.concatenate(drives, axis=1)[:, :300], whole, rtol=0, atol=1e-9 * np.abs(whole).max())
+    recording.close()
+
+
+def test_given_silence_or_a_folder_with_a_scene_then_no_scene_is_written(tmp_path):
+    assert recording_into(tmp_path / "none").close() is None
+    assert list((tmp_path / "none").iterdir()) == []
+    (tmp_path / "scene.toml").write_text("[scene]\n")
+    with pytest.raises(InputError, match=r"scene\.toml"):
+        recording_into(tmp_path)
