@@ -88,13 +88,16 @@ OVER = (
     ("recordings", "dark", 0, 3, 0),
     ("drift", "light", 5, 4, 0),
 )
-PARTS = {"running": 1, "over": 1, "scaled": 2, "rig": 1}
+PARTS = {"running": 1, "over": 1, "scaled": 2, "rig": 1, "trials": 1}
 """Scaling of each part; that of a process is fixed at its start, so each has one of its own."""
 
 
 def main() -> None:
     """Make the files and take the pictures of each part, in processes whose home is a folder of their own."""
     out = Path(sys.argv[1] if len(sys.argv) > 1 else "docs/pictures").absolute()
+    if len(sys.argv) > 3 and sys.argv[3] == "trials":
+        take_trials(out, Path(sys.argv[2]))
+        return
     if len(sys.argv) > 3:
         pictures = Pictures(out, Path(sys.argv[2]))
         pictures.take_rig() if sys.argv[3] == "rig" else pictures.take_campaign(sys.argv[3])
@@ -116,7 +119,7 @@ def main() -> None:
                 **os.environ, "QT_QPA_PLATFORM": "offscreen", "QT_FONT_DPI": "96", "QT_SCALE_FACTOR": str(scale),
                 "QT_SCALE_FACTOR_ROUNDING_POLICY": "Round", "XDG_RUNTIME_DIR": folder, "HOME": folder,
             }  # fmt: skip
-            file = bench / "rig.toml" if part == "rig" else lab / "run.toml"
+            file = {"rig": bench / "rig.toml", "trials": lab / "trials.toml"}.get(part, lab / "run.toml")
             command = [sys.executable, __file__, str(out), str(file), part]
             subprocess.run(command, env=environment, check=True, stderr=subprocess.DEVNULL)
 
@@ -273,6 +276,52 @@ class Pictures:
             calibration.step(float(x_mrad) - ask.at_mrad[0], float(y_mrad) - ask.at_mrad[1])
             self.until(lambda ask=ask: calibration.question is not ask)
             calibration.answer("here")
+
+
+def take_trials(out: Path, trials_file: Path) -> None:
+    """The pages of a participant's trials, over the campaign's bank."""
+    from PyQt5.QtCore import QSettings, Qt
+    from PyQt5.QtTest import QTest
+
+    from gui.files import Settings
+    from gui.trials.window import TrialsWindow
+    from gui.window import make_application
+    from wavefocus.commands.gui import front_door
+
+    application = make_application()
+    memory = QSettings(str(trials_file.with_name("trials.ini")), QSettings.Format.IniFormat)
+    files = ["--bank", "plate.h5", "--rig", "rig.toml", "--participant", "P01", "--out", "trials"]
+    os.chdir(trials_file.parent)
+    window = TrialsWindow(front_door(), [trials_file.name, *files, "--fast"], Settings(memory))
+
+    def until(*waited: str) -> None:
+        ends_s = time.monotonic() + 600.0
+        while window.waiting not in waited:
+            if time.monotonic() > ends_s or not window.process.running:
+                raise SystemExit(f"the trials did not get there: {window.process.failure}")
+            application.processEvents()
+            time.sleep(0.01)
+
+    def keep(name: str) -> None:
+        drawn_s = time.monotonic() + 0.3
+        while time.monotonic() < drawn_s:
+            application.processEvents()
+        window.grab().save(str(out / f"trials-{name}.png"))
+
+    until("go_on")
+    keep("welcome")
+    asked = 0
+    while asked == 0 or window.waiting != "go_on":
+        QTest.keyClick(window, Qt.Key_Space if window.waiting == "go_on" else Qt.Key_Left)
+        until("go_on", "answer")
+        asked += window.waiting == "answer"
+        if asked == 1:
+            keep("question")
+    keep("break")
+    window.close()
+    while window.process.running:
+        application.processEvents()
+    print(f"trials: pictures in {out}")
 
 
 if __name__ == "__main__":

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QWidget
 
 from config.messages.trials import Welcome
 from gui import widgets as ui
-from gui.trials.parts import LARGE, TEXT, TITLE, Input, LargeButton, Pressed, calm, key_text, sized
+from gui.trials.parts import LARGE, TEXT, TITLE, Input, LargeButton, Pressed, calm, counted, key_text, sized
 
 REPLAY_KEY = "R"
 _MOST_LARGE = 4
@@ -22,7 +21,7 @@ class WelcomePage(QWidget):
 
     def __init__(self, welcome: Welcome, act: Pressed) -> None:
         super().__init__()
-        place = f"  ·  resumes at trial {welcome.done + 1} of {welcome.of}" if welcome.resumed else ""
+        place = f"  ·  resumes at trial {counted(welcome.done + 1, welcome.of)}" if welcome.resumed else ""
         keys = "     ".join(f"{key_text(key)}  {answer}" for answer, key in welcome.answers.items())
         self.participant = sized(
             ui.label("Participant", f"Participant {welcome.participant}{place}", role="faint", wraps=True), TEXT
@@ -43,9 +42,7 @@ class WelcomePage(QWidget):
         calm(*parts, owner=content)
         self.button = LargeButton("Resume" if welcome.resumed else "Start", "Space", act)
         calm(ui.row(None, self.button, None), owner=foot)
-        area = ui.scrolling(content)
-        area.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        ui.column((area, 1), foot, owner=self)
+        ui.column((ui.scrolling(content), 1), foot, owner=self)
 
 
 class QuestionPage(QWidget):
@@ -64,8 +61,8 @@ class QuestionPage(QWidget):
             choice: LargeButton(choice, key, partial(answer, choice), lines=5.0, columns=0, size=size)
             for choice, key in welcome.answers.items()
         }
-        key = "" if REPLAY_KEY in welcome.answers.values() else REPLAY_KEY
-        self.replay = None if replay is None else LargeButton("Feel it again", key, replay)
+        taken = REPLAY_KEY in (key.upper() for key in welcome.answers.values())
+        self.replay = None if replay is None else LargeButton("Feel it again", "" if taken else REPLAY_KEY, replay)
         again = [] if self.replay is None else [ui.row(None, self.replay, None)]
         row = ui.row(*((button, 1) for button in self.answers.values()), spacing=18)
         calm(self.question, 10, row, 20, *again, self.note, owner=self, columns=90)
@@ -73,8 +70,6 @@ class QuestionPage(QWidget):
     def ask(self) -> None:
         """Wait for an answer."""
         self._enable(True)
-        for button in self.answers.values():
-            button.setDown(False)
         self.setFocus()  # no button: Space must not answer by chance
 
     def close_question(self, choice: str = "") -> None:
@@ -87,6 +82,7 @@ class QuestionPage(QWidget):
         ui.put(self.note, "")
         for button in [*self.answers.values(), *([] if self.replay is None else [self.replay])]:
             button.setEnabled(on)
+            button.setDown(False)
 
 
 class NoticePage(QWidget):
@@ -114,4 +110,5 @@ class NoticePage(QWidget):
         self.button.setVisible(bool(button))
         if button:
             self.button.show_text(button)
+            self.button.setDown(False)  # the press that hid it
             self.button.setFocus()

@@ -112,9 +112,10 @@ class ExperimenterStrip(Themed, QFrame):
 
     def show_presented(self, presented: Presented) -> None:
         """Show the stimulus that sounded last."""
-        error = presented.onset_error_ms
+        error, within = presented.onset_error_ms, presented.onset_within_ms
         ui.put(self.stimulus, presented.stimulus)
-        ui.put(self.onset, "onset not measured" if error is None else f"onset error {error:+.2f} ms")
+        late = "onset known to" if error is None else f"onset error {error:+.2f}"
+        ui.put(self.onset, f"{late} ± {within:.2f} ms")
 
     def redraw(self) -> None:
         self.setStyleSheet(f"ExperimenterStrip {{ border: 0; border-top: 1px solid {self.theme.grid}; }}")

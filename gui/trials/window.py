@@ -6,7 +6,7 @@ import signal
 import time
 from collections.abc import Callable, Sequence
 
-from PyQt5.QtCore import Qt, QTimer, pyqtSignal
+from PyQt5.QtCore import QSize, Qt, QTimer, pyqtSignal
 from PyQt5.QtGui import QCloseEvent, QKeyEvent
 from PyQt5.QtWidgets import QApplication, QMainWindow, QStackedWidget, QWidget
 
@@ -31,12 +31,13 @@ from gui.messages import ErrorHook
 from gui.process import CommandProcess, Message
 from gui.theme import set_theme, theme_named
 from gui.trials.pages import REPLAY_KEY, NoticePage, QuestionPage, WelcomePage
-from gui.trials.parts import ExperimenterStrip, Input, key_code
+from gui.trials.parts import ExperimenterStrip, Input, counted, key_code
 from gui.window import make_application
 
-_SIZE = (1000, 700)
+_SIZE, _FRAME = QSize(1000, 700), QSize(16, 48)
 # The child mutes when its input ends; a driver that hangs is not waited for.
 _MUTES_WITHIN_MS, _KILLED_AFTER_MS = 20_000, 10_000
+_THANKS = ("Thank you", "All trials are done. Please call the experimenter.", "Close")
 _RESUME = "Every answer given so far is stored. The same command resumes at the next trial."
 _SHORTCUTS = (Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.AltModifier, Qt.KeyboardModifier.MetaModifier)
 
@@ -45,6 +46,8 @@ class TrialsWindow(QMainWindow):
     """One participant's session, which a child process runs.
 
     arguments: Of ``wavefocus trials``, without ``--lines``.
+
+    waiting: Of the last state until an order answers it, then ``"nothing"``; ``"closing"`` at the end.
     """
 
     closed = pyqtSignal()
@@ -65,7 +68,7 @@ class TrialsWindow(QMainWindow):
         self.question: QuestionPage | None = None
         self._state: TrialsState | None = None
         self._ended: TrialsEnded | None = None
-        self._waiting = "nothing"
+        self.waiting = "nothing"
         self._keys: dict[int, str] = {}
         self._pages = QStackedWidget()
         self._pages.addWidget(self.notice)
@@ -75,7 +78,8 @@ class TrialsWindow(QMainWindow):
         self.addAction(ui.action(self, "Full screen", self._toggle_full_screen, "F11"))
         self.addAction(ui.action(self, "Leave full screen", self.showNormal, "Esc"))
         self.addAction(ui.action(self, "Experimenter", lambda: self.strip.setVisible(self.strip.isHidden()), "F2"))
-        self.resize(*_SIZE)
+        screen = QApplication.primaryScreen()
+        self.resize(_SIZE if screen is None else _SIZE.boundedTo(screen.availableSize() - _FRAME))
         self.process = CommandProcess(front, ["trials", *arguments, "--lines"], self, name="wavefocus trials")
         self.process.received.connect(self._receive)
         self.process.finished.connect(self._finished)
@@ -86,7 +90,7 @@ class TrialsWindow(QMainWindow):
         if event is None or event.isAutoRepeat() or any(event.modifiers() & key for key in _SHORTCUTS):
             return
         key = event.key()
-        if self._waiting == "go_on" and key in (Qt.Key.Key_Space, Qt.Key.Key_Return, Qt.Key.Key_Enter):
+        if self.waiting == "go_on" and key in (Qt.Key.Key_Space, Qt.Key.Key_Return, Qt.Key.Key_Enter):
             self._continue()
         elif key in self._keys:
             self._answer(self._keys[key], at_s, "keyboard")
@@ -102,14 +106,14 @@ class TrialsWindow(QMainWindow):
             self.closed.emit()
             return
         event.ignore()
-        self._waiting = "closing"
+        self.waiting = "closing"
         self._show(self.notice)
         self.notice.show_notice("Muting", _RESUME)
         self._send(EndTrials())
         self.process.stop(_MUTES_WITHIN_MS, _KILLED_AFTER_MS)
 
     def _receive(self, message: Message) -> None:
-        if self._waiting == "closing":
+        if self.waiting == "closing":
             return
         match message_of(message, EVENTS):
             case Preparing(done=done, of=of):
@@ -142,7 +146,7 @@ class TrialsWindow(QMainWindow):
 
     def _enter(self, state: TrialsState) -> None:
         """Show the page of a state."""
-        self._waiting = state.waiting
+        self.waiting = state.waiting
         if self.welcome is None or self.question is None or (state.phase == "welcome" and state.waiting == "go_on"):
             return
         if state.waiting == "answer":
@@ -153,16 +157,18 @@ class TrialsWindow(QMainWindow):
         done = max(0, state.trial - 1)
         match state.phase, state.waiting:
             case "done", _:
-                notice("Thank you", "All trials are done. Please call the experimenter.", "Close")
+                notice(*_THANKS)
             case "break", "go_on":
-                counted = f"{done} of {state.of} trials are done." if state.of else f"{done} trials are done."
-                notice("A break", f"{counted} Continue when you are ready.", "Continue", (done, state.of or done))
+                bar = None if state.of is None else (done, state.of)
+                notice("A break", f"{counted(done, state.of)} trials are done.", "Continue", bar)
             case "familiarisation", "go_on":
-                notice("To get to know them", "You feel every stimulus once. There is no question yet.", "Continue")
+                notice("To get to know them", f"You feel {state.of} stimuli, without a question.", "Continue")
             case _, "go_on":
-                notice("Ready?", "", "Feel the next one")
+                notice("Ready?", "After each stimulus, answer the question." if state.trial == 1 else "", "Feel")
+            case "familiarisation", "playing":
+                notice("Feel", counted(state.trial, state.of))
             case _, "playing":
-                notice("Feel")
+                notice("Feel", "The stimulus is repeated." if state.note else "")
             case _:
                 notice("One moment, please", state.note)
         self._show(self.notice)
@@ -173,19 +179,19 @@ class TrialsWindow(QMainWindow):
     def _continue(self) -> None:
         if not self.process.running or (self._state is not None and self._state.phase == "done"):
             self.close()
-        elif self._waiting == "go_on":
-            self._waiting = "nothing"
+        elif self.waiting == "go_on":
+            self.waiting = "nothing"
             self._send(GoOn())
 
     def _answer(self, choice: str, at_s: float, by: Input) -> None:
-        if self._waiting == "answer" and self.question is not None:
-            self._waiting = "nothing"
+        if self.waiting == "answer" and self.question is not None:
+            self.waiting = "nothing"
             self.question.close_question(choice)
             self._send(Answer(choice, at_s, by))
 
     def _replay(self) -> None:
-        if self._waiting == "answer" and self.question is not None and self.question.replay is not None:
-            self._waiting = "nothing"
+        if self.waiting == "answer" and self.question is not None and self.question.replay is not None:
+            self.waiting = "nothing"
             self.question.close_question()
             self._send(Replay())
 
@@ -201,13 +207,18 @@ class TrialsWindow(QMainWindow):
 
     def _finished(self) -> None:
         """The child has ended: close, or say why and stay."""
-        if self._waiting == "closing" or not self.isVisible():
+        if self.waiting == "closing" or not self.isVisible():
             self.close()
             return
-        self._waiting = "nothing"
-        if self._ended is None or not self._ended.complete:
+        self.waiting = "nothing"
+        complete = self._ended is not None and self._ended.complete
+        if complete:
+            self.notice.show_notice(*_THANKS)
+        elif self.welcome is None:
+            self.notice.show_notice("The trials cannot begin", self.process.failure, "Close")
+        else:
             self.notice.show_notice("Please call the experimenter", f"{self.process.failure}\n\n{_RESUME}", "Close")
-            self._show(self.notice)
+        self._show(self.notice)
 
     def _toggle_full_screen(self) -> None:
         self.showNormal() if self.isFullScreen() else self.showFullScreen()

@@ -13,6 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.gui.test_trials_window import TRIALS
+from trials.answers import read_answers
+
 pytestmark = pytest.mark.long
 
 LOOK = """
@@ -42,6 +45,41 @@ timer = QTimer()
 timer.timeout.connect(look)
 timer.start(300)
 sys.exit(application.exec_())
+"""
+
+TRIAL = """
+import sys
+from PyQt5.QtCore import QSettings, Qt, QTimer
+from PyQt5.QtTest import QTest
+from PyQt5.QtWidgets import QApplication
+from gui.files import Settings
+from gui.trials.window import TrialsWindow
+from gui.window import make_application
+from wavefocus.commands.gui import front_door
+application = make_application()
+assert QApplication.platformName() == "xcb", QApplication.platformName()
+window = TrialsWindow(front_door(), sys.argv[2:], Settings(QSettings(sys.argv[1], QSettings.Format.IniFormat)))
+window.closed.connect(application.quit)
+seen = set()
+def look():
+    if window.waiting == "go_on":
+        QTest.keyClick(window.focusWidget(), Qt.Key_Space)
+    elif window.waiting == "answer":
+        shown = application.primaryScreen().grabWindow(0).toImage()
+        button = window.question.answers["left"]
+        corner = button.mapToGlobal(button.rect().topLeft())
+        part = shown.copy(corner.x(), corner.y(), button.width(), button.height())
+        seen.add(len({part.pixel(x, y) for x in range(0, part.width(), 2) for y in range(0, part.height(), 2)}) > 10)
+        QTest.mouseClick(button, Qt.LeftButton)
+    elif not window.process.running:
+        assert seen == {True}, seen
+        print("answered", flush=True)
+        window.close()
+timer = QTimer()
+timer.timeout.connect(look)
+timer.start(100)
+application.exec_()
+sys.exit(window.process.exit_code)
 """
 
 
@@ -99,3 +137,17 @@ def test_given_the_command_then_it_lives_until_it_is_ended_and_says_nothing(
     assert window.returncode == 0
     assert "wavefocus:" not in told
     assert "Traceback" not in told
+
+
+def test_given_a_participant_then_the_trials_are_answered_on_its_screen(
+    display: str, measured: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "trials.toml").write_text(TRIALS, encoding="utf-8")
+    bank, rig = ("--bank", str(measured / "plate.h5")), ("--rig", str(measured / "rig.toml"))
+    person = ("--participant", "P01", "--out", str(tmp_path / "out"), "--fast")
+    script = [sys.executable, "-c", TRIAL, str(tmp_path / "memory.ini"), str(tmp_path / "trials.toml")]
+    command = [*script, *bank, *rig, *person]
+    done = subprocess.run(command, env=_environment(display), capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "answered" in done.stdout
+    assert [row.by for row in read_answers(tmp_path / "out")] == 6 * ["button"]

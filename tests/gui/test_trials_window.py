@@ -1,0 +1,182 @@
+"""The window of trials over the real command, on the virtual rig without its waits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from pathlib import Path
+
+import pytest
+from PyQt5.QtCore import QEvent, QPointF, Qt
+from PyQt5.QtGui import QKeyEvent, QMouseEvent
+from PyQt5.QtTest import QTest
+from PyQt5.QtWidgets import QApplication, QWidget
+from pytestqt.qtbot import QtBot
+
+from gui.files import Settings
+from gui.trials.window import TrialsWindow
+from gui.window import require_fonts
+from tests.gui.conftest import LEFT, NO_KEY, SOON_MS
+from trials.answers import read_answers
+from wavefocus.commands.gui import front_door
+
+TRIALS = """
+[trials]
+name = "direction"
+instruction = "A source moves under your finger."
+question = "In which direction?"
+answers = ["left", "right"]
+keys = ["Left", "Right"]
+correct = "path"
+repetitions = 3
+replays = 1
+break_every = 4
+
+[path.left]
+kind = "line"
+start_mm = [4.5, 0]
+end_mm = [0, 0]
+
+[path.right]
+kind = "line"
+start_mm = [0, 0]
+end_mm = [4.5, 0]
+
+[signal.hum]
+kind = "sine"
+frequency_hz = 150
+duration_s = 0.05
+
+[[stimuli]]
+path = ["left", "right"]
+signal = ["hum"]
+speed_mm_s = 90
+step_mm = 1.5
+amplitude = 0.005
+"""
+OF = 6
+Opens = Callable[..., TrialsWindow]
+
+
+@pytest.fixture
+def start(qtbot: QtBot, memory: Settings, measured: Path, tmp_path: Path) -> Generator[Opens]:
+    """Opens the window for a participant, on the measured bank."""
+    require_fonts()
+    opened: list[TrialsWindow] = []
+
+    def make(trials: str = TRIALS, participant: str = "P01") -> TrialsWindow:
+        (tmp_path / "trials.toml").write_text(trials, encoding="utf-8")
+        bank, rig = ("--bank", str(measured / "plate.h5")), ("--rig", str(measured / "rig.toml"))
+        person = ("--participant", participant, "--out", str(tmp_path / "out"))
+        arguments = [str(tmp_path / "trials.toml"), *bank, *rig, *person, "--fast"]
+        opened.append(window := TrialsWindow(front_door(), arguments, memory))
+        return window
+
+    yield make
+    for window in opened:
+        window.process.kill()
+        qtbot.waitUntil(lambda window=window: not window.process.running, timeout=SOON_MS)
+        window.close()
+        assert window.mishaps == []
+        window.deleteLater()
+
+
+def waits_for(qtbot: QtBot, window: TrialsWindow, what: str) -> None:
+    """Let the window live until the session waits for something."""
+    qtbot.waitUntil(lambda: window.waiting == what, timeout=SOON_MS)
+
+
+def begin(qtbot: QtBot, window: TrialsWindow) -> None:
+    """Go on from the first page to the first question."""
+    while window.waiting != "answer":
+        qtbot.waitUntil(lambda: window.waiting in ("go_on", "answer"), timeout=SOON_MS)
+        if window.waiting == "go_on":
+            key(window, Qt.Key.Key_Space)
+
+
+def key(window: TrialsWindow, code: Qt.Key) -> None:
+    """Press a key where the focus is."""
+    QTest.keyClick(window.focusWidget() or window, code)
+
+
+def press(button: QWidget, source: Qt.MouseEventSource) -> None:
+    """Press a button with the mouse, or by touch as Qt reports it to widgets that take no touch events."""
+    at = QPointF(button.rect().center())
+    place = QPointF(button.mapToGlobal(button.rect().center()))
+    for kind, buttons in ((QEvent.Type.MouseButtonPress, LEFT), (QEvent.Type.MouseButtonRelease, Qt.NoButton)):
+        event = QMouseEvent(kind, at, at, place, LEFT, Qt.MouseButtons(buttons), NO_KEY, source)
+        QApplication.sendEvent(button, event)
+
+
+def test_given_answers_by_key_mouse_and_touch_then_each_is_stored_once_with_its_input(
+    start: Opens, qtbot: QtBot, tmp_path: Path
+) -> None:
+    window = start()
+    waits_for(qtbot, window, "go_on")
+    assert window.isVisible()
+    key(window, Qt.Key.Key_Right)  # no question yet
+    begin(qtbot, window)
+    assert window.question is not None
+    held = QKeyEvent(QEvent.Type.KeyPress, Qt.Key.Key_Left, NO_KEY, "", True)
+    QApplication.sendEvent(window.focusWidget() or window, held)
+    assert window.waiting == "answer"
+    key(window, Qt.Key.Key_Left)
+    key(window, Qt.Key.Key_Right)  # too late
+    waits_for(qtbot, window, "answer")
+    press(window.question.answers["right"], Qt.MouseEventSource.MouseEventNotSynthesized)
+    waits_for(qtbot, window, "answer")
+    press(window.question.answers["left"], Qt.MouseEventSource.MouseEventSynthesizedByQt)
+    waits_for(qtbot, window, "answer")
+    assert window.question.replay is not None
+    key(window, Qt.Key.Key_R)
+    waits_for(qtbot, window, "answer")
+    window.question.answers["right"].setFocus()
+    key(window, Qt.Key.Key_Space)
+    waits_for(qtbot, window, "go_on")  # a break
+    for _ in range(2):
+        begin(qtbot, window)
+        key(window, Qt.Key.Key_Right)
+    qtbot.waitUntil(lambda: not window.process.running, timeout=SOON_MS)
+    assert window.process.exit_code == 0
+    rows = read_answers(tmp_path / "out")
+    assert [(row.answer, row.by) for row in rows] == [
+        ("left", "keyboard"), ("right", "button"), ("left", "touch"), ("right", "keyboard"),
+        ("right", "keyboard"), ("right", "keyboard"),
+    ]  # fmt: skip
+    assert [row.replays for row in rows] == [0, 0, 0, 1, 0, 0]
+
+
+def test_given_it_is_closed_in_a_trial_then_a_second_window_resumes_there(
+    start: Opens, qtbot: QtBot, tmp_path: Path
+) -> None:
+    window = start()
+    begin(qtbot, window)
+    key(window, Qt.Key.Key_Left)
+    waits_for(qtbot, window, "answer")
+    window.close()
+    qtbot.waitUntil(lambda: not window.isVisible(), timeout=SOON_MS)
+    assert window.process.exit_code == 130
+    again = start()
+    waits_for(qtbot, again, "go_on")
+    assert again.welcome is not None
+    assert "trial 2 of 6" in again.welcome.participant.text()
+    begin(qtbot, again)
+    key(again, Qt.Key.Key_Left)
+    qtbot.waitUntil(lambda: len(read_answers(tmp_path / "out")) == 2, timeout=SOON_MS)
+    assert [row.trial for row in read_answers(tmp_path / "out")] == [1, 2]
+
+
+def test_given_a_wrong_file_then_no_window_is_shown(start: Opens, qtbot: QtBot) -> None:
+    window = start(TRIALS.replace("question =", "ask ="))
+    qtbot.waitUntil(lambda: not window.process.running, timeout=SOON_MS)
+    assert window.process.exit_code == 2
+    assert "trials.question" in window.process.failure
+    assert not window.notice.isVisible()
+
+
+def test_given_the_process_is_killed_then_a_page_says_that_answers_are_stored(start: Opens, qtbot: QtBot) -> None:
+    window = start()
+    begin(qtbot, window)
+    window.process.kill()
+    qtbot.waitUntil(window.notice.isVisible, timeout=SOON_MS)
+    assert window.notice.button.isVisible()
+    assert "is stored" in window.notice.text.text()
