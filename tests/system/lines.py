@@ -44,6 +44,17 @@ class Lines:
                 return told
         raise AssertionError(f"it ended without {' or '.join(events)}: {self.said}")
 
+    def next_of(self, event: str) -> dict[str, Any] | None:
+        """The next event of a kind that was told already, None where there is none; those before it are passed over."""
+        while not self._told.empty():
+            told = self._told.get()
+            if told is None:
+                self._told.put(None)
+                return None
+            if told["event"] == event:
+                return told
+        return None
+
     def rest(self) -> list[dict[str, Any]]:
         """All that it tells until its end."""
         told = []
