@@ -148,6 +148,8 @@ PathTable = Annotated[
     PointTable | LineTable | CircleTable | PolylineTable | SvgTable | TextTable | TrajectoryTable,
     Field(discriminator="kind"),
 ]
+WITHOUT_SPEED = ("point", "trajectory")
+"""Kinds of paths that need neither a speed nor a step."""
 SignalTable = Annotated[ImpulseTable | SineTable | NoiseTable | FileTable, Field(discriminator="kind")]
 
 
@@ -187,7 +189,7 @@ class SourceTable(Table):
 
     @model_validator(mode="after")
     def _moves_somehow(self) -> SourceTable:
-        if self.path.kind not in ("point", "trajectory"):
+        if self.path.kind not in WITHOUT_SPEED:
             for key, unit in (("speed_mm_s", "mm/s"), ("step_mm", "mm")):
                 if getattr(self, key) is None:
                     raise mistake(key, None, f"is needed in {unit} for a path of kind {self.path.kind}")

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from config.fields import Finite, NonNegative, Positive, Switch, Table, Text, Whole, like, mistake
-from config.scene import Output, PathTable, Regularisation, SignalTable
+from config.scene import WITHOUT_SPEED, Output, PathTable, Regularisation, SignalTable
 
 Count = Annotated[Whole, Field(ge=1, le=10_000)]
 Pause = Annotated[NonNegative, Field(le=600)]
@@ -105,7 +105,9 @@ class StimuliTable(Table):
 
     path: Names = Field(title="Paths", description="Names of tables [path.NAME]")
     signal: Names = Field(title="Signals", description="Names of tables [signal.NAME]")
-    speed_mm_s: Speeds = Field(default=(), title="Speeds", description="Speeds along the path; none for a point")
+    speed_mm_s: Speeds = Field(
+        default=(), title="Speeds", description="Speeds along the path; none for a point or a trajectory"
+    )
     amplitude: Amplitudes = Field(
         default=(1.0,), title="Amplitudes", description="Amplitudes as of a scene's source; 0: no stimulus"
     )
@@ -114,6 +116,9 @@ class StimuliTable(Table):
     )
     emission: Literal["per_point", "continuous"] = Field(
         default="continuous", title="Emission", description="Emission as of a scene's source"
+    )
+    repeat: Switch = Field(
+        default=False, title="Repeat", description="Whether a continuous signal repeats, as of a scene's source"
     )
     plays: Annotated[Whole, Field(ge=1, le=100)] = Field(
         default=1, title="Plays", description="Times that a stimulus is played in one trial"
@@ -188,12 +193,12 @@ class TrialsConfig(Table):
                     if name not in tables:
                         allowed = f"must be a table [{key}.NAME], of {', '.join(tables)}"
                         raise mistake(f"stimuli.[{number}].{key}", name, allowed)
-            moving = [name for name in table.path if self.path[name].kind != "point"]
+            moving = [name for name in table.path if self.path[name].kind not in WITHOUT_SPEED]
             if moving and not (table.speed_mm_s and table.step_mm):
                 key, unit = ("step_mm", "mm") if table.speed_mm_s else ("speed_mm_s", "mm/s")
                 raise mistake(f"stimuli.[{number}].{key}", None, f"is needed in {unit} for the path {moving[0]}")
             if table.speed_mm_s and len(moving) < len(table.path):
-                allowed = "is for paths that move; list points in a table [[stimuli]] of their own"
+                allowed = "is for paths that need one; list points and trajectories in a table [[stimuli]] of their own"
                 raise mistake(f"stimuli.[{number}].speed_mm_s", table.speed_mm_s, allowed)
         return self
 

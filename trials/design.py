@@ -27,7 +27,7 @@ class Stimulus:
 
     name: Unique, also where small and capital letters are the same: ``right-100mm_s-burst``; names its drive file.
     path, signal: Names of their tables in the trials file.
-    speed_mm_s: Speed along the path; None for a point.
+    speed_mm_s: Speed along the path; None for a point or a trajectory.
     amplitude: As of a scene's source; 0: no stimulus, of the same length.
     plays: Times that it is played in one trial.
     correct: Right answer; None where no answer is right or wrong.
@@ -147,7 +147,7 @@ def _stimuli(design: TrialsDesign) -> dict[str, Stimulus]:
             with _naming(file, key):
                 source = Source(
                     paths[path], signals[signal], speed_mm_s=speed_mm_s or 0.0, step_mm=table.step_mm or 0.0,
-                    amplitude=amplitude, emission=table.emission,
+                    amplitude=amplitude, emission=table.emission, repeat=table.repeat,
                 )  # fmt: skip
             correct, track = None, ""
             if factor := config.trials.correct:

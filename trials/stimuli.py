@@ -193,8 +193,8 @@ def _listed(
         return {}
     for key, what in (("trials_sha256", design.file), ("bank_sha256", bank.path)):
         if manifest.get(key) != origin[key]:
-            changed = f"{path}: its stimuli are of another {what}, or it has changed since then"
-            raise InputError(printable(f"{changed}; restore it, or choose another folder with --out"))
+            made = f"{path}: its stimuli were made before {what} was changed, or from another one"
+            raise InputError(printable(f"{made}; restore it, or choose another folder with --out"))
     return {name: entry for name, entry in listed.items() if name in design.stimuli}
 
 
