@@ -49,12 +49,17 @@ amplitude = 0.001
 MASKING = "\n[masking]\noutput = 5\nrms_v = 0.2\n"
 
 
+def arguments(lab: Path) -> list[str]:
+    """The command line of a lab's experiment for its first participant."""
+    files = [lab / "trials.toml", "--bank", lab / "plate.h5", "--rig", lab / "rig.toml", "--out", lab / "out"]
+    return ["trials", *map(str, files), "--participant", "P1"]
+
+
 @pytest.fixture
 def experiment(lab: Path, bank: Path) -> list[str]:
-    """Arguments of an experiment in a lab, and of its first participant."""
+    """The same, its trials file and bank written."""
     (lab / "trials.toml").write_text(TRIALS, encoding="utf-8")
-    files = [str(lab / "trials.toml"), "--bank", str(bank), "--rig", str(lab / "rig.toml"), "--out", str(lab / "out")]
-    return ["trials", *files, "--participant", "P1"]
+    return arguments(lab)
 
 
 def answer(session: Lines, choice: str = "right") -> list[dict[str, Any]]:
@@ -71,8 +76,8 @@ def answer(session: Lines, choice: str = "right") -> list[dict[str, Any]]:
                 return events
 
 
-def test_given_a_program_that_answers_then_the_experiment_is_stored_and_faults_are_repeated_and_marked(
-    tmp_path: Path,
+def test_given_a_window_that_closes_while_a_stimulus_sounds_then_it_is_muted_and_resumed_and_faults_are_marked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     lab = write_lab(tmp_path)
     purpose = 'purpose = "presentation"\n'
@@ -82,31 +87,9 @@ def test_given_a_program_that_answers_then_the_experiment_is_stored_and_faults_a
         purpose + 'role = "recorder"\noperation = "read"\nkind = "missing_reference"\nposition = 5',
     )
     assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / "plate.h5")]) == 0
-    (lab / "trials.toml").write_text(TRIALS + MASKING, encoding="utf-8")
-    files = [lab / "trials.toml", "--bank", lab / "plate.h5", "--rig", lab / "rig.toml", "--out", lab / "out"]
-    with Lines("trials", *files, "--participant", "P1", "--lines", "--fast") as session:
-        events = answer(session)
-        assert session.end() == 0
-    assert events[-1] == {"event": "ended", "done": 8, "of": 8, "complete": True}
-    rows = read_answers(lab / "out")
-    assert [row.attempts for row in rows] == [1, 1, 2, 1, 2, 1, 1, 1]
-    assert [row.correct for row in rows] == [row.path == "right" for row in rows]
-    assert [one["trial"] for one in events if one["event"] == "stored"] == [row.trial for row in rows]
-    assert {one["trial"] for one in events if one["event"] == "state" and one["note"]} == {3, 5}
-    assert all(-25.1 < row.onset_error_ms < 0.1 and row.reaction_s > 0 for row in rows if row.onset_error_ms)
-    facts = read_facts(lab / "out")
-    manifest = json.loads((lab / "out" / "stimuli" / "manifest.json").read_text(encoding="utf-8"))
-    for row in rows:
-        assert row.trials_sha256 == facts["trials_sha256"] == manifest["trials_sha256"]
-        assert row.bank_sha256 == facts["bank_sha256"] == manifest["bank_sha256"]
-        assert row.stimulus_sha256 == manifest["stimuli"][row.stimulus]["sha256"]
-
-
-def test_given_the_end_of_the_input_while_a_stimulus_sounds_then_it_is_muted_at_once_and_resumed_later(
-    lab: Path, experiment: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    trials = TRIALS.replace("blocks = 2", "blocks = 2\npause_s = 10.0\nfamiliarise = false")
-    (lab / "trials.toml").write_text(trials + "plays = 2\n", encoding="utf-8")
+    trials = TRIALS.replace("blocks = 2", "blocks = 2\npause_s = 10.0\nfamiliarise = false") + "plays = 2\n"
+    (lab / "trials.toml").write_text(trials + MASKING, encoding="utf-8")
+    experiment = arguments(lab)
     with Lines(*experiment, "--lines") as session:  # over ten seconds each, in the wall's time
         assert session.hear("state")["phase"] == "welcome"
         session.send(order="go_on")
@@ -118,9 +101,24 @@ def test_given_the_end_of_the_input_while_a_stimulus_sounds_then_it_is_muted_at_
         assert session.rest()[-1] == {"event": "ended", "done": 0, "of": 8, "complete": False}
         assert session.end() == 130
         assert any("muted" in line and "resumes" in line for line in session.said)
+
     with Lines(*experiment, "--lines", "--fast") as session:
-        assert answer(session)[-1]["complete"]
+        events = answer(session)
         assert session.end() == 0
+    assert events[-1] == {"event": "ended", "done": 8, "of": 8, "complete": True}
+    rows = read_answers(lab / "out")
+    assert [row.attempts for row in rows] == [1, 1, 2, 1, 2, 1, 1, 1]
+    assert [row.correct for row in rows] == [row.path == "right" for row in rows]
+    assert [one["trial"] for one in events if one["event"] == "stored"] == [row.trial for row in rows]
+    assert {one["trial"] for one in events if one["event"] == "state" and one["note"]} == {3, 5}
+    assert all(row.onset_error_ms is not None and -25.1 < row.onset_error_ms < 0.1 for row in rows)
+    assert all(row.reaction_s > 10.0 for row in rows)
+    facts = read_facts(lab / "out")
+    manifest = json.loads((lab / "out" / "stimuli" / "manifest.json").read_text(encoding="utf-8"))
+    for row in rows:
+        assert row.trials_sha256 == facts["trials_sha256"] == manifest["trials_sha256"]
+        assert row.bank_sha256 == facts["bank_sha256"] == manifest["bank_sha256"]
+        assert row.stimulus_sha256 == manifest["stimuli"][row.stimulus]["sha256"]
     assert run([*experiment, "--lines", "--fast"]) == 2
     assert "complete" in capsys.readouterr().err
 
