@@ -43,9 +43,9 @@ def recording_into(folder: Path, interpolation: str = "nearest") -> SessionRecor
 
 
 def step(engine: LiveEngine, block: int, signals: list[Signal]) -> None:
-    """Orders of a block: a finger that jumps, changes its signal, lets go and comes again; another one that is late."""
+    """Orders of a block: a finger that jumps, changes its signal, lets go and comes again; another one."""
     at_s = block * BLOCK / RATE_HZ
-    if block % 3 == 0 and not 90 <= block < 120:
+    if block % 3 == 0 and not 90 <= block < 120 and block < 210:
         side = -1.0 if 60 <= block < 90 else 1.0
         engine.move("finger \x7f\n\ud800", (side * 12.0 * np.cos(9.0 * at_s), 10.1 * np.sin(7.0 * at_s)), 1.0 + at_s)
     if block == 90:
