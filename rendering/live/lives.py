@@ -129,7 +129,7 @@ class Life:
         if sample > self._knots[-1].sample:
             self._append(course, [*turns, sample])
         self._knots.append(self._knots[-1]._replace(sample=self._knots[-1].sample + self._timing.fade, amplitude=0.0))
-        self._tail, self.ended = [], True
+        self._tail, self.ended, self._course = [], True, None
 
     @property
     def course(self) -> Trajectory:
