@@ -61,7 +61,7 @@ def test_given_sufficient_look_ahead_then_the_record_renders_to_the_live_drives(
     engine, blocks = engine_of(interpolation), []
     signals: list[Signal] = [Noise((100.0, 300.0), 0.05, 2), Burst(), Impulse(), Sine(83.0, 0.03)]
     with recording_into(tmp_path / "session", interpolation) as recording:
-        for block in range(260):
+        for block in range(310):
             step(engine, block, signals)
             blocks.append(engine.next_block())
             if block % 40 == 0:
