@@ -103,8 +103,8 @@ COLUMNS: Mapping[str, Mapping[str, Any]] = {
     },
     "answered_at": {"Description": "Instant of the answer, ISO 8601 with time zone"},
     "stimulus_sha256": {"Description": "SHA-256 of the values of the stimulus's drive"},
-    "bank_sha256": {"Description": "SHA-256 that identifies the bank of Green's functions"},
-    "trials_sha256": {"Description": "SHA-256 of the trials file"},
+    "bank_sha256": {"Description": "SHA-256 of the bank file"},
+    "trials_sha256": {"Description": "SHA-256 of the trials file, a byte-order mark left out"},
 }
 """Description of every column, in their order, with the keys of BIDS sidecar files."""
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import csv
 import os
-from dataclasses import astuple, replace
+from dataclasses import astuple, fields, replace
 from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from config.messages.trials import EVENTS, ORDERS
 from storage.errors import BankBusyError, InputError
 from trials.answers import (
     ANSWERS,
@@ -145,3 +146,13 @@ def test_given_facts_then_they_come_back_with_every_column(tmp_path: Path) -> No
     (tmp_path / "trials.json").write_text("{}")
     with pytest.raises(InputError):
         read_facts(tmp_path)
+
+
+def test_given_the_reference_page_then_it_names_every_column_order_and_event() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "trials.md").read_text(encoding="utf-8")
+    for name, about in COLUMNS.items():
+        assert f"| `{name}` | {about['Description']}" in page
+    for kind in (*ORDERS, *EVENTS):
+        (word,) = kind.tag.values()
+        rows = [line for line in page.splitlines() if line.startswith(f"| `{word}` |")]
+        assert any(all(f"`{field.name}`" in row for field in fields(kind)) for row in rows), word
