@@ -191,7 +191,7 @@ class TrialsConfig(Table):
             for key, tables in (("path", self.path), ("signal", self.signal)):
                 for name in getattr(table, key):
                     if name not in tables:
-                        allowed = f"must be a table [{key}.NAME], of {', '.join(tables)}"
+                        allowed = f"must be the name of a table [{key}.NAME]: {', '.join(tables)}"
                         raise mistake(f"stimuli.[{number}].{key}", name, allowed)
             moving = [name for name in table.path if self.path[name].kind not in WITHOUT_SPEED]
             if moving and not (table.speed_mm_s and table.step_mm):

@@ -173,8 +173,10 @@ def _check_answers(design: TrialsDesign) -> None:
             raise design.wrong("trials.correct_levels", trials.correct_levels, allowed)
     for level, answer in levels.items():
         if answer not in trials.answers:
-            allowed = f"gives {shown(answer)} for the level {level or 'without a value'}, which is none of the answers"
-            raise design.wrong("trials.correct", trials.correct, f"{allowed} {shown(trials.answers)}")
+            allowed = (
+                f"gives {shown(answer)} for its level {shown(level)}, which must be one of {shown(trials.answers)}"
+            )
+            raise design.wrong("trials.correct", trials.correct, f"{allowed}; see correct_levels")
 
 
 def _check_order(design: TrialsDesign) -> None:
