@@ -241,6 +241,6 @@ class SceneConfig(Table):
     """A validated scene file."""
 
     scene: SceneTable = SceneTable()
-    source: Annotated[tuple[SourceTable, ...], Field(min_length=1, max_length=1000)]
+    source: Annotated[tuple[SourceTable, ...], Field(min_length=1, max_length=10_000)]
     regularisation: Regularisation = Regularisation()
     output: Output = Output()
