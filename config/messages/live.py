@@ -81,7 +81,7 @@ class SoundingSource:
 
 
 Degradation = Literal["none", "bins", "sources"]
-NoticeCode = Literal["degraded", "recovered", "underrun", "limited", "late", "lost", "reconnected"]
+NoticeCode = Literal["degraded", "recovered", "underrun", "limited", "late", "lost", "reconnected", "recording"]
 
 
 @dataclass(frozen=True)

@@ -90,12 +90,16 @@ class SessionRecording:
         if lives := tuple(lives):
             self._waiting.put(lives)
 
+    @property
+    def scene(self) -> Path | None:
+        """The scene file; None where nothing has sounded yet, or nothing could be written."""
+        return self._folder / SCENE_NAME if self._named else None
+
     def close(self) -> Path | None:
-        """Write what waits; give the scene file, None where nothing sounded, or nothing could be written."""
+        """Write what waits; give the scene file."""
         self._waiting.put(None)
         self._writer.join()
-        scene = self._folder / SCENE_NAME
-        return scene if self._named else None
+        return self.scene
 
     def _write(self) -> None:
         while (lives := self._waiting.get()) is not None:

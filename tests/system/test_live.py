@@ -14,6 +14,8 @@ from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
 from pythonosc.osc_message import OscMessage
 from pythonosc.osc_message_builder import OscMessageBuilder
 
+from rendering.scene.model import load_scene
+from rendering.scene.trajectory_path import TrajectoryPath
 from tests.system.lines import Lines
 from wavefocus.__main__ import run
 
@@ -40,7 +42,7 @@ def test_given_positions_on_standard_input_then_sources_sound_there_until_the_or
     scene = bank.parent / "scene.toml"
     text = scene.read_text(encoding="utf-8").replace("limit_v = 1.0", "limit_v = 1e-6")
     scene.write_text(text, encoding="utf-8")
-    with live(bank.parent, "--scene", scene) as running:
+    with live(bank.parent, "--scene", scene, "--record", bank.parent / "felt") as running:
         ready = running.hear("ready")
         assert (ready["actuators"], ready["block_ms"], ready["osc"]) == (3, 5.0, "")
         assert (ready["x_mm"], ready["y_mm"]) == ([0.0, 8.0], [0.0, 4.0])
@@ -72,6 +74,8 @@ def test_given_positions_on_standard_input_then_sources_sound_there_until_the_or
     assert ended["positions"] > 3
     assert ended["latency_p999_ms"] > 0
     assert ended["limited_s"] > 0
+    assert Path(ended["recorded"]) == bank.parent / "felt" / "scene.toml"
+    assert {type(source.path) for source in load_scene(ended["recorded"]).sources} == {TrajectoryPath}
 
 
 def message(address: str, *values: object) -> OscMessage:

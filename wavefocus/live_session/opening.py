@@ -13,6 +13,7 @@ from config.messages.live import LiveReady
 from config.scene import Output, Regularisation
 from rendering.greens.source import usable
 from rendering.live.engine import LiveEngine
+from rendering.live.recording import SessionRecording
 from rendering.scene.model import load_scene
 from rendering.scene.signals import Signal
 from storage.bank.reading import Bank, open_bank
@@ -41,6 +42,7 @@ class LiveOptions:
     ahead_ms: So much waits to be played; None: 20 ms, and twice as much after each underrun.
     gain_db: On the amplitudes of all orders.
     duration_s: The session ends by itself after so long.
+    record: Folder in which the session is recorded as a scene.
     """
 
     scene_file: Path | None = None
@@ -49,6 +51,7 @@ class LiveOptions:
     ahead_ms: float | None = None
     gain_db: float = 0.0
     duration_s: float | None = None
+    record: Path | None = None
 
 
 @contextmanager
@@ -80,6 +83,7 @@ def open_session(
                 regularisation=regularisation,
                 interpolation=output.interpolation,
                 signal=signal,
+                record=options.record is not None,
             )
             return engine, LiveOutput(interface_of(rig), rate_hz, stricter(output, rig.player))
 
@@ -88,6 +92,13 @@ def open_session(
             engine, frames = engine_and_output()
         with progress("reading the bank", 1):
             engine.preload()
+        recording = None
+        if options.record is not None:
+            recording = opened.enter_context(
+                SessionRecording(
+                    options.record, rate_hz=rate_hz, regularisation=regularisation, interpolation=output.interpolation
+                )
+            )
         player, _ = opened.enter_context(open_player(rig, realtime=True))
         ahead_ms = AHEAD_MS if options.ahead_ms is None else options.ahead_ms
         session = LiveSession(
@@ -101,6 +112,7 @@ def open_session(
             gives_up_s=rig.recovery.give_up_after_s,
             duration_s=options.duration_s,
             gain=10.0 ** (options.gain_db / 20.0),
+            recording=recording,
         )
         ready = LiveReady(
             player.identify(),

@@ -31,6 +31,7 @@ from config.messages.live import SoundingSource as Sounding
 from drivers.errors import InstrumentLostError, TransientInstrumentError
 from drivers.timeouts import BoundedPlayer
 from rendering.live.engine import LiveEngine, SourceState
+from rendering.live.recording import SessionRecording
 from storage.errors import InputError
 from wavefocus.exits import one_line
 from wavefocus.live_session.latency import LatencyHistogram
@@ -61,6 +62,7 @@ class LiveSession:
     gives_up_s: Longest wait for an interface that is lost.
     duration_s: The session ends by itself after so long; None: it does not.
     gain: Factor on the amplitudes of all orders.
+    recording: Receives the courses of all sources; the engine must keep them.
     """
 
     def __init__(
@@ -76,6 +78,7 @@ class LiveSession:
         gives_up_s: float = 0.0,
         duration_s: float | None = None,
         gain: float = 1.0,
+        recording: SessionRecording | None = None,
     ) -> None:
         self.engine, self._player, self._output, self._publish = engine, player, output, publish
         self._channels, self._ahead_s, self._adapts = channels, ahead_s, adapts
@@ -88,6 +91,7 @@ class LiveSession:
         self._arrived: list[float] = []
         self._unwritten: deque[tuple[int, float]] = deque()
         self._noticed_s: dict[str, float] = {}
+        self._recording, self._record_failed = recording, False
         self._gain, self._amplitudes = gain, dict[str, float]()
         self._late: set[str] = set()
         self._ended: set[str] = set()
@@ -118,25 +122,29 @@ class LiveSession:
 
         Raises InstrumentError: The interface failed, or did not come back.
         """
-        with one_blas_thread(), _undisturbed():
-            self._begin()
-            on_begun()
-            while not self._stop.is_set():
-                try:
-                    self._next_block()
-                except TransientInstrumentError as dry:
-                    self._begin_anew(dry)
-                except InstrumentLostError as lost:
-                    self._bring_back(lost)
-                if self._ending.is_set() and not self.engine.state():
-                    self._play_out()
-                    return
+        try:
+            with one_blas_thread(), _undisturbed():
+                self._begin()
+                on_begun()
+                while not self._stop.is_set():
+                    try:
+                        self._next_block()
+                    except TransientInstrumentError as dry:
+                        self._begin_anew(dry)
+                    except InstrumentLostError as lost:
+                        self._bring_back(lost)
+                    if self._ending.is_set() and not self.engine.state():
+                        self._play_out()
+                        return
+        finally:
+            self._record()
 
-    def ended(self, recorded: str = "") -> LiveEnded:
+    def ended(self) -> LiveEnded:
         """The session's last message."""
+        recorded = None if self._recording is None else self._recording.scene
         return LiveEnded(
             round(self.played_s, 3), self._inbox.positions, self._latency.percentile_ms(99.9), self._figures.underruns,
-            round(self._figures.limited_s, 3), recorded,
+            round(self._figures.limited_s, 3), str(recorded or ""),
         )  # fmt: skip
 
     def _begin(self) -> None:
@@ -206,11 +214,16 @@ class LiveSession:
                 f"limited by {-figures.limited_db:.1f} dB to stay within the limits; lower the amplitudes, or use"
                 " --gain-db",
             )
-        change = self._pace.add(computed_s, len(self.engine.state()))
+        sources = self.engine.state()
+        for source in sources:
+            if source.fading and source.name not in self._ended and source.name not in self._late:
+                self._late.add(source.name)
+                self._notice("late", f"source {source.name}: its positions stopped coming; it fades")
+        change = self._pace.add(computed_s, len(sources))
         if change:
             self._change_effort(change)
         if figures.blocks >= STATES_EVERY_S / self._block_s:
-            self._report()
+            self._report(sources)
 
     def _change_effort(self, change: Change) -> None:
         effort = self._pace.effort
@@ -223,12 +236,8 @@ class LiveSession:
         else:
             self._notice("recovered", f"computing keeps pace again: {left_out}", always=True)
 
-    def _report(self) -> None:
-        figures, sources = self._figures, self.engine.state()
-        for source in sources:
-            if source.fading and source.name not in self._ended and source.name not in self._late:
-                self._late.add(source.name)
-                self._notice("late", f"source {source.name}: its positions stopped coming; it fades")
+    def _report(self, sources: tuple[SourceState, ...]) -> None:
+        figures = self._figures
         names = {source.name for source in sources}
         self._ended &= names
         self._late &= names
@@ -248,6 +257,15 @@ class LiveSession:
             )
         )
         figures.blocks, figures.load, figures.limited_db = 0, 0.0, 0.0
+        self._record()
+
+    def _record(self) -> None:
+        if self._recording is None or self._record_failed:
+            return
+        self._recording.add(self.engine.take_record())
+        if self._recording.failure:
+            self._record_failed = True
+            self._notice("recording", f"nothing more is recorded: {self._recording.failure}", always=True)
 
     def _sounding(self, source: SourceState) -> Sounding:
         return Sounding(source.name, source.at_mm, source.amplitude / self._gain, source.fading)

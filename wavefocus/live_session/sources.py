@@ -32,6 +32,7 @@ def live(
     block_ms: float = 5.0,
     ahead_ms: float | None = None,
     gain_db: float = 0.0,
+    record: str | Path | None = None,
 ) -> Iterator[LiveSources]:
     """Play sources that move while they sound, as ``wavefocus live``.
 
@@ -54,6 +55,8 @@ def live(
         So much waits to be played, 1 to 1000; by default 20, and twice as much after each underrun.
     gain_db
         On the amplitudes of all orders; limits hold all the same.
+    record
+        Folder in which the session is recorded as a scene that renders to the same drives.
 
     Returns
     -------
@@ -84,7 +87,14 @@ def live(
     ):
         if value is not None and not least <= value <= most:
             raise InputError(f"{name} is {value}; allowed: {least} to {most}")
-    options = LiveOptions(None if scene is None else Path(scene), look_ahead_ms, block_ms, ahead_ms, gain_db)
+    options = LiveOptions(
+        None if scene is None else Path(scene),
+        look_ahead_ms,
+        block_ms,
+        ahead_ms,
+        gain_db,
+        record=None if record is None else Path(record),
+    )
     reports = _Reports()
     rig_file = None if rig is None else Path(rig)
     with open_session(Path(bank), rig_file, options, reports) as (session, ready):

@@ -1,0 +1,294 @@
+"""The loop of a live session on a player that keeps no time and follows a script; its orders, pace and messages."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from config.messages.codec import Message
+from config.messages.live import (
+    EndLive,
+    EndSource,
+    LiveNotice,
+    LiveRefused,
+    LiveState,
+    MoveSource,
+)
+from config.scene import Regularisation
+from drivers.errors import InstrumentLostError, TransientInstrumentError
+from drivers.protocols import DeviceIdentity
+from drivers.timeouts import BoundedPlayer
+from rendering.drive.coil_limits import DriveLimits
+from rendering.drive.rendering import render_with_report
+from rendering.drive.wav import Interface
+from rendering.live.engine import LiveEngine
+from rendering.live.recording import SessionRecording
+from rendering.scene.model import load_scene
+from rendering.scene.signals import Sine
+from storage.errors import InputError
+from tests.unit.plate_banks import RATE_HZ, TAPS, plate_bank
+from wavefocus.live_session.latency import LatencyHistogram
+from wavefocus.live_session.orders import MOST_WAITING, Inbox, UseSignal, order_of
+from wavefocus.live_session.osc import OscMessages, address_of
+from wavefocus.live_session.output import LiveOutput
+from wavefocus.live_session.pace import Pace
+from wavefocus.live_session.session import LiveSession
+
+BLOCK = 20
+BANK = plate_bank()
+CHANNELS = tuple(range(BANK.actuators))
+AMPLITUDE = 1e-3
+
+
+class ScriptedPlayer:
+    """Implements `drivers.protocols.PiecewisePlayer`; `script` is called with the number of each piece, from 0."""
+
+    channels, full_scale_v, latency_s = len(CHANNELS), 5.0, 0.0
+    identity = DeviceIdentity("", "scripted player")
+
+    def __init__(self, script: Callable[[int], object]) -> None:
+        self.pieces: list[np.ndarray] = []
+        self.written_s = -math.inf
+        self.begun = self.reconnected = 0
+        self.ended = False
+        self._script = script
+
+    def begin_pieces(self, channels: Sequence[int], sample_rate_hz: float, ahead_s: float) -> None:
+        self.begun += 1
+
+    def add_piece(self, volts: np.ndarray) -> float:
+        self.written_s = time.monotonic()
+        self.pieces.append(volts)
+        self._script(len(self.pieces) - 1)
+        return 0.0
+
+    def end_pieces(self) -> None:
+        self.ended = True
+
+    def reconnect(self) -> None:
+        self.reconnected += 1
+
+    def identify(self) -> str:
+        return str(self.identity)
+
+    def play(self, signals_v: Mapping[int, np.ndarray], sample_rate_hz: float) -> None:
+        raise NotImplementedError
+
+    def wait(self, timeout_s: float) -> None: ...
+
+    def mute(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class Bench:
+    """A session with its player; orders are given by a script of the piece's number."""
+
+    def __init__(
+        self,
+        script: Mapping[int, Callable[[LiveSession], object]],
+        *,
+        look_ahead: int = 0,
+        limits: DriveLimits | None = None,
+        interface_hz: int = round(RATE_HZ),
+        recording: SessionRecording | None = None,
+        gain: float = 1.0,
+    ) -> None:
+        engine = LiveEngine(
+            BANK, block_samples=BLOCK, look_ahead_samples=look_ahead, record=recording is not None,
+            regularisation=Regularisation(saturation=0.5),
+        )  # fmt: skip
+        self.messages: list[Message] = []
+        self.tape = ScriptedPlayer(lambda piece: script.get(piece, lambda _: None)(self.session))
+        self.output = LiveOutput(Interface(interface_hz, np.full(len(CHANNELS), 5.0)), RATE_HZ, limits or DriveLimits())
+        self.session = LiveSession(
+            engine, BoundedPlayer(self.tape, 20.0), self.output, self.messages.append,
+            channels=CHANNELS, ahead_s=0.02, adapts=True, gives_up_s=1.0, gain=gain, recording=recording,
+        )  # fmt: skip
+        self.session.run()
+        self.frames = np.concatenate(self.tape.pieces, axis=1)
+
+    def notices(self) -> list[str]:
+        return [one.code for one in self.messages if isinstance(one, LiveNotice) and one.code != "degraded"]
+
+
+def move(name: str, x_mm: float, y_mm: float = 0.0, amplitude: float | None = AMPLITUDE) -> Callable:
+    return lambda session: session.order(MoveSource(name, (x_mm, y_mm), amplitude), time.monotonic())
+
+
+def end(session: LiveSession) -> None:
+    session.order(EndLive(), time.monotonic())
+
+
+def test_given_sufficient_look_ahead_then_what_was_played_is_what_the_recorded_scene_renders_to(tmp_path: Path) -> None:
+    script: dict[int, Callable] = {piece: move("a", 0.5 * piece, 3.0) for piece in range(30)}
+    script[7] = lambda session: (script_move(session), session.order(UseSignal("a", SINE, VALUES, True), 0.0))
+    script_move, second = move("a", 3.0, 3.0), move("b", -9.0, 8.0, 0.5 * AMPLITUDE)
+    script |= {20: lambda session: (move("a", 10.0, 3.0)(session), second(session)), 30: end}
+    recording = SessionRecording(
+        tmp_path / "felt", rate_hz=RATE_HZ, regularisation=Regularisation(saturation=0.5), interpolation="nearest"
+    )
+    # What is decided at each block's begin is known a look-ahead before it counts, here with a block to spare.
+    with recording:
+        bench = Bench(script, look_ahead=TAPS - 1 + 4 * BLOCK, recording=recording, gain=0.5)
+    drive, _ = render_with_report(load_scene(tmp_path / "felt" / "scene.toml"), BANK)
+    drive_v = drive.drive_v[:, TAPS - 1 :]
+    played_v = bench.frames[:, bench.output.delay_frames :]
+    assert np.abs(drive_v).max() > 0
+    assert 30 * BLOCK < drive_v.shape[1] < played_v.shape[1]
+    drive_v = np.pad(drive_v, [(0, 0), (0, played_v.shape[1] - drive_v.shape[1])])
+    np.testing.assert_allclose(played_v, drive_v, rtol=0, atol=1e-9 * np.abs(drive_v).max())
+    assert bench.tape.ended
+    assert bench.session.ended().positions == 33
+    assert bench.notices() == []
+
+
+SINE = Sine(120.0, 0.3)
+VALUES = SINE.samples(RATE_HZ)
+
+
+def test_given_limits_then_no_frame_is_beyond_them_and_it_is_said() -> None:
+    script = {piece: move("a", 0.0, 0.0, 1e6) for piece in range(40)}
+    bench = Bench({**script, 40: end}, limits=DriveLimits(0.01), interface_hz=4800)
+    assert 0.005 < np.abs(bench.frames).max() <= 0.01
+    assert bench.notices() == ["limited"]
+    assert bench.session.ended().limited_s > 0
+
+
+def test_given_a_player_that_runs_dry_or_is_lost_then_it_begins_again_and_sources_are_counted() -> None:
+    def dry(session: LiveSession) -> None:
+        raise TransientInstrumentError("player", "playing", "underflow", "")
+
+    def lost(session: LiveSession) -> None:
+        raise InstrumentLostError("player", "playing", "it is gone", "")
+
+    script: dict[int, Callable] = {piece: move("a", 0.0) for piece in range(60)}
+    bench = Bench({**script, 10: dry, 20: lost, 60: end})
+    assert (bench.tape.begun, bench.tape.reconnected) == (3, 1)
+    assert bench.session.ended().underruns == 1
+    assert [code for code in bench.notices() if code != "late"] == ["underrun", "lost", "reconnected"]
+    assert any(isinstance(one, LiveState) and one.underruns == 1 for one in bench.messages)
+
+
+def test_given_a_place_off_the_grid_then_it_is_refused_and_the_source_goes_on() -> None:
+    answer: Future[None] = Future()
+    off = MoveSource("a", (1e6, 0.0))
+    bench = Bench({
+        0: move("a", 0.0),
+        1: lambda session: session.order(off, 0.0),
+        2: lambda session: session.order(off, 0.0, answer),
+        3: move("a", 0.0),
+        9: end,
+    })  # fmt: skip
+    assert sum(isinstance(one, LiveRefused) for one in bench.messages) == 1
+    assert isinstance(answer.exception(0), InputError)
+    assert bench.frames[:, 4 * BLOCK : 8 * BLOCK].any()
+
+
+def test_given_positions_that_stop_then_the_source_fades_and_it_is_said() -> None:
+    bench = Bench({0: move("a", 0.0), 1: move("a", 0.0), 80: end})
+    assert bench.notices() == ["late"]
+    assert not bench.frames[:, 60 * BLOCK :].any()
+
+
+def test_given_a_flood_of_positions_then_the_newest_of_each_source_waits_and_the_first_arrival_counts() -> None:
+    inbox = Inbox()
+    for index in range(10 * MOST_WAITING):
+        inbox.put(MoveSource(f"{index % 3}", (float(index), 0.0), 2.0 if index < 3 else None), float(index))
+    waiting = inbox.take()
+    assert [(one.order.at_mm[0], one.order.amplitude, one.arrived_s) for one in waiting] == [
+        (9999.0, 2.0, 0.0), (9997.0, 2.0, 1.0), (9998.0, 2.0, 2.0),
+    ]  # fmt: skip
+    assert inbox.positions == 10 * MOST_WAITING
+    for index in range(MOST_WAITING):
+        inbox.put(EndSource(f"{index}"), 0.0)
+    with pytest.raises(InputError):
+        inbox.put(EndSource("one more"), 0.0)
+    inbox.put(EndLive(), 0.0)
+    assert [type(one.order) for one in inbox.take()][-1] is EndLive
+
+
+def test_given_an_end_between_positions_then_their_order_stays() -> None:
+    inbox = Inbox()
+    for order in (MoveSource("a", (1.0, 0.0)), EndSource("a"), MoveSource("a", (2.0, 0.0))):
+        inbox.put(order, 0.0)
+    assert [type(one.order) for one in inbox.take()] == [MoveSource, EndSource, MoveSource]
+
+
+@pytest.mark.parametrize(
+    "order",
+    [
+        {},
+        {"order": "sing"},
+        {"order": "move", "name": "a"},
+        {"order": "move", "name": "", "at_mm": [0, 0]},
+        {"order": "move", "name": "a" * 10_000, "at_mm": [0, 0]},
+        {"order": "move", "name": "a", "at_mm": [0, 0], "amplitude": "loud"},
+        {"order": "move", "name": "a", "at_mm": [0, 0], "speed": 1},
+        {"order": "signal", "name": "a", "signal": {}},
+        {"order": "signal", "name": "a", "signal": {"kind": "file", "path": "none.wav"}},
+        {"order": "signal", "name": "a", "signal": {"kind": "sine", "frequency_hz": 200.0, "duration_s": 1e12}},
+    ],
+)
+def test_given_a_wrong_order_then_a_short_sentence_refuses_it(order: dict, tmp_path: Path) -> None:
+    with pytest.raises(InputError) as refusal:
+        order_of(order, RATE_HZ, tmp_path)
+    assert 0 < len(str(refusal.value)) < 500
+
+
+def test_given_slow_blocks_then_bins_and_then_the_latest_sources_are_left_out_and_taken_back() -> None:
+    pace, seen = Pace(0.005, 0.02), []
+    for _ in range(400):
+        if pace.add(0.006, sources=3):
+            seen.append((pace.degradation, pace.effort.bound_db, pace.effort.most_sources))
+    assert seen == [("bins", -60.0, None), ("bins", -40.0, None), ("sources", -40.0, 2), ("sources", -40.0, 1)]
+    back = []
+    for _ in range(20_000):
+        if pace.add(0.001, sources=3):
+            back.append((pace.degradation, pace.effort.bound_db, pace.effort.most_sources))
+    assert back == [("sources", -40.0, 2), ("bins", -40.0, None), ("bins", -60.0, None), ("none", None, None)]
+
+
+def test_given_one_stall_of_the_machine_then_the_effort_stays() -> None:
+    pace = Pace(0.005, 0.02)
+    assert not any(pace.add(0.1 if block == 50 else 0.002, sources=1) for block in range(200))
+
+
+def test_given_latencies_then_percentiles_are_theirs_to_a_step() -> None:
+    histogram = LatencyHistogram()
+    assert histogram.percentile_ms(99.9) is None
+    for tenth_ms in range(1, 2001):
+        histogram.add(tenth_ms / 1e4)
+    histogram.add(1e9)
+    assert histogram.percentile_ms(50.0) == pytest.approx(100.0, abs=0.2)
+    assert histogram.take_largest_ms() == 1e12
+    assert histogram.take_largest_ms() is None
+
+
+def test_given_an_amplitude_by_osc_then_it_comes_with_the_next_position() -> None:
+    messages = OscMessages()
+    word = b"/source/a/amplitude\x00,f\x00\x00" + np.array(0.5, ">f4").tobytes()
+    assert list(messages.read(word)) == []
+    place = b"/source/a/position\x00\x00,ff\x00" + np.array([1.0, 2.0], ">f4").tobytes()
+    assert list(messages.read(place)) == [{"order": "move", "name": "a", "at_mm": [1.0, 2.0], "amplitude": 0.5}]
+    assert list(messages.read(place)) == [{"order": "move", "name": "a", "at_mm": [1.0, 2.0]}]
+
+
+def test_given_any_bytes_then_osc_refuses_or_reads_them() -> None:
+    random, messages = np.random.default_rng(1), OscMessages()
+    for size in range(400):
+        noise = random.bytes(size)
+        for datagram in (noise, b"#bundle\x00" + noise, b"/source/a/position\x00\x00,ff\x00" + noise):
+            assert all(isinstance(one, Mapping | InputError) for one in messages.read(datagram))
+
+
+@pytest.mark.parametrize("text", ["", "9000", "host:", "host:-1", "host:65536", "host:9e3", ":9000"])
+def test_given_an_address_that_is_none_then_it_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="--osc"):
+        address_of(text)
