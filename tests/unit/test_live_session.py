@@ -145,7 +145,7 @@ def test_given_sufficient_look_ahead_then_what_was_played_is_what_the_recorded_s
     drive_v = np.pad(drive_v, [(0, 0), (0, played_v.shape[1] - drive_v.shape[1])])
     np.testing.assert_allclose(played_v, drive_v, rtol=0, atol=1e-9 * np.abs(drive_v).max())
     assert bench.tape.ended
-    assert bench.session.ended().positions == 33
+    assert bench.session.ended().positions == 31
     assert bench.notices() == []
 
 
