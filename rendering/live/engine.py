@@ -16,18 +16,20 @@ between positions nothing is predicted, and the drives are those of the recorded
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 
 from config.scene import Regularisation
-from rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
-from rendering.band import Band, scale
-from rendering.device import fast_length, host_device
-from rendering.drive.windows import Events, RowSpectra, Windows
+from rendering.arrays import BoolArray, Float64Array, Int64Array
+from rendering.band import norm_of, scale
+from rendering.device import fast_length
+from rendering.drive.windows import Events, Windows
 from rendering.greens.regularisation import BankRows
 from rendering.greens.source import GreenSource
-from rendering.live.lives import JUMP_MM_S, VELOCITY_S, Life, Timing, trajectory
+from rendering.live.lives import JUMP_MM_S, VELOCITY_S, Emitted, Life, Timing, joined, trajectory
+from rendering.live.row_stack import RowStack
 from rendering.live.surface import Surface
 from rendering.scene.signals import Noise, Signal, signal_size
 from rendering.scene.trajectory import Trajectory
@@ -38,8 +40,6 @@ MOST_NAMES = 64
 LONGEST_NAME = 100
 LONGEST_SIGNAL_S = 60.0
 LARGEST_AMPLITUDE = 1e9
-CACHE_BYTES = 2**30
-"""Memory of row spectra: 1500 positions of 20 actuators and 2000 taps take half of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,11 +89,9 @@ class RecordedLife:
 
 @dataclass(slots=True)
 class _Source:
-    """A name, its signal at the bank's rate, and its life where it sounds."""
+    """A name, its signal, and its life where it sounds."""
 
-    signal: Signal
-    values: Float64Array
-    repeat: bool
+    emitted: Emitted
     at_mm: tuple[float, float] = (0.0, 0.0)
     amplitude: float = 1.0
     life: Life | None = None
@@ -147,27 +145,30 @@ class LiveEngine:
         self.sufficient_samples = self._lead + 2 * block_samples
         self._rows = BankRows(bank, Regularisation() if regularisation is None else regularisation)
         self._window = self._lead + 2 * block_samples
-        device = replace(host_device(), memory_bytes=CACHE_BYTES)
         self._fft_samples = fast_length(self._window)
-        self._spectra = RowSpectra(self._rows, Band.whole(self._fft_samples), device, bounded=True)
-        self._surface = Surface(bank, interpolation, lambda row: self._spectra.load([row]))
+        self._stack = RowStack(self._rows, self._fft_samples)
+        self._surface = Surface(bank, interpolation, self._stack.load)
         self.x_mm, self.y_mm = self._surface.x_mm, self._surface.y_mm
         self._timing = Timing(
             fade=max(1, round(fade_s * self.rate_hz)), hold=max(1, round(hold_s * self.rate_hz)),
             velocity=round(VELOCITY_S * self.rate_hz), jump_mm_per_sample=JUMP_MM_S / self.rate_hz,
         )  # fmt: skip
-        self._default_signal = default_signal(bank) if signal is None else signal
+        default = default_signal(bank) if signal is None else signal
+        self._default = Emitted(default, live_samples(default, self.rate_hz), repeat=True)
         self._record, self._effort = record, Effort()
         self._sources: dict[str, _Source] = {}
         self._lives: dict[int, Life] = {}
         self._lives_begun = self._appearances = 0
         self._exponent: int | None = None
         self._kept_drive: Float64Array = np.zeros((self.actuators, block_samples))
+        self._blocks_per_second = max(1, round(self.rate_hz / block_samples))
+        self._energies: deque[float] = deque(maxlen=self._blocks_per_second)
+        """Squared norms of the blocks of the last second, in volts."""
         self._rise = (np.arange(block_samples) + 0.5) / block_samples
 
     def preload(self) -> None:
         """Read rows beforehand, as many as fit into memory: about 1 ms each."""
-        for row in range(min(self._rows.bank.positions, self._spectra.most_rows)):
+        for row in range(min(self._rows.bank.positions, self._stack.most_rows)):
             self._surface.try_admit(row)
 
     def move(self, name: str, at_mm: tuple[float, float], amplitude: float | None = None) -> None:
@@ -211,11 +212,12 @@ class LiveEngine:
 
         Raises InputError: the signal cannot be made at the bank's rate, or is too long.
         """
-        source = self._named(name, (signal, repeat))
-        values = live_samples(signal, self.rate_hz) if values is None else values
-        if signal == source.signal and repeat == source.repeat:
+        known = self._sources.get(name)
+        if known is not None and (signal, repeat) == (known.emitted.signal, known.emitted.repeat):
             return
-        source.signal, source.values, source.repeat = signal, values, repeat
+        emitted = Emitted(signal, live_samples(signal, self.rate_hz) if values is None else values, repeat)
+        source = self._named(name, emitted)
+        source.emitted = emitted
         due, before = self.next_sample + self._look_ahead, source.life
         if before is None:
             return
@@ -283,7 +285,9 @@ class LiveEngine:
             knots = life.take(due)
             if knots and not before:
                 parts.append(
-                    RecordedLife(number, life.name, life.signal, life.repeat, trajectory(knots), over=life.ended)
+                    RecordedLife(
+                        number, life.name, life.emitted.signal, life.emitted.repeat, trajectory(knots), over=life.ended
+                    )
                 )
         return tuple(parts)
 
@@ -303,6 +307,7 @@ class LiveEngine:
                 f"the drive from sample {self.next_sample} on does not fit into float64; lower the amplitude or check"
                 " the bank"
             )
+        self._energies.append(norm_of(block) ** 2)
         self._kept_drive = computed[:, self.block_samples :]
         self.next_sample += self.block_samples
         self._forget()
@@ -310,52 +315,34 @@ class LiveEngine:
 
     def _compute(self) -> Float64Array:
         """Drives (actuators, 2 B) from `next_sample` on."""
-        windows = Windows(self._events())
-        silent = np.zeros((self.actuators, 2 * self.block_samples))
-        if not len(windows.pairs[0]):
-            return silent
+        events = self._events()
+        if events is None or not events.values.any():
+            return np.zeros((self.actuators, 2 * self.block_samples))
+        windows = Windows(events)
         if self._exponent is None:
             rows, by = windows.pairs
             self._exponent = int(np.frexp(self._rows.weigh(rows[:1], by[:1])[0][0])[1])
         windows.weigh(self._weigh)
-        total = self._total(windows, windows.spectra(0, len(windows), self._fft_samples))
-        samples = np.fft.irfft(total, n=self._fft_samples, axis=1)[:, self._lead : self._window]
-        return scale(samples, self._exponent + self._rows.drive_exponent)
+        unit = self._exponent + self._rows.drive_exponent
+        emitted = windows.spectra(0, len(windows), self._fft_samples)
+        total = self._stack.total(windows, emitted, self._allowed_error(unit))
+        samples = np.fft.irfft(total.T, n=self._fft_samples, axis=1)[:, self._lead : self._window]
+        return scale(samples, unit)
 
-    def _events(self) -> Events:
+    def _allowed_error(self, unit: int) -> float:
+        """Norm that may be left out of a computation, over 2**unit volts."""
+        if self._effort.bound_db is None or not self._energies:
+            return 0.0
+        level_v = math.sqrt(sum(self._energies) / self._blocks_per_second)
+        with np.errstate(over="ignore", under="ignore"):
+            error = float(np.ldexp(10.0 ** (self._effort.bound_db / 20.0) * level_v, -unit))
+        return error if math.isfinite(error) else 0.0
+
+    def _events(self) -> Events | None:
         """What all sources emit from `next_sample` on, as far as it reaches the block."""
         first, stop = self.next_sample, self.next_sample + self._window
-        parts = []
-        for life in self._lives.values():
-            sample = np.arange(max(first, life.begin), min(stop, life.end + 1))
-            if not len(sample):
-                continue
-            places_mm, amplitude = life.course.at(sample)
-            nodes, since = self._surface.nodes(places_mm), sample - life.begin
-            value = life.values[since % len(life.values)] * amplitude
-            if not life.repeat:
-                value[since >= len(life.values)] = 0.0
-            parts.append(Events(nodes.rows, nodes.weights, nodes.nearest, sample - first, value))
-        if not parts:
-            nothing = np.zeros(0, dtype=np.int64)
-            return Events(np.zeros((0, 1), dtype=np.int64), np.zeros((0, 1)), nothing, nothing, np.zeros(0))
-        return Events(
-            np.concatenate([part.rows for part in parts]), np.concatenate([part.weights for part in parts]),
-            np.concatenate([part.regularised_by for part in parts]), np.concatenate([part.sample for part in parts]),
-            np.concatenate([part.values for part in parts]),
-        )  # fmt: skip
-
-    def _total(self, windows: Windows, emitted: Complex128Array) -> Complex128Array:
-        """Spectra (actuators, bins) of windows times their time-reversed rows."""
-        total = np.zeros((self.actuators, emitted.shape[1]), dtype=np.complex128)
-        rows, regularised_by = windows.rows.tolist(), windows.regularised_by.tolist()
-        for row, by, window in zip(rows, regularised_by, emitted, strict=True):
-            self._spectra.load([row])
-            product = self._spectra[row].kept * window
-            if by >= 0 and (sigma := self._rows.sigma(by)) is not None:
-                product *= sigma[:, None]
-            total += product
-        return total
+        parts = [events for life in self._lives.values() if (events := life.events(first, stop)) is not None]
+        return joined(parts) if parts else None
 
     def _weigh(self, rows: Int64Array, regularised_by: Int64Array) -> tuple[Float64Array, BoolArray]:
         return self._rows.weigh(rows, regularised_by, self._exponent or 0)
@@ -364,8 +351,8 @@ class LiveEngine:
         self, name: str, source: _Source, due: int, at_mm: tuple[float, float], before: Life | None = None
     ) -> Life:
         life = Life(
-            name, source.signal, source.values, repeat=source.repeat, surface=self._surface, timing=self._timing,
-            begin=due, at_mm=at_mm, amplitude=source.amplitude, before=before,
+            name, source.emitted, self._surface, self._timing, begin=due, at_mm=at_mm, amplitude=source.amplitude,
+            before=before,
         )  # fmt: skip
         self._lives[self._lives_begun] = life
         self._lives_begun += 1
@@ -392,14 +379,13 @@ class LiveEngine:
         most = self._effort.most_sources
         return [] if most is None else self._active(due)[most:]
 
-    def _named(self, name: str, given: tuple[Signal, bool] | None = None) -> _Source:
+    def _named(self, name: str, emitted: Emitted | None = None) -> _Source:
         """The source of a name, a new one with the default signal, or the given one."""
         if name in self._sources:
             return self._sources[name]
         if not 0 < len(name) <= LONGEST_NAME:
             raise InputError(f"a source's name has {len(name)} characters; allowed are 1 to {LONGEST_NAME}")
-        signal, repeat = (self._default_signal, True) if given is None else given
-        source = _Source(signal, live_samples(signal, self.rate_hz), repeat)
+        source = _Source(self._default if emitted is None else emitted)
         active = self._active(self.next_sample + self._look_ahead)
         while len(self._sources) >= max(MOST_NAMES, self._most_sources + 1):
             del self._sources[next(one for one in self._sources if one not in active)]

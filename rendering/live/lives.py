@@ -7,13 +7,14 @@ it fades. All of this is knots: a tail that comes true is part of the record as 
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from rendering.arrays import Float64Array
+from rendering.arrays import Float64Array, Int64Array
+from rendering.drive.windows import Events
+from rendering.greens.interpolation.base import OffGridError
 from rendering.live.surface import Surface
 from rendering.scene.signals import Signal
 from rendering.scene.trajectory import Trajectory
@@ -43,7 +44,7 @@ def trajectory(knots: list[Knot]) -> Trajectory:
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """Times of courses in samples: a fade, holding without a position, and those over which velocity is taken."""
+    """Times in samples: of a fade, of holding without a position, over which velocity is taken; the speed of jumps."""
 
     fade: int
     hold: int
@@ -51,45 +52,56 @@ class Timing:
     jump_mm_per_sample: float
 
 
+@dataclass(frozen=True, slots=True)
+class Emitted:
+    """A signal that a source emits from its first sample on, at the bank's rate."""
+
+    signal: Signal
+    values: Float64Array
+    repeat: bool
+
+    def at(self, since: Int64Array) -> Float64Array:
+        """Values so many samples after the first, int64 (n,)."""
+        values = self.values[since % len(self.values)]
+        return values if self.repeat else np.where(since < len(self.values), values, 0.0)
+
+
 class Life:
     """A source from its appearance to its end; it sounds from the first knot to the last, where its amplitude is 0.
 
-    begin: Sample of the first position. at_mm, amplitude: Place, on the surface, and amplitude there.
-    before: A life that this one goes on from, at the same velocity.
+    begin, at_mm, amplitude: Its first position, one that it can be rendered from: sample, place, amplitude.
+    before: A life that it goes on from, at the same velocity.
     """
 
+    course: Trajectory
+    """All knots that are not forgotten, and the tail."""
     ended: bool = False
+    _tail: list[Knot]
 
     def __init__(
         self,
         name: str,
-        signal: Signal,
-        values: Float64Array,
-        *,
-        repeat: bool,
+        emitted: Emitted,
         surface: Surface,
         timing: Timing,
+        *,
         begin: int,
         at_mm: tuple[float, float],
         amplitude: float,
         before: Life | None = None,
     ) -> None:
-        self.name, self.signal, self.values, self.repeat = name, signal, values, repeat
-        self.begin = begin
+        self.name, self.emitted, self.begin = name, emitted, begin
         self._surface, self._timing = surface, timing
-        self._positions: deque[Knot] = deque() if before is None else before._positions
-        self._amplitude = amplitude
-        self._knots = [Knot(begin, *at_mm, 0.0)]
-        self._taken = 0
-        self._tail: list[Knot] = []
-        self._course: Trajectory | None = None
-        self._note_position(self._knots[0])
-        self._predict()
+        self._positions: list[Knot] = [] if before is None else before._positions
+        self._knots: list[Knot] = []
+        self._taken, self._needed, self._first = 0, begin, begin
+        self._events: Events | None = None
+        self._accept([], [Knot(begin, *at_mm, amplitude)], begin)
 
     @property
     def end(self) -> int:
-        """Sample of the last knot, as far as is known now."""
-        return (self._tail or self._knots)[-1].sample
+        """Sample of the last knot, as far as it is certain now."""
+        return int(self.course.sample[-1])
 
     def moved(self, sample: int, at_mm: tuple[float, float], amplitude: float) -> bool:
         """Take a position on the surface, at a sample not before the last one.
@@ -97,46 +109,44 @@ class Life:
         Returns False where it is a jump: too far and too fast, or across places that cannot be rendered from. Then
         nothing is changed.
         """
-        last = self._knots[-1]
+        last, knots = self._positions[-1], self._knots
+        position = Knot(sample, *at_mm, amplitude)
+        points = [last, position]
         if sample <= last.sample:
-            # Several positions within one block: the last one counts.
-            if len(self._knots) > 1 and not self._reaches(self._knots[-2], Knot(last.sample, *at_mm, amplitude)):
+            # Of several positions within one block the last one counts.
+            knots, points = knots[:-1], [position._replace(sample=last.sample)]
+        if knots:
+            way_mm = float(np.hypot(position.x_mm - knots[-1].x_mm, position.y_mm - knots[-1].y_mm))
+            if way_mm > max(JUMP_MM, self._timing.jump_mm_per_sample * (points[-1].sample - knots[-1].sample)):
                 return False
-            self._positions.pop()
-            self._knots[-1] = Knot(last.sample, *at_mm, amplitude * self._risen(last.sample))
-        else:
-            if not self._reaches(last, Knot(sample, *at_mm, amplitude)):
-                return False
-            straight = trajectory([last._replace(amplitude=self._amplitude), Knot(sample, *at_mm, amplitude)])
-            self._append(straight, [sample])
-        self._amplitude = amplitude
-        self._note_position(self._knots[-1])
-        self._predict()
-        return True
+        return self._accept(knots, points, knots[-1].sample + 1 if knots else self.begin)
 
     def settle(self, sample: int) -> None:
         """Make the tail final where positions can no longer come in time, the next one being at `sample`."""
-        if not self.ended and sample > self._knots[-1].sample + self._timing.hold:
-            self._knots += self._tail
-            self._tail, self.ended = [], True
+        if not self.ended and sample > self._positions[-1].sample + self._timing.hold:
+            self._knots, self._tail, self.ended = self._knots + self._tail, [], True
 
     def finish(self, sample: int) -> None:
-        """Fade from a sample on, not before the last position."""
+        """Fade from a sample on, not before the last position, where the source then is."""
         if self.ended:
             return
-        course = trajectory([self._knots[-1]._replace(amplitude=self._amplitude), *self._tail])
-        turns = [knot.sample for knot in self._tail if knot.sample < sample]
-        if sample > self._knots[-1].sample:
-            self._append(course, [*turns, sample])
-        self._knots.append(self._knots[-1]._replace(sample=self._knots[-1].sample + self._timing.fade, amplitude=0.0))
-        self._tail, self.ended, self._course = [], True, None
+        last = self._knots[-1]
+        times = [knot.sample for knot in self._tail if knot.sample < sample] + [sample] * (sample > last.sample)
+        places_mm, amplitudes = self.course.at(np.array(times, dtype=np.int64))
+        knots = [*self._knots, *map(Knot, times, *places_mm.T.tolist(), amplitudes.tolist())]
+        try:
+            self._trace(self._faded(knots), last.sample + 1)
+        except OffGridError:  # by rounding, along an edge
+            knots = self._knots
+            self._trace(self._faded(knots), last.sample + 1)
+        self._knots, self._tail, self.ended = self._faded(knots), [], True
 
-    @property
-    def course(self) -> Trajectory:
-        """All knots that are not forgotten, and the tail."""
-        if self._course is None:
-            self._course = trajectory(self._knots + self._tail)
-        return self._course
+    def events(self, first: int, stop: int) -> Events | None:
+        """What it emits at samples [first, stop), counted from `first`; None where that is nothing."""
+        begin, end = max(first, self._first), min(stop, self.end + 1)
+        if begin >= end or self._events is None:
+            return None
+        return _part(self._events, begin - self._first, end - self._first, first)
 
     def take(self, sample: int) -> list[Knot]:
         """Final knots that were not taken yet; those before `sample` are final."""
@@ -146,77 +156,106 @@ class Life:
         return taken
 
     def forget(self, sample: int) -> None:
-        """Drop taken knots that say nothing of `sample` and later."""
+        """Drop what says nothing of `sample` and later, taken knots alone."""
         needless = 0
         while needless < self._taken - 1 and self._knots[needless + 1].sample <= sample:
             needless += 1
-        if needless:
-            del self._knots[:needless]
-            self._taken -= needless
-            self._course = None
+        del self._knots[:needless]
+        self._taken -= needless
+        self._needed = sample
 
     @property
     def taken(self) -> bool:
         """Whether it has ended and all of its knots were taken."""
         return self.ended and self._taken == len(self._knots)
 
-    def _reaches(self, begin: Knot, end: Knot) -> bool:
-        way_mm, samples = float(np.hypot(end.x_mm - begin.x_mm, end.y_mm - begin.y_mm)), end.sample - begin.sample
-        if way_mm > JUMP_MM and way_mm > self._timing.jump_mm_per_sample * samples:
-            return False
-        places_mm, _ = trajectory([begin, end]).at(np.arange(begin.sample, end.sample + 1))
-        return self._surface.reach(places_mm) == len(places_mm)
+    def _accept(self, before: list[Knot], points: list[Knot], changed: int) -> bool:
+        """Go on from the knots before to the last of some points and on from there, staying on the surface.
 
-    def _append(self, course: Trajectory, samples: list[int]) -> None:
-        """Make knots of a course final at samples after the last one, and where the source has appeared in full."""
-        self._knots += self._with_rise(course, samples)
+        changed: First sample at which that may differ from the course so far.
 
-    def _with_rise(self, course: Trajectory, samples: list[int]) -> list[Knot]:
-        risen = self.begin + self._timing.fade
-        if self._knots[-1].sample < risen < samples[-1]:
-            samples = sorted({*samples, risen})
-        places_mm, amplitudes = course.at(np.array(samples))
-        return [
-            Knot(sample, place_mm[0], place_mm[1], amplitude * self._risen(sample))
-            for sample, place_mm, amplitude in zip(samples, places_mm.tolist(), amplitudes.tolist(), strict=True)
+        Returns False, and changes nothing, where the way to the point leaves the surface.
+        """
+        position = points[-1]
+        positions = self._recent(position)
+        knots = [*before, *self._appearing(points)[len(points) > 1 :]]
+        held = stop = position.sample + self._timing.hold
+        while True:
+            right, up = _velocity(positions) if stop > position.sample else (0.0, 0.0)
+            ahead = stop - position.sample
+            rest = Knot(stop, position.x_mm + right * ahead, position.y_mm + up * ahead, position.amplitude)
+            tail = self._faded(self._appearing([position, *sorted({rest, rest._replace(sample=held)} - {position})]))[
+                1:
+            ]
+            try:
+                self._trace(knots + tail, changed)
+                break
+            except OffGridError as off:
+                stop = changed + off.point - 1
+                if stop < position.sample:
+                    return False
+        self._positions, self._knots, self._tail = positions, knots, tail
+        return True
+
+    def _appearing(self, points: list[Knot]) -> list[Knot]:
+        """Knots of a way through some points that rise with the source's appearance."""
+        risen, course = self.begin + self._timing.fade, trajectory(points)
+        times = [point.sample for point in points]
+        if times[0] < risen < times[-1]:
+            times = sorted({*times, risen})
+        places_mm, amplitudes = course.at(np.array(times))
+        share = np.minimum((np.array(times) - self.begin) / self._timing.fade, 1.0)
+        return list(map(Knot, times, *places_mm.T.tolist(), (amplitudes * share).tolist()))
+
+    def _faded(self, knots: list[Knot]) -> list[Knot]:
+        last = knots[-1]
+        return [*knots, last._replace(sample=last.sample + self._timing.fade, amplitude=0.0)]
+
+    def _recent(self, position: Knot) -> list[Knot]:
+        """Positions by which the velocity is taken, the given one the last: those of `VELOCITY_S`, at least two."""
+        earlier = [
+            one for one in self._positions if position.sample - self._timing.hold <= one.sample < position.sample
         ]
+        within = [one for one in earlier if one.sample >= position.sample - self._timing.velocity]
+        return [*(within or earlier[-1:]), position]
 
-    def _risen(self, sample: int) -> float:
-        return min((sample - self.begin) / self._timing.fade, 1.0)
+    def _trace(self, knots: list[Knot], changed: int) -> None:
+        """Evaluate a course from a sample on. Raises OffGridError, and changes nothing: a place is off the surface."""
+        course = trajectory(knots)
+        sample = np.arange(changed, int(course.sample[-1]) + 1)
+        places_mm, amplitude = course.at(sample)
+        nodes = self._surface.nodes(places_mm)
+        values = self.emitted.at(sample - self.begin) * amplitude
+        events, first = Events(nodes.rows, nodes.weights, nodes.nearest, sample, values), changed
+        if self._events is not None and (begin := max(self._needed, self._first)) < changed:
+            former = _part(self._events, begin - self._first, changed - self._first, 0)
+            events, first = joined([former, events]), begin
+        self.course, self._events, self._first = course, events, first
 
-    def _note_position(self, position: Knot) -> None:
-        self._positions.append(position)
-        # One position before the time of velocity is kept where no other is within it.
-        while len(self._positions) > 2 and self._positions[0].sample < position.sample - self._timing.velocity:
-            self._positions.popleft()
-        self._course = None
 
-    def _velocity(self) -> tuple[float, float]:
-        """Millimetres per sample along x and y, by least squares."""
-        sample, x_mm, y_mm, _ = np.array(self._positions).T
-        if sample[-1] == sample[0] or sample[-1] - sample[0] > self._timing.hold:
-            return 0.0, 0.0
-        offset = sample - sample.mean()
-        return float(offset @ (x_mm - x_mm[-1]) / (offset @ offset)), float(
-            offset @ (y_mm - y_mm[-1]) / (offset @ offset)
-        )
+def joined(parts: list[Events]) -> Events:
+    """Events one after the other."""
+    return Events(
+        np.concatenate([part.rows for part in parts]), np.concatenate([part.weights for part in parts]),
+        np.concatenate([part.regularised_by for part in parts]), np.concatenate([part.sample for part in parts]),
+        np.concatenate([part.values for part in parts]),
+    )  # fmt: skip
 
-    def _predict(self) -> None:
-        last, hold = self._knots[-1]._replace(amplitude=self._amplitude), self._timing.hold
-        right, up = self._velocity()
-        held = last.sample + hold
-        ahead = trajectory([last, Knot(held, last.x_mm + right * hold, last.y_mm + up * hold, self._amplitude)])
-        count = hold + 1
-        if right or up:
-            samples = np.arange(last.sample, held + 1)
-            count = max(self._surface.reach(ahead.at(samples)[0]), 1)
-        stop = last.sample + count - 1
-        (stop_mm,), _ = ahead.at(np.array([stop]))
-        rests = [
-            Knot(one, float(stop_mm[0]), float(stop_mm[1]), self._amplitude)
-            for one in sorted({stop, held})
-            if one > last.sample
-        ]
-        self._tail = self._with_rise(trajectory([last, *rests]), [knot.sample for knot in rests])
-        self._tail.append(self._tail[-1]._replace(sample=held + self._timing.fade, amplitude=0.0))
-        self._course = None
+
+def _part(events: Events, begin: int, end: int, first: int) -> Events:
+    """Events begin to end - 1, counted from sample `first`."""
+    part = slice(begin, end)
+    return Events(
+        events.rows[part], events.weights[part], events.regularised_by[part], events.sample[part] - first,
+        events.values[part],
+    )  # fmt: skip
+
+
+def _velocity(positions: list[Knot]) -> tuple[float, float]:
+    """Millimetres per sample along x and y, by least squares; 0 of one position."""
+    if len(positions) < 2:
+        return 0.0, 0.0
+    sample, x_mm, y_mm, _ = np.array(positions).T
+    offset = sample - sample.mean()
+    right, up = offset @ (x_mm - x_mm[-1]), offset @ (y_mm - y_mm[-1])
+    return float(right / (offset @ offset)), float(up / (offset @ offset))

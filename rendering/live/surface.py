@@ -7,7 +7,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from rendering.arrays import BoolArray, Float64Array
+from rendering.arrays import Float64Array
 from rendering.greens.interpolation.base import GridInterpolation, Nodes, OffGridError, interpolation_method, show_mm
 from rendering.greens.interpolation.position_grid import PositionGrid
 from rendering.greens.source import GreenSource, usable
@@ -47,10 +47,8 @@ class Surface:
 
     def require(self, at_mm: tuple[float, float], name: str) -> None:
         """Raise InputError where a source may not be at a place in millimetres."""
-        if not np.isfinite(at_mm).all():
-            raise InputError(
-                f"at_mm of source {name!r} is {at_mm}; two finite numbers (x, y) in millimetres are expected"
-            )
+        if len(at_mm) != 2 or not np.isfinite(at_mm).all():
+            raise InputError(f"at_mm of source {name!r} is {at_mm}; two finite numbers (x, y) in mm are expected")
         place_mm = np.array([at_mm], dtype=np.float64)
         try:
             nodes = self._method.nodes(place_mm)
@@ -58,60 +56,58 @@ class Surface:
             raise InputError(f"the position of source {name!r} {error}") from error
         for row in _needed(nodes):
             try:
-                self.admit(row)
+                self._admit(row)
             except InputError as error:
                 raise InputError(f"source {name!r} may not be at {show_mm(place_mm[0])} mm: {error}") from error
 
-    def admit(self, row: int) -> None:
-        """Read a row if that was not done yet. Raises InputError where it may not be used."""
-        if self._unread[row]:
-            self._unread[row] = self._usable[row] = False
-            self._read(row)
-            self._usable[row] = True
-        elif not self._usable[row]:
-            self._read(row)
+    def nodes(self, at_mm: Float64Array) -> Nodes:
+        """Rows and weights of places (n, 2).
+
+        Raises OffGridError: its `point` is the first place that cannot be rendered from.
+        """
+        spacing_mm, (x_mm, y_mm) = self._method.grid.spacing_mm, at_mm.T
+        within = (x_mm >= self.x_mm[0] - spacing_mm) & (x_mm <= self.x_mm[1] + spacing_mm)
+        within &= (y_mm >= self.y_mm[0] - spacing_mm) & (y_mm <= self.y_mm[1] + spacing_mm)
+        # Places far outside take long to search for.
+        count = len(at_mm) if within.all() else int(np.argmin(within))
+        beyond = OffGridError(count, "lies off the measured surface")
+        while count:
+            try:
+                nodes = self._method.nodes(at_mm[:count])
+            except OffGridError as error:
+                count, beyond = error.point, error
+                continue
+            if not self._usable.all() or self._unread.any():
+                for row in _needed(nodes) if self._unread.any() else ():
+                    self.try_admit(row)
+                refused = ~self._usable[nodes.nearest] | ((nodes.weights != 0) & ~self._usable[nodes.rows]).any(axis=1)
+                if refused.any():
+                    raise OffGridError(int(np.argmax(refused)), "lies where no position may be used")
+            if count == len(at_mm):
+                return nodes
+            break
+        raise beyond
 
     def try_admit(self, row: int) -> None:
         """Read a row if that was not done yet, and note whether it may be used."""
         if self._unread[row]:
             with suppress(InputError):
-                self.admit(row)
+                self._admit(row)
 
-    def reach(self, at_mm: Float64Array) -> int:
-        """Count the places (n, 2), from the first on, up to one that cannot be rendered from."""
-        count = len(at_mm)
-        while count:
-            try:
-                nodes = self._method.nodes(at_mm[:count])
-            except OffGridError as off:
-                count = off.point
-                continue
-            for row in _needed(nodes):
-                self.try_admit(row)
-            refused = self._refused(nodes)
-            return int(np.argmax(refused)) if refused.any() else count
-        return 0
-
-    def nodes(self, at_mm: Float64Array) -> Nodes:
-        """Rows and weights of places (n, 2) that `reach` allows.
-
-        Places that rounding puts beyond are taken at the one before them. Raises OffGridError: there is none.
-        """
-        try:
-            return self._method.nodes(at_mm)
-        except OffGridError:
-            held_mm, first = at_mm.copy(), self.reach(at_mm)
-            held_mm[first:] = at_mm[max(first - 1, 0)]
-            return self._method.nodes(held_mm)
-
-    def _refused(self, nodes: Nodes) -> BoolArray:
-        missing = (nodes.weights != 0) & ~self._usable[nodes.rows]
-        return np.asarray(missing.any(axis=1) | ~self._usable[nodes.nearest])
+    def _admit(self, row: int) -> None:
+        if self._unread[row]:
+            self._unread[row] = self._usable[row] = False
+            self._read(row)
+            self._usable[row] = True
+        elif not self._usable[row]:
+            self._read(row)  # says why
 
 
 def _needed(nodes: Nodes) -> list[int]:
     """Rows that nodes are made of or regularised by, in the order in which they are needed."""
-    rows = np.concatenate([nodes.nearest[:, None], np.where(nodes.weights != 0, nodes.rows, nodes.nearest[:, None])], 1)
-    found, first = np.unique(rows, return_index=True)
+    nearest = nodes.nearest[:, None]
+    found, first = np.unique(
+        np.concatenate([nearest, np.where(nodes.weights != 0, nodes.rows, nearest)], axis=1), return_index=True
+    )
     needed: list[int] = found[np.argsort(first)].tolist()
     return needed
