@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import shutil
 import stat
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
@@ -163,6 +163,32 @@ def require_output_folder(
         _require_output(folder / name, inputs, force=True)
     for name in names:
         _require_output(folder / name, inputs, force=force)
+
+
+def require_replaceable_folder(
+    folder: Path, ours: Collection[str], inputs: Iterable[Path | None], *, by: str, force: bool
+) -> None:
+    """Refuse a folder of outputs, replaced as a whole, that must stay.
+
+    ours: Files that an earlier run of the command `by` wrote into it; a folder with any other is never replaced.
+    force: Whether one that holds files is replaced.
+
+    Raises InputError: the folder must stay, or is a link or no folder.
+    """
+    if not os.path.lexists(folder):
+        return
+    if folder.is_symlink() or not folder.is_dir():
+        raise InputError(f"{folder} is not a folder; name a new folder")
+    files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir())
+    if not files:
+        return
+    if not force:
+        raise InputError(f"{folder} exists and holds files; name a new folder, or replace an earlier one with --force")
+    if strangers := [name for name in files if name not in ours]:
+        raise InputError(f"{folder} holds {strangers[0]}, which wavefocus {by} has not written; name a new folder")
+    for one in inputs:
+        if one is not None and one.resolve().is_relative_to(folder.resolve()):
+            raise InputError(f"{one} is an input of this command and lies in {folder}; name a new folder")
 
 
 def _require_output(path: Path, inputs: Sequence[Path], *, force: bool) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 from collections.abc import Iterator
 from importlib import import_module
@@ -19,7 +18,7 @@ from storage.bank.reading import Bank, open_bank
 from storage.errors import InputError
 from storage.exchange import EXPORTS
 from storage.exchange.bank_rows import choose_rows
-from storage.output_files import replaced_folder
+from storage.output_files import replaced_folder, require_replaceable_folder
 from storage.point_status import status_counts, usable
 from wavefocus.campaign.blueprint import bank_configuration
 from wavefocus.campaign.provenance import SessionRecord, devices_of, sessions_of
@@ -46,7 +45,7 @@ def publish(
     Raises InputError: the bank cannot be read or does not fit a format, or the folder must stay.
     """
     formats = _formats(to)
-    _require_folder(out, (bank, publication), force=force)
+    require_replaceable_folder(out, published_files(out), (bank, publication), by="publish", force=force)
     with open_bank(bank) as view:
         view.require_sound()
         about = publication_of(view, publication)
@@ -70,27 +69,6 @@ def _formats(to: str) -> list[str]:
         if one not in EXPORTS:
             raise InputError(f"--to: {one!r} is no format; allowed: {', '.join(EXPORTS)}, with commas between them")
     return formats
-
-
-def _require_folder(out: Path, inputs: tuple[Path | None, ...], *, force: bool) -> None:
-    """Refuse a folder that must stay: only one that this command wrote, and nothing else was put into, is replaced."""
-    if not os.path.lexists(out):
-        return
-    if out.is_symlink() or not out.is_dir():
-        raise InputError(f"{out} is not a folder; name a new folder")
-    ours = published_files(out)
-    files = sorted(path.relative_to(out).as_posix() for path in out.rglob("*") if not path.is_dir())
-    if not files:
-        return
-    if not force:
-        raise InputError(
-            f"{out} exists and holds files; name a new folder, or replace an earlier publication with --force"
-        )
-    if strangers := [name for name in files if name not in ours]:
-        raise InputError(f"{out} holds {strangers[0]}, which wavefocus publish has not written; name a new folder")
-    for one in inputs:
-        if one is not None and one.resolve().is_relative_to(out.resolve()):
-            raise InputError(f"{one} is an input of this command and lies in {out}; name a new folder")
 
 
 def _exports(view: Bank, folder: Path, formats: list[str], about: Publication) -> Iterator[Part]:
