@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,8 +17,9 @@ from rendering.greens.regularisation import focus_gain_map
 from rendering.report import figures as report_figures
 from rendering.report.canvas import Picture, Surface
 from rendering.report.figures import drift_over_time
+from rendering.report.html import html_page
 from rendering.report.waves import wave_figures, waves_of, waves_picture
-from rendering.report.words import figure_lines, number, precise, remarks
+from rendering.report.words import figure_lines, number, remarks
 from rendering.scene.trajectory_path import TrajectoryPath
 from rendering.verify.changes import change_lines
 from rendering.verify.record import PATH_POINTS, REPORT_NAME, path_line_mm
@@ -57,8 +57,6 @@ def build_report(
 
     Returns the report.
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
     paths_mm = [path_line_mm(source, PATH_POINTS if source.path.length_mm > 0.0 else 1) for source in scene.sources]
     surface = Surface.of(bank, paths_mm, outline_mm)
     saturation = scene.regularisation.saturation
@@ -68,15 +66,8 @@ def build_report(
         pictures["drift"] = drift_over_time(drift, drift_limits or DriftLimits())
     waves = waves_of(scene, bank, verification.fields, surface.spacing_mm)
     pictures["waves"] = waves_picture(waves, verification.fields.band_hz)
-    environment = Environment(
-        loader=PackageLoader("rendering"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    environment.filters |= {
-        "number": number,
-        "precise": precise,
-        "base64": lambda png: base64.b64encode(png).decode("ascii"),
-    }
-    html = environment.get_template("report.html.jinja").render(
+    html = html_page(
+        "report.html.jinja",
         scene_name=scene.name,
         verification=verification,
         remarks=remarks(verification, drive, scan),

@@ -1,0 +1,22 @@
+"""Pages of HTML that hold all they show: no network, scripts or fonts of others."""
+
+from __future__ import annotations
+
+import base64
+from typing import Any
+
+from rendering.report.words import number, precise
+
+
+def html_page(template: str, package: str = "rendering", /, **content: Any) -> str:
+    """Fill a template from a package's folder ``templates``; it may extend those of ``rendering``."""
+    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+
+    loader = ChoiceLoader([PackageLoader(one) for one in dict.fromkeys((package, "rendering"))])
+    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    environment.filters |= {
+        "number": number,
+        "precise": precise,
+        "base64": lambda png: base64.b64encode(png).decode("ascii"),
+    }
+    return environment.get_template(template).render(**content)
