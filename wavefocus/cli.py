@@ -439,6 +439,17 @@ COMMANDS = (
         ),
     ),
     Command(
+        "analyse", "analyse:analyse",
+        "Analyse the answers to trials: accuracy, psychometric functions, report, BIDS-like folder.\n\n"
+        "docs/reference/analysis-of-trials.md defines every figure.",
+        (
+            file("folder", metavar="FOLDER", help="The folder that `wavefocus trials` wrote."),
+            _out("OUT", "Folder for the results; by default FOLDER/analysis.", required=False),
+            switch("--mixed-model", help="Also fit a generalised linear mixed model; needs statsmodels."),
+            FORCE, JSON,
+        ),
+    ),
+    Command(
         "verify", "verify:verify", "Play a scene, scan it, compare it with the prediction.",
         (
             SCENE, FROM_BANK, ON_RIG,

@@ -1,0 +1,230 @@
+"""Statistics of answers: against published values, other programs' fits and the paper's own numbers."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+from scipy.stats import binom
+
+from config.trials import TrialsConfig
+from storage.errors import InputError
+from trials.analysis.mixed_model import fit_mixed_model
+from trials.analysis.psychometric_fit import MOST_LAPSES, fit_psychometric
+from trials.analysis.report import build_report
+from trials.analysis.results import analysis_of, psychometric_of
+from trials.analysis.sensitivity import d_prime, sensitivities_of
+from trials.analysis.shares import RIGHT, combinations_of, shares_of, wilson
+from trials.answers import Row
+from trials.psychometric import share_right
+
+NASTY = "<script>alert(1)</script>"
+ANSWERS = ("left", "right")
+
+
+def row(trial=1, *, participant="P1", path="left", answer=None, correct=True, speed=40.0, amplitude=1.0, **more) -> Row:
+    other = ANSWERS[1] if path == ANSWERS[0] else ANSWERS[0]
+    values = {
+        "track": "", "stimulus": f"{path}-{speed}", "signal": "burst", "plays": 1, "reaction_s": 0.5,
+        "onset_error_ms": 0.1, "replays": 0, "attempts": 1, "by": "keyboard",
+        "answered_at": "2026-01-01T00:00:00+00:00",
+        "stimulus_sha256": "0" * 64, "bank_sha256": "1" * 64, "trials_sha256": "2" * 64,
+    }  # fmt: skip
+    given = path if correct else other
+    return Row(
+        participant=participant, block=1, trial=trial, path=path, speed_mm_s=speed, amplitude=amplitude,
+        answer=given if answer is None else answer, correct=correct, **{**values, **more},
+    )  # fmt: skip
+
+
+def design(**tables) -> TrialsConfig:
+    return TrialsConfig.model_validate({
+        "trials": {"question": NASTY, "answers": list(ANSWERS), "correct": "path"},
+        "path": {name: {"kind": "line", "start_mm": [0, 0], "end_mm": [8, 0]} for name in ANSWERS},
+        "signal": {"burst": {"kind": "sine", "frequency_hz": 200.0, "duration_s": 0.02}},
+        "stimuli": [{"path": list(ANSWERS), "signal": "burst", "speed_mm_s": 40, "step_mm": 4}],
+        **tables,
+    })  # fmt: skip
+
+
+def paper_rows() -> list[Row]:
+    """Nine participants, 80 trials each; seven answers are wrong, as in the paper's section V."""
+    rows, wrong = [], {100.0: 1, 500.0: 6}
+    for number in range(9):
+        for trial in range(80):
+            speed = (40.0, 100.0, 250.0, 500.0)[trial % 4]
+            plays, signal = (40.0, 100.0, 250.0, 500.0).index(speed) + 1, "impulse" if speed == 500.0 else "burst"
+            bad = wrong.get(speed, 0) > 0
+            wrong[speed] = wrong.get(speed, 0) - bad
+            rows.append(
+                row(trial + 1, participant=f"P{(trial + number) % 9}", path=ANSWERS[trial // 4 % 2], correct=not bad,
+                    speed=speed, plays=plays, signal=signal, onset_error_ms=0.01 * trial, reaction_s=0.5 + 0.01 * trial)
+            )  # fmt: skip
+    return rows
+
+
+def test_given_published_shares_then_wilson_s_intervals_are_theirs():
+    # Newcombe, Stat. Med. 17 (1998), 857, table I, method 3.
+    published = {
+        (81, 263): (0.2553, 0.3662),
+        (15, 148): (0.0624, 0.1605),
+        (0, 20): (0.0, 0.1611),
+        (1, 29): (0.0061, 0.1718),
+    }
+    for counts, interval in published.items():
+        assert wilson(*counts) == pytest.approx(interval, abs=5e-5)
+    assert wilson(29, 29)[1] == 1.0
+
+
+def test_given_the_paper_s_answers_then_its_accuracies_come_out():
+    rows = paper_rows()
+    assert combinations_of(rows) == (("speed_mm_s",), ("path",), ("signal",), ("speed_mm_s", "path"))
+    shares = shares_of(rows)
+    (whole,) = [one for one in shares if not one.participant and not one.factors]
+    assert (whole.count, whole.of, whole.outcome) == (713, 720, RIGHT)
+    speeds = {one.factors["speed_mm_s"]: round(100 * one.share, 1) for one in shares
+              if not one.participant and tuple(one.factors) == ("speed_mm_s",)}  # fmt: skip
+    assert speeds == {"40": 100.0, "100": 99.4, "250": 100.0, "500": 96.7}
+    assert sum(one.count for one in shares if one.participant and not one.factors) == 713
+
+
+def test_given_hits_and_false_alarms_then_d_prime_and_criterion_follow_the_text_book():
+    # Macmillan and Creelman, Detection Theory (2005), section 1: H = 0.8, F = 0.4: d' = 1.095, c = -0.294. With many
+    # trials the correction vanishes.
+    value, (low, high), criterion = d_prime(800_000, 1_000_000, 400_000, 1_000_000)
+    assert value == pytest.approx(1.095, abs=5e-4)
+    assert criterion == pytest.approx(-0.294, abs=5e-4)
+    assert low < value < high
+    assert high - low < 0.01
+    # All right: finite by the log-linear correction, z(10.5 / 11) - z(0.5 / 11).
+    assert d_prime(10, 10, 0, 10)[0] == pytest.approx(2 * 1.6906, abs=1e-4)
+
+
+def test_given_many_sets_of_answers_then_the_interval_of_d_prime_holds_the_truth_in_most():
+    rng = np.random.default_rng(1)
+    hits, alarms = rng.binomial(60, 0.8413447, 400), rng.binomial(60, 0.5, 400)
+    intervals = [d_prime(int(h), 60, int(f), 60)[1] for h, f in zip(hits, alarms, strict=True)]
+    held = sum(low <= 1.0 <= high for low, high in intervals)
+    assert held >= binom.ppf(1e-4, 400, 0.95)
+
+
+def test_given_catch_trials_then_every_amplitude_is_held_against_them():
+    rows = [
+        *(row(n, answer="yes" if n < 12 else "no", correct=n < 12, amplitude=1.0) for n in range(20)),
+        *(row(n, answer="yes" if n < 6 else "no", correct=n < 6, amplitude=0.5) for n in range(20)),
+        *(row(n, answer="yes" if n < 3 else "no", correct=n >= 3, amplitude=0.0) for n in range(20)),
+    ]
+    found = {
+        one.factors.get("amplitude", "all"): one for one in sensitivities_of(rows, ("no", "yes")) if not one.participant
+    }
+    assert set(found) == {"all", "0.5", "1"}
+    assert (found["1"].signal, found["1"].hits, found["1"].of_signal) == ("yes", 12, 20)
+    assert (found["0.5"].false_alarms, found["0.5"].of_noise) == (3, 20)
+
+
+def test_given_answers_at_levels_then_the_fit_is_the_maximum_of_the_penalised_likelihood():
+    levels, of = np.geomspace(0.1, 1.0, 8), np.full(8, 40)
+    right = np.array([21, 19, 24, 28, 33, 38, 39, 39])
+
+    def loss(point):
+        threshold, log_slope, lapse = point
+        x, slope = np.log10(levels), math.exp(log_slope)
+        share = np.clip(share_right(x, threshold, slope, 0.5, lapse), 1e-12, 1 - 1e-12)
+        middle = share_right(x, threshold, slope, 0.5, MOST_LAPSES / 2)
+        logistic = share_right(x, threshold, slope, 0.0, 0.0)
+        weights = of * ((0.5 - MOST_LAPSES / 2) * logistic * (1 - logistic)) ** 2 / (middle * (1 - middle))
+        columns = np.stack([np.ones(8), x])
+        penalty = 0.5 * np.log(max(np.linalg.det(columns * weights @ columns.T), 1e-100))
+        return -float(right @ np.log(share) + (of - right) @ np.log1p(-share)) - penalty
+
+    bounds = [(-2, 1), (0, 4.5), (0, MOST_LAPSES)]
+    best = minimize(loss, (-0.5, 2.0, 0.02), method="L-BFGS-B", bounds=bounds)
+    fit = fit_psychometric(list(levels), list(right), list(of), guess=0.5)
+    assert loss((math.log10(fit.threshold), math.log(fit.slope), fit.lapse)) <= best.fun + 1e-6
+    assert math.log10(fit.threshold) == pytest.approx(best.x[0], abs=2e-3)
+    low, high = fit.threshold_interval
+    # The profile at the ends lies at or below the large-sample limit.
+    for end in (low, high):
+        x = math.log10(end)
+        there = minimize(lambda rest, x=x: loss((x, *rest)), best.x[1:], method="L-BFGS-B", bounds=bounds[1:])
+        assert 1.90 <= there.fun - best.fun < 4.0
+    assert 0.0 < fit.deviance_p <= 1.0
+
+
+def test_given_a_share_that_falls_with_the_level_then_the_fit_mirrors_that_of_one_that_rises():
+    levels, right, of = [0.1, 0.2, 0.4, 0.8], [11, 13, 18, 20], [20] * 4
+    rising = fit_psychometric(levels, right, of, guess=0.5)
+    falling = fit_psychometric([1 / one for one in levels], right, of, guess=0.5, falling=True)
+    assert falling.slope == pytest.approx(-rising.slope, rel=1e-3)
+    assert falling.threshold == pytest.approx(1 / rising.threshold, rel=1e-3)
+    assert falling.threshold_interval[0] == pytest.approx(1 / rising.threshold_interval[1], rel=1e-2)
+
+
+@pytest.mark.parametrize("right", [(0, 0, 20, 20), (20, 20, 20, 20), (10, 10, 10, 10), (20, 15, 10, 5)])
+def test_given_answers_without_a_maximum_of_the_likelihood_then_estimates_are_finite_and_ends_open_or_finite(right):
+    fit = fit_psychometric([0.1, 0.2, 0.4, 0.8], list(right), [20] * 4, guess=0.0 if right[0] == 0 else 0.5)
+    assert np.isfinite([fit.threshold, fit.slope, fit.deviance]).all()
+    for low, high in (fit.threshold_interval, fit.slope_interval):
+        assert (low or 0.0) <= (math.inf if high is None else high)
+
+
+def test_given_one_level_then_no_function_is_fitted():
+    with pytest.raises(ValueError, match="two or more"):
+        fit_psychometric([0.5], [3], [5], guess=0.5)
+    assert psychometric_of([row()], design()) == ()
+
+
+def test_given_a_staircase_then_its_track_has_a_function_and_the_mean_of_its_reversals():
+    up_down = {"method": "up_down", "factor": "amplitude", "trials": 60, "reversals": 8}
+    levels = [1.0, 0.5, 0.25, 0.5, 0.25, 0.5, 0.25, 0.5]
+    rows = [
+        row(2 * n + k + 1, correct=level > 0.25, amplitude=level, track="t")
+        for n, level in enumerate(levels)
+        for k in range(2 if level > 0.25 else 1)
+    ]
+    rows = [one if one.amplitude > 0.25 else row(one.trial, correct=False, amplitude=0.25, track="t") for one in rows]
+    (found,) = psychometric_of(rows, design(adaptive=up_down))
+    assert (found.track, found.factor) == ("t", "amplitude")
+    assert found.fit.guess == 0.5
+    assert 0.25 <= found.reversals_threshold <= 0.5
+
+
+def test_given_participants_that_differ_then_the_mixed_model_finds_the_effect_and_their_spread():
+    pytest.importorskip("statsmodels")
+    rng = np.random.default_rng(2)
+    rows = []
+    for number in range(12):
+        intercept = 1.0 + 1.2 * rng.standard_normal()
+        for trial in range(80):
+            speed = (40.0, 100.0)[trial % 2]
+            share = 1.0 / (1.0 + math.exp(-(intercept + 1.0 * (speed == 100.0))))
+            rows.append(row(trial + 1, participant=f"P{number}", speed=speed, correct=bool(rng.random() < share)))
+    model = fit_mixed_model(rows)
+    intercept, effect = model.terms
+    assert effect.name == "speed_mm_s: 100 against 40"
+    assert effect.interval[0] < 1.0 < effect.interval[1]
+    assert intercept.sd > 0.2  # of twelve participants with a spread of 1.2
+    assert 0.6 < model.participants_sd < 2.4
+    with pytest.raises(InputError, match="two or more participants"):
+        fit_mixed_model(rows[:80])
+
+
+def test_given_answers_then_the_report_shows_them_with_names_escaped_and_holds_all_it_shows():
+    analysis = analysis_of(paper_rows(), design())
+    html, pictures = build_report(analysis, [("answers", "trials.csv")])
+    assert NASTY not in html
+    assert "713 of 720" in html
+    assert {one.name for one in pictures} == {"right-speed-mm-s-path", "reaction-times"}
+    assert "://" not in html
+    json.dumps(analysis.document(), allow_nan=False)
+
+
+def test_given_no_right_answers_then_shares_of_each_answer_are_tabled():
+    rows = [row(n, answer="left" if n % 3 else "right", correct=None) for n in range(30)]
+    shares = {one.outcome: one.count for one in shares_of(rows) if not one.participant and not one.factors}
+    assert shares == {"left": 20, "right": 10}
+    html, _ = build_report(analysis_of(rows, design()), [])
+    assert "30 answers" in html

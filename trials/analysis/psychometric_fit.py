@@ -1,0 +1,247 @@
+"""Fit of a psychometric function with intervals of threshold and slope.
+
+The log-likelihood of the answers is penalised by half the logarithm of the determinant of Fisher's information (Firth,
+Biometrika 80 (1993), 27: Jeffreys' prior), so that estimates stay finite where all answers to the higher levels are
+right and all others at chance, and are less biased after few trials. The lapse rate is fitted between 0 and
+`MOST_LAPSES` (Wichmann and Hill, Percept. Psychophys. 63 (2001), 1293).
+
+An interval holds the values whose profile of the penalised likelihood is high enough (Heinze and Schemper, Stat. Med.
+21 (2002), 2409). A parametric bootstrap sets the limit: participants with the fitted function answer at the same
+levels, and in 95 % of them the profile at that function's value is within the limit (Davison and Hinkley, Bootstrap
+Methods, 1997, section 4.4). The limit is no less than that of large samples, 3.84 / 2.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trials.psychometric import share_right
+
+Float64Array = NDArray[np.float64]
+Interval = tuple[float | None, float | None]
+
+MOST_LAPSES = 0.06
+_LAPSES = np.linspace(0.0, MOST_LAPSES, 4)
+_REFERENCE_LAPSES = MOST_LAPSES / 2.0
+"""Lapse rate of the information in the penalty, so that the penalty does not choose the lapse rate."""
+_CHI2_95 = 3.841458820694124
+"""95 % quantile of chi-square with one degree of freedom."""
+# Offsets of grids around the estimate in standard errors, denser near it.
+_OFFSETS = np.sinh(np.linspace(-4.6, 4.6, 129))
+_BOOTSTRAP_OFFSETS = np.sinh(np.linspace(-2.8, 2.8, 37))
+
+
+@dataclass(frozen=True, slots=True)
+class PsychometricFit:
+    """A fitted psychometric function (`trials.psychometric.share_right`).
+
+    levels: Above 0, hardest first, with `right` of `of` answers each.
+    guess: Held at this value; lapse: fitted.
+    threshold: In the level's own unit: 10 to the power of the function's threshold.
+    slope: Per decade; negative where the share falls with the level.
+    threshold_interval, slope_interval: 95 %; None at an end that the answers leave open.
+    deviance: Of the fit from the observed shares; deviance_p: share of bootstrap replicates whose deviance is no less.
+    """
+
+    levels: tuple[float, ...]
+    right: tuple[int, ...]
+    of: tuple[int, ...]
+    guess: float
+    lapse: float
+    threshold: float
+    threshold_interval: Interval
+    slope: float
+    slope_interval: Interval
+    deviance: float
+    deviance_p: float
+
+    def share(self, level: float | Float64Array) -> Float64Array:
+        """Fitted share of right answers at levels above 0."""
+        return share_right(np.log10(level), math.log10(self.threshold), self.slope, self.guess, self.lapse)
+
+
+def fit_psychometric(
+    levels: Sequence[float],
+    right: Sequence[int],
+    of: Sequence[int],
+    *,
+    guess: float,
+    falling: bool = False,
+    replicates: int = 999,
+) -> PsychometricFit:
+    """Fit a psychometric function to right answers out of all at two or more different levels above 0.
+
+    guess: Share of right answers where the stimulus is too weak, from 0, below 1.
+    falling: Whether the share falls with the level, as where speed makes a task harder.
+    replicates: Of the bootstrap, with a generator of fixed seed.
+
+    Raises ValueError: levels are too few, not above 0, or not different.
+    """
+    x = np.log10(np.asarray(levels, np.float64))
+    k, n = np.asarray(right, np.float64), np.asarray(of, np.float64)
+    if len(x) < 2 or not np.all(np.isfinite(x)) or len(np.unique(x)) < len(x) or np.any(n < 1):
+        raise ValueError("a psychometric function needs answers at two or more different levels above 0")
+    sign = -1.0 if falling else 1.0
+    order = np.argsort(sign * x)
+    likelihood = _Likelihood(sign * x[order], k[order], n[order], guess)
+    return likelihood.fit(tuple(float(levels[one]) for one in order), sign, replicates)
+
+
+class _Likelihood:
+    """Penalised likelihood of answers at levels x, on grids of threshold, logarithm of the slope, and lapse rate."""
+
+    def __init__(self, x: Float64Array, k: Float64Array, n: Float64Array, guess: float) -> None:
+        self._x, self._k, self._n, self._guess = x, k, n, guess
+        span, step = float(np.ptp(x)), float(np.diff(x).min())
+        self._thresholds = (x[0] - 1.5 * span, x[-1] + 1.5 * span)
+        self._log_slopes = (math.log(0.5 / span), math.log(20.0 / step))
+
+    def fit(self, levels: tuple[float, ...], sign: float, replicates: int) -> PsychometricFit:
+        threshold, log_slope, lapse = self._best()
+        grid = self._around(threshold, log_slope, lapse, _OFFSETS)
+        surface = self._penalised(self._k, *grid).max(axis=-1)
+        peak = float(self._penalised(self._k, *(np.array([one]) for one in (threshold, log_slope, lapse))).item())
+        limits, deviance, deviance_p = self._bootstrap(threshold, log_slope, lapse, replicates)
+        ends = [
+            _interval(values, peak - profile, limit, place, bounds)
+            for values, profile, limit, place, bounds in (
+                (grid[0], surface.max(axis=1), limits[0], threshold, self._thresholds),
+                (grid[1], surface.max(axis=0), limits[1], log_slope, self._log_slopes),
+            )
+        ]
+        threshold_interval = _mapped(ends[0], sign, lambda value: 10.0 ** (sign * value))
+        slope_interval = _mapped(ends[1], sign, lambda value: sign * math.exp(value))
+        right, of = (tuple(int(one) for one in some) for some in (self._k, self._n))
+        return PsychometricFit(
+            levels, right, of, self._guess, lapse, 10.0 ** (sign * threshold), threshold_interval,
+            sign * math.exp(log_slope), slope_interval, deviance, deviance_p,
+        )  # fmt: skip
+
+    def _best(self) -> tuple[float, float, float]:
+        """The largest penalised likelihood within bounds: a grid, then a descent."""
+        from scipy.optimize import minimize
+
+        bounds = [self._thresholds, self._log_slopes, (0.0, MOST_LAPSES)]
+        grid = (np.linspace(*self._thresholds, 81), np.linspace(*self._log_slopes, 41), _LAPSES)
+        surface = self._penalised(self._k, *grid)
+        start = [one[place] for one, place in zip(grid, np.unravel_index(surface.argmax(), surface.shape), strict=True)]
+
+        def loss(point: Float64Array) -> float:
+            return -float(self._penalised(self._k, *(point[axis : axis + 1] for axis in range(3))).item())
+
+        found = minimize(loss, start, method="L-BFGS-B", bounds=bounds)
+        threshold, log_slope, lapse = (float(one) for one in (found.x if found.fun <= loss(np.array(start)) else start))
+        return threshold, log_slope, lapse
+
+    def _around(
+        self, threshold: float, log_slope: float, lapse: float, offsets: Float64Array
+    ) -> tuple[Float64Array, Float64Array, Float64Array]:
+        """A grid about an estimate, in its standard errors, cut at the bounds; the estimate's lapse rate is in it."""
+        a, b, c = (float(one.item()) for one in self._information(np.array([threshold]), np.array([log_slope]), lapse))
+        slope = math.exp(log_slope)
+        # Of threshold and log slope, from the information about the exponent's offset and factor.
+        determinant = max(a * c - b * b, 1e-12)
+        threshold_error = math.sqrt(c / determinant) / slope
+        slope_error = math.sqrt(a / determinant) / slope
+        low, high = self._thresholds
+        thresholds = np.clip(threshold + min(threshold_error, (high - low) / 8.0) * offsets, low, high)
+        log_slopes = np.clip(log_slope + min(slope_error, 1.0) * offsets, *self._log_slopes)
+        return np.unique(thresholds), np.unique(log_slopes), np.union1d(_LAPSES, lapse)
+
+    def _bootstrap(
+        self, threshold: float, log_slope: float, lapse: float, replicates: int
+    ) -> tuple[tuple[float, float], float, float]:
+        """Drops of the profiles that 95 % of replicates stay within; the deviance, and its place among theirs."""
+        grid = self._around(threshold, log_slope, lapse, _BOOTSTRAP_OFFSETS)
+        share = share_right(self._x, threshold, math.exp(log_slope), self._guess, lapse)
+        drawn = np.random.default_rng(1).binomial(self._n.astype(np.int64), share, (replicates, len(share)))
+        k = drawn.astype(np.float64)
+        shape = (replicates, len(grid[0]), len(grid[1]))
+        profile, best = np.full(shape, -np.inf), np.full(replicates, -np.inf)
+        bare = np.zeros(replicates)
+        penalty = self._penalty(grid[0], grid[1])
+        for one in grid[2]:
+            plain = self._plain(k, grid[0], grid[1], one)
+            penalised = plain + penalty
+            place = penalised.reshape(replicates, -1).argmax(axis=1)
+            top = np.take_along_axis(penalised.reshape(replicates, -1), place[:, None], 1)[:, 0]
+            better = top > best
+            bare[better] = np.take_along_axis(plain.reshape(replicates, -1), place[:, None], 1)[better, 0]
+            best = np.maximum(best, top)
+            np.maximum(profile, penalised, out=profile)
+        row, column = int(np.argmin(abs(grid[0] - threshold))), int(np.argmin(abs(grid[1] - log_slope)))
+        drops = (best - profile[:, row].max(axis=1), best - profile[:, :, column].max(axis=1))
+        limits = [max(float(np.quantile(one, 0.95)), _CHI2_95 / 2.0) for one in drops]
+        own = float(self._plain(self._k, np.array([threshold]), np.array([log_slope]), lapse).item())
+        deviance = 2.0 * (float(self._saturated(self._k)) - own)
+        larger = np.count_nonzero(2.0 * (self._saturated(k) - bare) >= deviance)
+        return (limits[0], limits[1]), deviance, (1 + int(larger)) / (1 + replicates)
+
+    def _shares(self, thresholds: Float64Array, log_slopes: Float64Array, lapse: float) -> Float64Array:
+        """Shares of right answers (level, threshold, slope), kept off 0 and 1."""
+        x = self._x[:, None, None]
+        shares = share_right(x, thresholds[:, None], np.exp(log_slopes), self._guess, lapse)
+        return np.clip(shares, 1e-12, 1.0 - 1e-12)
+
+    def _plain(self, k: Float64Array, thresholds: Float64Array, log_slopes: Float64Array, lapse: float) -> Float64Array:
+        """Log-likelihoods (..., threshold, slope) of right answers k (..., level)."""
+        shares = self._shares(thresholds, log_slopes, lapse).reshape(len(self._x), -1)
+        logs = k @ np.log(shares) + (self._n - k) @ np.log1p(-shares)
+        return np.asarray(logs).reshape(*k.shape[:-1], len(thresholds), len(log_slopes))
+
+    def _information(
+        self, thresholds: Float64Array, log_slopes: Float64Array, lapse: float
+    ) -> tuple[Float64Array, Float64Array, Float64Array]:
+        """Fisher's information about offset and factor of the exponent, the offset at the threshold: a, b; b, c."""
+        shares = self._shares(thresholds, log_slopes, lapse)
+        distance = self._x[:, None, None] - thresholds[:, None]
+        logistic = share_right(self._x[:, None, None], thresholds[:, None], np.exp(log_slopes), 0.0, 0.0)
+        rise = (1.0 - self._guess - lapse) * logistic * (1.0 - logistic)
+        weights = self._n[:, None, None] * rise**2 / (shares * (1.0 - shares))
+        return weights.sum(axis=0), (weights * distance).sum(axis=0), (weights * distance**2).sum(axis=0)
+
+    def _penalty(self, thresholds: Float64Array, log_slopes: Float64Array) -> Float64Array:
+        a, b, c = self._information(thresholds, log_slopes, _REFERENCE_LAPSES)
+        return 0.5 * np.log(np.maximum(a * c - b * b, 1e-100))
+
+    def _penalised(
+        self, k: Float64Array, thresholds: Float64Array, log_slopes: Float64Array, lapses: Float64Array
+    ) -> Float64Array:
+        """Penalised log-likelihoods (threshold, slope, lapse)."""
+        plain = np.stack([self._plain(k, thresholds, log_slopes, one) for one in lapses], axis=-1)
+        return plain + self._penalty(thresholds, log_slopes)[..., None]
+
+    def _saturated(self, k: Float64Array) -> Float64Array:
+        """Log-likelihood of the observed shares."""
+        from scipy.special import xlogy
+
+        total: Float64Array = (xlogy(k, k / self._n) + xlogy(self._n - k, 1.0 - k / self._n)).sum(axis=-1)
+        return total
+
+
+def _interval(
+    values: Float64Array, drop: Float64Array, limit: float, place: float, bounds: tuple[float, float]
+) -> Interval:
+    """Where a profile's drop from its peak passes the limit on both sides; its root is nearly linear there."""
+    root = np.sqrt(np.maximum(drop, 0.0))
+    ends: list[float | None] = []
+    for side in (values[::-1][values[::-1] < place], values[values > place]):
+        heights = root[np.searchsorted(values, side)]
+        beyond = np.flatnonzero(heights > math.sqrt(limit))
+        if len(beyond) == 0:
+            ends.append(None)
+            continue
+        last = beyond[0]
+        inner, low = (place, 0.0) if last == 0 else (float(side[last - 1]), float(heights[last - 1]))
+        ends.append(inner + (float(side[last]) - inner) * (math.sqrt(limit) - low) / (float(heights[last]) - low))
+    return ends[0], ends[1]
+
+
+def _mapped(interval: Interval, sign: float, to: Callable[[float], float]) -> Interval:
+    low, high = (None if one is None else to(one) for one in interval)
+    return (low, high) if sign > 0 else (high, low)

@@ -1,0 +1,254 @@
+"""The report of an experiment: one self-contained HTML file, and the pictures in it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from rendering.report.canvas import Picture
+from rendering.report.html import html_page
+from rendering.report.words import number
+from trials.analysis.figures import MOST_BARS, MOST_CURVES, NAMES, psychometric_curves, reaction_time_plot, share_bars
+from trials.analysis.psychometric_fit import MOST_LAPSES, Interval
+from trials.analysis.results import Analysis
+from trials.analysis.shares import RIGHT, Share
+
+
+@dataclass(frozen=True, slots=True)
+class PageTable:
+    """A table of the report; its first `words` columns are words, the others numbers."""
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    words: int
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A section of the report."""
+
+    title: str
+    definition: str
+    tables: Sequence[PageTable] = ()
+    pictures: Sequence[Picture] = ()
+    caption: str = ""
+
+
+def build_report(analysis: Analysis, facts: Sequence[tuple[str, str]]) -> tuple[str, tuple[Picture, ...]]:
+    """Make the page and its pictures.
+
+    facts: Names and values of the last table.
+    """
+    sections = [*_shares(analysis), *_sensitivity(analysis), *_psychometric(analysis), *_times(analysis)]
+    sections += [*_onsets(analysis), *_mixed_model(analysis)]
+    html = html_page(
+        "analysis.html.jinja", "trials", analysis=analysis, headlines=list(_headlines(analysis)),
+        notes=list(_notes(analysis)), sections=sections, facts=facts,
+    )  # fmt: skip
+    return html, tuple(picture for section in sections for picture in section.pictures)
+
+
+def percent(share: float) -> str:
+    """A share as per cent with one digit after the point."""
+    return f"{100.0 * share:.1f} %"
+
+
+def _headlines(analysis: Analysis) -> Iterator[str]:
+    of = sum(analysis.trials.values())
+    people = f"{len(analysis.trials)} participant{'s' if len(analysis.trials) > 1 else ''}"
+    yield f"{of} answers of {people}."
+    for one in analysis.shares:
+        if not one.participant and not one.factors and one.outcome == RIGHT:
+            yield f"{one.count} of {one.of} are right: {percent(one.share)} ({_ends(one)})."
+
+
+def _notes(analysis: Analysis) -> Iterator[str]:
+    if len(analysis.trials) > 1:
+        yield (
+            "Intervals of all participants together take each answer as independent of the others. Where participants"
+            " differ, they are too narrow: see the participants' own, or the mixed model (--mixed-model)."
+        )
+    for what, some in (("banks", analysis.banks), ("trials files", analysis.tables)):
+        if len(some) > 1:
+            yield f"The answers belong to {len(some)} different {what}; they are pooled all the same."
+    if len(analysis.psychometric) > MOST_CURVES:
+        yield f"The first {MOST_CURVES} of {len(analysis.psychometric)} psychometric functions are drawn."
+
+
+def _shares(analysis: Analysis) -> Iterator[Section]:
+    pooled: dict[tuple[tuple[str, ...], str], list[Share]] = {}
+    for one in analysis.shares:
+        if not one.participant and one.factors:
+            pooled.setdefault((tuple(one.factors), one.outcome), []).append(one)
+    right = any(one.outcome == RIGHT for one in analysis.shares)
+    definition = "95 % interval: Wilson's score interval."
+    drawn = _drawn(pooled)
+    for (factors, outcome), shares in sorted(pooled.items(), key=lambda one: one[0] not in drawn):
+        if len(shares) > 3 * MOST_BARS:
+            continue
+        what = "right answers" if outcome == RIGHT else f"answers “{outcome}”"
+        pictures, caption = [], ""
+        if (factors, outcome) in drawn:
+            pictures = [share_bars(_name(factors, outcome), shares, what)]
+            caption = f"Share of {what}, all participants together, with 95 % intervals."
+        rows = [[*one.factors.values(), str(one.count), str(one.of), percent(one.share), _ends(one)] for one in shares]
+        head = [*(NAMES[factor] for factor in factors), "right" if right else "answers", "of", "share", "95 % interval"]
+        title = f"{what[0].upper()}{what[1:]} by {' and '.join(NAMES[factor] for factor in factors)}"
+        yield Section(title, definition, [PageTable(head, rows, len(factors))], pictures, caption)
+    own = [one for one in analysis.shares if one.participant and not one.factors]
+    rows = [
+        [one.participant, *([] if right else [one.outcome]), str(one.count), str(one.of), percent(one.share),
+         _ends(one)]
+        for one in own
+    ]  # fmt: skip
+    head = [
+        "participant",
+        *([] if right else ["answer"]),
+        "right" if right else "answers",
+        "of",
+        "share",
+        "95 % interval",
+    ]
+    yield Section(
+        "Participants", f"{definition} The shares of each by factor are in analysis.json.",
+        [PageTable(head, rows, 1 if right else 2)],
+    )  # fmt: skip
+
+
+def _drawn(pooled: Mapping[tuple[tuple[str, ...], str], Sequence[Share]]) -> set[tuple[tuple[str, ...], str]]:
+    """Tables that are drawn: pairs of factors; single ones where there are no pairs."""
+    fit = [key for key, shares in pooled.items() if len(shares) <= MOST_BARS]
+    pairs = {key for key in fit if len(key[0]) == 2}
+    return pairs or set(fit)
+
+
+def _sensitivity(analysis: Analysis) -> Iterator[Section]:
+    if not analysis.sensitivities:
+        return
+    first = analysis.sensitivities[0]
+    rows = [
+        [one.participant or "all", _levels(one.factors) or "all", f"{one.hits} of {one.of_signal}",
+         f"{one.false_alarms} of {one.of_noise}", f"{one.d_prime:.2f}", _interval(one.interval), _signed(one.criterion)]
+        for one in analysis.sensitivities if not (one.participant and one.factors)
+    ]  # fmt: skip
+    head = ["participant", "trials", "hits", "false alarms", "d′", "95 % interval", "criterion c"]
+    yield Section(
+        "Sensitivity",
+        f"Hit: the answer “{first.signal}” where it is right; false alarm: the same answer where “{first.noise}” is. "
+        "d′ = z(H) − z(F), c = −(z(H) + z(F)) / 2, log-linear correction (Hautus 1995); interval by the variance of"
+        " Gourevitch and Galanter (1967). With all answers right, d′ is a lower bound that grows with the trials.",
+        [PageTable(head, rows, 2)],
+    )
+
+
+def _psychometric(analysis: Analysis) -> Iterator[Section]:
+    if not analysis.psychometric:
+        return
+    staircase = any(one.reversals_threshold is not None for one in analysis.psychometric)
+    rows = [
+        [one.participant, one.track or _levels(one.factors) or "all", number(one.fit.threshold),
+         _interval(one.fit.threshold_interval), number(one.fit.slope), _interval(one.fit.slope_interval),
+         percent(one.fit.guess), percent(one.fit.lapse), f"{one.fit.deviance:.1f} ({one.fit.deviance_p:.3f})",
+         *([number(one.reversals_threshold)] if staircase else [])]
+        for one in analysis.psychometric
+    ]  # fmt: skip
+    head = [
+        "participant",
+        "trials",
+        "threshold",
+        "95 % interval",
+        "slope per decade",
+        "95 % interval",
+        "guess",
+        "lapse",
+    ]
+    head += ["deviance (p)", *(["threshold by reversals"] if staircase else [])]
+    factor = NAMES[analysis.psychometric[0].factor]
+    yield Section(
+        f"Psychometric functions of {factor}",
+        "p = guess + (1 − guess − lapse) / (1 + exp(−slope (x − threshold))), x = log10 of the level; the threshold is"
+        " given as a level. Maximum of the likelihood with Firth's penalty; guess held, lapse fitted between 0 and"
+        f" {percent(MOST_LAPSES)}. Intervals: profile likelihood, its limit from a parametric bootstrap. p of the"
+        " deviance: share of bootstrap replicates that lie as far from their function; below 0.05 the function does not"
+        " describe the answers."
+        + (" By reversals: geometric mean of the levels at the last reversals." if staircase else ""),
+        [PageTable(head, rows, 2)],
+        [psychometric_curves("psychometric", analysis.psychometric)],
+        "Circles: observed shares, larger with more answers. Line: fitted function. Dashed: threshold; shaded: its"
+        " 95 % interval.",
+    )
+
+
+def _times(analysis: Analysis) -> Iterator[Section]:
+    rows = [
+        [one.participant or "all", _levels(one.factors) or "all", str(one.of), number(one.median_s, "s"),
+         _interval(one.interval_s, "s")]
+        for one in analysis.reaction_times if not (one.participant and one.factors)
+    ]  # fmt: skip
+    by_factor = [one for one in analysis.reaction_times if not one.participant and one.factors]
+    first = tuple(by_factor[0].factors) if by_factor else ()
+    drawn = [one for one in by_factor if tuple(one.factors) == first]
+    pictures = [reaction_time_plot("reaction-times", drawn)] if 1 < len(drawn) <= MOST_BARS else []
+    yield Section(
+        "Reaction times",
+        "From the onset of the last presentation, as the recorder's loopback shows it, to the answer; of right answers"
+        " where there are right ones. Interval of the median: percentiles of a bootstrap over trials.",
+        [PageTable(["participant", "trials", "of", "median", "95 % interval"], rows, 2)],
+        pictures, "Median reaction time, all participants together, with 95 % intervals.",
+    )  # fmt: skip
+
+
+def _onsets(analysis: Analysis) -> Iterator[Section]:
+    found = analysis.onset_errors
+    if found is None:
+        return
+    values = (found.median_ms, found.low_ms, found.high_ms, found.largest_ms)
+    row = [str(found.of), *(number(value, "ms") for value in values), str(found.repeated), str(analysis.replays)]
+    head = ["of", "median", "2.5 %", "97.5 %", "largest magnitude", "trials repeated", "replays asked for"]
+    yield Section(
+        "Onsets of the stimuli",
+        "Onset by the recorder's loopback minus the onset by the request to play and the player's stated latency."
+        " Reaction times begin at the former, so that this error is not in them. Repeated: presented anew since an"
+        " instrument was lost or the onset was not found.",
+        [PageTable(head, [row], 0)],
+    )
+
+
+def _mixed_model(analysis: Analysis) -> Iterator[Section]:
+    model = analysis.mixed_model
+    if model is None:
+        return
+    rows = [[one.name, f"{one.mean:.2f}", f"{one.sd:.2f}", _interval(one.interval)] for one in model.terms]
+    rows.append(["standard deviation of participants", f"{model.participants_sd:.2f}", "", ""])
+    yield Section(
+        "Mixed model",
+        f"Log odds of a right answer in {model.of} trials of {model.participants} participants: fixed effects of the"
+        " factors, and an intercept of each participant drawn from a normal distribution. Standard deviation of"
+        " participants by the variational, effects by the Laplace approximation of the posterior (statsmodels,"
+        " BinomialBayesMixedGLM); prior standard deviation of effects 2.",
+        [PageTable(["effect on the log odds", "mean", "standard deviation", "95 % interval"], rows, 1)],
+    )
+
+
+def _levels(factors: Mapping[str, str]) -> str:
+    return ", ".join(f"{NAMES[factor].partition(' (')[0]} {level}" for factor, level in factors.items())
+
+
+def _ends(share: Share) -> str:
+    return f"{100.0 * share.interval[0]:.1f} to {percent(share.interval[1])}"
+
+
+def _interval(ends: Interval, unit: str = "") -> str:
+    low, high = ends
+    return f"{'open' if low is None else number(low)} to {'open' if high is None else number(high)} {unit}".rstrip()
+
+
+def _signed(value: float) -> str:
+    """Two digits after the point, without a sign of zero."""
+    return f"{round(value, 2) + 0.0:.2f}".replace("-", "\N{MINUS SIGN}")
+
+
+def _name(factors: Sequence[str], outcome: str) -> str:
+    """File name of a picture: letters, digits and hyphens."""
+    words = "-".join([outcome, *factors]).casefold()
+    return "".join(letter if letter.isascii() and letter.isalnum() else "-" for letter in words)
