@@ -36,5 +36,6 @@ BENCHMARKS = {
         pictures=tuple(f"{figure}{part}.png" for figure in "34" for part in "ABCD"),
     ),
     "wires": Benchmark("production drivers on emulated wires, in real time", on_request=True),
+    "live_latency": Benchmark("latency of live sources, ten minutes on each player", on_request=True),
     "cluster": Benchmark("a bank larger than memory, on one, two and no workers", on_request=True),
 }

@@ -38,7 +38,7 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
     with tempfile.TemporaryDirectory(dir=out) as name:
         folder = Path(name)
         run_command("init", folder / "lab")
-        bank, drive = _write_bank(folder / "plate.h5", quick=quick), folder / "drive.h5"
+        bank, drive = write_bank(folder / "plate.h5", quick=quick), folder / "drive.h5"
         render = ("render", folder / "lab/scene.toml", "--bank", bank, "--out", drive, "--force")
         predict = ("predict", drive, "--bank", bank, "--out", folder / "field.h5", "--force")
         run_command(*render)
@@ -91,7 +91,7 @@ def _measured(commands: Mapping[Key, tuple[object, ...]], repeats: int) -> dict[
     }
 
 
-def _write_bank(path: Path, *, quick: bool) -> Path:
+def write_bank(path: Path, *, quick: bool) -> Path:
     """Write the virtual rig's bank."""
     rig = VirtualRig()
     position_mm = default_grid(rig)

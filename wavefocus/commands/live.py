@@ -21,6 +21,7 @@ from wavefocus.json_lines import LinesOut, input_objects
 from wavefocus.live_session.opening import LiveOptions, open_session
 from wavefocus.live_session.orders import order_of
 from wavefocus.live_session.osc import OscInput, address_of
+from wavefocus.live_session.priority import raise_priority
 from wavefocus.live_session.session import LiveSession
 
 MOST_MESSAGES = 1000
@@ -41,7 +42,7 @@ def live(bank: Path, rig_file: Path, options: LiveOptions, *, osc: str | None, a
                 receiver = OscInput(*address_of(osc))
                 if not receiver.loopback:
                     say(f"warning: every computer that reaches {receiver.address} can move sources")
-            with ending_at_once(), open_session(bank, rig_file, options, messages) as (session, ready):
+            with ending_at_once(), open_session(bank, rig_file, options, messages, raise_priority) as (session, ready):
                 session.run(partial(_begin, ready, session, messages, receiver))
         except KeyboardInterrupt:
             code = Exit.STOPPED

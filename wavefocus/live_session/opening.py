@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,11 +56,16 @@ class LiveOptions:
 
 @contextmanager
 def open_session(
-    bank: Path, rig_file: Path | None, options: LiveOptions, publish: Publish
+    bank: Path,
+    rig_file: Path | None,
+    options: LiveOptions,
+    publish: Publish,
+    on_loaded: Callable[[], object] = lambda: None,
 ) -> Iterator[tuple[LiveSession, LiveReady]]:
     """Open everything; whatever happens, the outputs are muted and released on the way out.
 
     rig_file: By default the bank's own rig. publish: As of `LiveSession`.
+    on_loaded: Called when the bank is in memory, before the interface is opened.
 
     Raises InputError: bank, rig and scene do not go together. Raises InstrumentError: the interface cannot be opened.
     """
@@ -99,6 +104,7 @@ def open_session(
                     options.record, rate_hz=rate_hz, regularisation=regularisation, interpolation=output.interpolation
                 )
             )
+        on_loaded()
         player, _ = opened.enter_context(open_player(rig, realtime=True))
         ahead_ms = AHEAD_MS if options.ahead_ms is None else options.ahead_ms
         session = LiveSession(

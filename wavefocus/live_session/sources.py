@@ -17,6 +17,7 @@ from storage.errors import InputError
 from wavefocus.banks import LOG
 from wavefocus.live_session.opening import LiveOptions, open_session
 from wavefocus.live_session.orders import Order, UseSignal, check_name
+from wavefocus.live_session.priority import raise_priority
 from wavefocus.live_session.session import LiveSession
 
 LOOKS_EVERY_S = 0.25
@@ -179,6 +180,7 @@ class LiveSources:
             raise self._failure
 
     def _run(self) -> None:
+        raise_priority()
         try:
             self._session.run(self._begun.set)
         except BaseException as failure:  # raised in the thread that uses it
