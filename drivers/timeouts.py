@@ -250,6 +250,7 @@ class BoundedPlayer(_Bounded[Player]):
         super().__init__(device, hung_after_s)
         self._gate = threading.Lock()
         self._shut = 0
+        self._in_pieces: PiecewisePlayer | None = None
 
     def shut(self) -> None:
         """Fall silent, and play nothing until `open`; from any thread, whatever call is under way."""
@@ -312,7 +313,10 @@ class BoundedPlayer(_Bounded[Player]):
         self._rest("muting", self._device.mute)
 
     def _piecewise(self, doing: str) -> PiecewisePlayer:
-        if not isinstance(self._device, PiecewisePlayer):
-            cause = "its driver takes no signal in pieces"
-            raise InstrumentError(self._name, doing, cause, "render the scene to a drive file and play that")
-        return self._device
+        if self._in_pieces is None:
+            # Asked once: a look at all that a protocol has takes a good part of a millisecond.
+            if not isinstance(self._device, PiecewisePlayer):
+                cause = "its driver takes no signal in pieces"
+                raise InstrumentError(self._name, doing, cause, "render the scene to a drive file and play that")
+            self._in_pieces = self._device
+        return self._in_pieces
