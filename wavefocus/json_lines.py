@@ -118,8 +118,11 @@ def input_objects() -> Iterator[tuple[Mapping[str, object] | InputError, float]]
 
     An InputError in place of the object for a line that is none.
     """
-    # Not through sys.stdin: its lock, held by a thread that waits, would hold up the end of the process.
-    descriptor, rest = sys.stdin.fileno(), b""
+    try:
+        # Not through sys.stdin: its lock, held by a thread that waits, would hold up the end of the process.
+        descriptor, rest = sys.stdin.fileno(), b""
+    except (OSError, ValueError):  # nothing stands behind it
+        return
     while True:
         try:
             block = os.read(descriptor, _MOST_BYTES)

@@ -1,0 +1,82 @@
+"""``wavefocus live`` on an emulated audio interface: it sounds, outlives a lost server, and is silent in the end."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mocks.wire.jack_server import JackServer
+from storage.bank.layout import BankHeader
+from storage.bank.ledger import PointRecord
+from storage.bank.writer import BankWriter, create_bank
+from tests.system.lines import Lines
+from tests.wire.audio_bench import AudioBench, needs_audio_server
+from tests.wire.test_play import RIG
+
+pytestmark = [pytest.mark.long, *needs_audio_server]
+
+RATE_HZ, TAPS, ACTUATORS = 10_000.0, 400, 3
+PLACES_MM = np.array([[x, y] for y in (0.0, 4.0) for x in (0.0, 4.0, 8.0)])
+
+
+@pytest.fixture
+def server() -> Iterator[JackServer]:
+    with ExitStack() as stack:
+        yield AudioBench(stack, period_frames=2048).serve()
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Path:
+    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
+    bank, places = tmp_path / "plate.h5", np.full((ACTUATORS, 2), np.nan)
+    header = BankHeader(RATE_HZ, TAPS, (50.0, 450.0), PLACES_MM, places, "{}", "{}", "0" * 64, "test")
+    create_bank(bank, header)
+    random, quality = np.random.default_rng(1), np.zeros(ACTUATORS, dtype=np.float32)
+    with BankWriter.open(bank, plan_sha256="0" * 64) as writer:
+        for row in range(len(PLACES_MM)):
+            green = random.standard_normal((ACTUATORS, TAPS)).astype(np.float32)
+            writer.commit(row, green, PointRecord(1, 1, quality, quality, quality, quality))
+    return tmp_path
+
+
+def move_until(running: Lines, event: str, code: str = "") -> dict:
+    """Send positions until an event comes."""
+    for count in range(3000):
+        running.send(order="move", name="a", at_mm=[count % 9, 0.0], amplitude=0.5)
+        time.sleep(0.01)
+        told = running.next_of(event)
+        if told is not None and (not code or told["code"] == code) and (event != "state" or told["sources"]):
+            return told
+    raise AssertionError(f"no {event} {code} came")
+
+
+def test_given_a_real_audio_server_then_it_sounds_outlives_its_loss_and_is_silent_in_the_end(
+    lab: Path, server: JackServer
+) -> None:
+    environment = {**os.environ, **server.environment}
+    rig = ("--rig", lab / "rig.toml", "--json")
+    with Lines("live", lab / "plate.h5", *rig, environment=environment) as running:
+        assert running.hear("ready")["actuators"] == ACTUATORS
+        begun = int(server.played.frame_at(time.monotonic_ns()))
+        move_until(running, "state")
+        time.sleep(0.3)
+        now = int(server.played.frame_at(time.monotonic_ns()))
+        frames = server.played.read(begun, now)
+        assert np.flatnonzero(frames.any(axis=1)).tolist() == [0, 1, 2]
+        assert np.abs(frames).max() <= 3.0 / 4.0
+        server.kill()
+        move_until(running, "notice", "lost")
+        server.restart()
+        move_until(running, "notice", "reconnected")
+        move_until(running, "state")
+        running.close_input()
+        assert running.rest()[-1]["event"] == "ended"
+        assert running.end() == 0
+    ended = int(server.played.frame_at(time.monotonic_ns()))
+    assert not server.played.read(ended, ended + 24_000).any()
