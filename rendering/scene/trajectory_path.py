@@ -29,14 +29,14 @@ class TrajectoryPath(DrawnPath):
 
     time_s: Seconds from the start of the source, 0 or more, rising; at least two.
     points_mm: Place (x, y) in millimetres at each.
-    amplitude: Factor on the signal at each; by default 1.
+    amplitude: Factor on the signal at each; by default 1. Arrays become tuples.
 
     Raises InputError: there are fewer than two rows, different numbers of values, or a value is out of range.
     """
 
-    time_s: Sequence[float]
-    points_mm: Sequence[PointMm]
-    amplitude: Sequence[float] | None = None
+    time_s: Sequence[float] | Float64Array
+    points_mm: Sequence[PointMm] | Float64Array
+    amplitude: Sequence[float] | Float64Array | None = None
     focus_rows: Int64Array = field(init=False, repr=False, compare=False)
     _arc_mm: Float64Array = field(init=False, repr=False, compare=False)
 
@@ -68,6 +68,9 @@ class TrajectoryPath(DrawnPath):
                 foci.append(row)
                 earliest_s = time_s[row] + FOCUS_S
         object.__setattr__(self, "focus_rows", np.array(foci, dtype=np.int64))
+        object.__setattr__(self, "time_s", tuple(time_s.tolist()))
+        object.__setattr__(self, "points_mm", tuple(map(tuple, points_mm.tolist())))
+        object.__setattr__(self, "amplitude", None if self.amplitude is None else tuple(amplitude.tolist()))
 
     def trajectory(self, start_s: float, sample_rate_hz: float) -> Trajectory:
         """The course of a source that starts at `start_s`; of rows within one sample the last one counts."""

@@ -30,6 +30,7 @@ from config.scene import (
     SourceTable,
     SvgTable,
     TextTable,
+    TrajectoryTable,
 )
 from gui.files import Settings
 from gui.scene.canvas import SceneCanvas
@@ -70,6 +71,7 @@ signal = { kind = "sine", frequency_hz = 200, duration_s = 0.1 }
 
 DRAWING = """<svg xmlns="http://www.w3.org/2000/svg"><path id="first" d="M 0 0 L 20 0 L 20 10"/>
 <path id="second" d="M 0 0 L 400 300"/></svg>"""
+FINGER = "time_s,x_mm,y_mm\n0,-10,0\n0.5,10,0\n"
 
 
 @pytest.fixture(scope="module")
@@ -440,6 +442,29 @@ def test_given_a_drawing_then_it_comes_in_at_a_size_that_fits_and_its_paths_can_
     wait(qtbot, lambda: "cannot be read" in tab.context.messages.sentence)
 
 
+def test_given_a_trajectory_then_its_file_alone_says_where_the_source_is(
+    qtbot: QtBot, tab: SceneTab, tmp_path: Path
+) -> None:
+    file = tmp_path / "finger.csv"
+    file.write_text(FINGER, encoding="utf-8")
+    tab.document.edit("edit", changed(tab.document.draft, source=(new_source(PointTable(at_mm=(5.0, 5.0))),)), chosen=0)
+    tab.window().open_file(file)
+    wait(qtbot, lambda: len(tab.document.draft.source) == 2)
+    tab.document.choose(1)
+    settled(qtbot, tab)
+    trace = tab.live.preview.traces[1]
+    assert (trace.length_mm, trace.lasts_s, trace.points) == (20.0, 0.5, 1)
+    assert tab.document.scene().sources[1].path.time_s == (0.0, 0.5)
+    form = tab.source_form
+    shown = {key for key, field in form.motion.fields.items() if not field.isHidden()}
+    assert shown == {"start_s", "amplitude", "repeat"}
+    assert tab.surface.canvas.handles == []
+    assert shifted(TrajectoryTable(file=str(file)), (3.0, 3.0)) == tab.document.draft.source[1].path
+    choose(form.path_kind, "line")
+    settled(qtbot, tab)
+    assert tab.document.scene().sources[1].speed_mm_s > 0
+
+
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
@@ -548,6 +573,7 @@ PATHS = st.one_of(
         scale=ABOVE,
         origin_mm=PLACE,
     ),
+    st.builds(TrajectoryTable, file=st.just("finger.csv")),
 )
 SIGNALS = st.one_of(
     st.builds(ImpulseTable),
@@ -564,7 +590,7 @@ SOURCES = st.builds(
     step_mm=ABOVE,
     amplitude=FINITE,
     emission=st.sampled_from(["continuous", "per_point"]),
-)
+).map(lambda one: changed(one, emission="continuous", repeat=True) if one.path.kind == "trajectory" else one)
 SATURATIONS = st.one_of(st.tuples(NONNEGATIVE, st.just(0.0)), st.tuples(st.just(0.0), NONNEGATIVE))
 DRAFTS = st.builds(
     SceneConfig,
@@ -589,6 +615,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with what the drafts name."""
     made = tmp_path_factory.mktemp("scenes")
     (made / "drawing.svg").write_text(DRAWING, encoding="utf-8")
+    (made / "finger.csv").write_text(FINGER, encoding="utf-8")
     (made / "a folder").mkdir()
     (made / "a folder" / "sound.wav").write_bytes(b"")
     return made

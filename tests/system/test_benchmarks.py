@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks import bank, cluster, commands, focusing, interpolation, paper, plate
+from benchmarks import bank, cluster, commands, focusing, interpolation, live, paper, plate
 
 pytestmark = [pytest.mark.timeout(900), pytest.mark.long]
 
@@ -20,6 +20,16 @@ def test_the_paper_s_figures_are_drawn_and_its_numbers_compared_misses_included(
         assert points[what].remark
     assert points["range of n(x) without"].figures["stadium_as_the_paper"] is False
     assert not list(tmp_path.glob("*.h5"))
+
+
+def test_the_cost_of_look_ahead_falls_to_nothing_where_it_is_sufficient(tmp_path):
+    points = live.run(tmp_path, quick=True).points
+    prediction = [one.figures["prediction_error"] for one in points]
+    assert prediction == sorted(prediction, reverse=True)
+    assert points[0].error > points[-1].error > 0.0
+    assert points[-1].marks
+    assert points[-1].met
+    assert (tmp_path / live.PICTURE).read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_interpolation_benchmark_reaches_its_marks():
