@@ -1,0 +1,135 @@
+"""Simulated people answer: through the whole command on the virtual rig, and many through session and analysis."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from benchmarks.trials import CONSTANT, PEOPLE, coverage, designs
+from tests.system.lines import Lines
+from trials.answers import COLUMNS, read_answers
+from trials.design import load_trials
+from trials.simulated import Observer, SimulatedParticipant
+from wavefocus.__main__ import run
+
+TRIALS = """
+[trials]
+name = "felt_or-not"
+question = "Which way?"
+answers = ["left", "right"]
+correct = "path"
+repetitions = 1
+familiarise = false
+
+[path.left]
+kind = "line"
+start_mm = [8, 0]
+end_mm = [0, 0]
+
+[path.right]
+kind = "line"
+start_mm = [0, 0]
+end_mm = [8, 0]
+
+[signal.burst]
+kind = "sine"
+frequency_hz = 200.0
+duration_s = 0.02
+
+[[stimuli]]
+path = ["left", "right"]
+signal = "burst"
+speed_mm_s = 200
+step_mm = 4
+emission = "per_point"
+amplitude = [0.0001, 0.0002, 0.0004, 0.0006, 0.001]
+"""
+
+
+def test_given_a_simulated_participant_then_the_command_s_answers_are_analysed_into_one_guarded_folder(
+    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (lab / "trials.toml").write_text(TRIALS, encoding="utf-8")
+    out = lab / "out"
+    design = load_trials(lab / "trials.toml")
+    person = SimulatedParticipant(design, Observer("amplitude", -3.5, 8.0), np.random.default_rng(1))
+    files = [lab / "trials.toml", "--bank", lab / "plate.h5", "--rig", lab / "rig.toml", "--out", out]
+    with Lines("trials", *map(str, files), "--participant", "A-1", "--lines", "--fast") as session:
+        stimulus = ""
+        while (event := session.hear("state", "presented", "ended"))["event"] != "ended":
+            if event["event"] == "presented":
+                stimulus = event["stimulus"]
+            elif event["waiting"] == "go_on":
+                session.send(order="go_on")
+            elif event["waiting"] == "answer":
+                session.send(order="answer", choice=person.answer(stimulus))
+        assert session.end() == 0
+
+    capsys.readouterr()
+    assert run(["analyse", str(out), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    result = out / "analysis"
+    written = json.loads((result / "analysis.json").read_text(encoding="utf-8"))
+    assert printed == written | {"out": str(result)}
+    assert sorted(written["files"]) == sorted(
+        path.relative_to(result).as_posix() for path in result.rglob("*") if path.is_file()
+    )
+    rows = read_answers(out)
+    assert written["trials"] == {"A-1": len(rows)} == {"A-1": 10}
+    (function,) = written["psychometric"]
+    assert function["factor"] == "amplitude"
+    assert sum(function["fit"]["right"]) == sum(bool(row.correct) for row in rows)
+    assert "report.html" in written["files"]
+
+    place = result / "bids" / "sub-A1" / "beh"
+    with (place / "sub-A1_task-feltornot_beh.tsv").open(encoding="utf-8") as file:
+        table = list(csv.DictReader(file, delimiter="\t"))
+    sidecar = json.loads((place / "sub-A1_task-feltornot_beh.json").read_text(encoding="utf-8"))
+    assert list(table[0]) == [name for name in COLUMNS if name != "participant"]
+    assert set(table[0]) <= set(sidecar)
+    assert [int(one["trial"]) for one in table] == list(range(1, 11))
+    assert [float(one["reaction_s"]) for one in table] == [row.reaction_s for row in rows]
+    people = (result / "bids" / "participants.tsv").read_text(encoding="utf-8").splitlines()
+    assert people == ["participant_id\tcode\ttrials", "sub-A1\tA-1\t10"]
+    described = json.loads((result / "bids" / "dataset_description.json").read_text(encoding="utf-8"))
+    assert {"Name", "BIDSVersion", "DatasetType"} <= set(described)
+
+    assert run(["analyse", str(out)]) == 2
+    assert "--force" in capsys.readouterr().err
+    assert run(["analyse", str(out), "--force"]) == 0
+    (result / "notes.txt").write_text("mine")
+    assert run(["analyse", str(out), "--force"]) == 2
+    assert (result / "notes.txt").read_text() == "mine"
+    assert run(["analyse", str(out), "--out", str(out), "--force"]) == 2
+    assert run(["analyse", str(out), "--out", str(lab / "other"), "--mixed-model"]) == 2
+    assert not (lab / "other").exists()
+    (out / "trials.json").write_text('{"format": "wavefocus-trials", "design": {"trials": 3}}')
+    assert run(["analyse", str(out), "--out", str(lab / "other")]) == 2
+    assert run(["analyse", str(lab)]) == 2
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_given_some_simulated_people_then_the_intervals_hold_the_truth_in_most(tmp_path: Path) -> None:
+    people = 5
+    found = coverage(designs(tmp_path)[CONSTANT], people, 0.02, tmp_path)
+    # One sound analysis in 10,000 would fail here.
+    least = binom.ppf(1e-4, people, 0.95)
+    assert found.threshold_held >= least
+    assert found.slope_held >= least
+    assert 0.5 < found.slope_ratio < 2.0
+
+
+@pytest.mark.long
+@pytest.mark.timeout(1800)
+def test_given_200_simulated_people_of_each_design_then_the_intervals_hold_the_truth_in_95_of_100(
+    tmp_path: Path,
+) -> None:
+    for name, design in designs(tmp_path).items():
+        found = coverage(design, PEOPLE, 0.02, tmp_path)
+        least = 190 if name == CONSTANT else binom.ppf(0.01, PEOPLE, 0.95)
+        assert min(found.threshold_held, found.slope_held) >= least, name
