@@ -178,10 +178,11 @@ class Life:
         """
         position = points[-1]
         positions = self._recent(position)
+        right, up = _velocity(positions)
         knots = [*before, *self._appearing(points)[len(points) > 1 :]]
-        held = stop = position.sample + self._timing.hold
+        held = position.sample + self._timing.hold
+        stop = position.sample + self._surface.stays((position.x_mm, position.y_mm), (right, up), self._timing.hold)
         while True:
-            right, up = _velocity(positions) if stop > position.sample else (0.0, 0.0)
             ahead = stop - position.sample
             rest = Knot(stop, position.x_mm + right * ahead, position.y_mm + up * ahead, position.amplitude)
             tail = self._faded(self._appearing([position, *sorted({rest, rest._replace(sample=held)} - {position})]))[
@@ -199,9 +200,11 @@ class Life:
 
     def _appearing(self, points: list[Knot]) -> list[Knot]:
         """Knots of a way through some points that rise with the source's appearance."""
-        risen, course = self.begin + self._timing.fade, trajectory(points)
-        times = [point.sample for point in points]
-        if times[0] < risen < times[-1]:
+        risen = self.begin + self._timing.fade
+        if points[0].sample >= risen:
+            return points
+        course, times = trajectory(points), [point.sample for point in points]
+        if risen < times[-1]:
             times = sorted({*times, risen})
         places_mm, amplitudes = course.at(np.array(times))
         share = np.minimum((np.array(times) - self.begin) / self._timing.fade, 1.0)

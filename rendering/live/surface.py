@@ -54,11 +54,22 @@ class Surface:
             nodes = self._method.nodes(place_mm)
         except OffGridError as error:
             raise InputError(f"the position of source {name!r} {error}") from error
-        for row in _needed(nodes):
+        for row in _needed(nodes) if self._doubtful else ():
             try:
                 self._admit(row)
             except InputError as error:
                 raise InputError(f"source {name!r} may not be at {show_mm(place_mm[0])} mm: {error}") from error
+
+    def stays(self, at_mm: tuple[float, float], velocity_mm: tuple[float, float], samples: int) -> int:
+        """Number of samples, at most those given, for which a way stays within the bounding box, or as near to it.
+
+        at_mm, velocity_mm: Where it begins, and its way per sample.
+        """
+        for place, step, (low, high) in zip(at_mm, velocity_mm, (self.x_mm, self.y_mm), strict=True):
+            room = max(high, place) - place if step > 0 else place - min(low, place)
+            if abs(step) * samples > room:
+                samples = int(room / abs(step))
+        return samples
 
     def nodes(self, at_mm: Float64Array) -> Nodes:
         """Rows and weights of places (n, 2).
@@ -77,8 +88,8 @@ class Surface:
             except OffGridError as error:
                 count, beyond = error.point, error
                 continue
-            if not self._usable.all() or self._unread.any():
-                for row in _needed(nodes) if self._unread.any() else ():
+            if self._doubtful:
+                for row in _needed(nodes):
                     self.try_admit(row)
                 refused = ~self._usable[nodes.nearest] | ((nodes.weights != 0) & ~self._usable[nodes.rows]).any(axis=1)
                 if refused.any():
@@ -93,6 +104,10 @@ class Surface:
         if self._unread[row]:
             with suppress(InputError):
                 self._admit(row)
+
+    @property
+    def _doubtful(self) -> bool:
+        return bool(self._unread.any()) or not self._usable.all()
 
     def _admit(self, row: int) -> None:
         if self._unread[row]:
