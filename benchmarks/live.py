@@ -14,6 +14,7 @@ position to the block that it takes effect in. Figures, over 1 s that begins 0.3
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -174,7 +175,7 @@ def _measured(bank: GreenArray, name: str, truth: Truth, look_ahead_ms: int) -> 
         error=relative_error(at_focus, true_focus),
         figures={
             "prediction_error": prediction,
-            "artefacts_db": 10.0 * np.log10(away / true_away),
+            "artefacts_db": 10.0 * math.log10(away / true_away),
             "splatter_db": splatter_db,
             "true_splatter_db": true_splatter_db,
         },
@@ -233,7 +234,7 @@ def _draw(path: Path, points: list[Point]) -> None:
     error.plot([], [], color="#666666", linestyle=":", label="of the drives, by prediction alone")
     error.set(ylabel="%", title="Error at the focus", yscale="log", ylim=(1e-3, 100.0))
     error.yaxis.set_major_formatter("{x:g}")
-    away.set(ylabel="dB over the true path's", title="Energy beyond 15 mm", ylim=(0, None))
+    away.set(ylabel="dB over the true path's", title="Energy beyond 15 mm")
     splatter.set(ylabel="dB", title="Energy of the drives above 600 Hz")
     for axes in (error, away, splatter):
         axes.set_xlabel("look-ahead (ms)")
