@@ -51,6 +51,8 @@ def live(bank: Path, rig_file: Path, options: LiveOptions, *, osc: str | None, a
                 receiver.close()
             if session is not None:
                 messages(session.ended())
+            elif code is Exit.STOPPED:
+                say("stopped by the user; nothing was played")
     return code
 
 
