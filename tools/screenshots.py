@@ -6,6 +6,7 @@ while it runs and when it is over, of a scene and a verification over its bank, 
 
 from __future__ import annotations
 
+import math
 import os
 import subprocess
 import sys
@@ -77,6 +78,8 @@ dead_actuators = [7]
 output_gain_spread_db = 2.0
 mirror_map = {[list(row) for row in MIRROR_MAP]}
 """
+LIVE_AMPLITUDE, LIVE_S = 0.01, 15.0
+"""Amplitude of the live source, and for how long it is moved before each picture of it, s."""
 MARK_ERROR_MM = 0.15
 """Rms error in x and in y of the person who brings the beam onto the marks."""
 # Name of the picture, theme, what the map is coloured by, page of the details, how Green's functions are shown.
@@ -198,6 +201,7 @@ class Pictures:
         if looks:
             self.take_verification(looks)
             self.take_scene(looks)
+            self.take_live(looks)
         window.close_at_once()
 
     def take_verification(self, looks: dict[str, str]) -> None:
@@ -227,6 +231,50 @@ class Pictures:
         self.window.messages.dismiss()
         for name, theme in looks.items():
             self.keep(f"scene-{name}", theme)
+
+    def take_live(self, looks: dict[str, str]) -> None:
+        """A source that follows the mouse round a circle, over the campaign's bank."""
+        from PyQt5.QtCore import QEvent, QPointF, Qt
+        from PyQt5.QtGui import QMouseEvent
+
+        from gui.scene.live_run import LIVE
+        from gui.scene.tab import LIVE as PAGE
+        from gui.scene.tab import SceneTab
+
+        tab, left, none = self.tab(SceneTab), Qt.MouseButton.LeftButton, Qt.MouseButton.NoButton
+        surface, rig = tab.live_surface, tab.results.bar.rig_field
+        rig.show_path(self.file.with_name("rig.toml"))
+        rig.chosen.emit(rig.path)
+        tab.document.edit_source("soften", amplitude=LIVE_AMPLITUDE)
+        tab.use_mode(PAGE)
+        self.until(tab.live_panel.start.isEnabled)
+        tab.live_panel.start.trigger()
+        self.until(lambda: tab.live_run.state == LIVE)
+
+        def mouse(kind: QEvent.Type, angle: float) -> None:
+            x_mm, y_mm = 55.0 * math.cos(angle), 40.0 * math.sin(angle)
+            at = QPointF(surface.mapFromScene(surface.box.mapViewToScene(QPointF(x_mm, y_mm))))
+            button = none if kind == QEvent.Type.MouseMove else left
+            self.application.sendEvent(
+                surface.viewport(), QMouseEvent(kind, at, button, left, Qt.KeyboardModifier.NoModifier)
+            )
+
+        begun_s = time.monotonic()
+        mouse(QEvent.Type.MouseButtonPress, 0.0)
+        for name, theme in looks.items():
+            self.window.choose_theme(theme)
+            ends_s = time.monotonic() + LIVE_S
+
+            def round_it(ends_s: float = ends_s) -> bool:
+                mouse(QEvent.Type.MouseMove, 2.0 * (time.monotonic() - begun_s))
+                return time.monotonic() > ends_s
+
+            self.until(round_it)
+            if not self.window.grab().save(str(self.out / f"window-live-{name}.png")):
+                raise SystemExit(f"{self.out} cannot be written")
+        mouse(QEvent.Type.MouseButtonRelease, 0.0)
+        tab.live_panel.stop.trigger()
+        self.until(lambda: not tab.live_run.busy)
 
     def take_rig(self) -> None:
         """A rig examined, operated and calibrated."""

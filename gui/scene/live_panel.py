@@ -26,16 +26,19 @@ from gui.theme import Themed
 LATENCY_GOAL_MS = 20.0
 _LOOK_AHEAD_MS, _LONGEST_LOOK_AHEAD_MS = 50, 2000
 _SHOWN_S = 60.0
-_AXIS_PX = 52
+# A single peak must not hide all else.
+_MOST_GOALS = 4.0
+_AXIS_PX = 60
 _NOTICES_KEPT = 100
 _NOTICE_LINES = 3
+_HINT_LINES = 3
 _HINTS = {
     SILENT: "Press Start (F8); sources then follow mouse and fingers on the surface",
     STARTING: "Bank and rig are being opened",
     LIVE: "Press on the surface and drag; each finger has a source of its own. Or use Space and the arrow keys",
     STOPPING: "The sources fade",
 }
-_ONCE = ". The chosen source's signal is an impulse, which sounds once: choose another one to feel the source move."
+_ONCE = ". The chosen source's signal is an impulse, which sounds once: choose another one to feel it move"
 
 
 class TrendPlot(Plot):
@@ -56,12 +59,13 @@ class TrendPlot(Plot):
         self.show_values(np.zeros(0), np.zeros(0))
 
     def show_values(self, time_s: np.ndarray, values: np.ndarray) -> None:
-        """Show values, NaN where there is none; the axis begins at 0 and holds the line."""
+        """Show values, NaN where there is none; from 0, the line in sight."""
         self._curve.setData(time_s, values, connect="finite")
         ends_s = max(_SHOWN_S, float(time_s[-1])) if len(time_s) else _SHOWN_S
         largest = float(np.nanmax(values)) if np.isfinite(values).any() else 0.0
         self.setXRange(ends_s - _SHOWN_S, ends_s, padding=0.01)
-        self.setYRange(0.0, 1.2 * max(self._goal.value(), largest), padding=0.0)
+        goal = self._goal.value()
+        self.setYRange(0.0, 1.2 * max(goal, min(largest, _MOST_GOALS * goal)), padding=0.0)
 
     def redraw(self) -> None:
         super().redraw()
@@ -170,6 +174,7 @@ class LivePanel(Themed, QWidget):
         self.notices.setWordWrap(True)
         self.notices.setAlternatingRowColors(True)
         self.hint = ui.label("Hint", role="faint", wraps=True)
+        self.hint.setAlignment(Qt.Alignment() | Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignTop)
         self.start.setIconText("Start")
         self.stop.setIconText("Stop")
         self.buttons = {name: ui.button(action) for name, action in (("start", self.start), ("stop", self.stop))}
@@ -232,6 +237,8 @@ class LivePanel(Themed, QWidget):
         self.buttons["stop"].setStyleSheet(f"QToolButton:enabled {{ color: {self.theme.warning}; font-weight: 600; }}")
         lines = self.notices.fontMetrics().lineSpacing()
         self.notices.setFixedHeight(_NOTICE_LINES * lines + 8)
+        # A fixed height: the surface must not move below the mouse when another hint appears.
+        self.hint.setFixedHeight(_HINT_LINES * lines + 2)
         self.show_run()
 
     def hideEvent(self, event: QHideEvent | None) -> None:  # noqa: N802

@@ -179,6 +179,12 @@ class ResultsPanel(QWidget):
         for answer in self.calculation.take(_ANSWERS_PER_TICK):
             self._show_answer(answer)
 
+    def pause(self) -> None:
+        """Calculate nothing until the panel is shown again."""
+        if not self.complete:
+            self._halt()
+            self._wanted = True
+
     def shut_down(self) -> None:
         """End all processes; what plays is muted."""
         self._wanted = False

@@ -134,6 +134,7 @@ class SceneTab(Tab):
         self.modes[mode].setChecked(True)
         if mode == LIVE:
             self.results.playing.stop()
+            self.results.pause()
         self.results.bar.play.setVisible(mode == DRAW)  # its key, too: one of both sounds
         for stack in self._stacks:
             stack.setCurrentIndex([DRAW, LIVE].index(mode))
