@@ -150,8 +150,8 @@ class TrialsSession:
                 instruction=table.instruction,
                 question=table.question,
                 stored=(
-                    f"Under the code {self._participant} each trial is stored: the stimulus, your answer, when, how fast"
-                    " and by which input you gave it, and how often you asked to feel the stimulus again.",
+                    f"Under the code {self._participant} each trial is stored: the stimulus, your answer, when, how"
+                    " fast and by which input you gave it, and how often you asked to feel the stimulus again.",
                     "No name and nothing else about you is stored.",
                     f"All is stored on this computer, in {folder / ANSWERS}.",
                     "You can end at any time, without giving a reason.",
