@@ -95,7 +95,7 @@ def coverage(design: TrialsDesign, people: int, lapse: float, folder: Path) -> C
         observer = Observer("amplitude", float(rng.uniform(-0.7, -0.4)), float(rng.uniform(6.0, 12.0)), lapse=lapse)
         place = Path(tempfile.mkdtemp(dir=folder))
         rows = simulate(design, f"P{person}", observer, place, person)
-        (found,) = psychometric_of(rows, design.config)
+        (found,) = psychometric_of(rows, design.config.trials.answers, design.config.adaptive)
         fit, threshold = found.fit, 10.0**observer.threshold
         ends = zip((fit.threshold_interval, fit.slope_interval), (threshold, observer.slope), strict=True)
         held.append([(low is None or low <= true) and (high is None or true <= high) for (low, high), true in ends])

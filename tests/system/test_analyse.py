@@ -23,7 +23,6 @@ name = "felt_or-not"
 question = "Which way?"
 answers = ["left", "right"]
 correct = "path"
-repetitions = 1
 familiarise = false
 
 [path.left]
@@ -48,6 +47,11 @@ speed_mm_s = 200
 step_mm = 4
 emission = "per_point"
 amplitude = [0.0001, 0.0002, 0.0004, 0.0006, 0.001]
+
+[adaptive]
+method = "up_down"
+factor = "amplitude"
+trials = 12
 """
 
 
@@ -80,9 +84,9 @@ def test_given_a_simulated_participant_then_the_command_s_answers_are_analysed_i
         path.relative_to(result).as_posix() for path in result.rglob("*") if path.is_file()
     )
     rows = read_answers(out)
-    assert written["trials"] == {"A-1": len(rows)} == {"A-1": 10}
+    assert written["trials"] == {"A-1": len(rows)} == {"A-1": 12}
     (function,) = written["psychometric"]
-    assert function["factor"] == "amplitude"
+    assert (function["factor"], function["track"]) == ("amplitude", rows[0].track)
     assert sum(function["fit"]["right"]) == sum(bool(row.correct) for row in rows)
     assert "report.html" in written["files"]
 
@@ -92,10 +96,10 @@ def test_given_a_simulated_participant_then_the_command_s_answers_are_analysed_i
     sidecar = json.loads((place / "sub-A1_task-feltornot_beh.json").read_text(encoding="utf-8"))
     assert list(table[0]) == [name for name in COLUMNS if name != "participant"]
     assert set(table[0]) <= set(sidecar)
-    assert [int(one["trial"]) for one in table] == list(range(1, 11))
+    assert [int(one["trial"]) for one in table] == list(range(1, 13))
     assert [float(one["reaction_s"]) for one in table] == [row.reaction_s for row in rows]
     people = (result / "bids" / "participants.tsv").read_text(encoding="utf-8").splitlines()
-    assert people == ["participant_id\tcode\ttrials", "sub-A1\tA-1\t10"]
+    assert people == ["participant_id\tcode\ttrials", "sub-A1\tA-1\t12"]
     described = json.loads((result / "bids" / "dataset_description.json").read_text(encoding="utf-8"))
     assert {"Name", "BIDSVersion", "DatasetType"} <= set(described)
 

@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import minimize
 from scipy.stats import binom
 
-from config.trials import TrialsConfig
+from config.trials import AdaptiveTable, TrialsTable
 from storage.errors import InputError
 from trials.analysis.mixed_model import fit_mixed_model
 from trials.analysis.psychometric_fit import MOST_LAPSES, fit_psychometric
@@ -40,14 +40,7 @@ def row(trial=1, *, participant="P1", path="left", answer=None, correct=True, sp
     )  # fmt: skip
 
 
-def design(**tables) -> TrialsConfig:
-    return TrialsConfig.model_validate({
-        "trials": {"question": NASTY, "answers": list(ANSWERS), "correct": "path"},
-        "path": {name: {"kind": "line", "start_mm": [0, 0], "end_mm": [8, 0]} for name in ANSWERS},
-        "signal": {"burst": {"kind": "sine", "frequency_hz": 200.0, "duration_s": 0.02}},
-        "stimuli": [{"path": list(ANSWERS), "signal": "burst", "speed_mm_s": 40, "step_mm": 4}],
-        **tables,
-    })  # fmt: skip
+DESIGN = TrialsTable(question=NASTY, answers=ANSWERS, correct="path")
 
 
 def paper_rows() -> list[Row]:
@@ -174,11 +167,11 @@ def test_given_answers_without_a_maximum_of_the_likelihood_then_estimates_are_fi
 def test_given_one_level_then_no_function_is_fitted():
     with pytest.raises(ValueError, match="two or more"):
         fit_psychometric([0.5], [3], [5], guess=0.5)
-    assert psychometric_of([row()], design()) == ()
+    assert psychometric_of([row()], ANSWERS) == ()
 
 
 def test_given_a_staircase_then_its_track_has_a_function_and_the_mean_of_its_reversals():
-    up_down = {"method": "up_down", "factor": "amplitude", "trials": 60, "reversals": 8}
+    up_down = AdaptiveTable(method="up_down", factor="amplitude")
     levels = [1.0, 0.5, 0.25, 0.5, 0.25, 0.5, 0.25, 0.5]
     rows = [
         row(2 * n + k + 1, correct=level > 0.25, amplitude=level, track="t")
@@ -186,7 +179,7 @@ def test_given_a_staircase_then_its_track_has_a_function_and_the_mean_of_its_rev
         for k in range(2 if level > 0.25 else 1)
     ]
     rows = [one if one.amplitude > 0.25 else row(one.trial, correct=False, amplitude=0.25, track="t") for one in rows]
-    (found,) = psychometric_of(rows, design(adaptive=up_down))
+    (found,) = psychometric_of(rows, ANSWERS, up_down)
     assert (found.track, found.factor) == ("t", "amplitude")
     assert found.fit.guess == 0.5
     assert 0.25 <= found.reversals_threshold <= 0.5
@@ -213,7 +206,7 @@ def test_given_participants_that_differ_then_the_mixed_model_finds_the_effect_an
 
 
 def test_given_answers_then_the_report_shows_them_with_names_escaped_and_holds_all_it_shows():
-    analysis = analysis_of(paper_rows(), design())
+    analysis = analysis_of(paper_rows(), DESIGN)
     html, pictures = build_report(analysis, [("answers", "trials.csv")])
     assert NASTY not in html
     assert "713 of 720" in html
@@ -226,5 +219,5 @@ def test_given_no_right_answers_then_shares_of_each_answer_are_tabled():
     rows = [row(n, answer="left" if n % 3 else "right", correct=None) for n in range(30)]
     shares = {one.outcome: one.count for one in shares_of(rows) if not one.participant and not one.factors}
     assert shares == {"left": 20, "right": 10}
-    html, _ = build_report(analysis_of(rows, design()), [])
+    html, _ = build_report(analysis_of(rows, DESIGN), [])
     assert "30 answers" in html

@@ -128,7 +128,7 @@ def _sensitivity(analysis: Analysis) -> Iterator[Section]:
     first = analysis.sensitivities[0]
     rows = [
         [one.participant or "all", _levels(one.factors) or "all", f"{one.hits} of {one.of_signal}",
-         f"{one.false_alarms} of {one.of_noise}", f"{one.d_prime:.2f}", _interval(one.interval), _signed(one.criterion)]
+         f"{one.false_alarms} of {one.of_noise}", _signed(one.d_prime), _interval(one.interval), _signed(one.criterion)]
         for one in analysis.sensitivities if not (one.participant and one.factors)
     ]  # fmt: skip
     head = ["participant", "trials", "hits", "false alarms", "d′", "95 % interval", "criterion c"]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from config.trials import AdaptiveTable, TrialsConfig
+from config.trials import AdaptiveTable, TrialsTable
 from trials.adaptive import UpDown
 from trials.analysis.mixed_model import MixedModel, fit_mixed_model
 from trials.analysis.psychometric_fit import PsychometricFit, fit_psychometric
@@ -68,22 +68,24 @@ class Analysis:
         return {"format": FORMAT, "format_version": 1, **asdict(self)}
 
 
-def analysis_of(rows: Sequence[Row], design: TrialsConfig, *, mixed_model: bool = False) -> Analysis:
+def analysis_of(
+    rows: Sequence[Row], design: TrialsTable, adaptive: AdaptiveTable | None = None, *, mixed_model: bool = False
+) -> Analysis:
     """Analyse all answers of an experiment, at least one.
 
     Raises InputError: the mixed model is asked for and cannot be fitted.
     """
     codes = sorted({row.participant for row in rows})
     return Analysis(
-        design.trials.name,
-        design.trials.question,
-        design.trials.answers,
+        design.name,
+        design.question,
+        design.answers,
         {code: sum(row.participant == code for row in rows) for code in codes},
         tuple(sorted({row.bank_sha256 for row in rows})),
         tuple(sorted({row.trials_sha256 for row in rows})),
         shares_of(rows),
-        sensitivities_of(rows, design.trials.answers),
-        psychometric_of(rows, design),
+        sensitivities_of(rows, design.answers),
+        psychometric_of(rows, design.answers, adaptive),
         reaction_times_of(rows),
         onset_errors_of(rows),
         sum(row.replays for row in rows),
@@ -91,9 +93,10 @@ def analysis_of(rows: Sequence[Row], design: TrialsConfig, *, mixed_model: bool 
     )
 
 
-def psychometric_of(rows: Sequence[Row], design: TrialsConfig) -> tuple[Psychometric, ...]:
+def psychometric_of(
+    rows: Sequence[Row], answers: Sequence[str], table: AdaptiveTable | None = None
+) -> tuple[Psychometric, ...]:
     """Psychometric functions of each participant: of each adaptive track, or by a factor with at least five levels."""
-    table = design.adaptive
     judged = [row for row in rows if row.correct is not None]
     factor = table.factor if table else _factor(judged)
     if factor is None:
@@ -102,7 +105,7 @@ def psychometric_of(rows: Sequence[Row], design: TrialsConfig) -> tuple[Psychome
     found = []
     for code, *_ in grouped(judged, ("participant",)):
         own = [row for row in judged if row.participant == code]
-        guess = table.guess_rate if table else _guess(own, design.trials.answers)
+        guess = table.guess_rate if table else _guess(own, answers)
         for levels, part in grouped(own, ("track",) if table else parting).items():
             some = [row for row in part if (getattr(row, factor) or 0.0) > 0.0]
             falling = table.harder == "higher" if table else _falls(some, factor)

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 from config.loading import validated
-from config.trials import TrialsConfig
+from config.trials import AdaptiveTable, TrialsTable
 from storage.errors import InputError
 from storage.output_files import replaced_folder, require_replaceable_folder
 from trials.analysis.bids import write_bids
@@ -30,8 +30,14 @@ def analyse(folder: Path, out: Path | None, *, mixed_model: bool, force: bool, a
     rows, facts = read_answers(folder), read_facts(folder)
     if not rows:
         raise InputError(f"{folder / ANSWERS} holds no answer yet")
-    design = validated(TrialsConfig, facts.get("design"), f"{folder / FACTS}: design")
-    analysis = analysis_of(rows, design, mixed_model=mixed_model)
+    tables = facts.get("design")
+    if not isinstance(tables, dict):
+        raise InputError(f"{folder / FACTS}: design is {tables!r:.40}; put the file that `wavefocus trials` wrote back")
+    design = validated(TrialsTable, tables.get("trials"), f"{folder / FACTS}: design.trials")
+    adaptive = None
+    if "adaptive" in tables:
+        adaptive = validated(AdaptiveTable, tables["adaptive"], f"{folder / FACTS}: design.adaptive")
+    analysis = analysis_of(rows, design, adaptive, mixed_model=mixed_model)
     sources = [
         ("answers", f"{ANSWERS} of {folder.absolute().name}"),
         ("trials file", str(facts.get("trials_file", ""))),
