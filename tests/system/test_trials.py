@@ -126,10 +126,10 @@ def test_given_a_window_that_closes_while_a_stimulus_sounds_then_it_is_muted_and
 def test_given_wrong_input_then_a_sentence_comes_before_anything_sounds(
     lab: Path, experiment: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def refused(*words: str, trials: str = TRIALS, options: tuple[str, ...] = ()) -> None:
+    def refused(*words: str, trials: str = TRIALS, options: tuple[str, ...] = ("--lines",)) -> None:
         (lab / "trials.toml").write_text(trials, encoding="utf-8")
         capsys.readouterr()
-        assert run([*experiment, "--lines", *options]) == 2
+        assert run([*experiment, *options]) == 2
         told = capsys.readouterr()
         assert told.err.strip().splitlines()[-1].startswith("wavefocus: ")
         assert "Traceback" not in told.err
@@ -140,9 +140,9 @@ def test_given_wrong_input_then_a_sentence_comes_before_anything_sounds(
     refused("masking.output", "actuator", trials=TRIALS + MASKING.replace("5", "1"))
     refused("masking.output", "loopback", trials=TRIALS + MASKING.replace("5", "3"))
     refused("masking.rms_v", trials=TRIALS + MASKING.replace("0.2", "1.2"))
-    refused("participant", options=("--participant", "Ann Smith"))
-    refused("actuator", "amplitude", trials=TRIALS.replace("0.001", "1000"))
-    refused("path", trials=TRIALS.replace("[8, 0]", "[80, 0]").replace("repetitions = 4", "repetitions = 8"))
+    refused("participant", options=("--lines", "--participant", "Ann Smith"))
+    refused("actuator", "amplitude", trials=TRIALS.replace("0.001", "1000"), options=("--prepare",))
+    refused("path", trials=TRIALS.replace("[8, 0]", "[80, 0]"), options=("--prepare",))
     (lab / "out" / "trials.csv").write_text("participant\n", encoding="utf-8")
     refused("trials.csv", "line 1")
     assert not list((lab / "out").glob("*.owner"))

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import platform
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 
@@ -59,7 +60,7 @@ def trials(
         check_participant(participant)
         if not as_lines:
             return _in_window(trials_file, bank, rig_file, participant, out, fast=fast)
-    publish = LinesOut() if as_lines else None
+    line = None if only_prepare else _Line(LinesOut())
     with open_bank(bank) as view, AnswersFile(out) as answers:
         view.require_sound()
         rig = rig_of(rig_file, view)
@@ -67,11 +68,15 @@ def trials(
         if fast and not rig.is_virtual:
             raise InputError(f"{rig_file}: --fast is for a virtual rig")
         masking = _masking(design, rig)
-        if not only_prepare:
+        if line is None:
+            prepared = _prepared(design, view, rig, out, lambda done, of: None, anew=not answers.rows)
+        else:
             begun(Experiment(design), participant, answers.rows)
-        prepared = _prepared(design, view, rig, out, publish, anew=not answers.rows)
+            line.start()
+            with line.breakable():
+                prepared = _prepared(design, view, rig, out, line.show_prepared, anew=not answers.rows)
         experiment = Experiment(design, prepared.sha256, prepared.bank_sha256)
-        if only_prepare:
+        if line is None:
             say(f"{out}: {len(design.stimuli)} stimuli are ready")
             if as_json:
                 print(json.dumps({"bank_sha256": prepared.bank_sha256, "stimuli": dict(prepared.sha256)}))
@@ -80,7 +85,7 @@ def trials(
         write_facts(out, _facts(design, view, rig, prepared))
         run = None if view.rig_json is None or view.run_json is None else bank_configuration(view).run
         work = _Work(experiment, prepared, rig, run, masking, view.sample_rate_hz, answers, participant, fast=fast)
-        return work.run(publish or LinesOut())
+        return work.run(line)
 
 
 class _Work:
@@ -103,7 +108,7 @@ class _Work:
         self._masking, self._rate_hz, self._answers, self._participant = masking, rate_hz, answers, participant
         self._fast = fast
 
-    def run(self, publish: LinesOut) -> Exit:
+    def run(self, line: _Line) -> Exit:
         outputs = 0 if self._masking is None else self._masking.output + 1
         complete, session = False, None
         try:
@@ -112,18 +117,16 @@ class _Work:
                 open_setup(self._rig, self._run, realtime=not self._fast, outputs=outputs) as setup,
             ):
                 table = self._experiment.design.config.trials
-                presenter = RigPresenter(setup, self._sound, self._rate_hz, table.pause_s, self._masking)
-                line = _Line(presenter, publish)
+                line.presenter = RigPresenter(setup, self._sound, self._rate_hz, table.pause_s, self._masking)
                 session = TrialsSession(
-                    self._experiment, self._participant, self._answers, line, line, publish, hurried=self._fast
+                    self._experiment, self._participant, self._answers, line, line, line.publish, hurried=self._fast
                 )
-                line.start()
                 complete = session.run()
         except KeyboardInterrupt:
             pass
         finally:
             if session is not None:
-                publish(TrialsEnded(session.done, session.of, complete))
+                line.publish(TrialsEnded(session.done, session.of, complete))
         if session is None:
             say("stopped by the user; the outputs are muted")
             return Exit.STOPPED
@@ -143,20 +146,43 @@ def sound_of(prepared: Prepared, name: str, plays: int) -> Sound:
 
 
 class _Line:
-    """Orders from standard input, and presentations that their end breaks off."""
+    """Orders from standard input, and work that their end breaks off.
 
-    def __init__(self, presenter: RigPresenter, publish: LinesOut) -> None:
-        self._presenter, self._publish, self._lines = presenter, publish, LinesIn()
+    publish: Writes events.
+    presenter: Set before the first stimulus.
+    """
+
+    presenter: RigPresenter
+
+    def __init__(self, publish: LinesOut) -> None:
+        self.publish, self._lines = publish, LinesIn()
         self._lock = threading.Lock()
-        self._presenting = self._over = False
+        self._breakable = self._over = False
 
     def start(self) -> None:
         """Begin to read orders."""
         self._lines.start(self._overtake, self._end, self._end)
 
+    @contextmanager
+    def breakable(self) -> Iterator[None]:
+        """Raise KeyboardInterrupt in the block where the end comes meanwhile, or came before."""
+        with self._lock:
+            if self._over:
+                raise KeyboardInterrupt
+            self._breakable = True
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._breakable = False
+
+    def show_prepared(self, done: int, of: int) -> None:
+        """Publish how many stimuli are prepared."""
+        self.publish(Preparing(done, of))
+
     def next(self, timeout_s: float | None) -> Message | None:
         """The next order, as of `trials.session.Orders`; None, too, when nobody reads the events any more."""
-        while not self._publish.gone:
+        while not self.publish.gone:
             try:
                 content = self._lines.next(_LOOKS_EVERY_S if timeout_s is None else timeout_s)
             except TimeoutError:
@@ -167,19 +193,12 @@ class _Line:
         return None
 
     def present(self, stimulus: str, trial: int, note: Callable[[str], object]) -> Onset:
-        """Present a stimulus; KeyboardInterrupt where the end comes meanwhile, or came before."""
-        with self._lock:
-            if self._over:
-                raise KeyboardInterrupt
-            self._presenting = True
-        try:
-            return self._presenter.present(stimulus, trial, note)
-        finally:
-            with self._lock:
-                self._presenting = False
+        """Present a stimulus; breakable."""
+        with self.breakable():
+            return self.presenter.present(stimulus, trial, note)
 
     def mute(self) -> None:
-        self._presenter.mute()
+        self.presenter.mute()
 
     def _overtake(self, content: Mapping[str, object]) -> None:
         if content.get("order") == EndTrials.tag["order"]:
@@ -188,7 +207,7 @@ class _Line:
     def _end(self) -> None:
         with self._lock:
             self._over = True
-            if self._presenting:
+            if self._breakable:
                 interrupt()
 
 
@@ -220,15 +239,20 @@ def _masking(design: TrialsDesign, rig: RigConfig) -> Masking | None:
 
 
 def _prepared(
-    design: TrialsDesign, bank: Bank, rig: RigConfig, out: Path, publish: LinesOut | None, *, anew: bool
+    design: TrialsDesign,
+    bank: Bank,
+    rig: RigConfig,
+    out: Path,
+    on_progress: Callable[[int, int], object],
+    *,
+    anew: bool,
 ) -> Prepared:
     limits = stricter(design.config.output, rig.player)
     with progress("prepare", len(design.stimuli)) as report:
 
         def show(done: int, total: int) -> None:
             report(done, total)
-            if publish is not None:
-                publish(Preparing(done, total))
+            on_progress(done, total)
 
         interface = interface_of(rig)
         prepared = prepare(design, bank, out, limits=limits, interface=interface, on_progress=show, anew=anew)
