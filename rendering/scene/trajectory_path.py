@@ -24,8 +24,8 @@ HEADERS = (["time_s", "x_mm", "y_mm"], ["time_s", "x_mm", "y_mm", "amplitude"])
 class TrajectoryPath(DrawnPath):
     """Places at instants, linear between them; a source sounds from the first to the last.
 
-    Its foci are the rows of an amplitude other than 0, the last row excepted, at least 10 ms apart. Where two neighbouring
-    rows both have amplitude 0, the source jumps.
+    Its foci are the rows of an amplitude other than 0, the last row excepted, at least 10 ms apart. Where two
+    neighbouring rows both have amplitude 0, the source jumps.
 
     time_s: Seconds from the start of the source, 0 or more, rising; at least two.
     points_mm: Place (x, y) in millimetres at each.
