@@ -7,6 +7,7 @@
 `surface_view`             `SurfaceView`: every picture of the surface
 `campaign`, `rig`          tabs, each in its folder with `tab` as its first module
 `scene`, `verification`    the same
+`trials`                   the window of perception trials, with `window` as its first module
 =========================  ==================================================================
 
 PyQt5 and pyqtgraph are imported in this package alone, and only by modules that `gui.front_door` imports once it

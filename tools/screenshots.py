@@ -341,6 +341,7 @@ def take_trials(out: Path, trials_file: Path) -> None:
     files = ["--bank", "plate.h5", "--rig", "rig.toml", "--participant", "P01", "--out", "trials"]
     os.chdir(trials_file.parent)
     window = TrialsWindow(front_door(), [trials_file.name, *files, "--fast"], Settings(memory))
+    window.resize(1000, 700)
 
     def until(*waited: str) -> None:
         ends_s = time.monotonic() + 600.0

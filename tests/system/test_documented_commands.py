@@ -135,6 +135,8 @@ def make_small(folder: Path) -> None:
     (folder / "run.toml").write_text(RUN.replace("[capture]", "[capture]\nkeep_raw = true"), "utf-8")
     places = "".join(f"{x_mm},{y_mm}\n" for y_mm in (-4, 0, 4) for x_mm in range(-58, 63, 4))
     (folder / "positions.csv").write_text("x_mm,y_mm\n" + places, "utf-8")
+    trials = (folder / "trials.toml").read_text("utf-8")
+    (folder / "trials.toml").write_text(trials.replace("limit_v = 1.0", "limit_v = 3.0"), "utf-8")  # of three actuators
 
 
 @pytest.mark.long
