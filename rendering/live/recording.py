@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import queue
 import threading
 from collections.abc import Iterable
@@ -29,7 +30,7 @@ from rendering.scene.signals import Impulse, Noise, Signal, Sine
 from rendering.scene.trajectory import Trajectory
 from storage import durable
 from storage.errors import InputError
-from storage.output_files import replacement, require_output_folder, write_whole
+from storage.output_files import replacement, write_whole
 
 SCENE_NAME = "scene.toml"
 MOST_LIVES = 10_000
@@ -64,7 +65,8 @@ class SessionRecording:
                 toml_table("[output]", Output(interpolation=interpolation)),
             ]
         )
-        require_output_folder(folder, [SCENE_NAME], [], force=False)
+        if os.path.lexists(folder / SCENE_NAME):
+            raise InputError(f"{folder / SCENE_NAME} exists; name a new folder for the record")
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
