@@ -33,7 +33,8 @@ def move_until_heard(running: Lines, *names: str, x_mm: float = 4.0) -> dict:
             running.send(order="move", name=name, at_mm=[x_mm, 0.0], **QUIET)
         time.sleep(0.02)
         while (state := running.next_of("state")) is not None:
-            if {source["name"] for source in state["sources"]} == set(names):
+            appeared = {source["name"] for source in state["sources"] if source["amplitude"] == 1e-3}
+            if appeared == {source["name"] for source in state["sources"]} == set(names):
                 return state
     raise AssertionError("they do not sound")
 
@@ -112,7 +113,7 @@ def test_given_osc_messages_then_they_are_orders_and_wrong_ones_end_nothing(bank
             time.sleep(0.02)
             state = running.next_of("state")
             seen = seen if state is None else state["sources"]
-            if seen:
+            if seen and seen[0]["amplitude"] == 0.25:  # it has appeared
                 break
         assert [(one["name"], one["at_mm"], one["amplitude"]) for one in seen] == [("a", [8.0, 4.0], 0.25)]
         sender.send(message("/end").dgram)

@@ -28,6 +28,8 @@ MOST_MESSAGES = 1000
 """A reader that does not keep up loses messages; the sound does not wait for it."""
 REFUSALS_PER_S = 10
 WRITES_WITHIN_S = 5.0
+MOST_AT_ONCE, FLOOD_PAUSE_S = 16, 0.002
+"""Of a flood so many lines are read at once, then none for 2 ms: reading more would slow down computing."""
 
 
 def live(bank: Path, rig_file: Path, options: LiveOptions, *, osc: str | None, as_json: bool) -> Exit:
@@ -70,9 +72,13 @@ def _begin(ready: LiveReady, session: LiveSession, messages: Messages, receiver:
             messages(LiveRefused(str(wrong)))
 
     def read() -> None:
+        count, last_s = 0, 0.0
         try:
             for content, arrived_s in input_objects():
                 receive(content, arrived_s)
+                count, last_s = count + 1 if arrived_s == last_s else 1, arrived_s
+                if count % MOST_AT_ONCE == 0:
+                    time.sleep(FLOOD_PAUSE_S)
         finally:
             session.stop()  # its starter is gone, or wants it to end
 
