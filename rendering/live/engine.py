@@ -162,8 +162,8 @@ class LiveEngine:
         self._exponent: int | None = None
         self._kept_drive: Float64Array = np.zeros((self.actuators, block_samples))
         self._blocks_per_second = max(1, round(self.rate_hz / block_samples))
-        self._energies: deque[float] = deque(maxlen=self._blocks_per_second)
-        """Squared norms of the blocks of the last second, in volts."""
+        self._norms: deque[float] = deque(maxlen=self._blocks_per_second)
+        """Norms of the blocks of the last second, in volts."""
         self._rise = (np.arange(block_samples) + 0.5) / block_samples
 
     def preload(self) -> None:
@@ -307,7 +307,7 @@ class LiveEngine:
                 f"the drive from sample {self.next_sample} on does not fit into float64; lower the amplitude or check"
                 " the bank"
             )
-        self._energies.append(norm_of(block) ** 2)
+        self._norms.append(norm_of(block))
         self._kept_drive = computed[:, self.block_samples :]
         self.next_sample += self.block_samples
         self._forget()
@@ -331,9 +331,9 @@ class LiveEngine:
 
     def _allowed_error(self, unit: int) -> float:
         """Norm that may be left out of a computation, over 2**unit volts."""
-        if self._effort.bound_db is None or not self._energies:
+        if self._effort.bound_db is None or not self._norms:
             return 0.0
-        level_v = math.sqrt(sum(self._energies) / self._blocks_per_second)
+        level_v = norm_of(np.array(self._norms)) / math.sqrt(self._blocks_per_second)
         with np.errstate(over="ignore", under="ignore"):
             error = float(np.ldexp(10.0 ** (self._effort.bound_db / 20.0) * level_v, -unit))
         return error if math.isfinite(error) else 0.0

@@ -1,0 +1,282 @@
+"""Drives of sources whose positions arrive while they sound, against direct sums of eq. (9)."""
+
+from __future__ import annotations
+
+import gc
+import sys
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from config.scene import Regularisation
+from rendering.arrays import Float64Array
+from rendering.greens.interpolation.base import interpolation_method
+from rendering.greens.interpolation.position_grid import PositionGrid
+from rendering.greens.regularisation import row_weights
+from rendering.greens.source import GreenArray, read_row
+from rendering.live.engine import Effort, LiveEngine
+from rendering.scene.signals import Impulse, Noise, Sine
+from rendering.scene.trajectory import Trajectory
+from storage.errors import InputError
+
+RATE_HZ, TAPS, BLOCK = 1000.0, 60, 8
+SUFFICIENT = TAPS - 1 + 2 * BLOCK
+GRID_MM = np.array([(4.0 * x - 20.0, 4.0 * y - 20.0) for y in range(11) for x in range(11)])
+DECAY = np.exp(-np.arange(TAPS) / 15.0)
+GREEN = np.random.default_rng(3).standard_normal((len(GRID_MM), 3, TAPS)) * DECAY
+BANK = GreenArray(GREEN, GRID_MM, RATE_HZ, band_hz=(20.0, 400.0))
+STEADY = Noise((50.0, 300.0), 0.12, seed=5)
+
+
+def engine_of(bank: GreenArray = BANK, *, look_ahead: int = 0, fade_s: float = 0.02, **options) -> LiveEngine:
+    return LiveEngine(
+        bank, block_samples=BLOCK, look_ahead_samples=look_ahead, fade_s=fade_s, signal=STEADY, record=True, **options
+    )
+
+
+def run(engine: LiveEngine, blocks: int, order: Callable[[int], None]) -> tuple[Float64Array, dict[int, list]]:
+    """Drives of some blocks, and the parts of the record by number of the life."""
+    drives, lives = [], {}
+    for block in range(blocks):
+        order(block)
+        drives.append(engine.next_block())
+        for part in engine.take_record():
+            lives.setdefault(part.number, []).append(part)
+    return np.concatenate(drives, axis=1), lives
+
+
+def course_of(parts: list) -> Trajectory:
+    knots = [part.knots for part in parts]
+    return Trajectory(
+        *(np.concatenate([getattr(one, key) for one in knots]) for key in ("sample", "at_mm", "amplitude"))
+    )
+
+
+def direct(lives: dict[int, list], samples: int, interpolation: str, saturation_v: float) -> Float64Array:
+    """Sum of eq. (9), sample by sample, with the regularisation of eqs. (14) and (15)."""
+    drive_v = np.zeros((3, samples))
+    method = interpolation_method(interpolation)(PositionGrid(GRID_MM))
+    for parts in lives.values():
+        course, signal = course_of(parts), parts[0].signal.samples(RATE_HZ)
+        sample = np.arange(course.sample[0], course.sample[-1] + 1)
+        at_mm, amplitude = course.at(sample)
+        nodes = method.nodes(at_mm)
+        for place, now in enumerate(sample.tolist()):
+            weights = row_weights(read_row(BANK, int(nodes.nearest[place])), saturation_v, normalise=True)
+            green = np.einsum("k,kit->it", nodes.weights[place], GREEN[nodes.rows[place]])
+            if weights.sigma is not None:
+                green = green * weights.sigma[:, None]
+            since = now - int(sample[0])
+            loud = parts[0].repeat or since < len(signal)
+            emitted = amplitude[place] * signal[since % len(signal)] * loud
+            taps = np.arange(TAPS)[(now - np.arange(TAPS) >= 0) & (now - np.arange(TAPS) < samples)]
+            drive_v[:, now - taps] += emitted * np.ldexp(weights.gain, weights.gain_exponent) * green[:, taps]
+    return drive_v
+
+
+@pytest.mark.parametrize("interpolation", ["nearest", "bilinear", "bicubic"])
+def test_given_sufficient_look_ahead_then_the_drives_are_direct_sums_over_the_record(interpolation):
+    engine = engine_of(
+        look_ahead=SUFFICIENT + 4 * BLOCK, interpolation=interpolation,
+        regularisation=Regularisation(saturation_absolute=0.5),
+    )  # fmt: skip
+
+    def order(block: int) -> None:
+        if block % 4 == 0 and block < 60:
+            engine.move("finger", (-15.0 + 0.4 * block, 9.0 * np.sin(block / 9.0)), 1.0 + 0.02 * block)
+        if block % 2 == 0 and 20 < block < 90:
+            engine.move("thumb", (18.0 if block > 50 else -17.0, 0.1 * block - 5.0))  # jumps
+        if block == 40:
+            engine.end_source("finger")
+            engine.set_signal("thumb", Sine(90.0, 0.05), repeat=False)
+        if block == 70:
+            engine.set_signal("thumb", Impulse())
+
+    drive_v, lives = run(engine, 150, order)
+    wanted_v = direct(lives, drive_v.shape[1], interpolation, 0.5)
+    assert engine.sufficient_samples == SUFFICIENT
+    assert [parts[0].name for parts in lives.values()] == ["finger", "thumb", "thumb", "finger", "thumb", "thumb"]
+    assert all(parts[-1].over for parts in lives.values())
+    np.testing.assert_allclose(drive_v, wanted_v, rtol=0, atol=1e-12 * np.abs(wanted_v).max())
+
+
+def test_given_constant_velocity_then_less_look_ahead_gives_the_same_drives_later():
+    drives = []
+    for look_ahead in (0, SUFFICIENT + BLOCK):
+        engine = engine_of(look_ahead=look_ahead)
+        made, _ = run(
+            engine,
+            150,
+            lambda block, engine=engine: engine.move("finger", (-15.01 + 0.2 * block, 0.02 * block + 0.007)),
+        )
+        drives.append(made[:, look_ahead:])
+    # From the second position on the velocity is known.
+    begin, end = 2 * BLOCK, drives[1].shape[1]
+    np.testing.assert_allclose(
+        drives[0][:, begin:end], drives[1][:, begin:end], rtol=0, atol=1e-9 * np.abs(drives[1]).max()
+    )
+
+
+@pytest.mark.parametrize("velocity_mm", [0.0, 0.03])
+def test_given_no_further_position_then_the_velocity_is_held_within_the_surface_and_fades(velocity_mm):
+    engine = engine_of(hold_s=0.4)
+    moved = 20
+
+    def order(block: int) -> None:
+        if block < moved:
+            engine.move("finger", (10.0 + velocity_mm * BLOCK * block, 0.0))
+
+    drive_v, lives = run(engine, 150, order)
+    course, last = course_of(lives[0]), (moved - 1) * BLOCK
+    assert int(course.sample[-1]) == last + 400 + 20
+    (at_mm, late_mm, end_mm), amplitude = course.at(np.array([last + 100, last + 400, last + 420]))
+    np.testing.assert_allclose(at_mm, [10.0 + velocity_mm * (last + 100), 0.0], atol=1e-9)
+    assert late_mm.tolist() == end_mm.tolist()
+    assert late_mm[0] == pytest.approx(20.0 if velocity_mm else 10.0, abs=velocity_mm + 1e-9)
+    assert amplitude.tolist() == [1.0, 1.0, 0.0]
+    assert np.abs(drive_v[:, last + 400 - BLOCK : last + 400]).max() > 0
+    assert np.abs(drive_v[:, last + 420 + 1 :]).max() < 1e-15
+    assert not drive_v[:, last + 420 + 2 * BLOCK :].any()
+    assert engine.state() == ()
+
+
+def test_given_a_jump_an_end_or_a_hole_on_the_way_then_one_life_fades_and_another_appears():
+    status = np.ones(len(GRID_MM), dtype=np.uint8)
+    status[60] = 0  # at (0, 0) mm
+    engine = engine_of(GreenArray(GREEN, GRID_MM, RATE_HZ, status=status))
+    places_mm = [(-10.0, 8.0)] * 10 + [(10.0, 8.0)] * 10 + [(-4.0, 0.0)] * 10 + [(4.0, 0.0)] * 10
+    _, lives = run(engine, 60, lambda block: engine.move("finger", places_mm[block]) if block < 40 else None)
+    assert len(lives) == 4
+    for number, parts in lives.items():
+        course = course_of(parts)
+        assert (int(course.sample[0]), course.at_mm[-1].tolist()) == (80 * number, list(places_mm[10 * number]))
+        times = np.array([80 * number, 80 * number + 10, 80 * number + 20, 80 * number + 80, 80 * number + 100])
+        amplitude = course.at(times)[1]
+        np.testing.assert_allclose(amplitude[:3], [0.0, 0.5, 1.0])
+        if number < 3:
+            np.testing.assert_allclose(amplitude[3:], [1.0, 0.0])
+            assert int(course.sample[-1]) == 80 * number + 100
+    for refused in ((0.0, 0.0), (1.9, 0.0)):
+        with pytest.raises(InputError, match="not measured"):
+            engine.move("finger", refused)
+
+
+def test_given_a_source_at_rest_then_computing_anew_changes_nothing_but_rounding():
+    engine = engine_of(look_ahead=0)
+    drive_v, lives = run(engine, 60, lambda block: engine.move("finger", (3.0, 3.0)))
+    made_v = direct(lives, drive_v.shape[1], "nearest", np.inf)
+    rested = slice(2 * BLOCK, 60 * BLOCK - TAPS - 30)
+    wanted_v = np.abs(made_v).max()
+    np.testing.assert_allclose(drive_v[:, rested], made_v[:, rested], rtol=0, atol=1e-12 * wanted_v)
+
+
+def test_given_a_prediction_that_fails_then_the_drives_do_not_click():
+    smooth = GreenArray(np.ones((len(GRID_MM), 1, TAPS)) * np.hanning(TAPS), GRID_MM, RATE_HZ)
+    engine = LiveEngine(smooth, block_samples=BLOCK, look_ahead_samples=0, signal=Sine(20.0, 1.0))
+    drive_v, _ = run(
+        engine, 80, lambda block: engine.move("finger", (10.0 * np.sin(block / 4.0), 0.0), 1.0 + block % 5)
+    )
+    steps_v = np.abs(np.diff(drive_v, axis=1))
+    assert steps_v.max() < 0.25 * np.abs(drive_v).max()
+
+
+@pytest.mark.parametrize("bound_db", [-20.0, -40.0])
+def test_given_a_bound_then_bins_are_left_out_and_the_error_is_within_it(bound_db):
+    low = GREEN[:, :, :1] * np.exp(-(((np.arange(TAPS) - 30.0) / 6.0) ** 2))
+    bank = GreenArray(low, GRID_MM, RATE_HZ)
+    drives = []
+    for effort in (Effort(), Effort(bound_db)):
+        engine = LiveEngine(bank, block_samples=BLOCK, look_ahead_samples=0, signal=Noise((5.0, 60.0), 0.5, seed=1))
+        engine.set_effort(effort)
+        drives.append(
+            run(engine, 160, lambda block, engine=engine: engine.move("finger", (10.0 * np.sin(block / 40.0), 3.0)))[0]
+        )
+    error = np.linalg.norm(drives[1] - drives[0]) / np.linalg.norm(drives[1])
+    assert 1e-9 < error < 10.0 ** (bound_db / 20.0)
+
+
+def test_given_fewer_sources_then_the_latest_fades_and_comes_back():
+    engine, heard = engine_of(), {}
+
+    def order(block: int) -> None:
+        for place, name in enumerate(("first", "second", "third")):
+            engine.move(name, (5.0 * place, 0.0))
+        if block in (20, 50):
+            engine.set_effort(Effort(most_sources=2 if block == 20 else None))
+        heard[block] = [(one.name, one.dropped, one.amplitude) for one in engine.state()]
+
+    _, lives = run(engine, 70, order)
+    assert [parts[0].name for parts in lives.values()] == ["first", "second", "third", "third"]
+    assert heard[19] == [("first", False, 1.0), ("second", False, 1.0), ("third", False, 1.0)]
+    assert heard[40] == [("first", False, 1.0), ("second", False, 1.0), ("third", True, 0.0)]
+    assert heard[60] == heard[19]
+
+
+def test_given_positions_without_end_then_no_more_objects_are_kept():
+    engine = LiveEngine(BANK, block_samples=BLOCK, look_ahead_samples=SUFFICIENT, signal=STEADY)
+    engine.preload()
+    objects = []
+    for block in range(360):
+        engine.move("finger", (15.0 * np.sin(block / 20.0), 10.0 * np.cos(block / 17.0)))
+        if block % 30 == 7:
+            engine.move("thumb", (0.0, -10.0))
+        engine.set_signal(f"other {block}", Impulse())
+        engine.next_block()
+        if block % 120 == 119:
+            gc.collect()
+            objects.append(sys.getallocatedblocks())
+    assert objects[2] - objects[1] < 100
+    assert engine.take_record() == ()
+
+
+def test_given_a_bank_of_huge_or_tiny_numbers_then_the_drives_scale_with_it():
+    drives = []
+    for power in (0, 600, -600):
+        bank = GreenArray(np.ldexp(GREEN, power), GRID_MM, RATE_HZ)
+        engine = engine_of(bank)
+        made, _ = run(engine, 20, lambda block, engine=engine: engine.move("finger", (0.1 * block, 0.0)))
+        drives.append(np.ldexp(made, power))
+    assert np.abs(drives[0]).max() > 0
+    for other in drives[1:]:
+        np.testing.assert_allclose(other, drives[0], rtol=1e-12, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("name", "at_mm", "amplitude"),
+    [
+        ("finger", (np.nan, 0.0), None),
+        ("finger", (0.0, np.inf), None),
+        ("finger", (40.0, 0.0), None),
+        ("finger", (1e300, -1e300), None),
+        ("finger", (0.0, 0.0), np.nan),
+        ("finger", (0.0, 0.0), 1e300),
+        ("", (0.0, 0.0), None),
+        ("f" * 101, (0.0, 0.0), None),
+        ("one too many", (0.0, 0.0), None),
+    ],
+)
+def test_given_a_wrong_position_then_it_is_refused_and_the_sources_sound_on(name, at_mm, amplitude):
+    engine = engine_of(most_sources=2)
+    engine.move("finger", (1.0, 1.0))
+    engine.move("thumb", (5.0, 1.0))
+    engine.next_block()
+    before = engine.state()
+    with pytest.raises(InputError):
+        engine.move(name, at_mm, amplitude)
+    assert engine.state() == before
+    for _ in range(10):
+        engine.next_block()
+    assert [one.name for one in engine.state()] == ["finger", "thumb"]
+
+
+def test_given_rows_of_zeros_or_nan_then_they_are_no_part_of_the_surface():
+    green = GREEN.copy()
+    green[60] = 0.0  # at (0, 0) mm
+    green[61] = np.nan  # at (4, 0) mm
+    engine = engine_of(GreenArray(green, GRID_MM, RATE_HZ), hold_s=0.5)
+    for place_mm in ((0.0, 0.0), (4.0, 0.0)):
+        with pytest.raises(InputError):
+            engine.move("finger", place_mm)
+    _, lives = run(engine, 80, lambda block: engine.move("finger", (-12.0 + 0.5 * block, 0.0)) if block < 10 else None)
+    assert course_of(lives[0]).at_mm[-1][0] == pytest.approx(-2.0, abs=0.07)
