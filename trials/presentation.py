@@ -197,8 +197,10 @@ class RigPresenter:
         error_ms = None
         if self._latency_s is not None:
             error_ms = 1e3 * (found_s - (at_s["playing"] + self._latency_s + onset / rate_hz))
-        # A virtual rig's clock is not the wall's; both stand at the end of the record now.
-        return Onset(found_s + time.monotonic() - clock.now_s(), error_ms, 1e3 * within_s)
+        # A virtual rig's clock is not the wall's; both stand at the end of the record now. Between two readings the
+        # processor may be taken away.
+        ahead_s = max(time.monotonic() - clock.now_s() for _ in range(5))
+        return Onset(found_s + ahead_s, error_ms, 1e3 * within_s)
 
     def _follow(self, event: Event) -> None:
         match event:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from calibration.mirror_map import MirrorMap
 from drivers.errors import InstrumentError, TransientInstrumentError
 from drivers.protocols import Take
 from mocks.virtual.laboratory import take_share
+from mocks.virtual.player import VirtualPlayer
 from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
 from trials.presentation import MASKING_CREST, Masking, RigPresenter, Sound, pink_noise, presented_v
 
@@ -22,8 +24,11 @@ SETTINGS = VirtualSettings(actuator_mm=((60.0, 0.0), (-60.0, 0.0), (0.0, 40.0)),
 STIMULUS = Sound(np.vstack([np.sin(np.arange(4000) / 8.0), np.zeros(4000), np.cos(np.arange(4000) / 8.0)]), 1500, 2)
 
 
-def presenter(*faults: Fault, masking: Masking | None = None, pause_s: float = 1.0) -> RigPresenter:
-    rig = VirtualRig(VirtualSettings(actuator_mm=SETTINGS.actuator_mm, outputs=6, fault_plan=faults))
+def presenter(*faults: Fault, masking: Masking | None = None) -> RigPresenter:
+    return presenter_on(VirtualRig(replace(SETTINGS, fault_plan=faults)), masking)
+
+
+def presenter_on(rig: VirtualRig, masking: Masking | None = None) -> RigPresenter:
     setup = Setup(
         instruments=rig.instruments,
         mirror_map=MirrorMap.straight(1000.0),
@@ -32,7 +37,7 @@ def presenter(*faults: Fault, masking: Masking | None = None, pause_s: float = 1
         range_v=(10.0, 10.0),
         response_per_volt=0.125,
     )
-    return RigPresenter(setup, lambda name: STIMULUS, RATE_HZ, pause_s, masking)
+    return RigPresenter(setup, lambda name: STIMULUS, RATE_HZ, 0.3, masking)
 
 
 def true_error_ms(take: Take) -> float:
@@ -51,9 +56,20 @@ def test_given_stimuli_then_their_onsets_are_those_of_the_rig_to_a_tenth_of_a_mi
         onset = rig.present("any", trial, pytest.fail)
         # The clock of the recorder is 30 ppm off.
         assert onset.error_ms == pytest.approx(true_error_ms(Take(trial, 1, 0, "presentation")), abs=0.1)
-        # Two plays of 0.4 s with a pause of 1 s between them had sounded; the rig's seconds take no time.
-        assert onset.at_s < began_s - 1.0
+        # Two plays of 0.4 s had sounded; the rig's seconds take no time.
+        assert onset.at_s < began_s - 0.5
         assert (onset.within_ms, onset.attempts) == (0.0, 1)
+
+
+def test_given_a_rig_in_the_walls_time_then_the_onset_is_that_of_the_machines_clock() -> None:
+    rig = VirtualRig(replace(SETTINGS, realtime=True))
+    clock, player = rig.instruments.clock, rig.instruments.player
+    assert isinstance(player, VirtualPlayer)
+    onset = presenter_on(rig).present("any", 1, pytest.fail)
+    (play,) = player.plays_between(0, 2**62)
+    ahead_s = max(time.monotonic() - clock.now_s() for _ in range(5))
+    true_s = ahead_s + 1e-9 * play.requested_ns + (play.latency_s or 0.0) + STIMULUS.onset_samples / RATE_HZ
+    assert onset.at_s == pytest.approx(true_s, abs=1e-3 * onset.within_ms + 1e-4)
 
 
 def test_given_plays_then_the_onset_of_each_comes_a_pause_after_the_end_of_the_one_before() -> None:
@@ -70,7 +86,7 @@ def test_given_masking_then_it_sounds_on_its_output_alone_around_the_stimulus_an
     signals_v, onset = rig.signals_v(STIMULUS, Take(1, 1, 0, "presentation"))
     assert sorted(signals_v) == [0, 2, 3, 5]  # the second actuator has nothing to do
     around = round(MASKING.around_s * RATE_HZ)
-    drive_v = presented_v(STIMULUS, 1.0, RATE_HZ)
+    drive_v = presented_v(STIMULUS, 0.3, RATE_HZ)
     for channel in (0, 2):
         sounding = np.flatnonzero(signals_v[channel])
         assert sounding[0] >= around
