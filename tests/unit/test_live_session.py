@@ -44,6 +44,7 @@ BLOCK = 20
 BANK = plate_bank()
 CHANNELS = tuple(range(BANK.actuators))
 AMPLITUDE = 1e-3
+AHEAD_S = 60.0  # so that a busy machine leaves nothing out
 
 
 class ScriptedPlayer:
@@ -109,7 +110,7 @@ class Bench:
         self.output = LiveOutput(Interface(interface_hz, np.full(len(CHANNELS), 5.0)), RATE_HZ, limits or DriveLimits())
         self.session = LiveSession(
             engine, BoundedPlayer(self.tape, 20.0), self.output, self.messages.append,
-            channels=CHANNELS, ahead_s=0.02, adapts=True, gives_up_s=1.0, gain=gain, recording=recording,
+            channels=CHANNELS, ahead_s=AHEAD_S, adapts=True, gives_up_s=1.0, gain=gain, recording=recording,
         )  # fmt: skip
         self.session.run()
         self.frames = np.concatenate(self.tape.pieces, axis=1)
