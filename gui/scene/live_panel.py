@@ -169,6 +169,8 @@ class LivePanel(Themed, QWidget):
         self.latency = TrendPlot("Latency over time", "latency (ms)", LATENCY_GOAL_MS)
         self.load = TrendPlot("Load over time", "load (%)", 100.0)
         self.table = ui.table(("figure", "value"), "Figures of the live session", (1,))
+        self._figures: list[Figure] = []
+        self.table.setRowCount(len(figures_of(None, None)))
         self.table.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.notices = ui.named(QListWidget(), "Notices of the session, the latest one first", "Notices")
         self.notices.setWordWrap(True)
@@ -224,7 +226,7 @@ class LivePanel(Themed, QWidget):
         ready = self._document.bank is not None and bool(self._rig())
         self.start.setEnabled(state == SILENT and ready and self.isVisible())
         self.stop.setEnabled(state in (STARTING, LIVE))
-        for part in (self.look_ahead, self.records, self.folder):
+        for part in (self.look_ahead, self.records):
             part.setEnabled(state == SILENT)
         self.folder.setEnabled(state == SILENT and self.records.isChecked())
         if state == STARTING:
@@ -239,6 +241,7 @@ class LivePanel(Themed, QWidget):
         self.notices.setFixedHeight(_NOTICE_LINES * lines + 8)
         # A fixed height: the surface must not move below the mouse when another hint appears.
         self.hint.setFixedHeight(_HINT_LINES * lines + 2)
+        self._figures = []  # in other colours
         self.show_run()
 
     def hideEvent(self, event: QHideEvent | None) -> None:  # noqa: N802
@@ -259,11 +262,13 @@ class LivePanel(Themed, QWidget):
         self.latency.show_values(time_s, latency_ms)
         self.load.show_values(time_s, 100.0 * np.array([one.load for one in states]))
         figures = figures_of(self._run.ready, latest)
-        self.table.setRowCount(len(figures))
         for number, one in enumerate(figures):
+            if number < len(self._figures) and one == self._figures[number]:
+                continue  # filling a row lays out the whole table
             colours = {1: self.theme.fault} if one.wrong else {}
             texts = (one.name, f"▲ {one.value}" if one.wrong else one.value or "–")
             ui.fill_row(self.table, number, texts, colours, tip=one.definition)
+        self._figures = figures
         rows, titles = self.table.verticalHeader(), self.table.horizontalHeader()
         assert rows is not None
         assert titles is not None

@@ -7,17 +7,18 @@ import time
 import numpy as np
 import pyqtgraph
 from PyQt5.QtCore import QEvent, QPointF, Qt, QTimer
-from PyQt5.QtGui import QFocusEvent, QKeyEvent, QMouseEvent, QTouchEvent
+from PyQt5.QtGui import QFocusEvent, QKeyEvent, QMouseEvent, QPainterPath, QTouchEvent
+from PyQt5.QtWidgets import QGraphicsPathItem
 
 from config.messages.live import PointMm, SoundingSource
 from gui.scene.live_run import LIVE, LiveRun
 from gui.scene.preview import Ground, LivePreview
-from gui.surface_view import MARK, STEPS, Spots, SurfaceView, rgba
+from gui.surface_view import MARK, STEPS, SurfaceView, rgba
 
 # A source follows its pointer at a steady rate; one at rest needs positions, too.
 POSITIONS_EVERY_MS = 10
 KEY_SPEED_MM_S, SLOW_KEY_SPEED_MM_S = 80.0, 20.0
-_SPOT_PX = 17
+_SPOT_RADIUS_PX = 8.5
 _SLACK = 1e-9
 MOUSE, KEYS = "mouse", "keys"
 
@@ -56,7 +57,7 @@ class LiveSurface(SurfaceView):
         self._slow = False
         self._key_mm: PointMm | None = None
         self._ticked_s = 0.0
-        self._spots: Spots | None = None
+        self._spots: list[QGraphicsPathItem] = []
         self._labels: list[pyqtgraph.TextItem] = []
         self._sounding: tuple[SoundingSource, ...] = ()
         super().__init__("Surface of live sources")
@@ -64,8 +65,6 @@ class LiveSurface(SurfaceView):
         viewport = self.viewport()
         assert viewport is not None
         viewport.setAttribute(Qt.WidgetAttribute.WA_AcceptTouchEvents)
-        self._spots = Spots(symbol="o", size=_SPOT_PX)
-        self.add_item(self._spots, 85)
         self._timer = QTimer(self)
         self._timer.setTimerType(Qt.TimerType.PreciseTimer)
         self._timer.setInterval(POSITIONS_EVERY_MS)
@@ -93,11 +92,10 @@ class LiveSurface(SurfaceView):
 
     def redraw(self) -> None:
         super().redraw()
-        if self._spots is not None:
-            self._spots.setPen(pyqtgraph.mkPen(self.theme.base, width=1.5))
-            self._spots.setBrush(pyqtgraph.mkBrush(MARK))
-            self._paint_positions()
-            self.show_sounding(self._sounding)
+        for spot in self._spots:
+            spot.setPen(pyqtgraph.mkPen(self.theme.base, width=1.5))
+        self._paint_positions()
+        self.show_sounding(self._sounding)
 
     def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
         """Begin the mouse's source; other buttons pan."""
@@ -213,8 +211,18 @@ class LiveSurface(SurfaceView):
         self._run.send_places()
 
     def _show_spots(self) -> None:
-        assert self._spots is not None
-        self._spots.setData(pos=np.array([*self._run.places.values()]).reshape(-1, 2))
+        places_mm = [*self._run.places.values()]
+        while len(self._spots) < len(places_mm):
+            path = QPainterPath()
+            path.addEllipse(QPointF(), _SPOT_RADIUS_PX, _SPOT_RADIUS_PX)
+            spot = self._add_sign(path, 85)
+            spot.setPen(pyqtgraph.mkPen(self.theme.base, width=1.5))
+            spot.setBrush(pyqtgraph.mkBrush(MARK))
+            self._spots.append(spot)
+        for number, spot in enumerate(self._spots):
+            spot.setVisible(number < len(places_mm))
+            if number < len(places_mm):
+                spot.setPos(*places_mm[number])
 
     def _show_run(self) -> None:
         if self._run.state == LIVE and not self._timer.isActive():
