@@ -68,7 +68,8 @@ class RowStack:
         """Number of bins; the norm in time of those beyond is at most the error (see `rendering.band`)."""
         if not error > 0:
             return self._bins
-        summed = np.einsum("wb,wb->b", np.abs(emitted), self._magnitude[places])
+        size = np.sqrt(np.square(emitted.real) + np.square(emitted.imag))
+        summed = np.einsum("wb,wb->b", size, self._magnitude[places])
         beyond = np.cumsum(np.square(summed[::-1])) * (2.0 / self._fft_samples)
         return max(self._bins - int(np.searchsorted(beyond, error**2, side="right")), 1)
 

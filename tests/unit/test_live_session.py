@@ -248,12 +248,12 @@ def test_given_slow_blocks_then_bins_and_then_the_latest_sources_are_left_out_an
     for _ in range(400):
         if pace.add(0.006, sources=3):
             seen.append((pace.degradation, pace.effort.bound_db, pace.effort.most_sources))
-    assert seen == [("bins", -60.0, None), ("bins", -40.0, None), ("sources", -40.0, 2), ("sources", -40.0, 1)]
+    assert seen == [("bins", -30.0, None), ("bins", -20.0, None), ("sources", -20.0, 2), ("sources", -20.0, 1)]
     back = []
     for _ in range(20_000):
         if pace.add(0.001, sources=3):
             back.append((pace.degradation, pace.effort.bound_db, pace.effort.most_sources))
-    assert back == [("sources", -40.0, 2), ("bins", -40.0, None), ("bins", -60.0, None), ("none", None, None)]
+    assert back == [("sources", -20.0, 2), ("bins", -20.0, None), ("bins", -30.0, None), ("none", None, None)]
 
 
 def test_given_one_stall_of_the_machine_then_the_effort_stays() -> None:
