@@ -17,8 +17,9 @@ from rendering.field.wave_figures import impulse_travel
 from rendering.greens.interpolation.errors import InterpolationErrors
 from rendering.greens.regularisation import BankRows
 from rendering.greens.source import DOUBTFUL_BITS, GreenSource, read_rows
+from rendering.scene.emission import ContinuousEmission
 from rendering.scene.model import Scene
-from rendering.scene.sampling import ContinuousEmission, SampledSource
+from rendering.scene.sampling import SampledSource
 from storage.errors import InputError
 
 ROWS = 6
