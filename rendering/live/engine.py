@@ -1,14 +1,5 @@
 """Drives of sources whose positions arrive while they sound, block by block.
 
-A drive sample n is made of the source samples n to n + L - 1, L the bank's taps (eq. 9, with p(s) the place of the
-source at sample s):
-
-    f_i[n] = sum_s u[s] g_i(p(s))[s - n]
-
-Every block is computed anew from the courses of all sources as they are known or predicted now, for two blocks of
-drives at once; the second half is crossfaded with the first half of the next computation, so that a prediction that
-did not come true makes no click. Where nothing changed, both are the same numbers.
-
 A position becomes that of the source `look_ahead_samples` later. With at least `sufficient_samples` and the time
 between positions nothing is predicted, and the drives are those of the recorded scene.
 """
@@ -16,20 +7,16 @@ between positions nothing is predicted, and the drives are those of the recorded
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 
 from config.scene import Regularisation
-from rendering.arrays import BoolArray, Float64Array, Int64Array
-from rendering.band import norm_of, scale
-from rendering.device import fast_length
-from rendering.drive.windows import Events, Windows
+from rendering.arrays import Float64Array
 from rendering.greens.regularisation import BankRows
 from rendering.greens.source import GreenSource
+from rendering.live.blocks import CrossfadedBlocks
 from rendering.live.lives import JUMP_MM_S, VELOCITY_S, Emitted, Life, Timing, joined, trajectory
-from rendering.live.row_stack import RowStack
 from rendering.live.surface import Surface
 from rendering.scene.signals import Noise, Signal, signal_size
 from rendering.scene.trajectory import Trajectory
@@ -141,13 +128,11 @@ class LiveEngine:
                 raise InputError(f"{key} is {value}; it must be a finite number, {least} or more")
         self.rate_hz, self.actuators, self.block_samples = float(bank.sample_rate_hz), bank.actuators, block_samples
         self._look_ahead, self._most_sources = look_ahead_samples, most_sources
-        self._lead = bank.taps - 1
-        self.sufficient_samples = self._lead + 2 * block_samples
-        self._rows = BankRows(bank, Regularisation() if regularisation is None else regularisation)
-        self._window = self._lead + 2 * block_samples
-        self._fft_samples = fast_length(self._window)
-        self._stack = RowStack(self._rows, self._fft_samples)
-        self._surface = Surface(bank, interpolation, self._stack.load)
+        self._blocks = CrossfadedBlocks(
+            BankRows(bank, Regularisation() if regularisation is None else regularisation), block_samples
+        )
+        self.sufficient_samples = self._blocks.window_samples
+        self._surface = Surface(bank, interpolation, self._blocks.stack.load)
         self.x_mm, self.y_mm = self._surface.x_mm, self._surface.y_mm
         self._timing = Timing(
             fade=max(1, round(fade_s * self.rate_hz)), hold=max(1, round(hold_s * self.rate_hz)),
@@ -155,20 +140,14 @@ class LiveEngine:
         )  # fmt: skip
         default = default_signal(bank) if signal is None else signal
         self._default = Emitted(default, live_samples(default, self.rate_hz), repeat=True)
-        self._record, self._effort = record, Effort()
+        self._record, self._effort, self._positions = record, Effort(), bank.positions
         self._sources: dict[str, _Source] = {}
         self._lives: dict[int, Life] = {}
         self._lives_begun = self._appearances = 0
-        self._exponent: int | None = None
-        self._kept_drive: Float64Array = np.zeros((self.actuators, block_samples))
-        self._blocks_per_second = max(1, round(self.rate_hz / block_samples))
-        self._norms: deque[float] = deque(maxlen=self._blocks_per_second)
-        """Norms of the blocks of the last second, in volts."""
-        self._rise = (np.arange(block_samples) + 0.5) / block_samples
 
     def preload(self) -> None:
         """Read rows beforehand, as many as fit into memory: about 1 ms each."""
-        for row in range(min(self._rows.bank.positions, self._stack.most_rows)):
+        for row in range(min(self._positions, self._blocks.stack.most_rows)):
             self._surface.try_admit(row)
 
     def move(self, name: str, at_mm: tuple[float, float], amplitude: float | None = None) -> None:
@@ -241,11 +220,7 @@ class LiveEngine:
     def set_effort(self, effort: Effort) -> None:
         """Bound what is computed from the next block on.
 
-        With a bound, bins from the highest downwards are left out of each computation as far as the norm of what is
-        missing is proved to be at most the bound times R, the root mean square of the norms of the blocks delivered in
-        the second before. As each block counts in one second's worth of R, and a crossfade only lessens the sum of both
-        errors' squares, the drives' L2 error over the session is at most the bound times their L2 norm, beside
-        rounding.
+        The bound is that of `CrossfadedBlocks.next`; what `most_sources` leaves out fades.
 
         Raises InputError: a value is out of range.
         """
@@ -299,53 +274,17 @@ class LiveEngine:
         due = self.next_sample + self._look_ahead
         for life in self._lives.values():
             life.settle(due)
-        computed = self._compute()
-        block = computed[:, : self.block_samples] * self._rise
-        block += self._kept_drive * (1.0 - self._rise)
+        first, stop = self.next_sample, self.next_sample + self._blocks.window_samples
+        parts = [events for life in self._lives.values() if (events := life.events(first, stop)) is not None]
+        block = self._blocks.next(joined(parts) if parts else None, self._effort.bound_db)
         if not np.isfinite(block).all():
             raise InputError(
                 f"the drive from sample {self.next_sample} on does not fit into float64; lower the amplitude or check"
                 " the bank"
             )
-        self._norms.append(norm_of(block))
-        self._kept_drive = computed[:, self.block_samples :]
         self.next_sample += self.block_samples
         self._forget()
         return block
-
-    def _compute(self) -> Float64Array:
-        """Drives (actuators, 2 B) from `next_sample` on."""
-        events = self._events()
-        if events is None or not events.values.any():
-            return np.zeros((self.actuators, 2 * self.block_samples))
-        windows = Windows(events)
-        if self._exponent is None:
-            rows, by = windows.pairs
-            self._exponent = int(np.frexp(self._rows.weigh(rows[:1], by[:1])[0][0])[1])
-        windows.weigh(self._weigh)
-        unit = self._exponent + self._rows.drive_exponent
-        emitted = windows.spectra(0, len(windows), self._fft_samples)
-        total = self._stack.total(windows, emitted, self._allowed_error(unit))
-        samples = np.fft.irfft(total.T, n=self._fft_samples, axis=1)[:, self._lead : self._window]
-        return scale(samples, unit)
-
-    def _allowed_error(self, unit: int) -> float:
-        """Norm that may be left out of a computation, over 2**unit volts."""
-        if self._effort.bound_db is None or not self._norms:
-            return 0.0
-        level_v = norm_of(np.array(self._norms)) / math.sqrt(self._blocks_per_second)
-        with np.errstate(over="ignore", under="ignore"):
-            error = float(np.ldexp(10.0 ** (self._effort.bound_db / 20.0) * level_v, -unit))
-        return error if math.isfinite(error) else 0.0
-
-    def _events(self) -> Events | None:
-        """What all sources emit from `next_sample` on, as far as it reaches the block."""
-        first, stop = self.next_sample, self.next_sample + self._window
-        parts = [events for life in self._lives.values() if (events := life.events(first, stop)) is not None]
-        return joined(parts) if parts else None
-
-    def _weigh(self, rows: Int64Array, regularised_by: Int64Array) -> tuple[Float64Array, BoolArray]:
-        return self._rows.weigh(rows, regularised_by, self._exponent or 0)
 
     def _begin(
         self, name: str, source: _Source, due: int, at_mm: tuple[float, float], before: Life | None = None
