@@ -227,9 +227,13 @@ class Life:
         course = trajectory(knots)
         sample = np.arange(changed, int(course.sample[-1]) + 1)
         places_mm, amplitude = course.at(sample)
-        nodes = self._surface.nodes(places_mm)
+        # Where it rests one look is enough.
+        moves = np.flatnonzero((places_mm[1:] != places_mm[:-1]).any(axis=1))
+        moving = int(moves[-1]) + 2 if len(moves) else 1
+        nodes = self._surface.nodes(places_mm[:moving])
+        place = np.minimum(np.arange(len(sample)), moving - 1)
         values = self.emitted.at(sample - self.begin) * amplitude
-        events, first = Events(nodes.rows, nodes.weights, nodes.nearest, sample, values), changed
+        events, first = Events(nodes.rows[place], nodes.weights[place], nodes.nearest[place], sample, values), changed
         if self._events is not None and (begin := max(self._needed, self._first)) < changed:
             former = _part(self._events, begin - self._first, changed - self._first, 0)
             events, first = joined([former, events]), begin
