@@ -107,7 +107,8 @@ class ExperimenterStrip(Themed, QFrame):
     def show_state(self, state: TrialsState) -> None:
         """Show where the session stands."""
         blocks = "" if state.blocks == 1 else f", block {counted(state.block, state.blocks)}"
-        ui.put(self.trial, f"{state.phase} {counted(state.trial, state.of)}{blocks}")
+        counts = "familiarisation" if state.phase == "familiarisation" else "trial"
+        ui.put(self.trial, f"{counts} {counted(state.trial, state.of)}{blocks}")
         ui.put(self.note, state.note)
 
     def show_presented(self, presented: Presented) -> None:
