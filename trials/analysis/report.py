@@ -39,7 +39,7 @@ def build_report(analysis: Analysis, facts: Sequence[tuple[str, str]]) -> tuple[
 
     facts: Names and values of the last table.
     """
-    sections = [*_shares(analysis), *_sensitivity(analysis), *_psychometric(analysis), *_times(analysis)]
+    sections = [*_psychometric(analysis), *_shares(analysis), *_sensitivity(analysis), *_times(analysis)]
     sections += [*_onsets(analysis), *_mixed_model(analysis)]
     html = html_page(
         "analysis.html.jinja", "trials", analysis=analysis, headlines=list(_headlines(analysis)),
@@ -71,6 +71,8 @@ def _notes(analysis: Analysis) -> Iterator[str]:
     for what, some in (("banks", analysis.banks), ("trials files", analysis.tables)):
         if len(some) > 1:
             yield f"The answers belong to {len(some)} different {what}; they are pooled all the same."
+    if any(one.track for one in analysis.psychometric):
+        yield "Levels followed the answers: shares and d′ by level come from few trials, and are no random sample."
     if len(analysis.psychometric) > MOST_CURVES:
         yield f"The first {MOST_CURVES} of {len(analysis.psychometric)} psychometric functions are drawn."
 
