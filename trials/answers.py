@@ -50,6 +50,7 @@ class Row:
     correct: bool | None
     reaction_s: float
     onset_error_ms: float | None
+    onset_within_ms: float
     replays: int
     attempts: int
     by: str
@@ -85,6 +86,11 @@ COLUMNS: Mapping[str, Mapping[str, Any]] = {
     "onset_error_ms": {
         "Description": "Onset by the recorder's loopback minus the onset by the request to play and the player's stated"
         " latency; empty where the player states none",
+        "Units": "ms",
+    },
+    "onset_within_ms": {
+        "Description": "Uncertainty of the onset on the machine's clock, to either side, and so of reaction_s: half of"
+        " the time that the start of the record took",
         "Units": "ms",
     },
     "replays": {"Description": "How often the participant asked for the stimulus again"},

@@ -250,6 +250,7 @@ class TrialsSession:
             correct=None if stimulus.correct is None else answer.choice == stimulus.correct,
             reaction_s=answer.at_s - onset.at_s,
             onset_error_ms=onset.error_ms,
+            onset_within_ms=onset.within_ms,
             replays=replays,
             attempts=attempts,
             by=answer.by,

@@ -26,7 +26,7 @@ from trials.answers import (
 
 ROW = Row(
     "P01", 1, 1, "", "right-40mm_s-burst", 'to the "right", slowly', "burst", 40.0, 0.1 + 0.2, 1, "right", True,
-    0.612345678901234, -0.0625, 0, 1, "keyboard", "2026-11-25T21:40:00.123+01:00", "a" * 64, "b" * 64, "c" * 64,
+    0.612345678901234, -0.0625, 0.05, 0, 1, "keyboard", "2026-11-25T21:40:00.123+01:00", "a" * 64, "b" * 64, "c" * 64,
 )  # fmt: skip
 NEXT = replace(ROW, trial=2, correct=None, speed_mm_s=None, onset_error_ms=None, by="touch")
 

@@ -29,7 +29,7 @@ def row(trial=1, *, participant="P1", path="left", answer=None, correct=True, sp
     other = ANSWERS[1] if path == ANSWERS[0] else ANSWERS[0]
     values = {
         "track": "", "stimulus": f"{path}-{speed}", "signal": "burst", "plays": 1, "reaction_s": 0.5,
-        "onset_error_ms": 0.1, "replays": 0, "attempts": 1, "by": "keyboard",
+        "onset_error_ms": 0.1, "onset_within_ms": 0.05, "replays": 0, "attempts": 1, "by": "keyboard",
         "answered_at": "2026-01-01T00:00:00+00:00",
         "stimulus_sha256": "0" * 64, "bank_sha256": "1" * 64, "trials_sha256": "2" * 64,
     }  # fmt: skip

@@ -67,7 +67,7 @@ def write_bids(folder: Path, rows: Sequence[Row], analysis: Analysis, facts: Map
 
 def _readme(analysis: Analysis) -> str:
     return (
-        f"# {analysis.name}\n\nAnswers of {len(analysis.trials)} participants to the question: {analysis.question}\n\n"
+        f"# {analysis.name}\n\nParticipants: {len(analysis.trials)}. Question: {analysis.question}\n\n"
         "Each row of sub-*/beh/*_beh.tsv is one answered trial; the JSON file of the same name describes the columns.\n"
         "Participants have codes; their names are not stored. derivatives/wavefocus/analysis.json has the statistics.\n"
     )

@@ -58,7 +58,8 @@ def analyse(folder: Path, out: Path | None, *, mixed_model: bool, force: bool, a
         print(json.dumps({**document, "out": str(out)}))
     whole = next((one for one in analysis.shares if not one.participant and not one.factors), None)
     right = f", {percent(whole.share)} right" if whole is not None and whole.outcome == RIGHT else ""
-    say(f"{out / 'report.html'}: {len(rows)} answers of {len(analysis.trials)} participants{right}")
+    people = len(analysis.trials)
+    say(f"{out / 'report.html'}: {len(rows)} answers of {people} participant{'s' * (people != 1)}{right}")
 
 
 def _written(out: Path) -> set[str]:
