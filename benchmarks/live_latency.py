@@ -33,7 +33,7 @@ MARK_MS, MARK_GROWTH_MB = 20.0, 10.0
 POSITIONS_HZ = 100.0
 RADIUS_MM, TURN_S, AMPLITUDE = 30.0, 2.0, 0.01
 PERIOD_FRAMES = 1024
-AHEAD_MS = {"virtual": 20.0, "emulated": 80.0}
+AHEAD_MS = {"virtual": 40.0, "emulated": 80.0}
 """The audio server asks for 21.3 ms at a time: so much more waits. A shorter period runs dry in the server itself."""
 
 

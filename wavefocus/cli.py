@@ -413,7 +413,7 @@ COMMANDS = (
             number("--look-ahead-ms", 0, 2000, default=50.0,
                    help="By how much sources lag their positions; what is not known by then is predicted."),
             number("--block-ms", 1, 50, default=5.0, help="Time computed at once."),
-            number("--ahead-ms", 1, 1000, help="So much waits to be played; by default 20 ms, more where needed."),
+            number("--ahead-ms", 1, 1000, help="So much waits to be played; by default 40 ms, more where needed."),
             number("--gain-db", -200, 200, default=0.0, help="Softer (negative) or louder; limits hold all the same."),
             number("--duration-s", 0, 1e6, help="End by itself after so long."),
             file("--record", metavar="FOLDER", help="Record the session as a scene that renders to the same drives."),

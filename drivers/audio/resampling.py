@@ -105,6 +105,10 @@ LIVE_HALF_LENGTH = 12
 """Of `LiveConversion`: flat up to 0.7 of half the lower rate, and nothing left above 1.3 of it, both to -100 dB."""
 
 
+MOST_MATRICES = 16
+"""Blocks of one length begin at few places: 1 of 10 to 48 kHz, 2 of 10 to 44.1 kHz at 50 samples."""
+
+
 class LiveConversion:
     """Signals at `ratio` times their rate, block by block, with a short low-pass; ratio 1 passes them on.
 
@@ -123,16 +127,27 @@ class LiveConversion:
             np.zeros((channels, 2 * self.delay_samples - 1)) if ratio != 1 else np.zeros((0, 0))
         )
         self._place = 0
+        self._matrices: dict[tuple[int, int], Float64Array] = {}
 
     def convert(self, block: Float64Array) -> Float64Array:
         """The next frames (channels, frames), as many as the samples of the block (channels, samples) reach."""
         if not self.delay_samples or not block.shape[1]:
             return block
         samples = np.concatenate([self._recent, block], axis=1)
-        # Places of the new frames in the block, in old samples times `up`.
-        place = np.arange(self._place, self._up * block.shape[1], self._down)
-        self._place += self._down * len(place) - self._up * block.shape[1]
-        windows = np.lib.stride_tricks.sliding_window_view(samples, 2 * self.delay_samples, axis=1)
+        matrix = self._matrix(self._place, block.shape[1])
+        self._place += self._down * matrix.shape[1] - self._up * block.shape[1]
         self._recent = samples[:, block.shape[1] :]
-        frames: Float64Array = np.einsum("cft,ft->cf", windows[:, place // self._up], self._weights[place % self._up])
-        return frames
+        return np.asarray(samples @ matrix)
+
+    def _matrix(self, place: int, samples: int) -> Float64Array:
+        """Weights (old samples, frames) of a block whose first frame is at `place` in it, in old samples times `up`."""
+        if (place, samples) not in self._matrices:
+            if len(self._matrices) >= MOST_MATRICES:
+                self._matrices.clear()
+            places = np.arange(place, self._up * samples, self._down)
+            reach = 2 * self.delay_samples
+            matrix = np.zeros((samples + reach - 1, len(places)))
+            rows = places[:, None] // self._up + np.arange(reach)
+            matrix[rows, np.arange(len(places))[:, None]] = self._weights[places % self._up]
+            self._matrices[place, samples] = matrix
+        return self._matrices[place, samples]

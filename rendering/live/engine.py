@@ -252,6 +252,11 @@ class LiveEngine:
                 states.append(SourceState(name, at_mm, float(amplitude), fading=fading, dropped=False))
         return tuple(states)
 
+    def late_sources(self) -> list[str]:
+        """Names of sources that fade since no position came in time."""
+        latest = self.next_sample + self._look_ahead - self._timing.hold
+        return [name for name, one in self._sources.items() if one.life is not None and 0 <= one.due < latest]
+
     def take_record(self) -> tuple[RecordedLife, ...]:
         """Knots that became final since the last call, life by life; they are given once."""
         due, parts = self.next_sample + self._look_ahead, []

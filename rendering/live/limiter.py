@@ -76,12 +76,14 @@ class LiveLimiter:
         self._unchunked = self._unchunked[whole:]
         if not frames:
             return np.empty_like(block)
-        window = self._reach + 1
-        least = sliding_window_view(self._gains[: frames + 2 * self._reach], window).min(axis=-1)
-        gain = sliding_window_view(least, window).mean(axis=-1)
-        limited: Float64Array = self._waiting[:, :frames] * gain
+        window, gains = self._reach + 1, self._gains[: frames + 2 * self._reach]
+        limited: Float64Array = self._waiting[:, :frames]
+        self.gain_db = 0.0
+        if gains.min() < 1.0:
+            gain = sliding_window_view(sliding_window_view(gains, window).min(axis=-1), window).mean(axis=-1)
+            limited = limited * gain
+            self.gain_db = 20.0 * math.log10(max(float(gain.min()), 1e-15))
         self._waiting, self._gains = self._waiting[:, frames:], self._gains[frames:]
-        self.gain_db = 20.0 * math.log10(max(float(gain.min()), 1e-15))
         return limited
 
     def flush(self) -> Float64Array:

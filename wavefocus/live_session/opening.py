@@ -26,7 +26,7 @@ from wavefocus.live_session.session import LiveSession, Publish
 from wavefocus.rig.instruments import open_player
 from wavefocus.rig.limits import interface_of, rig_of, stricter
 
-AHEAD_MS = 20.0
+AHEAD_MS = 40.0
 """What waits to be played at first where nothing is asked for; an interface with long periods gets more, see `adapts`
 of the session."""
 WARM_BLOCKS = 3

@@ -94,7 +94,7 @@ class LiveSession:
         self._recording, self._record_failed = recording, False
         self._gain, self._amplitudes = gain, dict[str, float]()
         self._late: set[str] = set()
-        self._ended: set[str] = set()
+        self._sounding_sources = 0  # of the last report
 
     @property
     def played_s(self) -> float:
@@ -161,7 +161,7 @@ class LiveSession:
         self._frames += frames.shape[1]
         while self._unwritten and self._unwritten[0][0] < self._frames:
             self._latency.add(self._player.written_s - self._unwritten.popleft()[1])
-        self._account(computed_s)
+        self._account(computed_s, waiting_s)
         if waiting_s > self._ahead_s / 2:
             time.sleep(max(0.0, begun_s + PACED * self._block_s - time.monotonic()))
 
@@ -188,20 +188,18 @@ class LiveSession:
                 amplitude = self._amplitudes.get(name, 1.0) if amplitude is None else amplitude
                 self.engine.move(name, at_mm, self._gain * amplitude)
                 self._amplitudes[name] = amplitude
-                self._ended.discard(name)
                 self._late.discard(name)
             case UseSignal(name, signal, values, repeat):
                 self.engine.set_signal(name, signal, repeat=repeat, values=values)
             case EndSource(name):
                 self.engine.end_source(name)
                 self._amplitudes.pop(name, None)
-                self._ended.add(name)
             case EndLive():
                 for source in self.engine.state():
                     with suppress(InputError):  # it fades already
                         self._apply(EndSource(source.name))
 
-    def _account(self, computed_s: float) -> None:
+    def _account(self, computed_s: float, waiting_s: float) -> None:
         """Figures, the effort, notices, and five times a second the state."""
         figures = self._figures
         figures.blocks += 1
@@ -214,16 +212,15 @@ class LiveSession:
                 f"limited by {-figures.limited_db:.1f} dB to stay within the limits; lower the amplitudes, or use"
                 " --gain-db",
             )
-        sources = self.engine.state()
-        for source in sources:
-            if source.fading and source.name not in self._ended and source.name not in self._late:
-                self._late.add(source.name)
-                self._notice("late", f"source {source.name}: its positions stopped coming; it fades")
-        change = self._pace.add(computed_s, len(sources))
+        for name in self.engine.late_sources():
+            if name not in self._late:
+                self._late.add(name)
+                self._notice("late", f"source {name}: its positions stopped coming; it fades")
+        change = self._pace.add(computed_s, waiting_s, self._sounding_sources)
         if change:
             self._change_effort(change)
         if figures.blocks >= STATES_EVERY_S / self._block_s:
-            self._report(sources)
+            self._report(self.engine.state())
 
     def _change_effort(self, change: Change) -> None:
         effort = self._pace.effort
@@ -238,8 +235,7 @@ class LiveSession:
 
     def _report(self, sources: tuple[SourceState, ...]) -> None:
         figures = self._figures
-        names = {source.name for source in sources}
-        self._ended &= names
+        names, self._sounding_sources = {source.name for source in sources}, len(sources)
         self._late &= names
         self._amplitudes = {name: one for name, one in self._amplitudes.items() if name in names}
         self._publish(

@@ -53,7 +53,7 @@ def live(
     block_ms
         Time computed at once, 1 to 50.
     ahead_ms
-        So much waits to be played, 1 to 1000; by default 20, and twice as much after each underrun.
+        So much waits to be played, 1 to 1000; by default 40, and twice as much after each underrun.
     gain_db
         On the amplitudes of all orders; limits hold all the same.
     record
