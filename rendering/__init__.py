@@ -5,7 +5,8 @@
 `greens.source`            `GreenSource`, `GreenArray`: the bank as the renderer reads it
 `greens.interpolation`     the bank between its positions
 `drive.rendering`          `render`, `render_with_report`: a scene into the drives of all actuators
-`drive.live`               `StreamedDrive`, `LiveDrive`: drives made while they sound
+`drive.streamed`           `StreamedDrive`, `BlockDrive`: drives of scenes, block by block
+`live.engine`              `LiveEngine`: drives of sources whose positions arrive while they sound
 `field.prediction`         `predict`, `Prediction`: drives into the field
 `verify.scan`              `ScanPlan`, `scan`: the field measured again
 `verify.verdict`           `compare`, `Tolerances`, `Verification`

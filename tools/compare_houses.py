@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from config.scene import Output, Regularisation
-from rendering.drive.live import StreamedDrive
 from rendering.drive.rendering import render_with_report
+from rendering.drive.streamed import StreamedDrive
 from rendering.field.prediction import predict
 from rendering.greens.source import GreenArray
 from rendering.scene.model import Scene, Source

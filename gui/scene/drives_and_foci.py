@@ -16,8 +16,8 @@ from gui.scene.calculation import Driven, FocusFigures, between
 from gui.surface import path_line
 from rendering.arrays import Float32Array, Float64Array, Int64Array
 from rendering.drive.coil_limits import DriveLimits, Limiting, largest_rms, limit_drive
-from rendering.drive.live import LiveDrive
 from rendering.drive.rendering import render_with_report
+from rendering.drive.streamed import BlockDrive
 from rendering.field.crosstalk import PathResponses
 from rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusInstant, evenly
 from rendering.field.metrics import focus_spot, grid_spacing_mm
@@ -178,7 +178,7 @@ def emission_s(source: Source, sample_rate_hz: float) -> float:
 
 def _beginning(scene: Scene, bank: Bank, most: int, on_progress: OnProgress) -> Drive:
     """The first samples of a drive that is not made as a whole."""
-    live = LiveDrive(scene, bank, block_samples=_BLOCK_SAMPLES, tolerance_db=TOLERANCE_DB)
+    live = BlockDrive(scene, bank, block_samples=_BLOCK_SAMPLES, tolerance_db=TOLERANCE_DB)
     drive_v, filled = np.zeros((bank.actuators, min(most, live.shape[1]))), 0
     for block in live.blocks():
         taken = block[:, : drive_v.shape[1] - filled]

@@ -16,8 +16,8 @@ from pydantic import ValidationError
 
 from config.scene import SceneConfig
 from rendering.drive.inverse_filter import inverse_filter
-from rendering.drive.live import LiveDrive, StreamedDrive
 from rendering.drive.rendering import render_with_report
+from rendering.drive.streamed import BlockDrive, StreamedDrive
 from rendering.greens.interpolation.needed_grid import wave_number_rad_mm
 from rendering.greens.regularisation import row_weights
 from rendering.greens.source import GreenArray, scale_row
@@ -65,7 +65,7 @@ def test_a_large_scene_is_refused_by_its_size_before_anything_is_made(name: str)
         for make in (
             lambda: render_with_report(scene, small),
             lambda: StreamedDrive(scene, small),
-            lambda: LiveDrive(scene, small),
+            lambda: BlockDrive(scene, small),
             lambda: inverse_filter(scene, small),
             lambda: scene_picture(scene, small),
         ):
@@ -82,11 +82,11 @@ def test_an_allowed_large_scene_is_rendered_in_the_size_that_was_stated() -> Non
     )
     stated = scene_size(read(text), sample_rate_hz=RATE_HZ, taps=40, actuators=3)
     assert stated.seconds > MOST_SECONDS
-    live = LiveDrive(read(text, allow_large=True), bank(), method="sampled")
+    live = BlockDrive(read(text, allow_large=True), bank(), method="sampled")
     assert live.shape[1] == stated.samples
     assert sum(len(one.focus_sample) for one in live.sampled.sources) == stated.path_points
     with pytest.raises(InputError, match="--allow-large"):
-        LiveDrive(read(text), bank(), method="sampled")
+        BlockDrive(read(text), bank(), method="sampled")
 
 
 @pytest.mark.parametrize("turns", [1e9, 1e12])

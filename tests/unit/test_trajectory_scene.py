@@ -9,8 +9,8 @@ import pytest
 
 from config.scene import Output, Regularisation
 from rendering.drive.inverse_filter import inverse_filter
-from rendering.drive.live import LiveDrive
 from rendering.drive.rendering import render_with_report
+from rendering.drive.streamed import BlockDrive
 from rendering.greens.interpolation.base import interpolation_method
 from rendering.greens.source import GreenArray
 from rendering.report.scene_picture import scene_picture
@@ -69,7 +69,7 @@ def test_given_a_trajectory_then_all_that_looks_at_paths_takes_it():
     scene = scene_of(MOVING, Source(Point((0.0, 0.0)), Sine(70.0, 0.1)))
     whole, _ = render_with_report(scene, bank())
     sampled, _ = render_with_report(scene, bank(), method="sampled")
-    blocks = list(LiveDrive(scene, bank(), block_samples=33).blocks())
+    blocks = list(BlockDrive(scene, bank(), block_samples=33).blocks())
     size = scene_size(scene, sample_rate_hz=RATE_HZ, taps=60, actuators=3)
     assert size.samples == pytest.approx(whole.drive_v.shape[1], abs=1)
     assert size.path_points == len(whole.focus_sample)

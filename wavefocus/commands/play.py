@@ -20,7 +20,7 @@ from config.messages.operate import Playing
 from config.rig import RigConfig
 from drivers.protocols import Clock
 from drivers.timeouts import BoundedPlayer
-from rendering.drive.live import StreamedDrive
+from rendering.drive.streamed import StreamedDrive
 from rendering.drive.wav import InterfaceRate
 from rendering.scene.model import Scene, load_scene
 from storage.bank.reading import Bank, open_bank

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from config.scene import Output, Regularisation
 from rendering.device import cuda_device
 from rendering.drive.coil_limits import dynamic_range_db, relative_rms, strictest
-from rendering.drive.live import StreamedDrive
 from rendering.drive.rendering import OnProgress, render_with_report
+from rendering.drive.streamed import StreamedDrive
 from rendering.drive.wav import in_chunks, stream_wav
 from rendering.field.prediction import predicted_focus_peak
 from rendering.greens.source import GreenSource

@@ -34,7 +34,7 @@ SUMMED = 1e-9
 PIECE_SAMPLES = 4096
 
 
-class LiveDrive:
+class BlockDrive:
     """The drives of a scene, block by block.
 
     The same numbers as `rendering.drive.rendering.render` gives, but for the order in which sources are added up.
@@ -212,9 +212,9 @@ class StreamedDrive:
             raise RuntimeError("the first pass is not done")
         return self.live.blocks()
 
-    def _live(self, share: float) -> LiveDrive:
+    def _live(self, share: float) -> BlockDrive:
         left_out = share * self._tolerance
-        return LiveDrive(
+        return BlockDrive(
             self._scene, self._bank, block_samples=self._block_samples, method=self._method, limits=DriveLimits(),
             tolerance_db=20.0 * math.log10(left_out) if left_out > 0 else None,
         )  # fmt: skip

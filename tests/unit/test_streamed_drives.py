@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from config.scene import Output, Regularisation
 from rendering.drive.coil_limits import DriveLimits, RunningLevels, largest_rms
-from rendering.drive.live import LiveDrive, StreamedDrive
 from rendering.drive.rendering import render_with_report
+from rendering.drive.streamed import BlockDrive, StreamedDrive
 from rendering.drive.wav import Interface, InterfaceRate, in_chunks, stream_wav
 from rendering.greens.source import GreenArray
 from rendering.scene.model import Scene, Source
@@ -39,7 +39,7 @@ def make_bank(scale=1.0):
 def test_one_source_comes_in_blocks_to_the_same_bits_as_in_one_piece(block_samples, tolerance_db):
     scene = Scene("s", (MOVING,))
     whole, _ = render_with_report(scene, make_bank(), tolerance_db=tolerance_db)
-    live = LiveDrive(scene, make_bank(), block_samples=block_samples, tolerance_db=tolerance_db)
+    live = BlockDrive(scene, make_bank(), block_samples=block_samples, tolerance_db=tolerance_db)
     blocks = list(live.blocks())
     assert {block.shape[1] for block in blocks[:-1]} <= {block_samples}
     np.testing.assert_array_equal(np.concatenate(blocks, axis=1), whole.drive_v)
@@ -50,7 +50,7 @@ def test_one_source_comes_in_blocks_to_the_same_bits_as_in_one_piece(block_sampl
 def test_several_sources_come_in_blocks_as_in_one_piece(scale):
     scene = Scene("s", (MOVING, REPEATING, STANDING), output=Output(interpolation="bilinear"))
     whole, _ = render_with_report(scene, make_bank(scale))
-    blocks = np.concatenate(list(LiveDrive(scene, make_bank(scale), block_samples=64).blocks()), axis=1)
+    blocks = np.concatenate(list(BlockDrive(scene, make_bank(scale), block_samples=64).blocks()), axis=1)
     assert blocks.shape == whole.drive_v.shape
     np.testing.assert_allclose(blocks, whole.drive_v, rtol=0, atol=1e-13 * np.abs(whole.drive_v).max())
 
@@ -63,7 +63,7 @@ def test_blocks_come_before_the_scene_is_rendered_to_its_end():
     status[last] = 8
     bank = GreenArray(bank.values, bank.position_mm, RATE_HZ, status=status)
     source = Source(Line((-15, -11), (15, 10)), Noise((50, 400), 60.0, 4), 0.0, 0.6, 0.3)
-    blocks = LiveDrive(Scene("s", (source,)), bank, method="sampled").blocks()
+    blocks = BlockDrive(Scene("s", (source,)), bank, method="sampled").blocks()
     assert len(list(itertools.islice(blocks, 3))) == 3
     with pytest.raises(InputError, match="marked as failed"):
         list(blocks)
@@ -73,10 +73,10 @@ def test_a_drive_beyond_the_limit_is_refused_and_a_gain_keeps_it_below():
     scene = Scene("s", (MOVING,), output=Output(limit_v=1e-3))
     whole, report = render_with_report(scene, make_bank())
     with pytest.raises(InputError, match="more than limit_v"):
-        list(LiveDrive(scene, make_bank()).blocks())
+        list(BlockDrive(scene, make_bank()).blocks())
     with pytest.raises(InputError, match=r"V rms from sample .* more than limit_rms_v"):
-        list(LiveDrive(Scene("s", (MOVING,), output=Output(limit_rms_v=1e-3)), make_bank()).blocks())
-    live = LiveDrive(scene, make_bank())
+        list(BlockDrive(Scene("s", (MOVING,), output=Output(limit_rms_v=1e-3)), make_bank()).blocks())
+    live = BlockDrive(scene, make_bank())
     live.gain = report.scale
     blocks = np.concatenate(list(live.blocks()), axis=1)
     np.testing.assert_allclose(blocks, whole.drive_v, rtol=1e-12, atol=1e-18)
@@ -85,7 +85,7 @@ def test_a_drive_beyond_the_limit_is_refused_and_a_gain_keeps_it_below():
 @pytest.mark.parametrize("options", [{"block_samples": 0}, {"method": "fast"}])
 def test_what_cannot_be_given_out_is_refused(options):
     with pytest.raises(InputError):
-        LiveDrive(Scene("s", (MOVING,)), make_bank(), **options)
+        BlockDrive(Scene("s", (MOVING,)), make_bank(), **options)
 
 
 @pytest.mark.parametrize("interface_rate_hz", [1000, 4800, 44_100])
@@ -94,7 +94,7 @@ def test_a_streamed_wav_is_the_whole_one(tmp_path, interface_rate_hz, block_samp
     scene = Scene("s", (MOVING, REPEATING))
     whole, _ = render_with_report(scene, make_bank())
     scale_v = 1.5 * float(np.abs(whole.drive_v).max())
-    live = LiveDrive(scene, make_bank(), block_samples=block_samples)
+    live = BlockDrive(scene, make_bank(), block_samples=block_samples)
     stream_wav(
         tmp_path / "a.wav", in_chunks(whole.drive_v), live.shape, RATE_HZ,
         interface_rate_hz=interface_rate_hz, full_scale_v=scale_v,
@@ -110,7 +110,7 @@ def test_a_streamed_wav_is_the_whole_one(tmp_path, interface_rate_hz, block_samp
 
 
 def test_a_streamed_wav_beyond_full_scale_is_refused_and_leaves_no_file(tmp_path):
-    live = LiveDrive(Scene("s", (MOVING,)), make_bank())
+    live = BlockDrive(Scene("s", (MOVING,)), make_bank())
     with pytest.raises(InputError, match="beyond the interface's full scale"):
         stream_wav(tmp_path / "b.wav", live.blocks(), live.shape, RATE_HZ, interface_rate_hz=1000, full_scale_v=1e-9)
     assert not list(tmp_path.iterdir())
