@@ -12,40 +12,20 @@ from scipy.stats import binom
 
 from benchmarks.trials import CONSTANT, PEOPLE, coverage, designs
 from tests.system.lines import Lines
+from tests.unit.trials_files import STROKES
 from trials.answers import COLUMNS, read_answers
 from trials.design import load_trials
 from trials.simulated import Observer, SimulatedParticipant
 from wavefocus.__main__ import run
 
-TRIALS = """
+TRIALS = f"""
 [trials]
 name = "felt_or-not"
 question = "Which way?"
 answers = ["left", "right"]
 correct = "path"
 familiarise = false
-
-[path.left]
-kind = "line"
-start_mm = [8, 0]
-end_mm = [0, 0]
-
-[path.right]
-kind = "line"
-start_mm = [0, 0]
-end_mm = [8, 0]
-
-[signal.burst]
-kind = "sine"
-frequency_hz = 200.0
-duration_s = 0.02
-
-[[stimuli]]
-path = ["left", "right"]
-signal = "burst"
-speed_mm_s = 200
-step_mm = 4
-emission = "per_point"
+{STROKES}emission = "per_point"
 amplitude = [0.0001, 0.0002, 0.0004, 0.0006, 0.001]
 
 [adaptive]

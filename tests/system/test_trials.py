@@ -10,10 +10,11 @@ import pytest
 
 from tests.system.conftest import with_faults, write_lab
 from tests.system.lines import Lines
+from tests.unit.trials_files import STROKES
 from trials.answers import AnswersFile, read_answers, read_facts
 from wavefocus.__main__ import run
 
-TRIALS = """
+TRIALS = f"""
 [trials]
 question = "Which way?"
 answers = ["left", "right"]
@@ -21,28 +22,7 @@ keys = ["Left", "Right"]
 correct = "path"
 repetitions = 4
 blocks = 2
-
-[path.left]
-kind = "line"
-start_mm = [8, 0]
-end_mm = [0, 0]
-
-[path.right]
-kind = "line"
-start_mm = [0, 0]
-end_mm = [8, 0]
-
-[signal.burst]
-kind = "sine"
-frequency_hz = 200.0
-duration_s = 0.02
-
-[[stimuli]]
-path = ["left", "right"]
-signal = "burst"
-speed_mm_s = 200
-step_mm = 4
-emission = "per_point"
+{STROKES}emission = "per_point"
 amplitude = 0.001
 """
 

@@ -23,13 +23,14 @@ from config.messages.trials import (
 )
 from drivers.errors import InstrumentLostError
 from storage.errors import InputError
+from tests.unit.trials_files import STROKES
 from trials.answers import AnswersFile, read_answers
 from trials.design import load_trials
 from trials.presentation import Onset
 from trials.resuming import Experiment
 from trials.session import State, TrialsSession
 
-TRIALS = """
+TRIALS = f"""
 [trials]
 question = "Which way?"
 answers = ["left", "right"]
@@ -38,28 +39,7 @@ correct = "path"
 repetitions = 4
 blocks = 2
 replays = 1
-
-[path.left]
-kind = "line"
-start_mm = [8, 0]
-end_mm = [0, 0]
-
-[path.right]
-kind = "line"
-start_mm = [0, 0]
-end_mm = [8, 0]
-
-[signal.burst]
-kind = "sine"
-frequency_hz = 200.0
-duration_s = 0.02
-
-[[stimuli]]
-path = ["left", "right"]
-signal = "burst"
-speed_mm_s = 200
-step_mm = 4
-"""
+{STROKES}"""
 
 
 class InMemory:
