@@ -228,8 +228,8 @@ class Life:
         sample = np.arange(changed, int(course.sample[-1]) + 1)
         places_mm, amplitude = course.at(sample)
         # Where it rests one look is enough.
-        moves = np.flatnonzero((places_mm[1:] != places_mm[:-1]).any(axis=1))
-        moving = int(moves[-1]) + 2 if len(moves) else 1
+        moves = np.flatnonzero((course.at_mm[1:] != course.at_mm[:-1]).any(axis=1))
+        moving = max(int(course.sample[moves[-1] + 1]) - changed + 1, 1) if len(moves) else 1
         nodes = self._surface.nodes(places_mm[:moving])
         place = np.minimum(np.arange(len(sample)), moving - 1)
         values = self.emitted.at(sample - self.begin) * amplitude
