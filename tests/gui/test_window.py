@@ -110,7 +110,7 @@ def test_given_files_then_those_that_a_tab_opens_can_be_dropped_and_are_remember
     for path, opens in (
         (rig, True),
         (tmp_path / "scene.toml", True),
-        (run.with_name("positions.csv"), False),
+        (run.with_name("positions.txt"), False),
         (finished, True),
         (run, True),
     ):
@@ -125,7 +125,7 @@ def test_given_files_then_those_that_a_tab_opens_can_be_dropped_and_are_remember
     tab = campaign_of(window)
     assert (tab.run_field.path, tab.bank_field.path) == (run, finished)
     assert memory.recent() == [run, finished]
-    window.open_file(run.with_name("positions.csv"))
+    window.open_file(run.with_name("positions.txt"))
     assert "no tab opens such a file" in window.messages.sentence
 
 
