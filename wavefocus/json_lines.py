@@ -10,13 +10,14 @@ import queue
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from typing import NoReturn
 
-from config.messages.codec import Message, to_line
+from config.messages.codec import AnyMessage, Message, MessageError, from_record, to_line
 from storage.errors import InputError, WavefocusError
 from wavefocus.console import print_line
+from wavefocus.exits import one_line
 
 # No order is longer; a line without an end must not fill the memory.
 _MOST_BYTES = 1 << 16
@@ -152,6 +153,23 @@ def _object(line: bytes) -> Mapping[str, object] | InputError:
         return content
     shown = line[:60].decode("utf-8", "replace").strip()
     return InputError(f"{shown!r} is no JSON object on one line, or holds a number that is not finite")
+
+
+def read_order(content: Mapping[str, object], kinds: Iterable[type[AnyMessage]]) -> AnyMessage:
+    """Read an object as an order of one of some kinds. Raises InputError: it is none of them, or a key is wrong."""
+    named = {kind.tag["order"]: kind for kind in kinds}
+    word = content.get("order")
+    if not isinstance(word, str) or word not in named:
+        raise InputError(f"order {one_line(repr(word), 60)} is not known; allowed: {', '.join(named)}")
+    try:
+        return from_record(named[word], content, strict=True)
+    except MessageError as wrong:
+        raise wrong_order(word, wrong) from None
+
+
+def wrong_order(word: str, wrong: MessageError) -> InputError:
+    """Make the error about the content of an order."""
+    return InputError(one_line(f"{word}: {wrong}", 300))
 
 
 def _finite(digits: str) -> float:

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 
-from config.messages.codec import Message, MessageError, from_record
+from config.messages.codec import Message
 from config.messages.trials import ORDERS, EndTrials, Preparing, TrialsEnded
 from config.rig import RigConfig
 from config.run import RunConfig
@@ -25,14 +25,13 @@ from trials.stimuli import Prepared, prepare
 from wavefocus.campaign.blueprint import bank_configuration
 from wavefocus.console import progress, say
 from wavefocus.ending import ending_at_once, interrupt
-from wavefocus.exits import Exit, one_line
-from wavefocus.json_lines import LinesIn, LinesOut
+from wavefocus.exits import Exit
+from wavefocus.json_lines import LinesIn, LinesOut, read_order
 from wavefocus.rig.limits import interface_of, rig_of, stricter
 from wavefocus.rig.setup import open_setup
 
 # So often it is looked whether anybody still reads, while no order comes.
 _LOOKS_EVERY_S = 1.0
-_KINDS = {kind.tag["order"]: kind for kind in ORDERS}
 
 
 def trials(
@@ -189,7 +188,7 @@ class _Line:
                 if timeout_s is not None:
                     raise
                 continue
-            return None if content is None else _order(content)
+            return None if content is None else read_order(content, ORDERS)
         return None
 
     def present(self, stimulus: str, trial: int, note: Callable[[str], object]) -> Onset:
@@ -209,17 +208,6 @@ class _Line:
             self._over = True
             if self._breakable:
                 interrupt()
-
-
-def _order(content: Mapping[str, object]) -> Message:
-    """An order. Raises InputError: it is none."""
-    word = content.get("order")
-    if not isinstance(word, str) or word not in _KINDS:
-        raise InputError(f"order {one_line(repr(word), 60)} is not known; allowed: {', '.join(_KINDS)}")
-    try:
-        return from_record(_KINDS[word], content, strict=True)
-    except MessageError as wrong:
-        raise InputError(one_line(f"{word}: {wrong}", 300)) from None
 
 
 def _masking(design: TrialsDesign, rig: RigConfig) -> Masking | None:

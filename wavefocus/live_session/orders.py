@@ -10,7 +10,6 @@ from pathlib import Path
 
 from config.fields import Table
 from config.loading import validated
-from config.messages.codec import MessageError, from_record
 from config.messages.live import ORDERS, EndLive, EndSource, MoveSource, SetSignal
 from config.scene import SignalTable
 from rendering.arrays import Float64Array
@@ -19,6 +18,7 @@ from rendering.scene.model import build_signal
 from rendering.scene.signals import Signal
 from storage.errors import InputError
 from wavefocus.exits import one_line
+from wavefocus.json_lines import read_order
 
 MOST_WAITING = 1000
 
@@ -34,7 +34,6 @@ class UseSignal:
 
 
 Order = MoveSource | UseSignal | EndSource | EndLive
-_KINDS = {kind.tag["order"]: kind for kind in ORDERS}
 
 
 class _SignalOrder(Table):
@@ -49,13 +48,7 @@ def order_of(content: Mapping[str, object], rate_hz: float, folder: Path) -> Ord
 
     Raises InputError: a key or value is wrong, or a signal cannot be made.
     """
-    word = content.get("order")
-    if not isinstance(word, str) or word not in _KINDS:
-        raise InputError(f"order {one_line(repr(word), 60)} is not known; allowed: {', '.join(_KINDS)}")
-    try:
-        order = from_record(_KINDS[word], content, strict=True)
-    except MessageError as wrong:
-        raise InputError(one_line(f"{word}: {wrong}", 300)) from None
+    order = read_order(content, ORDERS)
     if isinstance(order, MoveSource | EndSource | SetSignal):
         check_name(order.name)
     if isinstance(order, SetSignal):

@@ -12,7 +12,7 @@ import numpy as np
 from acquisition.conditions import Sensor
 from acquisition.manual import ManualMeasurements, excitation_of
 from acquisition.setup import Setup, asking, names_of, silence
-from config.messages.codec import Message, MessageError, from_record
+from config.messages.codec import Message, MessageError
 from config.messages.operate import (
     ORDERS,
     End,
@@ -40,7 +40,7 @@ from config.rig import RigConfig
 from drivers.errors import InstrumentError, TransientInstrumentError
 from drivers.timeouts import BoundedPlayer, ShutError
 from storage.errors import InputError
-from wavefocus.exits import one_line
+from wavefocus.json_lines import read_order, wrong_order
 from wavefocus.rig.limits import largest_sine_v, safe_amplitude_v
 
 SAMPLE_RATE_HZ = 10_000.0
@@ -50,7 +50,6 @@ LONGEST_S = 10.0
 LEAST_LEVEL_V = 1e-6
 # No coordinate comes near it, and its square is finite.
 _LARGEST = 1e9
-_KINDS: Mapping[object, type[Order]] = {kind.tag["order"]: kind for kind in ORDERS}
 # A vibrometer is asked for its light by a serial line, which takes longer than a record.
 _LIGHT_EVERY_S = 2.0
 
@@ -62,11 +61,8 @@ def order_of(content: Mapping[str, object], rig: RigConfig) -> Order:
 
     Raises InputError: a key or value is wrong, or the order asks for more than the rig may do.
     """
-    word = content.get("order")
-    if not isinstance(word, str) or word not in _KINDS:
-        raise InputError(f"order {one_line(repr(word), 60)} is not known; allowed: {', '.join(map(str, _KINDS))}")
+    order = read_order(content, ORDERS)
     try:
-        order = from_record(_KINDS[word], content, strict=True)
         match order:
             case Jog():
                 _check_jog(order)
@@ -83,7 +79,7 @@ def order_of(content: Mapping[str, object], rig: RigConfig) -> Order:
                 order = replace(order, level_v=_level_v(order.level_v, rig))
                 excitation_of(order, SAMPLE_RATE_HZ)  # refuses a band that no sweep has
     except MessageError as wrong:
-        raise InputError(one_line(f"{word}: {wrong}", 300)) from None
+        raise wrong_order(order.tag["order"], wrong) from None
     return order
 
 
