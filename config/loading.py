@@ -8,6 +8,7 @@ import re
 import tomllib
 import types
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
@@ -55,6 +56,16 @@ def validated(model: type[Model], data: object, source: str) -> Model:
         return model.model_validate(data)
     except ValidationError as failure:
         raise InputError(one_line(source, failure, model, data)) from None
+
+
+@contextmanager
+def naming_key(file: Path, key: str) -> Iterator[None]:
+    """Name file and key in an InputError of the block that does not name the file."""
+    try:
+        yield
+    except InputError as error:
+        text = str(error)
+        raise InputError(printable(text if text.startswith(str(file)) else f"{file}: {key}: {text}")) from None
 
 
 def named_file(path: Path, key: str, name: str) -> Path:

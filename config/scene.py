@@ -16,6 +16,7 @@ from config.fields import (
     Text,
     Whole,
     mistake,
+    toml_table,
 )
 from config.interpolations import INTERPOLATIONS
 
@@ -215,6 +216,12 @@ class Regularisation(Table):
             allowed = "must be 0 or left out where saturation is given"
             raise mistake("saturation_absolute", self.saturation_absolute, allowed)
         return self
+
+
+def regularisation_toml(regularisation: Regularisation) -> str:
+    """The table as a scene file holds it; a saturation level of 0, which is off, is left out."""
+    off = {} if regularisation.saturation_absolute else {"saturation_absolute": None}
+    return toml_table("[regularisation]", regularisation, off)
 
 
 class Output(Table):

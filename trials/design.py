@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
-from config.loading import parse_toml, printable, shown, validated
+from config.loading import naming_key, parse_toml, printable, shown, validated
 from config.trials import Factor, TrialsConfig
 from rendering.scene.model import Scene, Source, build_path, build_signal
 from storage.errors import InputError
@@ -122,10 +121,10 @@ def _stimuli(design: TrialsDesign) -> dict[str, Stimulus]:
     file, config = design.file, design.config
     paths, signals = {}, {}
     for name, path_table in config.path.items():
-        with _naming(file, f"path.{name}"):
+        with naming_key(file, f"path.{name}"):
             paths[name] = build_path(path_table, file, f"path.{name}")
     for name, signal_table in config.signal.items():
-        with _naming(file, f"signal.{name}"):
+        with naming_key(file, f"signal.{name}"):
             signals[name] = build_signal(signal_table, file, f"signal.{name}")
     amplitudes = {level for table in config.stimuli for level in table.amplitude}
     stimuli: dict[str, Stimulus] = {}
@@ -144,7 +143,7 @@ def _stimuli(design: TrialsDesign) -> dict[str, Stimulus]:
                 )
                 raise design.wrong(key, name, allowed)
             names.add(name.casefold())
-            with _naming(file, key):
+            with naming_key(file, key):
                 source = Source(
                     paths[path], signals[signal], speed_mm_s=speed_mm_s or 0.0, step_mm=table.step_mm or 0.0,
                     amplitude=amplitude, emission=table.emission, repeat=table.repeat,
@@ -238,13 +237,3 @@ def _joined(parts: Iterable[str]) -> str:
 
 def _written(level: str | float | None) -> str:
     return "" if level is None else level if isinstance(level, str) else f"{level:g}"
-
-
-@contextmanager
-def _naming(file: Path, key: str) -> Iterator[None]:
-    """Name file and key in an InputError that does not."""
-    try:
-        yield
-    except InputError as error:
-        text = str(error)
-        raise InputError(printable(text if text.startswith(str(file)) else f"{file}: {key}: {text}")) from None

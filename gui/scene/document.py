@@ -29,6 +29,7 @@ from config.scene import (
     SvgTable,
     TextTable,
     TrajectoryTable,
+    regularisation_toml,
 )
 from storage.errors import InputError
 from storage.output_files import replacement
@@ -102,12 +103,11 @@ def scene_toml(scene: SceneConfig, folder: Path | None = None) -> str:
 
     Returns TOML, as contract section 4 says.
     """
-    held = scene.regularisation
     return "\n".join(
         [
             toml_table("[scene]", scene.scene),
             *(source_toml(source, folder) for source in scene.source),
-            toml_table("[regularisation]", held, {} if held.saturation_absolute else {"saturation_absolute": None}),
+            regularisation_toml(scene.regularisation),
             toml_table("[output]", scene.output),
         ]
     )

@@ -24,6 +24,7 @@ from config.scene import (
     SineTable,
     SourceTable,
     TrajectoryTable,
+    regularisation_toml,
 )
 from rendering.live.engine import RecordedLife
 from rendering.scene.signals import Impulse, Noise, Signal, Sine
@@ -56,12 +57,11 @@ class SessionRecording:
         self, folder: Path, *, rate_hz: float, regularisation: Regularisation, interpolation: str, about: str = ""
     ) -> None:
         self._folder, self._rate_hz = folder, rate_hz
-        held = {} if regularisation.saturation_absolute else {"saturation_absolute": None}
         self._head = "\n".join(
             [
                 f"# {printable(about) or 'Recorded by wavefocus live'}\n",
                 toml_table("[scene]", SceneTable(name="live")),
-                toml_table("[regularisation]", regularisation, held),
+                regularisation_toml(regularisation),
                 toml_table("[output]", Output(interpolation=interpolation)),
             ]
         )

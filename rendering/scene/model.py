@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from config.loading import named_file, parse_toml, printable, read_toml, validated
+from config.loading import named_file, naming_key, parse_toml, read_toml, validated
 from config.scene import Output, PathTable, Regularisation, SceneConfig, SignalTable
 from rendering.scene import paths, signals
 from rendering.scene.signals import Signal
@@ -143,7 +143,7 @@ def build_scene(config: SceneConfig, file: Path, *, allow_large: bool = False) -
     built = []
     for index, table in enumerate(config.source):
         key = f"source[{index}]"
-        try:
+        with naming_key(file, key):
             built.append(
                 Source(
                     path=build_path(table.path, file, f"{key}.path", allow_large=allow_large),
@@ -156,9 +156,6 @@ def build_scene(config: SceneConfig, file: Path, *, allow_large: bool = False) -
                     repeat=table.repeat,
                 )
             )
-        except InputError as error:
-            text = str(error)
-            raise InputError(printable(text if text.startswith(str(file)) else f"{file}: {key}: {text}")) from None
     return Scene(
         name=config.scene.name,
         sources=tuple(built),
