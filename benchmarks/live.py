@@ -217,7 +217,8 @@ def _draw(path: Path, points: list[Point]) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from benchmarks.page import COLOURS, MARKERS
+    from benchmarks.page import MARKERS
+    from rendering.report.canvas import COLOURS
 
     figure = Figure(figsize=(11.4, 4.2), layout="constrained")
     FigureCanvasAgg(figure)

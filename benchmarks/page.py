@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import Findings, Plain, Point, cell, heading
+from rendering.report.canvas import COLOURS
 from storage.output_files import replacement
 
 FEWEST = 3
@@ -19,8 +20,6 @@ FEWEST = 3
 FLOOR = 1e-16
 COSTS = {"hours": "hours of measuring", "wall_s": "run time in s (median on the wall; bars: quartiles' distance)"}
 """What an error is drawn over: the first of these figures that all points of the work have."""
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
-"""For the colour-blind (Okabe and Ito 2008)."""
 MARKERS = "osd^vPX*<>"
 
 

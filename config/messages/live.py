@@ -54,7 +54,7 @@ class LiveReady(Message, event="ready"):
 
     look_ahead_ms: By how much sources lag what is ordered; sufficient_ms: look-ahead from which nothing is predicted.
     interface_ms: From a sample written to its sound: what waits to be played, and the interface's own latency.
-    position_mm, x and y from and to: The measured surface's bounding box.
+    x_mm, y_mm: From and to, of the measured surface's bounding box.
     osc: Address that takes OSC messages, or an empty text.
     """
 

@@ -26,6 +26,8 @@ CSS_PPI = 96
 DENSITY = 2
 INK = "#1b1f24"
 FAINT = "#6a737d"
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
+"""For the colour-blind (Okabe and Ito 2008)."""
 STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9,

@@ -10,7 +10,17 @@ import numpy as np
 from rendering.arrays import Float64Array, Int64Array
 from rendering.greens.regularisation import row_weights, saturation_threshold
 from rendering.greens.source import GreenSource, read_row, refusal, usable
-from rendering.report.canvas import FAINT, INK, Canvas, Picture, Surface, draw_cells, draw_surface, drawn_in_style
+from rendering.report.canvas import (
+    COLOURS,
+    FAINT,
+    INK,
+    Canvas,
+    Picture,
+    Surface,
+    draw_cells,
+    draw_surface,
+    drawn_in_style,
+)
 from rendering.scene.model import Scene, Source
 from rendering.scene.sampling import sample_scene
 from rendering.verify.record import path_line_mm
@@ -21,8 +31,8 @@ if TYPE_CHECKING:
     from matplotlib.collections import PolyCollection
 
 
-# Okabe & Ito's, in an order that keeps neighbours apart; more sources than colours begin anew.
-SOURCE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+# Without black, the colour of outlines; more sources than colours begin anew.
+SOURCE_COLOURS = COLOURS[:-1]
 MOST_NAMED = 12
 MAP_PX = 500
 TOP_PX = 26

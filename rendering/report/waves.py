@@ -22,7 +22,7 @@ from rendering.field.wave_figures import (
     path_spectrum,
 )
 from rendering.greens.source import usable
-from rendering.report.canvas import FAINT, Canvas, Picture, drawn_in_style
+from rendering.report.canvas import COLOURS, FAINT, Canvas, Picture, drawn_in_style
 from rendering.report.figures import PREDICTION, SCAN
 from rendering.report.words import FigureLine, number
 from storage.errors import InputError
@@ -43,7 +43,6 @@ LEAST_LINE = 8
 CORRELATION_BINS = 10
 BEFORE_S, AFTER_S = 0.02, 0.1
 """About each focus instant, the window whose spectrum is formed."""
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
 MARKERS = ("o", "s", "^", "D")
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rendering.report.canvas import FAINT, INK, Canvas, Picture, drawn_in_style
+from rendering.report.canvas import COLOURS, FAINT, INK, Canvas, Picture, drawn_in_style
 from trials.analysis.results import Psychometric
 from trials.analysis.shares import Share
 from trials.analysis.times import ReactionTime
@@ -16,8 +16,6 @@ from trials.analysis.times import ReactionTime
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
-"""For the colour-blind (Okabe and Ito 2008)."""
 NAMES = {
     "speed_mm_s": "speed (mm/s)", "amplitude": "amplitude", "path": "path", "signal": "signal", "plays": "plays"
 }  # fmt: skip

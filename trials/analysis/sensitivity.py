@@ -6,10 +6,8 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from trials.analysis.shares import factors_of, grouped
+from trials.analysis.shares import Z_95, factors_of, grouped
 from trials.answers import Row
-
-_Z_95 = 1.959963984540054
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +49,7 @@ def d_prime(hits: int, of_signal: int, false_alarms: int, of_noise: int) -> tupl
         z.append(float(ndtri(rate)))
         density = math.exp(-0.5 * z[-1] ** 2) / math.sqrt(2.0 * math.pi)
         spread += rate * (1.0 - rate) / (of * density**2)
-    value, half = z[0] - z[1], _Z_95 * math.sqrt(spread)
+    value, half = z[0] - z[1], Z_95 * math.sqrt(spread)
     return value, (value - half, value + half), -0.5 * (z[0] + z[1])
 
 

@@ -15,7 +15,8 @@ from trials.answers import Row
 FACTORS = ("speed_mm_s", "amplitude", "path", "signal", "plays")
 """Columns that may be factors, in the order in which they are tabled."""
 RIGHT = "right"
-_Z_95 = 1.959963984540054
+Z_95 = 1.959963984540054
+"""95 % of a normal distribution lie within so many standard deviations."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +37,7 @@ class Share:
     interval: tuple[float, float]
 
 
-def wilson(count: int, of: int, z: float = _Z_95) -> tuple[float, float]:
+def wilson(count: int, of: int, z: float = Z_95) -> tuple[float, float]:
     """Score interval of a share, by default of 95 % (Wilson, J. Am. Stat. Assoc. 22 (1927), 209).
 
     Centre (p + z^2 / 2n) / (1 + z^2 / n), half width z sqrt(p (1 - p) / n + z^2 / 4n^2) / (1 + z^2 / n).
