@@ -7,7 +7,6 @@ import queue
 import threading
 from collections.abc import Iterable
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
@@ -30,6 +29,7 @@ from rendering.live.engine import RecordedLife
 from rendering.scene.signals import Impulse, Noise, Signal, Sine
 from rendering.scene.trajectory import Trajectory
 from storage import durable
+from storage.durable import Closing
 from storage.errors import InputError
 from storage.output_files import replacement, write_whole
 
@@ -39,7 +39,7 @@ MOST_LIVES = 10_000
 A thousand take about half a minute of processor time to render, 20 actuators and 2000 taps."""
 
 
-class SessionRecording:
+class SessionRecording(Closing):
     """Writes ``scene.toml`` and a trajectory for each life of a source into a folder, from a thread of its own.
 
     A life is one ``[[source]]``, with the file ``source-N.csv`` of its knots. Both only grow: what a killed session
@@ -79,14 +79,6 @@ class SessionRecording:
         self._writer = threading.Thread(target=self._write, name="recording", daemon=True)
         self._writer.start()
 
-    def __enter__(self) -> SessionRecording:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
     def add(self, lives: Iterable[RecordedLife]) -> None:
         """Take what `LiveEngine.take_record` gave; a few times a second is often enough. Never waits or raises."""
         if lives := tuple(lives):
@@ -97,11 +89,10 @@ class SessionRecording:
         """The scene file; None where nothing has sounded yet, or nothing could be written."""
         return self._folder / SCENE_NAME if self._named else None
 
-    def close(self) -> Path | None:
-        """Write what waits; give the scene file."""
+    def close(self) -> None:
+        """Write what waits."""
         self._waiting.put(None)
         self._writer.join()
-        return self.scene
 
     def _write(self) -> None:
         while (lives := self._waiting.get()) is not None:

@@ -67,7 +67,7 @@ def test_given_sufficient_look_ahead_then_the_record_renders_to_the_live_drives(
             if block % 40 == 0:
                 recording.add(engine.take_record())
         recording.add(engine.take_record())
-        scene_file = recording.close()
+    scene_file = recording.scene
     assert scene_file == tmp_path / "session" / "scene.toml"
     scene = load_scene(scene_file)
     drive, _ = render_with_report(scene, BANK)
@@ -96,7 +96,9 @@ def test_given_a_session_that_goes_on_then_its_folder_holds_a_scene_up_to_now(tm
 
 
 def test_given_silence_or_a_folder_with_a_scene_then_no_scene_is_written(tmp_path):
-    assert recording_into(tmp_path / "none").close() is None
+    with recording_into(tmp_path / "none") as recording:
+        pass
+    assert recording.scene is None
     assert list((tmp_path / "none").iterdir()) == []
     (tmp_path / "scene.toml").write_text("[scene]\n")
     with pytest.raises(InputError, match=r"scene\.toml"):
