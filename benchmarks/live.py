@@ -38,8 +38,8 @@ from rendering.scene.trajectory_path import TrajectoryPath
 from storage.drive_file import Drive
 from storage.output_files import replacement
 
-LOOK_AHEADS_MS = (0, 10, 20, 30, 40, 50, 100, 150, 200, 230)
-QUICK_MS = (0, 50, 230)
+LOOK_AHEADS_MS = (0, 10, 20, 30, 40, 50, 100, 150, 200, 240)
+QUICK_MS = (0, 50, 240)
 BLOCK_S, POSITIONS_HZ, LATEST_S = 0.005, 60.0, 0.008
 LASTS_S, JUDGED_S = 1.7, (0.3, 1.3)
 SIGNAL = Noise((50.0, 450.0), 0.4, 5)
@@ -111,7 +111,7 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
         points,
         truth="the drives of the true path, later by the look-ahead",
         notes=[
-            "From 210 ms and the time between two positions on nothing is predicted: 2000 taps and two blocks of 5 ms."
+            "From 215 ms and the time between two positions on nothing is predicted: 2000 taps, three blocks of 5 ms."
         ],
     )
 

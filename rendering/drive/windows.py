@@ -18,6 +18,10 @@ Weigh = Callable[[Int64Array, Int64Array], tuple[Float64Array, BoolArray]]
 """For pairs of a row and its regularising row: the factor, and whether actuators are saturated."""
 
 
+SPAN = 2**31
+"""More than a bank has rows: two of them make one number."""
+
+
 @dataclass(frozen=True, slots=True)
 class Events:
     """Samples that rows emit within a block.
@@ -53,24 +57,23 @@ class Windows:
 
     def __init__(self, events: Events) -> None:
         nodes = events.rows.shape[1]
-        self._span = span = int(max(events.rows.max(initial=0), events.regularised_by.max(initial=0))) + 1
         self._amount = (events.weights * events.values[:, None]).T.ravel()
-        key = (events.rows * span + events.regularised_by[:, None]).T.ravel()
+        key = (events.rows * SPAN + events.regularised_by[:, None]).T.ravel()
         key[self._amount == 0] = -1
+        self._sample = np.concatenate([events.sample] * nodes)
+        self._piece = None if events.piece is None else np.concatenate([events.piece] * nodes)
         # Runs of one key are few: what takes long is done with them alone.
-        begins = np.flatnonzero(np.diff(key, prepend=-2))
-        first = np.minimum.reduceat(np.tile(events.sample, nodes), begins) if len(begins) else begins
-        order = np.argsort(first, kind="stable")
-        keys, earliest, of_run = np.unique(key[begins][order], return_index=True, return_inverse=True)
-        silent = int(len(keys) > 0 and keys[0] < 0)
-        self._keys, by_need = keys[silent:], keys[silent:][np.argsort(earliest[silent:])]
-        self.pairs = by_need // span, by_need % span
-        pair = np.empty(len(begins), dtype=np.int64)
-        pair[order] = of_run - silent
-        self._pair = np.repeat(pair, np.diff(begins, append=len(key)))
-        self._sample = np.tile(events.sample, nodes)
-        self._piece = None if events.piece is None else np.tile(events.piece, nodes)
-        if silent:
+        begins = np.concatenate([[0], np.flatnonzero(key[1:] != key[:-1]) + 1])[: len(key)]
+        first = np.minimum.reduceat(self._sample, begins) if len(begins) else begins
+        of_run = key[begins].tolist()
+        needed = dict.fromkeys(of_run[run] for run in np.argsort(first, kind="stable").tolist())
+        needed.pop(-1, None)
+        index = {key: pair for pair, key in enumerate(needed)} | {-1: -1}
+        pairs = np.array(list(needed), dtype=np.int64)
+        self.pairs = pairs // SPAN, pairs % SPAN
+        lengths = np.concatenate([begins[1:], [len(key)]])[: len(begins)] - begins
+        self._pair = np.repeat(np.array([index[one] for one in of_run], dtype=np.int64), lengths)
+        if -1 in of_run:
             loud = self._pair >= 0
             self._pair, self._sample, self._amount = self._pair[loud], self._sample[loud], self._amount[loud]
             self._piece = None if self._piece is None else self._piece[loud]
@@ -80,10 +83,10 @@ class Windows:
 
     def weigh(self, weigh: Weigh) -> None:
         """Weigh what is emitted, and join what saturates alike."""
-        factors, saturated = weigh(self._keys // self._span, self._keys % self._span)
-        one = (self._keys // self._span) * (self._span + 1) + np.where(saturated, self._keys % self._span + 1, 0)
-        windows, of_pair = np.unique(one, return_inverse=True)
-        self.rows, self.regularised_by = windows // (self._span + 1), windows % (self._span + 1) - 1
+        rows, by = self.pairs
+        factors, saturated = weigh(rows, by)
+        windows, of_pair = np.unique(rows * SPAN + np.where(saturated, by + 1, 0), return_inverse=True)
+        self.rows, self.regularised_by = windows // SPAN, windows % SPAN - 1
         self._part, self._parts, self._pieces = of_pair[self._pair], np.arange(len(windows)), 1
         if self._piece is not None:
             # One part for each piece of a signal that a window holds beginnings of.

@@ -132,7 +132,7 @@ class LiveEngine:
             BankRows(bank, Regularisation() if regularisation is None else regularisation), block_samples
         )
         self.sufficient_samples = self._blocks.window_samples
-        self._surface = Surface(bank, interpolation, self._blocks.stack.load)
+        self._surface = Surface(bank, interpolation, self._blocks.load)
         self.x_mm, self.y_mm = self._surface.x_mm, self._surface.y_mm
         self._timing = Timing(
             fade=max(1, round(fade_s * self.rate_hz)), hold=max(1, round(hold_s * self.rate_hz)),
@@ -144,10 +144,11 @@ class LiveEngine:
         self._sources: dict[str, _Source] = {}
         self._lives: dict[int, Life] = {}
         self._lives_begun = self._appearances = 0
+        self._changed = False  # a course, since the last block
 
     def preload(self) -> None:
         """Read rows beforehand, as many as fit into memory: about 1 ms each."""
-        for row in range(min(self._positions, self._blocks.stack.most_rows)):
+        for row in range(min(self._positions, self._blocks.most_rows)):
             self._surface.try_admit(row)
 
     def move(self, name: str, at_mm: tuple[float, float], amplitude: float | None = None) -> None:
@@ -157,7 +158,7 @@ class LiveEngine:
 
         Raises InputError: the place cannot be rendered from, a number is out of range, or too many sources sound.
         """
-        self._surface.require(at_mm, name)
+        place = self._surface.numbers(at_mm, name)
         if amplitude is not None and not abs(amplitude) <= LARGEST_AMPLITUDE:
             raise InputError(
                 f"amplitude of source {name!r} is {amplitude}; it must be a number from {-LARGEST_AMPLITUDE:g} to"
@@ -167,20 +168,24 @@ class LiveEngine:
         sounding = self._active(due)
         if name not in sounding and len(sounding) >= self._most_sources:
             raise InputError(f"source {name!r} is one too many; at most {self._most_sources} may sound at a time")
+        life, self._changed = self._sources[name].life if name in sounding else None, True
+        if life is not None:
+            source = self._sources[name]
+            loudness = source.amplitude if amplitude is None else float(amplitude)
+            life.settle(due)
+            if not life.ended and life.moved(due, place, loudness):
+                source.at_mm, source.due, source.amplitude = place, due, loudness
+                return
+        self._surface.require(place, name)
         source = self._named(name)
         if name not in sounding:
             self._appearances += 1
             source.appeared, source.life, source.amplitude = self._appearances, None, 1.0
-        place = (float(at_mm[0]), float(at_mm[1]))
         source.at_mm, source.due = place, due
         source.amplitude = source.amplitude if amplitude is None else float(amplitude)
         if name in self._dropped(due):
             return
-        life = source.life
         if life is not None:
-            life.settle(due)
-            if not life.ended and life.moved(due, place, source.amplitude):
-                return
             life.finish(due)
         source.life = self._begin(name, source, due, place)
 
@@ -200,6 +205,7 @@ class LiveEngine:
         due, before = self.next_sample + self._look_ahead, source.life
         if before is None:
             return
+        self._changed = True
         before.settle(due)
         if not before.ended:
             (place_mm,), _ = before.course.at(np.array([due]))
@@ -212,7 +218,7 @@ class LiveEngine:
         if name not in self._active(due):
             raise InputError(f"no source {name[:LONGEST_NAME]!r} sounds; allowed are the names that do")
         source = self._sources[name]
-        source.due = -1
+        source.due, self._changed = -1, True
         if source.life is not None:
             source.life.settle(due)
             source.life.finish(due)
@@ -228,7 +234,7 @@ class LiveEngine:
             raise InputError(f"bound_db is {effort.bound_db}; it must be a finite number below 0")
         if effort.most_sources is not None and effort.most_sources < 0:
             raise InputError(f"most_sources is {effort.most_sources}; it must be 0 or more")
-        self._effort = effort
+        self._effort, self._changed = effort, True
         due = self.next_sample + self._look_ahead
         for name in self._dropped(due):
             life = self._sources[name].life
@@ -280,8 +286,11 @@ class LiveEngine:
         for life in self._lives.values():
             life.settle(due)
         first, stop = self.next_sample, self.next_sample + self._blocks.window_samples
-        parts = [events for life in self._lives.values() if (events := life.events(first, stop)) is not None]
-        block = self._blocks.next(joined(parts) if parts else None, self._effort.bound_db)
+        block = None if self._changed else self._blocks.unchanged()
+        if block is None:
+            parts = [events for life in self._lives.values() if (events := life.events(first, stop)) is not None]
+            block = self._blocks.next(joined(parts) if parts else None, self._effort.bound_db)
+        self._changed = False
         if not np.isfinite(block).all():
             raise InputError(
                 f"the drive from sample {self.next_sample} on does not fit into float64; lower the amplitude or check"
@@ -304,9 +313,10 @@ class LiveEngine:
 
     def _forget(self) -> None:
         """Drop knots and lives that no later block needs."""
-        if not self._record:
-            self.take_record()
+        due = self.next_sample + self._look_ahead
         for number, life in list(self._lives.items()):
+            if not self._record:
+                life.take(due)
             life.forget(self.next_sample)
             if life.taken and life.end < self.next_sample:
                 del self._lives[number]

@@ -7,7 +7,9 @@ it fades. All of this is knots: a tail that comes true is part of the record as 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -116,7 +118,7 @@ class Life:
             # Of several positions within one block the last one counts.
             knots, points = knots[:-1], [position._replace(sample=last.sample)]
         if knots:
-            way_mm = float(np.hypot(position.x_mm - knots[-1].x_mm, position.y_mm - knots[-1].y_mm))
+            way_mm = math.hypot(position.x_mm - knots[-1].x_mm, position.y_mm - knots[-1].y_mm)
             if way_mm > max(JUMP_MM, self._timing.jump_mm_per_sample * (points[-1].sample - knots[-1].sample)):
                 return False
         return self._accept(knots, points, knots[-1].sample + 1 if knots else self.begin)
@@ -225,15 +227,16 @@ class Life:
     def _trace(self, knots: list[Knot], changed: int) -> None:
         """Evaluate a course from a sample on. Raises OffGridError, and changes nothing: a place is off the surface."""
         course = trajectory(knots)
-        sample = np.arange(changed, int(course.sample[-1]) + 1)
+        sample = np.arange(changed, knots[-1].sample + 1)
         places_mm, amplitude = course.at(sample)
+        values = self.emitted.at(sample - self.begin) * amplitude
         # Where it rests one look is enough.
-        moves = np.flatnonzero((course.at_mm[1:] != course.at_mm[:-1]).any(axis=1))
-        moving = max(int(course.sample[moves[-1] + 1]) - changed + 1, 1) if len(moves) else 1
+        moves = [after.sample for before, after in pairwise(knots) if before[1:3] != after[1:3]]
+        moving = max([1, *(last - changed + 1 for last in moves[-1:])])
         nodes = self._surface.nodes(places_mm[:moving])
         place = np.minimum(np.arange(len(sample)), moving - 1)
-        values = self.emitted.at(sample - self.begin) * amplitude
-        events, first = Events(nodes.rows[place], nodes.weights[place], nodes.nearest[place], sample, values), changed
+        rows, weights = nodes.rows.take(place, axis=0), nodes.weights.take(place, axis=0)
+        events, first = Events(rows, weights, nodes.nearest.take(place), sample, values), changed
         if self._events is not None and (begin := max(self._needed, self._first)) < changed:
             former = _part(self._events, begin - self._first, changed - self._first, 0)
             events, first = joined([former, events]), begin
@@ -260,9 +263,11 @@ def _part(events: Events, begin: int, end: int, first: int) -> Events:
 
 def _velocity(positions: list[Knot]) -> tuple[float, float]:
     """Millimetres per sample along x and y, by least squares; 0 of one position."""
-    if len(positions) < 2:
+    last, mean = positions[-1], sum(one.sample for one in positions) / len(positions)
+    offsets = [one.sample - mean for one in positions]
+    square = sum(offset * offset for offset in offsets)
+    if not square:
         return 0.0, 0.0
-    sample, x_mm, y_mm, _ = np.array(positions).T
-    offset = sample - sample.mean()
-    right, up = offset @ (x_mm - x_mm[-1]), offset @ (y_mm - y_mm[-1])
-    return float(right / (offset @ offset)), float(up / (offset @ offset))
+    right = sum(offset * (one.x_mm - last.x_mm) for offset, one in zip(offsets, positions, strict=True))
+    up = sum(offset * (one.y_mm - last.y_mm) for offset, one in zip(offsets, positions, strict=True))
+    return right / square, up / square

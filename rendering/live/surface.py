@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -44,11 +45,20 @@ class Surface:
         position_mm = np.asarray(bank.position_mm, dtype=np.float64)[self._usable]
         (left, lower), (right, upper) = position_mm.min(axis=0).tolist(), position_mm.max(axis=0).tolist()
         self.x_mm, self.y_mm = (left, right), (lower, upper)
+        # The first search beside the lattice loads a library: now, and not while sources sound.
+        self._method.grid.nearest(np.array([[left, lower]]) - self._method.grid.spacing_mm)
+        self._middle_mm = np.array([(left + right) / 2, (lower + upper) / 2])
+        self._half_mm = np.array([(right - left) / 2, (upper - lower) / 2])
+
+    @staticmethod
+    def numbers(at_mm: Sequence[float], name: str) -> tuple[float, float]:
+        """Two numbers. Raises InputError: they are not two, or not finite."""
+        if len(at_mm) != 2 or not all(map(math.isfinite, at_mm)):
+            raise InputError(f"at_mm of source {name!r} is {at_mm}; two finite numbers (x, y) in mm are expected")
+        return float(at_mm[0]), float(at_mm[1])
 
     def require(self, at_mm: tuple[float, float], name: str) -> None:
         """Raise InputError where a source may not be at a place in millimetres."""
-        if len(at_mm) != 2 or not np.isfinite(at_mm).all():
-            raise InputError(f"at_mm of source {name!r} is {at_mm}; two finite numbers (x, y) in mm are expected")
         place_mm = np.array([at_mm], dtype=np.float64)
         try:
             nodes = self._method.nodes(place_mm)
@@ -76,11 +86,10 @@ class Surface:
 
         Raises OffGridError: its `point` is the first place that cannot be rendered from.
         """
-        spacing_mm, (x_mm, y_mm) = self._method.grid.spacing_mm, at_mm.T
-        within = (x_mm >= self.x_mm[0] - spacing_mm) & (x_mm <= self.x_mm[1] + spacing_mm)
-        within &= (y_mm >= self.y_mm[0] - spacing_mm) & (y_mm <= self.y_mm[1] + spacing_mm)
+        spacing_mm = self._method.grid.spacing_mm
         # Places far outside take long to search for.
-        count = len(at_mm) if within.all() else int(np.argmin(within))
+        outside = np.abs(at_mm - self._middle_mm) > self._half_mm + spacing_mm
+        count = int(np.argmax(outside.any(axis=1))) if outside.any() else len(at_mm)
         beyond = OffGridError(count, "lies off the measured surface")
         while count:
             try:

@@ -39,7 +39,7 @@ class Trajectory:
             )
         if not (np.isfinite(self.amplitude).all() and (np.abs(self.at_mm) <= FURTHEST_MM).all()):
             raise InputError(f"a trajectory has a value that is not finite, or beyond {FURTHEST_MM:g} mm")
-        if (np.diff(self.sample) <= 0).any() or np.abs(self.sample[[0, -1]]).max() > LATEST_SAMPLE:
+        if (self.sample[1:] <= self.sample[:-1]).any() or max(-self.sample[0], self.sample[-1]) > LATEST_SAMPLE:
             raise InputError(f"the samples of a trajectory must rise, and lie within {LATEST_SAMPLE} of 0")
 
     def at(self, sample: Int64Array) -> tuple[Float64Array, Float64Array]:
@@ -49,11 +49,6 @@ class Trajectory:
 
         Returns places, float64 (n, 2), in millimetres; amplitudes, float64 (n,).
         """
-        knot = np.maximum(np.searchsorted(self.sample, sample, side="right") - 1, 0)
-        following = np.minimum(knot + 1, len(self.sample) - 1)
-        begin = self.sample[knot]
-        share = np.clip((sample - begin) / np.maximum(self.sample[following] - begin, 1), 0.0, 1.0)
-        # In this form a source that rests does not move by rounding.
-        from_mm, amplitude = self.at_mm[knot], self.amplitude[knot]
-        at_mm = from_mm + share[:, None] * (self.at_mm[following] - from_mm)
-        return at_mm, amplitude + share * (self.amplitude[following] - amplitude)
+        # A source that rests does not move by rounding: the slope is 0.
+        x_mm, y_mm = (np.interp(sample, self.sample, along) for along in self.at_mm.T)
+        return np.stack([x_mm, y_mm]).T, np.interp(sample, self.sample, self.amplitude)

@@ -21,7 +21,7 @@ from rendering.scene.trajectory import Trajectory
 from storage.errors import InputError
 
 RATE_HZ, TAPS, BLOCK = 1000.0, 60, 8
-SUFFICIENT = TAPS - 1 + 2 * BLOCK
+SUFFICIENT = TAPS - 1 + 3 * BLOCK
 GRID_MM = np.array([(4.0 * x - 20.0, 4.0 * y - 20.0) for y in range(11) for x in range(11)])
 DECAY = np.exp(-np.arange(TAPS) / 15.0)
 GREEN = np.random.default_rng(3).standard_normal((len(GRID_MM), 3, TAPS)) * DECAY
@@ -137,7 +137,7 @@ def test_given_no_further_position_then_the_velocity_is_held_within_the_surface_
     assert amplitude.tolist() == [1.0, 1.0, 0.0]
     assert np.abs(drive_v[:, last + 400 - BLOCK : last + 400]).max() > 0
     assert np.abs(drive_v[:, last + 420 + 1 :]).max() < 1e-15
-    assert not drive_v[:, last + 420 + 2 * BLOCK :].any()
+    assert not drive_v[:, last + 420 + 3 * BLOCK :].any()
     assert engine.state() == ()
 
 
@@ -169,6 +169,28 @@ def test_given_a_source_at_rest_then_computing_anew_changes_nothing_but_rounding
     rested = slice(2 * BLOCK, 60 * BLOCK - TAPS - 30)
     wanted_v = np.abs(made_v).max()
     np.testing.assert_allclose(drive_v[:, rested], made_v[:, rested], rtol=0, atol=1e-12 * wanted_v)
+
+
+@pytest.mark.parametrize(
+    "order",
+    [
+        lambda engine: engine.move("finger", (-3.0, 6.0)),
+        lambda engine: engine.set_signal("finger", Sine(90.0, 0.1)),
+        lambda engine: engine.end_source("finger"),
+        lambda engine: engine.set_effort(Effort(most_sources=0)),
+    ],
+    ids=["a position", "a signal", "an end", "an effort"],
+)
+@pytest.mark.parametrize("blocks", [11, 12, 13])
+def test_an_order_takes_effect_with_the_next_block_even_where_that_was_computed_before(blocks, order):
+    ordered, other = engine_of(), engine_of()
+    for engine in (ordered, other):
+        engine.move("finger", (-5.0, 6.0))
+        for _ in range(blocks):
+            engine.next_block()
+    order(ordered)
+    difference = ordered.next_block() - other.next_block()
+    assert np.abs(difference).max() > 1e-3 * np.abs(other.next_block()).max()
 
 
 def test_given_a_prediction_that_fails_then_the_drives_do_not_click():

@@ -43,7 +43,7 @@ class Lattice:
         clear = np.ones(len(points_mm), dtype=bool)
         for axis in (0, 1):
             lattice = (points_mm[:, axis] - self.origin_mm[axis]) / self.pitch_mm[axis]
-            site = np.clip(np.rint(lattice), 0, self.row_at.shape[axis] - 1)
+            site = np.minimum(np.maximum(np.rint(lattice), 0), self.row_at.shape[axis] - 1)
             clear &= np.abs(lattice - site) < 0.5 - TIE_SLACK
             index *= self.row_at.shape[axis]
             index += np.where(clear, site, 0.0).astype(np.int64)
@@ -99,8 +99,9 @@ class PositionGrid:
                 left = left[~within]
             if len(left):
                 rows[left] = self._search(points_mm[left])
+        right_mm, up_mm = (points_mm[:, axis] - self.position_mm[:, axis].take(rows) for axis in (0, 1))
         with np.errstate(over="ignore"):  # a path may lie anywhere; a point too far away is refused
-            return rows, np.asarray(np.hypot(*(points_mm - self.position_mm[rows]).T), dtype=np.float64)
+            return rows, np.hypot(right_mm, up_mm)
 
     def _search(self, points_mm: Float64Array) -> Int64Array:
         points_mm = np.clip(points_mm, -FURTHEST_MM, FURTHEST_MM)
