@@ -10,8 +10,8 @@ from rendering.live.engine import Effort
 
 BOUNDS_DB = (None, -30.0, -20.0)
 """Proved bounds on the relative error from bins left out, in the order in which they are given up. On the soft plate
-the error itself is at most -54 and -44 dB, and a block of four fast sources takes 0.6 and 0.55 of its time; within
--60 dB next to no bin can be left out."""
+the error itself is at most -54 and -44 dB, and a block of four fast sources takes 0.7 and 0.6 of its time, of one slow
+source 0.95 and 0.9; within -60 dB next to no bin can be left out."""
 BUSY = 0.8
 """Share of a block's time above which computing it counts as too slow."""
 LOOKED_AT = 10
