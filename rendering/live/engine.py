@@ -16,16 +16,16 @@ from rendering.arrays import Float64Array
 from rendering.greens.regularisation import BankRows
 from rendering.greens.source import GreenSource
 from rendering.live.blocks import CrossfadedBlocks
-from rendering.live.lives import JUMP_MM_S, VELOCITY_S, Emitted, Life, Timing, joined, trajectory
+from rendering.live.emitted import Emitted, default_signal, live_samples
+from rendering.live.lives import JUMP_MM_S, VELOCITY_S, Life, Timing, joined, trajectory
 from rendering.live.surface import Surface
-from rendering.scene.signals import Noise, Signal, signal_size
+from rendering.scene.signals import Signal
 from rendering.scene.trajectory import Trajectory
 from storage.errors import InputError
 
 MOST_NAMES = 64
 """Names whose signals are kept; of more, those that were silent longest are forgotten."""
 LONGEST_NAME = 100
-LONGEST_SIGNAL_S = 60.0
 LARGEST_AMPLITUDE = 1e9
 
 
@@ -158,32 +158,31 @@ class LiveEngine:
 
         Raises InputError: the place cannot be rendered from, a number is out of range, or too many sources sound.
         """
-        place = self._surface.numbers(at_mm, name)
+        if len(at_mm) != 2 or not all(map(math.isfinite, at_mm)):
+            raise InputError(f"at_mm of source {name!r} is {at_mm}; two finite numbers (x, y) in mm are expected")
         if amplitude is not None and not abs(amplitude) <= LARGEST_AMPLITUDE:
             raise InputError(
                 f"amplitude of source {name!r} is {amplitude}; it must be a number from {-LARGEST_AMPLITUDE:g} to"
                 f" {LARGEST_AMPLITUDE:g}"
             )
-        due = self.next_sample + self._look_ahead
+        place, due = (float(at_mm[0]), float(at_mm[1])), self.next_sample + self._look_ahead
         sounding = self._active(due)
         if name not in sounding and len(sounding) >= self._most_sources:
             raise InputError(f"source {name!r} is one too many; at most {self._most_sources} may sound at a time")
-        life, self._changed = self._sources[name].life if name in sounding else None, True
+        former = self._sources[name] if name in sounding else None
+        loudness = (1.0 if former is None else former.amplitude) if amplitude is None else float(amplitude)
+        life = None if former is None else former.life
         if life is not None:
-            source = self._sources[name]
-            loudness = source.amplitude if amplitude is None else float(amplitude)
             life.settle(due)
-            if not life.ended and life.moved(due, place, loudness):
-                source.at_mm, source.due, source.amplitude = place, due, loudness
-                return
-        self._surface.require(place, name)
-        source = self._named(name)
-        if name not in sounding:
+        goes_on = life is not None and not life.ended and life.moved(due, place, loudness)
+        if not goes_on:
+            self._surface.require(place, name)
+        source = self._named(name) if former is None else former
+        if former is None:
             self._appearances += 1
-            source.appeared, source.life, source.amplitude = self._appearances, None, 1.0
-        source.at_mm, source.due = place, due
-        source.amplitude = source.amplitude if amplitude is None else float(amplitude)
-        if name in self._dropped(due):
+            source.appeared, source.life = self._appearances, None
+        source.at_mm, source.due, source.amplitude, self._changed = place, due, loudness, True
+        if goes_on or name in self._dropped(due):
             return
         if life is not None:
             life.finish(due)
@@ -345,23 +344,3 @@ class LiveEngine:
             del self._sources[next(one for one in self._sources if one not in active)]
         self._sources[name] = source
         return source
-
-
-def live_samples(signal: Signal, rate_hz: float) -> Float64Array:
-    """Samples of a signal for a live source.
-
-    Raises InputError: the signal cannot be made at this rate, or is too long.
-    """
-    samples, _ = signal_size(signal, rate_hz)
-    if not samples <= LONGEST_SIGNAL_S * rate_hz:
-        raise InputError(
-            f"a signal of {samples / rate_hz:.4g} s is too long; live sources take up to {LONGEST_SIGNAL_S:g} s"
-        )
-    return signal.samples(rate_hz)
-
-
-def default_signal(bank: GreenSource) -> Signal:
-    """Noise of the bank's band, 1 s; of 50 to 450 Hz, as far as the rate allows, where the band is not stated."""
-    half_hz = float(bank.sample_rate_hz) / 2.0
-    low_hz, high_hz = bank.band_hz or (min(50.0, half_hz / 4.0), min(450.0, half_hz))
-    return Noise((low_hz, min(high_hz, half_hz)), 1.0)

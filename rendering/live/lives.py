@@ -14,11 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rendering.arrays import Float64Array, Int64Array
 from rendering.drive.windows import Events
 from rendering.greens.interpolation.base import OffGridError
+from rendering.live.emitted import Emitted
 from rendering.live.surface import Surface
-from rendering.scene.signals import Signal
 from rendering.scene.trajectory import Trajectory
 
 VELOCITY_S = 0.03
@@ -52,20 +51,6 @@ class Timing:
     hold: int
     velocity: int
     jump_mm_per_sample: float
-
-
-@dataclass(frozen=True, slots=True)
-class Emitted:
-    """A signal that a source emits from its first sample on, at the bank's rate."""
-
-    signal: Signal
-    values: Float64Array
-    repeat: bool
-
-    def at(self, since: Int64Array) -> Float64Array:
-        """Values so many samples after the first, int64 (n,)."""
-        values = self.values[since % len(self.values)]
-        return values if self.repeat else np.where(since < len(self.values), values, 0.0)
 
 
 class Life:

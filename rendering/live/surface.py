@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 
 import numpy as np
@@ -49,13 +48,6 @@ class Surface:
         self._method.grid.nearest(np.array([[left, lower]]) - self._method.grid.spacing_mm)
         self._middle_mm = np.array([(left + right) / 2, (lower + upper) / 2])
         self._half_mm = np.array([(right - left) / 2, (upper - lower) / 2])
-
-    @staticmethod
-    def numbers(at_mm: Sequence[float], name: str) -> tuple[float, float]:
-        """Two numbers. Raises InputError: they are not two, or not finite."""
-        if len(at_mm) != 2 or not all(map(math.isfinite, at_mm)):
-            raise InputError(f"at_mm of source {name!r} is {at_mm}; two finite numbers (x, y) in mm are expected")
-        return float(at_mm[0]), float(at_mm[1])
 
     def require(self, at_mm: tuple[float, float], name: str) -> None:
         """Raise InputError where a source may not be at a place in millimetres."""

@@ -13,7 +13,8 @@ from config.loading import validated
 from config.messages.live import ORDERS, EndLive, EndSource, MoveSource, SetSignal
 from config.scene import SignalTable
 from rendering.arrays import Float64Array
-from rendering.live.engine import LONGEST_NAME, live_samples
+from rendering.live.emitted import live_samples
+from rendering.live.engine import LONGEST_NAME
 from rendering.scene.model import build_signal
 from rendering.scene.signals import Signal
 from storage.errors import InputError

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from config.messages.codec import Message
 from config.messages.live import EndLive, EndSource, LiveEnded, LiveNotice, LiveReady, LiveState, MoveSource
-from rendering.live.engine import live_samples
+from rendering.live.emitted import live_samples
 from rendering.scene.signals import Signal
 from storage.errors import InputError
 from wavefocus.banks import LOG
