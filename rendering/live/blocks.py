@@ -1,4 +1,4 @@
-"""Blocks of drives, each computed anew from what sources emit, as far as it is certain or predicted now.
+"""Blocks of drives, computed anew from what sources emit, as far as it is certain or predicted now.
 
 A drive sample n is made of the source samples n to n + L - 1, L the bank's taps (eq. 9, with p(s) the place of the
 source at sample s):
@@ -27,8 +27,6 @@ from rendering.greens.regularisation import BankRows
 
 CACHE_BYTES = 2**30
 """Memory of row spectra: 1500 positions of 20 actuators and 2000 taps take half of it."""
-
-
 AT_ONCE = 3
 """Blocks computed at once: the one that is due, one that stands where no order comes, and one to fade from."""
 
