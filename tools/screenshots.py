@@ -16,6 +16,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+from wavefocus.commands.init import write_templates
+
 if TYPE_CHECKING:
     from gui.rig.tab import RigTab
 
@@ -109,7 +111,7 @@ def main() -> None:
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         lab, bench = Path(folder) / "lab", Path(folder) / "bench"
-        lab.mkdir()
+        write_templates(lab, "virtual")  # of these the paper's trials are taken as they are
         bench.mkdir()
         faults = "".join(f"\n[[virtual.fault_plan]]\n{fault}\n" for fault in FAULTS)
         for file, content in {
@@ -259,20 +261,20 @@ class Pictures:
                 surface.viewport(), QMouseEvent(kind, at, button, left, Qt.KeyboardModifier.NoModifier)
             )
 
-        begun_s = time.monotonic()
-        mouse(QEvent.Type.MouseButtonPress, 0.0)
         for name, theme in looks.items():
             self.window.choose_theme(theme)
-            ends_s = time.monotonic() + LIVE_S
+            self.application.processEvents()
+            begun_s = time.monotonic()
+            mouse(QEvent.Type.MouseButtonPress, 0.0)
 
-            def round_it(ends_s: float = ends_s) -> bool:
+            def round_it(begun_s: float = begun_s) -> bool:
                 mouse(QEvent.Type.MouseMove, 2.0 * (time.monotonic() - begun_s))
-                return time.monotonic() > ends_s
+                return time.monotonic() > begun_s + LIVE_S
 
             self.until(round_it)
             if not self.window.grab().save(str(self.out / f"window-live-{name}.png")):
                 raise SystemExit(f"{self.out} cannot be written")
-        mouse(QEvent.Type.MouseButtonRelease, 0.0)
+            mouse(QEvent.Type.MouseButtonRelease, 0.0)
         tab.live_panel.stop.trigger()
         self.until(lambda: not tab.live_run.busy)
 
