@@ -177,7 +177,7 @@ class LiveEngine:
         goes_on = life is not None and not life.ended and life.moved(due, place, loudness)
         if not goes_on:
             self._surface.require(place, name)
-        source = self._named(name) if former is None else former
+        source = self._named(name)
         if former is None:
             self._appearances += 1
             source.appeared, source.life = self._appearances, None
@@ -284,9 +284,10 @@ class LiveEngine:
         due = self.next_sample + self._look_ahead
         for life in self._lives.values():
             life.settle(due)
-        first, stop = self.next_sample, self.next_sample + self._blocks.window_samples
-        block = None if self._changed else self._blocks.unchanged()
+        sounding = any(life.end >= self.next_sample for life in self._lives.values())
+        block = self._blocks.unchanged() if sounding and not self._changed else None
         if block is None:
+            first, stop = self.next_sample, self.next_sample + self._blocks.window_samples
             parts = [events for life in self._lives.values() if (events := life.events(first, stop)) is not None]
             block = self._blocks.next(joined(parts) if parts else None, self._effort.bound_db)
         self._changed = False

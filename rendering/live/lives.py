@@ -217,7 +217,7 @@ class Life:
         values = self.emitted.at(sample - self.begin) * amplitude
         # Where it rests one look is enough.
         moves = [after.sample for before, after in pairwise(knots) if before[1:3] != after[1:3]]
-        moving = max([1, *(last - changed + 1 for last in moves[-1:])])
+        moving = max([changed, *moves]) - changed + 1
         nodes = self._surface.nodes(places_mm[:moving])
         place = np.minimum(np.arange(len(sample)), moving - 1)
         rows, weights = nodes.rows.take(place, axis=0), nodes.weights.take(place, axis=0)

@@ -42,12 +42,13 @@ class Surface:
         if not self._usable.any():
             raise InputError("no position of the bank was measured; live sources need some")
         position_mm = np.asarray(bank.position_mm, dtype=np.float64)[self._usable]
-        (left, lower), (right, upper) = position_mm.min(axis=0).tolist(), position_mm.max(axis=0).tolist()
+        low_mm, high_mm = position_mm.min(axis=0), position_mm.max(axis=0)
+        (left, lower), (right, upper) = low_mm.tolist(), high_mm.tolist()
         self.x_mm, self.y_mm = (left, right), (lower, upper)
+        spacing_mm = self._method.grid.spacing_mm
+        self._low_mm, self._high_mm = low_mm - spacing_mm, high_mm + spacing_mm
         # The first search beside the lattice loads a library: now, and not while sources sound.
-        self._method.grid.nearest(np.array([[left, lower]]) - self._method.grid.spacing_mm)
-        self._middle_mm = np.array([(left + right) / 2, (lower + upper) / 2])
-        self._half_mm = np.array([(right - left) / 2, (upper - lower) / 2])
+        self._method.grid.nearest(self._low_mm[None])
 
     def require(self, at_mm: tuple[float, float], name: str) -> None:
         """Raise InputError where a source may not be at a place in millimetres."""
@@ -78,9 +79,8 @@ class Surface:
 
         Raises OffGridError: its `point` is the first place that cannot be rendered from.
         """
-        spacing_mm = self._method.grid.spacing_mm
         # Places far outside take long to search for.
-        outside = np.abs(at_mm - self._middle_mm) > self._half_mm + spacing_mm
+        outside = (at_mm < self._low_mm) | (at_mm > self._high_mm)
         count = int(np.argmax(outside.any(axis=1))) if outside.any() else len(at_mm)
         beyond = OffGridError(count, "lies off the measured surface")
         while count:

@@ -137,7 +137,7 @@ def test_given_no_further_position_then_the_velocity_is_held_within_the_surface_
     assert amplitude.tolist() == [1.0, 1.0, 0.0]
     assert np.abs(drive_v[:, last + 400 - BLOCK : last + 400]).max() > 0
     assert np.abs(drive_v[:, last + 420 + 1 :]).max() < 1e-15
-    assert not drive_v[:, last + 420 + 3 * BLOCK :].any()
+    assert not drive_v[:, last + 420 + 2 * BLOCK :].any()
     assert engine.state() == ()
 
 
