@@ -412,7 +412,7 @@ COMMANDS = (
                  help="Its regularisation, output and first source's signal; by default noise of the bank's band."),
             number("--look-ahead-ms", 0, 2000, default=50.0,
                    help="By how much sources lag their positions; what is not known by then is predicted."),
-            number("--block-ms", 1, 50, default=5.0, help="Time computed at once."),
+            number("--block-ms", 1, 50, default=5.0, help="Time of a block; orders take effect with the next."),
             number("--ahead-ms", 1, 1000, help="So much waits to be played; by default 40 ms, more where needed."),
             number("--gain-db", -200, 200, default=0.0, help="Softer (negative) or louder; limits hold all the same."),
             number("--duration-s", 0, 1e6, help="End by itself after so long."),

@@ -51,7 +51,7 @@ def live(
     look_ahead_ms
         By how much sources lag what is ordered, 0 to 2000; what is not known by then is predicted.
     block_ms
-        Time computed at once, 1 to 50.
+        Time of a block, 1 to 50; orders take effect with the next one.
     ahead_ms
         So much waits to be played, 1 to 1000; by default 40, and twice as much after each underrun.
     gain_db
