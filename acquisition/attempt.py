@@ -9,21 +9,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.defects import Cure
-from acquisition.judgement import Judgement, judge
-from acquisition.limits import QualityLimits
-from acquisition.plan import Plan
-from acquisition.plays import Play, keep_recordings
-from acquisition.setup import Setup, point_at, start_move, take_record
-from calibration import Float64Array, Int64Array
-from calibration.clock.timing import ReferenceMissingError
-from calibration.estimator.estimate import Estimate, PositionEstimator
-from drivers.errors import InstrumentError, TransientInstrumentError
-from drivers.protocols import Recording, Take
-from storage.bank.ledger import PointRecord
-from storage.bank.writer import BankWriter
-from storage.point_status import Status
-from storage.raw.writer import RawWriter
+from wavefocus.acquisition.defects import Cure
+from wavefocus.acquisition.judgement import Judgement, judge
+from wavefocus.acquisition.limits import QualityLimits
+from wavefocus.acquisition.plan import Plan
+from wavefocus.acquisition.plays import Play, keep_recordings
+from wavefocus.acquisition.setup import Setup, point_at, start_move, take_record
+from wavefocus.calibration import Float64Array, Int64Array
+from wavefocus.calibration.clock.timing import ReferenceMissingError
+from wavefocus.calibration.estimator.estimate import Estimate, PositionEstimator
+from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
+from wavefocus.drivers.protocols import Recording, Take
+from wavefocus.storage.bank.ledger import PointRecord
+from wavefocus.storage.bank.writer import BankWriter
+from wavefocus.storage.point_status import Status
+from wavefocus.storage.raw.writer import RawWriter
 
 # A record is repeated so often before the whole attempt is given up for a passing fault.
 RECORD_REPEATS = 2
@@ -186,7 +186,7 @@ def evaluate(
     range_v: Configured input ranges in volts of (reference, response); an attempt may have had a larger one.
     limits: When the position is good enough.
     distance_mm, float64 (actuators,): From the actuators to the position.
-    before_db: Level of the reference at the positions before, as of `acquisition.judgement.judge`.
+    before_db: Level of the reference at the positions before, as of `wavefocus.acquisition.judgement.judge`.
     """
     if recorded.attempt.response_range_v is not None:
         range_v = (range_v[0], recorded.attempt.response_range_v)

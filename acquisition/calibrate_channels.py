@@ -8,13 +8,13 @@ from typing import Literal
 
 import numpy as np
 
-from acquisition.attempt import record_play
-from acquisition.calibrate_mirror import BOTH, SUM, NotMeasuredError, Operator, output
-from acquisition.plays import Play, channels_of
-from acquisition.setup import Setup, point_at, take_record
-from calibration import Float64Array
-from calibration.clock.timing import ReferenceMissingError
-from calibration.comparison import (
+from wavefocus.acquisition.attempt import record_play
+from wavefocus.acquisition.calibrate_mirror import BOTH, SUM, NotMeasuredError, Operator, output
+from wavefocus.acquisition.plays import Play, channels_of
+from wavefocus.acquisition.setup import Setup, point_at, take_record
+from wavefocus.calibration import Float64Array
+from wavefocus.calibration.clock.timing import ReferenceMissingError
+from wavefocus.calibration.comparison import (
     DEAD_SNR_DB,
     ActuatorComparison,
     ChannelComparer,
@@ -23,11 +23,11 @@ from calibration.comparison import (
     Verdict,
     compare_actuators,
 )
-from calibration.estimator.estimate import Estimate
-from calibration.estimator.sequential import SequentialEstimator
-from calibration.sweeps import Excitation
-from drivers.errors import TransientInstrumentError
-from drivers.protocols import Recording, Take
+from wavefocus.calibration.estimator.estimate import Estimate
+from wavefocus.calibration.estimator.sequential import SequentialEstimator
+from wavefocus.calibration.sweeps import Excitation
+from wavefocus.drivers.errors import TransientInstrumentError
+from wavefocus.drivers.protocols import Recording, Take
 
 # Above what coupling capacitors turn, and below what converters begin to fold back.
 LOWEST_HZ = 200.0

@@ -9,12 +9,12 @@ from typing import Protocol
 
 import numpy as np
 
-from acquisition.grid import read_rows
-from acquisition.setup import Setup, asking
-from calibration import Float64Array
-from calibration.mirror_map import LEAST_MARKS, MirrorFit, MirrorMap, fit_mirror_map
-from config.messages.rig_checks import By, Drop, Here, Keep, MapView, Redo, To
-from storage.errors import InputError, WavefocusError
+from wavefocus.acquisition.grid import read_rows
+from wavefocus.acquisition.setup import Setup, asking
+from wavefocus.calibration import Float64Array
+from wavefocus.calibration.mirror_map import LEAST_MARKS, MirrorFit, MirrorMap, fit_mirror_map
+from wavefocus.config.messages.rig_checks import By, Drop, Here, Keep, MapView, Redo, To
+from wavefocus.storage.errors import InputError, WavefocusError
 
 
 class NotMeasuredError(WavefocusError):
@@ -90,7 +90,7 @@ def read_fiducials(path: Path) -> tuple[tuple[Place, ...], tuple[Place, ...] | N
     """Read marks from a CSV file with the header ``x_mm,y_mm`` or ``x_mm,y_mm,x_mrad,y_mrad``.
 
     Returns places in millimetres, and angles in milliradians or None where the file has none.
-    Raises InputError: too few marks or too many, and as `acquisition.grid.read_rows`.
+    Raises InputError: too few marks or too many, and as `wavefocus.acquisition.grid.read_rows`.
     """
     names, rows = read_rows(path, PLACES, PLACES_AND_ANGLES)
     if not LEAST_MARKS <= len(rows) <= MOST_MARKS:

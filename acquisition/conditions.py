@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from calibration.sweeps import Excitation
-from drivers.errors import InstrumentError
-from drivers.protocols import Recording
+from wavefocus.calibration.sweeps import Excitation
+from wavefocus.drivers.errors import InstrumentError
+from wavefocus.drivers.protocols import Recording
 
 if TYPE_CHECKING:
-    from acquisition.plays import Play
-    from acquisition.setup import Setup  # holds a Watch
+    from wavefocus.acquisition.plays import Play
+    from wavefocus.acquisition.setup import Setup  # holds a Watch
 
 
 class Sensor(Protocol):

@@ -10,13 +10,13 @@ from typing import Protocol, TypeVar, cast, runtime_checkable
 
 import numpy as np
 
-from acquisition.setup import Setup, point_at, record_silence, take_record
-from calibration.clock.timing import ReferenceMissingError, fit_clock
-from calibration.sweeps import Excitation
-from config.messages.rig_checks import Act, Finding, Verdict
-from drivers.errors import InstrumentError, TransientInstrumentError
-from drivers.protocols import Clock, DeviceIdentity, Instruments, Mirror, Player, Recorder, Recording, Take
-from drivers.timeouts import CallThread, HungError
+from wavefocus.acquisition.setup import Setup, point_at, record_silence, take_record
+from wavefocus.calibration.clock.timing import ReferenceMissingError, fit_clock
+from wavefocus.calibration.sweeps import Excitation
+from wavefocus.config.messages.rig_checks import Act, Finding, Verdict
+from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
+from wavefocus.drivers.protocols import Clock, DeviceIdentity, Instruments, Mirror, Player, Recorder, Recording, Take
+from wavefocus.drivers.timeouts import CallThread, HungError
 
 Answer = TypeVar("Answer")
 

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from acquisition.attempt import Attempt, AttemptResult, PositionRecords, Recorded
-from acquisition.defects import REFERENCE_LEVEL
-from acquisition.engine.recovery import Recovery
-from acquisition.engine.report import CampaignReport
-from acquisition.engine.session import Session
-from acquisition.limits import DriftFigures, compare_sentinel
-from acquisition.plan import Plan, sentinel_of
-from acquisition.wording import row_ranges
-from config.messages.campaign import Drift
-from drivers.errors import TransientInstrumentError
-from storage.bank.writer import BankWriter
-from storage.errors import WavefocusError
+from wavefocus.acquisition.attempt import Attempt, AttemptResult, PositionRecords, Recorded
+from wavefocus.acquisition.defects import REFERENCE_LEVEL
+from wavefocus.acquisition.engine.recovery import Recovery
+from wavefocus.acquisition.engine.report import CampaignReport
+from wavefocus.acquisition.engine.session import Session
+from wavefocus.acquisition.limits import DriftFigures, compare_sentinel
+from wavefocus.acquisition.plan import Plan, sentinel_of
+from wavefocus.acquisition.wording import row_ranges
+from wavefocus.config.messages.campaign import Drift
+from wavefocus.drivers.errors import TransientInstrumentError
+from wavefocus.storage.bank.writer import BankWriter
+from wavefocus.storage.errors import WavefocusError
 
 
 class DriftError(WavefocusError):

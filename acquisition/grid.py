@@ -8,10 +8,10 @@ from typing import Literal
 
 import numpy as np
 
-from calibration import Float64Array
-from config.outline import EDGE_TOLERANCE_MM, Outline
-from storage.errors import InputError
-from storage.text_file import read_text
+from wavefocus.calibration import Float64Array
+from wavefocus.config.outline import EDGE_TOLERANCE_MM, Outline
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.text_file import read_text
 
 MOST_POSITIONS = 1_000_000
 """A bound against slips of the decimal point: a million positions take years to measure."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.defects import (
+from wavefocus.acquisition.defects import (
     NOISE_ALONE_DB,
     REFERENCE_LEVEL,
     Cure,
@@ -16,10 +16,10 @@ from acquisition.defects import (
     listed,
     named_defects,
 )
-from acquisition.limits import QualityLimits
-from calibration import BoolArray, Complex128Array, Float32Array, Float64Array
-from calibration.estimator.estimate import Estimate
-from storage.point_status import Status
+from wavefocus.acquisition.limits import QualityLimits
+from wavefocus.calibration import BoolArray, Complex128Array, Float32Array, Float64Array
+from wavefocus.calibration.estimator.estimate import Estimate
+from wavefocus.storage.point_status import Status
 
 # A Green's function that is no farther from another than this is the same, whatever the noise.
 SAME = 0.02

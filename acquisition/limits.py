@@ -8,7 +8,7 @@ from datetime import datetime
 
 import numpy as np
 
-from calibration import Float32Array
+from wavefocus.calibration import Float32Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +157,7 @@ class DriftPoint:
     """The sentinel position measured again, against its first measurement.
 
     at: When, with a time zone.
-    level_db, delay_samples, correlation: As of `acquisition.limits.DriftFigures`.
+    level_db, delay_samples, correlation: As of `wavefocus.acquisition.limits.DriftFigures`.
     verdict: ``"steady"``, ``"warn"`` or ``"stop"``.
     suspect: Positions measured since it was last steady, where the verdict is to stop.
     """

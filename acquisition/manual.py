@@ -7,18 +7,18 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.judgement import judge
-from acquisition.limits import QualityLimits
-from acquisition.plays import channels_of
-from acquisition.setup import Setup, record_samples, record_silence, take_record
-from calibration import Float32Array, Float64Array
-from calibration.blas import one_blas_thread
-from calibration.clock.timing import ReferenceMissingError
-from calibration.estimator.sequential import SequentialEstimator
-from calibration.sweeps import Excitation
-from config.messages.operate import ChannelLevel, Defect, InputLevels, SweepFigures, SweepTaken, TakeSweep
-from drivers.protocols import Recording, Take
-from storage.errors import InputError
+from wavefocus.acquisition.judgement import judge
+from wavefocus.acquisition.limits import QualityLimits
+from wavefocus.acquisition.plays import channels_of
+from wavefocus.acquisition.setup import Setup, record_samples, record_silence, take_record
+from wavefocus.calibration import Float32Array, Float64Array
+from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.calibration.clock.timing import ReferenceMissingError
+from wavefocus.calibration.estimator.sequential import SequentialEstimator
+from wavefocus.calibration.sweeps import Excitation
+from wavefocus.config.messages.operate import ChannelLevel, Defect, InputLevels, SweepFigures, SweepTaken, TakeSweep
+from wavefocus.drivers.protocols import Recording, Take
+from wavefocus.storage.errors import InputError
 
 LISTENS_S = 0.1
 _FADE_S = 0.005

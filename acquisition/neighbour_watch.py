@@ -8,16 +8,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from acquisition.attempt import AttemptResult
-from acquisition.defects import Cure, Defect
-from acquisition.judgement import Judgement, Row, difference, differing, in_band
-from acquisition.plan import Plan
-from acquisition.plays import MEASURED
-from calibration import BoolArray, Float32Array, Int64Array
-from calibration.neighbour_difference import Difference
-from calibration.neighbour_judge import NeighbourJudge, RowSpectra
-from storage.bank.writer import BankWriter
-from storage.point_status import Status
+from wavefocus.acquisition.attempt import AttemptResult
+from wavefocus.acquisition.defects import Cure, Defect
+from wavefocus.acquisition.judgement import Judgement, Row, difference, differing, in_band
+from wavefocus.acquisition.plan import Plan
+from wavefocus.acquisition.plays import MEASURED
+from wavefocus.calibration import BoolArray, Float32Array, Int64Array
+from wavefocus.calibration.neighbour_difference import Difference
+from wavefocus.calibration.neighbour_judge import NeighbourJudge, RowSpectra
+from wavefocus.storage.bank.writer import BankWriter
+from wavefocus.storage.point_status import Status
 
 ALONE = 1 << 23
 """Added to `PointRecord.judged` where neighbours could not judge."""

@@ -9,11 +9,11 @@ from statistics import median
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.limits import DriftLimits, QualityLimits
-from acquisition.setup import Rolls, record_samples
-from calibration import Float64Array, Int64Array
-from calibration.estimator.schedule_error import expected_error_db
-from calibration.sweeps import Excitation, StaggeredSignal
+from wavefocus.acquisition.limits import DriftLimits, QualityLimits
+from wavefocus.acquisition.setup import Rolls, record_samples
+from wavefocus.calibration import Float64Array, Int64Array
+from wavefocus.calibration.estimator.schedule_error import expected_error_db
+from wavefocus.calibration.sweeps import Excitation, StaggeredSignal
 
 # Time of a mirror move, of starting a task and of a commit, for the estimate before a run.
 POSITION_OVERHEAD_S = 0.05
@@ -95,7 +95,7 @@ class Plan:
         """
         if not self.quality.confirms or not len(rows):
             return 0
-        from calibration.neighbour_prediction import have_neighbours  # with it comes SciPy
+        from wavefocus.calibration.neighbour_prediction import have_neighbours  # with it comes SciPy
 
         apart_mm = COARSE_WAVELENGTHS * 1e3 * speed_m_s / self.excitation.stop_hz
         return len(rows) - int(np.count_nonzero(have_neighbours(self.position_mm[rows], apart_mm)))

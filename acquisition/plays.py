@@ -8,18 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.plan import Plan, lead_samples
-from acquisition.setup import Rolls, Setup, record_samples
-from calibration import Float64Array
-from calibration.blas import one_blas_thread
-from calibration.estimator.estimate import Channels, PositionEstimator, Records
-from calibration.estimator.sequential import SequentialEstimator
-from calibration.estimator.staggered import StaggeredEstimator
-from drivers.protocols import Recording
-from storage.errors import InputError
-from storage.point_status import Status
-from storage.raw.header import RawHeader, sequential
-from storage.raw.writer import RawWriter
+from wavefocus.acquisition.plan import Plan, lead_samples
+from wavefocus.acquisition.setup import Rolls, Setup, record_samples
+from wavefocus.calibration import Float64Array
+from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.calibration.estimator.estimate import Channels, PositionEstimator, Records
+from wavefocus.calibration.estimator.sequential import SequentialEstimator
+from wavefocus.calibration.estimator.staggered import StaggeredEstimator
+from wavefocus.drivers.protocols import Recording
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.point_status import Status
+from wavefocus.storage.raw.header import RawHeader, sequential
+from wavefocus.storage.raw.writer import RawWriter
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,12 +7,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from acquisition.conditions import NOTHING_WATCHED, Watch
-from calibration import Float64Array
-from calibration.mirror_map import MirrorMap
-from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from drivers.protocols import DeviceIdentity, Instruments, Recorder, Recording, RecordRequest, Take
-from drivers.timeouts import Role
+from wavefocus.acquisition.conditions import NOTHING_WATCHED, Watch
+from wavefocus.calibration import Float64Array
+from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from wavefocus.drivers.protocols import DeviceIdentity, Instruments, Recorder, Recording, RecordRequest, Take
+from wavefocus.drivers.timeouts import Role
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,18 +10,18 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from acquisition.attempt import record_play
-from acquisition.plan import GROUP, Plan
-from acquisition.plays import Measuring, measuring_of
-from acquisition.setup import Setup, point_at
-from acquisition.wording import hours
-from calibration import Complex128Array, Float64Array
-from calibration.clock.timing import ReferenceMissingError
-from calibration.estimator.estimate import Estimate
-from calibration.estimator.schedule_error import Decay, degrees_of_freedom, measure_decay
-from calibration.sweeps import StaggeredSignal
-from drivers.protocols import Take
-from storage.errors import InputError
+from wavefocus.acquisition.attempt import record_play
+from wavefocus.acquisition.plan import GROUP, Plan
+from wavefocus.acquisition.plays import Measuring, measuring_of
+from wavefocus.acquisition.setup import Setup, point_at
+from wavefocus.acquisition.wording import hours
+from wavefocus.calibration import Complex128Array, Float64Array
+from wavefocus.calibration.clock.timing import ReferenceMissingError
+from wavefocus.calibration.estimator.estimate import Estimate
+from wavefocus.calibration.estimator.schedule_error import Decay, degrees_of_freedom, measure_decay
+from wavefocus.calibration.sweeps import StaggeredSignal
+from wavefocus.drivers.protocols import Take
+from wavefocus.storage.errors import InputError
 
 # Measurements differ by more than their noise when their difference has so many times its energy.
 DISTINCT = 1.3
@@ -208,7 +208,7 @@ def run_trial(plan: Plan, setup: Setup, allowed_loss_db: float) -> Trial:
     """Measure one position by every schedule that comes into question, and choose.
 
     plan: The staggered plan that was asked for.
-    allowed_loss_db: As of `acquisition.trial.choose`.
+    allowed_loss_db: As of `wavefocus.acquisition.trial.choose`.
 
     Raises InputError: the responses ring longer than the plan's taps. InstrumentError: an instrument failed.
     """

@@ -1,7 +1,7 @@
 """Benchmarks: error against run time, with other programs in the same run.
 
-A benchmark is a module here with ``run(out, quick=...)`` that returns `benchmarks.harness.Findings`, and an entry of
-`BENCHMARKS`.
+A benchmark is a module here with ``run(out, quick=...)`` that returns `wavefocus.benchmarks.harness.Findings`, and an
+entry of `BENCHMARKS`.
 """
 
 from __future__ import annotations

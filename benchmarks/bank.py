@@ -15,11 +15,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from benchmarks.harness import Findings, Mark, Point, Timing
-from storage.bank.layout import BankHeader
-from storage.bank.ledger import PointRecord
-from storage.bank.reading import open_bank
-from storage.bank.writer import BankWriter, create_bank
+from wavefocus.benchmarks.harness import Findings, Mark, Point, Timing
+from wavefocus.storage.bank.layout import BankHeader
+from wavefocus.storage.bank.ledger import PointRecord
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.bank.writer import BankWriter, create_bank
 
 MARK_COMMIT_MS = 10.0
 ACTUATORS, TAPS = 20, 2000

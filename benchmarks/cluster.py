@@ -16,10 +16,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from benchmarks.harness import Findings, Mark, Point, Timing
-from benchmarks.machine import run_command
-from benchmarks.nights import record_sample
-from storage.drive_file import Drive, write_drive
+from wavefocus.benchmarks.harness import Findings, Mark, Point, Timing
+from wavefocus.benchmarks.machine import run_command
+from wavefocus.benchmarks.nights import record_sample
+from wavefocus.storage.drive_file import Drive, write_drive
 
 POSITIONS, ACTUATORS, TAPS, SAMPLES = 10_000, 20, 2000, 5000
 RECORDED = 60

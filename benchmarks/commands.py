@@ -16,14 +16,14 @@ from typing import TypeVar
 
 import numpy as np
 
-from benchmarks.harness import Findings, Mark, Point, Timing, measure, relative_error
-from benchmarks.machine import run_command
-from benchmarks.rig_bank import BAND_HZ, QUICK_ERROR_DB, RATE_HZ, TAPS, default_grid, true_bank
-from mocks.virtual.rig import VirtualRig
-from storage.bank.layout import BankHeader
-from storage.bank.ledger import PointRecord
-from storage.bank.writer import BankWriter, create_bank
-from storage.drive_file import read_drive
+from wavefocus.benchmarks.harness import Findings, Mark, Point, Timing, measure, relative_error
+from wavefocus.benchmarks.machine import run_command
+from wavefocus.benchmarks.rig_bank import BAND_HZ, QUICK_ERROR_DB, RATE_HZ, TAPS, default_grid, true_bank
+from wavefocus.mocks.virtual.rig import VirtualRig
+from wavefocus.storage.bank.layout import BankHeader
+from wavefocus.storage.bank.ledger import PointRecord
+from wavefocus.storage.bank.writer import BankWriter, create_bank
+from wavefocus.storage.drive_file import read_drive
 
 Key = TypeVar("Key")
 TOLERANCES_DB = (None, -80, -60, -40)

@@ -20,10 +20,10 @@ import scipy.fft
 import scipy.signal
 from numpy.typing import NDArray
 
-from benchmarks import nights
-from benchmarks.harness import Findings, Mark, Point, band_error_db, measure
-from calibration.estimator.sequential import SequentialEstimator
-from calibration.sweeps import Excitation
+from wavefocus.benchmarks import nights
+from wavefocus.benchmarks.harness import Findings, Mark, Point, band_error_db, measure
+from wavefocus.calibration.estimator.sequential import SequentialEstimator
+from wavefocus.calibration.sweeps import Excitation
 
 TAPS = 2000
 OFFSET = 200

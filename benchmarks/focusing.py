@@ -19,19 +19,19 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.harness import Findings, Point, measure
-from benchmarks.paper_measures import fields_at, focus_figures, medians
-from benchmarks.rig_bank import QUICK_ERROR_DB, default_grid, true_bank
-from config.scene import Regularisation
-from mocks.virtual.rig import VirtualRig
-from rendering.drive.inverse_filter import inverse_filter
-from rendering.drive.rendering import render_with_report
-from rendering.greens.source import GreenArray
-from rendering.scene.model import Scene, Source
-from rendering.scene.paths import Line
-from rendering.scene.paths import Point as PointPath
-from rendering.scene.signals import Impulse
-from storage.drive_file import Drive
+from wavefocus.benchmarks.harness import Findings, Point, measure
+from wavefocus.benchmarks.paper_measures import fields_at, focus_figures, medians
+from wavefocus.benchmarks.rig_bank import QUICK_ERROR_DB, default_grid, true_bank
+from wavefocus.config.scene import Regularisation
+from wavefocus.mocks.virtual.rig import VirtualRig
+from wavefocus.rendering.drive.inverse_filter import inverse_filter
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.paths import Line
+from wavefocus.rendering.scene.paths import Point as PointPath
+from wavefocus.rendering.scene.signals import Impulse
+from wavefocus.storage.drive_file import Drive
 
 SATURATION = 0.3
 REGULARISATIONS_DB = (-10.0, -20.0, -30.0)

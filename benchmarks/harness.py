@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.output_files import write_whole
+from wavefocus.storage.output_files import write_whole
 
 Plain = float | str | bool | None
 UNITS = {"cpu": "CPU", "db": "dB", "mb": "MB", "gb": "GB", "hz": "Hz", "khz": "kHz"}

@@ -15,23 +15,23 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.grid import surface_grid
-from benchmarks.harness import Findings, Mark, Point, measure
-from benchmarks.rig_bank import BAND_HZ, MARGIN_MM, RATE_HZ, TAPS, default_grid, true_bank
-from config.interpolations import INTERPOLATIONS
-from config.outline import Outline
-from config.scene import Output
-from mocks.virtual.rig import VirtualRig
-from rendering.drive.rendering import render_with_report
-from rendering.greens.interpolation.base import Interpolation, Nodes, OffGridError, interpolation_method
-from rendering.greens.interpolation.error_estimates import left_out_errors
-from rendering.greens.interpolation.kernel import KernelInterpolation
-from rendering.greens.interpolation.needed_grid import needed_grid
-from rendering.greens.interpolation.on_grid import LatticeInterpolation
-from rendering.greens.source import GreenArray, GreenSource
-from rendering.scene.model import Scene, Source
-from rendering.scene.paths import Circle
-from rendering.scene.signals import Noise
+from wavefocus.acquisition.grid import surface_grid
+from wavefocus.benchmarks.harness import Findings, Mark, Point, measure
+from wavefocus.benchmarks.rig_bank import BAND_HZ, MARGIN_MM, RATE_HZ, TAPS, default_grid, true_bank
+from wavefocus.config.interpolations import INTERPOLATIONS
+from wavefocus.config.outline import Outline
+from wavefocus.config.scene import Output
+from wavefocus.mocks.virtual.rig import VirtualRig
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.greens.interpolation.base import Interpolation, Nodes, OffGridError, interpolation_method
+from wavefocus.rendering.greens.interpolation.error_estimates import left_out_errors
+from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
+from wavefocus.rendering.greens.interpolation.needed_grid import needed_grid
+from wavefocus.rendering.greens.interpolation.on_grid import LatticeInterpolation
+from wavefocus.rendering.greens.source import GreenArray, GreenSource
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.paths import Circle
+from wavefocus.rendering.scene.signals import Noise
 
 Float64Array = NDArray[np.float64]
 Complex128Array = NDArray[np.complex128]

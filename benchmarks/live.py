@@ -21,22 +21,22 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.harness import Findings, Mark, Point, relative_error
-from benchmarks.rig_bank import QUICK_ERROR_DB, RATE_HZ, default_grid, true_bank
-from calibration.blas import one_blas_thread
-from config.scene import Output
-from mocks.virtual.rig import VirtualRig
-from rendering.arrays import BoolArray, Float64Array, Int64Array
-from rendering.drive.rendering import render_with_report
-from rendering.field.focus_figures import FOCUS_RADIUS_MM
-from rendering.field.prediction import predict
-from rendering.greens.source import GreenArray
-from rendering.live.engine import LiveEngine
-from rendering.scene.model import Scene, Source
-from rendering.scene.signals import Noise
-from rendering.scene.trajectory_path import TrajectoryPath
-from storage.drive_file import Drive
-from storage.output_files import replacement
+from wavefocus.benchmarks.harness import Findings, Mark, Point, relative_error
+from wavefocus.benchmarks.rig_bank import QUICK_ERROR_DB, RATE_HZ, default_grid, true_bank
+from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.config.scene import Output
+from wavefocus.mocks.virtual.rig import VirtualRig
+from wavefocus.rendering.arrays import BoolArray, Float64Array, Int64Array
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM
+from wavefocus.rendering.field.prediction import predict
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.live.engine import LiveEngine
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.signals import Noise
+from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
+from wavefocus.storage.drive_file import Drive
+from wavefocus.storage.output_files import replacement
 
 LOOK_AHEADS_MS = (0, 10, 20, 30, 40, 50, 100, 150, 200, 240)
 QUICK_MS = (0, 50, 240)
@@ -217,8 +217,8 @@ def _draw(path: Path, points: list[Point]) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from benchmarks.page import MARKERS
-    from rendering.report.canvas import COLOURS
+    from wavefocus.benchmarks.page import MARKERS
+    from wavefocus.rendering.report.canvas import COLOURS
 
     figure = Figure(figsize=(11.4, 4.2), layout="constrained")
     FigureCanvasAgg(figure)

@@ -22,9 +22,9 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from benchmarks.commands import write_bank
-from benchmarks.harness import Findings, Mark, Point
-from benchmarks.machine import run_command
+from wavefocus.benchmarks.commands import write_bank
+from wavefocus.benchmarks.harness import Findings, Mark, Point
+from wavefocus.benchmarks.machine import run_command
 
 DURATION_S, QUICK_S, SEVERAL_S = 600.0, 3.0, 60.0
 SETTLED = 0.1
@@ -83,7 +83,7 @@ def _environment(rig: str) -> Iterator[Mapping[str, str]]:
     if rig == "virtual":
         yield {}
         return
-    from mocks.wire.jack_server import JackServer
+    from wavefocus.mocks.wire.jack_server import JackServer
 
     with JackServer(period_frames=PERIOD_FRAMES) as server:
         yield server.environment
@@ -109,7 +109,7 @@ class Session:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
-            env={**os.environ, **self.environment, "PYTHONPATH": str(Path(__file__).parents[1])},
+            env={**os.environ, **self.environment, "PYTHONPATH": str(Path(__file__).parents[2])},
         ) as process:
             assert process.stdin is not None
             assert process.stdout is not None

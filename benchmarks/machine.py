@@ -101,7 +101,14 @@ def run_command(*arguments: object, limit_bytes: int = 0, preload: Sequence[str]
 
     Loading the modules of `preload` does not count as processor time.
     """
-    child = [sys.executable, "-m", "benchmarks.machine", str(limit_bytes), ",".join(preload), *map(str, arguments)]
+    child = [
+        sys.executable,
+        "-m",
+        "wavefocus.benchmarks.machine",
+        str(limit_bytes),
+        ",".join(preload),
+        *map(str, arguments),
+    ]
     began = ready = time.monotonic()
     errors: list[str] = []
     with subprocess.Popen(child, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:

@@ -27,18 +27,18 @@ import scipy.fft
 import scipy.signal
 from numpy.typing import NDArray
 
-from acquisition.plan import Plan
-from acquisition.plays import keep_recordings, measuring_of, raw_header
-from acquisition.setup import point_at, take_record
-from acquisition.trial import check_position, run_trial
-from benchmarks.harness import Mark, Point, Timing, band_error_db
-from benchmarks.machine import run_command
-from benchmarks.rig_bank import BAND_HZ, RATE_HZ, TAPS, default_grid, measure, rig_setup, sweep_plan
-from drivers.protocols import Recording, Take
-from mocks.virtual.rig import VirtualRig, VirtualSettings
-from storage.bank.reading import open_bank
-from storage.raw.header import RawHeader, sequential
-from storage.raw.writer import RawWriter, create_raw
+from wavefocus.acquisition.plan import Plan
+from wavefocus.acquisition.plays import keep_recordings, measuring_of, raw_header
+from wavefocus.acquisition.setup import point_at, take_record
+from wavefocus.acquisition.trial import check_position, run_trial
+from wavefocus.benchmarks.harness import Mark, Point, Timing, band_error_db
+from wavefocus.benchmarks.machine import run_command
+from wavefocus.benchmarks.rig_bank import BAND_HZ, RATE_HZ, TAPS, default_grid, measure, rig_setup, sweep_plan
+from wavefocus.drivers.protocols import Recording, Take
+from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.raw.header import RawHeader, sequential
+from wavefocus.storage.raw.writer import RawWriter, create_raw
 
 Float64Array = NDArray[np.float64]
 

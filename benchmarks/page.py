@@ -11,9 +11,9 @@ from math import log10
 from pathlib import Path
 from typing import Any
 
-from benchmarks.harness import Findings, Plain, Point, cell, heading
-from rendering.report.canvas import COLOURS
-from storage.output_files import replacement
+from wavefocus.benchmarks.harness import Findings, Plain, Point, cell, heading
+from wavefocus.rendering.report.canvas import COLOURS
+from wavefocus.storage.output_files import replacement
 
 FEWEST = 3
 """Points that a diagram needs."""

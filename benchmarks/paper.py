@@ -1,8 +1,8 @@
 """The paper's figures on the virtual rig, with a table of its numbers and ours, misses included.
 
-Two plates: the gel without a rim, fitted to the paper's group velocity and attenuation (`mocks.plates.soft`), and a
-stadium of the same gel whose rim reflects half of the amplitude or less (`mocks.plates.stadium`). The figures are drawn
-on the stadium. The actuators lie on the rim.
+Two plates: the gel without a rim, fitted to the paper's group velocity and attenuation (`wavefocus.mocks.plates.soft`),
+and a stadium of the same gel whose rim reflects half of the amplitude or less (`wavefocus.mocks.plates.stadium`). The
+figures are drawn on the stadium. The actuators lie on the rim.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import paper_figures as figures
-from benchmarks.harness import Findings, Point, measure
-from benchmarks.paper_measures import CLEAR_MM, SATURATION, Paper, clear_rows, focus_fields, focus_figures
-from benchmarks.rig_bank import paper_bank
-from mocks.virtual.rig import VirtualRig, VirtualSettings
-from rendering.field.wave_figures import impulse_travel
-from storage.output_files import write_whole
+from wavefocus.benchmarks import paper_figures as figures
+from wavefocus.benchmarks.harness import Findings, Point, measure
+from wavefocus.benchmarks.paper_measures import CLEAR_MM, SATURATION, Paper, clear_rows, focus_fields, focus_figures
+from wavefocus.benchmarks.rig_bank import paper_bank
+from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
+from wavefocus.rendering.field.wave_figures import impulse_travel
+from wavefocus.storage.output_files import write_whole
 
 FOCI, QUICK_FOCI = 120, 24
 CLEAR = f"foci further than {CLEAR_MM:g} mm from every actuator"
@@ -83,7 +83,7 @@ def run(out: Path, *, quick: bool = False) -> Findings:
     """Draw the figures into a folder; the points are the paper's numbers and ours."""
     from matplotlib import rc_context
 
-    from rendering.report.canvas import STYLE
+    from wavefocus.rendering.report.canvas import STYLE
 
     out.mkdir(parents=True, exist_ok=True)
     papers, timings = {}, {}

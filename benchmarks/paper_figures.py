@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.paper_measures import (
+from wavefocus.benchmarks.paper_measures import (
     CLEAR_MM,
     SATURATION,
     Paper,
@@ -19,20 +19,20 @@ from benchmarks.paper_measures import (
     row_at,
     smiling_face,
 )
-from benchmarks.rig_bank import BAND_HZ, rig_setup
-from config.scene import Regularisation
-from rendering.field import metrics
-from rendering.field.crosstalk import crosstalk_table
-from rendering.field.focus_figures import FOCUS_RADIUS_MM
-from rendering.field.prediction import predict
-from rendering.field.wave_figures import correlation_over_distance
-from rendering.greens.regularisation import focus_gain_map
-from rendering.report.canvas import FAINT, INK, MAP_GAP_PX, TITLE_PX, Canvas, Panel, Picture, draw_maps
-from rendering.report.figures import PREDICTION, SCAN
-from rendering.report.waves import draw_correlation, draw_crosstalk
-from rendering.scene.paths import Circle, TextPath
-from rendering.scene.signals import Impulse
-from rendering.verify.scan import ScanPlan, scan
+from wavefocus.benchmarks.rig_bank import BAND_HZ, rig_setup
+from wavefocus.config.scene import Regularisation
+from wavefocus.rendering.field import metrics
+from wavefocus.rendering.field.crosstalk import crosstalk_table
+from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM
+from wavefocus.rendering.field.prediction import predict
+from wavefocus.rendering.field.wave_figures import correlation_over_distance
+from wavefocus.rendering.greens.regularisation import focus_gain_map
+from wavefocus.rendering.report.canvas import FAINT, INK, MAP_GAP_PX, TITLE_PX, Canvas, Panel, Picture, draw_maps
+from wavefocus.rendering.report.figures import PREDICTION, SCAN
+from wavefocus.rendering.report.waves import draw_correlation, draw_crosstalk
+from wavefocus.rendering.scene.paths import Circle, TextPath
+from wavefocus.rendering.scene.signals import Impulse
+from wavefocus.rendering.verify.scan import ScanPlan, scan
 
 WIDTH_PX = 1120
 LEFT_PX = 58

@@ -8,20 +8,20 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.rig_bank import PaperBank
-from config.scene import Output, Regularisation
-from rendering.drive.rendering import render_with_report
-from rendering.field import metrics
-from rendering.field.focus_figures import FOCUS_RADIUS_MM, median_or_none
-from rendering.field.prediction import Prediction, predict
-from rendering.field.wave_figures import PathSpectrum, path_spectrum
-from rendering.greens.regularisation import row_weights, saturation_threshold
-from rendering.greens.source import GreenArray, read_row, usable
-from rendering.report.canvas import Surface
-from rendering.scene.model import Scene, Source
-from rendering.scene.paths import Line, Path, Point, Strokes
-from rendering.scene.signals import Impulse, Noise
-from storage.drive_file import Drive
+from wavefocus.benchmarks.rig_bank import PaperBank
+from wavefocus.config.scene import Output, Regularisation
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.field import metrics
+from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM, median_or_none
+from wavefocus.rendering.field.prediction import Prediction, predict
+from wavefocus.rendering.field.wave_figures import PathSpectrum, path_spectrum
+from wavefocus.rendering.greens.regularisation import row_weights, saturation_threshold
+from wavefocus.rendering.greens.source import GreenArray, read_row, usable
+from wavefocus.rendering.report.canvas import Surface
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.paths import Line, Path, Point, Strokes
+from wavefocus.rendering.scene.signals import Impulse, Noise
+from wavefocus.storage.drive_file import Drive
 
 Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]

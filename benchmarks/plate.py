@@ -25,16 +25,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve, get_window
 
-from benchmarks.harness import Findings, Mark, Point, measure, relative_error
-from benchmarks.rig_bank import RATE_HZ, TAPS, default_grid, true_bank
-from config.outline import Outline
-from mocks.plates.infinite import PlateTable
-from mocks.plates.soft import SOFT_PLATE
-from mocks.plates.stadium import Elements, triangulate
-from mocks.plates.thin import ExactPlate, ExplicitPlate, ImplicitPlate, ThinPlate, ThinRectangle, explicit_limit_s
-from mocks.virtual.rig import VirtualRig, VirtualSettings
-from mocks.virtual.settings import rim_places
-from mocks.virtual.synthesis import chain_response
+from wavefocus.benchmarks.harness import Findings, Mark, Point, measure, relative_error
+from wavefocus.benchmarks.rig_bank import RATE_HZ, TAPS, default_grid, true_bank
+from wavefocus.config.outline import Outline
+from wavefocus.mocks.plates.infinite import PlateTable
+from wavefocus.mocks.plates.soft import SOFT_PLATE
+from wavefocus.mocks.plates.stadium import Elements, triangulate
+from wavefocus.mocks.plates.thin import (
+    ExactPlate,
+    ExplicitPlate,
+    ImplicitPlate,
+    ThinPlate,
+    ThinRectangle,
+    explicit_limit_s,
+)
+from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
+from wavefocus.mocks.virtual.settings import rim_places
+from wavefocus.mocks.virtual.synthesis import chain_response
 
 Float64Array = NDArray[np.float64]
 Actions = dict[tuple[str, float | None], Callable[[], Any]]

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.harness import Findings, Mark, Point, Timing, measure, peak_mb, relative_error
-from benchmarks.render_precision import field_points, precision_points
-from benchmarks.render_workloads import (
+from wavefocus.benchmarks.harness import Findings, Mark, Point, Timing, measure, peak_mb, relative_error
+from wavefocus.benchmarks.render_precision import field_points, precision_points
+from wavefocus.benchmarks.render_workloads import (
     RATE_HZ,
     Workload,
     circle,
@@ -31,12 +31,12 @@ from benchmarks.render_workloads import (
     sum_directly,
     workloads,
 )
-from config.scene import Output, Regularisation
-from rendering.drive.rendering import render_with_report
-from rendering.field.bank_spectra import BankSpectra
-from rendering.field.prediction import Prediction, predict
-from rendering.greens.source import GreenArray
-from rendering.scene.model import Scene
+from wavefocus.config.scene import Output, Regularisation
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.field.bank_spectra import BankSpectra
+from wavefocus.rendering.field.prediction import Prediction, predict
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.scene.model import Scene
 
 TOLERANCE_DB = -60.0
 WAYS = {"ours, all bins": None, f"ours, to {TOLERANCE_DB:g} dB": TOLERANCE_DB}

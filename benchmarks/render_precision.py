@@ -10,8 +10,8 @@ import numpy as np
 import scipy.special
 from scipy.signal import oaconvolve
 
-from benchmarks.harness import Point, measure, relative_error
-from benchmarks.render_workloads import (
+from wavefocus.benchmarks.harness import Point, measure, relative_error
+from wavefocus.benchmarks.render_workloads import (
     ACTUATORS,
     RATE_HZ,
     TAPS,
@@ -22,12 +22,12 @@ from benchmarks.render_workloads import (
     noise,
     sum_directly,
 )
-from config.scene import Output
-from rendering.drive.rendering import render_with_report
-from rendering.field.prediction import predict
-from rendering.greens.source import GreenArray
-from rendering.scene.model import Scene, Source
-from rendering.scene.paths import Circle
+from wavefocus.config.scene import Output
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.field.prediction import predict
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.paths import Circle
 
 SPEED_MM_S = 100.0
 STEPS_MM = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)

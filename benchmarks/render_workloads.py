@@ -9,14 +9,14 @@ import scipy.fft
 import scipy.signal
 from numpy.typing import NDArray
 
-from rendering.drive.rendering import render_with_report
-from rendering.greens.interpolation.on_grid import Bilinear
-from rendering.greens.interpolation.position_grid import PositionGrid
-from rendering.greens.source import GreenArray, read_row
-from rendering.scene.model import Scene, Source
-from rendering.scene.paths import Circle, Polyline
-from rendering.scene.signals import Noise
-from storage.drive_file import Drive
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.greens.interpolation.on_grid import Bilinear
+from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
+from wavefocus.rendering.greens.source import GreenArray, read_row
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.paths import Circle, Polyline
+from wavefocus.rendering.scene.signals import Noise
+from wavefocus.storage.drive_file import Drive
 
 Float64Array = NDArray[np.float64]
 

@@ -9,21 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 
-from acquisition.engine.campaign import Campaign
-from acquisition.engine.session import StopRequest
-from acquisition.grid import surface_grid
-from acquisition.limits import QualityLimits
-from acquisition.plan import Plan
-from acquisition.setup import Setup
-from calibration.mirror_map import MirrorMap
-from calibration.sweeps import Excitation, StaggeredSignal
-from config.messages.campaign import Subscriber
-from mocks.virtual.rig import VirtualRig
-from rendering.field.metrics import band_weights
-from rendering.greens.source import GreenArray
-from storage.bank.layout import BankHeader
-from storage.bank.reading import open_bank
-from storage.bank.writer import BankWriter, create_bank
+from wavefocus.acquisition.engine.campaign import Campaign
+from wavefocus.acquisition.engine.session import StopRequest
+from wavefocus.acquisition.grid import surface_grid
+from wavefocus.acquisition.limits import QualityLimits
+from wavefocus.acquisition.plan import Plan
+from wavefocus.acquisition.setup import Setup
+from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.calibration.sweeps import Excitation, StaggeredSignal
+from wavefocus.config.messages.campaign import Subscriber
+from wavefocus.mocks.virtual.rig import VirtualRig
+from wavefocus.rendering.field.metrics import band_weights
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.storage.bank.layout import BankHeader
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.bank.writer import BankWriter, create_bank
 
 Float64Array = NDArray[np.float64]
 

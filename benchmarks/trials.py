@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.harness import Findings, Mark, Point, Timing
-from trials.analysis.results import psychometric_of
-from trials.design import TrialsDesign, load_trials
-from trials.simulated import Observer, simulate
+from wavefocus.benchmarks.harness import Findings, Mark, Point, Timing
+from wavefocus.trials.analysis.results import psychometric_of
+from wavefocus.trials.design import TrialsDesign, load_trials
+from wavefocus.trials.simulated import Observer, simulate
 
 PEOPLE, QUICK_PEOPLE = 200, 10
 MARK = 0.95

@@ -19,23 +19,23 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.plan import Plan
-from acquisition.setup import Setup, record_samples, take_record
-from benchmarks.harness import Findings, Mark, Point
-from benchmarks.rig_bank import RATE_HZ, TAPS, measure
-from calibration.clock.timing import ClockFitter
-from calibration.mirror_map import MirrorMap
-from calibration.sweeps import Excitation
-from config.messages.campaign import Event, Fault, PositionStarted
-from drivers.audio.resampling import converted, lead_samples, rate_ratio
-from drivers.audio.stream.player import StreamPlayer
-from drivers.audio.stream.signals import HALF_STEP
-from drivers.daq.ni.ni_recorder import NiRecorder
-from drivers.errors import TransientInstrumentError
-from drivers.mirror.asi_tiger import AsiTiger
-from drivers.mirror.serial_mirror import SerialMirror
-from drivers.protocols import Float64Array, Instruments, Take, WallClock
-from mocks.virtual.settings import VirtualSettings
+from wavefocus.acquisition.plan import Plan
+from wavefocus.acquisition.setup import Setup, record_samples, take_record
+from wavefocus.benchmarks.harness import Findings, Mark, Point
+from wavefocus.benchmarks.rig_bank import RATE_HZ, TAPS, measure
+from wavefocus.calibration.clock.timing import ClockFitter
+from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.calibration.sweeps import Excitation
+from wavefocus.config.messages.campaign import Event, Fault, PositionStarted
+from wavefocus.drivers.audio.resampling import converted, lead_samples, rate_ratio
+from wavefocus.drivers.audio.stream.player import StreamPlayer
+from wavefocus.drivers.audio.stream.signals import HALF_STEP
+from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
+from wavefocus.drivers.errors import TransientInstrumentError
+from wavefocus.drivers.mirror.asi_tiger import AsiTiger
+from wavefocus.drivers.mirror.serial_mirror import SerialMirror
+from wavefocus.drivers.protocols import Float64Array, Instruments, Take, WallClock
+from wavefocus.mocks.virtual.settings import VirtualSettings
 
 MARK_OVERHEAD_S = 0.150
 MARK_WALL_OVER_SOUNDING = 1.03
@@ -66,7 +66,7 @@ def excitation(sweep_s: float, averages: int) -> Excitation:
 
 def serve_far_sides(period_frames: int) -> None:
     """Be the far sides until standard input ends; a line asks for the starts received since the last."""
-    from mocks.wire.emulated_rig import EmulatedRig, Wiring
+    from wavefocus.mocks.wire.emulated_rig import EmulatedRig, Wiring
 
     virtual = settings()
     wiring = Wiring(
@@ -93,11 +93,11 @@ class FarSides:
 
     def __init__(self, period_frames: int = PERIOD_FRAMES) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "benchmarks.wires", str(period_frames)],
+            [sys.executable, "-m", "wavefocus.benchmarks.wires", str(period_frames)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
-            env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
+            env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
         )
         assert self._process.stdin is not None
         assert self._process.stdout is not None

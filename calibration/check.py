@@ -10,21 +10,21 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration import BoolArray, Float64Array
-from calibration.blas import one_blas_thread
-from calibration.neighbour_judge import NeighbourJudge, RowSpectra
-from storage.bank.ledger import VALID
-from storage.bank.reading import Bank, BankRows, open_bank
-from storage.drive_file import FORMAT as DRIVE
-from storage.drive_file import read_drive
-from storage.errors import InputError
-from storage.field_file import FORMAT as FIELD
-from storage.field_file import FieldRowReader
-from storage.hdf5_digest import format_of
-from storage.ledger.owner import bank_owner, owner_path
-from storage.ledger.reader import LedgerReader
-from storage.raw.header import RAW
-from storage.raw.writer import RawRows, open_raw
+from wavefocus.calibration import BoolArray, Float64Array
+from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.calibration.neighbour_judge import NeighbourJudge, RowSpectra
+from wavefocus.storage.bank.ledger import VALID
+from wavefocus.storage.bank.reading import Bank, BankRows, open_bank
+from wavefocus.storage.drive_file import FORMAT as DRIVE
+from wavefocus.storage.drive_file import read_drive
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.field_file import FORMAT as FIELD
+from wavefocus.storage.field_file import FieldRowReader
+from wavefocus.storage.hdf5_digest import format_of
+from wavefocus.storage.ledger.owner import bank_owner, owner_path
+from wavefocus.storage.ledger.reader import LedgerReader
+from wavefocus.storage.raw.header import RAW
+from wavefocus.storage.raw.writer import RawRows, open_raw
 
 # A response this far from the median of all valid positions is no neighbour of them: ten times in amplitude.
 _RMS_OUTLIER = 10.0

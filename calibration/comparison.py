@@ -9,8 +9,8 @@ import numpy as np
 import scipy.fft
 from numpy.typing import ArrayLike, NDArray
 
-from calibration import Float64Array
-from calibration.clock.timing import ClockFit, ClockFitter, ReferenceMissingError
+from wavefocus.calibration import Float64Array
+from wavefocus.calibration.clock.timing import ClockFit, ClockFitter, ReferenceMissingError
 
 Verdict = Literal["good", "weak", "dead", "reversed", "unlike"]
 

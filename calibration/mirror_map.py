@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calibration import Float64Array
-from storage.errors import InputError
+from wavefocus.calibration import Float64Array
+from wavefocus.storage.errors import InputError
 
 Row = tuple[float, float, float]
 

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from calibration import Complex128Array, Float64Array
+from wavefocus.calibration import Complex128Array, Float64Array
 
 EXPLAINED = 0.8
 """A cause is named when it explains this share of the difference."""

@@ -1,7 +1,7 @@
 """Rows of a bank judged against their neighbours: which differ, and in what.
 
-Every row is predicted from its neighbours (`calibration.neighbour_prediction`). By how much predictions miss is
-learned from the neighbourhood itself, frequency by frequency: noise, a coarse grid, the rim and the
+Every row is predicted from its neighbours (`wavefocus.calibration.neighbour_prediction`). By how much predictions miss
+is learned from the neighbourhood itself, frequency by frequency: noise, a coarse grid, the rim and the
 field of a near actuator then raise the limit, and where a prediction explains too little nothing is judged.
 """
 
@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration import BoolArray, Complex128Array, Float64Array, Int64Array
-from calibration.blas import one_blas_thread
-from calibration.neighbour_difference import EXPLAINED, Difference, cause_of, relative_norm, swapped, together
-from calibration.neighbour_prediction import Gains, RowsPredicted, common_gains
+from wavefocus.calibration import BoolArray, Complex128Array, Float64Array, Int64Array
+from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.calibration.neighbour_difference import EXPLAINED, Difference, cause_of, relative_norm, swapped, together
+from wavefocus.calibration.neighbour_prediction import Gains, RowsPredicted, common_gains
 
 LINEAR_FREQUENCIES, OCTAVE_FREQUENCIES = 16, 16
 LEARNED_FROM = 12

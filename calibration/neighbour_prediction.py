@@ -15,9 +15,9 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from calibration import BoolArray, Complex128Array, Float64Array, Int64Array
-from calibration.blas import one_blas_thread
-from calibration.wave_model import Patch, PatchKernel, WaveModel, fit_waves
+from wavefocus.calibration import BoolArray, Complex128Array, Float64Array, Int64Array
+from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.calibration.wave_model import Patch, PatchKernel, WaveModel, fit_waves
 
 PENALTY = 4.0
 """In standard deviations of a factor that is fitted alone."""
@@ -130,7 +130,7 @@ CHUNK = 256
 class RowsPredicted:
     """Leave-one-out predictions of all rows of a bank.
 
-    A row is predicted by kernel regression over the bank's own waves (`calibration.wave_model`) from the
+    A row is predicted by kernel regression over the bank's own waves (`wavefocus.calibration.wave_model`) from the
     rows of its neighbours, actuator by actuator and frequency by frequency.
 
     position_mm, float64 (positions, 2): Grid in millimetres.

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration import Float64Array
-from storage.errors import InputError
-from storage.raw.header import EMPTY, Schedule, staggered
+from wavefocus.calibration import Float64Array
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.raw.header import EMPTY, Schedule, staggered
 
 
 @dataclass(frozen=True, slots=True)

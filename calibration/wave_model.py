@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from calibration import Complex128Array, Float64Array, Int64Array
+from wavefocus.calibration import Complex128Array, Float64Array, Int64Array
 
 Disk = Callable[[Float64Array], Float64Array]
 

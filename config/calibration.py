@@ -11,13 +11,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AwareDatetime, Field, ValidationError, model_validator
 
-from config.fields import Finite, NonNegative, PointMm, Positive, Table, Text, Whole, mistake
-from config.loading import printable, read_toml, shown, validated
-from config.rig_instruments import Matrix
-from drivers.protocols import DeviceIdentity
-from storage.errors import InputError
-from storage.output_files import replacement, write_whole
-from storage.text_file import read_text
+from wavefocus.config.fields import Finite, NonNegative, PointMm, Positive, Table, Text, Whole, mistake
+from wavefocus.config.loading import printable, read_toml, shown, validated
+from wavefocus.config.rig_instruments import Matrix
+from wavefocus.drivers.protocols import DeviceIdentity
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.output_files import replacement, write_whole
+from wavefocus.storage.text_file import read_text
 
 FORMAT = "wavefocus-calibration"
 FORMAT_VERSION = 1

@@ -1,4 +1,4 @@
-"""Tables of a rig file whose keys depend on the driver; the drivers state their own, see `drivers.registry`."""
+"""Tables of a rig file whose keys depend on the driver, which states its own: see `wavefocus.drivers.registry`."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from typing import (
 
 from pydantic import Field, create_model, model_validator
 
-from config.fields import Finite, Table, Text, Whole, like, mistake
-from config.loading import shown
-from drivers.registry import KeyMistakeError
+from wavefocus.config.fields import Finite, Table, Text, Whole, like, mistake
+from wavefocus.config.loading import shown
+from wavefocus.drivers.registry import KeyMistakeError
 
 Section = TypeVar("Section", bound="DriverTable")
 

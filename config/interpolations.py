@@ -5,8 +5,8 @@ tests/unit/test_interpolation.py.
 """
 
 INTERPOLATIONS = {
-    "nearest": "rendering.greens.interpolation.on_grid:Nearest",
-    "bilinear": "rendering.greens.interpolation.on_grid:Bilinear",
-    "bicubic": "rendering.greens.interpolation.on_grid:Bicubic",
-    "kernel": "rendering.greens.interpolation.kernel:KernelInterpolation",
+    "nearest": "wavefocus.rendering.greens.interpolation.on_grid:Nearest",
+    "bilinear": "wavefocus.rendering.greens.interpolation.on_grid:Bilinear",
+    "bicubic": "wavefocus.rendering.greens.interpolation.on_grid:Bicubic",
+    "kernel": "wavefocus.rendering.greens.interpolation.kernel:KernelInterpolation",
 }

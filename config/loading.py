@@ -16,8 +16,8 @@ from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from storage.errors import InputError
-from storage.text_file import read_text
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.text_file import read_text
 
 Model = TypeVar("Model", bound=BaseModel)
 

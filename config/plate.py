@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from config.fields import Finite, NonNegative, PointMm, Positive, Table, mistake
+from wavefocus.config.fields import Finite, NonNegative, PointMm, Positive, Table, mistake
 
 PLATES_OF_KEY = {
     "loss": ("soft",),

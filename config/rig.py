@@ -9,11 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from config.calibration import CalibrationRecord, with_calibration
-from config.fields import Finite, NonNegative, PointMm, Positive, Table, Text, Whole, mistake
-from config.outline import Kind, Outline
-from config.plate import PlateKeys
-from config.rig_instruments import AnalogInput, Matrix, MirrorSection, PlayerSection, RecorderSection, VibrometerSection
+from wavefocus.config.calibration import CalibrationRecord, with_calibration
+from wavefocus.config.fields import Finite, NonNegative, PointMm, Positive, Table, Text, Whole, mistake
+from wavefocus.config.outline import Kind, Outline
+from wavefocus.config.plate import PlateKeys
+from wavefocus.config.rig_instruments import (
+    AnalogInput,
+    Matrix,
+    MirrorSection,
+    PlayerSection,
+    RecorderSection,
+    VibrometerSection,
+)
 
 
 class CalibrationSection(Table):

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 from pydantic import Field, model_validator
 
-from config.drivers import DriverTable, with_drivers
-from config.fields import Finite, NonNegative, Positive, Text, Whole, like, mistake
-from drivers.daq.nidaqmx import ANALOG_INPUT
-from drivers.registry import MIRRORS, PLAYERS, RECORDERS, VIBROMETERS
+from wavefocus.config.drivers import DriverTable, with_drivers
+from wavefocus.config.fields import Finite, NonNegative, Positive, Text, Whole, like, mistake
+from wavefocus.drivers.daq.nidaqmx import ANALOG_INPUT
+from wavefocus.drivers.registry import MIRRORS, PLAYERS, RECORDERS, VIBROMETERS
 
 DEFAULT_DISTANCE_MM = 1000.0
 Row = tuple[Finite, Finite, Finite]

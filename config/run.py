@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from config.fields import Finite, NonNegative, Positive, Switch, Table, Text, Whole, like, mistake
-from config.plate import PlateKeys
+from wavefocus.config.fields import Finite, NonNegative, Positive, Switch, Table, Text, Whole, like, mistake
+from wavefocus.config.plate import PlateKeys
 
 STAGGER_OVER_RESPONSE = 1.2
 """Staggered responses come apart when each is over before the next begins; measured for this design."""

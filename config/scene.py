@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from config.fields import (
+from wavefocus.config.fields import (
     Finite,
     NonNegative,
     PointMm,
@@ -18,7 +18,7 @@ from config.fields import (
     mistake,
     toml_table,
 )
-from config.interpolations import INTERPOLATIONS
+from wavefocus.config.interpolations import INTERPOLATIONS
 
 if TYPE_CHECKING:
     InterpolationName = str

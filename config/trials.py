@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from config.fields import Finite, NonNegative, Positive, Switch, Table, Text, Whole, like, mistake
-from config.scene import WITHOUT_SPEED, Output, PathTable, Regularisation, SignalTable
+from wavefocus.config.fields import Finite, NonNegative, Positive, Switch, Table, Text, Whole, like, mistake
+from wavefocus.config.scene import WITHOUT_SPEED, Output, PathTable, Regularisation, SignalTable
 
 Count = Annotated[Whole, Field(ge=1, le=10_000)]
 Pause = Annotated[NonNegative, Field(le=600)]

@@ -14,10 +14,10 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from drivers.protocols import Clock, WallClock
-from drivers.serial_line import LineFailedError, NoAnswerError, SerialLine
-from drivers.timeouts import CallThread, HungError
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from wavefocus.drivers.protocols import Clock, WallClock
+from wavefocus.drivers.serial_line import LineFailedError, NoAnswerError, SerialLine
+from wavefocus.drivers.timeouts import CallThread, HungError
 
 Answer = TypeVar("Answer")
 

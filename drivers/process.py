@@ -126,7 +126,7 @@ class DriverProcess:
         self._gone = ""
         self._answered_s = time.monotonic()
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115  # closed with the process, in close()
-        root = str(Path(__file__).parents[1])
+        root = str(Path(__file__).parents[2])  # holds wavefocus/
         paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
         self._process = subprocess.Popen(
             # -P: a file in the working directory must not pass for a module of ours.

@@ -261,7 +261,7 @@ class DeviceIdentity:
 
 
 class WallClock:
-    """Real time; implements `drivers.protocols.Clock`."""
+    """Real time; implements `wavefocus.drivers.protocols.Clock`."""
 
     def now_s(self) -> float:
         return time.monotonic()

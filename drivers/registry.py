@@ -13,8 +13,8 @@ from pkgutil import iter_modules
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 if TYPE_CHECKING:
-    from drivers.mirror.serial_mirror import Dialect
-    from drivers.protocols import Player, Recorder
+    from wavefocus.drivers.mirror.serial_mirror import Dialect
+    from wavefocus.drivers.protocols import Player, Recorder
 
 
 class Named(Protocol):
@@ -149,7 +149,7 @@ class VibrometerDriver(Named, Protocol):
         ...
 
 
-MIRRORS: Registry[type[Dialect]] = Registry("drivers.mirror")
-RECORDERS: Registry[type[RecorderDriver]] = Registry("drivers.daq")
-PLAYERS: Registry[type[PlayerDriver]] = Registry("drivers.audio")
-VIBROMETERS: Registry[type[VibrometerDriver]] = Registry("drivers.vibrometer")
+MIRRORS: Registry[type[Dialect]] = Registry("wavefocus.drivers.mirror")
+RECORDERS: Registry[type[RecorderDriver]] = Registry("wavefocus.drivers.daq")
+PLAYERS: Registry[type[PlayerDriver]] = Registry("wavefocus.drivers.audio")
+VIBROMETERS: Registry[type[VibrometerDriver]] = Registry("wavefocus.drivers.vibrometer")

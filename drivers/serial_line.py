@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 from urllib.parse import urlsplit
 
-from drivers.errors import InstrumentError, InstrumentLostError
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 
 NETWORK = "socket://"
 BY_SERIAL_NUMBER = "serial-number:"
@@ -182,7 +182,7 @@ class SerialLine:
     """A serial port or a TCP connection in its place, opened for one user alone.
 
     instrument: Whose line it is, for messages.
-    port: As in the rig file, see `drivers.serial_line.find_port`.
+    port: As in the rig file, see `wavefocus.drivers.serial_line.find_port`.
     """
 
     def __init__(self, instrument: str, port: str, settings: LineSettings) -> None:

@@ -10,8 +10,8 @@ from contextlib import suppress
 from queue import SimpleQueue
 from typing import Any, Generic, Literal, TypeVar
 
-from drivers.errors import InstrumentError, InstrumentLostError
-from drivers.protocols import (
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
+from wavefocus.drivers.protocols import (
     DeviceIdentity,
     Float64Array,
     Instrument,
@@ -140,7 +140,7 @@ def bounded(instruments: Instruments, hung_after_s: float) -> Instruments:
 
 
 class _Bounded(Generic[Device]):
-    """An instrument whose every call ends; implements `drivers.protocols.Instrument`."""
+    """An instrument whose every call ends; implements `wavefocus.drivers.protocols.Instrument`."""
 
     _role: Role
 
@@ -208,7 +208,7 @@ class _Bounded(Generic[Device]):
 
 
 class BoundedMirror(_Bounded[Mirror]):
-    """A mirror whose every call ends; implements `drivers.protocols.Mirror`."""
+    """A mirror whose every call ends; implements `wavefocus.drivers.protocols.Mirror`."""
 
     _role = "mirror"
 
@@ -224,7 +224,7 @@ class BoundedMirror(_Bounded[Mirror]):
 
 
 class BoundedRecorder(_Bounded[Recorder]):
-    """A recorder whose every call ends; implements `drivers.protocols.Recorder`."""
+    """A recorder whose every call ends; implements `wavefocus.drivers.protocols.Recorder`."""
 
     _role = "recorder"
     _recording = "reading"
@@ -241,7 +241,7 @@ class BoundedRecorder(_Bounded[Recorder]):
 
 
 class BoundedPlayer(_Bounded[Player]):
-    """A player whose every call ends; implements `drivers.protocols.PiecewisePlayer`."""
+    """A player whose every call ends; implements `wavefocus.drivers.protocols.PiecewisePlayer`."""
 
     _role = "player"
     _ahead_s = 0.0

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from drivers.errors import InstrumentError, InstrumentLostError
-from drivers.protocols import Clock, WallClock
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
+from wavefocus.drivers.protocols import Clock, WallClock
 
 RULES_FILE = "/etc/udev/rules.d/70-wavefocus.rules"
 

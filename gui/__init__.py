@@ -10,6 +10,6 @@
 `trials`                   the window of perception trials, with `window` as its first module
 =========================  ==================================================================
 
-PyQt5 and pyqtgraph are imported in this package alone, and only by modules that `gui.front_door` imports once it
-has found a display.
+PyQt5 and pyqtgraph are imported in this package alone, and only by modules that `wavefocus.gui.front_door` imports once
+it has found a display.
 """

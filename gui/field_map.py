@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from PyQt5.QtCore import QSize, Qt
 from PyQt5.QtWidgets import QFrame, QSizePolicy
 
-from gui.surface import Surface
-from gui.surface_view import SurfaceView, looked_up
-from gui.theme import Theme, Themed, theme_axes
-from rendering.arrays import Float64Array
+from wavefocus.gui.surface import Surface
+from wavefocus.gui.surface_view import SurfaceView, looked_up
+from wavefocus.gui.theme import Theme, Themed, theme_axes
+from wavefocus.rendering.arrays import Float64Array
 
 Real = NDArray[np.float32] | NDArray[np.float64]
 

@@ -10,10 +10,10 @@ from PyQt5.QtCore import QByteArray, QSettings, Qt, QUrl, pyqtSignal
 from PyQt5.QtGui import QDropEvent
 from PyQt5.QtWidgets import QCheckBox, QComboBox, QFileDialog, QLineEdit, QSpinBox, QSplitter, QWidget
 
-from config.loading import read_toml
-from gui import widgets as ui
-from gui.surface import VIRTUAL, is_virtual
-from storage.errors import InputError
+from wavefocus.config.loading import read_toml
+from wavefocus.gui import widgets as ui
+from wavefocus.gui.surface import VIRTUAL, is_virtual
+from wavefocus.storage.errors import InputError
 
 _MOST_RECENT = 10
 

@@ -10,11 +10,11 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from storage.errors import InputError
+from wavefocus.storage.errors import InputError
 
 if TYPE_CHECKING:
-    from acquisition.limits import DriftPoint
-    from rendering.drive.coil_limits import DriveLimits
+    from wavefocus.acquisition.limits import DriftPoint
+    from wavefocus.rendering.drive.coil_limits import DriveLimits
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,7 @@ def open_window(front: FrontDoor, files: Sequence[Path]) -> int:
     """
     require_display()
     try:
-        from gui.window import show
+        from wavefocus.gui.window import show
     except ImportError as missing:
         raise InputError(_missing(missing)) from missing
     return show(front, files)
@@ -90,7 +90,7 @@ def open_trials(front: FrontDoor, arguments: Sequence[str], say: Callable[[str],
     """
     require_display()
     try:
-        from gui.trials.window import show
+        from wavefocus.gui.trials.window import show
     except ImportError as missing:
         raise InputError(_missing(missing)) from missing
     return show(front, arguments, say)

@@ -14,9 +14,9 @@ from PyQt5.QtCore import QEvent, QObject, Qt, QTimer, pyqtSignal
 from PyQt5.QtGui import QColor, QPalette, QResizeEvent
 from PyQt5.QtWidgets import QApplication, QFrame, QPushButton, QSizePolicy, QStyle, QToolButton
 
-from gui import widgets as ui
-from gui.theme import Themed
-from storage.errors import WavefocusError
+from wavefocus.gui import widgets as ui
+from wavefocus.gui.theme import Themed
+from wavefocus.storage.errors import WavefocusError
 
 
 def error_text(failure: BaseException) -> str:

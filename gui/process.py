@@ -17,9 +17,9 @@ from typing import IO, Any
 
 from PyQt5.QtCore import QObject, QTimer, pyqtSignal
 
-from gui.front_door import FrontDoor
-from gui.messages import error_text
-from storage.sidecar_files import create
+from wavefocus.gui.front_door import FrontDoor
+from wavefocus.gui.messages import error_text
+from wavefocus.storage.sidecar_files import create
 
 Message = dict[str, object]
 

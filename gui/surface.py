@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.arrays import Float64Array
+from wavefocus.rendering.arrays import Float64Array
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-    from config.rig import Surface as SurfaceTable
-    from rendering.scene.paths import Path as Path2D
-    from storage.bank.reading import Bank
+    from wavefocus.config.rig import Surface as SurfaceTable
+    from wavefocus.rendering.scene.paths import Path as Path2D
+    from wavefocus.storage.bank.reading import Bank
 
 
 _OUTLINE_POINTS = 181
@@ -146,7 +146,7 @@ def path_line(path: Path2D, points: int) -> Float64Array:
 
 def surface_from(table: object) -> SurfaceTable:
     """The surface that a table of a rig file or a message describes; the default where it describes none."""
-    from config.rig import Surface as SurfaceTable  # loads pydantic
+    from wavefocus.config.rig import Surface as SurfaceTable  # loads pydantic
 
     try:
         return SurfaceTable.model_validate(table)
@@ -170,7 +170,7 @@ def _is_virtual(rig_json: str | None) -> bool:
 
 def _outline_mm(rig_json: str | None) -> Float64Array | None:
     """The rim by the rig's configuration; a bank made by another program may hold any text there."""
-    from config.rig import Surface as SurfaceTable  # loads pydantic
+    from wavefocus.config.rig import Surface as SurfaceTable  # loads pydantic
 
     try:
         return SurfaceTable.model_validate(json.loads(rig_json or "")["surface"]).outline.line(_OUTLINE_POINTS)

@@ -9,9 +9,9 @@ from PyQt5.QtCore import QRectF, Qt, pyqtSignal
 from PyQt5.QtGui import QColor, QKeyEvent, QMouseEvent, QPainterPath, QResizeEvent
 from PyQt5.QtWidgets import QGraphicsItem, QGraphicsPathItem
 
-from gui.surface import Raster, Surface
-from gui.theme import Themed, theme_axes
-from rendering.arrays import Float64Array
+from wavefocus.gui.surface import Raster, Surface
+from wavefocus.gui.theme import Themed, theme_axes
+from wavefocus.rendering.arrays import Float64Array
 
 PointMm = tuple[float, float]
 Keys = Qt.KeyboardModifiers | Qt.KeyboardModifier

@@ -12,18 +12,18 @@ from PyQt5.QtCore import QObject, QUrl
 from PyQt5.QtGui import QDesktopServices
 from PyQt5.QtWidgets import QAction, QWidget
 
-from gui.files import Settings
-from gui.front_door import FrontDoor
-from gui.messages import MessageBar, error_text
-from gui.process import Background, CommandProcess, Message
-from storage.errors import WavefocusError
+from wavefocus.gui.files import Settings
+from wavefocus.gui.front_door import FrontDoor
+from wavefocus.gui.messages import MessageBar, error_text
+from wavefocus.gui.process import Background, CommandProcess, Message
+from wavefocus.storage.errors import WavefocusError
 
 # Module and class of each tab, from left to right.
 TABS = (
-    ("gui.campaign.tab", "CampaignTab"),
-    ("gui.rig.tab", "RigTab"),
-    ("gui.scene.tab", "SceneTab"),
-    ("gui.verification.tab", "VerificationTab"),
+    ("wavefocus.gui.campaign.tab", "CampaignTab"),
+    ("wavefocus.gui.rig.tab", "RigTab"),
+    ("wavefocus.gui.scene.tab", "SceneTab"),
+    ("wavefocus.gui.verification.tab", "VerificationTab"),
 )
 # Does what an answer says, then calls its argument, which continues closing.
 Act = Callable[[Callable[[], object]], object]

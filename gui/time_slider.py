@@ -11,8 +11,8 @@ from PyQt5.QtCore import QEvent, QLine, Qt, QTimer, pyqtSignal
 from PyQt5.QtGui import QColor, QHideEvent, QIcon, QMouseEvent, QPainter, QPaintEvent, QPixmap
 from PyQt5.QtWidgets import QComboBox, QSizePolicy, QSlider, QStyle, QStyleOptionSlider, QToolButton, QWidget
 
-from gui import widgets as ui
-from gui.theme import Themed
+from wavefocus.gui import widgets as ui
+from wavefocus.gui.theme import Themed
 
 FRAME_EVERY_MS = 50
 # Waves of some hundred hertz can be followed by eye at about 1/1000 of real time.

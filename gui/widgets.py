@@ -40,8 +40,8 @@ from PyQt5.QtWidgets import (
     QWidget,
 )
 
-from acquisition.wording import hours
-from gui.theme import Themed
+from wavefocus.acquisition.wording import hours
+from wavefocus.gui.theme import Themed
 
 AnyWidget = TypeVar("AnyWidget", bound=QWidget)
 AnyBox = TypeVar("AnyBox", QHBoxLayout, QVBoxLayout)

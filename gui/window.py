@@ -11,14 +11,14 @@ from PyQt5.QtCore import QSize, Qt, QTimer
 from PyQt5.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QFontDatabase, QGuiApplication, QKeySequence
 from PyQt5.QtWidgets import QAction, QActionGroup, QApplication, QFileDialog, QMainWindow, QMenu, QWidget
 
-from gui import widgets as ui
-from gui.files import Settings, dropped_files, make_dialog
-from gui.front_door import FrontDoor
-from gui.messages import ErrorHook, MessageBar
-from gui.process import Background
-from gui.tab import Act, Question, Tab, TabContext, make_tabs
-from gui.theme import CHOICES, BoxStyle, redraw_all, resized_text, set_theme, theme_named
-from storage.errors import InputError
+from wavefocus.gui import widgets as ui
+from wavefocus.gui.files import Settings, dropped_files, make_dialog
+from wavefocus.gui.front_door import FrontDoor
+from wavefocus.gui.messages import ErrorHook, MessageBar
+from wavefocus.gui.process import Background
+from wavefocus.gui.tab import Act, Question, Tab, TabContext, make_tabs
+from wavefocus.gui.theme import CHOICES, BoxStyle, redraw_all, resized_text, set_theme, theme_named
+from wavefocus.storage.errors import InputError
 
 _REFRESH_EVERY_MS = 50
 _SIZE, _LEAST, _FRAME = QSize(1240, 720), QSize(800, 560), QSize(16, 48)

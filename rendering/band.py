@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.arrays import Float64Array
-from storage.errors import InputError
+from wavefocus.rendering.arrays import Float64Array
+from wavefocus.storage.errors import InputError
 
 MOST_KEPT = 0.9
 """Beyond this share of kept bins, leaving out the rest saves nothing."""

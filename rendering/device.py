@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.errors import InputError
+from wavefocus.storage.errors import InputError
 
 REMEDY = "install CuPy for this machine's CUDA (pip install cupy-cuda12x or -cuda13x), or leave out --device"
 

@@ -12,10 +12,10 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from storage import hdf5_digest, hdf5_reading
-from storage.errors import InputError
-from storage.hdf5_writing import attach, created, filled, reserved, sample_times, scale, set_long_names
-from storage.output_files import replacement
+from wavefocus.storage import hdf5_digest, hdf5_reading
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.hdf5_writing import attach, created, filled, reserved, sample_times, scale, set_long_names
+from wavefocus.storage.output_files import replacement
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -91,7 +91,7 @@ class Drive:
 
         Raises InputError: xarray is not installed.
         """
-        from storage.labelled import drive_dataset
+        from wavefocus.storage.labelled import drive_dataset
 
         return drive_dataset(self)
 

@@ -12,11 +12,11 @@ import h5py
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from storage import hdf5_digest, hdf5_reading
-from storage.durable import Closing
-from storage.errors import InputError
-from storage.hdf5_writing import attach, created, filled, reserved, sample_times, scale, set_long_names
-from storage.output_files import replacement
+from wavefocus.storage import hdf5_digest, hdf5_reading
+from wavefocus.storage.durable import Closing
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.hdf5_writing import attach, created, filled, reserved, sample_times, scale, set_long_names
+from wavefocus.storage.output_files import replacement
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -92,7 +92,7 @@ class Field:
 
         Raises InputError: xarray is not installed.
         """
-        from storage.labelled import field_dataset
+        from wavefocus.storage.labelled import field_dataset
 
         return field_dataset(self)
 

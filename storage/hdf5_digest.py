@@ -18,8 +18,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from storage import hdf5_reading
-from storage.errors import InputError
+from wavefocus.storage import hdf5_reading
+from wavefocus.storage.errors import InputError
 
 VALUES = "sha256"
 CONTENTS = "contents_sha256"

@@ -16,8 +16,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from storage import durable
-from storage.durable import PAGE, PositionedFile
+from wavefocus.storage import durable
+from wavefocus.storage.durable import PAGE, PositionedFile
 
 METADATA_BLOCK = 1 << 20
 """In files that are laid out once all metadata sits in blocks of this size, away from pages that are written later."""

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from storage.bank.layout import QUALITY_UNITS
-from storage.errors import InputError
-from storage.hdf5_writing import sample_times
+from wavefocus.storage.bank.layout import QUALITY_UNITS
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.hdf5_writing import sample_times
 
 if TYPE_CHECKING:
     from xarray import Dataset
 
-    from storage.bank.reading import Bank
-    from storage.drive_file import Drive
-    from storage.field_file import Field
+    from wavefocus.storage.bank.reading import Bank
+    from wavefocus.storage.drive_file import Drive
+    from wavefocus.storage.field_file import Field
 
 AXES = ["x", "y"]
 

@@ -13,9 +13,9 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-from storage import durable
-from storage.errors import InputError
-from storage.sidecar_files import clear_leftovers, staging_dir
+from wavefocus.storage import durable
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.sidecar_files import clear_leftovers, staging_dir
 
 EXPORT_MARK = "wavefocus_export"
 """Root attribute of exports that are read as banks, too; being copies, they may be replaced."""
@@ -231,7 +231,7 @@ def _precious(path: Path) -> str:
     for name, words in (("wavefocus-bank", "is a bank"), ("wavefocus-raw", "holds raw recordings")):
         if name.encode() in head:
             return words
-    from storage import hdf5_reading  # with it comes h5py, which the window does not load
+    from wavefocus.storage import hdf5_reading  # with it comes h5py, which the window does not load
 
     try:
         with hdf5_reading.opened(path) as file:

@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from storage import durable
-from storage.durable import PAGE, Closing
-from storage.errors import BankBusyError, InputError
-from storage.sidecar_files import create
+from wavefocus.storage import durable
+from wavefocus.storage.durable import PAGE, Closing
+from wavefocus.storage.errors import BankBusyError, InputError
+from wavefocus.storage.sidecar_files import create
 
 FORMAT = "wavefocus-scan-journal"
 

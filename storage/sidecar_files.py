@@ -18,8 +18,8 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from storage import durable
-from storage.durable import PositionedFile
+from wavefocus.storage import durable
+from wavefocus.storage.durable import PositionedFile
 
 # What only POSIX has; Windows opens no links unasked.
 _NOT_THROUGH_LINKS = getattr(os, "O_NOFOLLOW", 0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from storage.errors import InputError
+from wavefocus.storage.errors import InputError
 
 LARGEST_BYTES = 16 * 2**20
 """More than any position list or configuration needs; beyond it the wrong file was named."""

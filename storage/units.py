@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from storage.errors import InputError
+from wavefocus.storage.errors import InputError
 
 PLAYED_UNITS = ("V", "1")
 """Units of drives that are played as volts; 1 is that of a bank without a unit."""

@@ -13,8 +13,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from benchmarks import BENCHMARKS
-from benchmarks.harness import markdown
+from wavefocus.benchmarks import BENCHMARKS
+from wavefocus.benchmarks.harness import markdown
 
 DOCS = Path("docs")
 PAGE = DOCS / "error-against-run-time/README.md"

@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from config.scene import Output, Regularisation
-from rendering.drive.rendering import render_with_report
-from rendering.drive.streamed import StreamedDrive
-from rendering.field.prediction import predict
-from rendering.greens.source import GreenArray
-from rendering.scene.model import Scene, Source
-from rendering.scene.paths import Circle, Line, Point
-from rendering.scene.signals import Impulse, Noise, Sine
+from wavefocus.config.scene import Output, Regularisation
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.drive.streamed import StreamedDrive
+from wavefocus.rendering.field.prediction import predict
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.paths import Circle, Line, Point
+from wavefocus.rendering.scene.signals import Impulse, Noise, Sine
 
 RATE_HZ, TAPS, ACTUATORS = 10_000.0, 600, 8
 

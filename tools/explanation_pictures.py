@@ -11,22 +11,22 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from calibration.estimator.sequential import SequentialEstimator
-from calibration.sweeps import Excitation
-from mocks.virtual.rig import VirtualRig
-from rendering.drive.rendering import render_with_report
-from rendering.field.prediction import predict
-from rendering.greens.regularisation import BankRows
-from rendering.scene.model import Scene, Source
-from rendering.scene.paths import Line
-from rendering.scene.sampling import sample_scene
-from rendering.scene.signals import Noise
-from storage.bank.reading import open_bank
-from storage.bank.writer import BankWriter, create_bank
 from tests.system.crash.logged import INODE, LoggedFile, WithoutSecondBarrier
 from tests.system.crash.power_cuts import Disk, images
 from tests.system.test_bank_crash import green_of, header, record_of
 from tools.compare_houses import bank_of
+from wavefocus.calibration.estimator.sequential import SequentialEstimator
+from wavefocus.calibration.sweeps import Excitation
+from wavefocus.mocks.virtual.rig import VirtualRig
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.field.prediction import predict
+from wavefocus.rendering.greens.regularisation import BankRows
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.paths import Line
+from wavefocus.rendering.scene.sampling import sample_scene
+from wavefocus.rendering.scene.signals import Noise
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.bank.writer import BankWriter, create_bank
 
 RATE_HZ, TAPS, PPM, START = 10_000.0, 2000, 30e-6, 412.37
 PLACE_MM, ACTUATOR = (22.0, 12.0), 3

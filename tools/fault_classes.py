@@ -23,8 +23,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.judgement import in_band
 from wavefocus.__main__ import run
+from wavefocus.acquisition.judgement import in_band
 
 # Error of gain, and of the whole Green's function beyond its noise, that counts as wrong.
 WRONG = 0.02
@@ -41,7 +41,7 @@ CLASSES: dict[str, tuple[float, ...]] = {
     "dead_response": (0.0,),
     "missing_reference": (0.0,),
 }
-"""Levels in dB of each kind of fault, as of `mocks.virtual.faults.Fault`; 0 where the kind has none."""
+"""Levels in dB of each kind of fault, as of `wavefocus.mocks.virtual.faults.Fault`; 0 where the kind has none."""
 
 ACTUATOR_MM = ((110.0, 0.0), (60.0, 60.0), (-60.0, 60.0), (-110.0, 10.0), (-60.0, -60.0), (60.0, -60.0))
 TAPS = 1000
@@ -54,7 +54,7 @@ ALWAYS = 99
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A kind of fault at a level, as of `mocks.virtual.faults.Fault`, in every attempt or in the first alone."""
+    """A kind of fault at a level, see `wavefocus.mocks.virtual.faults.Fault`, in every attempt or in the first."""
 
     kind: str
     level_db: float

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, TypeVar
 from wavefocus.commands.init import write_templates
 
 if TYPE_CHECKING:
-    from gui.rig.tab import RigTab
+    from wavefocus.gui.rig.tab import RigTab
 
 Tab = TypeVar("Tab")
 RUN = """
@@ -135,9 +135,9 @@ class Pictures:
     def __init__(self, out: Path, file: Path) -> None:
         from PyQt5.QtCore import QSettings
 
-        from gui.files import Settings
-        from gui.window import Window, make_application
         from wavefocus.commands.gui import front_door
+        from wavefocus.gui.files import Settings
+        from wavefocus.gui.window import Window, make_application
 
         self.out, self.file = out, file
         self.application = make_application()
@@ -171,7 +171,7 @@ class Pictures:
 
     def take_campaign(self, part: str) -> None:
         """A campaign while it runs or when it is over, then verification and scene."""
-        from gui.campaign.tab import CampaignTab
+        from wavefocus.gui.campaign.tab import CampaignTab
 
         tab, window = self.tab(CampaignTab), self.window
         if part == "running":
@@ -208,7 +208,7 @@ class Pictures:
 
     def take_verification(self, looks: dict[str, str]) -> None:
         """A scene verified with the campaign's bank."""
-        from gui.verification.tab import VerificationTab
+        from wavefocus.gui.verification.tab import VerificationTab
 
         tab = self.tab(VerificationTab)
         self.window._pages.setCurrentWidget(tab)
@@ -224,7 +224,7 @@ class Pictures:
 
     def take_scene(self, looks: dict[str, str]) -> None:
         """A scene over the campaign's bank."""
-        from gui.scene.tab import SceneTab
+        from wavefocus.gui.scene.tab import SceneTab
 
         tab = self.tab(SceneTab)
         self.window.open_file(self.file.with_name("scene.toml"))
@@ -239,9 +239,9 @@ class Pictures:
         from PyQt5.QtCore import QEvent, QPointF, Qt
         from PyQt5.QtGui import QMouseEvent
 
-        from gui.scene.live_run import LIVE
-        from gui.scene.tab import LIVE as PAGE
-        from gui.scene.tab import SceneTab
+        from wavefocus.gui.scene.live_run import LIVE
+        from wavefocus.gui.scene.tab import LIVE as PAGE
+        from wavefocus.gui.scene.tab import SceneTab
 
         tab, left, none = self.tab(SceneTab), Qt.MouseButton.LeftButton, Qt.MouseButton.NoButton
         surface, rig = tab.live_surface, tab.results.bar.rig_field
@@ -280,7 +280,7 @@ class Pictures:
 
     def take_rig(self) -> None:
         """A rig examined, operated and calibrated."""
-        from gui.rig.tab import RigTab
+        from wavefocus.gui.rig.tab import RigTab
 
         tab = self.tab(RigTab)
         page, hand = tab.examination, tab.manual_page
@@ -311,8 +311,8 @@ class Pictures:
         """Bring the beam onto every mark, as a person does who sees nearly where it is."""
         import numpy as np
 
-        from calibration.mirror_map import MirrorMap
-        from config.messages.rig_checks import AskJog
+        from wavefocus.calibration.mirror_map import MirrorMap
+        from wavefocus.config.messages.rig_checks import AskJog
 
         true, rng, calibration = MirrorMap(MIRROR_MAP), np.random.default_rng(1), tab.calibration
         self.until(tab.calibration_page.options.start.isEnabled)
@@ -333,10 +333,10 @@ def take_trials(out: Path, trials_file: Path) -> None:
     from PyQt5.QtCore import QSettings, Qt
     from PyQt5.QtTest import QTest
 
-    from gui.files import Settings
-    from gui.trials.window import TrialsWindow
-    from gui.window import make_application
     from wavefocus.commands.gui import front_door
+    from wavefocus.gui.files import Settings
+    from wavefocus.gui.trials.window import TrialsWindow
+    from wavefocus.gui.window import make_application
 
     application = make_application()
     memory = QSettings(str(trials_file.with_name("trials.ini")), QSettings.Format.IniFormat)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mocks.plates.thin import ImplicitPlate, ThinPlate, explicit_limit_s, leapfrog_growth
+from wavefocus.mocks.plates.thin import ImplicitPlate, ThinPlate, explicit_limit_s, leapfrog_growth
 
 PLATE = ThinPlate(0.048, 0.032, 1.566)
 """Glass of 1 mm, small, so that fine grids can be run."""

@@ -22,13 +22,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from benchmarks.harness import Mark, Point, table
-from storage.bank.layout import BankHeader
-from storage.bank.ledger import PointRecord
-from storage.bank.writer import BankWriter, create_bank
+from wavefocus.benchmarks.harness import Mark, Point, table
+from wavefocus.storage.bank.layout import BankHeader
+from wavefocus.storage.bank.ledger import PointRecord
+from wavefocus.storage.bank.writer import BankWriter, create_bank
 
 if TYPE_CHECKING:
-    from gui.window import Window
+    from wavefocus.gui.window import Window
 
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 
@@ -84,9 +84,9 @@ class OpenWindow:
     def __init__(self, bank: Path) -> None:
         from PyQt5.QtCore import QSettings
 
-        from gui.files import Settings
-        from gui.window import Window, make_application
         from wavefocus.commands.gui import front_door
+        from wavefocus.gui.files import Settings
+        from wavefocus.gui.window import Window, make_application
 
         self.application = make_application()
         settings = QSettings(str(bank.with_name("memory.ini")), QSettings.Format.IniFormat)
@@ -122,7 +122,7 @@ class OpenWindow:
 
     def play_field(self, scene: Path) -> None:
         """Open a scene, wait for its field, and let it play."""
-        from gui.scene.tab import SceneTab
+        from wavefocus.gui.scene.tab import SceneTab
 
         scene.write_text(SCENE, encoding="utf-8")
         self.window.open_file(scene)

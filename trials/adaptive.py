@@ -11,10 +11,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from config.trials import AdaptiveTable
-from trials.design import TrialsDesign
-from trials.order import Trial, draws_of
-from trials.psychometric import share_right
+from wavefocus.config.trials import AdaptiveTable
+from wavefocus.trials.design import TrialsDesign
+from wavefocus.trials.order import Trial, draws_of
+from wavefocus.trials.psychometric import share_right
 
 Float64Array = NDArray[np.float64]
 

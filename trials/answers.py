@@ -17,13 +17,13 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from storage import durable
-from storage.durable import Closing
-from storage.errors import InputError
-from storage.ledger.owner import remove_owner, take_ownership, write_owner
-from storage.output_files import write_whole
-from storage.sidecar_files import create
-from storage.text_file import read_text
+from wavefocus.storage import durable
+from wavefocus.storage.durable import Closing
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.ledger.owner import remove_owner, take_ownership, write_owner
+from wavefocus.storage.output_files import write_whole
+from wavefocus.storage.sidecar_files import create
+from wavefocus.storage.text_file import read_text
 
 ANSWERS, FACTS = "trials.csv", "trials.json"
 FORMAT = "wavefocus-trials"

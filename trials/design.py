@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
-from config.loading import naming_key, parse_toml, printable, shown, validated
-from config.trials import Factor, TrialsConfig
-from rendering.scene.model import Scene, Source, build_path, build_signal
-from storage.errors import InputError
-from storage.text_file import read_text
+from wavefocus.config.loading import naming_key, parse_toml, printable, shown, validated
+from wavefocus.config.trials import Factor, TrialsConfig
+from wavefocus.rendering.scene.model import Scene, Source, build_path, build_signal
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.text_file import read_text
 
 MOST_STIMULI = 1000
 MOST_TRIALS = 10_000

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from itertools import accumulate
 from typing import Protocol
 
-from trials.design import TrialsDesign
+from wavefocus.trials.design import TrialsDesign
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ def order_of(design: TrialsDesign, participant: str) -> Order:
     """Make the order of a participant, at its first trial; give it the answers that are stored to go on."""
     if design.config.adaptive is None:
         return FixedOrder(design, participant)
-    from trials.adaptive import AdaptiveOrder
+    from wavefocus.trials.adaptive import AdaptiveOrder
 
     return AdaptiveOrder(design, participant)
 

@@ -13,15 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.fft
 
-from acquisition.engine.recovery import Recovery
-from acquisition.engine.session import Session, StopRequest
-from acquisition.setup import Setup, Step, asking, silence, take_record
-from calibration.clock.timing import ClockFitter, ReferenceMissingError
-from config.messages.campaign import Event, Fault, ReconnectTried, State
-from drivers.errors import InstrumentError, TransientInstrumentError
-from drivers.protocols import Take
-from rendering.arrays import Float64Array
-from rendering.verify.scan_signals import marker_v
+from wavefocus.acquisition.engine.recovery import Recovery
+from wavefocus.acquisition.engine.session import Session, StopRequest
+from wavefocus.acquisition.setup import Setup, Step, asking, silence, take_record
+from wavefocus.calibration.clock.timing import ClockFitter, ReferenceMissingError
+from wavefocus.config.messages.campaign import Event, Fault, ReconnectTried, State
+from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
+from wavefocus.drivers.protocols import Take
+from wavefocus.rendering.arrays import Float64Array
+from wavefocus.rendering.verify.scan_signals import marker_v
 
 MARKER_S = 0.1
 """Long enough for a fit to a few microseconds, short beside any stimulus."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from storage.errors import InputError
-from trials.answers import Row
-from trials.design import TrialsDesign
-from trials.order import Order, order_of
+from wavefocus.storage.errors import InputError
+from wavefocus.trials.answers import Row
+from wavefocus.trials.design import TrialsDesign
+from wavefocus.trials.order import Order, order_of
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,8 +10,8 @@ from datetime import UTC, datetime
 from enum import Enum
 from typing import Any, ClassVar, Protocol
 
-from config.messages.codec import Message
-from config.messages.trials import (
+from wavefocus.config.messages.codec import Message
+from wavefocus.config.messages.trials import (
     Answer,
     AnswerStored,
     EndTrials,
@@ -24,11 +24,11 @@ from config.messages.trials import (
     Waiting,
     Welcome,
 )
-from storage.errors import InputError
-from trials.answers import ANSWERS, AnswersFile, Row, check_participant
-from trials.order import Trial
-from trials.presentation import Onset
-from trials.resuming import Experiment, begun
+from wavefocus.storage.errors import InputError
+from wavefocus.trials.answers import ANSWERS, AnswersFile, Row, check_participant
+from wavefocus.trials.order import Trial
+from wavefocus.trials.presentation import Onset
+from wavefocus.trials.resuming import Experiment, begun
 
 # An answer's instant may lie so far in the future of this process: clocks are read one after the other.
 AHEAD_S = 0.05

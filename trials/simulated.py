@@ -10,14 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
-from config.messages.codec import Message
-from config.messages.trials import Answer, GoOn, TrialsState
-from trials.answers import AnswersFile, Row
-from trials.design import Stimulus, TrialsDesign
-from trials.presentation import Onset
-from trials.psychometric import share_right
-from trials.resuming import Experiment
-from trials.session import TrialsSession
+from wavefocus.config.messages.codec import Message
+from wavefocus.config.messages.trials import Answer, GoOn, TrialsState
+from wavefocus.trials.answers import AnswersFile, Row
+from wavefocus.trials.design import Stimulus, TrialsDesign
+from wavefocus.trials.presentation import Onset
+from wavefocus.trials.psychometric import share_right
+from wavefocus.trials.resuming import Experiment
+from wavefocus.trials.session import TrialsSession
 
 REACTION_S = 0.4
 
@@ -26,7 +26,7 @@ REACTION_S = 0.4
 class Observer:
     """The psychometric function of a simulated participant, over one factor of the stimuli.
 
-    threshold, slope: Of log10 of the level, as `trials.psychometric.share_right`.
+    threshold, slope: Of log10 of the level, as `wavefocus.trials.psychometric.share_right`.
     """
 
     factor: str

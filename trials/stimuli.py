@@ -12,20 +12,20 @@ from typing import Any
 
 import numpy as np
 
-from config.loading import printable
-from config.scene import Output
-from rendering.drive.coil_limits import DriveLimits, Reached, largest_rms, peaks, strictest
-from rendering.drive.rendering import render_with_report
-from rendering.drive.wav import Interface
-from rendering.scene.model import Scene
-from storage.bank.reading import Bank
-from storage.drive_file import Drive, read_drive, write_drive
-from storage.errors import InputError
-from storage.hdf5_digest import values_sha256
-from storage.output_files import require_output_folder, write_whole
-from storage.text_file import read_text
-from storage.units import PLAYED_UNITS
-from trials.design import FACTORS, Stimulus, TrialsDesign
+from wavefocus.config.loading import printable
+from wavefocus.config.scene import Output
+from wavefocus.rendering.drive.coil_limits import DriveLimits, Reached, largest_rms, peaks, strictest
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.drive.wav import Interface
+from wavefocus.rendering.scene.model import Scene
+from wavefocus.storage.bank.reading import Bank
+from wavefocus.storage.drive_file import Drive, read_drive, write_drive
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.hdf5_digest import values_sha256
+from wavefocus.storage.output_files import require_output_folder, write_whole
+from wavefocus.storage.text_file import read_text
+from wavefocus.storage.units import PLAYED_UNITS
+from wavefocus.trials.design import FACTORS, Stimulus, TrialsDesign
 
 FOLDER, MANIFEST = "stimuli", "manifest.json"
 FORMAT = "wavefocus-stimuli"

@@ -2,7 +2,7 @@
 
 :meth:`Campaign.run` asks `_next_step` for one of the steps below, carries it out and asks again, until there is none
 left. `_next_step` looks and changes nothing; a request of a person reaches it as a state of the session
-(`acquisition.engine.session`).
+(`wavefocus.acquisition.engine.session`).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
-from acquisition.attempt import (
+from wavefocus.acquisition.attempt import (
     Attempt,
     AttemptResult,
     PositionRecords,
@@ -25,23 +25,23 @@ from acquisition.attempt import (
     is_futile,
     next_attempt,
 )
-from acquisition.conditions import Conditions
-from acquisition.drift_watch import DriftError, DriftWatch
-from acquisition.engine.recovery import Recovery, Suspension
-from acquisition.engine.report import CampaignReport
-from acquisition.engine.session import Session, StoppedWhileWaitingError, StopRequest
-from acquisition.neighbour_watch import NeighbourWatch
-from acquisition.plan import Plan
-from acquisition.plays import measuring_of
-from acquisition.setup import Setup, names_of
-from calibration.blas import one_blas_thread
-from config.messages.campaign import PositionStarted, RecordTaken, SessionEnded, State, Subscriber
-from drivers.errors import InstrumentError, TransientInstrumentError
-from drivers.protocols import Recording
-from storage.bank.writer import BankWriter
-from storage.errors import FileLostError
-from storage.point_status import Status
-from storage.raw.writer import RawWriter
+from wavefocus.acquisition.conditions import Conditions
+from wavefocus.acquisition.drift_watch import DriftError, DriftWatch
+from wavefocus.acquisition.engine.recovery import Recovery, Suspension
+from wavefocus.acquisition.engine.report import CampaignReport
+from wavefocus.acquisition.engine.session import Session, StoppedWhileWaitingError, StopRequest
+from wavefocus.acquisition.neighbour_watch import NeighbourWatch
+from wavefocus.acquisition.plan import Plan
+from wavefocus.acquisition.plays import measuring_of
+from wavefocus.acquisition.setup import Setup, names_of
+from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.config.messages.campaign import PositionStarted, RecordTaken, SessionEnded, State, Subscriber
+from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
+from wavefocus.drivers.protocols import Recording
+from wavefocus.storage.bank.writer import BankWriter
+from wavefocus.storage.errors import FileLostError
+from wavefocus.storage.point_status import Status
+from wavefocus.storage.raw.writer import RawWriter
 
 # As many positions in a row without one good record mean a broken instrument, not a bad spot.
 FAILED_IN_A_ROW = 3

@@ -7,15 +7,15 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import TypeVar
 
-from acquisition.attempt import Attempt, PositionRecords
-from acquisition.conditions import Conditions
-from acquisition.engine.session import LOOKED_FOR_S, Session
-from acquisition.setup import Setup, as_lost, asking, silence
-from acquisition.wording import hours
-from config.messages.campaign import ConditionsSeen, ReconnectTried, State
-from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from drivers.protocols import Recording
-from storage.errors import WavefocusError
+from wavefocus.acquisition.attempt import Attempt, PositionRecords
+from wavefocus.acquisition.conditions import Conditions
+from wavefocus.acquisition.engine.session import LOOKED_FOR_S, Session
+from wavefocus.acquisition.setup import Setup, as_lost, asking, silence
+from wavefocus.acquisition.wording import hours
+from wavefocus.config.messages.campaign import ConditionsSeen, ReconnectTried, State
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from wavefocus.drivers.protocols import Recording
+from wavefocus.storage.errors import WavefocusError
 
 Result = TypeVar("Result")
 

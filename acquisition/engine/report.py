@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 
-from acquisition.attempt import Attempt, AttemptResult
-from acquisition.engine.session import Session
-from acquisition.judgement import Judgement
-from acquisition.plan import Pace, Plan, sentinel_of
-from acquisition.setup import Setup, identities_of
-from calibration import Int64Array
-from config.messages.campaign import (
+from wavefocus.acquisition.attempt import Attempt, AttemptResult
+from wavefocus.acquisition.engine.session import Session
+from wavefocus.acquisition.judgement import Judgement
+from wavefocus.acquisition.plan import Pace, Plan, sentinel_of
+from wavefocus.acquisition.setup import Setup, identities_of
+from wavefocus.calibration import Int64Array
+from wavefocus.config.messages.campaign import (
     PassStarted,
     PositionCommitted,
     PositionKept,
@@ -22,8 +22,8 @@ from config.messages.campaign import (
     SessionStarted,
     State,
 )
-from storage.bank.writer import BankWriter
-from storage.point_status import status_counts
+from wavefocus.storage.bank.writer import BankWriter
+from wavefocus.storage.point_status import status_counts
 
 
 class CampaignReport:

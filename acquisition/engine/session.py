@@ -8,12 +8,12 @@ import time
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, ClassVar, Concatenate, ParamSpec, TypeVar
 
-from config.messages.campaign import Event, Fault, State, StateChanged, Subscriber
-from drivers.errors import InstrumentError
-from drivers.protocols import Clock
+from wavefocus.config.messages.campaign import Event, Fault, State, StateChanged, Subscriber
+from wavefocus.drivers.errors import InstrumentError
+from wavefocus.drivers.protocols import Clock
 
 if TYPE_CHECKING:
-    from acquisition.attempt import Attempt  # with it comes the estimator, and every command imports this
+    from wavefocus.acquisition.attempt import Attempt  # with it comes the estimator, and every command imports this
 
 Content = ParamSpec("Content")
 Published = TypeVar("Published", bound=Event)

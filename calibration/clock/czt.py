@@ -6,8 +6,8 @@ import numpy as np
 import scipy.fft
 from scipy.fft import fft, ifft, next_fast_len
 
-from calibration import Complex64Array, Complex128Array, Float32Array, Float64Array, Int64Array
-from storage.errors import InputError
+from wavefocus.calibration import Complex64Array, Complex128Array, Float32Array, Float64Array, Int64Array
+from wavefocus.storage.errors import InputError
 
 
 def fourier_sum(signal: Float64Array | Complex128Array, turn: float, first: int, bins: int) -> Complex128Array:

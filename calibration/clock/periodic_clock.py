@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.fft
 
-from calibration import Complex128Array, Float64Array, Int64Array
-from calibration.clock.czt import fourier_sum, ring_signal
-from calibration.clock.resampling import KERNEL_HALF, Thinned, resampled
-from calibration.clock.timing import CORNERS
+from wavefocus.calibration import Complex128Array, Float64Array, Int64Array
+from wavefocus.calibration.clock.czt import fourier_sum, ring_signal
+from wavefocus.calibration.clock.resampling import KERNEL_HALF, Thinned, resampled
+from wavefocus.calibration.clock.timing import CORNERS
 
 # The search steps through the clock ratios so that the signal turns this far at most, in radians, at the ends
 # of the record and the top of the band.

@@ -9,15 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.fft
 
-from calibration import Complex128Array, Float32Array, Float64Array
-from calibration.clock.czt import require_coverage, ring_spectrum
-from calibration.clock.periodic_clock import RingClock, RingFit, fit_repeats
-from calibration.clock.resampling import Thinned, resampled, thin
-from calibration.clock.sweep_laws import fit_sweep_law, roundest
-from calibration.estimator.estimate import MAX_PPM
-from calibration.sweeps import RecordedSweeps
-from storage.errors import InputError
-from storage.raw.header import RawHeader
+from wavefocus.calibration import Complex128Array, Float32Array, Float64Array
+from wavefocus.calibration.clock.czt import require_coverage, ring_spectrum
+from wavefocus.calibration.clock.periodic_clock import RingClock, RingFit, fit_repeats
+from wavefocus.calibration.clock.resampling import Thinned, resampled, thin
+from wavefocus.calibration.clock.sweep_laws import fit_sweep_law, roundest
+from wavefocus.calibration.estimator.estimate import MAX_PPM
+from wavefocus.calibration.sweeps import RecordedSweeps
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.raw.header import RawHeader
 
 # A record of which this share is explained by another one holds the same signal.
 SAME_SHARE = 0.9

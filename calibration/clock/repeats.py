@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.fft
 
-from calibration import Complex64Array, Float32Array, Float64Array, Int64Array
-from calibration.clock.czt import BandSpectrum
-from calibration.clock.timing import CORNERS, ReferenceMissingError, check_inside
-from calibration.sweeps import Sweeps
-from storage.errors import InputError
+from wavefocus.calibration import Complex64Array, Float32Array, Float64Array, Int64Array
+from wavefocus.calibration.clock.czt import BandSpectrum
+from wavefocus.calibration.clock.timing import CORNERS, ReferenceMissingError, check_inside
+from wavefocus.calibration.sweeps import Sweeps
+from wavefocus.storage.errors import InputError
 
 # Bins whose nominal energy is below this share of the median in band carry noise only.
 LEAST_POWER = 1e-3
@@ -44,7 +44,7 @@ class Repeats:
 
     starts, int64 (records, averages): First sample of each sweep's segment of one period.
     spectra, complex64 (records, averages, bins): Spectra of the reference's segments in the bins of the band.
-    offset_samples, ratio, float64 (records,): As in `calibration.clock.timing.ClockFit`.
+    offset_samples, ratio, float64 (records,): As in `wavefocus.calibration.clock.timing.ClockFit`.
     """
 
     starts: Int64Array

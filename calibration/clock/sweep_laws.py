@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.fft
 
-from calibration import Complex64Array, Complex128Array, Float64Array
-from calibration.clock.resampling import Thinned
-from calibration.clock.timing import CORNERS
-from calibration.estimator.estimate import MAX_PPM
-from storage.raw.header import LAWS, Law
+from wavefocus.calibration import Complex64Array, Complex128Array, Float64Array
+from wavefocus.calibration.clock.resampling import Thinned
+from wavefocus.calibration.clock.timing import CORNERS
+from wavefocus.calibration.estimator.estimate import MAX_PPM
+from wavefocus.storage.raw.header import LAWS, Law
 
 # Fades, and where an abrupt end rings, are left out of the fit: this share of the sweep at either end.
 ENDS_SHARE = 0.12

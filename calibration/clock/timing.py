@@ -11,10 +11,10 @@ import numpy as np
 import scipy.fft
 from numpy.typing import ArrayLike, NDArray
 
-from calibration import Complex64Array, Complex128Array, Float32Array, Float64Array
-from calibration.clock.czt import fourier_sum
-from calibration.clock.resampling import resampled
-from storage.errors import InputError, WavefocusError
+from wavefocus.calibration import Complex64Array, Complex128Array, Float32Array, Float64Array
+from wavefocus.calibration.clock.czt import fourier_sum
+from wavefocus.calibration.clock.resampling import resampled
+from wavefocus.storage.errors import InputError, WavefocusError
 
 # Reference not explained by the known signal, above which a fit would be a guess.
 REFERENCE_LIMIT_DB = -10.0

@@ -10,8 +10,8 @@ import numpy as np
 import scipy.fft
 import scipy.linalg
 
-from calibration import Complex64Array, Complex128Array, Float32Array, Float64Array
-from calibration.clock.czt import fourier_sum, ring_signal
+from wavefocus.calibration import Complex64Array, Complex128Array, Float32Array, Float64Array
+from wavefocus.calibration.clock.czt import fourier_sum, ring_signal
 
 Operator = Callable[[Float64Array], Float64Array]
 Real = TypeVar("Real", Float32Array, Float64Array)
@@ -149,7 +149,7 @@ MOST_RIDGE = 1e-2
 
 
 class ToeplitzFit:
-    """Solve what `calibration.estimator.causal_fit.CausalFit` solves, for matrices too large to hold.
+    """Solve what `wavefocus.calibration.estimator.causal_fit.CausalFit` solves, for matrices too large to hold.
 
     The normal equations of a causal FIR are Toeplitz, at any ratio of the clocks: transforms multiply by them,
     and a circulant preconditioner (T. Chan, SIAM J. Sci. Stat. Comput. 9, 1988) keeps the conjugate gradients to

@@ -8,8 +8,8 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from calibration import Float32Array, Int64Array
-from storage.errors import InputError
+from wavefocus.calibration import Float32Array, Int64Array
+from wavefocus.storage.errors import InputError
 
 # A converter's last counts belong to clipping: 0.1 % below the end of the range.
 CLIP_SHARE = 0.999

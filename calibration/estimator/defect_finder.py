@@ -9,8 +9,8 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy.special import gammainccinv
 
-from calibration import BoolArray, Complex64Array, Float32Array, Float64Array
-from calibration.estimator.clipping import Levels, ThirdHarmonic
+from wavefocus.calibration import BoolArray, Complex64Array, Float32Array, Float64Array
+from wavefocus.calibration.estimator.clipping import Levels, ThirdHarmonic
 
 _FIGURES = """
 burst_db burst_s cut_db cut_s slip_db slip_samples line_db line_hz tail_db step_db step_level_db harmonic_db dead

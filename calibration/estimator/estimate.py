@@ -9,10 +9,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration import Float32Array, Float64Array
-from calibration.estimator.defect_finder import not_looked_at, worst_of
-from storage.errors import InputError
-from storage.raw.header import Schedule
+from wavefocus.calibration import Float32Array, Float64Array
+from wavefocus.calibration.estimator.defect_finder import not_looked_at, worst_of
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.raw.header import Schedule
 
 MAX_PPM = 500.0
 # A bin this close to the end of the band is in it.
@@ -52,11 +52,11 @@ class Estimate:
     noise_v, float32 (records,): Rms in DAQ volts of the white noise on one response recording (0 to half the sample
         rate) that would leave this residual.
     clip_count, int32 (records,): Samples of either channel that are clipped: at 0.999 of its range or beyond, or on a
-        flat top below it, which an amplifier or the vibrometer left (see `calibration.estimator.clipping`).
+        flat top below it, which an amplifier or the vibrometer left (see `wavefocus.calibration.estimator.clipping`).
     offset_samples, float64 (records,): DAQ sample at which the first sweep starts.
     clock_ratio, float64 (records,): DAQ rate over playback rate.
     defects, structured (records,): What stands out of the residuals beyond chance, as
-        `calibration.estimator.defect_finder.DEFECTS` has it; not examined by default.
+        `wavefocus.calibration.estimator.defect_finder.DEFECTS` has it; not examined by default.
     reference_db, float32 (records,): Level in band of the recorded reference over that of the played signal at the
         calibrated `reference_gain`, in dB: 0 where the rig is as it was calibrated. NaN by default.
     """

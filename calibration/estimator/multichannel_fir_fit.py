@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from calibration import Complex64Array, Complex128Array, Float32Array, Float64Array, Int64Array
-from calibration.estimator.causal_fit import conjugate_gradients, toeplitz_product
-from storage.errors import InputError
+from wavefocus.calibration import Complex64Array, Complex128Array, Float32Array, Float64Array, Int64Array
+from wavefocus.calibration.estimator.causal_fit import conjugate_gradients, toeplitz_product
+from wavefocus.storage.errors import InputError
 
 # Bins of the left vectors that are made at once, for little memory.
 CHUNK = 512

@@ -11,17 +11,17 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.fft
 
-from calibration import Float32Array
-from calibration.clock.played import find_sweeps, learn_base, learn_sweeps, shape_of, whole_record
-from calibration.clock.timing import ReferenceMissingError
-from calibration.estimator.estimate import Channels, Estimate, PositionEstimator, Records
-from calibration.estimator.multichannel_fir_fit import MOST_JOINT_BYTES, joint_bytes
-from calibration.estimator.sequential import SequentialEstimator
-from calibration.estimator.staggered import StaggeredEstimator
-from calibration.estimator.whole_record import WholeRecordEstimator
-from storage.errors import InputError
-from storage.raw.header import RawHeader
-from storage.raw.writer import DamagedError, RawFile, Recordings
+from wavefocus.calibration import Float32Array
+from wavefocus.calibration.clock.played import find_sweeps, learn_base, learn_sweeps, shape_of, whole_record
+from wavefocus.calibration.clock.timing import ReferenceMissingError
+from wavefocus.calibration.estimator.estimate import Channels, Estimate, PositionEstimator, Records
+from wavefocus.calibration.estimator.multichannel_fir_fit import MOST_JOINT_BYTES, joint_bytes
+from wavefocus.calibration.estimator.sequential import SequentialEstimator
+from wavefocus.calibration.estimator.staggered import StaggeredEstimator
+from wavefocus.calibration.estimator.whole_record import WholeRecordEstimator
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.raw.header import RawHeader
+from wavefocus.storage.raw.writer import DamagedError, RawFile, Recordings
 
 # References from which the base signal is learned: more make it cleaner, by 0.05 dB at 16.
 LEARNED_RECORDS = 16
@@ -92,7 +92,7 @@ def estimate_positions(
 
     Every position is estimated by itself, so that the result does not depend on the workers. They spend their
     time in transforms and linear algebra, which run in parallel; hold BLAS to one thread
-    (`calibration.blas`).
+    (`wavefocus.calibration.blas`).
 
     Parameters
     ----------

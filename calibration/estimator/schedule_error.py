@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration import Float64Array
-from storage.errors import InputError
+from wavefocus.calibration import Float64Array
+from wavefocus.storage.errors import InputError
 
 
 def expected_error_db(

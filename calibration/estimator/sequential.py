@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration import Float32Array, Float64Array
-from calibration.clock.repeats import RepeatFinder
-from calibration.estimator.causal_fit import CausalFit, ToeplitzFit
-from calibration.estimator.clipping import measure_levels
-from calibration.estimator.defect_finder import DefectFinder, Residuals, energy
-from calibration.estimator.estimate import DIRECT, EDGE, FLOOR, MAX_PPM, Channels, Estimate, decibel
-from calibration.sweeps import Sweeps
-from storage.errors import InputError
-from storage.raw.header import Schedule
+from wavefocus.calibration import Float32Array, Float64Array
+from wavefocus.calibration.clock.repeats import RepeatFinder
+from wavefocus.calibration.estimator.causal_fit import CausalFit, ToeplitzFit
+from wavefocus.calibration.estimator.clipping import measure_levels
+from wavefocus.calibration.estimator.defect_finder import DefectFinder, Residuals, energy
+from wavefocus.calibration.estimator.estimate import DIRECT, EDGE, FLOOR, MAX_PPM, Channels, Estimate, decibel
+from wavefocus.calibration.sweeps import Sweeps
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.raw.header import Schedule
 
 # Bounds memory to about 20 MB however many records are given, and to a tenth of a GB however long they are.
 BATCH_RECORDS = 32
@@ -94,7 +94,7 @@ class SequentialEstimator:
     def estimate(
         self, reference_v: Float32Array, response_v: Float32Array, *, range_v: tuple[float, float]
     ) -> Estimate:
-        """See `calibration.estimator.estimate.PositionEstimator`; without a schedule, any number of records."""
+        """See `wavefocus.calibration.estimator.estimate.PositionEstimator`; if no schedule, any number of records."""
         reference = np.ascontiguousarray(reference_v, dtype=np.float32)
         response = np.ascontiguousarray(response_v, dtype=np.float32)
         records = len(reference) if self._schedule is None else self._schedule.records

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import scipy.fft
 
-from calibration import Complex64Array, Complex128Array, Float32Array, Float64Array
-from calibration.clock.czt import require_coverage, ring_signal, ring_spectrum
-from calibration.clock.periodic_clock import RingClock, RingFit
-from calibration.clock.resampling import Thinned, thin
-from calibration.clock.timing import ReferenceMissingError
-from calibration.estimator.clipping import measure_levels
-from calibration.estimator.defect_finder import LEAKS, not_looked_at
-from calibration.estimator.estimate import EDGE, FLOOR, MAX_PPM, Estimate, Records, decibel
-from calibration.estimator.multichannel_fir_fit import JointFit
-from storage.errors import InputError
+from wavefocus.calibration import Complex64Array, Complex128Array, Float32Array, Float64Array
+from wavefocus.calibration.clock.czt import require_coverage, ring_signal, ring_spectrum
+from wavefocus.calibration.clock.periodic_clock import RingClock, RingFit
+from wavefocus.calibration.clock.resampling import Thinned, thin
+from wavefocus.calibration.clock.timing import ReferenceMissingError
+from wavefocus.calibration.estimator.clipping import measure_levels
+from wavefocus.calibration.estimator.defect_finder import LEAKS, not_looked_at
+from wavefocus.calibration.estimator.estimate import EDGE, FLOOR, MAX_PPM, Estimate, Records, decibel
+from wavefocus.calibration.estimator.multichannel_fir_fit import JointFit
+from wavefocus.storage.errors import InputError
 
 RIDGE = 1e-6
 """Penalty on the FIRs' energy relative to the base signal's median power in band."""

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.fft
 
-from calibration import Complex128Array, Float32Array, Float64Array
-from calibration.clock.resampling import resampled
-from calibration.clock.timing import ReferenceMissingError
-from calibration.estimator.causal_fit import MOST_RIDGE, circulant_inverse, conjugate_gradients
-from calibration.estimator.clipping import measure_levels
-from calibration.estimator.estimate import FLOOR, Estimate, Records, decibel
-from storage.errors import InputError
+from wavefocus.calibration import Complex128Array, Float32Array, Float64Array
+from wavefocus.calibration.clock.resampling import resampled
+from wavefocus.calibration.clock.timing import ReferenceMissingError
+from wavefocus.calibration.estimator.causal_fit import MOST_RIDGE, circulant_inverse, conjugate_gradients
+from wavefocus.calibration.estimator.clipping import measure_levels
+from wavefocus.calibration.estimator.estimate import FLOOR, Estimate, Records, decibel
+from wavefocus.storage.errors import InputError
 
 # Penalty relative to the excitation's median power in band; outside of the band it is a little more.
 RIDGE, OUTSIDE_RIDGE = 1e-6, 1e-5
@@ -55,7 +55,7 @@ class WholeRecordEstimator:
     def estimate(
         self, reference_v: Float32Array, response_v: Float32Array, *, range_v: tuple[float, float]
     ) -> Estimate:
-        """See `calibration.estimator.estimate.PositionEstimator`; what compares sweeps is NaN."""
+        """See `wavefocus.calibration.estimator.estimate.PositionEstimator`; what compares sweeps is NaN."""
         self._records.require(reference_v, response_v)
         found = [self._estimate(reference_v[group], response_v[group], range_v, group) for group in self._groups]
         return self._records.by_actuator(found, [group[0] for group in self._groups])

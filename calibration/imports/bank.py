@@ -15,16 +15,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.blas import one_blas_thread
-from calibration.imports.conversion import Conversion
-from calibration.imports.projection import Projection, choose_projection
-from storage.bank.layout import BankHeader
-from storage.bank.ledger import PointRecord
-from storage.bank.writer import write_bank
-from storage.errors import InputError
-from storage.exchange.reading.measured import ImportOptions, Measured
-from storage.exchange.reading.opening import opened, recognised
-from storage.point_status import Status
+from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.calibration.imports.conversion import Conversion
+from wavefocus.calibration.imports.projection import Projection, choose_projection
+from wavefocus.storage.bank.layout import BankHeader
+from wavefocus.storage.bank.ledger import PointRecord
+from wavefocus.storage.bank.writer import write_bank
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.exchange.reading.measured import ImportOptions, Measured
+from wavefocus.storage.exchange.reading.opening import opened, recognised
+from wavefocus.storage.point_status import Status
 
 Float64Array = NDArray[np.float64]
 OnProgress = Callable[[int, int], None]
@@ -56,7 +56,7 @@ def import_bank(
 
     source: The file or folder.
     bank: The bank to write; an older file of that name is replaced when the new one is whole.
-    kind: Its format, a key of `storage.exchange.IMPORTS`; recognised where empty.
+    kind: Its format, a key of `wavefocus.storage.exchange.IMPORTS`; recognised where empty.
     on_progress: Called with positions done and positions in all.
 
     Raises InputError: the file cannot be read, or lacks a fact that an option can give.

@@ -10,8 +10,8 @@ import scipy.fft
 import scipy.linalg
 from numpy.typing import NDArray
 
-from calibration.estimator.causal_fit import MOST_RIDGE, ToeplitzFit
-from storage.errors import InputError
+from wavefocus.calibration.estimator.causal_fit import MOST_RIDGE, ToeplitzFit
+from wavefocus.storage.errors import InputError
 
 Float64Array = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
@@ -114,8 +114,8 @@ class CausalConverter:
 
     Where the frequencies reach from 0 to half the rate without a gap, the first taps of the inverse transform are that
     fit; where they do not, and there are as many taps as the period has samples, what is missing is zero. The penalty
-    follows the noise of the first responses, as in `calibration.estimator.causal_fit.ToeplitzFit`, which solves for
-    FIRs that are too long for a matrix.
+    follows the noise of the first responses, as in `wavefocus.calibration.estimator.causal_fit.ToeplitzFit`, which
+    solves for FIRs that are too long for a matrix.
 
     bins, int64 (bins,): Frequencies in steps, ascending.
     period: Samples of a period: the rate over the step of the frequencies.

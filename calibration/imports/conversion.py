@@ -12,10 +12,10 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from calibration.imports.causal_response import CausalConverter, Motion, end_window, frequency_axis
-from storage.errors import InputError
-from storage.exchange.reading.measured import ImportOptions, Measured, pair_of, require_honest
-from storage.units import MOTIONS, split_unit
+from wavefocus.calibration.imports.causal_response import CausalConverter, Motion, end_window, frequency_axis
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.exchange.reading.measured import ImportOptions, Measured, pair_of, require_honest
+from wavefocus.storage.units import MOTIONS, split_unit
 
 Float64Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.errors import InputError
+from wavefocus.storage.errors import InputError
 
 Float64Array = NDArray[np.float64]
 

@@ -9,12 +9,12 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import StrEnum
 
-from config.messages.codec import Message, MessageError, message_of, to_record
-from drivers.protocols import DeviceIdentity
+from wavefocus.config.messages.codec import Message, MessageError, message_of, to_record
+from wavefocus.drivers.protocols import DeviceIdentity
 
 
 class State(StrEnum):
-    """Where a campaign stands; which follows which is in `acquisition.engine.session`."""
+    """Where a campaign stands; which follows which is in `wavefocus.acquisition.engine.session`."""
 
     IDLE = "idle"
     RUNNING = "running"

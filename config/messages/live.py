@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from config.messages.codec import Message
+from wavefocus.config.messages.codec import Message
 
 PointMm = tuple[float, float]
 

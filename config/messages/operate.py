@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from config.messages.codec import Message
+from wavefocus.config.messages.codec import Message
 
 Role = Literal["mirror", "recorder", "player"]
 Numbers = tuple[float, float]

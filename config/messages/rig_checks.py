@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Literal
 
-from config.messages.codec import Message
-from config.messages.operate import Faulted, LevelMeasured, Numbers, Refused
+from wavefocus.config.messages.codec import Message
+from wavefocus.config.messages.operate import Faulted, LevelMeasured, Numbers, Refused
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from drivers.protocols import Player
-from drivers.registry import PLAYERS, Outputs, rig_key
+from wavefocus.drivers.protocols import Player
+from wavefocus.drivers.registry import PLAYERS, Outputs, rig_key
 
 
 @PLAYERS.register
@@ -22,7 +22,7 @@ class SoundDevice:
     name = "sounddevice"
 
     def open(self, outputs: Outputs) -> Player:
-        from drivers.audio.stream.player import StreamPlayer
+        from wavefocus.drivers.audio.stream.player import StreamPlayer
 
         return StreamPlayer(
             self.host_api,

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from drivers.protocols import Recorder
-from drivers.registry import RECORDERS, KeyMistakeError, rig_key
+from wavefocus.drivers.protocols import Recorder
+from wavefocus.drivers.registry import RECORDERS, KeyMistakeError, rig_key
 
 ANALOG_INPUT = (r"ai\d{1,3}", 'must be "ai0", "ai1" and so on')
 
@@ -60,11 +60,11 @@ class NiDaqmx:
             "trigger": self.trigger or None,
         }
         if self.address is None:
-            from drivers.daq.ni.recorder_process import ProcessRecorder
+            from wavefocus.drivers.daq.ni.recorder_process import ProcessRecorder
 
             return ProcessRecorder(self.device, **wiring)
-        from drivers.daq.ni.ni_recorder import NiRecorder
-        from drivers.daq.ni.ni_session import TlsFiles
+        from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
+        from wavefocus.drivers.daq.ni.ni_session import TlsFiles
 
         tls = None
         if self.tls_root is not None:

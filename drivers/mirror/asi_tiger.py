@@ -22,11 +22,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from drivers.dialogue import Dialogue, Marker, Query, RefusedError, RestartedError, UnreadableError
-from drivers.errors import InstrumentError
-from drivers.mirror.serial_mirror import Dialect, tolerance_key
-from drivers.protocols import DeviceIdentity
-from drivers.registry import MIRRORS, rig_key
+from wavefocus.drivers.dialogue import Dialogue, Marker, Query, RefusedError, RestartedError, UnreadableError
+from wavefocus.drivers.errors import InstrumentError
+from wavefocus.drivers.mirror.serial_mirror import Dialect, tolerance_key
+from wavefocus.drivers.protocols import DeviceIdentity
+from wavefocus.drivers.registry import MIRRORS, rig_key
 
 # Type of a scanner's axes in the answer to BU X.
 SCANNER = "u"

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from functools import reduce
 from typing import TypeVar
 
-from drivers.dialogue import Dialogue, Marker, Query, RefusedError, UnreadableError
-from drivers.mirror.serial_mirror import Dialect, tolerance_key
-from drivers.protocols import DeviceIdentity
-from drivers.registry import MIRRORS
+from wavefocus.drivers.dialogue import Dialogue, Marker, Query, RefusedError, UnreadableError
+from wavefocus.drivers.mirror.serial_mirror import Dialect, tolerance_key
+from wavefocus.drivers.protocols import DeviceIdentity
+from wavefocus.drivers.registry import MIRRORS
 
 Answer = TypeVar("Answer")
 

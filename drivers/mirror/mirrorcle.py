@@ -20,10 +20,10 @@ import math
 import re
 from dataclasses import dataclass
 
-from drivers.dialogue import Dialogue, Marker, Query, RefusedError, RestartedError, UnreadableError
-from drivers.mirror.serial_mirror import Dialect
-from drivers.protocols import DeviceIdentity
-from drivers.registry import MIRRORS, rig_key
+from wavefocus.drivers.dialogue import Dialogue, Marker, Query, RefusedError, RestartedError, UnreadableError
+from wavefocus.drivers.mirror.serial_mirror import Dialect
+from wavefocus.drivers.protocols import DeviceIdentity
+from wavefocus.drivers.registry import MIRRORS, rig_key
 
 WITHIN_COMMAND_MODE = "MTI-ERR InvalidCommand"
 

@@ -19,10 +19,10 @@ import math
 import re
 from dataclasses import dataclass
 
-from drivers.dialogue import Dialogue, Marker, Query, RefusedError, UnreadableError
-from drivers.mirror.serial_mirror import Dialect
-from drivers.protocols import DeviceIdentity
-from drivers.registry import MIRRORS
+from wavefocus.drivers.dialogue import Dialogue, Marker, Query, RefusedError, UnreadableError
+from wavefocus.drivers.mirror.serial_mirror import Dialect
+from wavefocus.drivers.protocols import DeviceIdentity
+from wavefocus.drivers.registry import MIRRORS
 
 IDENTITY = "Optotune MR-E-2"
 FULL_SCALE = math.tan(math.radians(50.0))

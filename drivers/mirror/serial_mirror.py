@@ -7,11 +7,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from drivers.dialogue import Dialogue, Marker
-from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from drivers.protocols import Clock, DeviceIdentity
-from drivers.registry import rig_key
-from drivers.serial_line import LineSettings, SerialLine
+from wavefocus.drivers.dialogue import Dialogue, Marker
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from wavefocus.drivers.protocols import Clock, DeviceIdentity
+from wavefocus.drivers.registry import rig_key
+from wavefocus.drivers.serial_line import LineSettings, SerialLine
 
 
 class Dialect(ABC):
@@ -24,7 +24,7 @@ class Dialect(ABC):
     table_defaults: Keys of every mirror that have another default with this one.
     baud: Bits per second as the device leaves the factory.
     command_end: What ends a command.
-    encoding: Of commands and answers, see `drivers.serial_line.LineSettings`.
+    encoding: Of commands and answers, see `wavefocus.drivers.serial_line.LineSettings`.
     patience_s: How long the device may take to answer once its port is open.
     says_when_idle: Whether the device can be asked if it moves.
     tolerance_mrad: How far from its target a mirror that reads back may stand.
@@ -91,7 +91,7 @@ POLL_S = 0.001
 
 
 class SerialMirror:
-    """Points the laser over a serial line; implements `drivers.protocols.Mirror`.
+    """Points the laser over a serial line; implements `wavefocus.drivers.protocols.Mirror`.
 
     The constructor opens the port, checks who answers, and enables the mirror; it does not move it.
 
@@ -168,7 +168,7 @@ class SerialMirror:
         """Return when the beam stands still where it was sent.
 
         It ends after `timeout_s` and what a question under way then still takes, see
-        `drivers.dialogue.Dialogue.ask`. Raises TransientInstrumentError.
+        `wavefocus.drivers.dialogue.Dialogue.ask`. Raises TransientInstrumentError.
         """
         self._check_open("settling")
         gives_up_s = self._clock.now_s() + timeout_s

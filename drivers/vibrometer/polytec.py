@@ -15,11 +15,11 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from drivers.dialogue import Dialogue, Marker, Query, RefusedError, UnreadableError
-from drivers.errors import InstrumentError
-from drivers.protocols import Clock
-from drivers.registry import VIBROMETERS, VibrometerReading, rig_key
-from drivers.serial_line import LineSettings, SerialLine
+from wavefocus.drivers.dialogue import Dialogue, Marker, Query, RefusedError, UnreadableError
+from wavefocus.drivers.errors import InstrumentError
+from wavefocus.drivers.protocols import Clock
+from wavefocus.drivers.registry import VIBROMETERS, VibrometerReading, rig_key
+from wavefocus.drivers.serial_line import LineSettings, SerialLine
 
 BAUD = 115200
 FULL_SIGNAL_LEVEL = 775

@@ -12,16 +12,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from config.messages.campaign import Drift, Logged, PositionCommitted, SessionEnded
-from gui.campaign.model import Campaign, Line, read_record
-from gui.campaign.quality import DAMAGED, per_position
-from gui.front_door import FrontDoor
-from gui.surface import surface_of
-from storage.errors import WavefocusError
+from wavefocus.config.messages.campaign import Drift, Logged, PositionCommitted, SessionEnded
+from wavefocus.gui.campaign.model import Campaign, Line, read_record
+from wavefocus.gui.campaign.quality import DAMAGED, per_position
+from wavefocus.gui.front_door import FrontDoor
+from wavefocus.gui.surface import surface_of
+from wavefocus.storage.errors import WavefocusError
 
 if TYPE_CHECKING:
-    from storage.bank.reading import Bank
-    from storage.ledger.owner import Owner
+    from wavefocus.storage.bank.reading import Bank
+    from wavefocus.storage.ledger.owner import Owner
 
 #: A change of what the window shows of the campaign, found in the thread and made in the window's.
 Change = Callable[[Campaign], object]
@@ -201,12 +201,12 @@ def same_file(one: Path, other: Path) -> bool:
 
 
 def _opened(path: Path) -> Bank:
-    from storage.bank.reading import open_bank  # h5py is slow to import
+    from wavefocus.storage.bank.reading import open_bank  # h5py is slow to import
 
     return open_bank(path)
 
 
 def _owner_of(path: Path) -> Owner | None:
-    from storage.ledger.owner import bank_owner
+    from wavefocus.storage.ledger.owner import bank_owner
 
     return bank_owner(path)

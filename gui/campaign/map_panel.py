@@ -12,15 +12,15 @@ from PyQt5.QtCore import QPointF, Qt, pyqtSignal
 from PyQt5.QtGui import QKeyEvent, QPolygonF
 from PyQt5.QtWidgets import QGraphicsPolygonItem, QLabel, QSizePolicy, QWidget
 
-from gui import widgets as ui
-from gui.campaign.model import Campaign
-from gui.campaign.quality import FIGURES, LOOKS, NOT_MEASURED, Figure, look_index, status_text
-from gui.field_map import ColourBar
-from gui.surface import Surface
-from gui.surface_view import MARK, Keys, PointMm, Spots, SurfaceView, looked_up, rgba
-from gui.theme import Themed
-from rendering.arrays import Float32Array
-from storage.bank.ledger import VALID
+from wavefocus.gui import widgets as ui
+from wavefocus.gui.campaign.model import Campaign
+from wavefocus.gui.campaign.quality import FIGURES, LOOKS, NOT_MEASURED, Figure, look_index, status_text
+from wavefocus.gui.field_map import ColourBar
+from wavefocus.gui.surface import Surface
+from wavefocus.gui.surface_view import MARK, Keys, PointMm, Spots, SurfaceView, looked_up, rgba
+from wavefocus.gui.theme import Themed
+from wavefocus.rendering.arrays import Float32Array
+from wavefocus.storage.bank.ledger import VALID
 
 # On a large map a few outliers must not press all others into one colour.
 _MANY, _OUTLIERS_PERCENT = 100, 1.0

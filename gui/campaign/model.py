@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.wording import hours
-from config.messages.campaign import (
+from wavefocus.acquisition.wording import hours
+from wavefocus.config.messages.campaign import (
     ConditionsSeen,
     Drift,
     Event,
@@ -35,15 +35,15 @@ from config.messages.campaign import (
     StateChanged,
     event_of,
 )
-from gui.campaign.quality import DAMAGED, status_text
-from gui.front_door import Pulse
-from gui.surface import Surface
-from rendering.arrays import Float32Array
-from storage.bank.ledger import VALID
+from wavefocus.gui.campaign.quality import DAMAGED, status_text
+from wavefocus.gui.front_door import Pulse
+from wavefocus.gui.surface import Surface
+from wavefocus.rendering.arrays import Float32Array
+from wavefocus.storage.bank.ledger import VALID
 
 if TYPE_CHECKING:
-    from acquisition.limits import DriftPoint
-    from storage.ledger.owner import Owner
+    from wavefocus.acquisition.limits import DriftPoint
+    from wavefocus.storage.ledger.owner import Owner
 
 _LONGEST = 200
 

@@ -10,10 +10,10 @@ from PyQt5.QtCore import QAbstractTableModel, QModelIndex, Qt, pyqtSignal
 from PyQt5.QtGui import QColor
 from PyQt5.QtWidgets import QAbstractItemView, QAction, QHeaderView, QLineEdit, QTableView, QToolButton, QWidget
 
-from config.messages.campaign import State
-from gui import widgets as ui
-from gui.campaign.model import GOING, Campaign, CampaignState, Extra, Line, Order, Pace, Weight, clock
-from gui.theme import Themed
+from wavefocus.config.messages.campaign import State
+from wavefocus.gui import widgets as ui
+from wavefocus.gui.campaign.model import GOING, Campaign, CampaignState, Extra, Line, Order, Pace, Weight, clock
+from wavefocus.gui.theme import Themed
 
 # Name, text, key and tooltip.
 _BUTTONS = (

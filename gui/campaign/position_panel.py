@@ -13,18 +13,18 @@ import pyqtgraph
 from PyQt5.QtCore import QRectF
 from PyQt5.QtWidgets import QSizePolicy, QTabWidget, QWidget
 
-from gui import widgets as ui
-from gui.campaign.model import Campaign, clock
-from gui.campaign.quality import status_text
-from gui.field_map import MOST_COLUMNS, Plot, Real, whole_ticks
-from gui.surface import Surface
-from gui.tab import TabContext
-from gui.theme import Themed
-from storage.units import quantity
+from wavefocus.gui import widgets as ui
+from wavefocus.gui.campaign.model import Campaign, clock
+from wavefocus.gui.campaign.quality import status_text
+from wavefocus.gui.field_map import MOST_COLUMNS, Plot, Real, whole_ticks
+from wavefocus.gui.surface import Surface
+from wavefocus.gui.tab import TabContext
+from wavefocus.gui.theme import Themed
+from wavefocus.storage.units import quantity
 
 if TYPE_CHECKING:
-    from acquisition.limits import DriftPoint
-    from storage.raw.writer import Recordings
+    from wavefocus.acquisition.limits import DriftPoint
+    from wavefocus.storage.raw.writer import Recordings
 
 
 _FLOOR_DB = -60.0
@@ -339,7 +339,7 @@ class PositionPanel(Themed, QTabWidget):
 
 
 def _read(path: Path, position: int) -> Details:
-    from storage.bank.reading import open_bank  # h5py is slow to import
+    from wavefocus.storage.bank.reading import open_bank  # h5py is slow to import
 
     with open_bank(path) as bank:
         quality = {key: bank.quality[key][position] for key in _FIGURES if key in bank.quality}
@@ -347,7 +347,7 @@ def _read(path: Path, position: int) -> Details:
 
 
 def _read_raw(path: Path, position: int) -> Raw:
-    from storage.raw.writer import open_raw
+    from wavefocus.storage.raw.writer import open_raw
 
     with open_raw(path) as raw:
         return raw.read(position), raw.header.sample_rate_hz

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gui.theme import LIGHT, Theme
-from rendering.arrays import Float32Array
-from storage.bank.ledger import DISABLED, FAILED, OVER_RANGE, POOR_SIGNAL, VALID
+from wavefocus.gui.theme import LIGHT, Theme
+from wavefocus.rendering.arrays import Float32Array
+from wavefocus.storage.bank.ledger import DISABLED, FAILED, OVER_RANGE, POOR_SIGNAL, VALID
 
 NOT_MEASURED = 0
 DAMAGED = 128  # not in the bank: a row whose checksum does not hold

@@ -12,18 +12,18 @@ from typing import Any
 from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QAction, QWidget
 
-from acquisition.wording import hours
-from gui import widgets as ui
-from gui.campaign.follower import Follower, same_file
-from gui.campaign.map_panel import MapPanel
-from gui.campaign.model import Campaign, Extra, Order, possible_orders
-from gui.campaign.panels import Controls, EventList, InstrumentList, ProgressRow
-from gui.campaign.position_panel import PositionPanel
-from gui.campaign.quality import NOT_GOOD
-from gui.files import PathField, TomlKind, runs_on_virtual_rig, toml_kind
-from gui.process import STOPPED_BY_USER, CommandProcess
-from gui.tab import Question, Tab, TabContext
-from rendering.verify.record import FIELD_NAMES, RECORD_NAME
+from wavefocus.acquisition.wording import hours
+from wavefocus.gui import widgets as ui
+from wavefocus.gui.campaign.follower import Follower, same_file
+from wavefocus.gui.campaign.map_panel import MapPanel
+from wavefocus.gui.campaign.model import Campaign, Extra, Order, possible_orders
+from wavefocus.gui.campaign.panels import Controls, EventList, InstrumentList, ProgressRow
+from wavefocus.gui.campaign.position_panel import PositionPanel
+from wavefocus.gui.campaign.quality import NOT_GOOD
+from wavefocus.gui.files import PathField, TomlKind, runs_on_virtual_rig, toml_kind
+from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess
+from wavefocus.gui.tab import Question, Tab, TabContext
+from wavefocus.rendering.verify.record import FIELD_NAMES, RECORD_NAME
 
 _REREAD_EVERY_S = 0.5
 

@@ -9,16 +9,16 @@ from pathlib import Path
 from PyQt5.QtCore import Qt, pyqtSignal
 from PyQt5.QtWidgets import QAbstractItemView, QFormLayout, QPlainTextEdit, QPushButton, QWidget
 
-from config.messages.operate import Numbers
-from config.messages.rig_checks import AskAgain, AskConnect, AskJog, MapView
-from config.outline import default_marks_mm
-from config.rig import Surface
-from gui import widgets as ui
-from gui.files import PathField, Settings
-from gui.rig.jog import Arrows, SurfacePicture
-from gui.rig.manual_page import LevelMeter
-from gui.rig.session import Calibration
-from gui.theme import Themed
+from wavefocus.config.messages.operate import Numbers
+from wavefocus.config.messages.rig_checks import AskAgain, AskConnect, AskJog, MapView
+from wavefocus.config.outline import default_marks_mm
+from wavefocus.config.rig import Surface
+from wavefocus.gui import widgets as ui
+from wavefocus.gui.files import PathField, Settings
+from wavefocus.gui.rig.jog import Arrows, SurfacePicture
+from wavefocus.gui.rig.manual_page import LevelMeter
+from wavefocus.gui.rig.session import Calibration
+from wavefocus.gui.theme import Themed
 
 _PARTS = (
     ("inputs", "&Inputs: delay between response and reference", "You connect the loopback to both inputs"),

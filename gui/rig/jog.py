@@ -12,12 +12,12 @@ from PyQt5.QtCore import Qt, pyqtSignal
 from PyQt5.QtGui import QKeyEvent
 from PyQt5.QtWidgets import QFormLayout, QGridLayout, QToolButton, QWidget
 
-from config.messages.operate import Numbers
-from config.outline import Outline
-from gui import widgets as ui
-from gui.rig.session import ManualSession
-from gui.surface import surface_from
-from gui.surface_view import STEPS, Keys, PointMm, Spots, SurfaceView
+from wavefocus.config.messages.operate import Numbers
+from wavefocus.config.outline import Outline
+from wavefocus.gui import widgets as ui
+from wavefocus.gui.rig.session import ManualSession
+from wavefocus.gui.surface import surface_from
+from wavefocus.gui.surface_view import STEPS, Keys, PointMm, Spots, SurfaceView
 
 _RIM_POINTS = 180
 # Residuals are enlarged until the longest has about this share of the surface's length.

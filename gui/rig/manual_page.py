@@ -10,12 +10,12 @@ import pyqtgraph
 from PyQt5.QtGui import QColor, QMouseEvent, QPalette
 from PyQt5.QtWidgets import QLabel, QWidget
 
-from config.messages.operate import ChannelLevel, LevelMeasured, SweepTaken
-from gui import widgets as ui
-from gui.field_map import Plot
-from gui.rig.jog import JogPanel
-from gui.rig.session import ManualSession
-from gui.theme import Themed
+from wavefocus.config.messages.operate import ChannelLevel, LevelMeasured, SweepTaken
+from wavefocus.gui import widgets as ui
+from wavefocus.gui.field_map import Plot
+from wavefocus.gui.rig.jog import JogPanel
+from wavefocus.gui.rig.session import ManualSession
+from wavefocus.gui.theme import Themed
 
 _FLOOR_DB = -100
 _NEAR_RANGE_DB = -3.0

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from PyQt5.QtCore import QObject, pyqtSignal
 
-from config.messages.codec import message_of
-from config.messages.operate import (
+from wavefocus.config.messages.codec import message_of
+from wavefocus.config.messages.operate import (
     OPERATE_EVENTS,
     Done,
     Faulted,
@@ -20,7 +20,7 @@ from config.messages.operate import (
     Refused,
     SweepTaken,
 )
-from config.messages.rig_checks import (
+from wavefocus.config.messages.rig_checks import (
     CALIBRATE_EVENTS,
     AskAgain,
     AskConnect,
@@ -31,8 +31,8 @@ from config.messages.rig_checks import (
     Question,
     Tell,
 )
-from gui.process import STOPPED_BY_USER, CommandProcess, Message
-from gui.tab import TabContext
+from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess, Message
+from wavefocus.gui.tab import TabContext
 
 _LASER_ADVICE = "the laser may stand where it was: park it, or switch it off"
 

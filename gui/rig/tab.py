@@ -11,22 +11,22 @@ from pathlib import Path
 from PyQt5.QtCore import pyqtSignal
 from PyQt5.QtWidgets import QAction, QToolButton, QWidget
 
-from config.loading import read_toml
-from config.messages.codec import from_record
-from config.messages.operate import Numbers
-from config.messages.rig_checks import Action, Finding, FindingMade
-from config.rig import Surface
-from gui import widgets as ui
-from gui.files import PathField, TomlKind, rig_of_run, toml_kind
-from gui.process import STOPPED_BY_USER, CommandProcess, Message
-from gui.rig.calibration_page import CalibrationPage
-from gui.rig.manual_page import ManualPage
-from gui.rig.session import Calibration, ManualSession
-from gui.surface import is_virtual, surface_from
-from gui.tab import Tab, TabContext
-from gui.theme import Themed
-from storage.errors import InputError
-from storage.text_file import read_text
+from wavefocus.config.loading import read_toml
+from wavefocus.config.messages.codec import from_record
+from wavefocus.config.messages.operate import Numbers
+from wavefocus.config.messages.rig_checks import Action, Finding, FindingMade
+from wavefocus.config.rig import Surface
+from wavefocus.gui import widgets as ui
+from wavefocus.gui.files import PathField, TomlKind, rig_of_run, toml_kind
+from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess, Message
+from wavefocus.gui.rig.calibration_page import CalibrationPage
+from wavefocus.gui.rig.manual_page import ManualPage
+from wavefocus.gui.rig.session import Calibration, ManualSession
+from wavefocus.gui.surface import is_virtual, surface_from
+from wavefocus.gui.tab import Tab, TabContext
+from wavefocus.gui.theme import Themed
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.text_file import read_text
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gui.front_door import FrontDoor
-from rendering.arrays import Float32Array, Float64Array, Int64Array
+from wavefocus.gui.front_door import FrontDoor
+from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
 
 if TYPE_CHECKING:
-    from gui.surface import Surface
-    from rendering.drive.coil_limits import DriveLimits, Limiting
+    from wavefocus.gui.surface import Surface
+    from wavefocus.rendering.drive.coil_limits import DriveLimits, Limiting
 
 
 LOST = "the calculation's process ended, perhaps for lack of memory; it starts again with the next edit"
@@ -237,7 +237,11 @@ class Calculation:
                 self._connection.send(order)
 
     def _read(self, connection: Connection) -> None:
-        for module in ("scipy.spatial", "rendering.field.bank_spectra", "rendering.field.focus_figures"):
+        for module in (
+            "scipy.spatial",
+            "wavefocus.rendering.field.bank_spectra",
+            "wavefocus.rendering.field.focus_figures",
+        ):
             import_module(module)  # in this thread, before there is anything to show
         with suppress(EOFError, OSError):
             while True:
@@ -246,7 +250,7 @@ class Calculation:
 
 
 def _serve(connection: Connection, read_rig_limits: object) -> None:
-    from gui.scene.worker import serve  # rendering is loaded by the process alone
+    from wavefocus.gui.scene.worker import serve  # rendering is loaded by the process alone
 
     serve(connection, read_rig_limits)  # type: ignore[arg-type]
 
@@ -254,8 +258,8 @@ def _serve(connection: Connection, read_rig_limits: object) -> None:
 def between(field: Float32Array, place: float) -> Float32Array:
     """The field at an instant.
 
-    field, float32 array (samples, positions): With nothing above `rendering.field.bank_spectra.PASSED` of half its
-        rate.
+    field, float32 array (samples, positions): With nothing above `wavefocus.rendering.field.bank_spectra.PASSED` of
+        half its rate.
     place: In samples, from 0; need not be whole.
 
     Returns float32 array, shape (positions,): At whole samples what is there; elsewhere to 80 dB of the largest.
@@ -282,7 +286,7 @@ def _weights(away: NDArray[np.floating[Any]], half: int, beta: float) -> Float32
 @cache
 def _window() -> tuple[int, float]:
     """Half the length and the shape of a Kaiser window whose transition ends where the images begin."""
-    from rendering.field.bank_spectra import PASSED, STOPBAND_DB  # the window starts without scipy
+    from wavefocus.rendering.field.bank_spectra import PASSED, STOPBAND_DB  # the window starts without scipy
 
     width = 1.0 - PASSED  # as a part of the rate
     half = int(np.ceil((STOPBAND_DB - 8.0) / (2.285 * 2.0 * np.pi * width) / 2.0))

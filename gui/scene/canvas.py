@@ -10,10 +10,10 @@ import pyqtgraph
 from PyQt5.QtCore import Qt, pyqtSignal
 from PyQt5.QtGui import QKeyEvent, QMouseEvent
 
-from config.scene import CircleTable, LineTable, PathTable, PolylineTable
-from gui.scene.document import PointMm, SceneDocument
-from gui.scene.preview import Ground, LivePreview, Trace
-from gui.scene.tools import (
+from wavefocus.config.scene import CircleTable, LineTable, PathTable, PolylineTable
+from wavefocus.gui.scene.document import PointMm, SceneDocument
+from wavefocus.gui.scene.preview import Ground, LivePreview, Trace
+from wavefocus.gui.scene.tools import (
     Box,
     Handle,
     Tool,
@@ -26,8 +26,8 @@ from gui.scene.tools import (
     with_vertex,
     without_vertex,
 )
-from gui.surface_view import MARK, STEPS, Keys, Spots, SurfaceView, looked_up, rgba
-from rendering.arrays import Float64Array
+from wavefocus.gui.surface_view import MARK, STEPS, Keys, Spots, SurfaceView, looked_up, rgba
+from wavefocus.rendering.arrays import Float64Array
 
 _HANDLE_PX, _LINE_PX = 9.0, 7.0
 _NUDGE_MM, _LONG_NUDGE_MM = 1.0, 10.0

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, TypeVar
 from PyQt5.QtCore import QObject, QTimer, pyqtSignal
 from PyQt5.QtWidgets import QUndoCommand, QUndoStack
 
-from config.fields import Table, toml_table
-from config.loading import parse_toml, validated
-from config.scene import (
+from wavefocus.config.fields import Table, toml_table
+from wavefocus.config.loading import parse_toml, validated
+from wavefocus.config.scene import (
     CircleTable,
     FileTable,
     ImpulseTable,
@@ -31,12 +31,12 @@ from config.scene import (
     TrajectoryTable,
     regularisation_toml,
 )
-from storage.errors import InputError
-from storage.output_files import replacement
-from storage.text_file import read_text
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.output_files import replacement
+from wavefocus.storage.text_file import read_text
 
 if TYPE_CHECKING:
-    from rendering.scene.model import Scene
+    from wavefocus.rendering.scene.model import Scene
 
 
 PointMm = tuple[float, float]
@@ -334,7 +334,7 @@ class _Step(QUndoCommand):
 
 
 def _read(draft: SceneConfig, folder: Path | None, place: Path, allow_large: bool) -> Scene:
-    from rendering.scene.model import read_scene  # loads scipy, in a thread
+    from wavefocus.rendering.scene.model import read_scene  # loads scipy, in a thread
 
     if not draft.source:
         raise InputError(EMPTY)

@@ -9,28 +9,28 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from acquisition.wording import hours
-from config.scene import Output
-from gui.front_door import RigLimits
-from gui.scene.calculation import Driven, FocusFigures, between
-from gui.surface import path_line
-from rendering.arrays import Float32Array, Float64Array, Int64Array
-from rendering.drive.coil_limits import DriveLimits, Limiting, largest_rms, limit_drive
-from rendering.drive.rendering import render_with_report
-from rendering.drive.streamed import BlockDrive
-from rendering.field.crosstalk import PathResponses
-from rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusInstant, evenly
-from rendering.field.metrics import focus_spot, grid_spacing_mm
-from rendering.greens.regularisation import row_weights, saturation_threshold
-from rendering.greens.source import read_row, refusal
-from rendering.report.movie import Foci
-from rendering.scene.model import Scene, Source
-from rendering.scene.scene_rows import scene_rows
-from rendering.scene.size import points_and_travel
-from rendering.scene.trajectory_path import TrajectoryPath
-from storage.bank.reading import Bank
-from storage.drive_file import Drive
-from storage.errors import InputError
+from wavefocus.acquisition.wording import hours
+from wavefocus.config.scene import Output
+from wavefocus.gui.front_door import RigLimits
+from wavefocus.gui.scene.calculation import Driven, FocusFigures, between
+from wavefocus.gui.surface import path_line
+from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
+from wavefocus.rendering.drive.coil_limits import DriveLimits, Limiting, largest_rms, limit_drive
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.drive.streamed import BlockDrive
+from wavefocus.rendering.field.crosstalk import PathResponses
+from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusInstant, evenly
+from wavefocus.rendering.field.metrics import focus_spot, grid_spacing_mm
+from wavefocus.rendering.greens.regularisation import row_weights, saturation_threshold
+from wavefocus.rendering.greens.source import read_row, refusal
+from wavefocus.rendering.report.movie import Foci
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.scene_rows import scene_rows
+from wavefocus.rendering.scene.size import points_and_travel
+from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
+from wavefocus.storage.bank.reading import Bank
+from wavefocus.storage.drive_file import Drive
+from wavefocus.storage.errors import InputError
 
 OnProgress = Callable[[int, int], None]
 
@@ -217,7 +217,7 @@ def focus_figures(
     """Compute the figures of some of the foci.
 
     number: Of the request.
-    looked: As `rendering.field.foci.loudest_instants` returns them.
+    looked: As `wavefocus.rendering.field.foci.loudest_instants` returns them.
     field, float32 (samples, positions): The beginning of the predicted field; figures beyond its end are NaN.
     field_rate_hz: Its rate.
     rows, int64 (positions,): Its positions' bank rows.

@@ -9,12 +9,12 @@ from pathlib import Path
 
 from PyQt5.QtCore import QObject, QTimer, pyqtSignal
 
-from acquisition.wording import hours
-from gui.files import names_virtual_rig
-from gui.messages import error_text
-from gui.process import STOPPED_BY_USER, CommandProcess, Message
-from gui.scene.document import SceneDocument, scene_toml
-from gui.tab import TabContext
+from wavefocus.acquisition.wording import hours
+from wavefocus.gui.files import names_virtual_rig
+from wavefocus.gui.messages import error_text
+from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess, Message
+from wavefocus.gui.scene.document import SceneDocument, scene_toml
+from wavefocus.gui.tab import TabContext
 
 DRIVE, WAV, MOVIE = "drive", "WAV", "movie"
 ENDINGS = {DRIVE: ".h5", WAV: ".wav", MOVIE: ".gif"}

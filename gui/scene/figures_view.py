@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from PyQt5.QtWidgets import QWidget
 
-from gui import widgets as ui
-from gui.scene.calculation import Driven, FocusFigures, PredictedField
-from gui.theme import Themed
-from rendering.arrays import Float64Array
-from storage.units import quantity
+from wavefocus.gui import widgets as ui
+from wavefocus.gui.scene.calculation import Driven, FocusFigures, PredictedField
+from wavefocus.gui.theme import Themed
+from wavefocus.rendering.arrays import Float64Array
+from wavefocus.storage.units import quantity
 
 # Verdicts.
 GOOD, HELD = "within", "held back"
@@ -36,8 +36,11 @@ class Figure:
 
 def drive_figures(driven: Driven) -> list[Figure]:
     """Return the figures of the drives."""
-    from rendering.drive.coil_limits import RMS_WINDOW_S, dynamic_range_db  # loaded by then, by another thread
-    from rendering.field.metrics import range_db
+    from wavefocus.rendering.drive.coil_limits import (  # loaded by then, by another thread
+        RMS_WINDOW_S,
+        dynamic_range_db,
+    )
+    from wavefocus.rendering.field.metrics import range_db
 
     limiting, limits = driven.limiting, driven.limits
     decided = limiting.decided_by
@@ -104,7 +107,7 @@ def drive_figures(driven: Driven) -> list[Figure]:
 
 def field_figures(found: FocusFigures, field: PredictedField) -> list[Figure]:
     """Return the figures of the foci."""
-    from rendering.field.focus_figures import FOCUS_RADIUS_MM
+    from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM
 
     radius = f"{FOCUS_RADIUS_MM:g} mm"
     return [
@@ -138,7 +141,7 @@ def field_figures(found: FocusFigures, field: PredictedField) -> list[Figure]:
 
 
 def _of(values: Float64Array, words: Callable[[float], str]) -> str:
-    from rendering.field.focus_figures import median_or_none
+    from wavefocus.rendering.field.focus_figures import median_or_none
 
     median = median_or_none(values)
     return "" if median is None else words(median)

@@ -13,11 +13,11 @@ from pathlib import Path
 from PyQt5.QtCore import QObject, QTimer, pyqtSignal
 from PyQt5.QtWidgets import QWidget
 
-from gui.files import choose_place
-from gui.scene.document import SceneDocument
-from gui.tab import Question, TabContext
-from storage.errors import WavefocusError
-from storage.output_files import replacement
+from wavefocus.gui.files import choose_place
+from wavefocus.gui.scene.document import SceneDocument
+from wavefocus.gui.tab import Question, TabContext
+from wavefocus.storage.errors import WavefocusError
+from wavefocus.storage.output_files import replacement
 
 _KEPT_AFTER_MS = 1000
 _TEXT, _PLACE, _OWNER = "scene/unsaved", "scene/unsaved_file", "scene/unsaved_by"

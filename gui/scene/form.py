@@ -9,8 +9,8 @@ from PyQt5.QtCore import QEvent, QLocale, Qt, pyqtSignal
 from PyQt5.QtGui import QKeyEvent, QKeySequence, QWheelEvent
 from PyQt5.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QFormLayout, QLabel, QLineEdit, QSizePolicy, QWidget
 
-from config.fields import Table
-from gui import widgets as ui
+from wavefocus.config.fields import Table
+from wavefocus.gui import widgets as ui
 
 _DECIMALS = 6
 _WIDE = 1e9

@@ -9,7 +9,7 @@ from pathlib import Path
 from PyQt5.QtCore import pyqtSignal
 from PyQt5.QtWidgets import QFormLayout, QHeaderView, QSizePolicy, QTableWidget, QTableWidgetItem, QWidget
 
-from config.scene import (
+from wavefocus.config.scene import (
     FileTable,
     NoiseTable,
     Output,
@@ -22,13 +22,13 @@ from config.scene import (
     SvgTable,
     TrajectoryTable,
 )
-from gui import widgets as ui
-from gui.files import PathField
-from gui.scene.document import NEW_PATHS, NEW_SIGNALS, PointMm, SceneDocument, changed, new_source
-from gui.scene.form import ChoiceField, Form, NumberField, align
-from gui.scene.preview import Preview, trace_text
-from gui.scene.tools import anchor_of, shifted
-from gui.tab import TabContext
+from wavefocus.gui import widgets as ui
+from wavefocus.gui.files import PathField
+from wavefocus.gui.scene.document import NEW_PATHS, NEW_SIGNALS, PointMm, SceneDocument, changed, new_source
+from wavefocus.gui.scene.form import ChoiceField, Form, NumberField, align
+from wavefocus.gui.scene.preview import Preview, trace_text
+from wavefocus.gui.scene.tools import anchor_of, shifted
+from wavefocus.gui.tab import TabContext
 
 _MOST_ROWS = 200
 _TABLE_LINES = 4
@@ -286,7 +286,7 @@ class VertexTable(QWidget):
 
 
 def _path_ids(file: Path) -> tuple[str, ...]:
-    from rendering.scene.svg import svg_path_ids
+    from wavefocus.rendering.scene.svg import svg_path_ids
 
     return svg_path_ids(file)
 

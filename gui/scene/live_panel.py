@@ -14,14 +14,14 @@ from PyQt5.QtCore import Qt
 from PyQt5.QtGui import QHideEvent, QShowEvent
 from PyQt5.QtWidgets import QListWidget, QWidget
 
-from config.messages.live import LiveReady, LiveState
-from gui import widgets as ui
-from gui.field_map import Plot
-from gui.files import PathField, names_virtual_rig
-from gui.scene.document import SceneDocument
-from gui.scene.live_run import LIVE, SILENT, STARTING, STOPPING, LiveRun
-from gui.tab import TabContext
-from gui.theme import Themed
+from wavefocus.config.messages.live import LiveReady, LiveState
+from wavefocus.gui import widgets as ui
+from wavefocus.gui.field_map import Plot
+from wavefocus.gui.files import PathField, names_virtual_rig
+from wavefocus.gui.scene.document import SceneDocument
+from wavefocus.gui.scene.live_run import LIVE, SILENT, STARTING, STOPPING, LiveRun
+from wavefocus.gui.tab import TabContext
+from wavefocus.gui.theme import Themed
 
 LATENCY_GOAL_MS = 20.0
 _LOOK_AHEAD_MS, _LONGEST_LOOK_AHEAD_MS = 50, 2000

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from PyQt5.QtCore import QObject, pyqtSignal
 
-from acquisition.wording import hours
-from config.messages.codec import Message, message_of, to_record
-from config.messages.live import (
+from wavefocus.acquisition.wording import hours
+from wavefocus.config.messages.codec import Message, message_of, to_record
+from wavefocus.config.messages.live import (
     EVENTS,
     EndLive,
     EndSource,
@@ -24,13 +24,13 @@ from config.messages.live import (
     PointMm,
     SetSignal,
 )
-from config.scene import ImpulseTable, SignalTable
-from gui.files import names_virtual_rig
-from gui.process import STOPPED_BY_USER, CommandProcess
-from gui.process import Message as Record
-from gui.scene.document import SceneDocument
-from gui.scene.exports import SceneTask
-from gui.tab import TabContext
+from wavefocus.config.scene import ImpulseTable, SignalTable
+from wavefocus.gui.files import names_virtual_rig
+from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess
+from wavefocus.gui.process import Message as Record
+from wavefocus.gui.scene.document import SceneDocument
+from wavefocus.gui.scene.exports import SceneTask
+from wavefocus.gui.tab import TabContext
 
 SILENT, STARTING, LIVE, STOPPING = "silent", "starting", "live", "stopping"
 # Muting takes a moment; a process that is still opening bank and rig ends, silent, when it has.

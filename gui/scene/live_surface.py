@@ -10,10 +10,10 @@ from PyQt5.QtCore import QEvent, QPointF, Qt, QTimer
 from PyQt5.QtGui import QFocusEvent, QKeyEvent, QMouseEvent, QPainterPath, QTouchEvent
 from PyQt5.QtWidgets import QGraphicsPathItem
 
-from config.messages.live import PointMm, SoundingSource
-from gui.scene.live_run import LIVE, LiveRun
-from gui.scene.preview import Ground, LivePreview
-from gui.surface_view import MARK, STEPS, SurfaceView, rgba
+from wavefocus.config.messages.live import PointMm, SoundingSource
+from wavefocus.gui.scene.live_run import LIVE, LiveRun
+from wavefocus.gui.scene.preview import Ground, LivePreview
+from wavefocus.gui.surface_view import MARK, STEPS, SurfaceView, rgba
 
 # A source follows its pointer at a steady rate; one at rest needs positions, too.
 POSITIONS_EVERY_MS = 10

@@ -12,17 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 from PyQt5.QtCore import QObject, pyqtSignal
 
-from config.scene import FileTable, PolylineTable, SceneConfig, SourceTable, TextTable
-from gui.process import Background
-from gui.scene.document import SceneDocument, source_toml
-from gui.surface import Surface, path_line, surface_from, surface_of
-from gui.tab import TabContext
-from rendering.arrays import Float64Array, Int64Array
-from storage.errors import InputError, WavefocusError
+from wavefocus.config.scene import FileTable, PolylineTable, SceneConfig, SourceTable, TextTable
+from wavefocus.gui.process import Background
+from wavefocus.gui.scene.document import SceneDocument, source_toml
+from wavefocus.gui.surface import Surface, path_line, surface_from, surface_of
+from wavefocus.gui.tab import TabContext
+from wavefocus.rendering.arrays import Float64Array, Int64Array
+from wavefocus.storage.errors import InputError, WavefocusError
 
 if TYPE_CHECKING:
-    from rendering.greens.interpolation.position_grid import PositionGrid
-    from rendering.scene.model import Source
+    from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
+    from wavefocus.rendering.scene.model import Source
 
 
 # The surface of the virtual rig, and the rate of its banks, while there is no bank.
@@ -226,9 +226,9 @@ def _bare_ground() -> Ground:
 
 
 def _ground_of(path: Path) -> Ground:
-    from rendering.greens.interpolation.position_grid import PositionGrid  # loads scipy and h5py, in a thread
-    from rendering.greens.source import usable
-    from storage.bank.reading import open_bank
+    from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid  # loads scipy and h5py, in a thread
+    from wavefocus.rendering.greens.source import usable
+    from wavefocus.storage.bank.reading import open_bank
 
     with open_bank(path) as bank:
         surface, allowed = surface_of(bank), usable(bank)
@@ -261,7 +261,7 @@ def _signal(draft: SourceTable, ground: Ground, allow_large: bool) -> Float64Arr
 @lru_cache(maxsize=256)
 def _source(draft: SourceTable, _times: tuple[int, ...], allow_large: bool) -> Source | str:
     """A source as commands make it, or why they refuse it."""
-    from rendering.scene.model import read_scene
+    from wavefocus.rendering.scene.model import read_scene
 
     place = Path.cwd() / "scene.toml"
     try:
@@ -287,8 +287,8 @@ def _samples(draft: SourceTable, times: tuple[int, ...], allow_large: bool, rate
 
 
 def _drawn(source: Source, ground: Ground, signal_s: float) -> Trace:
-    from rendering.scene.sampling import point_count
-    from rendering.scene.trajectory_path import TrajectoryPath
+    from wavefocus.rendering.scene.sampling import point_count
+    from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
 
     points = point_count(source, 0)
     moves = points > 1 or (source.path.length_mm > 0 and source.speed_mm_s > 0)

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from PyQt5.QtCore import QSize, Qt
 from PyQt5.QtWidgets import QWidget
 
-from gui import widgets as ui
-from gui.field_map import FieldMap, Plot, Real, thinning_curve, whole_ticks
-from gui.scene.calculation import Driven, PredictedField, between
-from gui.theme import Themed
-from gui.time_slider import TimeSlider
-from storage.units import quantity
+from wavefocus.gui import widgets as ui
+from wavefocus.gui.field_map import FieldMap, Plot, Real, thinning_curve, whole_ticks
+from wavefocus.gui.scene.calculation import Driven, PredictedField, between
+from wavefocus.gui.theme import Themed
+from wavefocus.gui.time_slider import TimeSlider
+from wavefocus.storage.units import quantity
 
 _ALL = "all actuators"
 _STEP = 0.45  # the loudest trace fills so much of the distance to its neighbours, up and down

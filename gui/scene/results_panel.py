@@ -9,16 +9,24 @@ from pathlib import Path
 from PyQt5.QtCore import pyqtSignal
 from PyQt5.QtWidgets import QAction, QToolButton, QWidget
 
-from gui import widgets as ui
-from gui.files import PathField, choose_place, names_virtual_rig
-from gui.scene.calculation import Answer, Calculation, Driven, Finished, FocusFigures, PredictedField, Progress
-from gui.scene.document import EMPTY, SceneDocument
-from gui.scene.exports import DRIVE, ENDINGS, IDLE, MOVIE, STOPPING, WAV, Playing, Saving
-from gui.scene.figures_view import FiguresView, drive_figures, field_figures
-from gui.scene.result_views import DrivesView, FieldView
-from gui.surface import VIRTUAL
-from gui.tab import TabContext
-from gui.theme import Themed
+from wavefocus.gui import widgets as ui
+from wavefocus.gui.files import PathField, choose_place, names_virtual_rig
+from wavefocus.gui.scene.calculation import (
+    Answer,
+    Calculation,
+    Driven,
+    Finished,
+    FocusFigures,
+    PredictedField,
+    Progress,
+)
+from wavefocus.gui.scene.document import EMPTY, SceneDocument
+from wavefocus.gui.scene.exports import DRIVE, ENDINGS, IDLE, MOVIE, STOPPING, WAV, Playing, Saving
+from wavefocus.gui.scene.figures_view import FiguresView, drive_figures, field_figures
+from wavefocus.gui.scene.result_views import DrivesView, FieldView
+from wavefocus.gui.surface import VIRTUAL
+from wavefocus.gui.tab import TabContext
+from wavefocus.gui.theme import Themed
 
 # Button, kind, key, tooltip.
 _SAVES = (

@@ -10,15 +10,15 @@ from PyQt5.QtCore import QObject, QSize, Qt, pyqtSignal
 from PyQt5.QtGui import QColor, QIcon, QPainter, QPixmap
 from PyQt5.QtWidgets import QAction, QApplication, QListWidget, QListWidgetItem, QWidget
 
-from config.scene import FileTable, PathTable, SourceTable, SvgTable
-from gui import widgets as ui
-from gui.files import choose_file
-from gui.scene.document import SceneDocument, changed, new_source, read_draft, source_toml
-from gui.scene.preview import LivePreview, Trace, title_of
-from gui.scene.tools import box_of, shifted
-from gui.tab import TabContext
-from gui.theme import Themed
-from storage.errors import WavefocusError
+from wavefocus.config.scene import FileTable, PathTable, SourceTable, SvgTable
+from wavefocus.gui import widgets as ui
+from wavefocus.gui.files import choose_file
+from wavefocus.gui.scene.document import SceneDocument, changed, new_source, read_draft, source_toml
+from wavefocus.gui.scene.preview import LivePreview, Trace, title_of
+from wavefocus.gui.scene.tools import box_of, shifted
+from wavefocus.gui.tab import TabContext
+from wavefocus.gui.theme import Themed
+from wavefocus.storage.errors import WavefocusError
 
 # A drawing that is larger than the surface, or too small to be felt, is scaled to this share of its width.
 _SHARE = 0.6
@@ -168,7 +168,7 @@ def _fitted(file: Path, size_mm: tuple[float, float], middle_mm: tuple[float, fl
     """A drawing in the middle of the surface, in its own scale where that fits."""
     import numpy as np
 
-    from rendering.scene.svg import SvgPath
+    from wavefocus.rendering.scene.svg import SvgPath
 
     drawing = SvgPath(file)
     points = drawing.point_at(np.linspace(0.0, drawing.length_mm, _SVG_POINTS))

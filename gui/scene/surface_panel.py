@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QWidget
 
-from gui import widgets as ui
-from gui.field_map import ColourBar, Plot
-from gui.scene.canvas import SceneCanvas, span_s
-from gui.scene.document import EMPTY, SceneDocument
-from gui.scene.preview import LivePreview, problem_of
-from gui.scene.sources import SourceActions
-from gui.theme import Themed
+from wavefocus.gui import widgets as ui
+from wavefocus.gui.field_map import ColourBar, Plot
+from wavefocus.gui.scene.canvas import SceneCanvas, span_s
+from wavefocus.gui.scene.document import EMPTY, SceneDocument
+from wavefocus.gui.scene.preview import LivePreview, problem_of
+from wavefocus.gui.scene.sources import SourceActions
+from wavefocus.gui.theme import Themed
 
 _TOOLS = (
     ("", "Select", "V", "Choose, move and shape paths"),

@@ -8,21 +8,21 @@ from PyQt5.QtCore import Qt
 from PyQt5.QtGui import QShowEvent
 from PyQt5.QtWidgets import QAction, QStackedWidget, QWidget
 
-from config.scene import SourceTable, TextTable, TrajectoryTable
-from gui import widgets as ui
-from gui.files import PathField, TomlKind, toml_kind
-from gui.scene.document import SceneDocument
-from gui.scene.exports import IDLE
-from gui.scene.files import SceneFiles
-from gui.scene.forms import SceneForm, SourceForm
-from gui.scene.live_panel import LivePanel
-from gui.scene.live_run import LiveRun
-from gui.scene.live_surface import LiveSurface
-from gui.scene.preview import LivePreview
-from gui.scene.results_panel import ResultsPanel
-from gui.scene.sources import SourceActions, SourceList
-from gui.scene.surface_panel import SurfacePanel
-from gui.tab import Question, Tab, TabContext
+from wavefocus.config.scene import SourceTable, TextTable, TrajectoryTable
+from wavefocus.gui import widgets as ui
+from wavefocus.gui.files import PathField, TomlKind, toml_kind
+from wavefocus.gui.scene.document import SceneDocument
+from wavefocus.gui.scene.exports import IDLE
+from wavefocus.gui.scene.files import SceneFiles
+from wavefocus.gui.scene.forms import SceneForm, SourceForm
+from wavefocus.gui.scene.live_panel import LivePanel
+from wavefocus.gui.scene.live_run import LiveRun
+from wavefocus.gui.scene.live_surface import LiveSurface
+from wavefocus.gui.scene.preview import LivePreview
+from wavefocus.gui.scene.results_panel import ResultsPanel
+from wavefocus.gui.scene.sources import SourceActions, SourceList
+from wavefocus.gui.scene.surface_panel import SurfacePanel
+from wavefocus.gui.tab import Question, Tab, TabContext
 
 # Modes of the tab: key of its page, button, tooltip.
 DRAW, LIVE = "draw", "live"

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from config.scene import (
+from wavefocus.config.scene import (
     CircleTable,
     LineTable,
     PathTable,
@@ -16,7 +16,7 @@ from config.scene import (
     TextTable,
     TrajectoryTable,
 )
-from gui.scene.document import NEW_PATHS, PointMm, changed
+from wavefocus.gui.scene.document import NEW_PATHS, PointMm, changed
 
 Box = tuple[PointMm, PointMm]
 

@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from config.scene import Regularisation
-from gui.front_door import RigLimits
-from gui.scene.calculation import Answer, Finished, Order, PredictedField, Progress, Request
-from gui.scene.drives_and_foci import (
+from wavefocus.config.scene import Regularisation
+from wavefocus.gui.front_door import RigLimits
+from wavefocus.gui.scene.calculation import Answer, Finished, Order, PredictedField, Progress, Request
+from wavefocus.gui.scene.drives_and_foci import (
     focus_figures,
     missing_rows,
     missing_text,
@@ -28,16 +28,16 @@ from gui.scene.drives_and_foci import (
     stricter,
     summarise,
 )
-from gui.surface import Surface, surface_of
-from rendering.arrays import Int64Array
-from rendering.field.bank_spectra import LARGEST_FACTOR, PASSED, BankSpectra
-from rendering.field.foci import loudest_instants
-from rendering.field.prediction import Prediction, field_unit, measured_positions
-from rendering.greens.regularisation import saturation_threshold
-from rendering.scene.model import Scene, read_scene
-from storage.bank.reading import Bank, open_bank
-from storage.drive_file import Drive
-from storage.errors import InputError, WavefocusError
+from wavefocus.gui.surface import Surface, surface_of
+from wavefocus.rendering.arrays import Int64Array
+from wavefocus.rendering.field.bank_spectra import LARGEST_FACTOR, PASSED, BankSpectra
+from wavefocus.rendering.field.foci import loudest_instants
+from wavefocus.rendering.field.prediction import Prediction, field_unit, measured_positions
+from wavefocus.rendering.greens.regularisation import saturation_threshold
+from wavefocus.rendering.scene.model import Scene, read_scene
+from wavefocus.storage.bank.reading import Bank, open_bank
+from wavefocus.storage.drive_file import Drive
+from wavefocus.storage.errors import InputError, WavefocusError
 
 # An edit is noticed between two parts of the field; each takes a fraction of a second.
 PART_POSITIONS = 128
@@ -174,7 +174,7 @@ class Calculator:
     """Calculates the latest scene that was asked for.
 
     connection: Brings orders and receives answers.
-    read_rig_limits: As `gui.front_door.FrontDoor` has it.
+    read_rig_limits: As `wavefocus.gui.front_door.FrontDoor` has it.
     most_field_bytes: Of a longer field only the beginning is predicted.
     """
 

@@ -7,9 +7,9 @@ from functools import partial
 
 from PyQt5.QtWidgets import QWidget
 
-from config.messages.trials import Welcome
-from gui import widgets as ui
-from gui.trials.parts import LARGE, TEXT, TITLE, Input, LargeButton, Pressed, calm, counted, key_text, sized
+from wavefocus.config.messages.trials import Welcome
+from wavefocus.gui import widgets as ui
+from wavefocus.gui.trials.parts import LARGE, TEXT, TITLE, Input, LargeButton, Pressed, calm, counted, key_text, sized
 
 REPLAY_KEY = "R"
 _MOST_LARGE = 4

@@ -10,9 +10,9 @@ from PyQt5.QtCore import Qt
 from PyQt5.QtGui import QKeyEvent, QKeySequence, QMouseEvent
 from PyQt5.QtWidgets import QApplication, QFrame, QLabel, QPushButton, QSizePolicy, QWidget
 
-from config.messages.trials import Presented, TrialsState
-from gui import widgets as ui
-from gui.theme import Themed
+from wavefocus.config.messages.trials import Presented, TrialsState
+from wavefocus.gui import widgets as ui
+from wavefocus.gui.theme import Themed
 
 Input = Literal["keyboard", "button", "touch"]
 # Receives the instant of the press on the monotonic clock, in seconds, and the input.

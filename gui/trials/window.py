@@ -10,8 +10,8 @@ from PyQt5.QtCore import QSize, Qt, QTimer, pyqtSignal
 from PyQt5.QtGui import QCloseEvent, QKeyEvent
 from PyQt5.QtWidgets import QApplication, QMainWindow, QStackedWidget, QWidget
 
-from config.messages.codec import message_of, to_record
-from config.messages.trials import (
+from wavefocus.config.messages.codec import message_of, to_record
+from wavefocus.config.messages.trials import (
     EVENTS,
     Answer,
     EndTrials,
@@ -24,15 +24,15 @@ from config.messages.trials import (
     TrialsState,
     Welcome,
 )
-from gui import widgets as ui
-from gui.files import Settings
-from gui.front_door import FrontDoor
-from gui.messages import ErrorHook
-from gui.process import CommandProcess, Message
-from gui.theme import set_theme, theme_named
-from gui.trials.pages import REPLAY_KEY, NoticePage, QuestionPage, WelcomePage
-from gui.trials.parts import ExperimenterStrip, Input, counted, key_code
-from gui.window import make_application
+from wavefocus.gui import widgets as ui
+from wavefocus.gui.files import Settings
+from wavefocus.gui.front_door import FrontDoor
+from wavefocus.gui.messages import ErrorHook
+from wavefocus.gui.process import CommandProcess, Message
+from wavefocus.gui.theme import set_theme, theme_named
+from wavefocus.gui.trials.pages import REPLAY_KEY, NoticePage, QuestionPage, WelcomePage
+from wavefocus.gui.trials.parts import ExperimenterStrip, Input, counted, key_code
+from wavefocus.gui.window import make_application
 
 _SIZE, _FRAME = QSize(1000, 700), QSize(16, 48)
 # The child mutes when its input ends; a driver that hangs is not waited for.

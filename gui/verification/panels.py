@@ -12,14 +12,14 @@ import pyqtgraph
 from PyQt5.QtCore import Qt, pyqtSignal
 from PyQt5.QtWidgets import QGraphicsItem, QSizePolicy, QToolButton, QWidget
 
-from gui import widgets as ui
-from gui.field_map import FieldMap, Plot, scaled_unit, symmetric_levels, thinned
-from gui.theme import Theme, Themed
-from gui.time_slider import TimeSlider
-from gui.verification.run import Results
+from wavefocus.gui import widgets as ui
+from wavefocus.gui.field_map import FieldMap, Plot, scaled_unit, symmetric_levels, thinned
+from wavefocus.gui.theme import Theme, Themed
+from wavefocus.gui.time_slider import TimeSlider
+from wavefocus.gui.verification.run import Results
 
 if TYPE_CHECKING:
-    from rendering.verify.record import Figure, VerificationRecord
+    from wavefocus.rendering.verify.record import Figure, VerificationRecord
 
 
 _COLUMNS = (
@@ -113,7 +113,7 @@ class FiguresPanel(Themed, QWidget):
 
 
 def _cells(figure: Figure) -> list[str]:
-    from rendering.report.words import number, precise  # the window starts without scipy
+    from wavefocus.rendering.report.words import number, precise  # the window starts without scipy
 
     shown = precise if "correlation" in figure.name else lambda value: number(value, figure.unit)
     between = figure.difference
@@ -128,7 +128,7 @@ def _cells(figure: Figure) -> list[str]:
 
 def _findings(record: VerificationRecord) -> list[str]:
     """Symptoms with what to do, and what has changed since an earlier verification."""
-    from rendering.verify.changes import change_lines
+    from wavefocus.rendering.verify.changes import change_lines
 
     lines = [f"{symptom.sentence} {symptom.remedy}" for symptom in record.symptoms]
     if record.changes is not None:

@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from config.messages.campaign import Fault, ReconnectTried, State, StateChanged
-from config.messages.codec import MessageError, message_of
-from config.messages.rig_checks import VERIFY_MESSAGES, VerifyEnded, VerifyStarted, VerifyStep
-from gui.campaign.follower import LogTail
-from gui.files import TomlKind, toml_kind
-from gui.messages import error_text
-from gui.process import STOPPED_BY_USER, CommandProcess
-from gui.surface import Surface, raster_of
-from gui.tab import Question, TabContext
-from rendering.verify.record import (
+from wavefocus.config.messages.campaign import Fault, ReconnectTried, State, StateChanged
+from wavefocus.config.messages.codec import MessageError, message_of
+from wavefocus.config.messages.rig_checks import VERIFY_MESSAGES, VerifyEnded, VerifyStarted, VerifyStep
+from wavefocus.gui.campaign.follower import LogTail
+from wavefocus.gui.files import TomlKind, toml_kind
+from wavefocus.gui.messages import error_text
+from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess
+from wavefocus.gui.surface import Surface, raster_of
+from wavefocus.gui.tab import Question, TabContext
+from wavefocus.rendering.verify.record import (
     FIELD_NAMES,
     LOG_NAME,
     PREDICTION_NAME,
@@ -31,11 +31,11 @@ from rendering.verify.record import (
     SCAN_NAME,
     STOP_NAME,
 )
-from storage.errors import InputError
+from wavefocus.storage.errors import InputError
 
 if TYPE_CHECKING:
-    from rendering.verify.field_pair import FieldPair
-    from rendering.verify.record import VerificationRecord
+    from wavefocus.rendering.verify.field_pair import FieldPair
+    from wavefocus.rendering.verify.record import VerificationRecord
 
 _MESSAGES = (*VERIFY_MESSAGES, StateChanged, Fault, ReconnectTried)
 _NOT_GOOD_ENOUGH = 1
@@ -278,8 +278,8 @@ def read_results(record_file: Path, on_progress: Callable[[int, int], object], w
     Raises InputError: A file is missing, damaged or of another verification; the message names it.
     Raises CancelledError: `wanted` returned False.
     """
-    from rendering.verify.field_pair import read_pair  # the window starts without scipy
-    from rendering.verify.record import read_record
+    from wavefocus.rendering.verify.field_pair import read_pair  # the window starts without scipy
+    from wavefocus.rendering.verify.record import read_record
 
     record = read_record(record_file)
     folder = record_file.parent

@@ -12,14 +12,14 @@ from PyQt5.QtCore import Qt
 from PyQt5.QtGui import QDragEnterEvent, QDropEvent
 from PyQt5.QtWidgets import QAction, QComboBox, QGridLayout, QLabel, QLineEdit, QStackedWidget, QWidget
 
-from gui import widgets as ui
-from gui.files import PathField, choose_file, dropped_files, names_virtual_rig
-from gui.messages import error_text
-from gui.process import Background
-from gui.tab import Question, Tab, TabContext
-from gui.theme import Themed
-from gui.verification.panels import FiguresPanel, MapsPanel, WaveformPanel
-from gui.verification.run import (
+from wavefocus.gui import widgets as ui
+from wavefocus.gui.files import PathField, choose_file, dropped_files, names_virtual_rig
+from wavefocus.gui.messages import error_text
+from wavefocus.gui.process import Background
+from wavefocus.gui.tab import Question, Tab, TabContext
+from wavefocus.gui.theme import Themed
+from wavefocus.gui.verification.panels import FiguresPanel, MapsPanel, WaveformPanel
+from wavefocus.gui.verification.run import (
     Dropped,
     Progress,
     Request,
@@ -29,8 +29,8 @@ from gui.verification.run import (
     read_results,
     record_of,
 )
-from rendering.verify.record import FIELD_NAMES, PICTURE_NAMES, RECORD_NAME, REPORT_NAME
-from storage.errors import InputError
+from wavefocus.rendering.verify.record import FIELD_NAMES, PICTURE_NAMES, RECORD_NAME, REPORT_NAME
+from wavefocus.storage.errors import InputError
 
 _CHOICES = (
     ("all", "all positions", "Every position of the bank"),

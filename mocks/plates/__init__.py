@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from config.outline import Outline
-from config.plate import FINGER_MM
-from drivers.registry import Registry
+from wavefocus.config.outline import Outline
+from wavefocus.config.plate import FINGER_MM
+from wavefocus.drivers.registry import Registry
 
 Float64Array = NDArray[np.float64]
 Complex64Array = NDArray[np.complex64]
@@ -110,7 +110,7 @@ def make_plate(
     change = Change(1 + keys.get("speed_per_k", 0.0) * warmer_k, 1 + keys.get("loss_per_k", 0.0) * warmer_k)
     if (finger := keys.get("finger")) is None:
         return kind(actuator_mm, outline, chain, change=change, **own)
-    from mocks.plates.finger import TouchedPlate
+    from wavefocus.mocks.plates.finger import TouchedPlate
 
     if not outline.contains(finger["place_mm"], FINGER_MM):
         raise ValueError(f"finger.place_mm is {finger['place_mm']}; it must be {FINGER_MM:g} mm within the outline")
@@ -122,4 +122,4 @@ def make_plate(
     return TouchedPlate(plate, beneath, chain, **finger)
 
 
-PLATES: Registry[type[Plate]] = Registry("mocks.plates")
+PLATES: Registry[type[Plate]] = Registry("wavefocus.mocks.plates")

@@ -8,8 +8,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from mocks.plates import MAGNET_RADIUS_MM, Chain, Complex64Array, Complex128Array, Float64Array, Plate
-from mocks.plates.infinite import impulse_length
+from wavefocus.mocks.plates import MAGNET_RADIUS_MM, Chain, Complex64Array, Complex128Array, Float64Array, Plate
+from wavefocus.mocks.plates.infinite import impulse_length
 
 _ANGLES = np.pi / 3 * np.arange(6)
 DISK_MM = MAGNET_RADIUS_MM * np.concatenate(

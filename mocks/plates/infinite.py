@@ -13,8 +13,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from config.outline import Outline
-from mocks.plates import MAGNET_RADIUS_MM, Chain, Complex64Array, Complex128Array, Float64Array, Plate
+from wavefocus.config.outline import Outline
+from wavefocus.mocks.plates import MAGNET_RADIUS_MM, Chain, Complex64Array, Complex128Array, Float64Array, Plate
 
 ComplexType = type[np.complex64] | type[np.complex128]
 

@@ -10,9 +10,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from config.outline import Outline
-from mocks.plates import Chain, Complex64Array, Complex128Array, Float64Array, Plate
-from mocks.plates.infinite import impulse_length
+from wavefocus.config.outline import Outline
+from wavefocus.mocks.plates import Chain, Complex64Array, Complex128Array, Float64Array, Plate
+from wavefocus.mocks.plates.infinite import impulse_length
 
 POSITIONS_AT_ONCE = 64
 

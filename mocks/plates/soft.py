@@ -9,9 +9,9 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from config.outline import Outline
-from mocks.plates import MAGNET_RADIUS_MM, PLATES, UNCHANGED, Chain, Change, Complex128Array, Float64Array
-from mocks.plates.infinite import InfinitePlate
+from wavefocus.config.outline import Outline
+from wavefocus.mocks.plates import MAGNET_RADIUS_MM, PLATES, UNCHANGED, Chain, Change, Complex128Array, Float64Array
+from wavefocus.mocks.plates.infinite import InfinitePlate
 
 IMPULSE_BAND_HZ = (50.0, 450.0)
 REFERENCE_HZ = 250.0

@@ -18,10 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from config.outline import Outline
-from mocks.plates import PLATES, UNCHANGED, Chain, Change, Complex128Array, Float64Array
-from mocks.plates.infinite import InfinitePlate
-from mocks.plates.soft import SOFT_PLATE, UNIT_FORCE_N, DampedWave
+from wavefocus.config.outline import Outline
+from wavefocus.mocks.plates import PLATES, UNCHANGED, Chain, Change, Complex128Array, Float64Array
+from wavefocus.mocks.plates.infinite import InfinitePlate
+from wavefocus.mocks.plates.soft import SOFT_PLATE, UNIT_FORCE_N, DampedWave
 
 PRESSURE_SPEED_M_S = 9.4
 """Twice the shear speed: pressure waves of a thin free layer of an incompressible gel."""

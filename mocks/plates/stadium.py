@@ -31,10 +31,10 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from config.outline import Outline
-from mocks.plates import MAGNET_RADIUS_MM, PLATES, UNCHANGED, Chain, Change, Complex128Array, Float64Array
-from mocks.plates.modal import ALL, ModalPlate, Modes
-from mocks.plates.soft import SOFT_PLATE, UNIT_FORCE_N, DampedWave
+from wavefocus.config.outline import Outline
+from wavefocus.mocks.plates import MAGNET_RADIUS_MM, PLATES, UNCHANGED, Chain, Change, Complex128Array, Float64Array
+from wavefocus.mocks.plates.modal import ALL, ModalPlate, Modes
+from wavefocus.mocks.plates.soft import SOFT_PLATE, UNIT_FORCE_N, DampedWave
 
 HIGHEST_HZ = 500.0
 """Upper end of the band in which the plate is accurate to 1 %; above, it is a causal plate with fewer modes."""

@@ -17,11 +17,11 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from config.outline import Outline
-from mocks.plates import MAGNET_RADIUS_MM, PLATES, UNCHANGED, Chain, Change, Complex128Array, Float64Array
-from mocks.plates.infinite import InfinitePlate
-from mocks.plates.modal import ALL, ModalPlate, Modes
-from mocks.plates.soft import mean_hankel
+from wavefocus.config.outline import Outline
+from wavefocus.mocks.plates import MAGNET_RADIUS_MM, PLATES, UNCHANGED, Chain, Change, Complex128Array, Float64Array
+from wavefocus.mocks.plates.infinite import InfinitePlate
+from wavefocus.mocks.plates.modal import ALL, ModalPlate, Modes
+from wavefocus.mocks.plates.soft import mean_hankel
 
 KAPPA_M2_S = 1.57
 """sqrt(D / (rho h)) of 1 mm of glass."""

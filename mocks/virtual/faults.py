@@ -6,8 +6,8 @@ import threading
 from collections import Counter
 from dataclasses import dataclass
 
-from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from drivers.protocols import DeviceIdentity, Take
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from wavefocus.drivers.protocols import DeviceIdentity, Take
 
 OPERATIONS = {
     "mirror": ("identify", "move_to", "wait_settled", "park", "reconnect"),
@@ -178,7 +178,7 @@ _EXPLANATIONS = {
 
 
 class VirtualDevice:
-    """A virtual instrument: its name, its faults, and whether it is open; implements `drivers.protocols.Instrument`.
+    """A virtual instrument: name, faults, and whether it is open; implements `wavefocus.drivers.protocols.Instrument`.
 
     role: ``"mirror"``, ``"recorder"`` or ``"player"``.
     faults: The plan of the whole rig.

@@ -12,7 +12,7 @@ from functools import cache
 
 import numpy as np
 
-from drivers.protocols import Float32Array, Take
+from wavefocus.drivers.protocols import Float32Array, Take
 
 NANOSECONDS = 1_000_000_000
 

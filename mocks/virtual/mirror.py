@@ -8,10 +8,10 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from drivers.errors import TransientInstrumentError
-from mocks.virtual.faults import VirtualDevice
-from mocks.virtual.laboratory import NANOSECONDS, VirtualClock
-from mocks.virtual.settings import VirtualSettings
+from wavefocus.drivers.errors import TransientInstrumentError
+from wavefocus.mocks.virtual.faults import VirtualDevice
+from wavefocus.mocks.virtual.laboratory import NANOSECONDS, VirtualClock
+from wavefocus.mocks.virtual.settings import VirtualSettings
 
 KEPT_MOVES = 4096
 # What rounding to a device's own units may add to an angle at the limit.
@@ -110,7 +110,7 @@ class MirrorMotion:
 
 
 class VirtualMirror(VirtualDevice):
-    """Points the virtual laser; implements `drivers.protocols.Mirror`."""
+    """Points the virtual laser; implements `wavefocus.drivers.protocols.Mirror`."""
 
     def __init__(self, settings: VirtualSettings, clock: VirtualClock) -> None:
         super().__init__("mirror", settings.fault_plan, f"within +-{settings.limit_mrad:g} mrad")

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.errors import TransientInstrumentError
-from drivers.protocols import Float64Array, Take
-from mocks.virtual.faults import VirtualDevice
-from mocks.virtual.laboratory import NANOSECONDS, VirtualClock, take_share
-from mocks.virtual.settings import VirtualSettings
-from mocks.virtual.signals import PlayedSignal, SignalStore
-from mocks.virtual.synthesis import Play
+from wavefocus.drivers.errors import TransientInstrumentError
+from wavefocus.drivers.protocols import Float64Array, Take
+from wavefocus.mocks.virtual.faults import VirtualDevice
+from wavefocus.mocks.virtual.laboratory import NANOSECONDS, VirtualClock, take_share
+from wavefocus.mocks.virtual.settings import VirtualSettings
+from wavefocus.mocks.virtual.signals import PlayedSignal, SignalStore
+from wavefocus.mocks.virtual.synthesis import Play
 
 
 @dataclass(slots=True)
@@ -30,7 +30,7 @@ class _Pieces:
 
 
 class VirtualPlayer(VirtualDevice):
-    """Plays one signal per channel; implements `drivers.protocols.Player`."""
+    """Plays one signal per channel; implements `wavefocus.drivers.protocols.Player`."""
 
     def __init__(self, settings: VirtualSettings, clock: VirtualClock) -> None:
         limits = f"{settings.player_channels} channels, full scale {settings.full_scale_v:g} V, 16 bit"

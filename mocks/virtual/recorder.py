@@ -8,10 +8,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from drivers.errors import TransientInstrumentError
-from drivers.protocols import Float32Array, Recording, RecordRequest, Take
-from mocks.virtual.faults import Fault, VirtualDevice
-from mocks.virtual.laboratory import (
+from wavefocus.drivers.errors import TransientInstrumentError
+from wavefocus.drivers.protocols import Float32Array, Recording, RecordRequest, Take
+from wavefocus.mocks.virtual.faults import Fault, VirtualDevice
+from wavefocus.mocks.virtual.laboratory import (
     DROPOUT,
     GROWING,
     NANOSECONDS,
@@ -21,10 +21,10 @@ from mocks.virtual.laboratory import (
     normal,
     take_generator,
 )
-from mocks.virtual.mirror import VirtualMirror
-from mocks.virtual.player import VirtualPlayer
-from mocks.virtual.settings import VirtualSettings
-from mocks.virtual.synthesis import Spot, Synthesis
+from wavefocus.mocks.virtual.mirror import VirtualMirror
+from wavefocus.mocks.virtual.player import VirtualPlayer
+from wavefocus.mocks.virtual.settings import VirtualSettings
+from wavefocus.mocks.virtual.synthesis import Spot, Synthesis
 
 HUM_HZ = 50.0
 DROPOUT_S = (0.002, 0.010)  # how long speckle hides the surface
@@ -40,7 +40,7 @@ class _Speckle:
 
 
 class VirtualRecorder(VirtualDevice):
-    """Records reference and response; implements `drivers.protocols.Recorder`.
+    """Records reference and response; implements `wavefocus.drivers.protocols.Recorder`.
 
     mirror, player: Where the laser is, and what is played.
     synthesis: The plate and the signal chain between them.

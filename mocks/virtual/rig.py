@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.protocols import Instruments
-from mocks.virtual.faults import Fault
-from mocks.virtual.laboratory import PatchBay, VirtualClock, VirtualSensor
-from mocks.virtual.mirror import VirtualMirror
-from mocks.virtual.player import VirtualPlayer
-from mocks.virtual.recorder import VirtualRecorder
-from mocks.virtual.settings import MirrorGeometry, VirtualSettings
-from mocks.virtual.synthesis import Synthesis
+from wavefocus.drivers.protocols import Instruments
+from wavefocus.mocks.virtual.faults import Fault
+from wavefocus.mocks.virtual.laboratory import PatchBay, VirtualClock, VirtualSensor
+from wavefocus.mocks.virtual.mirror import VirtualMirror
+from wavefocus.mocks.virtual.player import VirtualPlayer
+from wavefocus.mocks.virtual.recorder import VirtualRecorder
+from wavefocus.mocks.virtual.settings import MirrorGeometry, VirtualSettings
+from wavefocus.mocks.virtual.synthesis import Synthesis
 
 __all__ = ["Fault", "MirrorGeometry", "VirtualRig", "VirtualSettings"]
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from config.outline import Outline
-from drivers.protocols import Float64Array
-from mocks.virtual.faults import Fault
+from wavefocus.config.outline import Outline
+from wavefocus.drivers.protocols import Float64Array
+from wavefocus.mocks.virtual.faults import Fault
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +92,7 @@ class VirtualSettings:
     output_gain: Volts at each output per volt asked for, negative where its wires are crossed; 1 if absent.
     actuator_strength: Factor on each actuator's own strength: 0 where it is dead, negative where it is reversed; 1 if
         absent.
-    plate: Name of the plate, as registered in `mocks.plates`.
+    plate: Name of the plate, as registered in `wavefocus.mocks.plates`.
     plate_keys: Settings that only this plate has, by name.
     outline: Of the plate.
     mirror: Where the laser stands.

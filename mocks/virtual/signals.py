@@ -10,8 +10,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from drivers.protocols import Float32Array, Float64Array
-from mocks.plates import Complex64Array
+from wavefocus.drivers.protocols import Float32Array, Float64Array
+from wavefocus.mocks.plates import Complex64Array
 
 # A waveform is kept at so many delays within a sample, with its first derivatives; a Taylor series leads from the
 # nearest to any other, with an error of -108 dB at half the sample rate and none to speak of below.

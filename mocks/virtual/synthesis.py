@@ -10,11 +10,11 @@ from math import ceil
 import numpy as np
 import scipy
 
-from drivers.protocols import Float32Array, Float64Array
-from mocks.plates import REFERENCE_C, Complex64Array, Complex128Array, Plate, make_plate
-from mocks.plates.infinite import LONGEST_RINGING_S, impulse_length, phase_ramp
-from mocks.virtual.settings import VirtualSettings
-from mocks.virtual.signals import PlayedSignal
+from wavefocus.drivers.protocols import Float32Array, Float64Array
+from wavefocus.mocks.plates import REFERENCE_C, Complex64Array, Complex128Array, Plate, make_plate
+from wavefocus.mocks.plates.infinite import LONGEST_RINGING_S, impulse_length, phase_ramp
+from wavefocus.mocks.virtual.settings import VirtualSettings
+from wavefocus.mocks.virtual.signals import PlayedSignal
 
 AMPLIFIER_CORNER_HZ = 20.0  # the paper, section IV.A: amplified voltage signals from 20 Hz
 # Butterworth of two orders rather than one: the plate's slow diffusion would leave a long tail at the lowest
@@ -200,7 +200,7 @@ class Synthesis:
     ) -> list[Spot]:
         """Where the laser was during the samples of a record that began at `start_ns`.
 
-        aims: As of `mocks.virtual.mirror.MirrorMotion.aims`.
+        aims: As of `wavefocus.mocks.virtual.mirror.MirrorMotion.aims`.
         rate_hz: True rate of the recorder.
         """
         firsts = [min(samples, round((instant - start_ns) * 1e-9 * rate_hz)) for instant, _ in aims]
@@ -220,7 +220,7 @@ class Synthesis:
         return self._plate.ringing_s
 
     def green(self, place_mm: tuple[float, float], taps: int, sample_rate_hz: float) -> Float64Array:
-        """FIRs from drive to surface velocity, as of `mocks.virtual.rig.VirtualRig.truth`."""
+        """FIRs from drive to surface velocity, as of `wavefocus.mocks.virtual.rig.VirtualRig.truth`."""
         length = impulse_length(taps, sample_rate_hz, self._plate.ringing_s)
         response = self._plate.response(place_mm, sample_rate_hz / length, length // 2 + 1, single=False)
         spectrum = response * self._velocity_per_volt[:, None]

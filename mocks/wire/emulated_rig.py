@@ -12,19 +12,19 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.protocols import Float32Array, Float64Array
-from mocks.virtual.laboratory import NANOSECONDS, PatchBay
-from mocks.virtual.mirror import MirrorMotion
-from mocks.virtual.settings import VirtualSettings
-from mocks.virtual.signals import SignalStore
-from mocks.virtual.synthesis import TAIL_S, Play, Synthesis
-from mocks.wire.faults import WireFault, WireFaultPlan
-from mocks.wire.jack_capture import PlayedAudio
-from mocks.wire.jack_server import JackServer
-from mocks.wire.mirrors import mirror_device
-from mocks.wire.ni_server import NiServer
-from mocks.wire.serial_far_side import PtyWire, SerialDevice, SerialFarSide, TcpWire, Wire
-from mocks.wire.vibrometer import PolytecDevice
+from wavefocus.drivers.protocols import Float32Array, Float64Array
+from wavefocus.mocks.virtual.laboratory import NANOSECONDS, PatchBay
+from wavefocus.mocks.virtual.mirror import MirrorMotion
+from wavefocus.mocks.virtual.settings import VirtualSettings
+from wavefocus.mocks.virtual.signals import SignalStore
+from wavefocus.mocks.virtual.synthesis import TAIL_S, Play, Synthesis
+from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
+from wavefocus.mocks.wire.jack_capture import PlayedAudio
+from wavefocus.mocks.wire.jack_server import JackServer
+from wavefocus.mocks.wire.mirrors import mirror_device
+from wavefocus.mocks.wire.ni_server import NiServer
+from wavefocus.mocks.wire.serial_far_side import PtyWire, SerialDevice, SerialFarSide, TcpWire, Wire
+from wavefocus.mocks.wire.vibrometer import PolytecDevice
 
 # Silence on all channels that parts one sound from the next; sweeps of one record become one sound each, which the
 # store of signals then recognises.
@@ -165,7 +165,7 @@ DECODER_LATENCY_S = 8.16e-6
 class Wiring:
     """What stands at the far end of each wire, and where it is reached.
 
-    mirror_dialect: A dialect of `drivers.mirror.serial_mirror`.
+    mirror_dialect: A dialect of `wavefocus.drivers.mirror.serial_mirror`.
     mirror_port: Path of a link to make, or ``socket://HOST:PORT`` (port 0: any).
     mirror_full_scale_mrad: Optical angle at full deflection, as of `mirror_device`.
     ni_product, ni_device, ni_address: Model of the NI box, its name, and HOST:PORT of its gRPC Device Server.

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.protocols import Float32Array
+from wavefocus.drivers.protocols import Float32Array
 
 Int64Array = NDArray[np.int64]
 

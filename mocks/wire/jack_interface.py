@@ -1,7 +1,7 @@
 """The process that is an emulated audio interface: it runs an audio server, and records as a client of it.
 
-Run as ``python -m mocks.wire.jack_interface DESCRIPTOR`` by `mocks.wire.jack_server`, with a line of JSON
-and then one word per line on standard input. It ends with its parent, and takes the server with it.
+Run as ``python -m wavefocus.mocks.wire.jack_interface DESCRIPTOR`` by `wavefocus.mocks.wire.jack_server`, with a line
+of JSON and then one word per line on standard input. It ends with its parent, and takes the server with it.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from mocks.wire.faults import WireFault, WireFaultPlan
-from mocks.wire.jack_capture import AudioRing, RingWriter
+from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
+from wavefocus.mocks.wire.jack_capture import AudioRing, RingWriter
 
 SERVER_BYTES = 45_000_000
 """A jackd takes 42 MB of /dev/shm, however few ports it has (measured, 1.9.21)."""

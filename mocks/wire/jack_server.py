@@ -12,9 +12,9 @@ from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 
-from mocks.wire.faults import WireFault
-from mocks.wire.jack_capture import PlayedAudio, make_ring
-from mocks.wire.jack_interface import DEVICE, PLACE_S, START_S, STOP_S
+from wavefocus.mocks.wire.faults import WireFault
+from wavefocus.mocks.wire.jack_capture import PlayedAudio, make_ring
+from wavefocus.mocks.wire.jack_interface import DEVICE, PLACE_S, START_S, STOP_S
 
 ANSWER_S = PLACE_S + START_S + 10.0
 
@@ -49,9 +49,9 @@ class JackServer:
         faults: Sequence[WireFault] = (),
     ) -> None:
         self._ring = make_ring(channels, rate_hz, period_frames, ring_s)
-        root = str(Path(__file__).parents[2])
+        root = str(Path(__file__).parents[3])
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "mocks.wire.jack_interface", str(self._ring.descriptor)],
+            [sys.executable, "-P", "-m", "wavefocus.mocks.wire.jack_interface", str(self._ring.descriptor)],
             env={**os.environ, "PYTHONPATH": os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,

@@ -11,9 +11,9 @@ from typing import Protocol
 
 import numpy as np
 
-from drivers.protocols import Float64Array
-from mocks.virtual.laboratory import NANOSECONDS
-from mocks.wire.ni_products import PRODUCTS, Converter, Product
+from wavefocus.drivers.protocols import Float64Array
+from wavefocus.mocks.virtual.laboratory import NANOSECONDS
+from wavefocus.mocks.wire.ni_products import PRODUCTS, Converter, Product
 
 Alive = Callable[[], bool]
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from drivers.protocols import Float64Array
-from mocks.wire.faults import WireFault
-from mocks.wire.ni_box import Alive, Channel, NiBox, NiCode, NiError, NiTask, State
-from mocks.wire.ni_products import DIFFERENTIAL, NRSE, RSE, Product
+from wavefocus.drivers.protocols import Float64Array
+from wavefocus.mocks.wire.faults import WireFault
+from wavefocus.mocks.wire.ni_box import Alive, Channel, NiBox, NiCode, NiError, NiTask, State
+from wavefocus.mocks.wire.ni_products import DIFFERENTIAL, NRSE, RSE, Product
 
 Answer = dict[str, Any]
 """Fields of the answering message."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.protocols import Float64Array
+from wavefocus.drivers.protocols import Float64Array
 
 DIFFERENTIAL, RSE, NRSE = "differential", "rse", "nrse"
 # NI-DAQmx converts as fast as the box can and adds this for settling, where the sample rate leaves room for it;

@@ -15,9 +15,9 @@ import grpc
 from google.protobuf.message_factory import GetMessageClass
 from nidaqmx._stubs import nidaqmx_pb2
 
-from mocks.wire.faults import WireFault, WireFaultPlan
-from mocks.wire.ni_box import NiBox, NiCode, NiError, SignalSource
-from mocks.wire.ni_calls import NiCalls
+from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
+from wavefocus.mocks.wire.ni_box import NiBox, NiCode, NiError, SignalSource
+from wavefocus.mocks.wire.ni_calls import NiCalls
 
 SERVICE = "nidaqmx_grpc.NiDAQmx"
 METHODS = nidaqmx_pb2.DESCRIPTOR.services_by_name["NiDAQmx"].methods_by_name
@@ -53,7 +53,7 @@ class NiServer:
     A server that was stopped can be started again, on the same port; its tasks are gone then.
 
     source: What is at the inputs.
-    product: Model: a key of `mocks.wire.ni_products.PRODUCTS`.
+    product: Model: a key of `wavefocus.mocks.wire.ni_products.PRODUCTS`.
     address: Where to listen; port 0 is any free one.
     faults: The rig's fault plan; operations are the names of the remote procedures.
     speed: How much faster than real time records end, > 0; only for sources that do not wait for the real time.

@@ -20,7 +20,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import ClassVar, Protocol
 
-from mocks.wire.faults import WireFault, WireFaultPlan
+from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
 
 IDLE_S = 0.5
 TICK_S = 0.01

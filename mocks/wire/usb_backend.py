@@ -14,7 +14,7 @@ from typing import Literal
 from usb.backend import IBackend
 from usb.core import NoBackendError, USBError
 
-from mocks.wire.faults import WireFault, WireFaultPlan
+from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
 
 ENGLISH = 0x0409
 GET_DESCRIPTOR = 0x06

@@ -9,7 +9,7 @@ Not confirmed by a source: ``Not Available`` for a decoder that is not installed
 
 from __future__ import annotations
 
-from mocks.wire.serial_far_side import SerialDevice
+from wavefocus.mocks.wire.serial_far_side import SerialDevice
 
 
 class PolytecDevice(SerialDevice):

@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.arrays import BoolArray, Float64Array, Int64Array
-from rendering.band import Band, choose_band, norm_of, scale
-from rendering.device import WORKERS, Device, fast_length, host_device, in_order
-from rendering.drive.windows import RowSpectra, Windows
-from rendering.greens.regularisation import BankRows
-from rendering.scene.sampling import SampledSource
+from wavefocus.rendering.arrays import BoolArray, Float64Array, Int64Array
+from wavefocus.rendering.band import Band, choose_band, norm_of, scale
+from wavefocus.rendering.device import WORKERS, Device, fast_length, host_device, in_order
+from wavefocus.rendering.drive.windows import RowSpectra, Windows
+from wavefocus.rendering.greens.regularisation import BankRows
+from wavefocus.rendering.scene.sampling import SampledSource
 
 WINDOWS_AT_ONCE = 32
 """Windows that are transformed together: about as many as stay in the cache of one core."""

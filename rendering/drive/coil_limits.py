@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rendering.arrays import Float64Array
-from rendering.band import row_norms
-from storage.errors import InputError
+from wavefocus.rendering.arrays import Float64Array
+from wavefocus.rendering.band import row_norms
+from wavefocus.storage.errors import InputError
 
 RMS_WINDOW_S = 1.0
 """Far shorter than a coil takes to warm up, far longer than a period."""

@@ -17,18 +17,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from config.scene import Regularisation
-from rendering.arrays import Complex128Array, Float64Array, Int64Array
-from rendering.device import fast_length
-from rendering.drive.coil_limits import DriveLimits, Limiting, limit_drive, require_finite
-from rendering.field.metrics import band_weights
-from rendering.greens.interpolation.base import Nodes
-from rendering.greens.regularisation import BankRows
-from rendering.greens.source import GreenSource, drive_unit
-from rendering.scene.model import Scene
-from rendering.scene.sampling import SampledSource, sample_scene
-from storage.drive_file import Drive
-from storage.errors import InputError
+from wavefocus.config.scene import Regularisation
+from wavefocus.rendering.arrays import Complex128Array, Float64Array, Int64Array
+from wavefocus.rendering.device import fast_length
+from wavefocus.rendering.drive.coil_limits import DriveLimits, Limiting, limit_drive, require_finite
+from wavefocus.rendering.field.metrics import band_weights
+from wavefocus.rendering.greens.interpolation.base import Nodes
+from wavefocus.rendering.greens.regularisation import BankRows
+from wavefocus.rendering.greens.source import GreenSource, drive_unit
+from wavefocus.rendering.scene.model import Scene
+from wavefocus.rendering.scene.sampling import SampledSource, sample_scene
+from wavefocus.storage.drive_file import Drive
+from wavefocus.storage.errors import InputError
 
 REGULARISATION_DB = -20.0
 ILL_CONDITIONED = 1e3

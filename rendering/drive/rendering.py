@@ -8,19 +8,19 @@ from collections.abc import Callable
 
 import numpy as np
 
-from rendering.arrays import Float64Array
-from rendering.band import norm_of, relative_bound, row_norms, tolerance_of
-from rendering.device import Device
-from rendering.drive.accumulate import Accumulated, SourceDrives
-from rendering.drive.coil_limits import DriveLimits, limit_drive, require_finite
-from rendering.greens.interpolation.errors import judged_errors
-from rendering.greens.regularisation import BankRows
-from rendering.greens.source import GreenSource, drive_unit
-from rendering.report.render_report import RenderReport, RenderWarning, report_render
-from rendering.scene.model import Scene
-from rendering.scene.sampling import Method, SampledScene, sample_scene
-from storage.drive_file import Drive
-from storage.errors import InputError
+from wavefocus.rendering.arrays import Float64Array
+from wavefocus.rendering.band import norm_of, relative_bound, row_norms, tolerance_of
+from wavefocus.rendering.device import Device
+from wavefocus.rendering.drive.accumulate import Accumulated, SourceDrives
+from wavefocus.rendering.drive.coil_limits import DriveLimits, limit_drive, require_finite
+from wavefocus.rendering.greens.interpolation.errors import judged_errors
+from wavefocus.rendering.greens.regularisation import BankRows
+from wavefocus.rendering.greens.source import GreenSource, drive_unit
+from wavefocus.rendering.report.render_report import RenderReport, RenderWarning, report_render
+from wavefocus.rendering.scene.model import Scene
+from wavefocus.rendering.scene.sampling import Method, SampledScene, sample_scene
+from wavefocus.storage.drive_file import Drive
+from wavefocus.storage.errors import InputError
 
 OnProgress = Callable[[int, int], None]
 

@@ -13,19 +13,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from rendering.arrays import Float64Array
-from rendering.band import norm_of, relative_bound, tolerance_of
-from rendering.drive.accumulate import Accumulated, SourceDrives
-from rendering.drive.coil_limits import DriveLimits, Reached, RunningLevels, strictest
-from rendering.drive.rendering import STRICTER
-from rendering.drive.wav import Interface, InterfaceRate, largest_of
-from rendering.greens.interpolation.errors import judged_errors
-from rendering.greens.regularisation import BankRows
-from rendering.greens.source import GreenSource
-from rendering.report.render_report import RenderReport, report_render
-from rendering.scene.model import Scene
-from rendering.scene.sampling import Method, SampledScene, sample_scene
-from storage.errors import InputError
+from wavefocus.rendering.arrays import Float64Array
+from wavefocus.rendering.band import norm_of, relative_bound, tolerance_of
+from wavefocus.rendering.drive.accumulate import Accumulated, SourceDrives
+from wavefocus.rendering.drive.coil_limits import DriveLimits, Reached, RunningLevels, strictest
+from wavefocus.rendering.drive.rendering import STRICTER
+from wavefocus.rendering.drive.wav import Interface, InterfaceRate, largest_of
+from wavefocus.rendering.greens.interpolation.errors import judged_errors
+from wavefocus.rendering.greens.regularisation import BankRows
+from wavefocus.rendering.greens.source import GreenSource
+from wavefocus.rendering.report.render_report import RenderReport, report_render
+from wavefocus.rendering.scene.model import Scene
+from wavefocus.rendering.scene.sampling import Method, SampledScene, sample_scene
+from wavefocus.storage.errors import InputError
 
 OnProgress = Callable[[int, int], None]
 
@@ -37,7 +37,8 @@ PIECE_SAMPLES = 4096
 class BlockDrive:
     """The drives of a scene, block by block.
 
-    The same numbers as `rendering.drive.rendering.render` gives, but for the order in which sources are added up.
+    The same numbers as `wavefocus.rendering.drive.rendering.render` gives, but for the order in which sources are added
+    up.
 
     method, tolerance_db: As for `render`; the bound is available at the end.
     limits: What no actuator may exceed; by default the scene's. They cannot be met by scaling here, as the largest
@@ -142,8 +143,8 @@ class StreamedDrive:
 
     interface: Outputs whose full scale is not to be exceeded between the samples of the drives either.
     gain: Factor on the drives before they are limited, > 0.
-    method, tolerance_db, interpolation_tolerance: As for `rendering.drive.rendering.render_with_report`, which raises
-        the same InputErrors.
+    method, tolerance_db, interpolation_tolerance: As for `wavefocus.rendering.drive.rendering.render_with_report`,
+        which raises the same InputErrors.
     """
 
     def __init__(

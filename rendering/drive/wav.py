@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.audio.resampling import HALF_LENGTH, converted, lead_samples, rate_ratio
-from rendering.arrays import Float64Array
-from rendering.drive.coil_limits import Reached
-from storage.errors import InputError
-from storage.exchange.wav import sound_failures
-from storage.output_files import replacement, require_room
+from wavefocus.drivers.audio.resampling import HALF_LENGTH, converted, lead_samples, rate_ratio
+from wavefocus.rendering.arrays import Float64Array
+from wavefocus.rendering.drive.coil_limits import Reached
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.exchange.wav import sound_failures
+from wavefocus.storage.output_files import replacement, require_room
 
 BETWEEN_SAMPLES = "full scale of the interface between samples"
 CHUNK_SAMPLES = 2**15

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
-from rendering.band import Band, power_over
-from rendering.device import WORKERS, Device, in_order
-from rendering.greens.regularisation import BankRows
+from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
+from wavefocus.rendering.band import Band, power_over
+from wavefocus.rendering.device import WORKERS, Device, in_order
+from wavefocus.rendering.greens.regularisation import BankRows
 
 Weigh = Callable[[Int64Array, Int64Array], tuple[Float64Array, BoolArray]]
 """For pairs of a row and its regularising row: the factor, and whether actuators are saturated."""

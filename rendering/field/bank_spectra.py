@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from rendering.arrays import Complex128Array, Int64Array
-from rendering.band import Band
-from rendering.device import Device, fast_length, host_device, in_order
-from rendering.greens.source import GreenSource, RowReader
-from storage.errors import InputError
+from wavefocus.rendering.arrays import Complex128Array, Int64Array
+from wavefocus.rendering.band import Band
+from wavefocus.rendering.device import Device, fast_length, host_device, in_order
+from wavefocus.rendering.greens.source import GreenSource, RowReader
+from wavefocus.storage.errors import InputError
 
 BLOCK_SHARE = 4.1
 """Transform length in taps of spectra that are kept: longer blocks overlap less and take as much more memory."""

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.arrays import Float32Array, Float64Array, Int64Array
-from rendering.band import Band
-from rendering.device import Device, fast_length
-from rendering.field.bank_spectra import BankSpectra, Decimation, transform_rows
-from rendering.greens.source import RowReader
-from storage.errors import InputError
+from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
+from wavefocus.rendering.band import Band
+from wavefocus.rendering.device import Device, fast_length
+from wavefocus.rendering.field.bank_spectra import BankSpectra, Decimation, transform_rows
+from wavefocus.rendering.greens.source import RowReader
+from wavefocus.storage.errors import InputError
 
 RealArray = Float32Array | Float64Array
 

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from config.scene import Regularisation
-from rendering.arrays import Float64Array
-from rendering.device import fast_length
-from rendering.field.metrics import band_weights
-from rendering.greens.regularisation import row_weights, saturation_threshold
-from rendering.greens.source import GreenSource, read_row
-from storage.errors import InputError
+from wavefocus.config.scene import Regularisation
+from wavefocus.rendering.arrays import Float64Array
+from wavefocus.rendering.device import fast_length
+from wavefocus.rendering.field.metrics import band_weights
+from wavefocus.rendering.greens.regularisation import row_weights, saturation_threshold
+from wavefocus.rendering.greens.source import GreenSource, read_row
+from wavefocus.storage.errors import InputError
 
 RESPONSE_BYTES = 2**29
 

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rendering.arrays import Float64Array, Int64Array
-from rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusInstant, emission_windows, focus_instants
-from rendering.field.metrics import focus_spot, grid_spacing_mm
-from rendering.field.prediction import Prediction, chosen_positions
-from rendering.greens.source import GreenSource
-from storage.drive_file import Drive
-from storage.errors import InputError
-from storage.field_file import Field
+from wavefocus.rendering.arrays import Float64Array, Int64Array
+from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusInstant, emission_windows, focus_instants
+from wavefocus.rendering.field.metrics import focus_spot, grid_spacing_mm
+from wavefocus.rendering.field.prediction import Prediction, chosen_positions
+from wavefocus.rendering.greens.source import GreenSource
+from wavefocus.storage.drive_file import Drive
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.field_file import Field
 
 MOST_RESPONSES_BYTES = 128 * 2**20
 ROWS_AT_ONCE = 64

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rendering.arrays import Float32Array, Float64Array, Int64Array
-from rendering.field import metrics
+from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
+from wavefocus.rendering.field import metrics
 
 if TYPE_CHECKING:
-    from storage.drive_file import Drive
+    from wavefocus.storage.drive_file import Drive
 
 
 FOCUS_RADIUS_MM = 15.0

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.arrays import Float32Array, Float64Array
-from rendering.device import fast_length
-from rendering.greens.interpolation.position_grid import PositionGrid
-from storage.errors import InputError
+from wavefocus.rendering.arrays import Float32Array, Float64Array
+from wavefocus.rendering.device import fast_length
+from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
+from wavefocus.storage.errors import InputError
 
 RealArray = NDArray[np.floating[Any]]
 Place = tuple[float, float] | Float64Array

@@ -9,17 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import DTypeLike
 
-from calibration.blas import one_blas_thread
-from rendering.arrays import Float32Array, Float64Array, Int64Array
-from rendering.device import WORKERS, Device, fast_length, host_device, in_order
-from rendering.field.bank_spectra import BankSpectra, Decimation
-from rendering.field.convolution import Convolution
-from rendering.field.focus_figures import FocusInstant, emission_windows, evenly
-from rendering.greens.source import GreenSource, RowReader, drive_unit, refusal, usable
-from storage.drive_file import Drive
-from storage.errors import InputError
-from storage.field_file import Field, LowPass
-from storage.units import response_unit
+from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
+from wavefocus.rendering.device import WORKERS, Device, fast_length, host_device, in_order
+from wavefocus.rendering.field.bank_spectra import BankSpectra, Decimation
+from wavefocus.rendering.field.convolution import Convolution
+from wavefocus.rendering.field.focus_figures import FocusInstant, emission_windows, evenly
+from wavefocus.rendering.greens.source import GreenSource, RowReader, drive_unit, refusal, usable
+from wavefocus.storage.drive_file import Drive
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.field_file import Field, LowPass
+from wavefocus.storage.units import response_unit
 
 RealArray = Float32Array | Float64Array
 OnProgress = Callable[[int, int], None]

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.blas import one_blas_thread
-from rendering.arrays import Float64Array, Int64Array
-from rendering.band import Band
-from rendering.device import fast_length, host_device
-from rendering.field.bank_spectra import transform_rows
-from rendering.field.prediction import field_unit
-from rendering.greens.source import GreenSource, RowReader
-from storage.drive_file import Drive
+from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.rendering.arrays import Float64Array, Int64Array
+from wavefocus.rendering.band import Band
+from wavefocus.rendering.device import fast_length, host_device
+from wavefocus.rendering.field.bank_spectra import transform_rows
+from wavefocus.rendering.field.prediction import field_unit
+from wavefocus.rendering.greens.source import GreenSource, RowReader
+from wavefocus.storage.drive_file import Drive
 
 WINDOW_TAPS = 2.0
 """Length of a window in taps."""

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.arrays import Float64Array, Int64Array
-from rendering.device import fast_length
-from rendering.field.metrics import band_limited
-from rendering.greens.source import GreenSource, read_row, usable
-from storage.errors import InputError
+from wavefocus.rendering.arrays import Float64Array, Int64Array
+from wavefocus.rendering.device import fast_length
+from wavefocus.rendering.field.metrics import band_limited
+from wavefocus.rendering.greens.source import GreenSource, read_row, usable
+from wavefocus.storage.errors import InputError
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from config.scene import Regularisation
-from rendering.arrays import BoolArray, Float64Array, Int64Array
-from rendering.greens.source import GreenSource, ScaledRow, fetch_row, read_row, refusal, scale_row, usable
-from storage.errors import InputError
+from wavefocus.config.scene import Regularisation
+from wavefocus.rendering.arrays import BoolArray, Float64Array, Int64Array
+from wavefocus.rendering.greens.source import GreenSource, ScaledRow, fetch_row, read_row, refusal, scale_row, usable
+from wavefocus.storage.errors import InputError
 
 LEAST_TOTAL = 1e-300
 """The reciprocal of a smaller sum of energies is beyond the range of numbers."""
@@ -21,7 +21,7 @@ LEAST_TOTAL = 1e-300
 def rms_map(bank: GreenSource) -> Float64Array:
     """rms_i(x) of eq. (14) for every position and actuator.
 
-    bank: Rows whose rms is not stored with the bank (`storage.bank.reading.Bank.rms`) are read, one by one.
+    bank: Rows whose rms is not stored with the bank (`wavefocus.storage.bank.reading.Bank.rms`) are read, one by one.
 
     Returns float64 (positions, actuators): in the unit of the Green's functions; NaN in rows that are unmeasured,
     refused or all zeros. Raises InputError: a row in use holds NaN or infinity.

@@ -10,10 +10,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendering.arrays import BoolArray, Float32Array, Float64Array
-from storage.errors import InputError
-from storage.point_status import DOUBTFUL, USABLE, Status
-from storage.point_status import usable as usable_rows
+from wavefocus.rendering.arrays import BoolArray, Float32Array, Float64Array
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.point_status import DOUBTFUL, USABLE, Status
+from wavefocus.storage.point_status import usable as usable_rows
 
 RealArray = Float32Array | Float64Array
 
@@ -104,7 +104,7 @@ DOUBTFUL_BITS = int(DOUBTFUL)
 
 
 class GreenSource(Protocol):
-    """The read interface of a bank: `storage.bank.reading.Bank`, or an array in memory."""
+    """The read interface of a bank: `wavefocus.storage.bank.reading.Bank`, or an array in memory."""
 
     @property
     def position_mm(self) -> Float64Array:

@@ -19,11 +19,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
-from rendering.band import Band, norm_of, scale
-from rendering.device import fast_length, host_device
-from rendering.drive.windows import Events, RowSpectra, Windows
-from rendering.greens.regularisation import BankRows
+from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
+from wavefocus.rendering.band import Band, norm_of, scale
+from wavefocus.rendering.device import fast_length, host_device
+from wavefocus.rendering.drive.windows import Events, RowSpectra, Windows
+from wavefocus.rendering.greens.regularisation import BankRows
 
 CACHE_BYTES = 2**30
 """Memory of row spectra: 1500 positions of 20 actuators and 2000 taps take half of it."""
@@ -123,7 +123,7 @@ class CrossfadedBlocks:
         return total
 
     def _kept(self, windows: Windows, emitted: Complex128Array, error: float) -> int:
-        """Number of bins; the norm in time of those beyond is at most the error (see `rendering.band`)."""
+        """Number of bins; the norm in time of those beyond is at most the error (see `wavefocus.rendering.band`)."""
         bins: int = emitted.shape[1]
         if not error > 0:
             return bins

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rendering.arrays import Float64Array, Int64Array
-from rendering.greens.source import GreenSource
-from rendering.scene.signals import Noise, Signal, signal_size
-from storage.errors import InputError
+from wavefocus.rendering.arrays import Float64Array, Int64Array
+from wavefocus.rendering.greens.source import GreenSource
+from wavefocus.rendering.scene.signals import Noise, Signal, signal_size
+from wavefocus.storage.errors import InputError
 
 LONGEST_SIGNAL_S = 60.0
 

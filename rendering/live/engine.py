@@ -11,17 +11,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from config.scene import Regularisation
-from rendering.arrays import Float64Array
-from rendering.greens.regularisation import BankRows
-from rendering.greens.source import GreenSource
-from rendering.live.blocks import CrossfadedBlocks
-from rendering.live.emitted import Emitted, default_signal, live_samples
-from rendering.live.lives import JUMP_MM_S, VELOCITY_S, Life, Timing, joined, trajectory
-from rendering.live.surface import Surface
-from rendering.scene.signals import Signal
-from rendering.scene.trajectory import Trajectory
-from storage.errors import InputError
+from wavefocus.config.scene import Regularisation
+from wavefocus.rendering.arrays import Float64Array
+from wavefocus.rendering.greens.regularisation import BankRows
+from wavefocus.rendering.greens.source import GreenSource
+from wavefocus.rendering.live.blocks import CrossfadedBlocks
+from wavefocus.rendering.live.emitted import Emitted, default_signal, live_samples
+from wavefocus.rendering.live.lives import JUMP_MM_S, VELOCITY_S, Life, Timing, joined, trajectory
+from wavefocus.rendering.live.surface import Surface
+from wavefocus.rendering.scene.signals import Signal
+from wavefocus.rendering.scene.trajectory import Trajectory
+from wavefocus.storage.errors import InputError
 
 MOST_NAMES = 64
 """Names whose signals are kept; of more, those that were silent longest are forgotten."""

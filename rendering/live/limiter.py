@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from rendering.arrays import Float64Array
-from rendering.drive.coil_limits import RMS_WINDOW_S, DriveLimits, require_finite
+from wavefocus.rendering.arrays import Float64Array
+from wavefocus.rendering.drive.coil_limits import RMS_WINDOW_S, DriveLimits, require_finite
 
 RELEASE_S = 0.2
 """Time in which a gain of nearly 0 goes back to 1."""

@@ -14,11 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rendering.drive.windows import Events
-from rendering.greens.interpolation.base import OffGridError
-from rendering.live.emitted import Emitted
-from rendering.live.surface import Surface
-from rendering.scene.trajectory import Trajectory
+from wavefocus.rendering.drive.windows import Events
+from wavefocus.rendering.greens.interpolation.base import OffGridError
+from wavefocus.rendering.live.emitted import Emitted
+from wavefocus.rendering.live.surface import Surface
+from wavefocus.rendering.scene.trajectory import Trajectory
 
 VELOCITY_S = 0.03
 """Time over which the velocity is taken: two positions of a 60 Hz screen, for the jitter of one."""

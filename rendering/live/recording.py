@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from config.fields import toml_table
-from config.loading import printable
-from config.scene import (
+from wavefocus.config.fields import toml_table
+from wavefocus.config.loading import printable
+from wavefocus.config.scene import (
     FileTable,
     ImpulseTable,
     NoiseTable,
@@ -25,13 +25,13 @@ from config.scene import (
     TrajectoryTable,
     regularisation_toml,
 )
-from rendering.live.engine import RecordedLife
-from rendering.scene.signals import Impulse, Noise, Signal, Sine
-from rendering.scene.trajectory import Trajectory
-from storage import durable
-from storage.durable import Closing
-from storage.errors import InputError
-from storage.output_files import replacement, write_whole
+from wavefocus.rendering.live.engine import RecordedLife
+from wavefocus.rendering.scene.signals import Impulse, Noise, Signal, Sine
+from wavefocus.rendering.scene.trajectory import Trajectory
+from wavefocus.storage import durable
+from wavefocus.storage.durable import Closing
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.output_files import replacement, write_whole
 
 SCENE_NAME = "scene.toml"
 MOST_LIVES = 10_000

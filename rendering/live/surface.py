@@ -7,11 +7,17 @@ from contextlib import suppress
 
 import numpy as np
 
-from rendering.arrays import Float64Array
-from rendering.greens.interpolation.base import GridInterpolation, Nodes, OffGridError, interpolation_method, show_mm
-from rendering.greens.interpolation.position_grid import PositionGrid
-from rendering.greens.source import GreenSource, usable
-from storage.errors import InputError
+from wavefocus.rendering.arrays import Float64Array
+from wavefocus.rendering.greens.interpolation.base import (
+    GridInterpolation,
+    Nodes,
+    OffGridError,
+    interpolation_method,
+    show_mm,
+)
+from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
+from wavefocus.rendering.greens.source import GreenSource, usable
+from wavefocus.storage.errors import InputError
 
 
 class Surface:

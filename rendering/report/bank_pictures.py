@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.arrays import Float64Array
-from rendering.report.canvas import Canvas, Picture, Surface, drawn_in_style
-from rendering.report.figures import SCAN, status_map, value_map
+from wavefocus.rendering.arrays import Float64Array
+from wavefocus.rendering.report.canvas import Canvas, Picture, Surface, drawn_in_style
+from wavefocus.rendering.report.figures import SCAN, status_map, value_map
 
 WIDTH_PX, LEFT_PX, TOP_PX, HEIGHT_PX = 760, 66, 14, 200
 

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any, ParamSpec
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.arrays import Float64Array, Int64Array
-from rendering.greens.interpolation.position_grid import PositionGrid
+from wavefocus.rendering.arrays import Float64Array, Int64Array
+from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.collections import PolyCollection
 
-    from rendering.greens.source import GreenSource
+    from wavefocus.rendering.greens.source import GreenSource
 
 # CSS pixels per inch of figure, and pixels per CSS pixel.
 CSS_PPI = 96

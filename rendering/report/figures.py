@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.limits import DriftLimits, DriftPoint
-from rendering.arrays import Float64Array, Int64Array
-from rendering.field.focus_figures import FOCUS_RADIUS_MM
-from rendering.field.metrics import normalised_error
-from rendering.report.canvas import (
+from wavefocus.acquisition.limits import DriftLimits, DriftPoint
+from wavefocus.rendering.arrays import Float64Array, Int64Array
+from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM
+from wavefocus.rendering.field.metrics import normalised_error
+from wavefocus.rendering.report.canvas import (
     FAINT,
     INK,
     TITLE_PX,
@@ -27,12 +27,12 @@ from rendering.report.canvas import (
     draw_surface,
     drawn_in_style,
 )
-from storage.point_status import STATUS_WORDS, Status
+from wavefocus.storage.point_status import STATUS_WORDS, Status
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from rendering.verify.comparison import FieldComparison
+    from wavefocus.rendering.verify.comparison import FieldComparison
 
 PREDICTION = "#f0b440"
 SCAN = "#0b3c5d"

@@ -5,14 +5,14 @@ from __future__ import annotations
 import base64
 from typing import Any
 
-from rendering.report.words import number, precise
+from wavefocus.rendering.report.words import number, precise
 
 
-def html_page(template: str, package: str = "rendering", /, **content: Any) -> str:
+def html_page(template: str, package: str = "wavefocus.rendering", /, **content: Any) -> str:
     """Fill a template from a package's folder ``templates``; it may extend those of ``rendering``."""
     from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
-    loader = ChoiceLoader([PackageLoader(one) for one in dict.fromkeys((package, "rendering"))])
+    loader = ChoiceLoader([PackageLoader(one) for one in dict.fromkeys((package, "wavefocus.rendering"))])
     environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
     environment.filters |= {
         "number": number,

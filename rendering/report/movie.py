@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.arrays import Float32Array, Float64Array, Int64Array
-from rendering.field.focus_figures import evenly
-from rendering.greens.source import GreenSource
-from rendering.report.canvas import (
+from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
+from wavefocus.rendering.field.focus_figures import evenly
+from wavefocus.rendering.greens.source import GreenSource
+from wavefocus.rendering.report.canvas import (
     FAINT,
     INK,
     STYLE,
@@ -29,11 +29,11 @@ from rendering.report.canvas import (
     draw_surface,
     drawn_in_style,
 )
-from rendering.report.figures import scaled_unit
-from storage.drive_file import Drive
-from storage.errors import InputError
-from storage.field_file import FieldRowReader
-from storage.output_files import replacement
+from wavefocus.rendering.report.figures import scaled_unit
+from wavefocus.storage.drive_file import Drive
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.field_file import FieldRowReader
+from wavefocus.storage.output_files import replacement
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,29 +9,29 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.limits import DriftLimits, DriftPoint
-from rendering.arrays import Float64Array, Int64Array
-from rendering.field import metrics
-from rendering.field.focus_figures import evenly
-from rendering.greens.regularisation import focus_gain_map
-from rendering.report import figures as report_figures
-from rendering.report.canvas import Picture, Surface
-from rendering.report.figures import drift_over_time
-from rendering.report.html import html_page
-from rendering.report.waves import wave_figures, waves_of, waves_picture
-from rendering.report.words import figure_lines, number, remarks
-from rendering.scene.trajectory_path import TrajectoryPath
-from rendering.verify.changes import change_lines
-from rendering.verify.record import PATH_POINTS, REPORT_NAME, path_line_mm
-from rendering.verify.verdict import Verification
-from storage.output_files import write_whole
+from wavefocus.acquisition.limits import DriftLimits, DriftPoint
+from wavefocus.rendering.arrays import Float64Array, Int64Array
+from wavefocus.rendering.field import metrics
+from wavefocus.rendering.field.focus_figures import evenly
+from wavefocus.rendering.greens.regularisation import focus_gain_map
+from wavefocus.rendering.report import figures as report_figures
+from wavefocus.rendering.report.canvas import Picture, Surface
+from wavefocus.rendering.report.figures import drift_over_time
+from wavefocus.rendering.report.html import html_page
+from wavefocus.rendering.report.waves import wave_figures, waves_of, waves_picture
+from wavefocus.rendering.report.words import figure_lines, number, remarks
+from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
+from wavefocus.rendering.verify.changes import change_lines
+from wavefocus.rendering.verify.record import PATH_POINTS, REPORT_NAME, path_line_mm
+from wavefocus.rendering.verify.verdict import Verification
+from wavefocus.storage.output_files import write_whole
 
 if TYPE_CHECKING:
-    from rendering.greens.source import GreenSource
-    from rendering.scene.model import Scene
-    from rendering.verify.scan import Scan
-    from storage.drive_file import Drive
-    from storage.field_file import Field
+    from wavefocus.rendering.greens.source import GreenSource
+    from wavefocus.rendering.scene.model import Scene
+    from wavefocus.rendering.verify.scan import Scan
+    from wavefocus.storage.drive_file import Drive
+    from wavefocus.storage.field_file import Field
 
 MOST_SNAPSHOTS = 6
 

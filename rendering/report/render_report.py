@@ -8,19 +8,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rendering.arrays import Float64Array
-from rendering.device import fast_length
-from rendering.drive.accumulate import Accumulated
-from rendering.drive.coil_limits import Limiting, dynamic_range_db
-from rendering.field.metrics import band_weights
-from rendering.field.wave_figures import impulse_travel
-from rendering.greens.interpolation.errors import InterpolationErrors
-from rendering.greens.regularisation import BankRows
-from rendering.greens.source import DOUBTFUL_BITS, GreenSource, read_rows
-from rendering.scene.emission import ContinuousEmission
-from rendering.scene.model import Scene
-from rendering.scene.sampling import SampledSource
-from storage.errors import InputError
+from wavefocus.rendering.arrays import Float64Array
+from wavefocus.rendering.device import fast_length
+from wavefocus.rendering.drive.accumulate import Accumulated
+from wavefocus.rendering.drive.coil_limits import Limiting, dynamic_range_db
+from wavefocus.rendering.field.metrics import band_weights
+from wavefocus.rendering.field.wave_figures import impulse_travel
+from wavefocus.rendering.greens.interpolation.errors import InterpolationErrors
+from wavefocus.rendering.greens.regularisation import BankRows
+from wavefocus.rendering.greens.source import DOUBTFUL_BITS, GreenSource, read_rows
+from wavefocus.rendering.scene.emission import ContinuousEmission
+from wavefocus.rendering.scene.model import Scene
+from wavefocus.rendering.scene.sampling import SampledSource
+from wavefocus.storage.errors import InputError
 
 ROWS = 6
 LOUD_DB = -40.0

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rendering.arrays import Float64Array, Int64Array
-from rendering.greens.regularisation import row_weights, saturation_threshold
-from rendering.greens.source import GreenSource, read_row, refusal, usable
-from rendering.report.canvas import (
+from wavefocus.rendering.arrays import Float64Array, Int64Array
+from wavefocus.rendering.greens.regularisation import row_weights, saturation_threshold
+from wavefocus.rendering.greens.source import GreenSource, read_row, refusal, usable
+from wavefocus.rendering.report.canvas import (
     COLOURS,
     FAINT,
     INK,
@@ -21,10 +21,10 @@ from rendering.report.canvas import (
     draw_surface,
     drawn_in_style,
 )
-from rendering.scene.model import Scene, Source
-from rendering.scene.sampling import sample_scene
-from rendering.verify.record import path_line_mm
-from storage.errors import InputError
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.sampling import sample_scene
+from wavefocus.rendering.verify.record import path_line_mm
+from wavefocus.storage.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rendering.arrays import BoolArray, Float32Array, Float64Array, Int64Array
-from rendering.field.crosstalk import CrosstalkTable, crosstalk_table
-from rendering.field.wave_figures import (
+from wavefocus.rendering.arrays import BoolArray, Float32Array, Float64Array, Int64Array
+from wavefocus.rendering.field.crosstalk import CrosstalkTable, crosstalk_table
+from wavefocus.rendering.field.wave_figures import (
     IMPULSE_BAND_HZ,
     SPAN_MM,
     DistanceCorrelation,
@@ -21,18 +21,18 @@ from rendering.field.wave_figures import (
     impulse_travel,
     path_spectrum,
 )
-from rendering.greens.source import usable
-from rendering.report.canvas import COLOURS, FAINT, Canvas, Picture, drawn_in_style
-from rendering.report.figures import PREDICTION, SCAN
-from rendering.report.words import FigureLine, number
-from storage.errors import InputError
+from wavefocus.rendering.greens.source import usable
+from wavefocus.rendering.report.canvas import COLOURS, FAINT, Canvas, Picture, drawn_in_style
+from wavefocus.rendering.report.figures import PREDICTION, SCAN
+from wavefocus.rendering.report.words import FigureLine, number
+from wavefocus.storage.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from rendering.greens.source import GreenSource
-    from rendering.scene.model import Scene
-    from rendering.verify.comparison import FieldComparison
+    from wavefocus.rendering.greens.source import GreenSource
+    from wavefocus.rendering.scene.model import Scene
+    from wavefocus.rendering.verify.comparison import FieldComparison
 
 
 SPEEDS_MM_S = (40.0, 80.0, 160.0, 320.0, 640.0, 1000.0)

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from rendering.verify.record import Figure
-    from rendering.verify.scan import Scan
-    from rendering.verify.verdict import Verification
-    from storage.drive_file import Drive
-    from storage.field_file import Field
+    from wavefocus.rendering.verify.record import Figure
+    from wavefocus.rendering.verify.scan import Scan
+    from wavefocus.rendering.verify.verdict import Verification
+    from wavefocus.storage.drive_file import Drive
+    from wavefocus.storage.field_file import Field
 
 # Smaller deviations get no remark.
 NOTED_LEVEL_DB = 0.2
@@ -59,9 +59,12 @@ def _value(figure: Figure) -> str:
 
 def remarks(verification: Verification, drive: Drive, scan: Field | Scan) -> list[str]:
     """Notes and advice for the reader, most pressing first."""
-    from rendering.field.focus_figures import FOCUS_RADIUS_MM, median_or_none  # the window imports this module
-    from rendering.verify.scan import Scan
-    from rendering.verify.sentinel import drift_sentence
+    from wavefocus.rendering.field.focus_figures import (  # the window imports this module
+        FOCUS_RADIUS_MM,
+        median_or_none,
+    )
+    from wavefocus.rendering.verify.scan import Scan
+    from wavefocus.rendering.verify.sentinel import drift_sentence
 
     fields = verification.fields
     failed = {check.name for check in verification.checks if check.passed is False}

@@ -7,8 +7,8 @@ from typing import Protocol
 
 import numpy as np
 
-from rendering.arrays import Complex128Array, Float64Array, Int64Array
-from rendering.drive.windows import Events
+from wavefocus.rendering.arrays import Complex128Array, Float64Array, Int64Array
+from wavefocus.rendering.drive.windows import Events
 
 NodesAt = Callable[[int, int], tuple[Int64Array, Float64Array, Int64Array]]
 """Rows (n, k), weights (n, k) and regularising rows (n,) of a range of samples or path points."""

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from config.loading import named_file, naming_key, parse_toml, read_toml, validated
-from config.scene import Output, PathTable, Regularisation, SceneConfig, SignalTable
-from rendering.scene import paths, signals
-from rendering.scene.signals import Signal
-from rendering.scene.svg import SvgPath
-from rendering.scene.trajectory_path import TrajectoryPath, read_trajectory
-from storage.errors import InputError
+from wavefocus.config.loading import named_file, naming_key, parse_toml, read_toml, validated
+from wavefocus.config.scene import Output, PathTable, Regularisation, SceneConfig, SignalTable
+from wavefocus.rendering.scene import paths, signals
+from wavefocus.rendering.scene.signals import Signal
+from wavefocus.rendering.scene.svg import SvgPath
+from wavefocus.rendering.scene.trajectory_path import TrajectoryPath, read_trajectory
+from wavefocus.storage.errors import InputError
 
 Emission = Literal["continuous", "per_point"]
 
@@ -74,7 +74,7 @@ class Scene:
     sources: At least one; their drives add.
     regularisation: Saturation and normalisation, the same for all sources.
     output: Interpolation and limit.
-    allow_large: It may be larger than the limits of `rendering.scene.size`.
+    allow_large: It may be larger than the limits of `wavefocus.rendering.scene.size`.
     """
 
     name: str

@@ -10,8 +10,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rendering.arrays import Float64Array
-from storage.errors import InputError
+from wavefocus.rendering.arrays import Float64Array
+from wavefocus.storage.errors import InputError
 
 PointMm = tuple[float, float]
 

@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from rendering.arrays import Float64Array, Int64Array
-from rendering.greens.interpolation.base import (
+from wavefocus.rendering.arrays import Float64Array, Int64Array
+from wavefocus.rendering.greens.interpolation.base import (
     Follow,
     GridInterpolation,
     Interpolation,
@@ -18,14 +18,14 @@ from rendering.greens.interpolation.base import (
     scene_interpolation,
     show_mm,
 )
-from rendering.greens.source import GreenSource
-from rendering.scene.emission import ContinuousEmission, Emission, PointEmission
-from rendering.scene.model import Scene, Source
-from rendering.scene.paths import Point
-from rendering.scene.signals import MOST_SAMPLES
-from rendering.scene.size import check_scene_size
-from rendering.scene.trajectory_path import TrajectoryPath
-from storage.errors import InputError
+from wavefocus.rendering.greens.source import GreenSource
+from wavefocus.rendering.scene.emission import ContinuousEmission, Emission, PointEmission
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.paths import Point
+from wavefocus.rendering.scene.signals import MOST_SAMPLES
+from wavefocus.rendering.scene.size import check_scene_size
+from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
+from wavefocus.storage.errors import InputError
 
 Method = Literal["sampled", "exact"]
 

@@ -8,16 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from rendering.arrays import Float64Array, Int64Array
-from rendering.field.focus_figures import FOCUS_RADIUS_MM
-from rendering.greens.interpolation.base import interpolation_method
-from rendering.greens.interpolation.on_grid import Nearest
-from rendering.greens.interpolation.position_grid import PositionGrid
-from rendering.scene.model import Scene
-from rendering.scene.paths import Path
-from rendering.scene.sampling import MOST_POINTS as LARGEST_POINTS
-from rendering.scene.size import MOST_PATH_POINTS
-from storage.errors import InputError
+from wavefocus.rendering.arrays import Float64Array, Int64Array
+from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM
+from wavefocus.rendering.greens.interpolation.base import interpolation_method
+from wavefocus.rendering.greens.interpolation.on_grid import Nearest
+from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
+from wavefocus.rendering.scene.model import Scene
+from wavefocus.rendering.scene.paths import Path
+from wavefocus.rendering.scene.sampling import MOST_POINTS as LARGEST_POINTS
+from wavefocus.rendering.scene.size import MOST_PATH_POINTS
+from wavefocus.storage.errors import InputError
 
 POINTS_AT_ONCE = 4096
 STEPS_PER_SPACING = 32

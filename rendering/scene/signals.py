@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from rendering.arrays import Float64Array
-from storage.errors import InputError
+from wavefocus.rendering.arrays import Float64Array
+from wavefocus.storage.errors import InputError
 
 if TYPE_CHECKING:
     from soundfile import SoundFile as SoundFileReader

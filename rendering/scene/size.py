@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from rendering.scene.model import Scene, Source
-from rendering.scene.signals import MOST_SAMPLES, signal_size
-from rendering.scene.trajectory_path import TrajectoryPath
-from storage.errors import InputError
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.signals import MOST_SAMPLES, signal_size
+from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
+from wavefocus.storage.errors import InputError
 
 MOST_SECONDS = 3600.0
 MOST_DRIVE_BYTES = 8 * 2**30
@@ -89,7 +89,7 @@ def size_words(count: float) -> str:
 
 
 def points_and_travel(source: Source) -> tuple[float, float]:
-    """M and the seconds until n_M, as `rendering.scene.sampling` makes them; it refuses a source that cannot move."""
+    """M and the seconds until n_M, as of `wavefocus.rendering.scene.sampling`; it refuses a source that cannot move."""
     if isinstance(source.path, TrajectoryPath):
         return float(len(source.path.focus_rows)), source.travel_s
     length_mm = source.path.length_mm

@@ -12,9 +12,9 @@ from xml.parsers import expat
 
 import numpy as np
 
-from rendering.arrays import Complex128Array, Float64Array
-from rendering.scene.paths import DrawnPath, PointMm, check_point
-from storage.errors import InputError
+from wavefocus.rendering.arrays import Complex128Array, Float64Array
+from wavefocus.rendering.scene.paths import DrawnPath, PointMm, check_point
+from wavefocus.storage.errors import InputError
 
 _ARGUMENTS = {"M": 2, "L": 2, "H": 1, "V": 1, "C": 6, "S": 4, "Q": 4, "T": 2, "A": 7, "Z": 0}
 _NUMBER = re.compile(r"[\s,]*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)")
@@ -196,7 +196,7 @@ class SvgPath(DrawnPath):
     path_id: The `id` of the `path` element; empty: the first one.
     scale: Millimetres per drawing unit, > 0.
     origin_mm: Place of the drawing's (0, 0) on the surface, in millimetres.
-    allow_large: More points are allowed than `rendering.scene.svg.MOST_POINTS`.
+    allow_large: More points are allowed than `wavefocus.rendering.scene.svg.MOST_POINTS`.
 
     Raises InputError: the file cannot be read, has no such path, its path data is malformed, or it makes too many
     points.

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rendering.arrays import Float64Array, Int64Array
-from storage.errors import InputError
+from wavefocus.rendering.arrays import Float64Array, Int64Array
+from wavefocus.storage.errors import InputError
 
 FURTHEST_MM = 1e100
 """Places beyond have no differences within the range of numbers."""

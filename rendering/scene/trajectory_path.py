@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from acquisition.grid import read_rows
-from rendering.arrays import Float64Array, Int64Array
-from rendering.scene.paths import DrawnPath, PointMm
-from rendering.scene.trajectory import FURTHEST_MM, Trajectory
-from storage.errors import InputError
+from wavefocus.acquisition.grid import read_rows
+from wavefocus.rendering.arrays import Float64Array, Int64Array
+from wavefocus.rendering.scene.paths import DrawnPath, PointMm
+from wavefocus.rendering.scene.trajectory import FURTHEST_MM, Trajectory
+from wavefocus.storage.errors import InputError
 
 FOCUS_S = 0.01
 """Rows closer in time than this to the focus before are no foci: a screen gives 60 positions a second."""

@@ -5,11 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
-from rendering.report.words import number, precise
-from rendering.verify.record import ActuatorFigures, Change, Changes, Figure, SourceFigures, VerificationRecord
+from wavefocus.rendering.report.words import number, precise
+from wavefocus.rendering.verify.record import (
+    ActuatorFigures,
+    Change,
+    Changes,
+    Figure,
+    SourceFigures,
+    VerificationRecord,
+)
 
 if TYPE_CHECKING:
-    from rendering.verify.verdict import Verification
+    from wavefocus.rendering.verify.verdict import Verification
 
 NOTED = {"dB": 0.2, "µs": 20.0, "%": 0.5, "mm": 0.3, "": 0.002}
 """Changes from which on a figure is noted, by its unit: more than what two scans of a steady rig differ by."""

@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.arrays import Complex128Array, Float32Array, Float64Array, Int64Array
-from rendering.field.focus_figures import FocusInstant, emission_windows, evenly, focus_instants
-from rendering.field.metrics import RealArray, level_db
-from rendering.verify.field_pair import MOST_DELAY_S, BandLimit
-from rendering.verify.scan import Scan
-from storage.errors import InputError
-from storage.point_status import Status
+from wavefocus.rendering.arrays import Complex128Array, Float32Array, Float64Array, Int64Array
+from wavefocus.rendering.field.focus_figures import FocusInstant, emission_windows, evenly, focus_instants
+from wavefocus.rendering.field.metrics import RealArray, level_db
+from wavefocus.rendering.verify.field_pair import MOST_DELAY_S, BandLimit
+from wavefocus.rendering.verify.scan import Scan
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.point_status import Status
 
 if TYPE_CHECKING:
-    from rendering.greens.source import GreenSource
-    from storage.drive_file import Drive
-    from storage.field_file import Field
+    from wavefocus.rendering.greens.source import GreenSource
+    from wavefocus.storage.drive_file import Drive
+    from wavefocus.storage.field_file import Field
 
 # Positions per step of the pass: a few MB for seconds of signal.
 CHUNK_POSITIONS = 64

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rendering.arrays import BoolArray, Complex128Array, Float32Array, Int64Array
-from rendering.device import fast_length
-from rendering.field.metrics import RealArray, band_weights, correlation, level_db, normalised_error
-from storage.errors import InputError
-from storage.field_file import FieldRowReader
+from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float32Array, Int64Array
+from wavefocus.rendering.device import fast_length
+from wavefocus.rendering.field.metrics import RealArray, band_weights, correlation, level_db, normalised_error
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.field_file import FieldRowReader
 
 # A delay between prediction and scan is looked for within this time.
 MOST_DELAY_S = 0.02

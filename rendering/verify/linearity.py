@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rendering.arrays import Int64Array
-from rendering.field.focus_figures import evenly
-from rendering.field.metrics import level_db
-from rendering.verify.field_pair import BandLimit
-from rendering.verify.record import Figure
-from rendering.verify.scan import Scan
-from storage.point_status import Status
+from wavefocus.rendering.arrays import Int64Array
+from wavefocus.rendering.field.focus_figures import evenly
+from wavefocus.rendering.field.metrics import level_db
+from wavefocus.rendering.verify.field_pair import BandLimit
+from wavefocus.rendering.verify.record import Figure
+from wavefocus.rendering.verify.scan import Scan
+from wavefocus.storage.point_status import Status
 
 if TYPE_CHECKING:
-    from storage.drive_file import Drive
+    from wavefocus.storage.drive_file import Drive
 
 QUIETER_DB = 12.0
 MOST_POSITIONS = 24

@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from config.messages.codec import Message, MessageError, from_record, to_record
-from rendering.arrays import BoolArray, Float64Array, Int64Array
-from storage.errors import InputError
-from storage.output_files import write_whole
+from wavefocus.config.messages.codec import Message, MessageError, from_record, to_record
+from wavefocus.rendering.arrays import BoolArray, Float64Array, Int64Array
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.output_files import write_whole
 
 if TYPE_CHECKING:
-    from rendering.greens.source import GreenSource
-    from rendering.scene.model import Scene, Source
-    from rendering.verify.verdict import Verification
-    from storage.field_file import Field
+    from wavefocus.rendering.greens.source import GreenSource
+    from wavefocus.rendering.scene.model import Scene, Source
+    from wavefocus.rendering.verify.verdict import Verification
+    from wavefocus.storage.field_file import Field
 
 PointMm = tuple[float, float]
 

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rendering.arrays import Complex128Array, Float64Array, Int64Array
-from rendering.field.focus_figures import evenly
-from rendering.greens.interpolation.position_grid import PositionGrid
-from rendering.verify import symptom_words as words
-from rendering.verify.record import Symptom
-from storage.point_status import Status
+from wavefocus.rendering.arrays import Complex128Array, Float64Array, Int64Array
+from wavefocus.rendering.field.focus_figures import evenly
+from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
+from wavefocus.rendering.verify import symptom_words as words
+from wavefocus.rendering.verify.record import Symptom
+from wavefocus.storage.point_status import Status
 
 if TYPE_CHECKING:
-    from rendering.greens.source import GreenSource
-    from rendering.verify.comparison import FieldComparison
+    from wavefocus.rendering.greens.source import GreenSource
+    from wavefocus.rendering.verify.comparison import FieldComparison
 
 LEAST_ERROR = 0.1
 """Median relative error from which a grid row is looked at."""

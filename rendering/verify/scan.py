@@ -11,27 +11,27 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.attempt import Attempt
-from acquisition.engine.recovery import Recovery
-from acquisition.engine.session import Session, StopRequest
-from acquisition.setup import Setup, point_at, take_record
-from calibration.blas import one_blas_thread
-from calibration.clock.timing import ReferenceMissingError
-from config.messages.campaign import State, Subscriber
-from drivers.errors import TransientInstrumentError
-from drivers.protocols import Recording, Take
-from rendering.arrays import Float32Array, Float64Array, Int64Array
-from rendering.field.prediction import field_unit, predict
-from rendering.greens.source import usable
-from rendering.verify.scan_signals import Aligned, Alignment, quiet_above_hz, scan_signals
-from storage.errors import InputError
-from storage.point_status import Status
-from storage.scan_journal import ScanJournal, ScannedPosition
+from wavefocus.acquisition.attempt import Attempt
+from wavefocus.acquisition.engine.recovery import Recovery
+from wavefocus.acquisition.engine.session import Session, StopRequest
+from wavefocus.acquisition.setup import Setup, point_at, take_record
+from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.calibration.clock.timing import ReferenceMissingError
+from wavefocus.config.messages.campaign import State, Subscriber
+from wavefocus.drivers.errors import TransientInstrumentError
+from wavefocus.drivers.protocols import Recording, Take
+from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
+from wavefocus.rendering.field.prediction import field_unit, predict
+from wavefocus.rendering.greens.source import usable
+from wavefocus.rendering.verify.scan_signals import Aligned, Alignment, quiet_above_hz, scan_signals
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.point_status import Status
+from wavefocus.storage.scan_journal import ScanJournal, ScannedPosition
 
 if TYPE_CHECKING:
-    from rendering.greens.source import GreenSource
-    from storage.drive_file import Drive
-    from storage.field_file import Field
+    from wavefocus.rendering.greens.source import GreenSource
+    from wavefocus.storage.drive_file import Drive
+    from wavefocus.storage.field_file import Field
 
 GIVE_UP_POSITIONS = 5
 """So many positions given up one after the other mean that the rig, and not a position, is at fault."""
@@ -69,7 +69,7 @@ class Scan:
 
     def as_field(self) -> Field:
         """The positions that have a record without a dropout, as a field for `write_field`."""
-        from storage.field_file import Field
+        from wavefocus.storage.field_file import Field
 
         there = (self.status & (Status.FAILED | Status.POOR_SIGNAL)) == 0
         return Field(

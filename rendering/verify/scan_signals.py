@@ -10,14 +10,14 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from acquisition.setup import Setup
-from calibration.clock.timing import ClockFitter, to_playback_clock
-from drivers.protocols import Recording
-from rendering.arrays import Float32Array, Float64Array
-from storage.errors import InputError
+from wavefocus.acquisition.setup import Setup
+from wavefocus.calibration.clock.timing import ClockFitter, to_playback_clock
+from wavefocus.drivers.protocols import Recording
+from wavefocus.rendering.arrays import Float32Array, Float64Array
+from wavefocus.storage.errors import InputError
 
 if TYPE_CHECKING:
-    from storage.drive_file import Drive
+    from wavefocus.storage.drive_file import Drive
 
 MARKER_START_HZ = 20.0
 MARKER_STOP_HZ = 1000.0  # the fewer bins it fills the less a fit costs; at 60 dB it gives the clock ratio to 0.1 ppm

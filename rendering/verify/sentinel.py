@@ -8,21 +8,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.attempt import Attempt, PositionRecords, evaluate
-from acquisition.drift_watch import measure_again
-from acquisition.engine.recovery import Recovery
-from acquisition.engine.session import Session, StopRequest
-from acquisition.limits import DriftLimits, compare_sentinel
-from acquisition.plan import Plan, sentinel_of
-from acquisition.plays import measuring_of
-from acquisition.setup import Setup
-from calibration.blas import one_blas_thread
-from config.messages.campaign import State, Subscriber
-from rendering.report.words import number
-from rendering.verify.record import Drift, Figure
+from wavefocus.acquisition.attempt import Attempt, PositionRecords, evaluate
+from wavefocus.acquisition.drift_watch import measure_again
+from wavefocus.acquisition.engine.recovery import Recovery
+from wavefocus.acquisition.engine.session import Session, StopRequest
+from wavefocus.acquisition.limits import DriftLimits, compare_sentinel
+from wavefocus.acquisition.plan import Plan, sentinel_of
+from wavefocus.acquisition.plays import measuring_of
+from wavefocus.acquisition.setup import Setup
+from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.config.messages.campaign import State, Subscriber
+from wavefocus.rendering.report.words import number
+from wavefocus.rendering.verify.record import Drift, Figure
 
 if TYPE_CHECKING:
-    from rendering.greens.source import GreenSource
+    from wavefocus.rendering.greens.source import GreenSource
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +72,7 @@ def measure_sentinel(
 
 def drift_of(sentinel: Sentinel, bank: GreenSource, limits: DriftLimits) -> Drift:
     """How the sentinel position differs from the bank: as a level, as a delay, and as a wave speed."""
-    from rendering.verify.symptoms import wave_speed  # which reads sentinels
+    from wavefocus.rendering.verify.symptoms import wave_speed  # which reads sentinels
 
     figures = compare_sentinel(np.asarray(bank.green(sentinel.position), np.float32), sentinel.green)
     return Drift(

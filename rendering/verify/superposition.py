@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.neighbour_judge import RowSpectra
-from rendering.arrays import Complex128Array, Float32Array, Float64Array, Int64Array
-from rendering.field.focus_figures import evenly
+from wavefocus.calibration.neighbour_judge import RowSpectra
+from wavefocus.rendering.arrays import Complex128Array, Float32Array, Float64Array, Int64Array
+from wavefocus.rendering.field.focus_figures import evenly
 
 if TYPE_CHECKING:
-    from rendering.greens.source import GreenSource
-    from rendering.verify.sentinel import Sentinel
+    from wavefocus.rendering.greens.source import GreenSource
+    from wavefocus.rendering.verify.sentinel import Sentinel
 
 ALLOWED = 0.01
 """Error of a sound bank, relative to the response."""

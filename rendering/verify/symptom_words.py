@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from rendering.arrays import Float64Array
-from rendering.report.words import number
-from rendering.verify.record import PointMm, Symptom
+from wavefocus.rendering.arrays import Float64Array
+from wavefocus.rendering.report.words import number
+from wavefocus.rendering.verify.record import PointMm, Symptom
 
 
 def level(actuators: tuple[int, ...], level_db: float, *, reversed_: bool, silent: bool) -> Symptom:

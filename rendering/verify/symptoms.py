@@ -14,17 +14,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy.optimize
 
-from rendering.arrays import Complex128Array, Float64Array
-from rendering.field.focus_figures import evenly
-from rendering.verify import symptom_words as words
-from rendering.verify.record import ActuatorFigures, Symptom
-from rendering.verify.row_shift import Shifts, find_shifts
-from rendering.verify.superposition import ALLOWED, Blocks, block_of, energy, sentinel_block, transforms
+from wavefocus.rendering.arrays import Complex128Array, Float64Array
+from wavefocus.rendering.field.focus_figures import evenly
+from wavefocus.rendering.verify import symptom_words as words
+from wavefocus.rendering.verify.record import ActuatorFigures, Symptom
+from wavefocus.rendering.verify.row_shift import Shifts, find_shifts
+from wavefocus.rendering.verify.superposition import ALLOWED, Blocks, block_of, energy, sentinel_block, transforms
 
 if TYPE_CHECKING:
-    from rendering.greens.source import GreenSource
-    from rendering.verify.comparison import FieldComparison
-    from rendering.verify.sentinel import Sentinel
+    from wavefocus.rendering.greens.source import GreenSource
+    from wavefocus.rendering.verify.comparison import FieldComparison
+    from wavefocus.rendering.verify.sentinel import Sentinel
 
 MOST_ROWS, LEAST_ROWS, SPEED_ROWS = 48, 4, 12
 ROWS_BYTES = 64 << 20

@@ -9,22 +9,22 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from acquisition.limits import DriftLimits
-from rendering.arrays import BoolArray
-from rendering.field import metrics
-from rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusTable, focus_table, median_or_none
-from rendering.report.words import number, precise
-from rendering.verify.comparison import FieldComparison, compare_fields
-from rendering.verify.linearity import linearity_figures
-from rendering.verify.record import ActuatorFigures, Changes, Drift, Figure, SourceFigures, Symptom, finite
-from rendering.verify.scan import Scan
-from rendering.verify.sentinel import Sentinel, drift_figures, drift_of
-from rendering.verify.symptoms import Diagnosis, diagnose
+from wavefocus.acquisition.limits import DriftLimits
+from wavefocus.rendering.arrays import BoolArray
+from wavefocus.rendering.field import metrics
+from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusTable, focus_table, median_or_none
+from wavefocus.rendering.report.words import number, precise
+from wavefocus.rendering.verify.comparison import FieldComparison, compare_fields
+from wavefocus.rendering.verify.linearity import linearity_figures
+from wavefocus.rendering.verify.record import ActuatorFigures, Changes, Drift, Figure, SourceFigures, Symptom, finite
+from wavefocus.rendering.verify.scan import Scan
+from wavefocus.rendering.verify.sentinel import Sentinel, drift_figures, drift_of
+from wavefocus.rendering.verify.symptoms import Diagnosis, diagnose
 
 if TYPE_CHECKING:
-    from rendering.greens.source import GreenSource
-    from storage.drive_file import Drive
-    from storage.field_file import Field
+    from wavefocus.rendering.greens.source import GreenSource
+    from wavefocus.storage.drive_file import Drive
+    from wavefocus.storage.field_file import Field
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,7 +183,7 @@ def compare(
     where both have them, the scan has a sound record and the bank's row is valid. Both fields are limited to the bank's
     band, when it has one: outside it the Green's functions were not measured.
 
-    quiet: A scan of `rendering.verify.linearity.quieter`, at some of the positions, for the linearity.
+    quiet: A scan of `wavefocus.rendering.verify.linearity.quieter`, at some of the positions, for the linearity.
     sentinel: The bank's sentinel position, measured again at the time of the scan; `drift_limits` judge it.
 
     Raises InputError: the fields do not belong together, or no position can be compared.

@@ -10,11 +10,11 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from storage import durable, hdf5_digest, hdf5_reading
-from storage.bank.ledger import BANK, FIRST_QUALITY_NAMES, LATER_QUALITY_NAMES, QUALITY_NAMES, bank_rows
-from storage.errors import InputError
-from storage.hdf5_writing import METADATA_BLOCK, attach, bare_dimension, filled, reserved, sample_times, scale
-from storage.ledger.layout import (
+from wavefocus.storage import durable, hdf5_digest, hdf5_reading
+from wavefocus.storage.bank.ledger import BANK, FIRST_QUALITY_NAMES, LATER_QUALITY_NAMES, QUALITY_NAMES, bank_rows
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.hdf5_writing import METADATA_BLOCK, attach, bare_dimension, filled, reserved, sample_times, scale
+from wavefocus.storage.ledger.layout import (
     LedgerLayout,
     create_file,
     find_layout,
@@ -27,7 +27,7 @@ from storage.ledger.layout import (
     require_header,
     require_ledger,
 )
-from storage.ledger.pages import RowShape
+from wavefocus.storage.ledger.pages import RowShape
 
 Float64Array = NDArray[np.float64]
 
@@ -47,8 +47,8 @@ class BankHeader:
     response_unit, drive_unit: Unit of g, and of the drive.
     directions_deg: Directions of force and oscillation in the plane, from x towards y: which elements of Green's tensor
         these are.
-    import_report: JSON text about the file that the bank was made from, as `calibration.imports.bank` writes it;
-        empty where the bank was measured here.
+    import_report: JSON text about the file that the bank was made from, as `wavefocus.calibration.imports.bank` writes
+        it; empty where the bank was measured here.
     """
 
     sample_rate_hz: float

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.errors import InputError
-from storage.ledger.pages import Bytes, LedgerFormat, RowShape, round_to_page, sealed
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.ledger.pages import Bytes, LedgerFormat, RowShape, round_to_page, sealed
 
 Float32Array = NDArray[np.float32]
 

@@ -13,14 +13,14 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from storage import hdf5_reading
-from storage.bank.layout import quality_shape, read_layout
-from storage.bank.ledger import BANK, QUALITY_NAMES, Figures, figures_of
-from storage.durable import Closing
-from storage.errors import InputError
-from storage.hdf5_writing import sample_times
-from storage.ledger.layout import LedgerLayout, has_ledger
-from storage.ledger.reader import LedgerReader, damage_of
+from wavefocus.storage import hdf5_reading
+from wavefocus.storage.bank.layout import quality_shape, read_layout
+from wavefocus.storage.bank.ledger import BANK, QUALITY_NAMES, Figures, figures_of
+from wavefocus.storage.durable import Closing
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.hdf5_writing import sample_times
+from wavefocus.storage.ledger.layout import LedgerLayout, has_ledger
+from wavefocus.storage.ledger.reader import LedgerReader, damage_of
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -277,7 +277,7 @@ class Bank(Closing):
         own. The bank must stay open while rows are read. Raises InputError: xarray is not installed, or, when a row is
         read, its checksum does not hold.
         """
-        from storage.labelled import bank_dataset
+        from wavefocus.storage.labelled import bank_dataset
 
         return bank_dataset(self)
 

@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from storage import durable, hdf5_reading
-from storage.bank.layout import BankHeader, create_bank, read_layout
-from storage.bank.ledger import BANK, DISABLED, QUALITY_NAMES, VALID, PointRecord, encode_row, figures_of
-from storage.errors import InputError
-from storage.ledger.pages import is_empty
-from storage.ledger.writer import LedgerWriter
-from storage.output_files import replacement
+from wavefocus.storage import durable, hdf5_reading
+from wavefocus.storage.bank.layout import BankHeader, create_bank, read_layout
+from wavefocus.storage.bank.ledger import BANK, DISABLED, QUALITY_NAMES, VALID, PointRecord, encode_row, figures_of
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.ledger.pages import is_empty
+from wavefocus.storage.ledger.writer import LedgerWriter
+from wavefocus.storage.output_files import replacement
 
 __all__ = ["BankWriter", "create_bank", "write_bank"]
 

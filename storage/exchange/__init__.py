@@ -30,13 +30,13 @@ class Export:
 
 
 EXPORTS = {
-    "sofa": Export("storage.exchange.sofa", "SOFA", ".sofa", value_bytes=8),
-    "uff": Export("storage.exchange.uff", "universal files", ".uff", holds_nan=False, value_bytes=20),
-    "wav": Export("storage.exchange.wav", "WAV", ".wav", folder=True, holds_nan=False),
-    "mat": Export("storage.exchange.mat", "MATLAB", ".mat"),
-    "npz": Export("storage.exchange.npz", "NumPy", ".npz"),
-    "netcdf": Export("storage.exchange.netcdf", "netCDF", ".nc"),
-    "csv": Export("storage.exchange.places", "a table of positions", ".csv", value_bytes=0),
+    "sofa": Export("wavefocus.storage.exchange.sofa", "SOFA", ".sofa", value_bytes=8),
+    "uff": Export("wavefocus.storage.exchange.uff", "universal files", ".uff", holds_nan=False, value_bytes=20),
+    "wav": Export("wavefocus.storage.exchange.wav", "WAV", ".wav", folder=True, holds_nan=False),
+    "mat": Export("wavefocus.storage.exchange.mat", "MATLAB", ".mat"),
+    "npz": Export("wavefocus.storage.exchange.npz", "NumPy", ".npz"),
+    "netcdf": Export("wavefocus.storage.exchange.netcdf", "netCDF", ".nc"),
+    "csv": Export("wavefocus.storage.exchange.places", "a table of positions", ".csv", value_bytes=0),
 }
 
 
@@ -45,7 +45,7 @@ class Import:
     """A format that ``wavefocus import --from`` reads.
 
     reader: ``"module:function"``, called with path, options and an `ExitStack` that closes what stays open; returns
-        `storage.exchange.measured.Measured`.
+        `wavefocus.storage.exchange.measured.Measured`.
     title: The format's name in the command's help and in messages.
     options: Options of the command that concern some formats, and this one.
     starts: How a file of the format begins.
@@ -63,24 +63,34 @@ _ARRAYS = ("direction", "axes", "names", "frequencies")
 
 IMPORTS = {
     "sofa": Import(
-        "storage.exchange.reading.sofa:read", "a SOFA file", ("direction", "measurements"), endings=(".sofa",)
+        "wavefocus.storage.exchange.reading.sofa:read", "a SOFA file", ("direction", "measurements"), endings=(".sofa",)
     ),
     "uff": Import(
-        "storage.exchange.reading.uff:read",
+        "wavefocus.storage.exchange.reading.uff:read",
         "a universal file",
         ("direction",),
         (b"    -1\n", b"    -1\r\n"),
         (".uff", ".unv", ".uf"),
     ),
     "mat": Import(
-        "storage.exchange.reading.mat:read", "a MATLAB file", _ARRAYS, (b"MATLAB 5.0", b"MATLAB 7.3"), (".mat",)
+        "wavefocus.storage.exchange.reading.mat:read",
+        "a MATLAB file",
+        _ARRAYS,
+        (b"MATLAB 5.0", b"MATLAB 7.3"),
+        (".mat",),
     ),
-    "npz": Import("storage.exchange.reading.npz:read", "a NumPy archive", _ARRAYS, (b"PK",), (".npz",)),
-    "npy": Import("storage.exchange.reading.npz:read_array", "a NumPy array", _ARRAYS, (b"\x93NUMPY",), (".npy",)),
+    "npz": Import("wavefocus.storage.exchange.reading.npz:read", "a NumPy archive", _ARRAYS, (b"PK",), (".npz",)),
+    "npy": Import(
+        "wavefocus.storage.exchange.reading.npz:read_array", "a NumPy array", _ARRAYS, (b"\x93NUMPY",), (".npy",)
+    ),
     "netcdf": Import(
-        "storage.exchange.reading.netcdf:read", "a netCDF file", _ARRAYS, (b"CDF", b"\x89HDF"), (".nc", ".nc4", ".cdf")
+        "wavefocus.storage.exchange.reading.netcdf:read",
+        "a netCDF file",
+        _ARRAYS,
+        (b"CDF", b"\x89HDF"),
+        (".nc", ".nc4", ".cdf"),
     ),
-    "wav": Import("storage.exchange.reading.wav:read", "a folder of WAV files"),
+    "wav": Import("wavefocus.storage.exchange.reading.wav:read", "a folder of WAV files"),
 }
 SOME_FORMATS = frozenset(option for one in IMPORTS.values() for option in one.options)
 """Options that concern some formats alone."""

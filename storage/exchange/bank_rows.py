@@ -9,9 +9,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.bank.reading import Bank
-from storage.errors import InputError
-from storage.point_status import usable
+from wavefocus.storage.bank.reading import Bank
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.point_status import usable
 
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]

@@ -1,15 +1,15 @@
-"""A bank as a MATLAB file of level 5: the arrays of `storage.exchange.npz`, and a struct that explains them."""
+"""A bank as a MATLAB file of level 5: arrays of `wavefocus.storage.exchange.npz`, and a struct that explains them."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
-from storage.bank.layout import QUALITY_UNITS
-from storage.errors import InputError
-from storage.exchange.bank_rows import BankRows, OnProgress
-from storage.exchange.npz import named_arrays
-from storage.output_files import replacement
+from wavefocus.storage.bank.layout import QUALITY_UNITS
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.exchange.bank_rows import BankRows, OnProgress
+from wavefocus.storage.exchange.npz import named_arrays
+from wavefocus.storage.output_files import replacement
 
 MOST_BYTES = 2**31 - 2**20
 """Largest variable of the format."""

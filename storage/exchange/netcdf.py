@@ -9,10 +9,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from storage.bank.layout import QUALITY_UNITS, describe_status
-from storage.exchange.bank_rows import BankRows, OnProgress
-from storage.hdf5_writing import attach, created, filled, reserved, scale, set_long_names
-from storage.output_files import EXPORT_MARK, replacement
+from wavefocus.storage.bank.layout import QUALITY_UNITS, describe_status
+from wavefocus.storage.exchange.bank_rows import BankRows, OnProgress
+from wavefocus.storage.hdf5_writing import attach, created, filled, reserved, scale, set_long_names
+from wavefocus.storage.output_files import EXPORT_MARK, replacement
 
 LONG_NAMES = {
     "green": "Green's functions: FIR filters from drive to response, tap 0 at the drive sample",

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from storage.exchange.bank_rows import BankRows, OnProgress
-from storage.output_files import replacement
+from wavefocus.storage.exchange.bank_rows import BankRows, OnProgress
+from wavefocus.storage.output_files import replacement
 
 
 def write(path: Path, rows: BankRows, on_progress: OnProgress | None = None) -> None:

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from storage.exchange.bank_rows import BankRows, OnProgress
-from storage.output_files import write_whole
-from storage.point_status import status_words
+from wavefocus.storage.exchange.bank_rows import BankRows, OnProgress
+from wavefocus.storage.output_files import write_whole
+from wavefocus.storage.point_status import status_words
 
 
 def write(path: Path, rows: BankRows, on_progress: OnProgress | None = None) -> None:

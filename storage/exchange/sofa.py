@@ -10,9 +10,9 @@ from typing import Any
 import h5py
 import numpy as np
 
-from storage.exchange.bank_rows import BankRows, Float64Array, OnProgress
-from storage.hdf5_writing import attach, bare_dimension, created, filled, reserved
-from storage.output_files import replacement
+from wavefocus.storage.exchange.bank_rows import BankRows, Float64Array, OnProgress
+from wavefocus.storage.hdf5_writing import attach, bare_dimension, created, filled, reserved
+from wavefocus.storage.output_files import replacement
 
 CONVENTION = "GeneralFIR-E"
 

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.exchange.bank_rows import BankRows, Float64Array, OnProgress, printable
-from storage.output_files import replacement
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.exchange.bank_rows import BankRows, Float64Array, OnProgress, printable
+from wavefocus.storage.output_files import replacement
 
 TIME_RESPONSE, NORMAL, TIME, VELOCITY = 1, 3, 17, 11
 _EVEN = 1

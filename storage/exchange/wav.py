@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import soundfile
 
-from storage.errors import InputError
-from storage.exchange.bank_rows import BankRows, OnProgress
-from storage.exchange.places import table
-from storage.output_files import require_room, staged_folder
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.exchange.bank_rows import BankRows, OnProgress
+from wavefocus.storage.exchange.places import table
+from wavefocus.storage.output_files import require_room, staged_folder
 
 MOST_CHANNELS = 1024
 """More than that is not a sound file for the library that writes them."""

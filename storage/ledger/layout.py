@@ -14,12 +14,12 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from storage import durable, hdf5_digest, hdf5_reading
-from storage.durable import PAGE
-from storage.errors import ExistsError, InputError
-from storage.hdf5_writing import attach, created, reserved
-from storage.ledger.pages import LedgerFormat, RowShape
-from storage.sidecar_files import clear_leftovers, staging_dir
+from wavefocus.storage import durable, hdf5_digest, hdf5_reading
+from wavefocus.storage.durable import PAGE
+from wavefocus.storage.errors import ExistsError, InputError
+from wavefocus.storage.hdf5_writing import attach, created, reserved
+from wavefocus.storage.ledger.pages import LedgerFormat, RowShape
+from wavefocus.storage.sidecar_files import clear_leftovers, staging_dir
 
 LEDGER = "/durability/ledger"
 JOURNAL = "/durability/journal"

@@ -11,9 +11,9 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from storage.durable import PositionedFile, open_file
-from storage.errors import BankBusyError, InputError
-from storage.sidecar_files import create, is_replaceable
+from wavefocus.storage.durable import PositionedFile, open_file
+from wavefocus.storage.errors import BankBusyError, InputError
+from wavefocus.storage.sidecar_files import create, is_replaceable
 
 # Asking for the owner holds a shared lock for microseconds; a writer that meets it tries again.
 _TRIES = 5

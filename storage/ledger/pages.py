@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.durable import PAGE
+from wavefocus.storage.durable import PAGE
 
 ROW_VERSION = 1
 ROW_HEAD = struct.Struct("<8sIIQII")

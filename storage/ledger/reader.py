@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.durable import open_file
-from storage.errors import InputError
-from storage.ledger.layout import LedgerLayout
-from storage.ledger.owner import owner_path
-from storage.ledger.pages import LedgerFormat, Replacement, is_empty
+from wavefocus.storage.durable import open_file
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.ledger.layout import LedgerLayout
+from wavefocus.storage.ledger.owner import owner_path
+from wavefocus.storage.ledger.pages import LedgerFormat, Replacement, is_empty
 
 # A reader may meet a position that is just being measured again; that takes milliseconds.
 _TRIES = 4

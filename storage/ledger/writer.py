@@ -14,13 +14,13 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from storage import durable, hdf5_reading
-from storage.durable import Closing, PositionedFile
-from storage.errors import FileLostError, InputError, WavefocusError
-from storage.ledger import owner
-from storage.ledger.layout import LedgerLayout
-from storage.ledger.pages import LedgerFormat, Replacement, is_empty
-from storage.sidecar_files import clear_leftovers
+from wavefocus.storage import durable, hdf5_reading
+from wavefocus.storage.durable import Closing, PositionedFile
+from wavefocus.storage.errors import FileLostError, InputError, WavefocusError
+from wavefocus.storage.ledger import owner
+from wavefocus.storage.ledger.layout import LedgerLayout
+from wavefocus.storage.ledger.pages import LedgerFormat, Replacement, is_empty
+from wavefocus.storage.sidecar_files import clear_leftovers
 
 
 class LedgerWriter(Closing):

@@ -10,11 +10,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.durable import PAGE
-from storage.errors import InputError
-from storage.hdf5_writing import METADATA_BLOCK
-from storage.ledger.layout import require_header
-from storage.ledger.pages import LedgerFormat, RowShape
+from wavefocus.storage.durable import PAGE
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.hdf5_writing import METADATA_BLOCK
+from wavefocus.storage.ledger.layout import require_header
+from wavefocus.storage.ledger.pages import LedgerFormat, RowShape
 
 Int32Array = NDArray[np.int32]
 Float64Array = NDArray[np.float64]
@@ -168,8 +168,8 @@ class RawHeader:
     sweep_s, decay_s: Length of a sweep and of the silence after it in seconds.
     same_clock: Whether one clock played and recorded; then any excitation is allowed.
     sweep_law: "linear", "exponential" or "other" where the file says how the sweeps run, else empty.
-    rig_json, run_json, plan_sha256, software: As of `storage.bank.layout.BankHeader`; empty where the file does not
-        say.
+    rig_json, run_json, plan_sha256, software: As of `wavefocus.storage.bank.layout.BankHeader`; empty where the file
+        does not say.
     """
 
     sample_rate_hz: float

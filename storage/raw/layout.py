@@ -8,10 +8,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from storage import durable, hdf5_digest, hdf5_reading
-from storage.errors import InputError
-from storage.hdf5_writing import filled
-from storage.ledger.layout import (
+from wavefocus.storage import durable, hdf5_digest, hdf5_reading
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.hdf5_writing import filled
+from wavefocus.storage.ledger.layout import (
     LedgerLayout,
     create_file,
     find_layout,
@@ -22,7 +22,7 @@ from storage.ledger.layout import (
     require_checksum,
     require_ledger,
 )
-from storage.raw.header import RAW, RawHeader, Schedule
+from wavefocus.storage.raw.header import RAW, RawHeader, Schedule
 
 _WORDS = {"rig": "rig_json", "run": "run_json", **{name: name for name in ("plan_sha256", "software", "sweep_law")}}
 

@@ -13,15 +13,15 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from storage import hdf5_reading
-from storage.durable import Closing
-from storage.errors import InputError
-from storage.ledger.layout import has_ledger
-from storage.ledger.pages import ROW_HEAD, sealed
-from storage.ledger.reader import DamagedError, LedgerReader
-from storage.ledger.writer import LedgerWriter
-from storage.raw.header import RAW, RawHeader
-from storage.raw.layout import create_raw, read_raw_header, read_raw_layout
+from wavefocus.storage import hdf5_reading
+from wavefocus.storage.durable import Closing
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.ledger.layout import has_ledger
+from wavefocus.storage.ledger.pages import ROW_HEAD, sealed
+from wavefocus.storage.ledger.reader import DamagedError, LedgerReader
+from wavefocus.storage.ledger.writer import LedgerWriter
+from wavefocus.storage.raw.header import RAW, RawHeader
+from wavefocus.storage.raw.layout import create_raw, read_raw_header, read_raw_layout
 
 __all__ = ["DamagedError", "RawFile", "RawWriter", "Recordings", "create_raw", "open_raw"]
 
@@ -174,7 +174,7 @@ class RawWriter(LedgerWriter):
         reference_v, response_v, float32 (records, samples): The two DAQ channels in volts, a record per row; whole
             multiples of the header's volts per count, within the range of 16 bits.
 
-        Raises InputError, FileLostError, WavefocusError: as `storage.bank.writer.BankWriter.commit`.
+        Raises InputError, FileLostError, WavefocusError: as `wavefocus.storage.bank.writer.BankWriter.commit`.
         """
         self._require_position(position)
         steps = self.header.volts_per_count

@@ -14,18 +14,18 @@ from typing import TypeVar
 
 import pytest
 
-from config.rig import RigConfig, default_rig
-from drivers.errors import InstrumentError, TransientInstrumentError
-from drivers.protocols import Clock, Mirror, Player, Recorder
-from mocks.virtual.mirror import MirrorMotion
-from mocks.wire.emulated_rig import EmulatedRig
-from mocks.wire.mirrors import mirror_device
-from mocks.wire.serial_far_side import SerialFarSide
 from tests.wire.emulated import free_port, rig_text
 from tests.wire.serial_bench import DIALECTS, LOCAL
 from tests.wire.serial_bench import wire as serial_wire
 from wavefocus.commands.emulate import wiring_of
+from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.configuration import load_rig
+from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
+from wavefocus.drivers.protocols import Clock, Mirror, Player, Recorder
+from wavefocus.mocks.virtual.mirror import MirrorMotion
+from wavefocus.mocks.wire.emulated_rig import EmulatedRig
+from wavefocus.mocks.wire.mirrors import mirror_device
+from wavefocus.mocks.wire.serial_far_side import SerialFarSide
 from wavefocus.rig.instruments import Openers, openers
 from wavefocus.rig.virtual_bench import virtual_settings
 

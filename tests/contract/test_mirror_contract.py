@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.errors import InstrumentError
-from drivers.protocols import Mirror
+from wavefocus.drivers.errors import InstrumentError
+from wavefocus.drivers.protocols import Mirror
 
 
 def test_given_a_mirror_then_it_has_the_role_and_a_name(bench):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.errors import InstrumentError
-from drivers.protocols import Player, RecordRequest, Take
+from wavefocus.drivers.errors import InstrumentError
+from wavefocus.drivers.protocols import Player, RecordRequest, Take
 
 
 def tone(bench, seconds=0.2, volts=0.5):

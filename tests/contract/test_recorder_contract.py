@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.errors import InstrumentError
-from drivers.protocols import Recorder, RecordRequest, Take
+from wavefocus.drivers.errors import InstrumentError
+from wavefocus.drivers.protocols import Recorder, RecordRequest, Take
 
 TAKE = Take(3, 1, 2)
 

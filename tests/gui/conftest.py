@@ -21,15 +21,15 @@ from PyQt5.QtWidgets import QApplication, QComboBox, QWidget
 from pytestqt.exceptions import TimeoutError
 from pytestqt.qtbot import QtBot
 
-from config.scene import LineTable, Output, SceneConfig, SceneTable, SineTable, SourceTable
-from gui.campaign.tab import CampaignTab
-from gui.files import Settings
-from gui.front_door import FrontDoor
-from gui.surface_view import SurfaceView
-from gui.tab import Tab
-from gui.window import Window, require_fonts
 from wavefocus.__main__ import run
 from wavefocus.commands.gui import front_door
+from wavefocus.config.scene import LineTable, Output, SceneConfig, SceneTable, SineTable, SourceTable
+from wavefocus.gui.campaign.tab import CampaignTab
+from wavefocus.gui.files import Settings
+from wavefocus.gui.front_door import FrontDoor
+from wavefocus.gui.surface_view import SurfaceView
+from wavefocus.gui.tab import Tab
+from wavefocus.gui.window import Window, require_fonts
 
 RIG = """
 [rig]

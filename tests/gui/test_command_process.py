@@ -12,9 +12,9 @@ import pytest
 from PyQt5.QtCore import QObject
 from pytestqt.qtbot import QtBot
 
-from gui.process import STOPPED_BY_USER, CommandProcess
 from tests.gui.conftest import SOON_MS
 from wavefocus.commands.gui import front_door
+from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess
 
 ECHO = """
 import sys

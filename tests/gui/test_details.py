@@ -8,11 +8,11 @@ import numpy as np
 from PyQt5.QtCore import Qt
 from pytestqt.qtbot import QtBot
 
-from gui.campaign.quality import DAMAGED, LOOKS
-from gui.campaign.tab import CampaignTab
-from storage.bank.reading import open_bank
-from storage.point_status import STATUS_WORDS
 from tests.gui.conftest import LEFT, NO_KEY, Opens, campaign_of, click, drag, pixel, wait
+from wavefocus.gui.campaign.quality import DAMAGED, LOOKS
+from wavefocus.gui.campaign.tab import CampaignTab
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.point_status import STATUS_WORDS
 
 CTRL = Qt.KeyboardModifier.ControlModifier
 

@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from config.messages.campaign import (
+from wavefocus.commands.gui import front_door
+from wavefocus.config.messages.campaign import (
     Event,
     Fault,
     Logged,
@@ -25,8 +26,8 @@ from config.messages.campaign import (
     StateChanged,
     event_line,
 )
-from gui.campaign.follower import Follower, LogTail
-from gui.campaign.model import (
+from wavefocus.gui.campaign.follower import Follower, LogTail
+from wavefocus.gui.campaign.model import (
     KEPT_LINES,
     Campaign,
     CampaignState,
@@ -38,11 +39,10 @@ from gui.campaign.model import (
     possible_orders,
     read_record,
 )
-from gui.campaign.quality import per_position
-from gui.front_door import Pulse
-from gui.surface import raster_of
-from storage.ledger.owner import Owner
-from wavefocus.commands.gui import front_door
+from wavefocus.gui.campaign.quality import per_position
+from wavefocus.gui.front_door import Pulse
+from wavefocus.gui.surface import raster_of
+from wavefocus.storage.ledger.owner import Owner
 
 AT = datetime(2026, 1, 1, tzinfo=UTC)
 

@@ -11,15 +11,15 @@ from PyQt5.QtCore import QEvent, QPointF, Qt
 from PyQt5.QtGui import QTouchEvent
 from pytestqt.qtbot import QtBot
 
-from config.messages.live import LiveReady, LiveState
-from gui.scene.live_panel import figures_of
-from gui.scene.live_run import LIVE, SILENT
-from gui.scene.live_surface import KEYS, MOUSE, LiveSurface
-from gui.scene.tab import DRAW, SceneTab
-from gui.scene.tab import LIVE as LIVE_PAGE
-from gui.surface import VIRTUAL
-from gui.window import Window
 from tests.gui.conftest import NO_KEY, Opens, line_scene, mouse, pixel, press, shown_tab, wait
+from wavefocus.config.messages.live import LiveReady, LiveState
+from wavefocus.gui.scene.live_panel import figures_of
+from wavefocus.gui.scene.live_run import LIVE, SILENT
+from wavefocus.gui.scene.live_surface import KEYS, MOUSE, LiveSurface
+from wavefocus.gui.scene.tab import DRAW, SceneTab
+from wavefocus.gui.scene.tab import LIVE as LIVE_PAGE
+from wavefocus.gui.surface import VIRTUAL
+from wavefocus.gui.window import Window
 
 SHORT_MM = 0.75
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from tests.gui.test_trials_window import TRIALS
-from trials.answers import read_answers
+from wavefocus.trials.answers import read_answers
 
 pytestmark = pytest.mark.long
 
@@ -23,9 +23,9 @@ import sys
 from pathlib import Path
 from PyQt5.QtCore import QSettings, QTimer
 from PyQt5.QtWidgets import QApplication
-from gui.window import make_application
-from gui.files import Settings
-from gui.window import Window
+from wavefocus.gui.window import make_application
+from wavefocus.gui.files import Settings
+from wavefocus.gui.window import Window
 from wavefocus.commands.gui import front_door
 application = make_application()
 assert QApplication.platformName() == "xcb", QApplication.platformName()
@@ -52,9 +52,9 @@ import sys
 from PyQt5.QtCore import QSettings, Qt, QTimer
 from PyQt5.QtTest import QTest
 from PyQt5.QtWidgets import QApplication
-from gui.files import Settings
-from gui.trials.window import TrialsWindow
-from gui.window import make_application
+from wavefocus.gui.files import Settings
+from wavefocus.gui.trials.window import TrialsWindow
+from wavefocus.gui.window import make_application
 from wavefocus.commands.gui import front_door
 application = make_application()
 assert QApplication.platformName() == "xcb", QApplication.platformName()
@@ -88,9 +88,9 @@ from pathlib import Path
 from PyQt5.QtCore import QEvent, QPointF, QSettings, Qt, QTimer
 from PyQt5.QtGui import QMouseEvent
 from PyQt5.QtWidgets import QApplication
-from gui.files import Settings
-from gui.scene.tab import LIVE, SceneTab
-from gui.window import Window, make_application
+from wavefocus.gui.files import Settings
+from wavefocus.gui.scene.tab import LIVE, SceneTab
+from wavefocus.gui.window import Window, make_application
 from wavefocus.commands.gui import front_door
 application = make_application()
 assert QApplication.platformName() == "xcb", QApplication.platformName()

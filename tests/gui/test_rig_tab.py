@@ -13,12 +13,12 @@ from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
-from calibration.mirror_map import MirrorMap
-from config.messages.rig_checks import Act, AskJog, Finding
-from gui.files import TomlKind, names_virtual_rig, runs_on_virtual_rig, toml_kind
-from gui.rig.tab import RigTab, button_of, line_of, read_rig_file
-from gui.window import Window
 from tests.gui.conftest import LEFT, SOON_MS, Opens, pixel, press, shown_tab, wait, write_lab
+from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.config.messages.rig_checks import Act, AskJog, Finding
+from wavefocus.gui.files import TomlKind, names_virtual_rig, runs_on_virtual_rig, toml_kind
+from wavefocus.gui.rig.tab import RigTab, button_of, line_of, read_rig_file
+from wavefocus.gui.window import Window
 
 MAP = ((1.02e-3, 3e-5, 0.01), (-2e-5, 0.97e-3, -0.005), (1e-4, -5e-5, 1.0))
 TRUE = MirrorMap(MAP)

@@ -10,13 +10,13 @@ from pathlib import Path
 from PyQt5.QtWidgets import QPlainTextEdit
 from pytestqt.qtbot import QtBot
 
-from storage.ledger.owner import bank_owner
 from tests.gui.conftest import Opens, answer, campaign_of, press, wait, write_lab
 from wavefocus.__main__ import run
+from wavefocus.storage.ledger.owner import bank_owner
 
 HOLDER = """
 import sys
-from storage.bank.writer import BankWriter
+from wavefocus.storage.bank.writer import BankWriter
 with BankWriter.open(sys.argv[1]):
     print("mine", flush=True)
     sys.stdin.read()

@@ -9,23 +9,23 @@ import h5py
 import numpy as np
 import pytest
 
-from config.scene import Regularisation
-from gui.scene.calculation import Answer, Driven, Finished, FocusFigures, PredictedField, Request, between
-from gui.scene.document import changed, scene_toml
-from gui.scene.drives_and_foci import emission_s, render_while_edited
-from gui.scene.worker import Calculator, SupersededError
-from rendering.drive.coil_limits import DriveLimits
-from rendering.drive.rendering import render_with_report
-from rendering.field.prediction import predict
-from rendering.scene.model import Scene, Source
-from rendering.scene.paths import Line, Point
-from rendering.scene.signals import Impulse, Noise, Sine
-from storage.bank.reading import open_bank
-from storage.drive_file import read_drive
-from storage.errors import InputError
 from tests.gui.conftest import RIG, line_scene
 from wavefocus.__main__ import run
 from wavefocus.commands.gui import front_door
+from wavefocus.config.scene import Regularisation
+from wavefocus.gui.scene.calculation import Answer, Driven, Finished, FocusFigures, PredictedField, Request, between
+from wavefocus.gui.scene.document import changed, scene_toml
+from wavefocus.gui.scene.drives_and_foci import emission_s, render_while_edited
+from wavefocus.gui.scene.worker import Calculator, SupersededError
+from wavefocus.rendering.drive.coil_limits import DriveLimits
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.field.prediction import predict
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.paths import Line, Point
+from wavefocus.rendering.scene.signals import Impulse, Noise, Sine
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.drive_file import read_drive
+from wavefocus.storage.errors import InputError
 
 
 def scene_text(

@@ -13,7 +13,9 @@ from PyQt5.QtCore import QSettings, Qt
 from PyQt5.QtWidgets import QApplication, QFileDialog
 from pytestqt.qtbot import QtBot
 
-from config.scene import (
+from tests.gui.conftest import LEFT, NO_KEY, Opens, choose, click, double_click, drag, pixel, shown_tab, wait
+from wavefocus.commands.gui import front_door
+from wavefocus.config.scene import (
     CircleTable,
     FileTable,
     ImpulseTable,
@@ -32,9 +34,9 @@ from config.scene import (
     TextTable,
     TrajectoryTable,
 )
-from gui.files import Settings
-from gui.scene.canvas import SceneCanvas
-from gui.scene.document import (
+from wavefocus.gui.files import Settings
+from wavefocus.gui.scene.canvas import SceneCanvas
+from wavefocus.gui.scene.document import (
     NEW_PATHS,
     NEW_SCENE,
     SceneDocument,
@@ -44,14 +46,12 @@ from gui.scene.document import (
     scene_toml,
     with_source,
 )
-from gui.scene.tab import SceneTab
-from gui.scene.tools import handles_of, shifted, with_handle_at
-from gui.window import Window
-from rendering.scene import paths
-from rendering.scene.model import build_scene, load_scene
-from storage.errors import InputError
-from tests.gui.conftest import LEFT, NO_KEY, Opens, choose, click, double_click, drag, pixel, shown_tab, wait
-from wavefocus.commands.gui import front_door
+from wavefocus.gui.scene.tab import SceneTab
+from wavefocus.gui.scene.tools import handles_of, shifted, with_handle_at
+from wavefocus.gui.window import Window
+from wavefocus.rendering.scene import paths
+from wavefocus.rendering.scene.model import build_scene, load_scene
+from wavefocus.storage.errors import InputError
 
 SCENE = """
 [scene]

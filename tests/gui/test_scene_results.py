@@ -14,17 +14,17 @@ import soundfile
 from PyQt5.QtCore import Qt, QTimer
 from pytestqt.qtbot import QtBot
 
-from config.scene import SceneConfig
-from gui.scene.calculation import between
-from gui.scene.document import EMPTY, SceneDocument
-from gui.scene.exports import DRIVE, IDLE, MOVIE, OPENING, PLAYING, RENDERING, WAV
-from gui.scene.figures_view import GOOD, HELD
-from gui.scene.results_panel import NO_BANK, ResultsPanel
-from gui.theme import redraw_all
-from gui.window import Window
-from storage.drive_file import Drive, read_drive, write_drive
 from tests.gui.conftest import LEFT, Opens, click, line_scene, pixel, wait
 from wavefocus.commands.gui import front_door
+from wavefocus.config.scene import SceneConfig
+from wavefocus.gui.scene.calculation import between
+from wavefocus.gui.scene.document import EMPTY, SceneDocument
+from wavefocus.gui.scene.exports import DRIVE, IDLE, MOVIE, OPENING, PLAYING, RENDERING, WAV
+from wavefocus.gui.scene.figures_view import GOOD, HELD
+from wavefocus.gui.scene.results_panel import NO_BANK, ResultsPanel
+from wavefocus.gui.theme import redraw_all
+from wavefocus.gui.window import Window
+from wavefocus.storage.drive_file import Drive, read_drive, write_drive
 
 
 class Bench:

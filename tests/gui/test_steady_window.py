@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from pytestqt.qtbot import QtBot
 
-from config.scene import SceneConfig, TextTable
-from gui.campaign.position_panel import GreenPlot, Greens
-from gui.field_map import MOST_COLUMNS, thinned
-from gui.scene.document import new_source
-from gui.scene.exports import SceneTask
-from gui.scene.tab import SceneTab
-from storage.errors import InputError
 from tests.gui.conftest import Opens, campaign_of, tab_of, wait, write_lab
 from wavefocus.commands.gui import front_door
+from wavefocus.config.scene import SceneConfig, TextTable
+from wavefocus.gui.campaign.position_panel import GreenPlot, Greens
+from wavefocus.gui.field_map import MOST_COLUMNS, thinned
+from wavefocus.gui.scene.document import new_source
+from wavefocus.gui.scene.exports import SceneTask
+from wavefocus.gui.scene.tab import SceneTab
+from wavefocus.storage.errors import InputError
 
 
 def test_given_a_defect_while_a_bank_is_followed_then_the_window_says_so_and_goes_on_following(

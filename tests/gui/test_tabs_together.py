@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from pytestqt.qtbot import QtBot
 
-from gui.rig.tab import RigTab
-from gui.scene.exports import IDLE
-from gui.scene.tab import SceneTab
-from gui.verification.tab import VerificationTab
-from storage.bank.layout import BankHeader
-from storage.bank.writer import create_bank
 from tests.gui.conftest import Opens, answer, campaign_of, line_scene, press, tab_of, wait, write_lab
 from tests.gui.test_run import HOLDER
+from wavefocus.gui.rig.tab import RigTab
+from wavefocus.gui.scene.exports import IDLE
+from wavefocus.gui.scene.tab import SceneTab
+from wavefocus.gui.verification.tab import VerificationTab
+from wavefocus.storage.bank.layout import BankHeader
+from wavefocus.storage.bank.writer import create_bank
 
 REAL = """
 [actuators]

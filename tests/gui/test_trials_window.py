@@ -12,12 +12,12 @@ from PyQt5.QtTest import QTest
 from PyQt5.QtWidgets import QApplication, QWidget
 from pytestqt.qtbot import QtBot
 
-from gui.files import Settings
-from gui.trials.window import TrialsWindow
-from gui.window import require_fonts
 from tests.gui.conftest import LEFT, NO_KEY, SOON_MS
-from trials.answers import read_answers
 from wavefocus.commands.gui import front_door
+from wavefocus.gui.files import Settings
+from wavefocus.gui.trials.window import TrialsWindow
+from wavefocus.gui.window import require_fonts
+from wavefocus.trials.answers import read_answers
 
 TRIALS = """
 [trials]

@@ -15,11 +15,11 @@ from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
-from gui.time_slider import TimeSlider
-from gui.verification.tab import VerificationTab
-from gui.window import Window
 from tests.gui.conftest import LEFT, Opens, campaign_of, pixel, shown_tab, wait
 from wavefocus.__main__ import run
+from wavefocus.gui.time_slider import TimeSlider
+from wavefocus.gui.verification.tab import VerificationTab
+from wavefocus.gui.window import Window
 
 SCENE = """
 [scene]

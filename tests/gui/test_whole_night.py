@@ -11,16 +11,16 @@ from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QAbstractButton, QDialogButtonBox, QFileDialog, QListView, QTabBar, QWidget
 from pytestqt.qtbot import QtBot
 
-from gui.files import PathField, Settings
-from gui.scene.tab import SceneTab
-from gui.verification.tab import VerificationTab
-from gui.window import Window
-from rendering.verify.record import RECORD_NAME
-from storage.bank.reading import open_bank
-from storage.ledger.owner import bank_owner
-from storage.point_status import not_valid
 from tests.gui.conftest import LEFT, Opens, campaign_of, click, pixel, press, tab_of, wait
 from wavefocus.__main__ import run
+from wavefocus.gui.files import PathField, Settings
+from wavefocus.gui.scene.tab import SceneTab
+from wavefocus.gui.verification.tab import VerificationTab
+from wavefocus.gui.window import Window
+from wavefocus.rendering.verify.record import RECORD_NAME
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.ledger.owner import bank_owner
+from wavefocus.storage.point_status import not_valid
 
 RUN = """
 rig = "rig.toml"

@@ -24,23 +24,23 @@ from PyQt5.QtWidgets import (
 )
 from pytestqt.qtbot import QtBot
 
-from gui.files import Settings
-from gui.scene.tab import SceneTab
-from gui.theme import DARK, LIGHT, BoxStyle, Theme, palette_of
-from gui.window import Window
-from storage.errors import InputError
 from tests.gui.conftest import LEFT, NO_KEY, Opens, campaign_of, tab_of, wait, write_lab
 from tests.system.test_startup import loaded_by
 from wavefocus.commands.gui import front_door
+from wavefocus.gui.files import Settings
+from wavefocus.gui.scene.tab import SceneTab
+from wavefocus.gui.theme import DARK, LIGHT, BoxStyle, Theme, palette_of
+from wavefocus.gui.window import Window
+from wavefocus.storage.errors import InputError
 
 OPEN_WINDOW = """
 import os
 os.environ["QT_QPA_PLATFORM"] = "offscreen"
 from pathlib import Path
 from PyQt5.QtCore import QSettings
-from gui.window import make_application
-from gui.files import Settings
-from gui.window import Window
+from wavefocus.gui.window import make_application
+from wavefocus.gui.files import Settings
+from wavefocus.gui.window import Window
 from wavefocus.commands.gui import front_door
 application = make_application()
 window = Window(front_door(), Settings(QSettings(str(Path("memory.ini").absolute()), QSettings.Format.IniFormat)))
@@ -226,11 +226,18 @@ def test_given_a_check_box_then_its_outline_and_its_tick_are_visible(qtbot: QtBo
 
 def test_opening_a_window_loads_nothing_that_only_calculations_need(tmp_path: Path) -> None:
     loaded = loaded_by(OPEN_WINDOW, tmp_path)
-    assert "gui.verification.tab" in loaded
-    assert not loaded & {"scipy", "h5py", "matplotlib", "soundfile", "mocks", "acquisition.engine.campaign"}
+    assert "wavefocus.gui.verification.tab" in loaded
     assert not loaded & {
-        "rendering.field.prediction",
-        "rendering.drive.rendering",
-        "rendering.scene.model",
-        "gui.scene.worker",
+        "scipy",
+        "h5py",
+        "matplotlib",
+        "soundfile",
+        "wavefocus.mocks",
+        "wavefocus.acquisition.engine.campaign",
+    }
+    assert not loaded & {
+        "wavefocus.rendering.field.prediction",
+        "wavefocus.rendering.drive.rendering",
+        "wavefocus.rendering.scene.model",
+        "wavefocus.gui.scene.worker",
     }

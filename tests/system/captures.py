@@ -11,9 +11,9 @@ from pathlib import Path
 
 import h5py
 
-from storage.bank.writer import create_bank
 from wavefocus.__main__ import run
 from wavefocus.campaign.blueprint import blueprint_from_files
+from wavefocus.storage.bank.writer import create_bank
 
 
 def events_of(text: str, kind: str) -> list[dict[str, object]]:

@@ -16,7 +16,8 @@ pytestmark = [
 LIMITED = """
 import resource
 from wavefocus.rig.instruments import spare_address_space
-import acquisition.engine.campaign, calibration.estimator.sequential, scipy.linalg, wavefocus.commands.capture
+import wavefocus.acquisition.engine.campaign, wavefocus.calibration.estimator.sequential
+import scipy.linalg, wavefocus.commands.capture
 resource.setrlimit(resource.RLIMIT_AS, (1 << 40, -1))
 resource.setrlimit(resource.RLIMIT_AS, ((1 << 40) - spare_address_space() + {spare}, -1))
 """
@@ -42,9 +43,9 @@ def test_given_no_thread_can_be_started_then_instruments_still_fall_silent_and_n
     tmp_path: Path,
 ) -> None:
     code = """
-from drivers.timeouts import bounded
-from drivers.errors import InstrumentError
-from mocks.virtual.rig import VirtualRig
+from wavefocus.drivers.timeouts import bounded
+from wavefocus.drivers.errors import InstrumentError
+from wavefocus.mocks.virtual.rig import VirtualRig
 done = []
 class Told:
     def __init__(self, name): self.name = name

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from storage.bank.layout import BankHeader
-from storage.bank.ledger import PointRecord
-from storage.bank.reading import open_bank
-from storage.bank.writer import BankWriter, create_bank
-from storage.ledger.owner import owner_path
+from wavefocus.storage.bank.layout import BankHeader
+from wavefocus.storage.bank.ledger import PointRecord
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.bank.writer import BankWriter, create_bank
+from wavefocus.storage.ledger.owner import owner_path
 
 ROOT = Path(__file__).parents[2]
 POSITIONS, ACTUATORS, TAPS = 3, 2, 16
@@ -38,8 +38,8 @@ def record_of(position: int, attempt: int = 1) -> PointRecord:
 # HDF5 on a disk that fails loses what it could not write, or takes the process along: it must not be on the disk.
 MAKE = """
 import resource, sys
-from storage.bank.writer import create_bank
-from storage.errors import InputError
+from wavefocus.storage.bank.writer import create_bank
+from wavefocus.storage.errors import InputError
 from tests.system.test_bank_crash import header
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
 try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks import bank, cluster, commands, focusing, interpolation, live, paper, plate
+from wavefocus.benchmarks import bank, cluster, commands, focusing, interpolation, live, paper, plate
 
 pytestmark = [pytest.mark.timeout(900), pytest.mark.long]
 

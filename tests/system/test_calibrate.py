@@ -16,15 +16,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibration.mirror_map import MirrorMap
-from config.calibration import CalibrationRecord, load_calibration
-from config.outline import default_marks_mm
-from mocks.virtual.synthesis import output_errors
-from storage.bank.reading import open_bank
-from storage.errors import InputError
 from wavefocus.__main__ import run
+from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.config.calibration import CalibrationRecord, load_calibration
+from wavefocus.config.outline import default_marks_mm
 from wavefocus.configuration import load_rig
+from wavefocus.mocks.virtual.synthesis import output_errors
 from wavefocus.rig.calibration_session import CalibrationSession, Request
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.errors import InputError
 
 SEED, SPREAD_S, SPREAD_DB, DELAY_S = 7, 20e-6, 1.0, 8.3e-6
 MAP = ((1.02e-3, 3e-5, 0.01), (-2e-5, 0.97e-3, -0.005), (1e-4, -5e-5, 1.0))

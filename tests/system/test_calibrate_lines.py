@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from calibration.mirror_map import MirrorMap
 from tests.system.lines import Lines
+from wavefocus.calibration.mirror_map import MirrorMap
 
 MAP = ((1.02e-3, 3e-5, 0.01), (-2e-5, 0.97e-3, -0.005), (1e-4, -5e-5, 1.0))
 TRUE = MirrorMap(MAP)

@@ -221,7 +221,7 @@ def test_given_a_changed_plate_then_resume_refuses_and_says_how_to_override(
 def test_given_a_second_process_then_exit_75_names_the_owner(bank: Path) -> None:
     hold = (
         "import sys, time\n"
-        "from storage.bank.writer import BankWriter\n"
+        "from wavefocus.storage.bank.writer import BankWriter\n"
         f"with BankWriter.open({str(bank)!r}):\n"
         "    print('mine', flush=True)\n"
         "    sys.stdin.read()\n"

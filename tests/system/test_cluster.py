@@ -11,11 +11,11 @@ import h5py
 import numpy as np
 import pytest
 
-from storage.drive_file import Drive, write_drive
-from storage.errors import InputError
 from tests.system.raw_script import RATE_HZ, Script, sweep
 from wavefocus.__main__ import run
 from wavefocus.cluster import field_parts, identity_of
+from wavefocus.storage.drive_file import Drive, write_drive
+from wavefocus.storage.errors import InputError
 
 SCHEDULER = """
 import sys

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from storage.bank.reading import open_bank
 from tests.system.captures import empty_bank
 from tests.system.conftest import ACTUATORS
 from wavefocus.__main__ import run
+from wavefocus.storage.bank.reading import open_bank
 
 REAL = f"""
 [actuators]

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from benchmarks import nights
-from calibration.estimator.raw_estimation import affordable_workers
-from storage.errors import InputError
-from storage.raw.writer import open_raw
 from wavefocus.__main__ import run
+from wavefocus.benchmarks import nights
+from wavefocus.calibration.estimator.raw_estimation import affordable_workers
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.raw.writer import open_raw
 
 ECHOES = 40
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from acquisition.plan import Plan
-from acquisition.plays import measuring_of
-from acquisition.setup import Setup, point_at, take_record
-from acquisition.trial import Band, decibel_of_median, relative, scheduled
-from calibration.estimator.schedule_error import expected_error_db
-from config.rig import Emulation
-from drivers.protocols import Take
+from wavefocus.acquisition.plan import Plan
+from wavefocus.acquisition.plays import measuring_of
+from wavefocus.acquisition.setup import Setup, point_at, take_record
+from wavefocus.acquisition.trial import Band, decibel_of_median, relative, scheduled
+from wavefocus.calibration.estimator.schedule_error import expected_error_db
 from wavefocus.campaign.blueprint import blueprint_from_files
+from wavefocus.config.rig import Emulation
+from wavefocus.drivers.protocols import Take
 from wavefocus.rig.setup import open_setup
 from wavefocus.rig.virtual_bench import virtual_rig
 

@@ -16,9 +16,9 @@ import sofar
 import soundfile
 import xarray
 
-from storage.bank.reading import open_bank
-from storage.exchange import EXPORTS
 from wavefocus.__main__ import run
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.exchange import EXPORTS
 
 RATE_HZ, TAPS, ACTUATORS, POSITIONS = 2000.0, 60, 3, 6
 STATUS = [1, 1, 0, 8, 4, 1]

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rendering.drive.rendering import render_with_report
-from rendering.greens.source import GreenArray
-from rendering.scene.model import Scene, load_scene
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.scene.model import Scene, load_scene
 
 PAGE = Path(__file__).parents[2] / "docs/how-to/render-and-play.md"
 

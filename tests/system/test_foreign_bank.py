@@ -112,10 +112,10 @@ def test_given_a_bank_of_ten_lines_then_drive_and_field_equal_the_equations(
 
 
 def test_given_an_impulse_then_the_predicted_response_at_the_focus_is_its_amplitude(bank: Path) -> None:
-    from rendering.drive.rendering import render_with_report
-    from rendering.field.prediction import predict
-    from rendering.scene.model import load_scene
-    from storage.bank.reading import open_bank
+    from wavefocus.rendering.drive.rendering import render_with_report
+    from wavefocus.rendering.field.prediction import predict
+    from wavefocus.rendering.scene.model import load_scene
+    from wavefocus.storage.bank.reading import open_bank
 
     scene = bank.with_name("scene.toml")
     scene.write_text(

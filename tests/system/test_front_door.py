@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from storage.bank.reading import open_bank
 from wavefocus.__main__ import run
+from wavefocus.storage.bank.reading import open_bank
 
 ESCAPES = ("\x1b", "\x07", "\u202e", "\u2066")
 

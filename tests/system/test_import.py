@@ -14,9 +14,9 @@ import scipy.io
 import sofar
 import soundfile
 
-from storage.bank.reading import open_bank
-from storage.drive_file import read_drive
 from wavefocus.__main__ import run
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.drive_file import read_drive
 
 RATE_HZ, TAPS, ACTUATORS, POSITIONS = 2000.0, 60, 3, 12
 PLACES_MM = np.array([[4.0 * (row % 4), 4.0 * (row // 4)] for row in range(POSITIONS)]) - 6.0

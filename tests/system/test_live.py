@@ -14,10 +14,10 @@ from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
 from pythonosc.osc_message import OscMessage
 from pythonosc.osc_message_builder import OscMessageBuilder
 
-from rendering.scene.model import load_scene
-from rendering.scene.trajectory_path import TrajectoryPath
 from tests.system.lines import Lines
 from wavefocus.__main__ import run
+from wavefocus.rendering.scene.model import load_scene
+from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
 
 QUIET = {"amplitude": 1e-3}
 

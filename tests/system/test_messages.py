@@ -10,19 +10,19 @@ from collections.abc import Iterator
 
 import pytest
 
-from config.messages.campaign import (
+from tests.system.conftest import ACTUATORS
+from wavefocus.__main__ import run
+from wavefocus.config.messages.campaign import (
     Drift,
     Fault,
     SessionEnded,
     State,
     StateChanged,
 )
-from config.rig import MessagesSection
-from storage.errors import InputError
-from tests.system.conftest import ACTUATORS
-from wavefocus.__main__ import run
+from wavefocus.config.rig import MessagesSection
 from wavefocus.configuration import load_rig
 from wavefocus.rig.messages import AppriseOutbox, Messenger, message_findings, messenger_for
+from wavefocus.storage.errors import InputError
 
 PASSWORD = "secret-word-7"
 COUNTS = {"not-measured": 0, "valid": 6, "poor": 0}

@@ -15,10 +15,10 @@ from typing import Any
 
 import pytest
 
-from storage.errors import InputError
 from tests.system.lines import Lines
 from wavefocus.configuration import load_rig
 from wavefocus.rig.operation import order_of
+from wavefocus.storage.errors import InputError
 
 RIG = """
 [rig]

@@ -15,9 +15,9 @@ import h5py
 import numpy as np
 import pytest
 
-from storage.errors import InputError
-from storage.output_files import replacement, require_outputs, staged_folder, write_whole
 from wavefocus.__main__ import run
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.output_files import replacement, require_outputs, staged_folder, write_whole
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="pipes, devices and limits of POSIX")
 
@@ -152,8 +152,8 @@ FORKS = """
 import json, os, resource, signal, sys
 from pathlib import Path
 from wavefocus.__main__ import run
-import rendering.report.movie, rendering.report.scene_picture, rendering.drive.wav
-import storage.exchange.mat, storage.exchange.npz
+import wavefocus.rendering.report.movie, wavefocus.rendering.report.scene_picture, wavefocus.rendering.drive.wav
+import wavefocus.storage.exchange.mat, wavefocus.storage.exchange.npz
 import matplotlib.figure, h5py
 
 def forked(arguments, prepare):

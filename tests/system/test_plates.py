@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocks.plates.thin import KAPPA_M2_S
-from storage.bank.reading import open_bank
 from wavefocus.__main__ import run
+from wavefocus.mocks.plates.thin import KAPPA_M2_S
+from wavefocus.storage.bank.reading import open_bank
 
 RIG = """
 [surface]

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from storage.drive_file import Drive, write_drive
 from wavefocus.__main__ import run
+from wavefocus.storage.drive_file import Drive, write_drive
 
 RATE_HZ = 10_000.0
 RIG = """

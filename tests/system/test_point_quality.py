@@ -196,12 +196,12 @@ def test_given_a_break_in_a_round_or_in_the_pass_then_resume_ends_byte_identical
 
 def _interrupted(lab: Path, bank: Path, position: int, attempt: int) -> None:
     """A session of the campaign that ends at the first record of an attempt, as a kill there would end it."""
-    from acquisition.engine.campaign import Campaign
-    from acquisition.engine.session import StopRequest
-    from config.messages.campaign import Event, PositionStarted
-    from storage.bank.writer import BankWriter, create_bank
+    from wavefocus.acquisition.engine.campaign import Campaign
+    from wavefocus.acquisition.engine.session import StopRequest
     from wavefocus.campaign.blueprint import blueprint_from_files
+    from wavefocus.config.messages.campaign import Event, PositionStarted
     from wavefocus.rig.setup import open_setup
+    from wavefocus.storage.bank.writer import BankWriter, create_bank
 
     class KilledError(BaseException):
         """The end of the process."""

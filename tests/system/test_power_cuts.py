@@ -9,12 +9,6 @@ import h5py
 import numpy as np
 import pytest
 
-from storage.bank.reading import open_bank
-from storage.bank.writer import BankWriter, create_bank
-from storage.durable import OpenFile
-from storage.errors import InputError
-from storage.raw.header import RawHeader, sequential
-from storage.raw.writer import RawWriter, create_raw, open_raw
 from tests.system.crash.logged import (
     INODE,
     LoggedFile,
@@ -24,6 +18,12 @@ from tests.system.crash.logged import (
 from tests.system.crash.power_cuts import Call, Disk, images
 from tests.system.crash.shares import Share
 from tests.system.test_bank_crash import green_of, header, record_of
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.bank.writer import BankWriter, create_bank
+from wavefocus.storage.durable import OpenFile
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.raw.header import RawHeader, sequential
+from wavefocus.storage.raw.writer import RawWriter, create_raw, open_raw
 
 POSITIONS = 3
 TRIED = 40

@@ -16,9 +16,9 @@ import pytest
 import scipy.io
 from rocrate.rocrate import ROCrate
 
-from storage.bank.reading import open_bank
 from wavefocus.__main__ import run
 from wavefocus.crate import licence_id
+from wavefocus.storage.bank.reading import open_bank
 
 PUBLICATION = """
 [publication]

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from config.rig import RigConfig
-from drivers.errors import InstrumentError
-from mocks.wire.serial_far_side import SerialFarSide, TcpWire
-from mocks.wire.vibrometer import PolytecDevice
 from wavefocus.__main__ import run
+from wavefocus.config.rig import RigConfig
+from wavefocus.drivers.errors import InstrumentError
+from wavefocus.mocks.wire.serial_far_side import SerialFarSide, TcpWire
+from wavefocus.mocks.wire.vibrometer import PolytecDevice
 from wavefocus.rig.instruments import openers
 
 RIG = """

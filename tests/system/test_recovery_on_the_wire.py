@@ -8,11 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from acquisition.engine.campaign import Campaign
-from acquisition.engine.session import StopRequest
-from acquisition.setup import Setup
-from calibration.mirror_map import MirrorMap
-from config.messages.campaign import (
+from tests.wire.serial_bench import MirrorBench, mirror_bench
+from wavefocus.acquisition.engine.campaign import Campaign
+from wavefocus.acquisition.engine.session import StopRequest
+from wavefocus.acquisition.setup import Setup
+from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.campaign.blueprint import blueprint_from_files
+from wavefocus.config.messages.campaign import (
     Event,
     PositionStarted,
     ReconnectTried,
@@ -20,13 +22,11 @@ from config.messages.campaign import (
     StateChanged,
     Subscriber,
 )
-from config.run import Virtual
-from drivers.errors import InstrumentLostError
-from drivers.protocols import DeviceIdentity, Instruments, Mirror, WallClock
-from storage.bank.writer import BankWriter, create_bank
-from tests.wire.serial_bench import MirrorBench, mirror_bench
-from wavefocus.campaign.blueprint import blueprint_from_files
+from wavefocus.config.run import Virtual
+from wavefocus.drivers.errors import InstrumentLostError
+from wavefocus.drivers.protocols import DeviceIdentity, Instruments, Mirror, WallClock
 from wavefocus.rig.virtual_bench import virtual_rig
+from wavefocus.storage.bank.writer import BankWriter, create_bank
 
 
 class TwoMirrors:

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from storage.drive_file import read_drive
 from wavefocus.__main__ import run
+from wavefocus.storage.drive_file import read_drive
 
 RATE_HZ, TAPS, ACTUATORS = 2000.0, 60, 3
 SCENE = """

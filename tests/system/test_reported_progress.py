@@ -13,15 +13,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from config.run import Virtual
-from storage.bank.reading import open_bank
 from tests.system.captures import Listener, capture
 from wavefocus.__main__ import run
 from wavefocus.campaign.blueprint import bank_configuration
 from wavefocus.campaign.supervision import give_order, orders_path
 from wavefocus.commands.demo import compare_with_truth
+from wavefocus.config.run import Virtual
 from wavefocus.console import finish_clock
 from wavefocus.rig.virtual_bench import virtual_rig
+from wavefocus.storage.bank.reading import open_bank
 
 
 def test_given_a_plan_then_people_and_programs_are_told_what_it_takes(

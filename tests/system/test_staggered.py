@@ -14,12 +14,12 @@ import h5py
 import numpy as np
 import pytest
 
-from storage.bank.reading import open_bank
 from tests.system.conftest import write_lab
 from wavefocus.__main__ import run
 from wavefocus.campaign.blueprint import blueprint_from_bank
 from wavefocus.commands.demo import compare_with_truth
 from wavefocus.rig.virtual_bench import virtual_rig
+from wavefocus.storage.bank.reading import open_bank
 
 KEEP = 'excitation = "staggered"\nwhen_staggered_does_not_pay = "keep"'
 

@@ -9,14 +9,24 @@ from pathlib import Path
 
 import pytest
 
-SLOW = {"h5py", "matplotlib", "scipy", "soundfile", "mocks", "rendering", "gui", "PyQt5", "pyqtgraph"}
+SLOW = {
+    "h5py",
+    "matplotlib",
+    "scipy",
+    "soundfile",
+    "wavefocus.mocks",
+    "wavefocus.rendering",
+    "wavefocus.gui",
+    "PyQt5",
+    "pyqtgraph",
+}
 MEASURES = {
     "scipy",
     "matplotlib",
-    "mocks",
-    "rendering.scene.model",
-    "acquisition.engine.campaign",
-    "calibration.estimator.sequential",
+    "wavefocus.mocks",
+    "wavefocus.rendering.scene.model",
+    "wavefocus.acquisition.engine.campaign",
+    "wavefocus.calibration.estimator.sequential",
 }
 SOME_RUNS_NEED = {
     "scipy.signal",
@@ -24,7 +34,7 @@ SOME_RUNS_NEED = {
     "scipy.optimize",
     "scipy.interpolate",
     "matplotlib",
-    "rendering.scene.model",
+    "wavefocus.rendering.scene.model",
 }
 SHOW_MODULES = "\nimport json, sys\nprint(json.dumps(sorted(sys.modules)))"
 
@@ -67,5 +77,5 @@ def test_asking_how_a_campaign_stands_loads_nothing_that_measures(bank: Path, co
 
 def test_a_campaign_loads_nothing_that_only_other_campaigns_need(bank: Path) -> None:
     loaded = loaded_by(f"from wavefocus.__main__ import run\nassert run(['resume', {bank.name!r}]) == 0", bank.parent)
-    assert "acquisition.engine.campaign" in loaded
+    assert "wavefocus.acquisition.engine.campaign" in loaded
     assert not loaded & SOME_RUNS_NEED

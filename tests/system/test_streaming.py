@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import soundfile
 
-from storage.drive_file import read_drive
 from wavefocus.__main__ import run
+from wavefocus.storage.drive_file import read_drive
 
 SCENE = """
 [[source]]

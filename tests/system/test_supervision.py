@@ -14,12 +14,6 @@ from pathlib import Path
 
 import pytest
 
-from config.messages.campaign import (
-    PositionCommitted,
-    SessionEnded,
-    State,
-    StateChanged,
-)
 from tests.system.captures import (
     Listener,
     await_event,
@@ -34,6 +28,12 @@ from tests.system.conftest import with_faults
 from wavefocus.__main__ import run
 from wavefocus.campaign.sidecar_files import last_events
 from wavefocus.campaign.supervision import read_heartbeat
+from wavefocus.config.messages.campaign import (
+    PositionCommitted,
+    SessionEnded,
+    State,
+    StateChanged,
+)
 
 WAVEFOCUS = [sys.executable, "-m", "wavefocus"]
 POSIX = pytest.mark.skipif(os.name != "posix", reason="Windows has neither of these signals nor terminals")
@@ -143,7 +143,7 @@ def test_given_an_order_to_a_bank_that_nobody_owns_then_it_says_so(
 
 HOLDER = """
 import sys
-from storage.bank.writer import BankWriter
+from wavefocus.storage.bank.writer import BankWriter
 with BankWriter.open(sys.argv[1]):
     print("mine", flush=True)
     sys.stdin.read()

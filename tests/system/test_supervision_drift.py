@@ -11,11 +11,11 @@ import h5py
 import numpy as np
 import pytest
 
-from drivers.protocols import DeviceIdentity
 from tests.system.captures import events_of, held
 from tests.system.conftest import with_faults
 from wavefocus.__main__ import run
 from wavefocus.campaign.sidecar_files import read_drift, session_failure
+from wavefocus.drivers.protocols import DeviceIdentity
 
 DRIFT = "\n[drift]\nevery_positions = 2\n"
 LOUDER = 'role = "recorder"\noperation = "read"\nkind = "drift"\nlevel_db = -6.0\npurpose = "sentinel"'

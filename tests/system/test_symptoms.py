@@ -12,20 +12,20 @@ import h5py
 import numpy as np
 import pytest
 
-from config.loading import validated
-from config.rig import RigConfig
-from rendering.field.prediction import predict
-from rendering.scene.model import load_scene
-from rendering.verify.scan import ScanPlan, scan
-from rendering.verify.sentinel import measure_sentinel
-from rendering.verify.verdict import Verification, compare
-from storage.bank.reading import Bank, open_bank
 from tests.system.conftest import RUN
 from wavefocus.__main__ import run
 from wavefocus.campaign.blueprint import bank_configuration, blueprint_of
 from wavefocus.commands.render import rendered
+from wavefocus.config.loading import validated
+from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import with_rig
+from wavefocus.rendering.field.prediction import predict
+from wavefocus.rendering.scene.model import load_scene
+from wavefocus.rendering.verify.scan import ScanPlan, scan
+from wavefocus.rendering.verify.sentinel import measure_sentinel
+from wavefocus.rendering.verify.verdict import Verification, compare
 from wavefocus.rig.setup import open_setup
+from wavefocus.storage.bank.reading import Bank, open_bank
 
 ACTUATOR_MM = [[110.0, 5.0], [10.0, 60.0], [-100.0, 20.0], [-15.0, -62.0]]
 AXIS_MM = [-8.0, -4.0, 0.0, 4.0, 8.0]

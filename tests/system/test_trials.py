@@ -11,8 +11,8 @@ import pytest
 from tests.system.conftest import with_faults, write_lab
 from tests.system.lines import Lines
 from tests.unit.trials_files import STROKES
-from trials.answers import AnswersFile, read_answers, read_facts
 from wavefocus.__main__ import run
+from wavefocus.trials.answers import AnswersFile, read_answers, read_facts
 
 TRIALS = f"""
 [trials]

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 import soundfile
 
-from rendering.verify.record import read_record
-from storage.scan_journal import ScanJournal, ScannedPosition
 from tests.system.conftest import with_faults
 from wavefocus.__main__ import run
+from wavefocus.rendering.verify.record import read_record
+from wavefocus.storage.scan_journal import ScanJournal, ScannedPosition
 
 
 def _verify(lab: Path, bank: Path, *more: str) -> int:

@@ -7,16 +7,16 @@ from functools import cache
 
 import numpy as np
 
-from config.scene import Output, Regularisation
-from rendering.drive.rendering import render_with_report
-from rendering.field.prediction import predict
-from rendering.greens.source import GreenArray
-from rendering.scene.model import Scene, Source
-from rendering.scene.paths import Line
-from rendering.scene.signals import Impulse
-from rendering.verify.scan import Scan
-from storage.drive_file import Drive
-from storage.field_file import Field
+from wavefocus.config.scene import Output, Regularisation
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.field.prediction import predict
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.paths import Line
+from wavefocus.rendering.scene.signals import Impulse
+from wavefocus.rendering.verify.scan import Scan
+from wavefocus.storage.drive_file import Drive
+from wavefocus.storage.field_file import Field
 
 RATE_HZ = 4_000.0
 TAPS = 200

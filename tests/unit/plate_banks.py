@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mocks.plates.soft import SOFT_PLATE
-from rendering.greens.source import GreenArray
+from wavefocus.mocks.plates.soft import SOFT_PLATE
+from wavefocus.rendering.greens.source import GreenArray
 
 RATE_HZ = 2000.0
 TAPS = 256

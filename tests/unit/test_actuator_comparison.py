@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.comparison import compare_actuators
+from wavefocus.calibration.comparison import compare_actuators
 
 RATE_HZ = 10_000.0
 

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from config.trials import AdaptiveTable
-from trials.adaptive import QuestPlus, Track, UpDown, track_of
-from trials.design import load_trials
-from trials.order import Trial, order_of
-from trials.psychometric import share_right
+from wavefocus.config.trials import AdaptiveTable
+from wavefocus.trials.adaptive import QuestPlus, Track, UpDown, track_of
+from wavefocus.trials.design import load_trials
+from wavefocus.trials.order import Trial, order_of
+from wavefocus.trials.psychometric import share_right
 
 LADDER = tuple(np.geomspace(0.01, 1.0, 17).tolist())
 

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from config.messages.trials import EVENTS, ORDERS
-from storage.errors import BankBusyError, InputError
-from trials.answers import (
+from wavefocus.config.messages.trials import EVENTS, ORDERS
+from wavefocus.storage.errors import BankBusyError, InputError
+from wavefocus.trials.answers import (
     ANSWERS,
     COLUMNS,
     AnswersFile,

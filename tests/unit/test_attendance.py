@@ -11,16 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from acquisition.engine.session import StopRequest
-from config.messages.campaign import (
-    Fault,
-    PositionStarted,
-    Progress,
-    SessionEnded,
-    SessionStarted,
-    State,
-    StateChanged,
-)
+from wavefocus.acquisition.engine.session import StopRequest
 from wavefocus.campaign.supervision import (
     Attendance,
     Heartbeat,
@@ -32,6 +23,15 @@ from wavefocus.campaign.supervision import (
     take_order,
     withdraw,
     write_heartbeat,
+)
+from wavefocus.config.messages.campaign import (
+    Fault,
+    PositionStarted,
+    Progress,
+    SessionEnded,
+    SessionStarted,
+    State,
+    StateChanged,
 )
 
 

@@ -8,9 +8,18 @@ import scipy.fft
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rendering.band import Band, choose_band, norm_of, power_over, relative_bound, row_norms, scale, tolerance_of
-from rendering.drive.accumulate import choose_fft_samples
-from storage.errors import InputError
+from wavefocus.rendering.band import (
+    Band,
+    choose_band,
+    norm_of,
+    power_over,
+    relative_bound,
+    row_norms,
+    scale,
+    tolerance_of,
+)
+from wavefocus.rendering.drive.accumulate import choose_fft_samples
+from wavefocus.storage.errors import InputError
 
 
 @given(seed=st.integers(0, 2**31), single=st.booleans(), kept=st.integers(1, 257), fall=st.floats(0, 0.2))

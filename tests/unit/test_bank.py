@@ -11,13 +11,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from storage.bank.layout import BankHeader
-from storage.bank.ledger import PointRecord, bank_rows, encode_row
-from storage.bank.reading import open_bank
-from storage.bank.writer import BankWriter, create_bank
-from storage.errors import InputError
-from storage.hdf5_reading import heap_is_sound
-from storage.ledger.pages import Replacement
+from wavefocus.storage.bank.layout import BankHeader
+from wavefocus.storage.bank.ledger import PointRecord, bank_rows, encode_row
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.bank.writer import BankWriter, create_bank
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.hdf5_reading import heap_is_sound
+from wavefocus.storage.ledger.pages import Replacement
 
 
 def measured(path: Path, positions: int = 3) -> Path:

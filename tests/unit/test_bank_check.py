@@ -8,15 +8,15 @@ import h5py
 import numpy as np
 import pytest
 
-from calibration.check import Finding, check_bank
-from storage.bank.layout import BankHeader
-from storage.bank.ledger import PointRecord
-from storage.bank.reading import open_bank
-from storage.bank.writer import BankWriter, create_bank
-from storage.errors import InputError
 from tests.unit.plate_banks import ACTUATOR_MM, BAND_HZ, RATE_HZ, plate_bank
 from tests.unit.plate_banks import TAPS as TAPS_OF_PLATE
 from wavefocus.__main__ import run
+from wavefocus.calibration.check import Finding, check_bank
+from wavefocus.storage.bank.layout import BankHeader
+from wavefocus.storage.bank.ledger import PointRecord
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.bank.writer import BankWriter, create_bank
+from wavefocus.storage.errors import InputError
 
 POSITIONS, ACTUATORS, TAPS = 6, 3, 200
 

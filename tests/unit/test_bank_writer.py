@@ -22,15 +22,15 @@ import xarray
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calibration.check import check_bank
-from rendering.greens.regularisation import rms_map
-from storage.bank.layout import BankHeader
-from storage.bank.ledger import PointRecord
-from storage.bank.reading import open_bank
-from storage.bank.writer import BankWriter, create_bank
-from storage.durable import PositionedFile, PosixFile, open_file
-from storage.errors import BankBusyError, InputError, WavefocusError
-from storage.ledger.owner import bank_owner, owner_path
+from wavefocus.calibration.check import check_bank
+from wavefocus.rendering.greens.regularisation import rms_map
+from wavefocus.storage.bank.layout import BankHeader
+from wavefocus.storage.bank.ledger import PointRecord
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.bank.writer import BankWriter, create_bank
+from wavefocus.storage.durable import PositionedFile, PosixFile, open_file
+from wavefocus.storage.errors import BankBusyError, InputError, WavefocusError
+from wavefocus.storage.ledger.owner import bank_owner, owner_path
 
 
 def header(positions: int = 4, actuators: int = 2, taps: int = 16) -> BankHeader:
@@ -494,8 +494,8 @@ def test_a_flipped_byte_in_a_row_then_is_to_be_measured_again_and_heals(tmp_path
 HOLD = """
 import sys
 from pathlib import Path
-from storage import durable
-from storage.bank.writer import BankWriter
+from wavefocus.storage import durable
+from wavefocus.storage.bank.writer import BankWriter
 kind = durable.PositionedFile if sys.argv[2] == "portable" else durable.open_file
 with BankWriter.open(Path(sys.argv[1]), open_file=kind):
     print("open", flush=True)
@@ -534,7 +534,7 @@ def test_two_writers_in_one_process_then_only_the_first_gets_the_bank(tmp_path: 
 # A forked child that outlives its parent, as worker processes may.
 FORK = """
 import os, sys
-from storage.bank.writer import BankWriter
+from wavefocus.storage.bank.writer import BankWriter
 writer = BankWriter.open(sys.argv[1])
 if os.fork() == 0:
     print("forked", flush=True)

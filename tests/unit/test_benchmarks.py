@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import BENCHMARKS
-from benchmarks.harness import Findings, Mark, Point, Timing, measure
-from benchmarks.machine import conditions, load
-from benchmarks.page import chosen_lines, draw_diagrams, html_page, pareto
-from storage.errors import InputError
+from wavefocus.benchmarks import BENCHMARKS
+from wavefocus.benchmarks.harness import Findings, Mark, Point, Timing, measure
+from wavefocus.benchmarks.machine import conditions, load
+from wavefocus.benchmarks.page import chosen_lines, draw_diagrams, html_page, pareto
 from wavefocus.commands.bench import bench
+from wavefocus.storage.errors import InputError
 
 
 def test_every_registered_benchmark_is_a_module() -> None:
-    assert all(find_spec(f"benchmarks.{name}") is not None for name in BENCHMARKS)
+    assert all(find_spec(f"wavefocus.benchmarks.{name}") is not None for name in BENCHMARKS)
 
 
 def test_conditions_are_plain_and_name_no_place_of_this_machine() -> None:

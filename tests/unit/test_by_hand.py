@@ -9,14 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from acquisition.manual import ManualMeasurements
-from acquisition.setup import Setup, point_at
-from calibration.mirror_map import MirrorMap
-from config.messages.operate import TakeSweep
-from drivers.protocols import DeviceIdentity, Float64Array, Instruments
-from drivers.timeouts import BoundedPlayer, ShutError
-from mocks.virtual.rig import VirtualRig, VirtualSettings
-from storage.errors import InputError
+from wavefocus.acquisition.manual import ManualMeasurements
+from wavefocus.acquisition.setup import Setup, point_at
+from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.config.messages.operate import TakeSweep
+from wavefocus.drivers.protocols import DeviceIdentity, Float64Array, Instruments
+from wavefocus.drivers.timeouts import BoundedPlayer, ShutError
+from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
+from wavefocus.storage.errors import InputError
 
 RATE_HZ = 10_000.0
 ACTUATORS = ((110.0, 0.0), (40.0, 66.0), (-40.0, 66.0))

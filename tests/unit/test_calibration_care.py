@@ -7,13 +7,13 @@ from datetime import timedelta
 
 import pytest
 
-from acquisition.setup import identities_of
-from config.rig import RigConfig, default_rig
-from drivers.protocols import DeviceIdentity
-from drivers.timeouts import bounded
-from mocks.virtual.rig import VirtualRig
-from mocks.virtual.settings import VirtualSettings
 from tests.unit.test_config_calibration import AT, measured
+from wavefocus.acquisition.setup import identities_of
+from wavefocus.config.rig import RigConfig, default_rig
+from wavefocus.drivers.protocols import DeviceIdentity
+from wavefocus.drivers.timeouts import bounded
+from wavefocus.mocks.virtual.rig import VirtualRig
+from wavefocus.mocks.virtual.settings import VirtualSettings
 from wavefocus.rig.calibration_validity import calibrated_elsewhere, calibration_warnings
 
 THERE = {role: DeviceIdentity("", role[0]) for role in ("mirror", "recorder", "player")}

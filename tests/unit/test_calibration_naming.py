@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from config.calibration import name_calibration
-from storage.errors import InputError
+from wavefocus.config.calibration import name_calibration
+from wavefocus.storage.errors import InputError
 
 NEW = "calibration-2026-11-21.toml"
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from acquisition.calibrate_channels import (
+from wavefocus.acquisition.calibrate_channels import (
     ActuatorsTask,
     NotMeasuredError,
     OutputFigures,
@@ -18,14 +18,14 @@ from acquisition.calibrate_channels import (
     measure_inputs,
     measure_outputs,
 )
-from acquisition.calibrate_mirror import Jog, JogView, fitted_marks, read_fiducials
-from acquisition.setup import Setup
-from calibration.mirror_map import MirrorMap
-from config.messages.rig_checks import Here
-from config.outline import Outline, default_marks_mm
-from drivers.errors import InstrumentLostError
-from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
-from storage.errors import InputError
+from wavefocus.acquisition.calibrate_mirror import Jog, JogView, fitted_marks, read_fiducials
+from wavefocus.acquisition.setup import Setup
+from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.config.messages.rig_checks import Here
+from wavefocus.config.outline import Outline, default_marks_mm
+from wavefocus.drivers.errors import InstrumentLostError
+from wavefocus.mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
+from wavefocus.storage.errors import InputError
 
 RATE_HZ = 10_000.0
 ACTUATORS = ((110.0, 0.0), (40.0, 66.0), (-40.0, 66.0))

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from calibration.clock.timing import ReferenceMissingError
-from calibration.comparison import ChannelComparer, ResponseMissingError
-from calibration.sweeps import Excitation
-from mocks.virtual.signals import PlayedSignal
+from wavefocus.calibration.clock.timing import ReferenceMissingError
+from wavefocus.calibration.comparison import ChannelComparer, ResponseMissingError
+from wavefocus.calibration.sweeps import Excitation
+from wavefocus.mocks.virtual.signals import PlayedSignal
 
 RATE_HZ = 10_000.0
 SWEEP = Excitation(RATE_HZ, 200.0, 4000.0, 0.5, 0.05, 1.0, 1)

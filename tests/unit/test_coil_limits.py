@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rendering.drive.coil_limits import DriveLimits, dynamic_range_db, largest_rms, limit_drive, relative_rms
-from storage.errors import InputError
+from wavefocus.rendering.drive.coil_limits import DriveLimits, dynamic_range_db, largest_rms, limit_drive, relative_rms
+from wavefocus.storage.errors import InputError
 
 RATE_HZ = 1000.0
 

@@ -7,14 +7,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from acquisition.conditions import Band, Conditions, Watch
-from acquisition.plays import Play
-from acquisition.setup import Setup
-from calibration.mirror_map import MirrorMap
-from calibration.sweeps import Excitation
-from drivers.errors import InstrumentError
-from drivers.protocols import Recording
-from mocks.virtual.rig import VirtualRig
+from wavefocus.acquisition.conditions import Band, Conditions, Watch
+from wavefocus.acquisition.plays import Play
+from wavefocus.acquisition.setup import Setup
+from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.calibration.sweeps import Excitation
+from wavefocus.drivers.errors import InstrumentError
+from wavefocus.drivers.protocols import Recording
+from wavefocus.mocks.virtual.rig import VirtualRig
 
 RATE_HZ = 10_000.0
 EXCITATION = Excitation(RATE_HZ, 20.0, 500.0, 1.0, 0.2, 1.0, 1)

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from config.calibration import (
+from wavefocus.config.calibration import (
     ActuatorMeasured,
     ActuatorsMeasured,
     CalibrationRecord,
@@ -24,12 +24,12 @@ from config.calibration import (
     load_calibration,
     write_calibration,
 )
-from config.rig import RigConfig, default_rig
-from config.run import default_run
-from drivers.protocols import DeviceIdentity
-from storage.errors import InputError
+from wavefocus.config.rig import RigConfig, default_rig
+from wavefocus.config.run import default_run
 from wavefocus.configuration import load_rig, plan_sha256
+from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.rig.virtual_bench import virtual_settings
+from wavefocus.storage.errors import InputError
 
 AT = datetime(2026, 11, 21, 22, 10, tzinfo=UTC)
 MAP = ((1.02e-3, 3e-5, 0.01), (-2e-5, 0.98e-3, -0.005), (1e-4, -5e-5, 1.0))

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.mirror_map import MirrorMap
-from config.rig import RigConfig, default_rig
-from storage.errors import InputError
+from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.configuration import load_rig
+from wavefocus.storage.errors import InputError
 
 
 def test_default_rig_has_20_actuators_on_the_rim_wired_in_order() -> None:

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquisition.limits import QualityLimits
-from config.rig import RigConfig, default_rig
-from config.run import Quality, RunConfig, default_run
-from storage.errors import InputError
+from wavefocus.acquisition.limits import QualityLimits
+from wavefocus.config.rig import RigConfig, default_rig
+from wavefocus.config.run import Quality, RunConfig, default_run
 from wavefocus.configuration import check_together, configuration_from_json, load_run, plan_sha256
+from wavefocus.storage.errors import InputError
 
 POSITIONS = np.array([[0.0, 0.0], [4.0, 0.0]])
 

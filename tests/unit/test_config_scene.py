@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from config.scene import Output, Regularisation, SceneConfig
-from rendering.scene import paths, signals
-from rendering.scene.model import Scene, load_scene
-from rendering.scene.paths import TextPath
-from rendering.scene.svg import SvgPath
-from storage.errors import InputError
+from wavefocus.config.scene import Output, Regularisation, SceneConfig
+from wavefocus.rendering.scene import paths, signals
+from wavefocus.rendering.scene.model import Scene, load_scene
+from wavefocus.rendering.scene.paths import TextPath
+from wavefocus.rendering.scene.svg import SvgPath
+from wavefocus.storage.errors import InputError
 
 POINT = "[[source]]\npath = { kind = 'point', at_mm = [1, 2] }\nsignal = { kind = 'impulse' }\n"
 MOVING = "[[source]]\nspeed_mm_s = 80\nstep_mm = 4\nsignal = { kind = 'impulse' }\n"

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from config.rig import RigConfig, default_rig
-from storage.errors import InputError
+from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.configuration import load_rig, load_run
 from wavefocus.rig.instruments import open_rig, openers
 from wavefocus.rig.setup import RoomSensor, band_of, watch_of
+from wavefocus.storage.errors import InputError
 
 REAL = """
 [mirror]

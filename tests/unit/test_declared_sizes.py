@@ -10,12 +10,12 @@ import h5py
 import numpy as np
 import pytest
 
-from calibration.check import check_file
-from storage.bank.reading import open_bank
-from storage.drive_file import read_drive
-from storage.errors import InputError
-from storage.field_file import FieldRowReader, read_field
-from storage.raw.writer import open_raw
+from wavefocus.calibration.check import check_file
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.drive_file import read_drive
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.field_file import FieldRowReader, read_field
+from wavefocus.storage.raw.writer import open_raw
 
 LARGE = 10**12
 

@@ -11,16 +11,16 @@ import scipy.signal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from config.scene import Output, Regularisation
-from rendering.device import Device, cuda_device, host_device
-from rendering.drive.rendering import render_with_report
-from rendering.field.prediction import Prediction
-from rendering.greens.source import GreenArray
-from rendering.scene.model import Scene, Source
-from rendering.scene.paths import Circle, Line, Point
-from rendering.scene.signals import Noise, Sine
-from storage.drive_file import Drive
-from storage.errors import InputError
+from wavefocus.config.scene import Output, Regularisation
+from wavefocus.rendering.device import Device, cuda_device, host_device
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.field.prediction import Prediction
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.paths import Circle, Line, Point
+from wavefocus.rendering.scene.signals import Noise, Sine
+from wavefocus.storage.drive_file import Drive
+from wavefocus.storage.errors import InputError
 
 RATE_HZ = 1000.0
 STRICT = Device("strict", array_api_strict, np.from_dlpack, 2**16)

@@ -9,12 +9,12 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from acquisition.doctor import Findings, RigUnderTest, examine
-from acquisition.setup import Setup
-from calibration.mirror_map import MirrorMap
-from config.messages.rig_checks import Finding
-from drivers.errors import InstrumentError, TransientInstrumentError
-from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
+from wavefocus.acquisition.doctor import Findings, RigUnderTest, examine
+from wavefocus.acquisition.setup import Setup
+from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.config.messages.rig_checks import Finding
+from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
+from wavefocus.mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
 from wavefocus.rig.instruments import Vibrometer
 
 CORNERS = ((90.0, 50.0), (-90.0, 50.0), (-90.0, -50.0), (90.0, -50.0))

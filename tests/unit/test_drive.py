@@ -8,15 +8,15 @@ import soundfile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from config.scene import Output, Regularisation
-from rendering.drive.rendering import render, render_with_report
-from rendering.field.prediction import predict
-from rendering.greens.source import GreenArray
-from rendering.report.render_report import RenderWarning
-from rendering.scene.model import Scene, Source
-from rendering.scene.paths import Circle, Line, Point
-from rendering.scene.signals import Impulse, Noise, Sine, SoundFile
-from storage.errors import InputError
+from wavefocus.config.scene import Output, Regularisation
+from wavefocus.rendering.drive.rendering import render, render_with_report
+from wavefocus.rendering.field.prediction import predict
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.report.render_report import RenderWarning
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.paths import Circle, Line, Point
+from wavefocus.rendering.scene.signals import Impulse, Noise, Sine, SoundFile
+from wavefocus.storage.errors import InputError
 
 RATE_HZ = 1000.0
 COLUMNS, ROWS, PITCH_MM = 9, 7, 4.0

@@ -16,9 +16,17 @@ import xarray
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from storage.drive_file import Drive, read_drive, write_drive
-from storage.errors import InputError
-from storage.field_file import Field, FieldRowReader, FieldWriter, LowPass, field_in_rows, read_field, write_field
+from wavefocus.storage.drive_file import Drive, read_drive, write_drive
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.field_file import (
+    Field,
+    FieldRowReader,
+    FieldWriter,
+    LowPass,
+    field_in_rows,
+    read_field,
+    write_field,
+)
 
 
 def drive(actuators: int = 2, samples: int = 5, foci: int = 3, seed: int = 0) -> Drive:

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from storage.durable import (
+from wavefocus.storage.durable import (
     PositionedFile,
     PosixFile,
     is_network_mount,
@@ -23,7 +23,7 @@ from storage.durable import (
     sync_folder,
     sync_path,
 )
-from storage.output_files import replacement
+from wavefocus.storage.output_files import replacement
 
 KINDS = [PositionedFile] if os.name == "nt" else [PosixFile, PositionedFile]
 

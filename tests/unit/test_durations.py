@@ -2,7 +2,7 @@
 
 import pytest
 
-from acquisition.wording import hours
+from wavefocus.acquisition.wording import hours
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from acquisition.engine.session import StopRequest
+from wavefocus.acquisition.engine.session import StopRequest
 from wavefocus.ending import TERMINAL_GONE, EndingSignals, stop_on_signals
 
 

@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from calibration.clock.timing import ReferenceMissingError
-from calibration.estimator.estimate import Channels, Estimate
-from calibration.estimator.sequential import SequentialEstimator
-from calibration.sweeps import Excitation
-from storage.errors import InputError
+from wavefocus.calibration.clock.timing import ReferenceMissingError
+from wavefocus.calibration.estimator.estimate import Channels, Estimate
+from wavefocus.calibration.estimator.sequential import SequentialEstimator
+from wavefocus.calibration.sweeps import Excitation
+from wavefocus.storage.errors import InputError
 
 # A quarter of the default in every length, for quick tests; one below runs the default itself.
 SMALL = Excitation(10_000.0, 40.0, 800.0, 0.3, 0.06, 1.0, 3)

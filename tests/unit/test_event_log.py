@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from config.messages.campaign import PositionKept, event_line
 from wavefocus.campaign.sidecar_files import last_events, log_path
+from wavefocus.config.messages.campaign import PositionKept, event_line
 
 
 @pytest.mark.parametrize("padding", [0, 60, 70_000])

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from acquisition.engine.campaign import Campaign
-from acquisition.engine.session import EventPublisher, StopRequest
-from config.messages.campaign import Event, State
-from storage.bank.writer import BankWriter, create_bank
+from wavefocus.acquisition.engine.campaign import Campaign
+from wavefocus.acquisition.engine.session import EventPublisher, StopRequest
 from wavefocus.campaign.blueprint import blueprint_from_files
 from wavefocus.campaign.sidecar_files import EventLines
+from wavefocus.config.messages.campaign import Event, State
 from wavefocus.rig.setup import open_setup
+from wavefocus.storage.bank.writer import BankWriter, create_bank
 
 RUN = """
 rig = "virtual"

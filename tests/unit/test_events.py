@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from config.messages.campaign import (
+from wavefocus.config.messages.campaign import (
     PositionCommitted,
     SessionEnded,
     State,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.errors import InstrumentLostError
-from drivers.protocols import RecordRequest, Take
-from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
+from wavefocus.drivers.errors import InstrumentLostError
+from wavefocus.drivers.protocols import RecordRequest, Take
+from wavefocus.mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
 
 RATE_HZ = 10_000.0
 

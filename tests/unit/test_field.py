@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rendering.field.bank_spectra import BankSpectra
-from rendering.field.prediction import Prediction, measured_positions, predict
-from rendering.field.response_spectra import predict_spectra
-from rendering.greens.source import GreenArray
-from storage.drive_file import Drive
-from storage.errors import InputError
-from storage.field_file import LowPass
+from wavefocus.rendering.field.bank_spectra import BankSpectra
+from wavefocus.rendering.field.prediction import Prediction, measured_positions, predict
+from wavefocus.rendering.field.response_spectra import predict_spectra
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.storage.drive_file import Drive
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.field_file import LowPass
 
 NONE = np.zeros(0, np.int64)
 

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from config.scene import Output, Regularisation
-from rendering.drive.rendering import render_with_report
-from rendering.greens.source import GreenArray
-from rendering.scene.model import Scene, Source
-from rendering.scene.paths import Line
+from wavefocus.config.scene import Output, Regularisation
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.paths import Line
 
 RATE_HZ = 5000.0
 SPEED_OF_SOUND_MM_S = 5000.0

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rendering.drive.rendering import render
-from rendering.field.foci import focus_figures, predicted_at
-from rendering.field.prediction import predict
-from rendering.scene.model import Scene, Source
-from rendering.scene.paths import Line
-from rendering.scene.signals import Impulse
-from storage.errors import InputError
 from tests.unit.plate_banks import SPACING_MM, plate_bank
+from wavefocus.rendering.drive.rendering import render
+from wavefocus.rendering.field.foci import focus_figures, predicted_at
+from wavefocus.rendering.field.prediction import predict
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.paths import Line
+from wavefocus.rendering.scene.signals import Impulse
+from wavefocus.storage.errors import InputError
 
 STROKE = Scene("stroke", (Source(Line((-8.0, 0.0), (8.0, 0.0)), Impulse(), 0.0, 400.0, 4.0, emission="per_point"),))
 

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquisition.grid import read_positions_file, surface_grid
-from config.outline import Outline, Segment
-from storage.errors import InputError
+from wavefocus.acquisition.grid import read_positions_file, surface_grid
+from wavefocus.config.outline import Outline, Segment
+from wavefocus.storage.errors import InputError
 
 PLATE = Outline.stadium(250.0, 150.0)
 

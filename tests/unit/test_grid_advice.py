@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from acquisition.grid import surface_grid
-from config.outline import Outline
-from config.scene import Output
-from rendering.scene.model import Scene, Source
-from rendering.scene.paths import Line, Point
-from rendering.scene.signals import Noise, Sine
+from wavefocus.acquisition.grid import surface_grid
 from wavefocus.commands.plan import Waves, advice_lines, grid_advice, top_hz_of
+from wavefocus.config.outline import Outline
+from wavefocus.config.scene import Output
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.paths import Line, Point
+from wavefocus.rendering.scene.signals import Noise, Sine
 
 GRID_MM = surface_grid(Outline.stadium(250.0, 150.0), 14.3, 4.0)
 POSITION_S = 74.4

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.wave_model import PatchKernel, WaveModel
-from mocks.plates.soft import SOFT_PLATE
-from rendering.greens.interpolation.base import Neighbourhoods, interpolation_method
-from rendering.greens.interpolation.needed_grid import expected_error, needed_grid, wave_number_rad_mm
-from rendering.greens.interpolation.position_grid import PositionGrid
-from storage.errors import InputError
+from wavefocus.calibration.wave_model import PatchKernel, WaveModel
+from wavefocus.mocks.plates.soft import SOFT_PLATE
+from wavefocus.rendering.greens.interpolation.base import Neighbourhoods, interpolation_method
+from wavefocus.rendering.greens.interpolation.needed_grid import expected_error, needed_grid, wave_number_rad_mm
+from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
+from wavefocus.storage.errors import InputError
 
 ANGLES = 2.0 * np.pi * np.arange(20) / 20
 ACTUATOR_MM = 90.0 * np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)

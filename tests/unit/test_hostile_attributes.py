@@ -8,9 +8,9 @@ import h5py
 import numpy as np
 import pytest
 
-from calibration.check import check_file
-from storage.errors import InputError
 from tests.unit.test_mutations import MAKERS
+from wavefocus.calibration.check import check_file
+from wavefocus.storage.errors import InputError
 
 VALUES: list[object] = [
     "x",

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from acquisition.judgement import Judgement, in_band, judge
-from acquisition.limits import QualityLimits
-from calibration.estimator.estimate import Estimate, Records
-from calibration.estimator.sequential import SequentialEstimator
-from calibration.estimator.staggered import StaggeredEstimator
-from calibration.sweeps import Excitation, StaggeredSignal
-from storage.point_status import Status
+from wavefocus.acquisition.judgement import Judgement, in_band, judge
+from wavefocus.acquisition.limits import QualityLimits
+from wavefocus.calibration.estimator.estimate import Estimate, Records
+from wavefocus.calibration.estimator.sequential import SequentialEstimator
+from wavefocus.calibration.estimator.staggered import StaggeredEstimator
+from wavefocus.calibration.sweeps import Excitation, StaggeredSignal
+from wavefocus.storage.point_status import Status
 
 RATE_HZ, BAND_HZ, TAPS, ACTUATORS = 10_000.0, (50.0, 500.0), 1000, 3
 SWEEP = Excitation(RATE_HZ, *BAND_HZ, duration_s=0.5, decay_s=0.1, amplitude_v=1.0, averages=2)

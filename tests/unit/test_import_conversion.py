@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import scipy.io
 
-from calibration.imports.bank import Imported, import_bank
-from calibration.imports.projection import choose_projection
-from storage.bank.reading import open_bank
-from storage.errors import InputError
-from storage.exchange.reading.measured import ImportOptions, from_spherical
+from wavefocus.calibration.imports.bank import Imported, import_bank
+from wavefocus.calibration.imports.projection import choose_projection
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.exchange.reading.measured import ImportOptions, from_spherical
 
 RATE_HZ, TAPS, PERIOD = 2000.0, 300, 800
 POSITIONS, ACTUATORS = 6, 2

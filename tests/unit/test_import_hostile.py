@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 import scipy.io
 
-from calibration.imports.bank import import_bank
-from storage.errors import InputError
-from storage.exchange.reading.measured import ImportOptions
-from storage.exchange.reading.opening import opened
 from wavefocus.__main__ import run
+from wavefocus.calibration.imports.bank import import_bank
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.exchange.reading.measured import ImportOptions
+from wavefocus.storage.exchange.reading.opening import opened
 
 GREEN = np.random.default_rng(0).standard_normal((6, 2, 40)).astype(np.float32)
 PLACES_MM = np.array([[4.0 * (row % 3), 4.0 * (row // 3)] for row in range(6)])

@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import pytest
 
-from config.rig import RigConfig, default_rig
-from drivers.errors import InstrumentError, InstrumentLostError
-from drivers.protocols import Mirror, Recorder
-from mocks.virtual.mirror import VirtualMirror
+from wavefocus.config.rig import RigConfig, default_rig
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
+from wavefocus.drivers.protocols import Mirror, Recorder
+from wavefocus.mocks.virtual.mirror import VirtualMirror
 from wavefocus.rig.instruments import Openers, in_time, open_rig, openers
 
 REAL = {

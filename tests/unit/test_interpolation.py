@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from config.interpolations import INTERPOLATIONS
-from rendering.greens.interpolation.base import OffGridError, interpolation_method
-from rendering.greens.interpolation.position_grid import PositionGrid
-from rendering.greens.source import GreenArray
-from storage.errors import InputError
+from wavefocus.config.interpolations import INTERPOLATIONS
+from wavefocus.rendering.greens.interpolation.base import OffGridError, interpolation_method
+from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.storage.errors import InputError
 
 LATTICE = np.array([(4.0 * x, 4.0 * y) for y in range(5) for x in range(6)])
 

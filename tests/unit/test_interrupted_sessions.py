@@ -9,10 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from acquisition.drift_watch import DriftError
-from acquisition.engine.campaign import Campaign
-from acquisition.engine.session import Session, StopRequest
-from config.messages.campaign import (
+from wavefocus.acquisition.drift_watch import DriftError
+from wavefocus.acquisition.engine.campaign import Campaign
+from wavefocus.acquisition.engine.session import Session, StopRequest
+from wavefocus.campaign.blueprint import Blueprint, blueprint_from_files
+from wavefocus.config.messages.campaign import (
     Event,
     Fault,
     ReconnectTried,
@@ -20,10 +21,9 @@ from config.messages.campaign import (
     State,
     StateChanged,
 )
-from drivers.errors import InstrumentError
-from storage.bank.writer import BankWriter, create_bank
-from wavefocus.campaign.blueprint import Blueprint, blueprint_from_files
+from wavefocus.drivers.errors import InstrumentError
 from wavefocus.rig.setup import open_setup
+from wavefocus.storage.bank.writer import BankWriter, create_bank
 
 RIG = """
 [rig]

@@ -7,17 +7,17 @@ import functools
 import numpy as np
 import pytest
 
-from config.scene import Output, Regularisation
-from rendering.drive.inverse_filter import inverse_filter
-from rendering.drive.rendering import render_with_report
-from rendering.field.metrics import band_limited
-from rendering.field.prediction import predict
-from rendering.greens.source import GreenArray
-from rendering.scene.model import Scene, Source
-from rendering.scene.paths import Circle, Line, Point
-from rendering.scene.signals import Impulse, Noise
-from storage.errors import InputError
 from tests.unit.plate_banks import BAND_HZ, RATE_HZ, SQUARE_MM, TAPS, plate_bank
+from wavefocus.config.scene import Output, Regularisation
+from wavefocus.rendering.drive.inverse_filter import inverse_filter
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.field.metrics import band_limited
+from wavefocus.rendering.field.prediction import predict
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.paths import Circle, Line, Point
+from wavefocus.rendering.scene.signals import Impulse, Noise
+from wavefocus.storage.errors import InputError
 
 LEAD = TAPS - 1
 

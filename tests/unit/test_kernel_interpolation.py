@@ -7,15 +7,15 @@ import functools
 import numpy as np
 import pytest
 
-from calibration.wave_model import DISK_RADIUS, PatchKernel, WaveModel, disk_kernel
-from mocks.plates.soft import SOFT_PLATE
-from rendering.greens.interpolation.base import Neighbourhoods, OffGridError
-from rendering.greens.interpolation.error_estimates import RowValues, left_out_errors
-from rendering.greens.interpolation.kernel import KernelInterpolation, PathNodes, node_spacing_mm
-from rendering.greens.source import GreenArray
-from rendering.scene.paths import Circle, Line, Polyline, Strokes
-from storage.errors import InputError
 from tests.unit.plate_banks import SPACING_MM, SQUARE_MM, errors_at, plate_bank, plate_greens
+from wavefocus.calibration.wave_model import DISK_RADIUS, PatchKernel, WaveModel, disk_kernel
+from wavefocus.mocks.plates.soft import SOFT_PLATE
+from wavefocus.rendering.greens.interpolation.base import Neighbourhoods, OffGridError
+from wavefocus.rendering.greens.interpolation.error_estimates import RowValues, left_out_errors
+from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation, PathNodes, node_spacing_mm
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.scene.paths import Circle, Line, Polyline, Strokes
+from wavefocus.storage.errors import InputError
 
 POINTS_MM = np.random.default_rng(1).uniform(-22.0, 22.0, (60, 2))
 
@@ -125,8 +125,8 @@ def test_the_error_found_by_leaving_positions_out_is_the_error_within_a_factor_o
 
 @pytest.mark.parametrize("name", ["nearest", "bilinear", "bicubic"])
 def test_the_error_of_other_kinds_is_found_too(name):
-    from rendering.greens.interpolation.base import interpolation_method
-    from rendering.greens.interpolation.position_grid import PositionGrid
+    from wavefocus.rendering.greens.interpolation.base import interpolation_method
+    from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 
     bank, kernel = kernel_on("square", -60.0)
     nodes = interpolation_method(name)(PositionGrid(bank.position_mm)).nodes(POINTS_MM)

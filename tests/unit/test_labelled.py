@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import xarray
 
-from storage.bank.reading import Bank, open_bank
-from storage.drive_file import Drive, write_drive
-from storage.errors import InputError
-from storage.field_file import Field, write_field
 from tests.unit.test_bank_writer import green_of, measured
+from wavefocus.storage.bank.reading import Bank, open_bank
+from wavefocus.storage.drive_file import Drive, write_drive
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.field_file import Field, write_field
 
 
 @pytest.fixture

@@ -10,9 +10,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers.errors import InstrumentError, InstrumentLostError
-from drivers.timeouts import CallThread, HungError, bounded
-from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
+from wavefocus.drivers.timeouts import CallThread, HungError, bounded
+from wavefocus.mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
 
 SOON_S = 0.05
 

@@ -9,16 +9,16 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from config.scene import Regularisation
-from rendering.arrays import Float64Array
-from rendering.greens.interpolation.base import interpolation_method
-from rendering.greens.interpolation.position_grid import PositionGrid
-from rendering.greens.regularisation import row_weights
-from rendering.greens.source import GreenArray, read_row
-from rendering.live.engine import Effort, LiveEngine
-from rendering.scene.signals import Impulse, Noise, Sine
-from rendering.scene.trajectory import Trajectory
-from storage.errors import InputError
+from wavefocus.config.scene import Regularisation
+from wavefocus.rendering.arrays import Float64Array
+from wavefocus.rendering.greens.interpolation.base import interpolation_method
+from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
+from wavefocus.rendering.greens.regularisation import row_weights
+from wavefocus.rendering.greens.source import GreenArray, read_row
+from wavefocus.rendering.live.engine import Effort, LiveEngine
+from wavefocus.rendering.scene.signals import Impulse, Noise, Sine
+from wavefocus.rendering.scene.trajectory import Trajectory
+from wavefocus.storage.errors import InputError
 
 RATE_HZ, TAPS, BLOCK = 1000.0, 60, 8
 SUFFICIENT = TAPS - 1 + 3 * BLOCK

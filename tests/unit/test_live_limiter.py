@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rendering.drive.coil_limits import DriveLimits, largest_rms
-from rendering.live.limiter import LiveLimiter
-from storage.errors import InputError
+from wavefocus.rendering.drive.coil_limits import DriveLimits, largest_rms
+from wavefocus.rendering.live.limiter import LiveLimiter
+from wavefocus.storage.errors import InputError
 
 RATE_HZ = 1000.0
 FULL_SCALE_V = np.array([2.0, 1.5, 1.0])

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from config.scene import Regularisation
-from rendering.drive.rendering import render_with_report
-from rendering.greens.source import GreenArray
-from rendering.live.engine import LiveEngine
-from rendering.live.recording import SessionRecording
-from rendering.scene.model import load_scene
-from rendering.scene.signals import Impulse, Noise, Signal, Sine
-from storage.errors import InputError
+from wavefocus.config.scene import Regularisation
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.live.engine import LiveEngine
+from wavefocus.rendering.live.recording import SessionRecording
+from wavefocus.rendering.scene.model import load_scene
+from wavefocus.rendering.scene.signals import Impulse, Noise, Signal, Sine
+from wavefocus.storage.errors import InputError
 
 RATE_HZ, TAPS, BLOCK = 1000.0, 40, 5
 GRID_MM = np.array([(4.0 * x - 16.0, 4.0 * y - 12.0) for y in range(7) for x in range(9)])

@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from config.messages.codec import Message
-from config.messages.live import (
+from tests.unit.plate_banks import RATE_HZ, TAPS, plate_bank
+from wavefocus.config.messages.codec import Message
+from wavefocus.config.messages.live import (
     EndLive,
     EndSource,
     LiveNotice,
@@ -20,25 +21,24 @@ from config.messages.live import (
     LiveState,
     MoveSource,
 )
-from config.scene import Regularisation
-from drivers.errors import InstrumentLostError, TransientInstrumentError
-from drivers.protocols import DeviceIdentity
-from drivers.timeouts import BoundedPlayer
-from rendering.drive.coil_limits import DriveLimits
-from rendering.drive.rendering import render_with_report
-from rendering.drive.wav import Interface
-from rendering.live.engine import LiveEngine
-from rendering.live.recording import SessionRecording
-from rendering.scene.model import load_scene
-from rendering.scene.signals import Sine
-from storage.errors import InputError
-from tests.unit.plate_banks import RATE_HZ, TAPS, plate_bank
+from wavefocus.config.scene import Regularisation
+from wavefocus.drivers.errors import InstrumentLostError, TransientInstrumentError
+from wavefocus.drivers.protocols import DeviceIdentity
+from wavefocus.drivers.timeouts import BoundedPlayer
 from wavefocus.live_session.latency import LatencyHistogram
 from wavefocus.live_session.orders import MOST_WAITING, Inbox, UseSignal, order_of
 from wavefocus.live_session.osc import OscMessages, address_of
 from wavefocus.live_session.output import LiveOutput
 from wavefocus.live_session.pace import Pace
 from wavefocus.live_session.session import LiveSession
+from wavefocus.rendering.drive.coil_limits import DriveLimits
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.drive.wav import Interface
+from wavefocus.rendering.live.engine import LiveEngine
+from wavefocus.rendering.live.recording import SessionRecording
+from wavefocus.rendering.scene.model import load_scene
+from wavefocus.rendering.scene.signals import Sine
+from wavefocus.storage.errors import InputError
 
 BLOCK = 20
 BANK = plate_bank()
@@ -48,7 +48,7 @@ AHEAD_S = 60.0  # so that a busy machine leaves nothing out
 
 
 class ScriptedPlayer:
-    """Implements `drivers.protocols.PiecewisePlayer`; `script` is called with the number of each piece, from 0."""
+    """A `wavefocus.drivers.protocols.PiecewisePlayer`; `script` is called with the number of each piece, from 0."""
 
     channels, full_scale_v, latency_s = len(CHANNELS), 5.0, 0.0
     identity = DeviceIdentity("", "scripted player")

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from storage.bank.layout import BankHeader
-from storage.bank.ledger import PointRecord
-from storage.bank.reading import open_bank
-from storage.bank.writer import BankWriter, create_bank
-from storage.errors import FileLostError
-from storage.raw.header import RawHeader, sequential
-from storage.raw.writer import RawWriter, create_raw, open_raw
+from wavefocus.storage.bank.layout import BankHeader
+from wavefocus.storage.bank.ledger import PointRecord
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.bank.writer import BankWriter, create_bank
+from wavefocus.storage.errors import FileLostError
+from wavefocus.storage.raw.header import RawHeader, sequential
+from wavefocus.storage.raw.writer import RawWriter, create_raw, open_raw
 
 POSITION_MM = np.stack([np.arange(4) * 4.0, np.zeros(4)], axis=1)
 VOLTS = np.full((1, 64), 0.5, np.float32)

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from config.messages.codec import Message, MessageError, from_record, message_of, to_line, to_record
-from config.messages.operate import OPERATE_EVENTS, ORDERS, Jog, LevelMeasured, MirrorMoved, Reconnect
-from config.messages.rig_checks import CALIBRATE_EVENTS, VERIFY_MESSAGES, Examination, FindingMade
+from wavefocus.config.messages.codec import Message, MessageError, from_record, message_of, to_line, to_record
+from wavefocus.config.messages.operate import OPERATE_EVENTS, ORDERS, Jog, LevelMeasured, MirrorMoved, Reconnect
+from wavefocus.config.messages.rig_checks import CALIBRATE_EVENTS, VERIFY_MESSAGES, Examination, FindingMade
 
 FAMILIES = (ORDERS, OPERATE_EVENTS, CALIBRATE_EVENTS, (FindingMade,), (Examination,), VERIFY_MESSAGES)
 

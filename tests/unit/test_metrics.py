@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import j1
 
-from rendering.field import metrics
-from storage.errors import InputError
+from wavefocus.rendering.field import metrics
+from wavefocus.storage.errors import InputError
 
 SPACING_MM = 4.0
 AXIS_MM = np.arange(-40.0, 40.1, SPACING_MM)

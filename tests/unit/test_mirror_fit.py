@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.mirror_map import MirrorMap, fit_mirror_map
-from storage.errors import InputError
+from wavefocus.calibration.mirror_map import MirrorMap, fit_mirror_map
+from wavefocus.storage.errors import InputError
 
 MARKS = np.array([[0, 0], [80, 45], [-80, 45], [-80, -45], [80, -45], [100, 0], [-100, 0], [0, 60.0]])
 MAP = MirrorMap(((1.02e-3, 3e-5, 0.01), (-2e-5, 0.97e-3, -0.005), (1e-4, -5e-5, 1.0)))

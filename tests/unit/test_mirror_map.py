@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.mirror_map import MirrorMap
-from storage.errors import InputError
+from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.storage.errors import InputError
 
 OBLIQUE = MirrorMap(((2.1e-3, 1e-4, 0.02), (-5e-5, 1.9e-3, -0.01), (2e-4, -1e-4, 1.0)))
 places = st.floats(-200, 200)

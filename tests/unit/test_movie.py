@@ -9,11 +9,19 @@ import numpy as np
 import pytest
 from PIL import Image, ImageSequence
 
-from rendering.greens.source import GreenArray
-from rendering.report.movie import Foci, colour_limit, plan_frames, read_frames, snapshots, surface_of, write_movie
-from storage.drive_file import Drive
-from storage.errors import InputError
-from storage.field_file import Field, FieldRowReader, write_field
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.report.movie import (
+    Foci,
+    colour_limit,
+    plan_frames,
+    read_frames,
+    snapshots,
+    surface_of,
+    write_movie,
+)
+from wavefocus.storage.drive_file import Drive
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.field_file import Field, FieldRowReader, write_field
 
 RATE_HZ, START_S, SAMPLES = 1000.0, -0.05, 400
 PLACES_MM = np.array([[x, y] for y in (0.0, 4.0, 8.0) for x in (0.0, 4.0, 8.0, 12.0)])

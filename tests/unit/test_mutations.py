@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.check import check_file
-from storage.bank.layout import BankHeader
-from storage.bank.ledger import PointRecord
-from storage.bank.writer import BankWriter, create_bank
-from storage.drive_file import Drive, write_drive
-from storage.errors import InputError
-from storage.field_file import Field, write_field
-from storage.raw.header import RawHeader, Schedule
-from storage.raw.writer import RawWriter, create_raw
 from tests.unit.mutations import mutations, snapshot, stored_bytes
+from wavefocus.calibration.check import check_file
+from wavefocus.storage.bank.layout import BankHeader
+from wavefocus.storage.bank.ledger import PointRecord
+from wavefocus.storage.bank.writer import BankWriter, create_bank
+from wavefocus.storage.drive_file import Drive, write_drive
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.field_file import Field, write_field
+from wavefocus.storage.raw.header import RawHeader, Schedule
+from wavefocus.storage.raw.writer import RawWriter, create_raw
 
 POSITION_MM = np.stack([np.arange(5) * 4.0, np.zeros(5)], axis=1)
 RNG = np.random.default_rng(0)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.neighbour_judge import NeighbourJudge, RowSpectra, Verdict
-from mocks.plates.thin import ThinPlate
 from tests.unit.plate_banks import ACTUATOR_MM, BAND_HZ, RATE_HZ, SQUARE_MM, TAPS, plate_bank
+from wavefocus.calibration.neighbour_judge import NeighbourJudge, RowSpectra, Verdict
+from wavefocus.mocks.plates.thin import ThinPlate
 
 POSITIONS, ACTUATORS = len(SQUARE_MM), len(ACTUATOR_MM)
 RNG = np.random.default_rng(4)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from acquisition.plan import LATEST, Pace
+from wavefocus.acquisition.plan import LATEST, Pace
 
 
 def _measured(pace: Pace, start_s: float, attempt_s: list[float]) -> float:

@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from drivers.protocols import Recording, RecordRequest, Take
-from mocks.virtual.laboratory import PatchBay
-from mocks.virtual.rig import VirtualRig, VirtualSettings
-from mocks.virtual.synthesis import output_errors
+from wavefocus.drivers.protocols import Recording, RecordRequest, Take
+from wavefocus.mocks.virtual.laboratory import PatchBay
+from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
+from wavefocus.mocks.virtual.synthesis import output_errors
 
 RATE_HZ = 10_000.0
 QUIET = VirtualSettings(

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from scipy.special import j0
 
-from config.scene import Regularisation
-from mocks.plates.soft import SOFT_PLATE, DampedWave
-from mocks.plates.soft import impulse_travel as travel_of_a_wave
-from rendering.field import metrics
-from rendering.field.crosstalk import PathResponses, crosstalk_table
-from rendering.field.metrics import band_limited
-from rendering.field.wave_figures import correlation_over_distance, impulse_travel, path_spectrum
-from rendering.greens.source import GreenArray
-from storage.errors import InputError
+from wavefocus.config.scene import Regularisation
+from wavefocus.mocks.plates.soft import SOFT_PLATE, DampedWave
+from wavefocus.mocks.plates.soft import impulse_travel as travel_of_a_wave
+from wavefocus.rendering.field import metrics
+from wavefocus.rendering.field.crosstalk import PathResponses, crosstalk_table
+from wavefocus.rendering.field.metrics import band_limited
+from wavefocus.rendering.field.wave_figures import correlation_over_distance, impulse_travel, path_spectrum
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.storage.errors import InputError
 
 RATE_HZ = 10_000.0
 RNG = np.random.default_rng(4)

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rendering.scene.paths import Circle, Line, Point, Polyline, Strokes, TextPath
-from rendering.scene.svg import SvgPath, flatten
-from storage.errors import InputError
+from wavefocus.rendering.scene.paths import Circle, Line, Point, Polyline, Strokes, TextPath
+from wavefocus.rendering.scene.svg import SvgPath, flatten
+from wavefocus.storage.errors import InputError
 
 NAN = float("nan")
 

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import hankel2
 
-from mocks.plates.infinite import PlateTable
-from mocks.plates.soft import (
+from wavefocus.mocks.plates.infinite import PlateTable
+from wavefocus.mocks.plates.soft import (
     SOFT_PLATE,
     SPRINGPOT_PLATE,
     DampedWave,
@@ -17,8 +17,8 @@ from mocks.plates.soft import (
     mean_hankel,
     thin_plate_green,
 )
-from mocks.virtual.settings import MirrorGeometry
-from mocks.virtual.synthesis import chain_response
+from wavefocus.mocks.virtual.settings import MirrorGeometry
+from wavefocus.mocks.virtual.synthesis import chain_response
 
 STEP_HZ = 5.0
 FREQUENCY_HZ = STEP_HZ * np.arange(1001)

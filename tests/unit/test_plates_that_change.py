@@ -10,17 +10,17 @@ import pytest
 from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 
-from config.outline import Outline
-from config.rig import RigConfig
-from config.run import Virtual
-from mocks.plates import make_plate
-from mocks.plates.finger import DISK_MM, DISK_WEIGHTS
-from mocks.plates.soft import SOFT_PLATE, UNIT_FORCE_N, DampedWave
-from mocks.plates.stadium import Elements, spacing_mm, triangulate
-from mocks.virtual.settings import VirtualSettings
-from mocks.virtual.signals import SignalStore
-from mocks.virtual.synthesis import Play, Spot, Synthesis, chain_response
-from mocks.wire.emulated_rig import WireBench
+from wavefocus.config.outline import Outline
+from wavefocus.config.rig import RigConfig
+from wavefocus.config.run import Virtual
+from wavefocus.mocks.plates import make_plate
+from wavefocus.mocks.plates.finger import DISK_MM, DISK_WEIGHTS
+from wavefocus.mocks.plates.soft import SOFT_PLATE, UNIT_FORCE_N, DampedWave
+from wavefocus.mocks.plates.stadium import Elements, spacing_mm, triangulate
+from wavefocus.mocks.virtual.settings import VirtualSettings
+from wavefocus.mocks.virtual.signals import SignalStore
+from wavefocus.mocks.virtual.synthesis import Play, Spot, Synthesis, chain_response
+from wavefocus.mocks.wire.emulated_rig import WireBench
 from wavefocus.rig.virtual_bench import virtual_settings
 
 ACTUATOR_MM = np.array([[26.0, 0.0], [0.0, 13.0]])

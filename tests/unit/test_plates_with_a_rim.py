@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.special import h2vp, hankel2, jv, jvp
 
-from config.outline import Outline
-from config.run import Virtual
-from mocks.plates import PLATES
-from mocks.plates.soft import MAGNET_RADIUS_MM, SOFT_PLATE, thin_plate_green
-from mocks.plates.stadium import Elements, StadiumPlate, ritz_modes, spacing_mm, triangulate
-from mocks.plates.thin import HIGHEST_HZ as HIGHEST_HZ_GLASS
-from mocks.plates.thin import (
+from wavefocus.config.outline import Outline
+from wavefocus.config.run import Virtual
+from wavefocus.mocks.plates import PLATES
+from wavefocus.mocks.plates.soft import MAGNET_RADIUS_MM, SOFT_PLATE, thin_plate_green
+from wavefocus.mocks.plates.stadium import Elements, StadiumPlate, ritz_modes, spacing_mm, triangulate
+from wavefocus.mocks.plates.thin import HIGHEST_HZ as HIGHEST_HZ_GLASS
+from wavefocus.mocks.plates.thin import (
     INFINITE_STRENGTH,
     KAPPA_M2_S,
     MASS_KG_M2,
@@ -23,9 +23,9 @@ from mocks.plates.thin import (
     ThinPlate,
     ThinRectangle,
 )
-from mocks.virtual.rig import VirtualRig
-from mocks.virtual.settings import VirtualSettings
-from mocks.virtual.synthesis import chain_response
+from wavefocus.mocks.virtual.rig import VirtualRig
+from wavefocus.mocks.virtual.settings import VirtualSettings
+from wavefocus.mocks.virtual.synthesis import chain_response
 
 HIGHEST_HZ = 500.0
 SPACING_MM = spacing_mm(SOFT_PLATE, HIGHEST_HZ)

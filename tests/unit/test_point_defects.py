@@ -8,17 +8,17 @@ from functools import cache
 import numpy as np
 import pytest
 
-from acquisition.defects import Cure
-from acquisition.judgement import Judgement, judge
-from acquisition.limits import QualityLimits
-from acquisition.setup import Setup, point_at, take_record
-from calibration.estimator.estimate import Channels
-from calibration.estimator.sequential import SequentialEstimator
-from calibration.mirror_map import MirrorMap
-from calibration.sweeps import Excitation
-from drivers.protocols import Take
-from mocks.virtual.rig import VirtualRig, VirtualSettings
-from storage.point_status import Status
+from wavefocus.acquisition.defects import Cure
+from wavefocus.acquisition.judgement import Judgement, judge
+from wavefocus.acquisition.limits import QualityLimits
+from wavefocus.acquisition.setup import Setup, point_at, take_record
+from wavefocus.calibration.estimator.estimate import Channels
+from wavefocus.calibration.estimator.sequential import SequentialEstimator
+from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.calibration.sweeps import Excitation
+from wavefocus.drivers.protocols import Take
+from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
+from wavefocus.storage.point_status import Status
 
 RATE_HZ = 10_000.0
 ACTUATORS = ((110.0, 0.0), (0.0, 60.0), (-110.0, 10.0), (60.0, -60.0))

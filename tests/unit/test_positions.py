@@ -2,8 +2,8 @@
 
 import pytest
 
-from storage.errors import InputError
 from wavefocus.input_files import parse_positions
+from wavefocus.storage.errors import InputError
 
 
 @pytest.mark.parametrize(

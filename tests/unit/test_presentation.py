@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from scipy.signal import welch
 
-from acquisition.setup import Setup
-from calibration.mirror_map import MirrorMap
-from drivers.errors import InstrumentError, TransientInstrumentError
-from drivers.protocols import Take
-from mocks.virtual.laboratory import take_share
-from mocks.virtual.player import VirtualPlayer
-from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
-from trials.presentation import MASKING_CREST, Masking, RigPresenter, Sound, pink_noise, presented_v
+from wavefocus.acquisition.setup import Setup
+from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
+from wavefocus.drivers.protocols import Take
+from wavefocus.mocks.virtual.laboratory import take_share
+from wavefocus.mocks.virtual.player import VirtualPlayer
+from wavefocus.mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
+from wavefocus.trials.presentation import MASKING_CREST, Masking, RigPresenter, Sound, pink_noise, presented_v
 
 RATE_HZ = 10_000.0
 MASKING = Masking(output=5, rms_v=0.3, around_s=0.4, seed=2)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from config.messages.campaign import (
+from wavefocus.campaign.provenance import devices_of, sessions_of
+from wavefocus.config.messages.campaign import (
     Drift,
     Event,
     PositionCommitted,
@@ -14,9 +15,8 @@ from config.messages.campaign import (
     State,
     event_line,
 )
-from config.rig import RigConfig
-from drivers.protocols import DeviceIdentity
-from wavefocus.campaign.provenance import devices_of, sessions_of
+from wavefocus.config.rig import RigConfig
+from wavefocus.drivers.protocols import DeviceIdentity
 
 MIRROR = DeviceIdentity("ASI", "Tiger", "T-17")
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-import tomllib
 from importlib import import_module
+from importlib.resources import files
 from pathlib import Path
 
 import h5py
@@ -17,7 +17,6 @@ import wavefocus
 from tools import python_reference
 
 ROOT = Path(__file__).parents[2]
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 SCENE = """
 [[source]]
 path = { kind = "point", at_mm = [4, 4] }
@@ -32,17 +31,16 @@ def test_every_public_name_is_there(name: str) -> None:
 
 @pytest.mark.parametrize("room", ["acquisition", "calibration", "config", "drivers", "mocks", "rendering", "storage"])
 def test_every_name_that_a_room_s_first_page_gives_is_there(room: str) -> None:
-    rows = re.findall(r"^`([\w.]+)` +(.*)$", str(import_module(room).__doc__), re.MULTILINE)
+    rows = re.findall(r"^`([\w.]+)` +(.*)$", str(import_module(f"wavefocus.{room}").__doc__), re.MULTILINE)
     assert rows
     for module, words in rows:
-        own = import_module(f"{room}.{module}")
+        own = import_module(f"wavefocus.{room}.{module}")
         names = [name for name in re.findall(r"`(\w+)`", words.partition(";")[0]) if name[0].isupper()]
         assert all(hasattr(own, name) for name in names), (module, names)
 
 
-@pytest.mark.parametrize("package", PROJECT["tool"]["importlinter"]["root_packages"])
-def test_every_package_says_that_it_is_typed(package: str) -> None:
-    assert (ROOT / package / "py.typed").is_file()
+def test_the_package_says_that_it_is_typed() -> None:
+    assert (files("wavefocus") / "py.typed").is_file()
 
 
 def test_the_page_of_the_python_interface_is_that_of_the_docstrings() -> None:
@@ -60,8 +58,8 @@ def test_given_another_name_then_it_is_no_attribute() -> None:
 def test_importing_the_package_loads_nothing_but_the_standard_library() -> None:
     code = "import sys; before = set(sys.modules); import wavefocus; print(*(set(sys.modules) - before))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    loaded = {name.partition(".")[0] for name in done.stdout.split()}
-    assert loaded - sys.stdlib_module_names == {"wavefocus"}
+    loaded = {name for name in done.stdout.split() if name.partition(".")[0] not in sys.stdlib_module_names}
+    assert loaded == {"wavefocus"}
 
 
 def test_given_a_bank_and_a_scene_then_the_field_at_the_focus_has_its_amplitude(tmp_path: Path) -> None:

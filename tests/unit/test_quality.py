@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from acquisition.judgement import judge
-from acquisition.limits import QualityLimits
-from calibration.estimator.estimate import Estimate
-from storage.point_status import Status, status_counts
+from wavefocus.acquisition.judgement import judge
+from wavefocus.acquisition.limits import QualityLimits
+from wavefocus.calibration.estimator.estimate import Estimate
+from wavefocus.storage.point_status import Status, status_counts
 
 LIMITS = QualityLimits()
 

@@ -9,9 +9,9 @@ import h5py
 import numpy as np
 import pytest
 
-from storage.errors import InputError
-from storage.raw.header import RawHeader, sequential
-from storage.raw.writer import DamagedError, RawWriter, create_raw, open_raw
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.raw.header import RawHeader, sequential
+from wavefocus.storage.raw.writer import DamagedError, RawWriter, create_raw, open_raw
 
 SHAPE = (2, 300)
 STEP_V = 1 / 1024

@@ -9,20 +9,20 @@ from collections.abc import Callable
 
 import pytest
 
-from acquisition.engine.recovery import LOSSES_IN_A_ROW, Recovery, back_off_s
-from acquisition.engine.session import Session, StoppedWhileWaitingError, StopRequest
-from acquisition.setup import Setup, names_of, point_at
-from calibration.mirror_map import MirrorMap
-from config.messages.campaign import (
+from wavefocus.acquisition.engine.recovery import LOSSES_IN_A_ROW, Recovery, back_off_s
+from wavefocus.acquisition.engine.session import Session, StoppedWhileWaitingError, StopRequest
+from wavefocus.acquisition.setup import Setup, names_of, point_at
+from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.config.messages.campaign import (
     Event,
     ReconnectTried,
     State,
     StateChanged,
 )
-from drivers.errors import InstrumentError, InstrumentLostError
-from drivers.protocols import Clock, Instruments, WallClock
-from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
+from wavefocus.drivers.protocols import Clock, Instruments, WallClock
 from wavefocus.ending import stop_on_signals
+from wavefocus.mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
 
 LOST = Fault("mirror", "move_to", "lost", at_call=1)
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from config.scene import Regularisation
-from rendering.greens.regularisation import focus_gain_map, rms_map, saturation_threshold
-from rendering.greens.source import GreenArray
-from storage.errors import InputError
+from wavefocus.config.scene import Regularisation
+from wavefocus.rendering.greens.regularisation import focus_gain_map, rms_map, saturation_threshold
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.storage.errors import InputError
 
 POSITION_MM = np.stack([4.0 * np.arange(6), np.zeros(6)], axis=1)
 

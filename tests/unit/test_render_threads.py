@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from rendering.device import WORKERS, in_order
+from wavefocus.rendering.device import WORKERS, in_order
 
 
 @pytest.mark.parametrize("workers", [1, WORKERS])

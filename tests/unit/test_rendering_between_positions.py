@@ -7,15 +7,15 @@ import functools
 import numpy as np
 import pytest
 
-from config.scene import Output, Regularisation
-from rendering.drive.rendering import render_with_report
-from rendering.greens.source import GreenArray
-from rendering.scene.model import Scene, Source
-from rendering.scene.paths import Circle, Line, Point, Polyline
-from rendering.scene.signals import Impulse, Noise, Sine
-from storage.errors import InputError
 from tests.unit.plate_banks import ANGLES, BAND_HZ, RATE_HZ, SQUARE_MM, TAPS, plate_bank, plate_greens
 from tests.unit.test_drive import emitted
+from wavefocus.config.scene import Output, Regularisation
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.paths import Circle, Line, Point, Polyline
+from wavefocus.rendering.scene.signals import Impulse, Noise, Sine
+from wavefocus.storage.errors import InputError
 
 SIGNAL = Noise((80.0, 420.0), 0.4, 3)
 MOVING = Source(Circle((1.3, -0.7), 13.0, 0.9, 20.0), SIGNAL, 0.01, 180.0, 3.0, 2.0)

@@ -14,19 +14,19 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from acquisition.limits import DriftPoint
-from rendering.greens.source import GreenArray
-from rendering.report.page import build_report
-from rendering.report.waves import LINE_POINTS, line_of, wave_figures, waves_of, waves_picture
-from rendering.report.words import number, remarks
-from rendering.scene.model import Scene, Source
-from rendering.scene.paths import Line, Point
-from rendering.scene.signals import Impulse
-from rendering.verify.comparison import FieldComparison
-from rendering.verify.scan import Scan
-from rendering.verify.verdict import compare
-from storage.field_file import Field
 from tests.unit.line_verification import GRID_MM, RATE_HZ, bank, rendered, scan_of, scene_of
+from wavefocus.acquisition.limits import DriftPoint
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.report.page import build_report
+from wavefocus.rendering.report.waves import LINE_POINTS, line_of, wave_figures, waves_of, waves_picture
+from wavefocus.rendering.report.words import number, remarks
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.paths import Line, Point
+from wavefocus.rendering.scene.signals import Impulse
+from wavefocus.rendering.verify.comparison import FieldComparison
+from wavefocus.rendering.verify.scan import Scan
+from wavefocus.rendering.verify.verdict import compare
+from wavefocus.storage.field_file import Field
 
 NASTY = '<script>alert("1")</script> & </title><img src="https://evil.example/x.png">'
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from config.scene import Regularisation
-from rendering.greens.regularisation import BankRows
-from rendering.greens.source import GreenArray, scale_row
-from storage.errors import InputError
+from wavefocus.config.scene import Regularisation
+from wavefocus.rendering.greens.regularisation import BankRows
+from wavefocus.rendering.greens.source import GreenArray, scale_row
+from wavefocus.storage.errors import InputError
 
 ACTUATORS, TAPS = 3, 40
 POSITION_MM = np.stack([4.0 * np.arange(6), np.zeros(6)], axis=1)

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from storage.errors import BankBusyError, InputError
-from storage.scan_journal import ScanJournal, ScannedPosition
+from wavefocus.storage.errors import BankBusyError, InputError
+from wavefocus.storage.scan_journal import ScanJournal, ScannedPosition
 
 SAMPLES = 40
 

@@ -9,14 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from config.scene import Output
-from rendering.drive.rendering import render_with_report
-from rendering.greens.source import GreenArray
-from rendering.scene.model import Scene, Source
-from rendering.scene.paths import Circle, Line, Point, Polyline
-from rendering.scene.scene_rows import scene_rows
-from rendering.scene.signals import Impulse, Noise, Sine
-from storage.errors import InputError
+from wavefocus.config.scene import Output
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.paths import Circle, Line, Point, Polyline
+from wavefocus.rendering.scene.scene_rows import scene_rows
+from wavefocus.rendering.scene.signals import Impulse, Noise, Sine
+from wavefocus.storage.errors import InputError
 
 NAN, INF = float("nan"), float("inf")
 

@@ -14,19 +14,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from config.scene import SceneConfig
-from rendering.drive.inverse_filter import inverse_filter
-from rendering.drive.rendering import render_with_report
-from rendering.drive.streamed import BlockDrive, StreamedDrive
-from rendering.greens.interpolation.needed_grid import wave_number_rad_mm
-from rendering.greens.regularisation import row_weights
-from rendering.greens.source import GreenArray, scale_row
-from rendering.report.scene_picture import scene_picture
-from rendering.scene.model import build_scene, read_scene
-from rendering.scene.scene_rows import scene_rows
-from rendering.scene.size import MOST_SECONDS, check_scene_size, scene_size
-from rendering.scene.svg import SvgPath, flatten
-from storage.errors import InputError
+from wavefocus.config.scene import SceneConfig
+from wavefocus.rendering.drive.inverse_filter import inverse_filter
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.drive.streamed import BlockDrive, StreamedDrive
+from wavefocus.rendering.greens.interpolation.needed_grid import wave_number_rad_mm
+from wavefocus.rendering.greens.regularisation import row_weights
+from wavefocus.rendering.greens.source import GreenArray, scale_row
+from wavefocus.rendering.report.scene_picture import scene_picture
+from wavefocus.rendering.scene.model import build_scene, read_scene
+from wavefocus.rendering.scene.scene_rows import scene_rows
+from wavefocus.rendering.scene.size import MOST_SECONDS, check_scene_size, scene_size
+from wavefocus.rendering.scene.svg import SvgPath, flatten
+from wavefocus.storage.errors import InputError
 
 RATE_HZ = 1000.0
 LINE = '{ kind = "line", start_mm = [-12, 0], end_mm = [12, 0] }'

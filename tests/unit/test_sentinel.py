@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from acquisition.limits import DriftFigures, DriftLimits, compare_sentinel
+from wavefocus.acquisition.limits import DriftFigures, DriftLimits, compare_sentinel
 
 
 def _responses(seed: int = 1) -> np.ndarray:

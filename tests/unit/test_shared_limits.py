@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from calibration.blas import one_blas_thread
+from wavefocus.calibration.blas import one_blas_thread
 
 
 def _threads() -> set[int]:

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from config.calibration import name_calibration
-from config.messages.campaign import Drift
-from storage.ledger.owner import owner_path, remove_owner, write_owner
-from storage.sidecar_files import Log
 from wavefocus.campaign.sidecar_files import EventLog, drift_path, log_path, write_whole
 from wavefocus.commands.verify import VerifyLog
+from wavefocus.config.calibration import name_calibration
+from wavefocus.config.messages.campaign import Drift
+from wavefocus.storage.ledger.owner import owner_path, remove_owner, write_owner
+from wavefocus.storage.sidecar_files import Log
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="needs symbolic links")
 PRECIOUS = b"precious\n"

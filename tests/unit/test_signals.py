@@ -8,8 +8,8 @@ import soundfile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rendering.scene.signals import Noise, Sine, SoundFile
-from storage.errors import InputError
+from wavefocus.rendering.scene.signals import Noise, Sine, SoundFile
+from wavefocus.storage.errors import InputError
 
 
 def test_a_sine_starts_at_zero_with_amplitude_one_and_no_fade():

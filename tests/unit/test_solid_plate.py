@@ -7,11 +7,11 @@ import pytest
 from scipy.sparse import block_array
 from scipy.sparse.linalg import splu
 
-from config.outline import Outline
-from mocks.plates.soft import DampedWave
-from mocks.plates.solid import SolidPlate
-from mocks.plates.stadium import Elements, spacing_mm, triangulate
-from mocks.virtual.synthesis import chain_response
+from wavefocus.config.outline import Outline
+from wavefocus.mocks.plates.soft import DampedWave
+from wavefocus.mocks.plates.solid import SolidPlate
+from wavefocus.mocks.plates.stadium import Elements, spacing_mm, triangulate
+from wavefocus.mocks.virtual.synthesis import chain_response
 
 DISK = Outline.of("disk", 90.0, 90.0)
 KEYS = {"shear_speed_m_s": 5.0, "pressure_speed_m_s": 8.0, "damping_per_s": 2500.0}

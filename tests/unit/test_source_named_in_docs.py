@@ -18,6 +18,6 @@ def test_every_module_function_and_folder_that_a_page_names_is_there(page: Path)
         source = (ROOT / module).read_text(encoding="utf-8")
         missing = [name for name in names.split(".") if not re.search(rf"\b{name}\b", source)]
         assert not missing, f"{page.name}: {module}: {names}"
-    packages = "acquisition|benchmarks|calibration|config|drivers|gui|mocks|rendering|storage|tests|tools|wavefocus"
+    packages = "acquisition|benchmarks|calibration|config|drivers|gui|mocks|rendering|src|storage|tests|tools"
     for folder in re.findall(rf"`((?:{packages})/[\w/]*)/?`", text):
         assert (ROOT / folder).is_dir(), f"{page.name}: {folder}"

@@ -10,13 +10,13 @@ import scipy.fft
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.clock.resampling import thin
-from calibration.clock.timing import ReferenceMissingError
-from calibration.estimator.estimate import Channels, Estimate, Records
-from calibration.estimator.staggered import StaggeredEstimator
-from calibration.sweeps import Excitation, StaggeredSignal
-from storage.errors import InputError
-from storage.raw.header import EMPTY, Schedule, sequential, staggered
+from wavefocus.calibration.clock.resampling import thin
+from wavefocus.calibration.clock.timing import ReferenceMissingError
+from wavefocus.calibration.estimator.estimate import Channels, Estimate, Records
+from wavefocus.calibration.estimator.staggered import StaggeredEstimator
+from wavefocus.calibration.sweeps import Excitation, StaggeredSignal
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.raw.header import EMPTY, Schedule, sequential, staggered
 
 RATE_HZ = 2000.0
 BAND_HZ = (20.0, 400.0)

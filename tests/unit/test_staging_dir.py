@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from storage.sidecar_files import clear_leftovers, staging_dir
+from wavefocus.storage.sidecar_files import clear_leftovers, staging_dir
 
 
 def leftover(path: Path, name: str = "dead", **files: bytes) -> Path:

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acquisition.engine.session import IllegalStateError, Session, StopRequest
-from config.messages.campaign import State, StateChanged
+from wavefocus.acquisition.engine.session import IllegalStateError, Session, StopRequest
+from wavefocus.config.messages.campaign import State, StateChanged
 
 ENDS = {State.STOPPED, State.FINISHED, State.FAILED}
 

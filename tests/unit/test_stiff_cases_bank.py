@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 import scipy.fft
 
-from calibration.estimator.sequential import SequentialEstimator
-from calibration.sweeps import Excitation
-from config.scene import Output, Regularisation
-from mocks.plates.thin import ThinPlate
-from rendering.drive.inverse_filter import inverse_filter
-from rendering.drive.rendering import render_with_report
-from rendering.greens.source import GreenArray
-from rendering.scene.model import Scene, Source
-from rendering.scene.paths import Circle, Line, Point
-from rendering.scene.signals import Impulse, Noise
-from storage.errors import InputError
 from tests.unit.plate_banks import SQUARE_MM, errors_at, plate_bank
+from wavefocus.calibration.estimator.sequential import SequentialEstimator
+from wavefocus.calibration.sweeps import Excitation
+from wavefocus.config.scene import Output, Regularisation
+from wavefocus.mocks.plates.thin import ThinPlate
+from wavefocus.rendering.drive.inverse_filter import inverse_filter
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.paths import Circle, Line, Point
+from wavefocus.rendering.scene.signals import Impulse, Noise
+from wavefocus.storage.errors import InputError
 
 SIGNAL = Noise((80.0, 450.0), 0.4, 3)
 OFF_GRID = Source(Circle((0.9, 1.3), 14.0), SIGNAL, 0.0, 200.0, 3.0)
@@ -45,8 +45,8 @@ def test_rows_10_to_12_a_path_off_the_grid_is_warned_about_with_the_error_per_fr
     assert "Hz" in warnings[0]
     errors = report.interpolation_errors
     # The truth: nearest 42 % at 250 Hz and 67 % at 450 Hz (notes/rendering.md).
-    from rendering.greens.interpolation.base import interpolation_method
-    from rendering.greens.interpolation.position_grid import PositionGrid
+    from wavefocus.rendering.greens.interpolation.base import interpolation_method
+    from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 
     nodes = interpolation_method(kind)(PositionGrid(bank().position_mm)).nodes(BETWEEN_MM)
     greens = np.einsum("pn,pnat->pat", nodes.weights, bank().values[nodes.rows])

@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from mocks.plates.soft import SOFT_PLATE, mean_hankel, thin_plate_green
-from mocks.plates.thin import ExactPlate, ExplicitPlate, ImplicitPlate, ThinPlate, explicit_limit_s, leapfrog_growth
+from wavefocus.mocks.plates.soft import SOFT_PLATE, mean_hankel, thin_plate_green
+from wavefocus.mocks.plates.thin import (
+    ExactPlate,
+    ExplicitPlate,
+    ImplicitPlate,
+    ThinPlate,
+    explicit_limit_s,
+    leapfrog_growth,
+)
 
 GLASS = ThinPlate(0.24, 0.16, 1.566)
 """Glass of 1 mm: 70 GPa, 0.22, 2500 kg/m^3."""

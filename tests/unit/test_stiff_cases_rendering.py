@@ -7,15 +7,15 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from config.scene import Output, Regularisation
-from rendering.drive.rendering import render_with_report
-from rendering.field.prediction import predict
-from rendering.greens.regularisation import focus_gain_map
-from rendering.greens.source import GreenArray
-from rendering.scene.model import Scene, Source
-from rendering.scene.paths import Circle, Line, Point, Polyline
-from rendering.scene.signals import Impulse, Noise, Sine
-from storage.errors import InputError
+from wavefocus.config.scene import Output, Regularisation
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.field.prediction import predict
+from wavefocus.rendering.greens.regularisation import focus_gain_map
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.paths import Circle, Line, Point, Polyline
+from wavefocus.rendering.scene.signals import Impulse, Noise, Sine
+from wavefocus.storage.errors import InputError
 
 RATE_HZ = 1000.0
 GRID_MM = np.array([(4.0 * x, 4.0 * y) for y in range(5) for x in range(7)])

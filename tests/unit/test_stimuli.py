@@ -11,15 +11,15 @@ import h5py
 import numpy as np
 import pytest
 
-from rendering.drive.coil_limits import DriveLimits, peaks
-from rendering.drive.rendering import render
-from rendering.drive.wav import Interface
-from storage.bank.reading import Bank, open_bank
-from storage.drive_file import read_drive, write_drive
-from storage.errors import InputError
 from tests.unit.plate_banks import ACTUATOR_MM, RATE_HZ, SQUARE_MM, plate_greens
-from trials.design import TrialsDesign, load_trials
-from trials.stimuli import Prepared, prepare
+from wavefocus.rendering.drive.coil_limits import DriveLimits, peaks
+from wavefocus.rendering.drive.rendering import render
+from wavefocus.rendering.drive.wav import Interface
+from wavefocus.storage.bank.reading import Bank, open_bank
+from wavefocus.storage.drive_file import read_drive, write_drive
+from wavefocus.storage.errors import InputError
+from wavefocus.trials.design import TrialsDesign, load_trials
+from wavefocus.trials.stimuli import Prepared, prepare
 
 TRIALS = """
 [trials]

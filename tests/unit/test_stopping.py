@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from acquisition.engine.session import StopRequest
+from wavefocus.acquisition.engine.session import StopRequest
 from wavefocus.ending import stop_on_signals
 
 
@@ -50,7 +50,7 @@ def test_after_leaving_the_former_dispositions_hold() -> None:
 def test_given_a_process_that_waits_then_sigterm_ends_it_through_its_cleanup() -> None:
     program = (
         "import time\n"
-        "from acquisition.engine.session import StopRequest\nfrom wavefocus.ending import stop_on_signals\n"
+        "from wavefocus.acquisition.engine.session import StopRequest\nfrom wavefocus.ending import stop_on_signals\n"
         "with stop_on_signals(StopRequest()):\n"
         "    try:\n"
         "        print('ready', flush=True)\n"

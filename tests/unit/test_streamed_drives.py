@@ -11,16 +11,16 @@ import soundfile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from config.scene import Output, Regularisation
-from rendering.drive.coil_limits import DriveLimits, RunningLevels, largest_rms
-from rendering.drive.rendering import render_with_report
-from rendering.drive.streamed import BlockDrive, StreamedDrive
-from rendering.drive.wav import Interface, InterfaceRate, in_chunks, stream_wav
-from rendering.greens.source import GreenArray
-from rendering.scene.model import Scene, Source
-from rendering.scene.paths import Circle, Line, Point
-from rendering.scene.signals import Impulse, Noise, Sine
-from storage.errors import InputError
+from wavefocus.config.scene import Output, Regularisation
+from wavefocus.rendering.drive.coil_limits import DriveLimits, RunningLevels, largest_rms
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.drive.streamed import BlockDrive, StreamedDrive
+from wavefocus.rendering.drive.wav import Interface, InterfaceRate, in_chunks, stream_wav
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.paths import Circle, Line, Point
+from wavefocus.rendering.scene.signals import Impulse, Noise, Sine
+from wavefocus.storage.errors import InputError
 
 RATE_HZ = 1000.0
 MOVING = Source(Circle((0, 0), 10.0, 1.3, 20.0), Noise((50, 400), 0.7, 3), 0.01, 100.0, 3.0, 2.0)

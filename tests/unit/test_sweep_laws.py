@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.clock.played import highest_cycles
-from calibration.clock.resampling import thin
-from calibration.clock.sweep_laws import fit_sweep_law
+from wavefocus.calibration.clock.played import highest_cycles
+from wavefocus.calibration.clock.resampling import thin
+from wavefocus.calibration.clock.sweep_laws import fit_sweep_law
 
 
 def cycles(law, low, high, duration_s, time_s):

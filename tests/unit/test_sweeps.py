@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibration.sweeps import Excitation
-from storage.errors import InputError
+from wavefocus.calibration.sweeps import Excitation
+from wavefocus.storage.errors import InputError
 
 DEFAULT = Excitation(10_000.0, 20.0, 500.0, 1.0, 0.2, 0.5, 3)
 

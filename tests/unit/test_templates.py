@@ -10,21 +10,21 @@ import pytest
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
-from benchmarks.rig_bank import true_bank
-from config.fields import explanation, fields_of, with_explanations
-from config.rig import RigConfig, default_rig
-from config.run import RunConfig, Virtual, default_run
-from config.scene import SceneConfig
-from config.trials import TrialsConfig
-from mocks.virtual.faults import ANYWHERE, CORRUPTING
-from mocks.virtual.rig import VirtualRig
-from rendering.drive.rendering import render_with_report
-from rendering.greens.source import GreenArray
-from rendering.scene.model import load_scene
-from storage.errors import InputError
-from trials.design import load_trials
+from wavefocus.benchmarks.rig_bank import true_bank
 from wavefocus.commands.init import write_templates
+from wavefocus.config.fields import explanation, fields_of, with_explanations
+from wavefocus.config.rig import RigConfig, default_rig
+from wavefocus.config.run import RunConfig, Virtual, default_run
+from wavefocus.config.scene import SceneConfig
+from wavefocus.config.trials import TrialsConfig
 from wavefocus.configuration import Configuration, load_rig, load_run
+from wavefocus.mocks.virtual.faults import ANYWHERE, CORRUPTING
+from wavefocus.mocks.virtual.rig import VirtualRig
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.scene.model import load_scene
+from wavefocus.storage.errors import InputError
+from wavefocus.trials.design import load_trials
 
 
 def test_virtual_templates_are_the_defaults(tmp_path: Path) -> None:

@@ -6,12 +6,12 @@ import io
 
 import pytest
 
-from acquisition.calibrate_mirror import Jog, JogView
-from config.messages.rig_checks import By, Here, To
-from mocks.virtual.laboratory import PatchBay
-from storage.errors import InputError
+from wavefocus.acquisition.calibrate_mirror import Jog, JogView
+from wavefocus.config.messages.rig_checks import By, Here, To
+from wavefocus.mocks.virtual.laboratory import PatchBay
 from wavefocus.rig.calibration_session import Cables
 from wavefocus.rig.operators import TerminalOperator
+from wavefocus.storage.errors import InputError
 
 VIEW = JogView(2, 7, (80.0, -45.0), (1.0, -2.5))
 

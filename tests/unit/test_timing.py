@@ -9,9 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from calibration.clock.timing import ClockFit, ClockFitter, ReferenceMissingError, fit_clock, to_playback_clock
-from calibration.sweeps import Excitation
-from storage.errors import InputError, WavefocusError
+from wavefocus.calibration.clock.timing import (
+    ClockFit,
+    ClockFitter,
+    ReferenceMissingError,
+    fit_clock,
+    to_playback_clock,
+)
+from wavefocus.calibration.sweeps import Excitation
+from wavefocus.storage.errors import InputError, WavefocusError
 
 SAMPLES = 37_200
 KNOWN = Excitation(10_000.0, 20.0, 500.0, 1.0, 0.2, 1.0, 3).signal_v()

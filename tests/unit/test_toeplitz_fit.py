@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from calibration.clock.czt import fourier_sum
-from calibration.estimator.causal_fit import (
+from wavefocus.calibration.clock.czt import fourier_sum
+from wavefocus.calibration.estimator.causal_fit import (
     CausalFit,
     ToeplitzFit,
     circulant_inverse,

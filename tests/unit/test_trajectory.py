@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rendering.scene.trajectory import Trajectory
-from storage.errors import InputError
+from wavefocus.rendering.scene.trajectory import Trajectory
+from wavefocus.storage.errors import InputError
 
 PLACES = st.floats(-1e3, 1e3)
 KNOTS = st.lists(st.tuples(st.integers(1, 400), PLACES, PLACES, PLACES), min_size=2, max_size=8)

@@ -7,22 +7,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from config.scene import Output, Regularisation
-from rendering.drive.inverse_filter import inverse_filter
-from rendering.drive.rendering import render_with_report
-from rendering.drive.streamed import BlockDrive
-from rendering.greens.interpolation.base import interpolation_method
-from rendering.greens.source import GreenArray
-from rendering.report.scene_picture import scene_picture
-from rendering.scene.model import Scene, Source, load_scene
-from rendering.scene.paths import Circle, Line, Point
-from rendering.scene.sampling import sample_scene
-from rendering.scene.scene_rows import scene_rows
-from rendering.scene.signals import Impulse, Noise, Sine
-from rendering.scene.size import scene_size
-from rendering.scene.trajectory_path import TrajectoryPath
-from storage.errors import InputError
 from tests.unit.plate_banks import plate_bank
+from wavefocus.config.scene import Output, Regularisation
+from wavefocus.rendering.drive.inverse_filter import inverse_filter
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.drive.streamed import BlockDrive
+from wavefocus.rendering.greens.interpolation.base import interpolation_method
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.report.scene_picture import scene_picture
+from wavefocus.rendering.scene.model import Scene, Source, load_scene
+from wavefocus.rendering.scene.paths import Circle, Line, Point
+from wavefocus.rendering.scene.sampling import sample_scene
+from wavefocus.rendering.scene.scene_rows import scene_rows
+from wavefocus.rendering.scene.signals import Impulse, Noise, Sine
+from wavefocus.rendering.scene.size import scene_size
+from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
+from wavefocus.storage.errors import InputError
 
 RATE_HZ = 1000.0
 GRID_MM = np.array([(4.0 * x - 16.0, 4.0 * y - 12.0) for y in range(7) for x in range(9)])

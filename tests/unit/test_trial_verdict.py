@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from acquisition.trial import Candidate, choose, repeated_error, sequential_errors
-from calibration.estimator.schedule_error import measure_decay
-from storage.errors import InputError
+from wavefocus.acquisition.trial import Candidate, choose, repeated_error, sequential_errors
+from wavefocus.calibration.estimator.schedule_error import measure_decay
+from wavefocus.storage.errors import InputError
 
 HOUR_S = 3600.0
 

@@ -10,16 +10,16 @@ import pytest
 from scipy.optimize import minimize
 from scipy.stats import binom
 
-from config.trials import AdaptiveTable, TrialsTable
-from storage.errors import InputError
-from trials.analysis.mixed_model import fit_mixed_model
-from trials.analysis.psychometric_fit import MOST_LAPSES, fit_psychometric
-from trials.analysis.report import build_report
-from trials.analysis.results import analysis_of, psychometric_of
-from trials.analysis.sensitivity import d_prime, sensitivities_of
-from trials.analysis.shares import RIGHT, combinations_of, shares_of, wilson
-from trials.answers import Row
-from trials.psychometric import share_right
+from wavefocus.config.trials import AdaptiveTable, TrialsTable
+from wavefocus.storage.errors import InputError
+from wavefocus.trials.analysis.mixed_model import fit_mixed_model
+from wavefocus.trials.analysis.psychometric_fit import MOST_LAPSES, fit_psychometric
+from wavefocus.trials.analysis.report import build_report
+from wavefocus.trials.analysis.results import analysis_of, psychometric_of
+from wavefocus.trials.analysis.sensitivity import d_prime, sensitivities_of
+from wavefocus.trials.analysis.shares import RIGHT, combinations_of, shares_of, wilson
+from wavefocus.trials.answers import Row
+from wavefocus.trials.psychometric import share_right
 
 NASTY = "<script>alert(1)</script>"
 ANSWERS = ("left", "right")

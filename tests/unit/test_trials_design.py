@@ -12,12 +12,12 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from rendering.scene.model import Source
-from rendering.scene.paths import Line, Point
-from rendering.scene.signals import Noise
-from storage.errors import InputError
-from trials.design import TrialsDesign, load_trials
-from trials.order import Draws, FixedOrder, order_of, ordered
+from wavefocus.rendering.scene.model import Source
+from wavefocus.rendering.scene.paths import Line, Point
+from wavefocus.rendering.scene.signals import Noise
+from wavefocus.storage.errors import InputError
+from wavefocus.trials.design import TrialsDesign, load_trials
+from wavefocus.trials.order import Draws, FixedOrder, order_of, ordered
 
 TRIALS = """
 [trials]
@@ -166,7 +166,7 @@ def test_order_is_balanced_in_each_block_and_never_too_many_are_alike(
 ) -> None:
     level_of = {f"{level}-{k}": str(level) for level, count in enumerate(counts) for k in range(count)}
     others = sum(counts) - max(counts)
-    # Exactly what a design may be: see `trials.design`.
+    # Exactly what a design may be: see `wavefocus.trials.design`.
     assume(not most_alike or each * max(counts) <= most_alike * (each * others + (blocks == 1)))
     names = ordered(
         list(level_of), level_of.__getitem__, Draws(str(seed)), each=each, blocks=blocks, most_alike=most_alike

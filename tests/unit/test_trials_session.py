@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from config.messages.codec import Message
-from config.messages.trials import (
+from tests.unit.trials_files import STROKES
+from wavefocus.config.messages.codec import Message
+from wavefocus.config.messages.trials import (
     Answer,
     AnswerStored,
     EndTrials,
@@ -21,14 +22,13 @@ from config.messages.trials import (
     TrialsState,
     Welcome,
 )
-from drivers.errors import InstrumentLostError
-from storage.errors import InputError
-from tests.unit.trials_files import STROKES
-from trials.answers import AnswersFile, read_answers
-from trials.design import load_trials
-from trials.presentation import Onset
-from trials.resuming import Experiment
-from trials.session import State, TrialsSession
+from wavefocus.drivers.errors import InstrumentLostError
+from wavefocus.storage.errors import InputError
+from wavefocus.trials.answers import AnswersFile, read_answers
+from wavefocus.trials.design import load_trials
+from wavefocus.trials.presentation import Onset
+from wavefocus.trials.resuming import Experiment
+from wavefocus.trials.session import State, TrialsSession
 
 TRIALS = f"""
 [trials]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from storage.units import quantity, response_unit
+from wavefocus.storage.units import quantity, response_unit
 
 
 @pytest.mark.parametrize(

@@ -9,20 +9,20 @@ from functools import cache
 import numpy as np
 import pytest
 
-from acquisition.setup import Setup
-from calibration.clock.timing import ReferenceMissingError
-from calibration.mirror_map import MirrorMap
-from drivers.errors import InstrumentLostError
-from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
-from rendering.field.prediction import predict
-from rendering.greens.source import GreenArray
-from rendering.verify.linearity import linearity_figures, linearity_rows, quieter
-from rendering.verify.scan import Scan, ScanPlan, scan
-from rendering.verify.verdict import Tolerances, Verification, compare
-from storage.drive_file import Drive
-from storage.errors import InputError
-from storage.field_file import Field, LowPass
 from tests.unit.line_verification import scan_of
+from wavefocus.acquisition.setup import Setup
+from wavefocus.calibration.clock.timing import ReferenceMissingError
+from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.drivers.errors import InstrumentLostError
+from wavefocus.mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
+from wavefocus.rendering.field.prediction import predict
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.verify.linearity import linearity_figures, linearity_rows, quieter
+from wavefocus.rendering.verify.scan import Scan, ScanPlan, scan
+from wavefocus.rendering.verify.verdict import Tolerances, Verification, compare
+from wavefocus.storage.drive_file import Drive
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.field_file import Field, LowPass
 
 RATE_HZ = 10_000.0
 TAPS = 600

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rendering.greens.source import GreenArray
-from rendering.verify.field_pair import CancelledError, read_pair
-from rendering.verify.record import RecordedSource, read_record, write_record
-from rendering.verify.verdict import Verification, compare
-from storage.errors import InputError
-from storage.field_file import Field, write_field
 from tests.unit.line_verification import GRID_MM, RATE_HZ, bank, rendered, scene_of
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.verify.field_pair import CancelledError, read_pair
+from wavefocus.rendering.verify.record import RecordedSource, read_record, write_record
+from wavefocus.rendering.verify.verdict import Verification, compare
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.field_file import Field, write_field
 
 NOT_SCANNED = 3
 

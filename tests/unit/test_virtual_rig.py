@@ -6,9 +6,9 @@ import time
 import numpy as np
 import pytest
 
-from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from drivers.protocols import PiecewisePlayer, Recording, RecordRequest, Take
-from mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from wavefocus.drivers.protocols import PiecewisePlayer, Recording, RecordRequest, Take
+from wavefocus.mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
 
 RATE_HZ = 10_000.0
 PRE_ROLL_S = 0.02

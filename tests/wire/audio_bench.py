@@ -13,11 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.audio.stream.player import StreamPlayer
-from drivers.errors import TransientInstrumentError
-from mocks.wire.jack_server import JackServer
+import wavefocus
+from wavefocus.drivers.audio.stream.player import StreamPlayer
+from wavefocus.drivers.errors import TransientInstrumentError
+from wavefocus.mocks.wire.jack_server import JackServer
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(wavefocus.__file__).parents[1]
 CHANNELS = 21
 RATE_HZ = 48_000
 # Powers of two: what is divided by them is exact.

@@ -9,9 +9,9 @@ from contextlib import ExitStack, contextmanager
 
 import numpy as np
 
-from drivers.daq.ni.ni_recorder import NiRecorder
-from drivers.protocols import RecordRequest, Take
-from mocks.wire.ni_server import NiServer
+from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
+from wavefocus.drivers.protocols import RecordRequest, Take
+from wavefocus.mocks.wire.ni_server import NiServer
 
 RATE_HZ = 10_000.0
 RANGE_V = (1.0, 10.0)

@@ -10,13 +10,13 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from drivers.mirror.serial_mirror import SerialMirror
-from drivers.protocols import WallClock
-from drivers.registry import MIRRORS
-from mocks.virtual.mirror import MirrorMotion
-from mocks.wire.faults import WireFault, WireFaultPlan
-from mocks.wire.mirrors import MirrorDevice, mirror_device
-from mocks.wire.serial_far_side import PtyWire, SerialDevice, SerialFarSide, TcpWire, Wire, garble
+from wavefocus.drivers.mirror.serial_mirror import SerialMirror
+from wavefocus.drivers.protocols import WallClock
+from wavefocus.drivers.registry import MIRRORS
+from wavefocus.mocks.virtual.mirror import MirrorMotion
+from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
+from wavefocus.mocks.wire.mirrors import MirrorDevice, mirror_device
+from wavefocus.mocks.wire.serial_far_side import PtyWire, SerialDevice, SerialFarSide, TcpWire, Wire, garble
 
 
 @dataclass(frozen=True)

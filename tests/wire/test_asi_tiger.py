@@ -8,10 +8,10 @@ from importlib import resources
 
 import pytest
 
-from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from mocks.wire.faults import WireFault
-from mocks.wire.mirrors.asi_tiger import AsiTigerDevice
 from tests.wire.serial_bench import LOCAL, answering, mirror_bench
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from wavefocus.mocks.wire.faults import WireFault
+from wavefocus.mocks.wire.mirrors.asi_tiger import AsiTigerDevice
 
 MEMS = {"limit_mrad": 155.0, "park_mrad": (-150.0, -150.0)}
 

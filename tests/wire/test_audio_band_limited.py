@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.audio.resampling import LiveConversion, converted, lead_samples, rate_ratio
-from drivers.audio.stream.signals import HALF_STEP, BeyondFullScaleError, SignalShelf
+from wavefocus.drivers.audio.resampling import LiveConversion, converted, lead_samples, rate_ratio
+from wavefocus.drivers.audio.stream.signals import HALF_STEP, BeyondFullScaleError, SignalShelf
 
 RATES_HZ = [(10_000, 48_000), (12_500, 44_100), (48_000, 96_000), (44_100, 48_000), (96_000, 48_000), (50_000, 44_100)]
 

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.audio.stream.portaudio import DeviceChoiceError, OutputDevice, choose
-from drivers.errors import InstrumentError, InstrumentLostError
-from drivers.protocols import DeviceIdentity
 from tests.wire.audio_bench import CHANNELS, RATE_HZ, AlsaFile, AudioBench, as_played, noise, run_python, sounding
+from wavefocus.drivers.audio.stream.portaudio import DeviceChoiceError, OutputDevice, choose
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
+from wavefocus.drivers.protocols import DeviceIdentity
 
 APIS = ("MME", "ASIO", "Windows WASAPI")
 DEVICES = (
@@ -24,9 +24,9 @@ DEVICES = (
     OutputDevice(9, "Windows WASAPI", "Speakers (Fireface UCX)", 8, 48_000.0),
 )
 OPENING = """
-from drivers.audio.stream.player import StreamPlayer
-from drivers.errors import InstrumentError
-from drivers.protocols import DeviceIdentity
+from wavefocus.drivers.audio.stream.player import StreamPlayer
+from wavefocus.drivers.errors import InstrumentError
+from wavefocus.drivers.protocols import DeviceIdentity
 try:
     StreamPlayer(None, "filed", channels=2, channel_full_scale_v=(1.0, 1.0), interface_rate_hz=48_000)
 except InstrumentError as error:
@@ -132,7 +132,7 @@ def test_given_no_sounddevice_then_it_says_how_to_install_it(tmp_path):
 
 
 def test_given_the_import_of_the_player_then_nothing_of_the_audio_library_is_loaded():
-    code = "import sys, drivers.audio.stream.player; print('sounddevice' in sys.modules)"
+    code = "import sys, wavefocus.drivers.audio.stream.player; print('sounddevice' in sys.modules)"
     assert run_python(code, {})[1].strip() == "False"
 
 

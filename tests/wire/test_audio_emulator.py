@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocks.wire.jack_capture import AudioNotCapturedError, PlayedAudio, RingWriter, make_ring
-from mocks.wire.jack_server import JackServer
 from tests.wire.audio_bench import RATE_HZ, AudioBench, alive, needs_audio_server, run_python, wait_until
+from wavefocus.mocks.wire.jack_capture import AudioNotCapturedError, PlayedAudio, RingWriter, make_ring
+from wavefocus.mocks.wire.jack_server import JackServer
 
 PERIOD = 480
 SECOND_NS = 1_000_000_000
@@ -152,7 +152,7 @@ class TestOfTheServer:
     def test_given_a_program_that_dies_then_its_server_goes_too(self):
         code = (
             "import os, signal\n"
-            "from mocks.wire.jack_server import JackServer\n"
+            "from wavefocus.mocks.wire.jack_server import JackServer\n"
             "server = JackServer(period_frames=1024)\n"
             "print(server.process_id, server.server_process_id, flush=True)\n"
             "os.kill(os.getpid(), signal.SIGKILL)\n"

@@ -9,9 +9,6 @@ from contextlib import ExitStack, suppress
 import numpy as np
 import pytest
 
-from drivers.audio.resampling import converted, lead_samples, rate_ratio
-from drivers.errors import InstrumentError, TransientInstrumentError
-from drivers.protocols import DeviceIdentity, Player
 from tests.wire.audio_bench import (
     FULL_SCALE_V,
     RATE_HZ,
@@ -23,6 +20,9 @@ from tests.wire.audio_bench import (
     sounding,
     undisturbed,
 )
+from wavefocus.drivers.audio.resampling import converted, lead_samples, rate_ratio
+from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
+from wavefocus.drivers.protocols import DeviceIdentity, Player
 
 pytestmark = needs_audio_server
 # Opening and closing take a period for each channel.

@@ -13,7 +13,6 @@ from contextlib import ExitStack, suppress
 import numpy as np
 import pytest
 
-from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from tests.wire.audio_bench import (
     RATE_HZ,
     ROOT,
@@ -25,13 +24,14 @@ from tests.wire.audio_bench import (
     undisturbed,
     wait_until,
 )
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 
 pytestmark = [pytest.mark.long, *needs_audio_server]
 
 PLAYING = """
 import sys, time
 import numpy as np
-from drivers.audio.stream.player import StreamPlayer
+from wavefocus.drivers.audio.stream.player import StreamPlayer
 player = StreamPlayer("JACK Audio Connection Kit", "wavefocus interface", channels=21,
                       channel_full_scale_v=[1.0] * 21, interface_rate_hz=48_000)
 player.play({0: np.full(60 * 48_000, 0.5)}, 48_000)
@@ -41,7 +41,7 @@ print(player.process_id, flush=True)
 MEETING_THE_LOSS = (
     PLAYING
     + """
-from drivers.errors import InstrumentLostError, TransientInstrumentError
+from wavefocus.drivers.errors import InstrumentLostError, TransientInstrumentError
 sys.stdin.readline()
 try:
     player.wait(90)

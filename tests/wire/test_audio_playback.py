@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.audio.stream.playback import (
+from wavefocus.drivers.audio.stream.playback import (
     FADE_S,
     MUTED,
     PLAYED,

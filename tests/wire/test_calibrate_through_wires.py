@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibration.mirror_map import MirrorMap
-from config.calibration import CalibrationRecord
-from mocks.virtual.synthesis import output_errors
 from tests.wire.emulated import ACTUATORS, FarSides
+from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.config.calibration import CalibrationRecord
+from wavefocus.mocks.virtual.synthesis import output_errors
 
 pytestmark = pytest.mark.long
 

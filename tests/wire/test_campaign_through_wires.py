@@ -11,9 +11,9 @@ import h5py
 import numpy as np
 import pytest
 
-from mocks.virtual.rig import VirtualRig
 from tests.wire.emulated import ACTUATORS, FarSides, far_sides, free_port, rig_text
 from wavefocus.configuration import load_rig
+from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.rig.virtual_bench import virtual_settings
 
 pytestmark = pytest.mark.long

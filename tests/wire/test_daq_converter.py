@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.daq.ni.ni_task import count_scale
-from mocks.wire.ni_products import PRODUCTS, Converter
+from wavefocus.drivers.daq.ni.ni_task import count_scale
+from wavefocus.mocks.wire.ni_products import PRODUCTS, Converter
 
 ranges_v = st.sampled_from([0.2, 1.0, 1.25, 5.0, 10.0, 20.0])
 calibrations = st.tuples(

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from nidaqmx.errors import DaqError
 
-from calibration.clock.timing import ReferenceMissingError, fit_clock
-from drivers.daq.ni.ni_session import TlsFiles, explain
-from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from mocks.wire.faults import WireFault
-from mocks.wire.ni_server import NiServer
 from tests.wire.daq_bench import RANGE_V, RATE_HZ, TAKE, Tone, ask, check_tone, daq_bench, take_one
+from wavefocus.calibration.clock.timing import ReferenceMissingError, fit_clock
+from wavefocus.drivers.daq.ni.ni_session import TlsFiles, explain
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from wavefocus.mocks.wire.faults import WireFault
+from wavefocus.mocks.wire.ni_server import NiServer
 
 # No test waits long for an answer that does not come.
 ANSWER_S = 0.5

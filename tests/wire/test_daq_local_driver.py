@@ -20,10 +20,10 @@ import ctypes, os, signal, sys, threading, warnings
 from pathlib import Path
 import pytest
 warnings.simplefilter("error")
-from drivers.daq.ni.ni_recorder import NiRecorder
-from drivers.daq.ni.recorder_process import ProcessRecorder
-from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from drivers.protocols import RecordRequest, Take
+from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
+from wavefocus.drivers.daq.ni.recorder_process import ProcessRecorder
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from wavefocus.drivers.protocols import RecordRequest, Take
 
 WIRING = dict(reference_input="ai0", response_input="ai1", terminal="differential", trigger=None)
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from drivers.daq.ni.ni_recorder import NiRecorder
-from drivers.errors import InstrumentError
+from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
+from wavefocus.drivers.errors import InstrumentError
 
 ROOT = Path(__file__).parents[2]
 # A process of its own, in which the import of some packages fails as if they were not installed.
@@ -18,8 +18,8 @@ OPENING = """
 import sys
 for name in {missing!r}:
     sys.modules[name] = None
-from drivers.daq.ni.ni_recorder import NiRecorder
-from drivers.errors import InstrumentError
+from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
+from wavefocus.drivers.errors import InstrumentError
 assert not any(name in sys.modules for name in {unneeded!r}), "imported before it is needed"
 try:
     NiRecorder("Dev1", address={address!r}, reference_input="ai0", response_input="ai1", terminal="rse", trigger=None)

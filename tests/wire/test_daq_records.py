@@ -8,10 +8,10 @@ import time
 import numpy as np
 import pytest
 
-from drivers.errors import InstrumentError, TransientInstrumentError
-from drivers.protocols import DeviceIdentity
-from mocks.wire.ni_products import PRODUCTS
 from tests.wire.daq_bench import RATE_HZ, TAKE, Tone, Wires, ask, check_tone, daq_bench, take_one
+from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
+from wavefocus.drivers.protocols import DeviceIdentity
+from wavefocus.mocks.wire.ni_products import PRODUCTS
 
 # Unlike ranges by terminal, and codes beyond the range.
 SOME = [PRODUCTS[name] for name in ("USB-6009", "USB-6211")]

@@ -13,8 +13,8 @@ from nidaqmx.constants import TerminalConfiguration
 from nidaqmx.errors import DaqError, DaqReadError
 from nidaqmx.stream_readers import AnalogMultiChannelReader
 
-from mocks.wire.ni_server import NiServer
 from tests.wire.daq_bench import Tone, daq_bench
+from wavefocus.mocks.wire.ni_server import NiServer
 
 ROOT = Path(__file__).parents[2]
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from drivers.mirror.asi_tiger import AsiTiger
-from drivers.mirror.serial_mirror import SerialMirror
-from drivers.protocols import WallClock
 from tests.wire.emulated import far_sides, free_port, rig_text
 from wavefocus.__main__ import run
+from wavefocus.drivers.mirror.asi_tiger import AsiTiger
+from wavefocus.drivers.mirror.serial_mirror import SerialMirror
+from wavefocus.drivers.protocols import WallClock
 
 
 def told(capsys: pytest.CaptureFixture[str]) -> str:

@@ -7,9 +7,9 @@ import threading
 import pytest
 import serial
 
-from drivers.errors import InstrumentLostError
 from tests.wire.hanging_ports import protocol_hang
 from tests.wire.serial_bench import PARK_MRAD, mirror_bench
+from wavefocus.drivers.errors import InstrumentLostError
 
 
 @pytest.fixture

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocks.wire.jack_server import JackServer
-from storage.bank.layout import BankHeader
-from storage.bank.ledger import PointRecord
-from storage.bank.writer import BankWriter, create_bank
 from tests.system.lines import Lines
 from tests.wire.audio_bench import AudioBench, needs_audio_server
 from tests.wire.test_play import RIG
+from wavefocus.mocks.wire.jack_server import JackServer
+from wavefocus.storage.bank.layout import BankHeader
+from wavefocus.storage.bank.ledger import PointRecord
+from wavefocus.storage.bank.writer import BankWriter, create_bank
 
 pytestmark = [pytest.mark.long, *needs_audio_server]
 

@@ -6,15 +6,15 @@ import math
 
 import pytest
 
-from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from drivers.mirror.generic import GenericMirror
-from drivers.protocols import DeviceIdentity
-from drivers.registry import MIRRORS
-from mocks.wire.mirrors import MIRROR_DEVICES
-from mocks.wire.mirrors.asi_tiger import AsiTigerDevice
-from mocks.wire.mirrors.mirrorcle import MirrorcleDevice
-from mocks.wire.mirrors.optotune import OptotuneDevice
 from tests.wire.serial_bench import DIALECTS, EACH, LIMIT_MRAD, LOCAL, PARK_MRAD, answering, mirror_bench
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from wavefocus.drivers.mirror.generic import GenericMirror
+from wavefocus.drivers.protocols import DeviceIdentity
+from wavefocus.drivers.registry import MIRRORS
+from wavefocus.mocks.wire.mirrors import MIRROR_DEVICES
+from wavefocus.mocks.wire.mirrors.asi_tiger import AsiTigerDevice
+from wavefocus.mocks.wire.mirrors.mirrorcle import MirrorcleDevice
+from wavefocus.mocks.wire.mirrors.optotune import OptotuneDevice
 
 
 @pytest.fixture(params=EACH)

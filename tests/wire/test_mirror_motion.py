@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mocks.virtual.mirror import MirrorMotion
+from wavefocus.mocks.virtual.mirror import MirrorMotion
 
 SECOND_NS = 1_000_000_000
 

@@ -17,10 +17,10 @@ import numpy as np
 import pytest
 import soundfile
 
-from mocks.wire.jack_server import JackServer
-from storage.drive_file import Drive, write_drive
 from tests.wire.audio_bench import AudioBench, needs_audio_server, sounding, wait_until
 from wavefocus.__main__ import run
+from wavefocus.mocks.wire.jack_server import JackServer
+from wavefocus.storage.drive_file import Drive, write_drive
 
 pytestmark = [pytest.mark.long, *needs_audio_server]
 

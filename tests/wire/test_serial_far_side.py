@@ -11,16 +11,16 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from mocks.virtual.mirror import MirrorMotion
-from mocks.wire.faults import WireFault, WireFaultPlan
-from mocks.wire.mirrors import mirror_device
-from mocks.wire.mirrors.asi_tiger import AsiTigerDevice
-from mocks.wire.mirrors.generic import GenericMirrorDevice
-from mocks.wire.mirrors.mirrorcle import MirrorcleDevice
-from mocks.wire.mirrors.optotune import OptotuneDevice
-from mocks.wire.serial_far_side import SerialFarSide, TcpWire
-from mocks.wire.vibrometer import PolytecDevice
 from tests.wire.serial_bench import WIRES, wire
+from wavefocus.mocks.virtual.mirror import MirrorMotion
+from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
+from wavefocus.mocks.wire.mirrors import mirror_device
+from wavefocus.mocks.wire.mirrors.asi_tiger import AsiTigerDevice
+from wavefocus.mocks.wire.mirrors.generic import GenericMirrorDevice
+from wavefocus.mocks.wire.mirrors.mirrorcle import MirrorcleDevice
+from wavefocus.mocks.wire.mirrors.optotune import OptotuneDevice
+from wavefocus.mocks.wire.serial_far_side import SerialFarSide, TcpWire
+from wavefocus.mocks.wire.vibrometer import PolytecDevice
 
 REFERENCE = Path(__file__).parents[2] / "docs/reference/generic-mirror.md"
 

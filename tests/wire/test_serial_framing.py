@@ -13,12 +13,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import InstrumentError
-from drivers.mirror.generic import checksum
-from drivers.mirror.serial_mirror import SerialMirror
-from drivers.serial_line import LineSettings, NoAnswerError, SerialLine
-from mocks.wire.faults import WireFault
 from tests.wire.serial_bench import LOCAL, WIRES, mirror_bench
+from wavefocus.drivers.errors import InstrumentError
+from wavefocus.drivers.mirror.generic import checksum
+from wavefocus.drivers.mirror.serial_mirror import SerialMirror
+from wavefocus.drivers.serial_line import LineSettings, NoAnswerError, SerialLine
+from wavefocus.mocks.wire.faults import WireFault
 
 Bytes = Callable[[bytes], bytes]
 TARGET_MRAD = (40.0, -25.0)

@@ -12,10 +12,11 @@ from pathlib import Path
 import numpy
 import pytest
 
-from drivers.errors import InstrumentError, InstrumentLostError
-from drivers.serial_line import LineSettings, SerialLine, SerialPort, find_port, open_failure, serial_ports
+import wavefocus
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
+from wavefocus.drivers.serial_line import LineSettings, SerialLine, SerialPort, find_port, open_failure, serial_ports
 
-REPOSITORY = Path(__file__).parents[2]
+PACKAGES = Path(wavefocus.__file__).parents[1]
 PRESENT = (
     SerialPort("/dev/ttyUSB0", "A1", "adapter"),
     SerialPort("/dev/ttyUSB1", "B2", "adapter"),
@@ -98,7 +99,7 @@ def test_given_a_port_that_this_user_may_not_open_then_the_group_is_named(tmp_pa
     # Root may open everything, so the attempt is made by nobody, by a process that has imported all before.
     program = (
         "import os, sys, serial\n"
-        "from drivers.serial_line import LineSettings, SerialLine\n"
+        "from wavefocus.drivers.serial_line import LineSettings, SerialLine\n"
         "os.chdir(sys.argv[1])\n"
         "if os.getuid() == 0:\n"
         "    os.setgid(65534), os.setuid(65534)\n"
@@ -106,7 +107,7 @@ def test_given_a_port_that_this_user_may_not_open_then_the_group_is_named(tmp_pa
     )
     run = subprocess.run(
         [sys.executable, "-c", program, str(tmp_path)],
-        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
+        env={**os.environ, "PYTHONPATH": str(PACKAGES)},
         capture_output=True,
         text=True,
         check=False,
@@ -139,14 +140,14 @@ def test_given_no_pyserial_then_the_drivers_import_and_opening_says_what_to_inst
         if (packages / name).exists():
             (tmp_path / name).symlink_to(packages / name, target_is_directory=True)
     program = (
-        "from drivers.protocols import WallClock\n"
-        "from drivers.mirror.serial_mirror import SerialMirror\n"
-        "from drivers.mirror.generic import GenericMirror\n"
+        "from wavefocus.drivers.protocols import WallClock\n"
+        "from wavefocus.drivers.mirror.serial_mirror import SerialMirror\n"
+        "from wavefocus.drivers.mirror.generic import GenericMirror\n"
         "SerialMirror(GenericMirror(), '/dev/ttyUSB0', settle_s=0, limit_mrad=1, park_mrad=(0, 0), clock=WallClock())\n"
     )
     run = subprocess.run(
         [sys.executable, "-S", "-c", program],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(REPOSITORY), str(tmp_path)])},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(PACKAGES), str(tmp_path)])},
         capture_output=True,
         text=True,
         check=False,

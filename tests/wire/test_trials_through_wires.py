@@ -10,8 +10,8 @@ from tests.system.lines import Lines
 from tests.system.test_trials import MASKING, TRIALS
 from tests.wire.emulated import far_sides, free_port, rig_text
 from tests.wire.test_campaign_through_wires import POSITIONS, VIRTUAL_RIG, write_run
-from trials.answers import read_answers
 from wavefocus.__main__ import run
+from wavefocus.trials.answers import read_answers
 
 pytestmark = pytest.mark.long
 

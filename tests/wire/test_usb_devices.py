@@ -7,10 +7,10 @@ import errno
 import pytest
 import usb.core
 
-from drivers.errors import InstrumentError
-from drivers.usb import ExpectedUsbDevice, Finding, Kind, Problem, Verdict, list_devices, match_devices
-from mocks.wire.faults import WireFault
-from mocks.wire.usb_backend import VirtualUsb, VirtualUsbDevice
+from wavefocus.drivers.errors import InstrumentError
+from wavefocus.drivers.usb import ExpectedUsbDevice, Finding, Kind, Problem, Verdict, list_devices, match_devices
+from wavefocus.mocks.wire.faults import WireFault
+from wavefocus.mocks.wire.usb_backend import VirtualUsb, VirtualUsbDevice
 
 DAQ = VirtualUsbDevice(0x3923, 0x7179, "01A2B3C4", "National Instruments", "USB-6211", port_path=(1, 2))
 ADAPTER = VirtualUsbDevice(0x0403, 0x6001, "A50285BI", "FTDI", "FT232R USB UART", port_path=(1, 3))

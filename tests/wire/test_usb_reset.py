@@ -6,11 +6,11 @@ import dataclasses
 
 import pytest
 
-from drivers.errors import InstrumentError, InstrumentLostError
-from drivers.usb import ExpectedUsbDevice, list_devices, reset_device
-from mocks.virtual.laboratory import VirtualClock
-from mocks.wire.faults import WireFault
-from mocks.wire.usb_backend import VirtualUsb, VirtualUsbDevice
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
+from wavefocus.drivers.usb import ExpectedUsbDevice, list_devices, reset_device
+from wavefocus.mocks.virtual.laboratory import VirtualClock
+from wavefocus.mocks.wire.faults import WireFault
+from wavefocus.mocks.wire.usb_backend import VirtualUsb, VirtualUsbDevice
 
 DAQ = VirtualUsbDevice(0x3923, 0x7179, "01A2B3C4", "National Instruments", "USB-6211", port_path=(1, 2))
 OTHER = VirtualUsbDevice(0x0403, 0x6001, "A50285BI", "FTDI", "FT232R USB UART", port_path=(1, 3))

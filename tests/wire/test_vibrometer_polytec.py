@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from drivers.vibrometer.polytec import Polytec
-from mocks.wire.faults import WireFault, WireFaultPlan
-from mocks.wire.serial_far_side import SerialFarSide
-from mocks.wire.vibrometer import PolytecDevice
 from tests.wire.serial_bench import LOCAL, WIRES, ImpatientClock, wire
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from wavefocus.drivers.vibrometer.polytec import Polytec
+from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
+from wavefocus.mocks.wire.serial_far_side import SerialFarSide
+from wavefocus.mocks.wire.vibrometer import PolytecDevice
 
 ANSWER_S = 0.3
 

@@ -13,8 +13,8 @@ from dataclasses import astuple, fields
 from pathlib import Path
 from typing import Any
 
-from trials.analysis.results import Analysis
-from trials.answers import COLUMNS, Row
+from wavefocus.trials.analysis.results import Analysis
+from wavefocus.trials.answers import COLUMNS, Row
 
 BIDS_VERSION = "1.10.0"
 _OF_THE_FILE = {"participant"}

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rendering.report.canvas import COLOURS, FAINT, INK, Canvas, Picture, drawn_in_style
-from trials.analysis.results import Psychometric
-from trials.analysis.shares import Share
-from trials.analysis.times import ReactionTime
+from wavefocus.rendering.report.canvas import COLOURS, FAINT, INK, Canvas, Picture, drawn_in_style
+from wavefocus.trials.analysis.results import Psychometric
+from wavefocus.trials.analysis.shares import Share
+from wavefocus.trials.analysis.times import ReactionTime
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.errors import InputError
-from trials.analysis.shares import factors_of, grouped, level_of
-from trials.answers import Row
+from wavefocus.storage.errors import InputError
+from wavefocus.trials.analysis.shares import factors_of, grouped, level_of
+from wavefocus.trials.answers import Row
 
 MOST_CATEGORIES = 5
 """A numeric factor with more levels enters by its common logarithm, any other by one term per level but the first."""

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trials.psychometric import share_right
+from wavefocus.trials.psychometric import share_right
 
 Float64Array = NDArray[np.float64]
 Interval = tuple[float | None, float | None]
@@ -38,7 +38,7 @@ _BOOTSTRAP_OFFSETS = np.sinh(np.linspace(-2.8, 2.8, 37))
 
 @dataclass(frozen=True, slots=True)
 class PsychometricFit:
-    """A fitted psychometric function (`trials.psychometric.share_right`).
+    """A fitted psychometric function (`wavefocus.trials.psychometric.share_right`).
 
     levels: Above 0, hardest first, with `right` of `of` answers each.
     guess: Held at this value; lapse: fitted.

@@ -5,13 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from rendering.report.canvas import Picture
-from rendering.report.html import html_page
-from rendering.report.words import number
-from trials.analysis.figures import MOST_BARS, MOST_CURVES, NAMES, psychometric_curves, reaction_time_plot, share_bars
-from trials.analysis.psychometric_fit import MOST_LAPSES, Interval
-from trials.analysis.results import Analysis
-from trials.analysis.shares import RIGHT, Share
+from wavefocus.rendering.report.canvas import Picture
+from wavefocus.rendering.report.html import html_page
+from wavefocus.rendering.report.words import number
+from wavefocus.trials.analysis.figures import (
+    MOST_BARS,
+    MOST_CURVES,
+    NAMES,
+    psychometric_curves,
+    reaction_time_plot,
+    share_bars,
+)
+from wavefocus.trials.analysis.psychometric_fit import MOST_LAPSES, Interval
+from wavefocus.trials.analysis.results import Analysis
+from wavefocus.trials.analysis.shares import RIGHT, Share
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +49,7 @@ def build_report(analysis: Analysis, facts: Sequence[tuple[str, str]]) -> tuple[
     sections = [*_psychometric(analysis), *_shares(analysis), *_sensitivity(analysis), *_times(analysis)]
     sections += [*_onsets(analysis), *_mixed_model(analysis)]
     html = html_page(
-        "analysis.html.jinja", "trials", analysis=analysis, headlines=list(_headlines(analysis)),
+        "analysis.html.jinja", "wavefocus.trials", analysis=analysis, headlines=list(_headlines(analysis)),
         notes=list(_notes(analysis)), sections=sections, facts=facts,
     )  # fmt: skip
     return html, tuple(picture for section in sections for picture in section.pictures)

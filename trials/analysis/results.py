@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from config.trials import AdaptiveTable, TrialsTable
-from trials.adaptive import UpDown
-from trials.analysis.mixed_model import MixedModel, fit_mixed_model
-from trials.analysis.psychometric_fit import PsychometricFit, fit_psychometric
-from trials.analysis.sensitivity import Sensitivity, sensitivities_of
-from trials.analysis.shares import Share, factors_of, grouped, shares_of
-from trials.analysis.times import OnsetErrors, ReactionTime, onset_errors_of, reaction_times_of
-from trials.answers import Row
+from wavefocus.config.trials import AdaptiveTable, TrialsTable
+from wavefocus.trials.adaptive import UpDown
+from wavefocus.trials.analysis.mixed_model import MixedModel, fit_mixed_model
+from wavefocus.trials.analysis.psychometric_fit import PsychometricFit, fit_psychometric
+from wavefocus.trials.analysis.sensitivity import Sensitivity, sensitivities_of
+from wavefocus.trials.analysis.shares import Share, factors_of, grouped, shares_of
+from wavefocus.trials.analysis.times import OnsetErrors, ReactionTime, onset_errors_of, reaction_times_of
+from wavefocus.trials.answers import Row
 
 FORMAT = "wavefocus-trials-analysis"
 FEWEST_LEVELS = 5
@@ -28,7 +28,7 @@ class Psychometric:
 
     factor: Column whose levels are the function's.
     factors: Levels of the other factors that part the trials; empty for a track.
-    reversals_threshold: Of an up-down staircase, as `trials.adaptive.UpDown.threshold`, in the level's unit.
+    reversals_threshold: Of an up-down staircase, as `wavefocus.trials.adaptive.UpDown.threshold`, in the level's unit.
     """
 
     participant: str

@@ -6,15 +6,15 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from trials.analysis.shares import Z_95, factors_of, grouped
-from trials.answers import Row
+from wavefocus.trials.analysis.shares import Z_95, factors_of, grouped
+from wavefocus.trials.answers import Row
 
 
 @dataclass(frozen=True, slots=True)
 class Sensitivity:
     """Sensitivity of one group of trials.
 
-    participant, factors: As of `trials.analysis.shares.Share`.
+    participant, factors: As of `wavefocus.trials.analysis.shares.Share`.
     signal, noise: The answers that are right in the two kinds of trials.
     hits, of_signal: Answers `signal` in trials where that is right, and all those trials.
     false_alarms, of_noise: Answers `signal` in trials where `noise` is right, and all those trials.

@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from trials.answers import Row
+from wavefocus.trials.answers import Row
 
 FACTORS = ("speed_mm_s", "amplitude", "path", "signal", "plays")
 """Columns that may be factors, in the order in which they are tabled."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trials.analysis.shares import factors_of, grouped
-from trials.answers import Row
+from wavefocus.trials.analysis.shares import factors_of, grouped
+from wavefocus.trials.answers import Row
 
 REPLICATES = 2000
 
@@ -17,7 +17,7 @@ REPLICATES = 2000
 class ReactionTime:
     """Median reaction time of a group of trials.
 
-    participant, factors: As of `trials.analysis.shares.Share`.
+    participant, factors: As of `wavefocus.trials.analysis.shares.Share`.
     of: Trials in it: right answers alone where the design has right answers.
     interval: 95 % of the median, percentiles of a bootstrap over these trials (Efron and Tibshirani, An Introduction to
         the Bootstrap, 1993, chapter 13).

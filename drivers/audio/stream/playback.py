@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.protocols import Float32Array
+from wavefocus.drivers.protocols import Float32Array
 
 FADE_S = 0.002
 """A mute fades over so long, within one period, so that the coils do not click."""

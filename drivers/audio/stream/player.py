@@ -9,13 +9,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from drivers.audio.stream.playback import UNDERFLOW, Ended, Taken
-from drivers.audio.stream.player_process import Begin, EndPieces, Mute, Opened, Piece, Refused, Start
-from drivers.audio.stream.portaudio import StreamRequest
-from drivers.audio.stream.signals import PlayOrders
-from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from drivers.process import ANSWER_S, OPENING_S, Alive, Ask, DriverProcess, ProcessGoneError
-from drivers.protocols import DeviceIdentity, Float64Array
+from wavefocus.drivers.audio.stream.playback import UNDERFLOW, Ended, Taken
+from wavefocus.drivers.audio.stream.player_process import Begin, EndPieces, Mute, Opened, Piece, Refused, Start
+from wavefocus.drivers.audio.stream.portaudio import StreamRequest
+from wavefocus.drivers.audio.stream.signals import PlayOrders
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from wavefocus.drivers.process import ANSWER_S, OPENING_S, Alive, Ask, DriverProcess, ProcessGoneError
+from wavefocus.drivers.protocols import DeviceIdentity, Float64Array
 
 OVERDUE_S = 5.0
 """A play that has not ended so long after it should have, and a tenth of its length, is not going to."""
@@ -24,7 +24,7 @@ LOST_REMEDY = "check its power, its cable and its driver or server, then reconne
 
 
 class StreamPlayer:
-    """Plays one signal per channel of an audio interface; implements `drivers.protocols.PiecewisePlayer`.
+    """Plays one signal per channel of an audio interface; implements `wavefocus.drivers.protocols.PiecewisePlayer`.
 
     One stream over all channels runs from the moment of opening to that of closing, silent between plays, in a
     process of its own: what hangs there is killed, and nobody waits for it. Raises InstrumentError.
@@ -127,7 +127,7 @@ class StreamPlayer:
     def begin_pieces(self, channels: Sequence[int], sample_rate_hz: float, ahead_s: float) -> None:
         """Begin a play that comes in pieces at the interface's rate; it sounds when `ahead_s` of it is there, or all.
 
-        Arguments as of `drivers.protocols.PiecewisePlayer.begin_pieces`.
+        Arguments as of `wavefocus.drivers.protocols.PiecewisePlayer.begin_pieces`.
         """
         doing = f"playing piece by piece on {len(channels)} channels"
         self._check_open(doing)
@@ -149,7 +149,7 @@ class StreamPlayer:
     def add_piece(self, volts: Float64Array) -> float:
         """Hand over the next samples and wait until no more than `ahead_s` of them are not played yet.
 
-        Arguments and result as of `drivers.protocols.PiecewisePlayer.add_piece`.
+        Arguments and result as of `wavefocus.drivers.protocols.PiecewisePlayer.add_piece`.
         """
         play, rate_hz, process = self._begun(), self._request.rate_hz, self._stream.process
         full_scale_v = play.full_scale_v
@@ -326,7 +326,7 @@ class _Stream:
         self.play: _Play | None = None
         self.alive_s = -math.inf
         self.process = DriverProcess(
-            "drivers.audio.stream.player_process",
+            "wavefocus.drivers.audio.stream.player_process",
             "the process that owns its stream",
             self._note,
             environment,

@@ -9,16 +9,16 @@ import threading
 import traceback
 from dataclasses import dataclass
 
-from drivers.audio.stream.playback import FADE_S, PieceByPiece, SignalPlay, Voice
-from drivers.audio.stream.portaudio import (
+from wavefocus.drivers.audio.stream.playback import FADE_S, PieceByPiece, SignalPlay, Voice
+from wavefocus.drivers.audio.stream.portaudio import (
     DeviceChoiceError,
     OutputDevice,
     StreamRequest,
     WatchedStream,
     load_sounddevice,
 )
-from drivers.process import Alive, Ask, Close, Lost, MessagePipe, pipe_to_parent
-from drivers.protocols import Float32Array
+from wavefocus.drivers.process import Alive, Ask, Close, Lost, MessagePipe, pipe_to_parent
+from wavefocus.drivers.protocols import Float32Array
 
 CLOSING_S = 3.0
 """Closing a stream whose host is gone hangs, and JACK takes a period for each channel; then the process just ends."""

@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from drivers.audio.stream.playback import Playback
-from drivers.protocols import DeviceIdentity
+from wavefocus.drivers.audio.stream.playback import Playback
+from wavefocus.drivers.protocols import DeviceIdentity
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ class OutputDevice:
 class DeviceChoiceError(Exception):
     """There is no device that is and does what was asked for, or more than one.
 
-    cause, remedy: As of `drivers.errors.InstrumentError`.
+    cause, remedy: As of `wavefocus.drivers.errors.InstrumentError`.
     absent: Whether it may yet come, so that trying again can help.
     """
 

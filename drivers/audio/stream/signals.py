@@ -10,10 +10,10 @@ from fractions import Fraction
 
 import numpy as np
 
-from drivers.audio.resampling import converted, lead_samples, rate_ratio
-from drivers.audio.stream.player_process import Forget, Store
-from drivers.errors import InstrumentError
-from drivers.protocols import Float32Array, Float64Array
+from wavefocus.drivers.audio.resampling import converted, lead_samples, rate_ratio
+from wavefocus.drivers.audio.stream.player_process import Forget, Store
+from wavefocus.drivers.errors import InstrumentError
+from wavefocus.drivers.protocols import Float32Array, Float64Array
 
 HALF_STEP = 2.0**-25
 """Half a step of a 24-bit converter, as a part of full scale: less than that at either end is silence."""
@@ -173,7 +173,7 @@ class PlayOrders:
         self._unsent.clear()
 
     def order(self, doing: str, signals_v: Mapping[int, Float64Array], sample_rate_hz: float) -> PlayOrder:
-        """Turn voltages into an order; `doing` is for messages, the rest is as of `drivers.protocols.Player.play`.
+        """Turn voltages into an order; `doing` is for messages, the rest: `wavefocus.drivers.protocols.Player.play`.
 
         Raises InstrumentError.
         """

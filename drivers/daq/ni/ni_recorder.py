@@ -8,10 +8,10 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.daq.ni.ni_session import REPEAT, NiSession, TlsFiles
-from drivers.daq.ni.ni_task import RecordTask, Timing, Wiring, check_request, check_wiring
-from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from drivers.protocols import DeviceIdentity, Recording, RecordRequest
+from wavefocus.drivers.daq.ni.ni_session import REPEAT, NiSession, TlsFiles
+from wavefocus.drivers.daq.ni.ni_task import RecordTask, Timing, Wiring, check_request, check_wiring
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from wavefocus.drivers.protocols import DeviceIdentity, Recording, RecordRequest
 
 ANSWER_S = 5.0
 """How long a server may take to answer beyond what a call asks for, in s."""
@@ -22,7 +22,7 @@ READ_INPUT_S = 2.0
 
 
 class NiRecorder:
-    """Records reference and response; implements `drivers.protocols.Recorder`.
+    """Records reference and response; implements `wavefocus.drivers.protocols.Recorder`.
 
     The low-cost devices cannot start on an audio signal: without a trigger a record starts at once, and where the
     sound lies in it is found from the reference. The task is kept committed between records of one kind, so that a

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from drivers.protocols import DeviceIdentity
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from wavefocus.drivers.protocols import DeviceIdentity
 
 # Resetting and testing a device takes seconds.
 SLOW_CALLS = {"ResetDevice": 30.0, "SelfTestDevice": 30.0}

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.daq.ni.ni_session import IN_USE, NOT_DONE, STOPPED_BEFORE_DONE, TERMINALS, NiSession
-from drivers.errors import InstrumentError
-from drivers.protocols import RecordRequest
+from wavefocus.drivers.daq.ni.ni_session import IN_USE, NOT_DONE, STOPPED_BEFORE_DONE, TERMINALS, NiSession
+from wavefocus.drivers.errors import InstrumentError
+from wavefocus.drivers.protocols import RecordRequest
 
 # Calibrated steps differ from the nominal by up to 5 % (USB-621x user manual, table 4-1); far more is no step.
 STEP_TOLERANCE = 0.15

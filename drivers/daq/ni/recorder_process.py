@@ -18,10 +18,19 @@ from itertools import count
 from queue import SimpleQueue
 from typing import Any
 
-from drivers.daq.ni.ni_recorder import NiRecorder
-from drivers.errors import InstrumentError, InstrumentLostError
-from drivers.process import OPENING_S, Alive, Ask, Close, DriverProcess, MessagePipe, ProcessGoneError, pipe_to_parent
-from drivers.protocols import DeviceIdentity, Recording, RecordRequest
+from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
+from wavefocus.drivers.process import (
+    OPENING_S,
+    Alive,
+    Ask,
+    Close,
+    DriverProcess,
+    MessagePipe,
+    ProcessGoneError,
+    pipe_to_parent,
+)
+from wavefocus.drivers.protocols import DeviceIdentity, Recording, RecordRequest
 
 CALL_S = 15.0
 """A call to a device that is well takes milliseconds; a first task, or a reset, takes seconds."""
@@ -60,12 +69,12 @@ class Opening:
 
 
 class ProcessRecorder:
-    """Records reference and response; implements `drivers.protocols.Recorder`.
+    """Records reference and response; implements `wavefocus.drivers.protocols.Recorder`.
 
     Raises InstrumentLostError or InstrumentError.
 
     device: Name in NI MAX: ``"Dev1"``.
-    reference_input, response_input, terminal, trigger: As of `drivers.daq.ni.ni_recorder.NiRecorder`.
+    reference_input, response_input, terminal, trigger: As of `wavefocus.drivers.daq.ni.ni_recorder.NiRecorder`.
     """
 
     def __init__(
@@ -115,7 +124,7 @@ class ProcessRecorder:
         return recording
 
     def read_input_v(self, name: str) -> float:
-        """Volts at another input, see `drivers.daq.ni.ni_recorder.NiRecorder.read_input_v`."""
+        """Volts at another input, see `wavefocus.drivers.daq.ni.ni_recorder.NiRecorder.read_input_v`."""
         return float(self._call(f"reading {name}", "read_input_v", name))
 
     def abort(self) -> None:
@@ -140,7 +149,7 @@ class ProcessRecorder:
 
     def _open(self, doing: str) -> None:
         name = "the process that runs NI-DAQmx"
-        self._process = DriverProcess("drivers.daq.ni.recorder_process", name, self._note)
+        self._process = DriverProcess("wavefocus.drivers.daq.ni.recorder_process", name, self._note)
         try:
             opening = Opening(self._wiring, self._identity, self._owned)
             self._identity, self._ranges_v = self._call(doing, "open", opening, limit_s=OPENING_S)

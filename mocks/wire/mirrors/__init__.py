@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 
-from drivers.registry import Registry
-from mocks.virtual.mirror import MirrorMotion
-from mocks.wire.serial_far_side import SerialDevice
+from wavefocus.drivers.registry import Registry
+from wavefocus.mocks.virtual.mirror import MirrorMotion
+from wavefocus.mocks.wire.serial_far_side import SerialDevice
 
 
 class MirrorDevice(SerialDevice):
@@ -28,7 +28,7 @@ class MirrorDevice(SerialDevice):
         self._motion.start(0.0, 0.0)
 
 
-MIRROR_DEVICES: Registry[type[MirrorDevice]] = Registry("mocks.wire.mirrors")
+MIRROR_DEVICES: Registry[type[MirrorDevice]] = Registry("wavefocus.mocks.wire.mirrors")
 
 
 def mirror_device(dialect: str, motion: MirrorMotion, full_scale_mrad: float | None = None) -> MirrorDevice:

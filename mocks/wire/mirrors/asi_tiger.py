@@ -26,8 +26,8 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
-from mocks.virtual.mirror import MirrorMotion
-from mocks.wire.mirrors import MIRROR_DEVICES, MirrorDevice, number
+from wavefocus.mocks.virtual.mirror import MirrorMotion
+from wavefocus.mocks.wire.mirrors import MIRROR_DEVICES, MirrorDevice, number
 
 Board = Literal["mems", "dac_4ch", "signal_dac", "stage"]
 ASI_AXIS = re.compile(r"([A-Z])(?:=(\S+))?")

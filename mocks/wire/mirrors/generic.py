@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from functools import reduce
 
-from mocks.virtual.mirror import MirrorMotion
-from mocks.wire.mirrors import MIRROR_DEVICES, MirrorDevice, number
+from wavefocus.mocks.virtual.mirror import MirrorMotion
+from wavefocus.mocks.wire.mirrors import MIRROR_DEVICES, MirrorDevice, number
 
 
 @MIRROR_DEVICES.register

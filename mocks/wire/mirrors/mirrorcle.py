@@ -12,8 +12,8 @@ the mirror is on.
 
 from __future__ import annotations
 
-from mocks.virtual.mirror import MirrorMotion
-from mocks.wire.mirrors import MIRROR_DEVICES, MirrorDevice, number
+from wavefocus.mocks.virtual.mirror import MirrorMotion
+from wavefocus.mocks.wire.mirrors import MIRROR_DEVICES, MirrorDevice, number
 
 # Bias, largest difference and filter, as public drivers limit them.
 RANGES = {"VB": (0, 100), "VD": (0, 200), "BW": (50, 15000)}

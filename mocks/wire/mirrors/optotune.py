@@ -22,8 +22,8 @@ from __future__ import annotations
 import math
 import re
 
-from mocks.virtual.mirror import MirrorMotion
-from mocks.wire.mirrors import MIRROR_DEVICES, MirrorDevice, number
+from wavefocus.mocks.virtual.mirror import MirrorMotion
+from wavefocus.mocks.wire.mirrors import MIRROR_DEVICES, MirrorDevice, number
 
 LEAVE_PRO_MODE = "\x7e\x00\x06\x02\x00\x00\x00\x00\x7e"
 NOT_STABLE = 1 << 4

@@ -2,5 +2,5 @@
 
 Public: `base` (scene_interpolation, interpolation_method, Interpolation, GridInterpolation, Nodes, OffGridError),
 `position_grid` (PositionGrid), `errors` (judged_errors) and `needed_grid`
-(needed_grid, expected_error). Methods are registered in `config.interpolations`.
+(needed_grid, expected_error). Methods are registered in `wavefocus.config.interpolations`.
 """

@@ -14,14 +14,14 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from calibration.wave_model import Patch
-from config.interpolations import INTERPOLATIONS
-from rendering.arrays import BoolArray, Float64Array, Int64Array
-from rendering.greens.interpolation.position_grid import PositionGrid
-from rendering.greens.source import GreenSource
-from rendering.scene.model import Scene
-from rendering.scene.paths import Path
-from storage.errors import InputError
+from wavefocus.calibration.wave_model import Patch
+from wavefocus.config.interpolations import INTERPOLATIONS
+from wavefocus.rendering.arrays import BoolArray, Float64Array, Int64Array
+from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
+from wavefocus.rendering.greens.source import GreenSource
+from wavefocus.rendering.scene.model import Scene
+from wavefocus.rendering.scene.paths import Path
+from wavefocus.storage.errors import InputError
 
 SLACK = 1e-9
 """Rounding that is forgiven, relative to the grid spacing."""
@@ -57,7 +57,7 @@ Follow = Callable[[Float64Array], Nodes]
 
 
 class Interpolation(ABC):
-    """An interpolation method over one bank; registered in `config.interpolations`."""
+    """An interpolation method over one bank; registered in `wavefocus.config.interpolations`."""
 
     name: ClassVar[str]
 

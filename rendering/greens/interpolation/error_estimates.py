@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.wave_model import PatchKernel
-from rendering.arrays import Complex128Array, Float64Array, Int64Array
-from rendering.greens.interpolation.base import GridInterpolation, Nodes
-from rendering.greens.interpolation.position_grid import PositionGrid
-from rendering.greens.source import GreenSource, read_row, read_rows, usable
-from storage.errors import InputError
+from wavefocus.calibration.wave_model import PatchKernel
+from wavefocus.rendering.arrays import Complex128Array, Float64Array, Int64Array
+from wavefocus.rendering.greens.interpolation.base import GridInterpolation, Nodes
+from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
+from wavefocus.rendering.greens.source import GreenSource, read_row, read_rows, usable
+from wavefocus.storage.errors import InputError
 
 if TYPE_CHECKING:
-    from rendering.greens.interpolation.kernel import KernelInterpolation
+    from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
 
 
 def transform_at(

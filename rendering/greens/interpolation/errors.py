@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.blas import one_blas_thread
-from rendering.arrays import BoolArray, Float64Array
-from rendering.greens.interpolation.base import GridInterpolation, Interpolation, OffGridError, scene_points
-from rendering.greens.interpolation.error_estimates import ErrorBands, expected_errors
-from rendering.greens.source import GreenSource
-from rendering.scene.model import Scene
-from storage.errors import InputError
+from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.rendering.arrays import BoolArray, Float64Array
+from wavefocus.rendering.greens.interpolation.base import GridInterpolation, Interpolation, OffGridError, scene_points
+from wavefocus.rendering.greens.interpolation.error_estimates import ErrorBands, expected_errors
+from wavefocus.rendering.greens.source import GreenSource
+from wavefocus.rendering.scene.model import Scene
+from wavefocus.storage.errors import InputError
 
 WORTH_SAYING = 0.05
 """Error from which a render says something where no tolerance is given."""
@@ -154,8 +154,8 @@ def _thorough(
 ) -> ErrorBands | None:
     if not thorough and isinstance(kind, GridInterpolation):
         return None
-    from rendering.greens.interpolation.error_estimates import RowValues, left_out_errors
-    from rendering.greens.interpolation.kernel import KernelInterpolation
+    from wavefocus.rendering.greens.interpolation.error_estimates import RowValues, left_out_errors
+    from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
 
     kernel, nodes = kind, None
     if not isinstance(kernel, KernelInterpolation):

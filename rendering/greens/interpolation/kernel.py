@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 from scipy.spatial import cKDTree
 
-from calibration.blas import one_blas_thread
-from calibration.wave_model import Patch, PatchKernel, WaveModel, fit_waves
-from rendering.arrays import Complex128Array, Float64Array, Int64Array
-from rendering.greens.interpolation.base import (
+from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.calibration.wave_model import Patch, PatchKernel, WaveModel, fit_waves
+from wavefocus.rendering.arrays import Complex128Array, Float64Array, Int64Array
+from wavefocus.rendering.greens.interpolation.base import (
     NEIGHBOURS,
     Follow,
     Interpolation,
@@ -27,11 +27,11 @@ from rendering.greens.interpolation.base import (
     near,
     show_mm,
 )
-from rendering.greens.interpolation.error_estimates import RowValues
-from rendering.greens.interpolation.position_grid import PositionGrid
-from rendering.greens.source import DOUBTFUL_BITS, GreenSource, read_row, usable
-from rendering.scene.paths import Circle, Path
-from storage.point_status import Status
+from wavefocus.rendering.greens.interpolation.error_estimates import RowValues
+from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
+from wavefocus.rendering.greens.source import DOUBTFUL_BITS, GreenSource, read_row, usable
+from wavefocus.rendering.scene.paths import Circle, Path
+from wavefocus.storage.point_status import Status
 
 PHASE_STEP = 0.35
 """Radians that a wave may turn across half a patch from one frequency of the weights to the next: the cubic spline
@@ -324,7 +324,7 @@ PATH_ERROR = 1e-3
 
 
 class KernelInterpolation(Interpolation):
-    """Kernel ridge regression from a position and its 36 neighbours (`calibration.wave_model`).
+    """Kernel ridge regression from a position and its 36 neighbours (`wavefocus.calibration.wave_model`).
 
     The Green's functions of a moving source are interpolated twice: by the kernel to nodes along its path,
     from there by cubics in arc length, at an error of 1e-3 at the highest frequency. Rows that were not

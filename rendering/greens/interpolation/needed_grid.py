@@ -1,7 +1,7 @@
 """Grid spacing that a band needs, from the wave number and the interpolation alone.
 
 Waves of one complex wave number arrive from all sides. Their covariance has a closed form
-(`calibration.wave_model`), and so has the expected error of an interpolation with given weights.
+(`wavefocus.calibration.wave_model`), and so has the expected error of an interpolation with given weights.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from typing import Literal
 
 import numpy as np
 
-from calibration.wave_model import PatchKernel, WaveModel, disk_integral, plane_waves
-from rendering.arrays import Complex128Array, Float64Array
-from rendering.greens.interpolation.base import NEIGHBOURS, GridInterpolation, interpolation_method
-from rendering.greens.interpolation.on_grid import LatticeInterpolation
-from rendering.greens.interpolation.position_grid import PositionGrid
-from storage.errors import InputError
+from wavefocus.calibration.wave_model import PatchKernel, WaveModel, disk_integral, plane_waves
+from wavefocus.rendering.arrays import Complex128Array, Float64Array
+from wavefocus.rendering.greens.interpolation.base import NEIGHBOURS, GridInterpolation, interpolation_method
+from wavefocus.rendering.greens.interpolation.on_grid import LatticeInterpolation
+from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
+from wavefocus.storage.errors import InputError
 
 Lattice = Literal["square", "hexagonal"]
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from rendering.arrays import BoolArray, Float64Array, Int64Array
-from rendering.greens.interpolation.base import SLACK, GridInterpolation, Nodes, OffGridError, near, show_mm
-from rendering.greens.interpolation.position_grid import PositionGrid
-from storage.errors import InputError
+from wavefocus.rendering.arrays import BoolArray, Float64Array, Int64Array
+from wavefocus.rendering.greens.interpolation.base import SLACK, GridInterpolation, Nodes, OffGridError, near, show_mm
+from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
+from wavefocus.storage.errors import InputError
 
 
 class Nearest(GridInterpolation):

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rendering.arrays import BoolArray, Float64Array, Int64Array
-from storage.errors import InputError
+from wavefocus.rendering.arrays import BoolArray, Float64Array, Int64Array
+from wavefocus.storage.errors import InputError
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree

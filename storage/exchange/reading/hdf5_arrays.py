@@ -11,9 +11,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from storage import hdf5_reading
-from storage.exchange.reading.measured import ImportOptions, Measured, require_honest
-from storage.exchange.reading.named_arrays import NamedArrays, measured_arrays
+from wavefocus.storage import hdf5_reading
+from wavefocus.storage.exchange.reading.measured import ImportOptions, Measured, require_honest
+from wavefocus.storage.exchange.reading.named_arrays import NamedArrays, measured_arrays
 
 
 def open_hdf5(path: Path, stack: ExitStack) -> h5py.File:

@@ -13,11 +13,11 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from storage import hdf5_reading
-from storage.errors import InputError
-from storage.exchange.reading.hdf5_arrays import compound_complex, read_arrays, text_attribute
-from storage.exchange.reading.measured import SPARE_BYTES, UNFOLDS, ImportOptions, Measured, require_honest
-from storage.exchange.reading.named_arrays import NamedArrays, measured_arrays
+from wavefocus.storage import hdf5_reading
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.exchange.reading.hdf5_arrays import compound_complex, read_arrays, text_attribute
+from wavefocus.storage.exchange.reading.measured import SPARE_BYTES, UNFOLDS, ImportOptions, Measured, require_honest
+from wavefocus.storage.exchange.reading.named_arrays import NamedArrays, measured_arrays
 
 _HEADER_BYTES, _MATRIX, _COMPRESSED = 128, 14, 15
 _STRUCT, _CHAR, _NUMBERS = 2, 4, range(6, 16)

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.errors import InputError, WavefocusError
-from storage.hdf5_reading import most_bytes
+from wavefocus.storage.errors import InputError, WavefocusError
+from wavefocus.storage.hdf5_reading import most_bytes
 
 Float64Array = NDArray[np.float64]
 

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.bank.layout import quality_shape
-from storage.bank.ledger import QUALITY_NAMES
-from storage.errors import InputError
-from storage.exchange.reading.measured import (
+from wavefocus.storage.bank.layout import quality_shape
+from wavefocus.storage.bank.ledger import QUALITY_NAMES
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.exchange.reading.measured import (
     METRES,
     Float64Array,
     ImportOptions,
@@ -24,9 +24,9 @@ from storage.exchange.reading.measured import (
     uniform_step,
     with_z,
 )
-from storage.exchange.reading.places import table_of
-from storage.hdf5_reading import most_bytes
-from storage.text_file import read_text
+from wavefocus.storage.exchange.reading.places import table_of
+from wavefocus.storage.hdf5_reading import most_bytes
+from wavefocus.storage.text_file import read_text
 
 AXES = ("position", "actuator", "sample")
 _OURS = (
@@ -158,7 +158,7 @@ def frequencies_of(options: ImportOptions, path: Path, samples: int) -> Float64A
         pass
     file = Path(text)
     if file.suffix == ".npy":
-        from storage.exchange.reading.npz import mapped_array
+        from wavefocus.storage.exchange.reading.npz import mapped_array
 
         found = real(mapped_array(file), file, "frequencies").reshape(-1)
     else:

@@ -9,10 +9,10 @@ from typing import Any
 import h5py
 import numpy as np
 
-from storage import hdf5_reading
-from storage.exchange.reading.hdf5_arrays import compound_complex, read_arrays
-from storage.exchange.reading.measured import ImportOptions, Measured
-from storage.exchange.reading.named_arrays import NamedArrays, measured_arrays
+from wavefocus.storage import hdf5_reading
+from wavefocus.storage.exchange.reading.hdf5_arrays import compound_complex, read_arrays
+from wavefocus.storage.exchange.reading.measured import ImportOptions, Measured
+from wavefocus.storage.exchange.reading.named_arrays import NamedArrays, measured_arrays
 
 
 def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:

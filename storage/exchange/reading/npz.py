@@ -10,9 +10,9 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.errors import InputError
-from storage.exchange.reading.measured import ImportOptions, Measured, require_honest
-from storage.exchange.reading.named_arrays import NamedArrays, measured_arrays
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.exchange.reading.measured import ImportOptions, Measured, require_honest
+from wavefocus.storage.exchange.reading.named_arrays import NamedArrays, measured_arrays
 
 
 def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:

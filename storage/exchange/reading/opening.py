@@ -8,11 +8,11 @@ from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
-from storage import hdf5_reading
-from storage.errors import InputError
-from storage.exchange import IMPORTS, SOME_FORMATS
-from storage.exchange.reading.measured import ImportOptions, Measured, guarded, readable
-from storage.ledger.owner import require_regular
+from wavefocus.storage import hdf5_reading
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.exchange import IMPORTS, SOME_FORMATS
+from wavefocus.storage.exchange.reading.measured import ImportOptions, Measured, guarded, readable
+from wavefocus.storage.ledger.owner import require_regular
 
 _HEAD_BYTES = 16
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.exchange.reading.measured import (
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.exchange.reading.measured import (
     METRES,
     Float64Array,
     ImportOptions,
@@ -17,7 +17,7 @@ from storage.exchange.reading.measured import (
     length_unit,
     require_plain,
 )
-from storage.text_file import read_text
+from wavefocus.storage.text_file import read_text
 
 _SPHERICAL = ("azimuth_deg", "elevation_deg")
 WANTED = "x_mm,y_mm[,z_mm] (or _m, _um, _in), or azimuth_deg,elevation_deg,radius_m"

@@ -12,10 +12,10 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from storage import hdf5_reading
-from storage.errors import InputError
-from storage.exchange.reading.hdf5_arrays import numbers, open_hdf5, text_attribute
-from storage.exchange.reading.measured import (
+from wavefocus.storage import hdf5_reading
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.exchange.reading.hdf5_arrays import numbers, open_hdf5, text_attribute
+from wavefocus.storage.exchange.reading.measured import (
     Float64Array,
     ImportOptions,
     Measured,
@@ -26,7 +26,7 @@ from storage.exchange.reading.measured import (
     length_unit,
     require_honest,
 )
-from storage.exchange.reading.places import table_of
+from wavefocus.storage.exchange.reading.places import table_of
 
 _AXES = {"FIR": "mrn", "FIR-E": "mrne", "FIRE": "mren", "TF": "mrn", "TF-E": "mrne"}
 _UNIT = re.compile(r"Data\.IR is in ([^\s,;]+)")

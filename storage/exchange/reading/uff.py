@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.errors import InputError
-from storage.exchange.reading.measured import (
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.exchange.reading.measured import (
     METRES,
     Float64Array,
     ImportOptions,
@@ -20,8 +20,8 @@ from storage.exchange.reading.measured import (
     chosen_direction,
     length_unit,
 )
-from storage.exchange.reading.places import coordinates, read_places
-from storage.exchange.reading.uff_sets import Contents, Function, contents
+from wavefocus.storage.exchange.reading.places import coordinates, read_places
+from wavefocus.storage.exchange.reading.uff_sets import Contents, Function, contents
 
 FREQUENCY, TIMES = (4, 5, 12), (25, 1, 0)
 """Function types: frequency response, transmissibility, spectrum; FIR filter, time response, unknown."""

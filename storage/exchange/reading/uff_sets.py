@@ -14,9 +14,9 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.errors import InputError
-from storage.exchange.reading.measured import Float64Array, require_plain, uniform_step
-from storage.units import split_unit
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.exchange.reading.measured import Float64Array, require_plain, uniform_step
+from wavefocus.storage.units import split_unit
 
 _LINE = 1 << 12
 _POWERS = np.array([float(f"1e{power}") for power in range(-400, 308)])

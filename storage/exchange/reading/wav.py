@@ -12,8 +12,8 @@ import numpy as np
 import soundfile
 from numpy.typing import NDArray
 
-from storage.errors import InputError
-from storage.exchange.reading.measured import (
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.exchange.reading.measured import (
     Float64Array,
     ImportOptions,
     Measured,
@@ -22,9 +22,9 @@ from storage.exchange.reading.measured import (
     require_plain,
     with_z,
 )
-from storage.exchange.reading.places import Place, coordinates, read_places
-from storage.exchange.wav import MOST_CHANNELS, TABLE_NAME
-from storage.text_file import read_text
+from wavefocus.storage.exchange.reading.places import Place, coordinates, read_places
+from wavefocus.storage.exchange.wav import MOST_CHANNELS, TABLE_NAME
+from wavefocus.storage.text_file import read_text
 
 
 @dataclass(frozen=True, slots=True)

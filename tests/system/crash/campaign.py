@@ -11,11 +11,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from storage.bank.reading import Bank, open_bank
-from storage.errors import InputError
-from storage.raw.writer import open_raw
 from tests.system.crash.power_cuts import Image
 from tests.system.crash.processes import Ended, HungError, Order, Processes
+from wavefocus.storage.bank.reading import Bank, open_bank
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.raw.writer import open_raw
 
 RIG = """
 [rig]

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import ClassVar
 
-from storage.durable import PosixFile
 from tests.system.crash.power_cuts import Call, Kind
+from wavefocus.storage.durable import PosixFile
 
 INODE = 1
 

@@ -1,0 +1,265 @@
+"""Banks in Python: estimated, imported and exported as the commands do, with paths or open files, without printing."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from wavefocus.storage.bank.reading import Bank, open_bank
+
+if TYPE_CHECKING:
+    from wavefocus.rendering.greens.source import GreenSource
+    from wavefocus.storage.raw.writer import RawFile
+
+OnProgress = Callable[[int, int], None]
+LOG = logging.getLogger("wavefocus")
+
+
+def estimate(
+    raw: RawFile | str | Path,
+    bank: str | Path,
+    *,
+    workers: int | None = None,
+    on_progress: OnProgress | None = None,
+) -> Bank:
+    """Estimate the Green's functions of kept recordings into a bank, as ``wavefocus estimate``.
+
+    Parameters
+    ----------
+    raw
+        Open recordings, or the path of a raw file: of this program, or of any other that follows the contract.
+    bank
+        Path of the bank. One that is there must be of the same recordings; what it lacks is estimated.
+    workers
+        Positions that are estimated at a time; by default one per processor, as far as memory goes.
+    on_progress
+        Called with the positions done and the positions in all.
+
+    Returns
+    -------
+    Bank
+        Open for reading. Its status says which positions are valid.
+
+    Raises
+    ------
+    InputError
+        The recordings cannot be read, what was played cannot be found in them, or the bank is of others.
+
+    Examples
+    --------
+    >>> import wavefocus as wf
+    >>> with wf.estimate("plate.raw.h5", "again.h5") as bank:
+    ...     print(bank.positions, bank.green(0).shape)
+    15 (4, 1000)
+    """
+    from wavefocus.commands.estimate import estimate_into
+    from wavefocus.storage.raw.writer import open_raw
+
+    with open_raw(raw) if isinstance(raw, str | Path) else nullcontext(raw) as recordings:
+        estimate_into(recordings, Path(bank), workers, report=LOG.info, watch=_watched(on_progress))
+    return open_bank(bank)
+
+
+def import_bank(
+    source: str | Path,
+    bank: str | Path,
+    kind: Literal["", "sofa", "uff", "mat", "npz", "npy", "netcdf", "wav"] = "",
+    *,
+    places: str | Path | None = None,
+    unit: str = "",
+    length_unit: str = "",
+    to_velocity: bool = False,
+    band_hz: tuple[float, float] | None = None,
+    taps: int | None = None,
+    sample_rate_hz: float | None = None,
+    frequencies: tuple[float, float] | str | Path | None = None,
+    end: Literal["keep", "window", "damp"] = "keep",
+    direction: str = "",
+    columns: str = "",
+    axes: str = "",
+    names: Mapping[str, str] | None = None,
+    measurements: Literal["", "positions", "actuators", "pairs"] = "",
+    swap_roles: bool = False,
+    force: bool = False,
+    on_progress: OnProgress | None = None,
+) -> Bank:
+    """Make a bank of responses that were measured elsewhere, as ``wavefocus import``.
+
+    Frequency responses become causal impulse responses. A fact that the file lacks is asked for by an error, never
+    guessed.
+
+    Parameters
+    ----------
+    source
+        The file; for ``"wav"`` a folder.
+    bank
+        Path of the bank to write.
+    kind
+        Format of the file; recognised by default.
+    places
+        CSV table of places: ``x_mm,y_mm``, ``x_m,y_m`` or ``azimuth_deg,elevation_deg,radius_m``, and ``role``.
+    unit
+        Unit of the values, response over drive, as ``"m/s/V"`` or ``"g/N"``.
+    length_unit
+        Unit of places that have none: ``"m"``, ``"cm"``, ``"mm"``, ``"um"``, ``"in"`` or ``"ft"``.
+    to_velocity
+        Whether displacement or acceleration becomes velocity in m/s.
+    band_hz
+        Lowest and highest frequency to use, in Hz.
+    taps
+        Length of the Green's functions in samples.
+    sample_rate_hz
+        Rate of the Green's functions in Hz.
+    frequencies
+        Frequencies of complex values where the file holds none: the first and the step in Hz, or a file with all.
+    end
+        Ends of the Green's functions: as they are, a half cosine over the last tenth, or damped to -60 dB.
+    direction
+        Response direction: x, y, z (uff), receiver (sofa) or index (arrays).
+    columns
+        Coordinates that become x and y of the bank, as ``"x,z"``; by default the positions' own plane.
+    axes
+        Order of an array's axes, as ``"actuator,position,sample"``.
+    names
+        Variables of the file by our names, as ``{"green": "H"}``.
+    measurements
+        What the measurements of a SOFA file count.
+    swap_roles
+        Whether positions are where it was driven, and actuators where it was measured: reciprocity, as with a roving
+        hammer.
+    force
+        Whether an older file of that name may be replaced; a bank never is.
+    on_progress
+        Called with the positions done and the positions in all.
+
+    Returns
+    -------
+    Bank
+        Open for reading. ``import_report`` is a JSON text: what was read, assumed and left out.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, lacks a fact that a parameter can give, or the bank may not be written.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import wavefocus as wf
+    >>> green = np.zeros((3, 2, 400))
+    >>> green[:, :, 7] = 1e-3
+    >>> np.savez("other.npz", green=green, sample_rate_hz=8000.0, position_mm=[[0, 0], [5, 0], [0, 5]])
+    >>> with wf.import_bank("other.npz", "imported.h5", unit="mm/s/V", to_velocity=True) as bank:
+    ...     print(bank.green(1).shape, bank.response_unit)
+    (2, 400) m/s/V
+    """
+    from wavefocus.commands.import_bank import ImportOptions, write_bank
+
+    options = ImportOptions(
+        places=None if places is None else Path(places),
+        unit=unit,
+        length_unit=length_unit,
+        direction=direction,
+        axes=axes,
+        names=[f"{ours}={theirs}" for ours, theirs in (names or {}).items()],
+        frequencies=_comma(frequencies),
+        sample_rate_hz=sample_rate_hz,
+        measurements=measurements,
+        swap_roles=swap_roles,
+        columns=columns,
+        taps=taps,
+        band_hz=_comma(band_hz),
+        to_velocity=to_velocity,
+        end=end,
+    )
+    write_bank(Path(source), Path(bank), kind, options, force=force, on_progress=on_progress)
+    return open_bank(bank)
+
+
+def export_bank(
+    bank: Bank | str | Path,
+    out: str | Path,
+    to: Literal["sofa", "uff", "wav", "mat", "npz", "netcdf", "csv"],
+    *,
+    positions: Sequence[int] | None = None,
+    missing: Literal["leave-out", "nan"] = "leave-out",
+    per: Literal["position", "actuator"] = "position",
+    binary: bool = False,
+    publication: str | Path | None = None,
+    force: bool = False,
+    on_progress: OnProgress | None = None,
+) -> None:
+    """Write a bank in the format of another field, as ``wavefocus export``.
+
+    Parameters
+    ----------
+    bank
+        An open bank, or its path.
+    out
+        The file to write; for ``"wav"`` a folder.
+    to
+        The format.
+    positions
+        Rows of the bank, in any order; by default all.
+    missing
+        Positions that are not measured, failed or disabled are left out, or hold NaN.
+    per
+        What one file of ``"wav"`` holds.
+    binary
+        Whether universal files hold binary numbers.
+    publication
+        TOML file whose table ``[publication]`` names title, people and licence; by default the bank's own run.
+    force
+        Whether older files of these names may be replaced; banks never are.
+    on_progress
+        Called with the positions done and the positions in all.
+
+    Raises
+    ------
+    InputError
+        The bank does not fit the format, or a file may not be written.
+
+    Examples
+    --------
+    >>> import wavefocus as wf
+    >>> wf.export_bank("plate.h5", "plate.mat", "mat", positions=[0, 7])
+    """
+    from wavefocus.commands.export import write_export
+
+    with open_bank(bank) if isinstance(bank, str | Path) else nullcontext(bank) as view:
+        write_export(
+            view,
+            Path(out),
+            to,
+            positions,
+            None if publication is None else Path(publication),
+            missing=missing,
+            per=per,
+            binary=binary,
+            force=force,
+            watch=_watched(on_progress),
+        )
+
+
+@contextmanager
+def opened_bank(bank: GreenSource | str | Path) -> Iterator[GreenSource]:
+    """The bank, opened and closed where it is a path."""
+    with open_bank(bank) if isinstance(bank, str | Path) else nullcontext(bank) as view:
+        if isinstance(view, Bank):
+            view.require_sound()
+        yield view
+
+
+def _watched(on_progress: OnProgress | None) -> Callable[..., AbstractContextManager[OnProgress]]:
+    """Progress as the commands show it, for a function that is called with what is done and what there is in all."""
+    return lambda what, total, **_: nullcontext(on_progress or (lambda done, total: None))
+
+
+def _comma(value: tuple[float, float] | str | Path | None) -> str:
+    """Two numbers as an option of the command line has them."""
+    if value is None:
+        return ""
+    return ",".join(map(repr, value)) if isinstance(value, tuple) else str(value)

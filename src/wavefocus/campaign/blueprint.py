@@ -1,0 +1,221 @@
+"""From configuration to the campaign that it asks for: plan, header, estimator, needed positions, resume command."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from math import ceil
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefocus.acquisition.limits import DriftLimits, QualityLimits
+from wavefocus.acquisition.plan import Plan
+from wavefocus.calibration.sweeps import Excitation, StaggeredSignal
+from wavefocus.configuration import (
+    Configuration,
+    configuration_from_json,
+    load_run,
+    named_rig,
+    plate_behind,
+    rig_differences,
+    with_rig,
+)
+from wavefocus.storage.bank.layout import BankHeader
+from wavefocus.storage.bank.reading import Bank, open_bank
+from wavefocus.storage.errors import InputError
+
+if TYPE_CHECKING:
+    from wavefocus.calibration.estimator.estimate import PositionEstimator
+    from wavefocus.storage.raw.header import RawHeader
+    from wavefocus.storage.raw.writer import RawFile
+
+
+@dataclass(frozen=True, slots=True)
+class Blueprint:
+    """A configuration with the plan that follows from it."""
+
+    configuration: Configuration
+    plan: Plan
+
+    def bank_header(self) -> BankHeader:
+        """What a new bank says of itself."""
+        configuration, plan = self.configuration, self.plan
+        return BankHeader(
+            sample_rate_hz=plan.excitation.sample_rate_hz,
+            taps=plan.taps,
+            band_hz=plan.excitation.band_hz,
+            position_mm=plan.position_mm,
+            actuator_mm=plan.actuator_mm,
+            rig_json=configuration.rig.model_dump_json(),
+            run_json=configuration.run.model_dump_json(),
+            plan_sha256=plan.sha256,
+            software=f"wavefocus {version('wavefocus')}",
+            directions_deg=plate_behind(configuration.rig, configuration.run).directions_deg,
+        )
+
+
+def blueprint_from_files(run_file: Path) -> Blueprint:
+    """Read and check a run file with all that it names.
+
+    Raises InputError: anything in the files is wrong.
+    """
+    return blueprint_of(load_run(run_file))
+
+
+def blueprint_from_bank(path: Path) -> Blueprint:
+    """Read the configuration that a bank carries, checked against the bank's own hash.
+
+    Raises InputError: the file is no bank, or one that this suite did not measure.
+    """
+    with open_bank(path) as bank:
+        blueprint = blueprint_of(bank_configuration(bank))
+        if bank.plan_sha256 != blueprint.plan.sha256:
+            raise InputError(
+                f"{path}: the attributes rig, run and plan_sha256 do not belong together; the bank cannot be "
+                "resumed, but what it holds can be rendered"
+            )
+    return blueprint
+
+
+def blueprint_with_rig(path: Path, rig_file: Path) -> Blueprint:
+    """The campaign of a bank with another rig file: other ports, names and limits, but rows of the same kind.
+
+    Raises InputError: the rig file is wrong, or its rows would differ in kind from the bank's; the message names the
+    keys.
+    """
+    own = blueprint_from_bank(path)
+    rig = named_rig(rig_file)
+    changed = blueprint_of(with_rig(own.configuration, rig, str(rig_file)))
+    calibrated = rig.calibration.measured != own.configuration.rig.calibration.measured
+    if changed.plan.sha256 != own.plan.sha256 and not calibrated:  # another calibration has words of its own
+        keys = ", ".join(rig_differences(own.configuration.rig, rig, own.configuration.run))
+        raise InputError(
+            f"{rig_file}: differs from the rig that {path} was measured with in {keys}; ports, addresses, device "
+            "names, limits and time-outs may change, these may not: undo the change, or start a new bank"
+        )
+    return changed
+
+
+def bank_configuration(bank: Bank) -> Configuration:
+    """The configuration that an open bank carries.
+
+    Raises InputError: the bank was made by other means and carries none.
+    """
+    if bank.rig_json is None or bank.run_json is None:
+        raise InputError(
+            f"{bank.path}: has no attributes rig and run: it was made by other means and cannot be measured on"
+        )
+    return configuration_from_json(bank.rig_json, bank.run_json, bank.position_mm, str(bank.path))
+
+
+def blueprint_of(configuration: Configuration) -> Blueprint:
+    """A checked configuration with the plan that follows from it.
+
+    Raises InputError: rig and run ask for records that cannot be.
+    """
+    run, rig = configuration.run, configuration.rig
+    capture = run.capture
+    excitation = Excitation(
+        sample_rate_hz=capture.sample_rate_hz,
+        start_hz=run.sweep.start_hz,
+        stop_hz=run.sweep.stop_hz,
+        duration_s=run.sweep.duration_s,
+        decay_s=capture.decay_s,
+        amplitude_v=run.sweep.amplitude_v * 10 ** (capture.level_db / 20),
+        averages=capture.averages,
+    )
+    staggered = None
+    if capture.excitation == "staggered":
+        staggered = StaggeredSignal(
+            excitation, len(rig.actuators.position_mm), capture.taps, capture.stagger_samples, capture.groups,
+            capture.periods,
+        )  # fmt: skip
+    plan = Plan(
+        position_mm=configuration.position_mm,
+        actuator_mm=rig.actuator_mm,
+        order=np.arange(len(configuration.position_mm)),
+        excitation=excitation,
+        taps=capture.taps,
+        sha256=configuration.plan_sha256,
+        quality=QualityLimits(**run.quality.model_dump()),
+        drift=DriftLimits(**run.drift.model_dump()),
+        staggered=staggered,
+    )
+    return Blueprint(configuration, plan)
+
+
+@dataclass(frozen=True, slots=True)
+class Ringing:
+    """How long a plate rings (-60 dB), the taps that hold it, and a sentence where the run's do not; else empty."""
+
+    seconds: float
+    taps: int
+    advice: str
+
+
+def ringing_of(blueprint: Blueprint) -> Ringing | None:
+    """Compare how long a virtual plate of glass rings with the run's taps; None of other plates."""
+    rig, run = blueprint.configuration.rig, blueprint.configuration.run
+    if plate_behind(rig, run).plate != "thin":
+        return None
+    from wavefocus.rig.virtual_bench import virtual_rig  # a real rig needs none of it
+
+    seconds, capture = virtual_rig(rig, run.virtual).ringing_s, run.capture
+    taps, advice = ceil(seconds * capture.sample_rate_hz), ""
+    if taps > capture.taps:
+        advice = (
+            f"the plate rings for {seconds:.3g} s (-60 dB), but capture.taps = {capture.taps} hold "
+            f"{capture.response_s:g} s: set taps = {taps} and decay_s = {ceil(10 * seconds) / 10:g}, or lower its "
+            "quality, or positions will be marked tail"
+        )
+    return Ringing(seconds, taps, advice)
+
+
+def needed_by(
+    scene_files: Sequence[Path], position_mm: NDArray[np.float64], *, checks: bool, allow_large: bool = False
+) -> frozenset[int]:
+    """Rows of a grid that scenes are rendered from and, if asked for, those that their checks look at.
+
+    Raises InputError: A scene file is wrong, or its paths leave the grid; the message names the file.
+    """
+    from wavefocus.rendering.scene.model import load_scene  # most campaigns are for no scene
+    from wavefocus.rendering.scene.scene_rows import scene_rows
+
+    needed: set[int] = set()
+    for file in scene_files:
+        scene = load_scene(file, allow_large=allow_large)
+        try:
+            rows = scene_rows(scene, position_mm)
+        except InputError as wrong:
+            raise InputError(f"{file}: {wrong}") from None
+        needed.update(int(row) for row in (rows.all if checks else rows.path))
+    return frozenset(needed)
+
+
+def own_plan(header: RawHeader, raw: Path) -> Plan | None:
+    """The plan that the recordings were made by; None where the file does not carry one that this version reads."""
+    if not (header.rig_json and header.run_json):
+        return None
+    try:
+        plan = blueprint_of(
+            configuration_from_json(header.rig_json, header.run_json, header.position_mm, str(raw))
+        ).plan
+    except InputError:
+        return None
+    return plan if plan.sha256 == header.plan_sha256 else None
+
+
+def estimator_for(
+    recordings: RawFile, plan: Plan | None, report: Callable[[str], None] = lambda line: None
+) -> PositionEstimator:
+    """The campaign's own estimator, which gives its bank again; else one that is found from the reference channels."""
+    from wavefocus.acquisition.plays import position_estimator  # of kept recordings alone
+    from wavefocus.calibration.estimator.raw_estimation import estimator_of, records_of
+
+    if plan is None:
+        return estimator_of(recordings, report)
+    return position_estimator(plan, records_of(recordings.header).channels)

@@ -1,0 +1,242 @@
+"""Files next to a bank: event log, drift history and small JSON files that are replaced whole."""
+
+from __future__ import annotations
+
+import errno
+import glob
+import json
+import os
+import secrets
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+
+from wavefocus.acquisition.limits import DriftPoint
+from wavefocus.acquisition.wording import row_ranges
+from wavefocus.config.messages.campaign import (
+    Event,
+    Fault,
+    Logged,
+    ReconnectTried,
+    SessionEnded,
+    State,
+    StateChanged,
+    event_line,
+    read_event,
+)
+from wavefocus.config.messages.codec import Message, from_record
+from wavefocus.console import say
+from wavefocus.storage.sidecar_files import Log, create, is_replaceable
+
+# A file that somebody reads just now cannot be replaced on Windows; the reader is done at once.
+_TRIES = 5
+_PAUSE_S = 0.02
+# More than any of these files ever is.
+_MOST_BYTES = 65536
+
+
+def raw_path(bank: Path) -> Path:
+    """Where the raw recordings of a bank are kept: ``plate.h5`` -> ``plate.raw.h5``."""
+    return bank.with_name(f"{bank.stem if bank.suffix == '.h5' else bank.name}.raw.h5")
+
+
+def log_path(bank: Path) -> Path:
+    """Where the events of a bank are logged: ``plate.h5`` -> ``plate.events.jsonl``."""
+    return bank.with_suffix(".events.jsonl")
+
+
+def write_whole(path: Path, content: Mapping[str, object], *, by_many: bool = False) -> None:
+    """Write a JSON object so that a reader finds the old one or the new one and nothing in between.
+
+    Raises OSError: it cannot be written.
+    """
+    if not is_replaceable(path):
+        raise FileExistsError(errno.EEXIST, "a file of another program has this name", str(path))
+    new = path.with_name(f".{path.name}.{secrets.token_hex(8)}.new")
+    try:
+        with create(new) as file:
+            file.write((json.dumps(content) + "\n").encode())
+        for left in reversed(range(_TRIES)):
+            try:
+                new.replace(path)
+                break
+            except PermissionError:
+                if left == 0:
+                    raise
+                time.sleep(_PAUSE_S)
+    except OSError:
+        new.unlink(missing_ok=True)
+        raise
+    if not by_many:
+        for left_behind in path.parent.glob(f".{glob.escape(path.name)}.*.new"):  # by processes that were killed
+            left_behind.unlink(missing_ok=True)
+
+
+def read_whole(path: Path) -> dict[str, object] | None:
+    """The JSON object in a file; None where there is no such file or none in it."""
+    try:
+        with path.open("rb") as file:
+            content = json.loads(file.read(_MOST_BYTES))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return content if isinstance(content, dict) else None
+
+
+class EventLines:
+    """Writes events as JSON lines; a subscriber that a full disk or a closed pipe cannot turn against the campaign."""
+
+    def __init__(self, write: Callable[[str], object], name: str, work: str = "campaign") -> None:
+        self._write: Callable[[str], object] | None = write
+        self._name, self._work = name, work
+
+    def __call__(self, event: Event) -> None:
+        """Write one event; after a failure the campaign goes on without these lines."""
+        self.write(event_line(event))
+
+    def write(self, line: str) -> None:
+        """Write a line with its end; after a failure nothing more."""
+        if self._write is None:
+            return
+        try:
+            self._write(line)
+        except (OSError, ValueError) as failure:  # ValueError: it was closed
+            self._write = None
+            why = getattr(failure, "strerror", None) or failure
+            say(f"{self._name} cannot be written any more ({why}); the {self._work} goes on without it")
+
+
+class EventLog:
+    """Appends events of some kinds to a file next to a bank; a subscriber.
+
+    The drift history has a file of its own, for it holds clock times: a resumed bank is to be that of an undisturbed
+    campaign.
+    """
+
+    def __init__(self, path: Path, kind: type[Event] = Event) -> None:
+        # Unbuffered: every line reaches the operating system, and closing has nothing left to fail on.
+        self._file, self._kind = Log(path), kind
+        self._lines = EventLines(self._file.write, str(path))
+
+    def __call__(self, event: Event) -> None:
+        """Write one event."""
+        if isinstance(event, self._kind):
+            self._lines(event)
+
+    def __enter__(self) -> EventLog:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+
+# The newest progress is among the last lines; an event is under 500 bytes.
+_BLOCK_BYTES = 65536
+
+
+def last_events(bank: Path) -> Iterator[Logged]:
+    """The latest events of a bank's log, newest first; nothing when there is no log.
+
+    The log is read backwards and no further than asked for. Lines that are no events are passed over: the last one
+    is torn when the machine lost power.
+    """
+    return (logged for line in _lines_backwards(log_path(bank)) if (logged := read_event(line)) is not None)
+
+
+def session_failure(bank: Path, since: datetime) -> str:
+    """Failure of the session that ended last, as of `SessionEnded`; empty where none ended after an instant."""
+    for logged in last_events(bank):
+        if isinstance(logged.event, SessionEnded):
+            return logged.event.failure if logged.at >= since.astimezone(UTC).replace(microsecond=0) else ""
+    return ""
+
+
+def _lines_backwards(path: Path) -> Iterator[bytes]:
+    """The lines of a file from the last to the first, as it was when asked first."""
+    if not path.is_file():
+        return
+    with path.open("rb") as file:
+        start = file.seek(0, os.SEEK_END)
+        rest = b""
+        while start > 0:
+            size = min(start, _BLOCK_BYTES)
+            start = file.seek(start - size)
+            rest, *lines = (file.read(size) + rest).split(b"\n")
+            yield from reversed(lines)
+        yield rest
+
+
+def drift_path(bank: Path) -> Path:
+    """Where the drift of a bank is kept: ``plate.h5`` -> ``plate.drift.jsonl``."""
+    return bank.with_suffix(".drift.jsonl")
+
+
+def read_drift(bank: Path) -> list[DriftPoint]:
+    """The drift history of a bank, oldest first; empty where there is none. Torn lines are passed over."""
+    points = []
+    for line in drift_path(bank).read_bytes().splitlines() if drift_path(bank).is_file() else ():
+        with suppress(ValueError, TypeError):
+            points.append(from_record(DriftPoint, json.loads(line)))
+    return points
+
+
+def suspect_rows(points: list[DriftPoint]) -> str:
+    """Positions that the latest measurement of the sentinel speaks against, as ``--positions`` takes them."""
+    return row_ranges(points[-1].suspect) if points else ""
+
+
+GOING_ON = frozenset({State.RUNNING, State.PAUSING, State.PAUSED, State.SUSPENDED, State.STOPPING})
+
+
+@dataclass(frozen=True)
+class Recovering(Message):
+    """The instrument that a campaign waits for, and the tries to connect to it again."""
+
+    instrument: str | None = None
+    tries: int | None = None
+    outcome: str | None = None
+    next_try_s: float | None = None
+    gives_up_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignState:
+    """State of a session by its log, since when, why, and the instrument it waits for."""
+
+    state: State
+    since: str | None = None
+    reason: str | None = None
+    recovering: Recovering | None = None
+
+
+def campaign_state(events: Iterator[Logged]) -> CampaignState:
+    """The state that a running process logged last; idle while it has not begun its session."""
+    recovering: Recovering | None = None
+    for logged in events:
+        match logged.event:
+            case ReconnectTried() as tried if recovering is None:
+                recovering = Recovering(
+                    tried.instrument, tried.number, tried.outcome, tried.next_try_s, tried.gives_up_s
+                )
+            case StateChanged(state=State.RECOVERING, reason=reason):
+                if recovering is None:  # before the first try has ended, the fault before names the instrument
+                    fault = next((one.event for one in events if isinstance(one.event, Fault)), None)
+                    recovering = Recovering() if fault is None else Recovering(fault.instrument)
+                return CampaignState(State.RECOVERING, instant(logged.at), reason, recovering)
+            case StateChanged(state=state, reason=reason) if state in GOING_ON:
+                return CampaignState(state, instant(logged.at), reason)
+            case StateChanged() | SessionEnded():
+                break
+            case _:
+                pass
+    return CampaignState(State.IDLE)
+
+
+def instant(at: datetime) -> str:
+    """An instant as logs have it."""
+    return at.isoformat(timespec="milliseconds")

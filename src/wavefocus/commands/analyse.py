@@ -1,0 +1,71 @@
+"""``wavefocus analyse``: statistics of the answers to trials, a report, and a BIDS-like folder."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from wavefocus.config.loading import validated
+from wavefocus.config.trials import AdaptiveTable, TrialsTable
+from wavefocus.console import say
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.output_files import replaced_folder, require_replaceable_folder
+from wavefocus.trials.analysis.bids import write_bids
+from wavefocus.trials.analysis.report import build_report, percent
+from wavefocus.trials.analysis.results import FORMAT, analysis_of
+from wavefocus.trials.analysis.shares import RIGHT
+from wavefocus.trials.answers import ANSWERS, FACTS, read_answers, read_facts
+
+RESULT = "analysis.json"
+
+
+def analyse(folder: Path, out: Path | None, *, mixed_model: bool, force: bool, as_json: bool) -> None:
+    """Analyse a folder of trials into a folder of results, by default its folder ``analysis``.
+
+    Raises InputError: the answers are missing or damaged, there are none yet, the results must stay, or the mixed model
+    cannot be fitted.
+    """
+    out = folder / "analysis" if out is None else out
+    require_replaceable_folder(out, _written(out), (folder / ANSWERS, folder / FACTS), by="analyse", force=force)
+    rows, facts = read_answers(folder), read_facts(folder)
+    if not rows:
+        raise InputError(f"{folder / ANSWERS} holds no answer yet")
+    tables = facts.get("design")
+    if not isinstance(tables, dict):
+        raise InputError(f"{folder / FACTS}: design is {tables!r:.40}; put the file that `wavefocus trials` wrote back")
+    design = validated(TrialsTable, tables.get("trials"), f"{folder / FACTS}: design.trials")
+    adaptive = None
+    if "adaptive" in tables:
+        adaptive = validated(AdaptiveTable, tables["adaptive"], f"{folder / FACTS}: design.adaptive")
+    analysis = analysis_of(rows, design, adaptive, mixed_model=mixed_model)
+    sources = [
+        ("answers", f"{ANSWERS} of {folder.absolute().name}"),
+        ("trials file", str(facts.get("trials_file", ""))),
+        *(("trials file, SHA-256", one) for one in analysis.tables),
+        *(("bank, SHA-256", one) for one in analysis.banks),
+    ]
+    html, pictures = build_report(analysis, sources)
+    with replaced_folder(out) as place:
+        (place / "bids").mkdir()
+        write_bids(place / "bids", rows, analysis, facts)
+        (place / "report.html").write_bytes(html.encode())
+        for picture in pictures:
+            (place / f"{picture.name}.png").write_bytes(picture.png)
+        names = sorted(path.relative_to(place).as_posix() for path in place.rglob("*") if path.is_file())
+        document = {**analysis.document(), "files": [*names, RESULT]}
+        (place / RESULT).write_bytes((json.dumps(document, indent=2, ensure_ascii=False) + "\n").encode())
+    if as_json:
+        print(json.dumps({**document, "out": str(out)}))
+    whole = next((one for one in analysis.shares if not one.participant and not one.factors), None)
+    right = f", {percent(whole.share)} right" if whole is not None and whole.outcome == RIGHT else ""
+    people = len(analysis.trials)
+    say(f"{out / 'report.html'}: {len(rows)} answers of {people} participant{'s' * (people != 1)}{right}")
+
+
+def _written(out: Path) -> set[str]:
+    """Files that an earlier analysis wrote into a folder."""
+    try:
+        document = json.loads((out / RESULT).read_bytes())
+        return {str(one) for one in document["files"]} if document["format"] == FORMAT else set()
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return set()

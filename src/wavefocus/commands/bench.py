@@ -1,0 +1,69 @@
+"""``wavefocus bench``: error against run time, and the settings that it recommends."""
+
+from __future__ import annotations
+
+import json
+import time
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from wavefocus.benchmarks import BENCHMARKS
+from wavefocus.console import people, say
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.output_files import require_output_folder, write_whole
+
+PAGE = "index.html"
+
+
+def bench(what: str, out: Path, *, quick: bool, error_db: float | None = None, force: bool = False) -> None:
+    """Run one benchmark, or all: print their tables, and write points, diagrams and a page; or choose settings."""
+    if (what == "choose") != (error_db is not None):
+        raise InputError("--error-db and `bench choose` belong together: wavefocus bench choose --error-db -60")
+    if error_db is not None:
+        from wavefocus.benchmarks.machine import conditions
+        from wavefocus.benchmarks.page import chosen_lines
+
+        print("\n".join(chosen_lines(_of_this_machine(out, conditions("")), error_db)))
+        return
+    from wavefocus.benchmarks.machine import conditions, load
+    from wavefocus.benchmarks.page import draw_diagrams, html_page
+
+    chosen = [name for name, one in BENCHMARKS.items() if not one.on_request] if what == "all" else [what]
+    files = [name for one in chosen for name in (f"{one}.json", f"{one}.csv", *BENCHMARKS[one].pictures)]
+    require_output_folder(out, files, (), force=force)
+    out.mkdir(parents=True, exist_ok=True)
+    for name in chosen:
+        module = import_module(f"wavefocus.benchmarks.{name}")
+        made = conditions(f"wavefocus bench {name}")
+        begun_s = time.monotonic()
+        with people().status(f"{BENCHMARKS[name].title} ..."):
+            found = module.run(out, quick=quick)
+        made |= {"seconds": round(time.monotonic() - begun_s, 1), "load_after": load()}
+        # Small workloads say nothing about the marks.
+        print("\n".join(found.lines(judged=not quick)))
+        diagrams = draw_diagrams(found, out, name)
+        say(f"wrote {found.write(out, name, {'quick': quick, 'made': made, 'diagrams': diagrams})}")
+    titles = {name: one.title for name, one in BENCHMARKS.items()}
+    write_whole(out / PAGE, html_page(_measured(out), titles, out))
+    say(f"wrote {out / PAGE}")
+
+
+def _measured(folder: Path) -> dict[str, dict[str, Any]]:
+    """Contents of the JSON files in a folder, by benchmark."""
+    paths = {name: folder / f"{name}.json" for name in BENCHMARKS}
+    return {name: json.loads(path.read_text(encoding="utf-8")) for name, path in paths.items() if path.exists()}
+
+
+def _of_this_machine(folder: Path, here: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Full measurements in a folder. Raises InputError: there are none, or they are another machine's."""
+    found = {name: one for name, one in _measured(folder).items() if not one["quick"]}
+    if not found:
+        raise InputError(f"{folder}: no full measurements; run `wavefocus bench all --out {folder}` first")
+    for name, one in found.items():
+        if any(one["made"][key] != here[key] for key in ("processor", "cores")):
+            raise InputError(
+                f"{folder / name}.json: measured on another machine ({one['made']['processor']}, {one['made']['cores']}"
+                f" cores); run `wavefocus bench {name} --out {folder} --force` on this one"
+            )
+    return found

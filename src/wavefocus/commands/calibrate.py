@@ -1,0 +1,123 @@
+"""``wavefocus calibrate``: measure what a rig file can only believe, into a calibration file."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from datetime import date
+from pathlib import Path
+
+from wavefocus.acquisition.calibrate_mirror import Operator
+from wavefocus.acquisition.manual import ManualMeasurements
+from wavefocus.acquisition.setup import Setup
+from wavefocus.config.calibration import PARTS, CalibrationRecord, name_calibration, write_calibration
+from wavefocus.config.messages.codec import to_record
+from wavefocus.config.messages.rig_checks import Begin, CalibrationDone
+from wavefocus.configuration import load_rig
+from wavefocus.console import say
+from wavefocus.drivers.errors import InstrumentError
+from wavefocus.ending import ending_at_once
+from wavefocus.exits import Exit
+from wavefocus.json_lines import LinesIn, LinesOut
+from wavefocus.rig.calibration_session import CalibrationSession, Request, marks
+from wavefocus.rig.instruments import open_rig, openers
+from wavefocus.rig.operation import SAMPLE_RATE_HZ, faulted
+from wavefocus.rig.operators import LinesOperator, TerminalOperator, forget_typed
+from wavefocus.rig.setup import put_to_rest, setup_of
+from wavefocus.storage.errors import InputError
+
+
+def calibrate(
+    rig_file: Path, request: Request, out: Path | None, *, as_json: bool, as_lines: bool = False, use: bool = False
+) -> Exit:
+    """Calibrate a rig with the person at this terminal; exit code 1 when something is not good enough.
+
+    With `as_lines` the person sits before another program, which is asked by JSON lines; with `use` the rig file is
+    made to name what was written.
+    """
+    rig = load_rig(rig_file)
+    file = _file(out, rig_file.parent)
+    session = CalibrationSession(rig, request)
+    lines = LinesOut() if as_lines else None
+    if lines is not None:
+        lines(Begin(request.parts, marks(rig, request)[0]))
+    with ending_at_once():
+        try:
+            opened = open_rig(openers(rig))
+            setup = setup_of(rig, opened)
+            operator = _operator(setup, lines)
+            with put_to_rest(setup):
+                session.carry_out(setup, operator, opened.patch_bay)
+        except InstrumentError as failure:
+            if lines is not None:
+                lines(faulted(failure))
+            raise
+        finally:
+            # Whatever ends a calibration, the cables plugged so far were not plugged for nothing.
+            record = session.record()
+            if session.measured:
+                _keep(file, record, session.measured, rig_file, use=use)
+    for problem in session.problems:
+        say(f"not good enough: {problem}")
+    if as_json or lines is not None:
+        done = CalibrationDone(
+            file=str(file) if session.measured else None,
+            measured=tuple(session.measured),
+            problems=tuple(session.problems),
+            calibration=record.model_dump(mode="json"),
+        )
+        if lines is not None:
+            lines(done)
+        else:
+            print(json.dumps({key: value for key, value in to_record(done).items() if key not in done.tag}))
+    return Exit.NOT_GOOD_ENOUGH if session.problems else Exit.DONE
+
+
+def _operator(setup: Setup, lines: LinesOut | None) -> Operator:
+    if lines is None:
+        return TerminalOperator(sys.stdin.readline, forget_typed)
+
+    def place_mm(x_mrad: float, y_mrad: float) -> tuple[float, float] | None:
+        try:
+            x_mm, y_mm = setup.mirror_map.surface_mm(x_mrad, y_mrad)
+        except InputError:  # a beam that never meets the surface
+            return None
+        return round(float(x_mm), 4), round(float(y_mm), 4)
+
+    answers = LinesIn()
+    answers.start()
+    return LinesOperator(answers, lines, ManualMeasurements(setup, SAMPLE_RATE_HZ).level, place_mm)
+
+
+def _keep(file: Path, record: CalibrationRecord, measured: list[str], rig_file: Path, *, use: bool) -> None:
+    write_calibration(file, record)
+    say(f"{file}: {', '.join(measured)}")
+    if not use:
+        say(f'name it in {rig_file}: [calibration] file = "{file.name}"')
+        return
+    name_calibration(rig_file, os.path.relpath(file, rig_file.parent))
+    say(f"{rig_file}: names {file.name} as its calibration")
+
+
+def parts_named(words: str) -> tuple[str, ...]:
+    """Parts from words with commas between; all where there are none.
+
+    Raises InputError: A word that is no part.
+    """
+    parts = tuple(word.strip() for word in words.split(",")) if words else PARTS
+    for part in parts:
+        if part not in PARTS:
+            raise InputError(f"--only: {part!r} is not known; allowed: {', '.join(PARTS)}")
+    return parts
+
+
+def _file(out: Path | None, folder: Path) -> Path:
+    """Where to write: the file asked for, or one of today's next to the rig file; none is overwritten."""
+    if out is not None:
+        if os.path.lexists(out):
+            raise InputError(f"--out {out}: is there already and is not overwritten; name another file")
+        return out
+    name = f"calibration-{date.today().isoformat()}"
+    candidates = [folder / f"{name}.toml", *(folder / f"{name}-{number}.toml" for number in range(2, 1000))]
+    return next(file for file in candidates if not os.path.lexists(file))

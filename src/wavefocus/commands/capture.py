@@ -1,0 +1,283 @@
+"""``wavefocus capture``, ``resume`` and ``remeasure``: sessions of a campaign."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from wavefocus.acquisition.engine.campaign import Campaign
+from wavefocus.acquisition.engine.session import EventPublisher, StopRequest
+from wavefocus.acquisition.plays import raw_header, require_same, without_recordings
+from wavefocus.acquisition.setup import Setup
+from wavefocus.acquisition.wording import row_ranges
+from wavefocus.campaign.blueprint import (
+    Blueprint,
+    blueprint_from_bank,
+    blueprint_from_files,
+    blueprint_with_rig,
+    ringing_of,
+)
+from wavefocus.campaign.campaign_view import CampaignView
+from wavefocus.campaign.schedule_choice import choose_schedule, with_chosen_schedule
+from wavefocus.campaign.sidecar_files import (
+    EventLines,
+    EventLog,
+    drift_path,
+    log_path,
+    raw_path,
+    read_drift,
+)
+from wavefocus.campaign.supervision import Attendance, resume_line
+from wavefocus.config.messages.campaign import (
+    Drift,
+    Event,
+    State,
+    Subscriber,
+)
+from wavefocus.console import print_line, progress, say
+from wavefocus.drivers.errors import InstrumentError
+from wavefocus.ending import stop_on_signals
+from wavefocus.exits import Exit
+from wavefocus.input_files import parse_positions
+from wavefocus.rig.calibration_validity import refuse_other_devices, with_one_calibration
+from wavefocus.rig.messages import messenger_for
+from wavefocus.rig.setup import open_setup
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.bank.writer import BankWriter, create_bank
+from wavefocus.storage.durable import is_network_mount
+from wavefocus.storage.errors import ExistsError, InputError
+from wavefocus.storage.point_status import STATUS_WORDS, Status, not_valid
+from wavefocus.storage.raw.writer import RawWriter, create_raw
+
+
+class SessionOptions(NamedTuple):
+    """Options of a session: the rig file that was named, events on standard output, and changes that are accepted."""
+
+    rig_file: Path | None
+    as_json: bool
+    accept_drift: bool
+    accept_calibration: bool
+
+
+def capture(
+    run_file: Path,
+    bank: Path,
+    scene_files: Sequence[Path] = (),
+    *,
+    checks: bool = True,
+    allow_large: bool = False,
+    as_json: bool,
+    accept_drift: bool,
+    accept_calibration: bool = False,
+) -> Exit:
+    """Start a campaign in a new bank, or go on with it in the bank that is there; only for some scenes if named."""
+    blueprint = blueprint_from_files(run_file)
+    needed = None
+    if scene_files:
+        from wavefocus.campaign.blueprint import needed_by  # with it comes what renders
+
+        needed = needed_by(scene_files, blueprint.plan.position_mm, checks=checks, allow_large=allow_large)
+    blueprint, earlier = with_bank(blueprint, bank, run_file, accept_calibration=accept_calibration)
+    named = blueprint.configuration.run.rig
+    rig_file = None if named == "virtual" else run_file.parent / named
+    options = SessionOptions(rig_file, as_json, accept_drift, accept_calibration)
+    if needed is None:
+        return _session(blueprint, bank, None, options, earlier)
+    with open_bank(bank) as view:
+        left = blueprint.plan.to_do(view.status)
+    rows = [int(row) for row in left if row in needed]
+    done = _session(blueprint, bank, rows, options, earlier) if rows else Exit.DONE
+    say(
+        f"all {len(needed)} positions that are needed are in the bank; the other "
+        f"{len(left) - len(rows)} are left, and measured by: {resume_line(bank, rig_file)}"
+    )
+    return done
+
+
+def with_bank(
+    blueprint: Blueprint, bank: Path, run_file: Path, *, accept_calibration: bool = False
+) -> tuple[Blueprint, tuple[Event, ...]]:
+    """Make the bank unless it is there; return the campaign as the bank has it, and what happened on the way."""
+    if not bank.exists():
+        settled, earlier = choose_schedule(blueprint, str(run_file))
+        if is_network_mount(bank.absolute().parent):
+            say(f"{bank} is on a network drive, where locks and syncs are unreliable: measure to a local disk")
+        if (rings := ringing_of(settled)) is not None and rings.advice:
+            say(f"warning: {rings.advice}")
+        with suppress(ExistsError):  # another capture was quicker: go on as one that came later
+            create_bank(bank, settled.bank_header())
+            return settled, earlier
+    return with_one_calibration(with_chosen_schedule(blueprint, bank), bank, run_file, accept=accept_calibration), ()
+
+
+def resume(
+    bank: Path,
+    rig_file: Path | None = None,
+    *,
+    as_json: bool,
+    accept_drift: bool,
+    accept_calibration: bool = False,
+) -> Exit:
+    """Go on with a campaign from the configuration that its bank holds, or with a corrected rig file."""
+    options = SessionOptions(rig_file, as_json, accept_drift, accept_calibration)
+    return _session(_from_bank(bank, options), bank, None, options)
+
+
+def _from_bank(bank: Path, options: SessionOptions) -> Blueprint:
+    rig_file = options.rig_file
+    if rig_file is None:
+        return blueprint_from_bank(bank)
+    blueprint = blueprint_with_rig(bank, rig_file)
+    return with_one_calibration(blueprint, bank, rig_file, accept=options.accept_calibration)
+
+
+def remeasure(
+    bank: Path,
+    words: str,
+    positions: str,
+    rig_file: Path | None = None,
+    *,
+    replace: bool = False,
+    as_json: bool,
+    accept_drift: bool,
+    accept_calibration: bool = False,
+) -> Exit:
+    """Measure again the positions of some status, or those named.
+
+    Valid rows are replaced by others only where `replace` says so, or where the latest measurement of the sentinel
+    speaks against them.
+    """
+    options = SessionOptions(rig_file, as_json, accept_drift, accept_calibration)
+    blueprint = _from_bank(bank, options)
+    rows = parse_positions(positions, blueprint.plan.positions) if positions else []
+    wanted = _status_bits(words) if words or not positions else Status.NOT_MEASURED
+    with open_bank(bank) as view:
+        marked = {int(row) for row in blueprint.plan.order if view.status[row] & wanted}
+    chosen = [int(row) for row in blueprint.plan.order if row in marked or row in set(rows)]
+    if not chosen:
+        say("no position of that status: nothing to measure again")
+        return Exit.DONE
+    history = read_drift(bank)
+    suspect = history[-1].suspect if history else ()
+    replaceable = chosen if replace or accept_drift or accept_calibration else suspect
+    return _session(blueprint, bank, chosen, options, replaceable=replaceable)
+
+
+def _status_bits(words: str) -> Status:
+    bits = Status.NOT_MEASURED
+    for word in (words or "poor,over-range,failed").split(","):
+        if word.strip() not in ("poor", "over-range", "failed", "valid"):
+            raise InputError(f"--status: {word.strip()!r} is not known; allowed: poor, over-range, failed, valid")
+        bits |= STATUS_WORDS[word.strip()]
+    return bits
+
+
+def _session(
+    blueprint: Blueprint,
+    bank: Path,
+    rows: Sequence[int] | None,
+    options: SessionOptions,
+    earlier: Sequence[Event] = (),
+    *,
+    replaceable: Sequence[int] = (),
+) -> Exit:
+    """Carry out one session with log, progress and signals around it; `earlier` happened before it."""
+    stop, rig_file = StopRequest(), options.rig_file
+    plan = blueprint.plan
+    with (
+        _naming_resume_command(bank, rig_file),
+        messenger_for(bank, blueprint.configuration.rig.messages, resume_line(bank, rig_file)) as messenger,
+        BankWriter.open(bank, plan_sha256=plan.sha256) as writer,
+        # Outside of the instruments, so that no second Ctrl-C keeps them from being put to rest.
+        stop_on_signals(stop),
+        Attendance(bank, stop) as attendance,
+        open_setup(blueprint.configuration.rig, blueprint.configuration.run) as setup,
+        opened_raw(blueprint, setup, writer) as raw,
+        EventLog(log_path(bank)) as log,
+        EventLog(drift_path(bank), Drift) as drift,
+        progress("capture", plan.positions, timed=False) as report,
+    ):
+        subscribers: dict[str, Subscriber] = {
+            "the event log": log,
+            "the drift history": drift,
+            "the heartbeat": attendance,
+            "the progress display": CampaignView(report),
+            "the sending of messages": messenger,
+        }
+        if options.as_json:
+            subscribers["standard output"] = EventLines(print_line, "standard output")
+        publish = EventPublisher(subscribers, say)
+
+        if writer.status.any():
+            refuse_other_devices(
+                blueprint.configuration.rig, setup.instruments, bank, accept=options.accept_calibration
+            )
+        for event in earlier:
+            publish(event)
+        if raw is not None and rows is None and (bare := without_recordings(writer.status, raw)):
+            say(f"{raw.path} lacks the recordings of {len(bare)} measured position(s): measured again")
+            rows = [*plan.to_do(writer.status).tolist(), *bare]
+        ended = Campaign(plan, setup, writer, publish, stop, raw=raw).run(
+            rows, accept_drift=options.accept_drift, replaceable=replaceable
+        )
+        if ended.state is State.STOPPED:
+            say(f"nothing measured is lost; go on with: {resume_line(bank, rig_file)}")
+            # From in here, so that an instrument that cannot be put to rest is reported and does not hide the stop.
+            raise KeyboardInterrupt
+        if writer.renamed:
+            say(f"warning: {bank} was renamed while it was measured; it has its name again, next to the other")
+        bad = not_valid(writer.status)
+    if bad:
+        rows_text = row_ranges(bad)
+        say(
+            f"{len(bad)} of {plan.positions} positions are not valid: {rows_text}; {log_path(bank)} says why; measure "
+            f"them again with: {resume_line(bank, rig_file, word='remeasure')}"
+        )
+    return Exit.DONE
+
+
+@contextmanager
+def _naming_resume_command(bank: Path, rig_file: Path | None) -> Iterator[None]:
+    """Add the command that resumes the campaign to the message of an instrument that failed."""
+    try:
+        yield
+    except InstrumentError as failure:
+        corrected = "" if rig_file is not None else "; a corrected rig file is taken by --rig RIG.toml"
+        remedy = f"{failure.remedy}; nothing measured is lost{corrected}; then go on with: "
+        remedy += resume_line(bank, rig_file)
+        raise type(failure)(failure.instrument, failure.operation, failure.cause, remedy) from failure
+
+
+def opened_raw(
+    blueprint: Blueprint, setup: Setup, bank: BankWriter
+) -> AbstractContextManager[RawWriter] | AbstractContextManager[None]:
+    """Own the raw file of a campaign that keeps its recordings; it is made while the bank is still empty.
+
+    Raises InputError: the file is missing though the bank holds positions, of another plan, or recorded with another
+    scale.
+    """
+    if not blueprint.configuration.run.capture.keep_raw:
+        return nullcontext()
+    path = raw_path(bank.path)
+    header = blueprint.bank_header()
+    wanted = raw_header(
+        blueprint.plan, setup, rig_json=header.rig_json, run_json=header.run_json, software=header.software
+    )
+    if not path.exists():
+        if np.any(bank.status):
+            raise InputError(
+                f"{path} is missing, and {bank.path} holds positions whose recordings it kept; put it back, or start a "
+                "new bank"
+            )
+        create_raw(path, wanted)
+    raw = RawWriter.open(path, plan_sha256=blueprint.plan.sha256)
+    try:
+        require_same(raw, wanted)
+    except BaseException:
+        raw.close()
+        raise
+    return raw

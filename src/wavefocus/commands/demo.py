@@ -1,0 +1,212 @@
+"""``wavefocus demo``: the whole suite on the virtual rig, a power cut included."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+import webbrowser
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from wavefocus.commands import check, init, plan, status
+from wavefocus.commands import predict as prediction
+from wavefocus.commands import render as rendering
+from wavefocus.commands import verify as verification
+from wavefocus.commands.render import RenderOptions
+from wavefocus.config.messages.campaign import Logged, Progress, read_event
+from wavefocus.config.run import Virtual
+from wavefocus.configuration import load_run
+from wavefocus.console import people, say
+from wavefocus.exits import Exit
+from wavefocus.mocks.virtual.rig import VirtualRig
+from wavefocus.rig.virtual_bench import virtual_rig
+from wavefocus.storage.bank.reading import Bank, open_bank
+from wavefocus.storage.errors import InputError, WavefocusError
+
+# The bank is this good at the default noise, or the demo has failed.
+BANK_LIMIT_DB = -55.0
+PLATE = "stadium"
+
+_MARKER = "made-by-wavefocus-demo"
+
+
+@dataclass
+class _Stopwatch:
+    parts: list[tuple[str, float]] = field(default_factory=list)
+
+    def time(self, name: str, work: Callable[[], object]) -> None:
+        """Announce a part, do it and note how long it took."""
+        people().rule(name, align="left")
+        started_s = time.monotonic()
+        work()
+        self.parts.append((name, time.monotonic() - started_s))
+
+
+def demo(out: Path, *, plate: str = PLATE, force: bool = False) -> Exit:
+    """Capture, kill half-way, resume, check, render, predict, verify; all files in a folder of its own."""
+    if plate == "stadium" and find_spec("skfem") is None:
+        raise InputError("--plate stadium: needs scikit-fem, pip install 'wavefocus[plates]'; or choose --plate soft")
+    _prepare(out, force=force)
+    run, bank, scene = out / "run.toml", out / "plate.h5", out / "scene.toml"
+    drive, report = out / "drive.h5", out / "verify" / "report.html"
+    watch = _Stopwatch()
+    watch.time("Configuration", lambda: _configure(out, plate))
+    watch.time("Compute the plate, or read it from the cache", lambda: _rig(run))
+    watch.time("Plan", lambda: plan.plan(run, as_json=False))
+    watch.time("Capture, until the power is cut half-way", lambda: _capture_and_kill(run, bank))
+    watch.time("What the bank says after the power cut", lambda: status.status(bank, as_json=False))
+    watch.time("Resume from the bank alone", lambda: _resume(bank))
+    outcome: list[Exit] = []
+    watch.time("Check every row", lambda: outcome.append(check.check(bank, as_json=False)))
+    watch.time("Compare with the plate's truth", lambda: outcome.append(_compare(bank)))
+    watch.time(
+        "Render the scene",
+        lambda: rendering.render(
+            scene,
+            bank,
+            drive,
+            wav=out / "drive.wav",
+            picture=out / "scene.png",
+            rig_file=None,
+            options=RenderOptions(),
+            as_json=False,
+        ),
+    )
+    watch.time(
+        "Predict ten positions of its field",
+        lambda: prediction.predict(drive, bank, out / "field.h5", "700-709", as_json=False),
+    )
+    watch.time(
+        "Play it on the rig, scan it, compare",
+        lambda: outcome.append(verification.verify(scene, bank, Path("virtual"), out / "verify", "", as_json=False)),
+    )
+    _print_result(watch, report)
+    return max(outcome)
+
+
+def _configure(out: Path, plate: str) -> None:
+    init.init(out, "virtual")
+    run = out / "run.toml"
+    text = run.read_text(encoding="utf-8")
+    run.write_text(text.replace('plate = "soft"', f'plate = "{plate}"'), encoding="utf-8")
+
+
+def _rig(run: Path) -> VirtualRig:
+    configuration = load_run(run)
+    return virtual_rig(configuration.rig, configuration.run.virtual or Virtual())
+
+
+def _prepare(out: Path, *, force: bool) -> None:
+    """Take a folder of the demo's own; never clear one that is somebody else's."""
+    if out.exists():
+        if not (out / _MARKER).is_file() and (not out.is_dir() or any(out.iterdir())):
+            raise InputError(f"--out {out}: is not empty and was not made by the demo; name another folder")
+        if any(out.iterdir()) and not force:
+            raise InputError(f"--out {out}: holds an earlier demo; name another folder, or replace it with --force")
+        shutil.rmtree(out)
+    out.mkdir(parents=True)
+    (out / _MARKER).write_text("this folder is cleared whenever the demo runs\n", encoding="utf-8")
+
+
+def _capture_and_kill(run: Path, bank: Path) -> None:
+    """Run a capture in a process of its own and kill it, without warning, half-way."""
+    command = [sys.executable, "-m", "wavefocus", "capture", str(run), "--bank", str(bank), "--json"]
+    done = total = 0
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as child:
+        assert child.stdout is not None
+        for line in child.stdout:
+            match read_event(line):
+                case Logged(event=Progress(done=done, total=total)) if 2 * done >= total:
+                    child.kill()
+                    break
+        code = child.wait()
+    if code == 0 or not bank.exists():
+        raise WavefocusError(f"the capture ended with {code} before it could be interrupted")
+    say(f"killed process {child.pid} without warning after {done} of {total} positions")
+
+
+def _resume(bank: Path) -> None:
+    code = subprocess.run([sys.executable, "-m", "wavefocus", "resume", str(bank)], check=False).returncode
+    if code != 0:
+        raise WavefocusError(f"wavefocus resume {bank} ended with exit code {code}")
+
+
+def _compare(bank: Path) -> Exit:
+    """Report how far the bank is from the truth, which nothing else in the suite reads."""
+    with open_bank(bank) as view:
+        error_db = compare_with_truth(view, _rig(bank.with_name("run.toml")))
+    median_db = float(np.nanmedian(error_db))
+    say(
+        f"error of the bank against the true Green's functions: median {median_db:.1f} dB, worst "
+        f"{np.nanmax(error_db):.1f} dB over {error_db.size} pairs (in-band relative L2; limit {BANK_LIMIT_DB:g})"
+    )
+    return Exit.DONE if median_db <= BANK_LIMIT_DB else Exit.NOT_GOOD_ENOUGH
+
+
+def _print_result(watch: _Stopwatch, report: Path) -> None:
+    """Times, memory and where the report is; opens it where somebody can look."""
+    people().rule("Done", align="left")
+    from rich.table import Table
+
+    table = Table(box=None, show_header=False, pad_edge=False)
+    for name, seconds in watch.parts:
+        table.add_row(name, f"{seconds:6.1f} s")
+    table.add_row("Together", f"{sum(seconds for _, seconds in watch.parts):6.1f} s")
+    people().print(table)
+    if (peak := _peak_memory_bytes()) is not None:
+        say(f"largest process: {peak / 1e6:.0f} MB of memory")
+    say(f"report: {report}")
+    if sys.stdin.isatty() and people().is_terminal and _has_display():
+        webbrowser.open(report.resolve().as_uri())
+
+
+def _peak_memory_bytes() -> int | None:
+    """Largest resident memory of this process and its children, where the system reports it."""
+    if sys.platform == "win32":
+        return None
+    import resource
+
+    unit = 1 if sys.platform == "darwin" else 1024
+    return unit * max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+
+
+def _has_display() -> bool:
+    return sys.platform in ("win32", "darwin") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+# Bounds memory to some 20 MB.
+CHUNK_POSITIONS = 64
+
+
+def compare_with_truth(bank: Bank, rig: VirtualRig) -> NDArray[np.float64]:
+    """Compare every measured pair with the plate's true FIR, over the bank's band.
+
+    Returns (positions, actuators) ``20 log10(|G - G_true|_2 / |G_true|_2)``, NaN where not measured, over the bins
+    from ``band_hz[0]`` to ``band_hz[1]`` of a transform
+    of twice the length of the FIRs.
+    """
+    length = scipy.fft.next_fast_len(2 * bank.taps, real=True)
+    frequency_hz = np.fft.rfftfreq(length, 1.0 / bank.sample_rate_hz)
+    start_hz, stop_hz = bank.band_hz if bank.band_hz is not None else (0.0, np.inf)
+    in_band = np.flatnonzero((frequency_hz >= start_hz) & (frequency_hz <= stop_hz))
+    band = slice(int(in_band[0]), int(in_band[-1]) + 1)
+    error_db = np.full((bank.positions, bank.actuators), np.nan)
+    measured_rows = np.flatnonzero(bank.status)
+    for first in range(0, measured_rows.size, CHUNK_POSITIONS):
+        rows = measured_rows[first : first + CHUNK_POSITIONS]
+        true = rig.truth_spectra(bank.position_mm[rows], bank.taps, length, band, bank.sample_rate_hz)
+        for position, true_here in zip(rows, true, strict=True):
+            green = bank.green(int(position)).astype(np.float32, copy=False)
+            error = np.linalg.norm(scipy.fft.rfft(green, length)[:, band] - true_here, axis=1)
+            error /= np.linalg.norm(true_here, axis=1)
+            error_db[position] = 20.0 * np.log10(np.maximum(error, np.finfo(np.float64).tiny))
+    return error_db

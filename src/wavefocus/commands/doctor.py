@@ -1,0 +1,248 @@
+"""``wavefocus doctor``: every instrument and what it needs checked, and what to do about each fault."""
+
+from __future__ import annotations
+
+import platform
+import shutil
+import sys
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
+from dataclasses import replace
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import numpy as np
+
+from wavefocus.acquisition.doctor import Findings, RigUnderTest, examine
+from wavefocus.acquisition.setup import Setup
+from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.config.messages.codec import to_line
+from wavefocus.config.messages.rig_checks import Act, Examination, Finding, FindingMade
+from wavefocus.config.rig import RigConfig
+from wavefocus.configuration import load_rig
+from wavefocus.console import answer, people, print_line, say
+from wavefocus.drivers.protocols import DeviceIdentity
+from wavefocus.ending import ending_at_once
+from wavefocus.exits import Exit
+from wavefocus.rig.calibration_validity import calibration_warnings
+from wavefocus.rig.instruments import openers
+from wavefocus.rig.limits import safe_amplitude_v
+from wavefocus.rig.messages import message_findings
+from wavefocus.storage.durable import is_network_mount
+from wavefocus.storage.errors import InputError
+
+SAMPLE_RATE_HZ = 10_000.0
+# Corners that the mirror is tried at: of the largest rectangle on the surface, a little within.
+CORNER_SHARE = 0.95
+SIGNS = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+STYLES = {"ok": "green", "warn": "yellow", "fail": "bold red", "skipped": "dim"}
+
+
+def doctor(
+    rig_file: Path,
+    *,
+    as_json: bool,
+    play: bool,
+    reset_usb: str = "",
+    test_message: bool = False,
+    as_lines: bool = False,
+) -> Exit:
+    """Examine a rig; exit code 1 when something is not good enough, whatever it is.
+
+    `reset_usb` names a role whose USB device is reset first: the last resort, and never done unasked. With `as_lines`
+    each finding is one JSON line as soon as it is made, before the object that holds all.
+    """
+    rig = load_rig(rig_file)
+    if reset_usb:
+        _reset(rig, rig_file, reset_usb)
+    folder = rig_file.resolve().parent
+    findings: list[Finding] = []
+    with people().status("examining") if sys.stderr.isatty() else nullcontext() as status:
+        resettable = {one.role for one in rig.usb}
+
+        def publish(finding: Finding) -> None:
+            if finding.verdict == "fail" and finding.act is None and finding.instrument in resettable:
+                finding = replace(finding, act=Act("reset-usb", finding.instrument))
+            findings.append(finding)
+            if as_lines:
+                print_line(to_line(FindingMade(finding)))
+            if status is not None:
+                status.update(f"examining; {finding.instrument}: {finding.check}: {finding.verdict}")
+
+        with ending_at_once():
+            identities = examine(_patient(rig), publish, play=play)
+        check_surroundings(rig, folder, identities, publish)
+        for finding in message_findings(rig, rig_file.name, send=test_message):
+            publish(finding)
+    failed = sum(one.verdict == "fail" for one in findings)
+    if as_json or as_lines:
+        counts = {word: sum(one.verdict == word for one in findings) for word in STYLES}
+        print_line(to_line(Examination(str(rig_file), rig.rig.name, failed == 0, counts, tuple(findings), versions())))
+    else:
+        _show(findings)
+        answer(", ".join(f"{package} {number}" for package, number in versions().items()))
+    warned = sum(one.verdict == "warn" for one in findings)
+    line = say if as_json or as_lines else answer
+    line(f"{rig_file}: {failed} not good enough, {warned} to look at, {len(findings)} findings")
+    return Exit.NOT_GOOD_ENOUGH if failed else Exit.DONE
+
+
+def _reset(rig: RigConfig, rig_file: Path, role: str) -> None:
+    from wavefocus.drivers.usb import ExpectedUsbDevice, reset_device
+
+    expected = [ExpectedUsbDevice(**one.model_dump()) for one in rig.usb]
+    roles = ", ".join(sorted({one.role for one in expected})) or "none: give it a [[usb]] table"
+    if role not in {one.role for one in expected}:
+        raise InputError(f"--reset-usb {role}: {rig_file} expects no USB device of that role; it expects {roles}")
+    say(f"{role}: reset; it is now {reset_device(role, expected)}")
+
+
+def _patient(rig: RigConfig) -> RigUnderTest:
+    ways = openers(rig)
+    recorder, player, surface = rig.recorder, rig.player, rig.surface
+    outline, corner_mm = surface.outline, np.array([[surface.length_mm, surface.width_mm]]) / 2
+    # The largest rectangle of the surface's proportions within it.
+    share = max(share for share in np.linspace(0, 1, 101) if outline.contains(share * SIGNS * corner_mm).all())
+    x_mm, y_mm = (CORNER_SHARE * share * corner_mm[0]).tolist()
+    return RigUnderTest(
+        clock=ways.clock,
+        mirror=ways.mirror,
+        recorder=ways.recorder,
+        player=ways.player,
+        vibrometer=ways.vibrometer,
+        wired=lambda instruments, sensitivity: Setup(
+            instruments=instruments,
+            mirror_map=MirrorMap(rig.mirror.matrix),
+            actuator_channels=player.channels,
+            loopback_channel=player.loopback_channel,
+            range_v=(recorder.reference_range_v, recorder.response_range_v),
+            response_per_volt=sensitivity,
+            reference_gain=recorder.reference_gain,
+            inter_channel_delay_s=recorder.inter_channel_delay_s,
+            pre_roll_s=recorder.pre_roll_s,
+            post_roll_s=recorder.post_roll_s,
+        ),
+        corners_mm=((x_mm, y_mm), (-x_mm, y_mm), (-x_mm, -y_mm), (x_mm, -y_mm)),
+        limit_mrad=rig.mirror.limit_mrad,
+        amplitude_v=safe_amplitude_v(rig),
+        sample_rate_hz=SAMPLE_RATE_HZ,
+    )
+
+
+def _show(findings: list[Finding]) -> None:
+    """A table for people; what there is to do stands below what was found."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for heading in ("", "instrument", "check", "found"):
+        table.add_column(heading, overflow="fold")
+    for one in findings:
+        found = f"{one.what}\n-> {one.remedy}" if one.remedy else one.what
+        table.add_row(_styled(one.verdict), one.instrument, one.check, _plain(found))
+    Console(highlight=False, soft_wrap=True).print(table)
+
+
+def _styled(verdict: str) -> str:
+    return f"[{STYLES[verdict]}]{verdict}[/]"
+
+
+def _plain(text: str) -> str:
+    """Square brackets are text, not markup."""
+    return text.replace("[", r"\[")
+
+
+PACKAGES = ("wavefocus", "numpy", "scipy", "h5py", "pydantic", "pyserial", "nidaqmx", "grpcio", "sounddevice", "pyusb")
+# A night of 1500 positions with 20 actuators is a quarter of a gigabyte, and a log next to it.
+LEAST_FREE_BYTES = 2_000_000_000
+USB_S = 60.0
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python, of the system and of the packages that matter; "missing" where there is none."""
+    facts = {"python": platform.python_version(), "system": platform.platform()}
+    for package in PACKAGES:
+        try:
+            facts[package] = version(package)
+        except PackageNotFoundError:
+            facts[package] = "missing"
+    return facts
+
+
+def check_surroundings(
+    rig: RigConfig, folder: Path, identities: Mapping[str, DeviceIdentity], publish: Callable[[Finding], None]
+) -> None:
+    """Look at all that is not an instrument."""
+    findings = Findings(publish)
+    _check_packages(rig, findings)
+    _check_disk(folder, findings)
+    _check_usb(rig, findings)
+    _check_calibration(rig, identities, findings)
+
+
+def _check_packages(rig: RigConfig, findings: Findings) -> None:
+    there = versions()
+    needed = {
+        "pyserial": rig.mirror.port is not None or rig.vibrometer.port is not None,
+        "nidaqmx": rig.recorder.driver == "nidaqmx",
+        "grpcio": rig.recorder.address is not None,
+        "sounddevice": rig.player.driver == "sounddevice",
+        "pyusb": bool(rig.usb),
+    }
+    missing = [package for package, wanted in needed.items() if wanted and there[package] == "missing"]
+    if missing:
+        what, remedy = f"missing: {', '.join(missing)}", f"pip install {' '.join(missing)}"
+        findings.add("packages", "installed", "fail", what, remedy, Act("run", remedy))
+        return
+    used = ", ".join(f"{package} {there[package]}" for package, wanted in needed.items() if wanted)
+    findings.add("packages", "installed", "ok", used or f"none needed, wavefocus {there['wavefocus']}")
+
+
+def _check_disk(folder: Path, findings: Findings) -> None:
+    free = shutil.disk_usage(folder).free
+    what = f"{free / 1e9:.1f} GB free at {folder}"
+    if free < LEAST_FREE_BYTES:
+        findings.add(
+            "disk", "free space", "warn", what, "make room, or measure to another disk", Act("open-folder", str(folder))
+        )
+    elif is_network_mount(folder):
+        findings.add("disk", "free space", "warn", f"{what}, a network drive", "measure to a local disk")
+    else:
+        findings.add("disk", "free space", "ok", what)
+
+
+def _check_usb(rig: RigConfig, findings: Findings) -> None:
+    if not rig.usb:
+        return
+    from wavefocus.drivers.usb import ExpectedUsbDevice, Verdict, list_devices, match_devices
+
+    plugged_in = findings.ask("usb", "devices", list_devices, USB_S)
+    if plugged_in is None:
+        return
+    expected = [ExpectedUsbDevice(**one.model_dump()) for one in rig.usb]
+    for found in match_devices(expected, plugged_in):
+        good = found.verdict is Verdict.FOUND
+        act = Act("reset-usb", found.expected.role) if found.verdict is Verdict.UNREADABLE else None
+        if found.verdict in (Verdict.SEVERAL, Verdict.OTHER_SERIAL, Verdict.MISSING):
+            act = Act("edit-rig", "usb")
+        findings.add("usb", found.expected.role, "ok" if good else "fail", found.sentence, found.remedy, act)
+
+
+def _check_calibration(rig: RigConfig, identities: Mapping[str, DeviceIdentity], findings: Findings) -> None:
+    record = rig.calibration.measured
+    if record is None:
+        if not rig.is_virtual:
+            findings.add(
+                "calibration", "file", "warn", "the rig file names none", "run wavefocus calibrate", Act("calibrate")
+            )
+        return
+    for warning in calibration_warnings(rig, identities):
+        findings.add("calibration", "file", "warn", warning.reason, warning.remedy, Act("calibrate", warning.part))
+    for one in record.actuators.actuator if record.actuators is not None else ():
+        if one.verdict != "good":
+            what, act = (
+                f"actuator {one.actuator} was {one.verdict} ({one.level_db:+.1f} dB)",
+                Act("calibrate", "actuators"),
+            )
+            findings.add("calibration", "actuators", "warn", what, "see wavefocus calibrate --only actuators", act)
+    findings.add("calibration", "file", "ok", f"{rig.calibration.file}, made {record.made:%Y-%m-%d}")

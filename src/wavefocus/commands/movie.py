@@ -1,0 +1,124 @@
+"""``wavefocus movie``: a predicted or scanned field as a GIF, and at its focus instants as a picture."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from math import inf
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefocus.campaign.blueprint import bank_configuration
+from wavefocus.console import progress, say
+from wavefocus.input_files import name_unverified
+from wavefocus.rendering.report.movie import FramePlan, plan_frames, snapshots, surface_of, write_movie
+from wavefocus.storage.bank.reading import Bank, open_bank
+from wavefocus.storage.drive_file import Drive, read_drive
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.field_file import FieldRowReader
+from wavefocus.storage.output_files import require_outputs, write_whole
+from wavefocus.storage.units import quantity
+
+OUTLINE_POINTS = 400
+FRAMES_PER_PERIOD = 2.5
+"""Fewer frames in a period of the band's upper end, and the movie strobes."""
+
+
+@dataclass(frozen=True, slots=True)
+class MovieOptions:
+    """What a movie shows, as asked for on the command line; None for what follows from the field."""
+
+    from_s: float | None = None
+    to_s: float | None = None
+    slow: float | None = None
+    frame_rate_hz: float = 25.0
+    width_px: int = 720
+    limit: float | None = None
+
+
+def movie(
+    field_file: Path,
+    bank: Path,
+    out: Path | None,
+    snapshot_file: Path | None,
+    drive_file: Path | None,
+    options: MovieOptions,
+    *,
+    force: bool = False,
+    as_json: bool,
+) -> None:
+    """Draw a field file.
+
+    Raises InputError: the files cannot be read or do not belong together, or there is nothing to show.
+    """
+    if out is None and snapshot_file is None:
+        raise InputError("nothing to draw: give --out FILE.gif, --snapshots FILE.png, or both")
+    if snapshot_file is not None and drive_file is None:
+        raise InputError("--snapshots needs the focus instants: add --drive DRIVE.h5")
+    require_outputs((out, snapshot_file), (field_file, bank, drive_file), force=force)
+    drive = None if drive_file is None else read_drive(drive_file)
+    answer: dict[str, object] = {"field": str(field_file)}
+    with open_bank(bank) as view, FieldRowReader(field_file) as field:
+        name_unverified(field_file, verified=field.verified)
+        if drive_file is not None and drive is not None:
+            name_unverified(drive_file, verified=drive.verified)
+        _check_together(field, field_file, view, drive, drive_file)
+        surface = surface_of(view, drive, _outline(view))
+        if out is not None:
+            plan = plan_frames(
+                field,
+                drive,
+                from_s=options.from_s,
+                to_s=options.to_s,
+                slow=options.slow,
+                frame_rate_hz=options.frame_rate_hz,
+            )
+            _warn_of_strobing(plan, view, field)
+            with progress("movie", len(plan.sample)) as report:
+                limit = write_movie(
+                    out, field, surface, drive, plan, width_px=options.width_px, limit=options.limit, on_progress=report
+                )
+            say(
+                f"{out}: {len(plan.sample)} frames, {plan.step_s * 1e3:.3g} ms apart, {plan.slowed:.3g} times slower"
+                f" than life, colours to {quantity(f'{limit:.3g}', field.response_unit)}"
+            )
+            answer |= {"movie": str(out), "frames": len(plan.sample), "slowed": plan.slowed, "limit": limit}
+        if snapshot_file is not None and drive is not None:
+            write_whole(snapshot_file, snapshots(field, surface, drive).png)
+            say(f"{snapshot_file}: the field at focus instants")
+            answer["snapshots"] = str(snapshot_file)
+    if as_json:
+        print(json.dumps(answer))
+
+
+def _check_together(
+    field: FieldRowReader, field_file: Path, bank: Bank, drive: Drive | None, drive_file: Path | None
+) -> None:
+    index = field.position_index
+    if index.min() < 0 or index.max() >= bank.positions:
+        raise InputError(f"{field_file} has position {index.max()}, {bank.path} has {bank.positions}: of another bank?")
+    if drive is None or not len(drive.focus_position):
+        return
+    if drive.focus_position.min() < 0 or drive.focus_position.max() >= bank.positions:
+        raise InputError(f"{drive_file} has foci at positions that {bank.path} does not have: of another bank?")
+
+
+def _outline(bank: Bank) -> NDArray[np.float64] | None:
+    if bank.rig_json is None or bank.run_json is None:
+        return None
+    return bank_configuration(bank).rig.surface.outline.line(OUTLINE_POINTS)
+
+
+def _warn_of_strobing(plan: FramePlan, bank: Bank, field: FieldRowReader) -> None:
+    highest_hz = inf if bank.band_hz is None else bank.band_hz[1]
+    if field.low_pass is not None and field.low_pass.passed_hz < highest_hz:
+        highest_hz = field.low_pass.passed_hz
+        say(f"{field.path} was predicted at {field.sample_rate_hz:g} Hz: it shows waves up to {highest_hz:g} Hz alone")
+    enough_s = 1.0 / (FRAMES_PER_PERIOD * highest_hz)
+    if highest_hz < inf and plan.step_s > enough_s:
+        say(
+            f"frames are {plan.step_s * 1e3:.3g} ms apart, too far to see waves of {highest_hz:g} Hz travel:"
+            f" choose --from-s and --to-s, or --slow {1 / (enough_s * plan.frame_rate_hz):.0f}"
+        )

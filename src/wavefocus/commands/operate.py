@@ -1,0 +1,124 @@
+"""``wavefocus operate``: instruments operated by hand, by orders on standard input."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+from wavefocus.acquisition.conditions import Sensor
+from wavefocus.config.messages.operate import Done, End, Ended, Mute, Opening, Refused
+from wavefocus.config.rig import RigConfig
+from wavefocus.configuration import named_rig
+from wavefocus.console import say
+from wavefocus.drivers.errors import InstrumentError
+from wavefocus.drivers.timeouts import RECONNECTING, BoundedPlayer, CallThread, HungError
+from wavefocus.ending import ending_at_once
+from wavefocus.exits import Exit
+from wavefocus.json_lines import LinesIn, LinesOut, ReadingFailedError
+from wavefocus.rig.instruments import OpenedRig, in_time, open_rig, openers
+from wavefocus.rig.operation import Operation, faulted, order_of
+from wavefocus.rig.setup import BoundedSensor, LightSensor, put_to_rest, setup_of
+from wavefocus.storage.errors import InputError
+
+# So often it is looked whether anybody still reads, while no order comes.
+_LOOKS_EVERY_S = 1.0
+# Longest wait for a mute; a driver that hangs is not waited for.
+_MUTES_WITHIN_S = 5.0
+
+
+def operate(rig_file: Path) -> Exit:
+    """Carry out orders until they end; on every way out the outputs are muted and the mirror is parked.
+
+    Raises InputError: the rig file is wrong. Raises InstrumentError: an instrument cannot be opened, or could not be
+    put to rest. Raises ReadingFailedError: orders cannot be read any more; the outputs are muted at once.
+    """
+    rig = named_rig(rig_file)
+    publish = LinesOut()
+    publish(Opening(str(rig_file)))
+    try:
+        with ending_at_once():
+            _operate(rig, publish)
+    except InstrumentError as failure:
+        publish(faulted(failure))
+        raise
+    except ReadingFailedError:
+        publish(Ended())
+        raise
+    except KeyboardInterrupt:
+        publish(Ended())
+        say("stopped by the user; the outputs are muted, the mirror is parked")
+        return Exit.STOPPED
+    publish(Ended())
+    return Exit.DONE
+
+
+def _operate(rig: RigConfig, publish: LinesOut) -> None:
+    """Open the rig, obey, and put it to rest however that ends."""
+    opened = open_rig(in_time(openers(rig), RECONNECTING * rig.recovery.hung_after_s))
+    setup = setup_of(rig, opened)
+    player = setup.instruments.player
+    with put_to_rest(setup):
+        assert isinstance(player, BoundedPlayer)  # as every player of a set-up
+        operation = Operation(rig, setup, player, _light(rig, opened), publish)
+        operation.introduce()
+        _carry_out(operation, player, rig, publish)
+
+
+def _carry_out(operation: Operation, player: BoundedPlayer, rig: RigConfig, publish: LinesOut) -> None:
+    muting = CallThread("muting")
+    orders = LinesIn()
+
+    def is_mute(content: Mapping[str, object]) -> bool:
+        return content.get("order") == "mute"
+
+    def mute() -> None:
+        with suppress(HungError, InstrumentError):  # reported by the next mute: the order itself, or the way out
+            muting.call(player.shut, _MUTES_WITHIN_S)
+
+    def overtake(content: Mapping[str, object]) -> None:
+        """What shall be silent is so at once, whatever is under way; orders that wait are no longer wanted."""
+        if is_mute(content):
+            orders.forget(is_mute)
+            mute()
+
+    orders.start(overtake, fails=mute)
+    while not publish.gone:
+        operation.look()
+        due_s = operation.due_s()
+        try:
+            content = orders.next(_LOOKS_EVERY_S if due_s is None else min(due_s, _LOOKS_EVERY_S))
+        except TimeoutError:
+            continue
+        except InputError as wrong:
+            publish(Refused(str(wrong)))
+            continue
+        if content is None:
+            return
+        done = _done(content)
+        try:
+            order = order_of(content, rig)
+        except InputError as wrong:
+            publish(Refused(str(wrong)))
+            if is_mute(content):  # silence is wanted all the same, and the gate was shut for it
+                operation.carry_out(Mute())
+            publish(done)
+            continue
+        ok = operation.carry_out(order)
+        publish(replace(done, ok=ok))
+        if isinstance(order, End):
+            return
+
+
+def _done(content: Mapping[str, object]) -> Done:
+    """The end of an order that was not carried out; repeats what can be repeated of it."""
+    word, number = content.get("order"), content.get("id")
+    return Done(word if isinstance(word, str) else None, number if isinstance(number, str | int | float) else None)
+
+
+def _light(rig: RigConfig, opened: OpenedRig) -> Sensor | None:
+    sensor = opened.virtual_sensors.get("light")
+    if sensor is None and rig.vibrometer.driver == "polytec-ofv5000":
+        sensor = LightSensor(rig.vibrometer)
+    return None if sensor is None else BoundedSensor("light", sensor, rig.recovery.hung_after_s)

@@ -1,0 +1,302 @@
+"""``wavefocus play``: drives, or a scene rendered while it is played, on the rig's actuators."""
+
+from __future__ import annotations
+
+import json
+import math
+import threading
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefocus.acquisition.wording import hours
+from wavefocus.commands.render import RenderOptions, naming
+from wavefocus.config.messages.codec import to_line
+from wavefocus.config.messages.operate import Playing
+from wavefocus.config.rig import RigConfig
+from wavefocus.configuration import named_rig
+from wavefocus.console import Report, print_line, progress, say
+from wavefocus.drivers.protocols import Clock
+from wavefocus.drivers.timeouts import BoundedPlayer
+from wavefocus.ending import ended_by_input, ending_at_once
+from wavefocus.exits import Exit
+from wavefocus.input_files import name_unverified
+from wavefocus.rendering.drive.streamed import StreamedDrive
+from wavefocus.rendering.drive.wav import InterfaceRate
+from wavefocus.rendering.scene.model import Scene, load_scene
+from wavefocus.rig.instruments import open_player
+from wavefocus.rig.limits import check_drive, interface_of, limited_words, rig_of, within
+from wavefocus.storage.bank.reading import Bank, open_bank
+from wavefocus.storage.drive_file import Drive, read_drive
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.units import PLAYED_UNITS
+
+# What the player's process holds is kept in memory whole, so that nothing but a play that fits is begun.
+MOST_BYTES = 4 * 2**30
+TELL_EVERY_S = 0.2
+# A play may take longer than its signal by the interface's latency and what opening a stream takes.
+LATE_S = 10.0
+
+
+def play(drive_file: Path, rig_file: Path, *, loop: int, gain_db: float, as_json: bool, watched: bool = False) -> Exit:
+    """Play a drive file as one finite signal, several times without a gap where asked for.
+
+    Where it is `watched`, it ends when standard input closes, muted: its starter is gone, or wants it to end.
+
+    Raises InputError: the drive does not fit the rig, or would give an actuator more than it may get. Raises
+    InstrumentError: the interface failed; it was muted.
+    """
+    rig = named_rig(rig_file)
+    drive = read_drive(drive_file)
+    name_unverified(drive_file, verified=drive.verified)
+    if gain_db:
+        drive = replace(drive, drive_v=drive.drive_v * 10.0 ** (gain_db / 20.0))
+    actuators, samples = drive.drive_v.shape
+    if actuators != len(rig.player.channels):
+        raise InputError(
+            f"{drive_file} is for {actuators} actuators, {rig_file} has {len(rig.player.channels)}; render it from a"
+            " bank of this rig"
+        )
+    remedy = "use --gain-db {gain_db}, or set output.limit_v and limit_rms_v in the scene and render again"
+    check_drive(drive, rig.player, str(drive_file), remedy, repeated=loop > 1, gain_db=gain_db)
+    needed = _bytes_needed(drive, loop, rig)
+    if needed > MOST_BYTES:
+        raise InputError(
+            f"{drive_file}: {loop} times {samples / drive.sample_rate_hz:.4g} s on {actuators} actuators take"
+            f" {needed / 2**30:.3g} GiB at once, and {MOST_BYTES / 2**30:.3g} GiB are allowed: lower --loop, or play"
+            " the scene itself, with --bank: then it is rendered while it sounds"
+        )
+    seconds = loop * samples / drive.sample_rate_hz
+    peak_v = float(np.abs(drive.drive_v).max())
+    try:
+        with ending_at_once(), ended_by_input() if watched else nullcontext(), open_player(rig) as (player, clock):
+            times = f"{loop} times, " if loop > 1 else ""
+            memory = f"{needed / 2**20:.0f} MB of memory"
+            say(
+                f"{player.identify()}: {times}{hours(seconds)} on {actuators} actuators, at most {peak_v:.3g} V,"
+                f" {memory}"
+            )
+            if watched:
+                print_line(to_line(Playing(seconds)))
+            signals_v = {
+                channel: _repeated(volts, loop)
+                for channel, volts in zip(rig.player.channels, drive.drive_v, strict=True)
+            }
+            with progress("play", math.ceil(seconds), timed=False) as report:
+                player.play(signals_v, drive.sample_rate_hz)
+                with _progress_shown(report, clock, seconds):
+                    player.wait(1.1 * seconds + LATE_S)
+                report(math.ceil(seconds), math.ceil(seconds), "seconds")
+    except KeyboardInterrupt:
+        say("stopped by the user; the outputs are muted")
+        return Exit.STOPPED
+    say(f"{drive_file}: played; the outputs are muted")
+    if as_json:
+        figures = {"drive": str(drive_file), "seconds": seconds, "loops": loop, "peak_v": peak_v, "gain_db": gain_db}
+        print(json.dumps(figures))
+    return Exit.DONE
+
+
+def _bytes_needed(drive: Drive, loop: int, rig: RigConfig) -> int:
+    """Volts in float64, as they are here and as the player keeps them, and the interface's frames in float32, twice."""
+    actuators, samples = drive.drive_v.shape
+    frames = samples * rig.player.interface_rate_hz / drive.sample_rate_hz
+    return int(actuators * (8 * samples + loop * (2 * 8 * samples + 2 * 4 * frames)))
+
+
+def _repeated(volts: NDArray[np.float64], loop: int) -> NDArray[np.float64]:
+    return volts if loop == 1 else np.tile(volts, loop)
+
+
+@contextmanager
+def _progress_shown(report: Report, clock: Clock, seconds: float) -> Iterator[None]:
+    started_s, over = clock.now_s(), threading.Event()
+
+    def follow() -> None:
+        while not over.wait(TELL_EVERY_S):
+            played_s = min(clock.now_s() - started_s, seconds)
+            report(int(played_s), math.ceil(seconds), "seconds")
+
+    follower = threading.Thread(target=follow, name="play progress", daemon=True)
+    follower.start()
+    try:
+        yield
+    finally:
+        over.set()
+        follower.join()
+
+
+AHEAD_S = 2.0
+"""So much is rendered before it sounds: many times what a render takes, short enough to wait for."""
+PIECES_AHEAD = 8
+MOST_PIECE_SAMPLES = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Latency:
+    """Time before a sample of a source sounds at which it must be given.
+
+    `lookahead_s` is the length of the Green's functions, which time reversal needs, with the renderer's blocks and the
+    conversion to the interface's rate; `ahead_s` is rendered and waits; `interface_s` is the interface's own.
+    """
+
+    lookahead_s: float
+    ahead_s: float
+    interface_s: float
+
+    @property
+    def whole_s(self) -> float:
+        """All of it."""
+        return self.lookahead_s + self.ahead_s + self.interface_s
+
+    def __str__(self) -> str:
+        return (
+            f"latency {1e3 * self.whole_s:.0f} ms: {1e3 * self.lookahead_s:.0f} ms of looking ahead in the scene,"
+            f" {1e3 * self.ahead_s:.0f} ms rendered ahead, {1e3 * self.interface_s:.0f} ms in the interface"
+        )
+
+
+def refuse_for_drives(what: Path, **given: object) -> None:
+    """Refuse options of a scene where a drive file is to be played; `given` by their names.
+
+    Raises InputError: one of them is given, or the file is a scene.
+    """
+    if what.suffix.lower() == ".toml":
+        raise InputError(f"{what}: a scene needs a bank to be rendered from; add --bank BANK.h5")
+    wrong = [name for name, value in given.items() if value is not None]
+    if wrong:
+        raise InputError(f"--{wrong[0].replace('_', '-')} is for a scene; add --bank BANK.h5 and give a scene file")
+
+
+def refuse_for_scenes(what: Path, *, loop: int) -> None:
+    """Refuse what a scene that is rendered while it is played cannot do.
+
+    Raises InputError: it is to be repeated, or the file is a drive file.
+    """
+    if what.suffix.lower() == ".h5":
+        raise InputError(f"{what}: a drive file is played as it is; leave out --bank, or give the scene file")
+    if loop > 1:
+        raise InputError("--loop is for drive files; render the scene to one, or let its path have more turns")
+
+
+def play_scene(
+    scene_file: Path,
+    bank: Path,
+    rig_file: Path,
+    *,
+    options: RenderOptions,
+    gain_db: float,
+    ahead_s: float,
+    as_json: bool,
+    watched: bool = False,
+    allow_large: bool = False,
+) -> Exit:
+    """Render a scene once to find its scale, then once more while it is played.
+
+    Where it is `watched`, it ends when standard input closes, muted.
+
+    Raises InputError: the scene does not fit the bank, or the bank not the rig. Raises InstrumentError: the interface
+    failed, or ran dry because rendering did not keep up; it was muted.
+    """
+    scene = load_scene(scene_file, allow_large=allow_large)
+    with open_bank(bank) as view:
+        view.require_sound()
+        if view.drive_unit not in PLAYED_UNITS:
+            raise InputError(f"{bank} takes drives in {view.drive_unit}, and the player plays volts")
+        rig = rig_of(rig_file, view)
+        assert rig is not None  # one that is named is there
+        try:
+            with naming(scene_file, view), ending_at_once(), ended_by_input() if watched else nullcontext():
+                figures = _play(within(scene, rig), view, rig, rig_file, options, gain_db, ahead_s, watched=watched)
+        except KeyboardInterrupt:
+            say("stopped by the user; the outputs are muted")
+            return Exit.STOPPED
+    say(f"{scene_file}: played; the outputs are muted")
+    if as_json:
+        print(json.dumps({"scene": str(scene_file), "gain_db": gain_db, **figures}))
+    return Exit.DONE
+
+
+def _play(
+    scene: Scene,
+    bank: Bank,
+    rig: RigConfig,
+    rig_file: Path,
+    options: RenderOptions,
+    gain_db: float,
+    ahead_s: float,
+    *,
+    watched: bool,
+) -> dict[str, object]:
+    rate_hz = float(bank.sample_rate_hz)
+    block_samples = max(1, min(MOST_PIECE_SAMPLES, round(ahead_s * rate_hz / PIECES_AHEAD)))
+    streamed = StreamedDrive(
+        scene,
+        bank,
+        interface=interface_of(rig),
+        gain=10.0 ** (gain_db / 20.0),
+        block_samples=block_samples,
+        method=options.method,
+        tolerance_db=options.tolerance_db,
+        interpolation_tolerance=options.interpolation_tolerance,
+    )
+    actuators, samples = streamed.shape
+    begun_s = time.monotonic()
+    with progress("first pass", samples) as report:
+        facts = streamed.prepare(report)
+    prepared_s = time.monotonic() - begun_s
+    for warning in facts.warnings:
+        say(f"warning: {warning}")
+    if facts.limiting.decided_by is not None:
+        say(limited_words(facts.limiting, rig_file))
+    rate = InterfaceRate(rate_hz, rig.player.interface_rate_hz)
+    looked_ahead = streamed.live.latency_samples + 2 * block_samples + rate.around_samples
+    with open_player(rig) as (player, _):
+        latency = Latency(looked_ahead / rate_hz, ahead_s, player.latency_s)
+        seconds = samples / rate_hz
+        say(f"{player.identify()}: {hours(seconds)} on {actuators} actuators, at most {streamed.peak_v:.3g} V")
+        if watched:
+            print_line(to_line(Playing(seconds)))
+        say(f"found the scale in {prepared_s:.1f} s; {latency}")
+        pieces = rate.pieces(streamed.blocks(), actuators, samples, block_samples)
+        least_s = _sounding(player, rig, pieces, ahead_s, seconds)
+    if least_s is not None:
+        say(f"rendering was never less than {1e3 * least_s:.0f} ms ahead of the sound")
+    return {
+        "seconds": seconds,
+        "peak_v": streamed.peak_v,
+        "scale": facts.scale,
+        "limited_by": facts.limiting.decided_by,
+        "prepared_s": round(prepared_s, 3),
+        "latency_ms": round(1e3 * latency.whole_s, 1),
+        "lookahead_ms": round(1e3 * latency.lookahead_s, 1),
+        "ahead_ms": round(1e3 * latency.ahead_s, 1),
+        "interface_ms": round(1e3 * latency.interface_s, 1),
+        "least_ahead_ms": None if least_s is None else round(1e3 * least_s, 1),
+    }
+
+
+def _sounding(
+    player: BoundedPlayer, rig: RigConfig, pieces: Iterable[NDArray[np.float64]], ahead_s: float, seconds: float
+) -> float | None:
+    """Play the pieces as they come; returns the smallest reserve, None if all fitted before it sounded."""
+    interface_rate_hz = rig.player.interface_rate_hz
+    least_s: float | None = None
+    handed_s, whole_s = 0.0, math.ceil(seconds)
+    player.begin_pieces(rig.player.channels, interface_rate_hz, ahead_s)
+    with progress("play", whole_s, timed=False) as report:
+        for piece in pieces:
+            waiting_s = player.add_piece(piece)
+            if handed_s >= ahead_s:
+                least_s = waiting_s if least_s is None else min(least_s, waiting_s)
+            handed_s += piece.shape[1] / interface_rate_hz
+            report(int(max(0.0, min(handed_s - ahead_s, seconds))), whole_s, "seconds")
+        player.end_pieces()
+        player.wait(1.1 * ahead_s + player.latency_s + LATE_S)
+        report(whole_s, whole_s, "seconds")
+    return least_s

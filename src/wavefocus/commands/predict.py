@@ -1,0 +1,152 @@
+"""``wavefocus predict``: the field that a drive makes, from the bank."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefocus.console import Report, progress, say
+from wavefocus.input_files import name_unverified, parse_positions
+from wavefocus.rendering.device import cuda_device
+from wavefocus.rendering.field.prediction import Prediction, chosen_positions, field_unit
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.drive_file import read_drive
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.field_file import field_in_rows
+from wavefocus.storage.output_files import replacement, require_outputs
+from wavefocus.storage.units import quantity
+
+
+def predict(
+    drive_file: Path,
+    bank: Path,
+    out: Path,
+    positions: str,
+    *,
+    rate_hz: float | None = None,
+    cluster: str = "",
+    device: str = "cpu",
+    force: bool = False,
+    as_json: bool,
+) -> None:
+    """Predict the field at the positions asked for and write it row by row, here or on a cluster.
+
+    Computed in float64 and rounded once, to the float32 of the file; in complex64 at a lower rate.
+    """
+    if device != "cpu" and (cluster or rate_hz is not None):
+        raise InputError(f"--device {device} goes neither with --cluster nor with --rate")
+    require_outputs((out,), (drive_file, bank), force=force)
+    drive = read_drive(drive_file)
+    name_unverified(drive_file, verified=drive.verified)
+    dtype = np.float64 if rate_hz is None else np.float32
+    with open_bank(bank) as view:
+        wanted = parse_positions(positions, view.positions) if positions else None
+        view.require_sound(wanted)
+        index = chosen_positions(drive, view, wanted)
+        prediction = Prediction(
+            drive, view, index, dtype=dtype, rate_hz=rate_hz,
+            device=None if device == "cpu" else cuda_device(),
+        )  # fmt: skip
+        unit, peak = field_unit(view), 0.0
+        with (
+            field_in_rows(
+                out,
+                index,
+                prediction.samples,
+                sample_rate_hz=prediction.sample_rate_hz,
+                start_s=prediction.start_s,
+                response_unit=unit,
+                low_pass=prediction.low_pass,
+            ) as writer,
+            progress("predict", len(index)) as report,
+        ):
+            for first, field in _parts(prediction, drive_file, bank, rate_hz, cluster, report):
+                writer.write(first, field)
+                peak = max(peak, float(np.abs(field).max(initial=0.0)))
+        lost = prediction.lost_share()
+        if left_out := view.positions - len(index) if wanted is None else 0:
+            say(f"{left_out} positions are not measured and are left out")
+    say(
+        f"{out}: {len(index)} positions, {prediction.samples} samples, largest response {quantity(f'{peak:.4g}', unit)}"
+    )
+    if rate_hz is not None and prediction.passed_hz < drive.sample_rate_hz / 2:
+        say(
+            f"at {prediction.sample_rate_hz:g} Hz, low-passed above {prediction.passed_hz:g} Hz;"
+            f" {lost:.2g} of the response's energy is above that"
+        )
+    if as_json:
+        figures = {
+            "field": str(out),
+            "positions": len(index),
+            "samples": prediction.samples,
+            "peak": peak,
+            "sample_rate_hz": prediction.sample_rate_hz,
+            "passed_hz": prediction.passed_hz,
+            "lost_share": lost,
+        }
+        print(json.dumps(figures))
+
+
+def _parts(
+    prediction: Prediction, drive_file: Path, bank: Path, rate_hz: float | None, cluster: str, report: Report
+) -> Iterator[tuple[int, NDArray[Any]]]:
+    """The first row's number and the values of each part of the field, in their order."""
+    if not cluster:
+        for rows in prediction.rows(report):
+            yield rows.first, rows.field
+        return
+    parts, index = prediction.parts(), prediction.position_index
+    positions = [index[part.start : part.stop].tolist() for part in parts]
+    from wavefocus.cluster import cluster_client, field_on_cluster
+
+    with cluster_client(cluster) as client:
+        fields = field_on_cluster(client, drive_file, bank, rate_hz, positions)
+        for part, field in zip(parts, fields, strict=True):
+            yield part.start, field
+            report(part.stop, len(index))
+
+
+def predict_energy(
+    drive_file: Path,
+    bank: Path,
+    out: Path,
+    positions: str,
+    *,
+    rate_hz: float | None,
+    force: bool = False,
+    as_json: bool,
+) -> None:
+    """Write the energy spectra of the responses as an .npz file.
+
+    Raises InputError: the file is not called so, or a rate is asked for too.
+    """
+    from wavefocus.rendering.field.response_spectra import predict_spectra
+
+    if out.suffix != ".npz":
+        raise InputError(f"--out is {out}; --spectra writes an .npz file")
+    if rate_hz is not None:
+        raise InputError("--spectra does not go with --rate; leave it out")
+    require_outputs((out,), (drive_file, bank), force=force)
+    drive = read_drive(drive_file)
+    name_unverified(drive_file, verified=drive.verified)
+    with open_bank(bank) as view:
+        wanted = parse_positions(positions, view.positions) if positions else None
+        view.require_sound(wanted)
+        index = chosen_positions(drive, view, wanted)
+        found = predict_spectra(drive, view, index)
+    with replacement(out) as temporary, temporary.open("wb") as file:
+        np.savez(
+            file,
+            frequency_hz=found.frequency_hz,
+            energy_density=found.energy_density,
+            position_index=found.position_index,
+        )
+    unit = f"({found.response_unit})^2 s/Hz"
+    say(f"{out}: {len(index)} positions, {len(found.frequency_hz)} frequencies, energy density in {unit}")
+    if as_json:
+        print(json.dumps({"spectra": str(out), "positions": len(index), "frequencies": len(found.frequency_hz)}))

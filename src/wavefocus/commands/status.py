@@ -1,0 +1,336 @@
+"""``wavefocus status``, ``pause``, ``go-on`` and ``stop``: how a campaign stands, and orders to it."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from wavefocus.acquisition.wording import a_while, hours, row_ranges
+from wavefocus.campaign.campaign_view import remaining
+from wavefocus.campaign.sidecar_files import (
+    CampaignState,
+    campaign_state,
+    drift_path,
+    instant,
+    last_events,
+    read_drift,
+    suspect_rows,
+)
+from wavefocus.campaign.supervision import (
+    SILENT_AFTER_S,
+    Heartbeat,
+    Word,
+    give_order,
+    read_heartbeat,
+    resume_line,
+    withdraw,
+)
+from wavefocus.config.messages.campaign import (
+    PositionKept,
+    PositionStarted,
+    Progress,
+    RecordTaken,
+    SessionEnded,
+    SessionStarted,
+    State,
+)
+from wavefocus.config.messages.codec import to_record
+from wavefocus.console import answer, say
+from wavefocus.exits import Exit
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.ledger.owner import Owner, bank_owner
+from wavefocus.storage.output_files import require_outputs, write_whole
+from wavefocus.storage.point_status import median_snr_db, status_counts
+
+if TYPE_CHECKING:
+    from wavefocus.acquisition.limits import DriftPoint
+
+# So many positions that stayed as they were are listed one by one.
+MOST_LINES = 5
+
+
+def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool = False) -> None:
+    """Print counts per status, who writes, how it stands and when it will have finished; reads only.
+
+    Raises InputError: the bank cannot be read, or there is no drift to draw.
+    """
+    require_outputs((plot,), (bank,), force=force)
+    with open_bank(bank) as view:
+        counts = status_counts(view.status)
+        broken = np.flatnonzero(view.broken).tolist()
+        counts["damaged"] = len(broken)
+        counts["not-measured"] -= len(broken)
+        total = view.positions
+        done = total - counts["not-measured"] - len(broken)
+        snr_db = median_snr_db(view.quality.get("snr_db"), view.status)
+        plan_sha256 = view.plan_sha256
+        run_json = view.run_json
+        imported = view.import_facts
+        moved_mm = view.quality["moved_mm"]
+    moved = row_ranges(np.flatnonzero(moved_mm > 0).tolist())
+    owner, beat, drift = bank_owner(bank), read_heartbeat(bank), read_drift(bank)
+    pace = _pace(bank) if owner else _Pace()
+    progress = pace.progress
+    kept = _kept(bank)
+    stands = campaign_state(last_events(bank)) if owner else CampaignState(State.IDLE)
+    if stands.state is State.IDLE and owner is not None and beat is not None and beat.pid == owner.pid:
+        # The log is the quicker of the two, but a full disk may have ended it.
+        stands = CampaignState(beat.state, beat.since.isoformat() if beat.since else None, beat.reason)
+    if plot is not None:
+        _draw(bank, drift, plot)
+    facts: dict[str, object] = {
+        "bank": str(bank),
+        "positions": total,
+        "done": done,
+        "counts": counts,
+        "damaged_positions": broken,
+        "median_snr_db": snr_db,
+        "state": stands.state,
+        "state_since": stands.since,
+        "state_reason": stands.reason,
+        "recovering": None if stands.recovering is None else to_record(stands.recovering),
+        "owner": {"host": owner.host, "pid": owner.pid} if owner else None,
+        "last_sign_of_life": _life_facts(beat),
+        "silent": owner is not None and _is_silent(beat),
+        "positions_per_hour": progress and progress.positions_per_hour,
+        "remaining_s": progress.remaining_s if progress else pace.planned_s,
+        "wall_positions_per_hour": progress and progress.wall_positions_per_hour,
+        "wall_remaining_s": progress and progress.wall_remaining_s,
+        "record": None
+        if pace.record is None
+        else {"position": pace.record.position, "number": pace.record.record, "of": pace.record.records},
+        "last_event_at": next((instant(logged.at) for logged in last_events(bank)), None),
+        "suspect_positions": suspect_rows(drift),
+        "moved_positions": moved,
+        "kept_positions": [{"position": position, "reason": reason} for position, reason in kept.items()],
+        "plan_sha256": plan_sha256,
+        "import_report": imported or None,
+    }
+    if as_json:
+        print(json.dumps(facts))
+        return
+    words = ", ".join(f"{count} {word}" for word, count in counts.items() if count)
+    answer(f"{bank}: {done} of {total} positions measured ({words})")
+    if imported:
+        answer(str(imported.get("paragraph", "")))
+    if broken:
+        answer(
+            f"the checksums of positions {row_ranges(broken)} do not hold; measure them again with: "
+            f"wavefocus resume {bank}"
+        )
+    if snr_db is not None:
+        answer(f"median signal-to-noise ratio {snr_db:.1f} dB over all pairs")
+    if moved:
+        answer(f"measured up to {np.nanmax(moved_mm):.2g} mm off their position, where there was light: {moved}")
+    for position, reason in list(kept.items())[:MOST_LINES]:
+        answer(f"position {position} stayed as the bank had it: {reason}")
+    if len(kept) > MOST_LINES:
+        answer(f"and {len(kept) - MOST_LINES} more stayed as the bank had them: {row_ranges(list(kept))}")
+    if suspect := suspect_rows(drift):
+        answer(
+            f"the sentinel position had changed after positions {suspect} were measured: put it right, then "
+            f"wavefocus remeasure {bank} --positions {suspect}"
+        )
+    if owner is None:
+        if beat is not None and beat.state not in ("finished", "idle"):
+            # The heartbeat of a process that was killed keeps its last state.
+            answer(f"last sign of life {hours(beat.age_s())} ago: {beat.state}: {beat.reason}")
+        if imported:
+            return
+        left = f"; go on with: {resume_line(bank, None)}" if done < total else ""
+        if left and _names_rig_file(run_json):
+            left += " (with --rig RIG.toml where the rig file was corrected)"
+        answer(f"no process owns the bank: no process is measuring{left}")
+        return
+    _print_running(owner, stands, beat, pace, total - done)
+
+
+def _kept(bank: Path) -> dict[int, str]:
+    """Positions that the latest session measured and left as they were, and why."""
+    kept: dict[int, str] = {}
+    for logged in last_events(bank):
+        if isinstance(logged.event, SessionStarted):
+            break
+        if isinstance(logged.event, PositionKept):
+            kept[logged.event.position] = logged.event.reason
+    return dict(sorted(kept.items()))
+
+
+def _names_rig_file(run_json: str | None) -> bool:
+    """Whether a bank's run was measured with a rig file; False where it cannot be understood."""
+    try:
+        run = json.loads(run_json or "{}")
+    except (ValueError, RecursionError):
+        return False
+    return isinstance(run, dict) and run.get("rig", "virtual") != "virtual"
+
+
+@dataclass(frozen=True, slots=True)
+class _Pace:
+    progress: Progress | None = None
+    at: datetime | None = None
+    planned_s: float | None = None
+    record: RecordTaken | None = None
+
+
+def _pace(bank: Path) -> _Pace:
+    progress: Progress | None = None
+    at: datetime | None = None
+    record: RecordTaken | None = None
+    under_way = True
+    for logged in last_events(bank):
+        match logged.event:
+            case RecordTaken() as taken if under_way and record is None:
+                record = taken
+            case PositionStarted() | SessionEnded():
+                under_way = False
+            case Progress() as made if progress is None:
+                progress, at = made, logged.at
+            case SessionStarted() as session:  # what came before was another session's
+                return _Pace(progress, at, None if progress else session.planned_s, record)
+            case _:
+                pass
+        if progress and (record is not None or not under_way):
+            break
+    return _Pace(progress, at, None, record)
+
+
+def _print_pace(pace: _Pace, state: State, to_go: int) -> None:
+    """Report the time left; a finish only where the session goes on."""
+    progress = pace.progress
+    if progress is None or pace.at is None:
+        if pace.planned_s is not None:
+            answer(f"{to_go} positions to go, {a_while(pace.planned_s)} as planned")
+        return
+    at = pace.at.astimezone()
+    if state in (State.RUNNING, State.STOPPING):
+        per_hour = progress.wall_positions_per_hour or progress.positions_per_hour
+        answer(f"{per_hour:.0f} positions an hour, {remaining(progress)} (last position {at:%H:%M:%S})")
+    else:
+        wall = a_while(progress.wall_remaining_s)
+        answer(f"{to_go} positions to go, about {wall} once it goes on (last position {at:%H:%M:%S})")
+
+
+def _print_running(owner: Owner, stands: CampaignState, beat: Heartbeat | None, pace: _Pace, to_go: int) -> None:
+    who = f"process {owner.pid} on {owner.host}"
+    if _is_silent(beat) and beat is not None:
+        answer(
+            f"{who} owns the bank but has been silent for {hours(beat.age_s())}: it is held, or its machine is asleep "
+            f"or hung; it last said {beat.state}: {beat.reason}"
+        )
+        return
+    if stands.state is State.RECOVERING:
+        since = datetime.fromisoformat(str(stands.since)).astimezone()
+        tries = (stands.recovering and stands.recovering.tries) or "no"
+        answer(
+            f"{who} is recovering since {since:%H:%M:%S}: {stands.reason} "
+            f"({tries} tries so far); it goes on by itself when the instrument is back"
+        )
+    elif stands.state is State.RUNNING:
+        answer(f"{who} is measuring")
+    else:
+        answer(f"{who} is {stands.state}: {stands.reason}")
+    if beat is not None:
+        at = "" if beat.position is None else f", at position {beat.position}"
+        if pace.record is not None and beat.position == pace.record.position:
+            at += f", record {pace.record.record} of {pace.record.records}"
+        answer(f"last sign of life {hours(beat.age_s())} ago{at}")
+        if beat.fault:
+            answer(f"last fault: {beat.fault}")
+    _print_pace(pace, stands.state, to_go)
+
+
+def _is_silent(beat: Heartbeat | None) -> bool:
+    return beat is not None and beat.age_s() > SILENT_AFTER_S
+
+
+def _life_facts(beat: Heartbeat | None) -> dict[str, object] | None:
+    if beat is None:
+        return None
+    return {
+        "at": beat.at.isoformat(),
+        "age_s": round(beat.age_s(), 1),
+        "state": beat.state,
+        "reason": beat.reason,
+        "position": beat.position,
+        "remaining_s": beat.remaining_s,
+        "finish_at": beat.finish_at.isoformat() if beat.finish_at else None,
+        "fault": beat.fault or None,
+    }
+
+
+def _draw(bank: Path, drift: list[DriftPoint], plot: Path) -> None:
+    if not drift:
+        raise InputError(f"{drift_path(bank)}: holds no drift to draw: the sentinel has not been measured again yet")
+    from wavefocus.acquisition.limits import DriftLimits
+    from wavefocus.campaign.blueprint import bank_configuration
+    from wavefocus.rendering.report.figures import drift_over_time  # the configuration is read for a picture alone
+
+    with open_bank(bank) as view:
+        limits = DriftLimits(**bank_configuration(view).run.drift.model_dump())
+    write_whole(plot, drift_over_time(drift, limits).png)
+    say(f"{plot}: drift of the sentinel position, {len(drift)} measurements")
+
+
+# The states in which an order is carried out, and those in which it will be, in words.
+CARRIED_OUT = {"pause": ("paused",), "go-on": ("running",), "stop": ("stopped", "finished", "failed")}
+LOOKS_EVERY_S = 0.1
+
+
+def order(bank: Path, word: Word, wait_s: float, *, as_json: bool) -> Exit:
+    """Give an order and wait until it is carried out, or at least received.
+
+    Raises InputError: no process owns the bank.
+    """
+    owner = _owner(bank, word)
+    given = give_order(bank, word)
+    until_s = time.monotonic() + wait_s
+    received, carried_out = None, False
+    while not carried_out:
+        beat = read_heartbeat(bank)
+        if beat is not None and beat.order == given.number:
+            received = beat
+            carried_out = beat.state in CARRIED_OUT[word]
+        gone = bank_owner(bank) is None
+        if gone:
+            carried_out = carried_out or (word == "stop" and received is not None)
+            break
+        if time.monotonic() >= until_s:
+            break
+        if not carried_out:
+            time.sleep(LOOKS_EVERY_S)
+    if received is None:
+        withdraw(bank, given)
+    line = _line(bank, owner, received, wait_s, carried_out=carried_out)
+    say(line)
+    if as_json:
+        state = None if received is None else received.state
+        print(json.dumps({"order": word, "heard": received is not None, "carried_out": carried_out, "state": state}))
+    return Exit.DONE if received is not None else Exit.NOT_GOOD_ENOUGH
+
+
+def _owner(bank: Path, word: str) -> Owner:
+    owner = bank_owner(bank)
+    if owner is None:
+        raise InputError(
+            f"{bank}: no process owns the bank, so there is nothing to {word.replace('go-on', 'go on with')}"
+        )
+    return owner
+
+
+def _line(bank: Path, owner: Owner, received: Heartbeat | None, wait_s: float, *, carried_out: bool) -> str:
+    who = f"process {owner.pid} on {owner.host}"
+    if received is None:
+        beat = read_heartbeat(bank)
+        silent = "" if beat is None else f"; its last sign of life is {hours(beat.age_s())} old"
+        return f"{bank}: {who} does not answer within {wait_s:g} s{silent}; the order is withdrawn"
+    if carried_out:
+        return f"{bank}: {who}: {received.state}: {received.reason}"
+    return f"{bank}: {who} has received it and is {received.state}: {received.reason}; see wavefocus status"

@@ -1,0 +1,287 @@
+"""``wavefocus trials``: a perception experiment, one participant at a time, in a window or by JSON lines."""
+
+from __future__ import annotations
+
+import json
+import platform
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+
+from wavefocus.campaign.blueprint import bank_configuration
+from wavefocus.config.messages.codec import Message
+from wavefocus.config.messages.trials import ORDERS, EndTrials, Preparing, TrialsEnded
+from wavefocus.config.rig import RigConfig
+from wavefocus.config.run import RunConfig
+from wavefocus.console import progress, say
+from wavefocus.ending import ending_at_once, interrupt
+from wavefocus.exits import Exit
+from wavefocus.json_lines import LinesIn, LinesOut, read_order
+from wavefocus.rig.limits import interface_of, rig_of, stricter
+from wavefocus.rig.setup import open_setup
+from wavefocus.storage.bank.reading import Bank, open_bank
+from wavefocus.storage.errors import InputError
+from wavefocus.trials.answers import AnswersFile, check_participant, write_facts
+from wavefocus.trials.design import TrialsDesign, load_trials
+from wavefocus.trials.presentation import MASKING_CREST, Masking, Onset, RigPresenter, Sound
+from wavefocus.trials.resuming import Experiment, begun
+from wavefocus.trials.session import TrialsSession
+from wavefocus.trials.stimuli import Prepared, prepare
+
+# So often it is looked whether anybody still reads, while no order comes.
+_LOOKS_EVERY_S = 1.0
+
+
+def trials(
+    trials_file: Path,
+    bank: Path,
+    rig_file: Path,
+    participant: str,
+    out: Path,
+    *,
+    only_prepare: bool,
+    as_lines: bool,
+    fast: bool,
+    as_json: bool,
+) -> int:
+    """Carry out the trials of one participant, in a window or by JSON lines; or only prepare the stimuli.
+
+    Exit code 0 when the participant is complete, 130 when the session was ended before; the same command resumes it.
+
+    Raises InputError: anything in the files is wrong, alone or against each other, or the participant's answers are of
+    another experiment. BankBusyError: another process stores answers in the folder. InstrumentError: an instrument
+    failed for good; all answers are stored.
+    """
+    design = load_trials(trials_file)
+    if not only_prepare:
+        check_participant(participant)
+        if not as_lines:
+            return _in_window(trials_file, bank, rig_file, participant, out, fast=fast)
+    line = None if only_prepare else _Line(LinesOut())
+    with open_bank(bank) as view, AnswersFile(out) as answers:
+        view.require_sound()
+        rig = rig_of(rig_file, view)
+        assert rig is not None  # one that is named is there
+        if fast and not rig.is_virtual:
+            raise InputError(f"{rig_file}: --fast is for a virtual rig")
+        masking = _masking(design, rig)
+        if line is None:
+            prepared = _prepared(design, view, rig, out, lambda done, of: None, anew=not answers.rows)
+        else:
+            begun(Experiment(design), participant, answers.rows)
+            line.start()
+            with line.breakable():
+                prepared = _prepared(design, view, rig, out, line.show_prepared, anew=not answers.rows)
+        experiment = Experiment(design, prepared.sha256, prepared.bank_sha256)
+        if line is None:
+            say(f"{out}: {len(design.stimuli)} stimuli are ready")
+            if as_json:
+                print(json.dumps({"bank_sha256": prepared.bank_sha256, "stimuli": dict(prepared.sha256)}))
+            return Exit.DONE
+        begun(experiment, participant, answers.rows)
+        write_facts(out, _facts(design, view, rig, prepared))
+        run = None if view.rig_json is None or view.run_json is None else bank_configuration(view).run
+        work = _Work(experiment, prepared, rig, run, masking, view.sample_rate_hz, answers, participant, fast=fast)
+        return work.run(line)
+
+
+class _Work:
+    """A session on the instruments, by JSON lines."""
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        prepared: Prepared,
+        rig: RigConfig,
+        run: RunConfig | None,
+        masking: Masking | None,
+        rate_hz: float,
+        answers: AnswersFile,
+        participant: str,
+        *,
+        fast: bool,
+    ) -> None:
+        self._experiment, self._prepared, self._rig, self._run = experiment, prepared, rig, run
+        self._masking, self._rate_hz, self._answers, self._participant = masking, rate_hz, answers, participant
+        self._fast = fast
+
+    def run(self, line: _Line) -> Exit:
+        outputs = 0 if self._masking is None else self._masking.output + 1
+        complete, session = False, None
+        try:
+            with (
+                ending_at_once(),
+                open_setup(self._rig, self._run, realtime=not self._fast, outputs=outputs) as setup,
+            ):
+                table = self._experiment.design.config.trials
+                line.presenter = RigPresenter(setup, self._sound, self._rate_hz, table.pause_s, self._masking)
+                session = TrialsSession(
+                    self._experiment, self._participant, self._answers, line, line, line.publish, hurried=self._fast
+                )
+                complete = session.run()
+        except KeyboardInterrupt:
+            pass
+        finally:
+            if session is not None:
+                line.publish(TrialsEnded(session.done, session.of, complete))
+        if session is None:
+            say("stopped by the user; the outputs are muted")
+            return Exit.STOPPED
+        of = "" if session.of is None else f" of {session.of}"
+        where = f"participant {self._participant}: {session.done}{of} trials are answered"
+        say(f"{where}; the outputs are muted" + ("" if complete else "; the same command resumes"))
+        return Exit.DONE if complete else Exit.STOPPED
+
+    def _sound(self, name: str) -> Sound:
+        return sound_of(self._prepared, name, self._experiment.design.stimuli[name].plays)
+
+
+def sound_of(prepared: Prepared, name: str, plays: int) -> Sound:
+    """A stimulus as it is presented. Raises InputError: its drive file is missing or damaged."""
+    drive = prepared.drive(name)
+    return Sound(drive.drive_v, max(0, round(-drive.start_s * drive.sample_rate_hz)), plays)
+
+
+class _Line:
+    """Orders from standard input, and work that their end breaks off.
+
+    publish: Writes events.
+    presenter: Set before the first stimulus.
+    """
+
+    presenter: RigPresenter
+
+    def __init__(self, publish: LinesOut) -> None:
+        self.publish, self._lines = publish, LinesIn()
+        self._lock = threading.Lock()
+        self._breakable = self._over = False
+
+    def start(self) -> None:
+        """Begin to read orders."""
+        self._lines.start(self._overtake, self._end, self._end)
+
+    @contextmanager
+    def breakable(self) -> Iterator[None]:
+        """Raise KeyboardInterrupt in the block where the end comes meanwhile, or came before."""
+        with self._lock:
+            if self._over:
+                raise KeyboardInterrupt
+            self._breakable = True
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._breakable = False
+
+    def show_prepared(self, done: int, of: int) -> None:
+        """Publish how many stimuli are prepared."""
+        self.publish(Preparing(done, of))
+
+    def next(self, timeout_s: float | None) -> Message | None:
+        """The next order, as of `wavefocus.trials.session.Orders`; None, too, when nobody reads the events any more."""
+        while not self.publish.gone:
+            try:
+                content = self._lines.next(_LOOKS_EVERY_S if timeout_s is None else timeout_s)
+            except TimeoutError:
+                if timeout_s is not None:
+                    raise
+                continue
+            return None if content is None else read_order(content, ORDERS)
+        return None
+
+    def present(self, stimulus: str, trial: int, note: Callable[[str], object]) -> Onset:
+        """Present a stimulus; breakable."""
+        with self.breakable():
+            return self.presenter.present(stimulus, trial, note)
+
+    def mute(self) -> None:
+        self.presenter.mute()
+
+    def _overtake(self, content: Mapping[str, object]) -> None:
+        if content.get("order") == EndTrials.tag["order"]:
+            self._end()
+
+    def _end(self) -> None:
+        with self._lock:
+            self._over = True
+            if self._breakable:
+                interrupt()
+
+
+def _masking(design: TrialsDesign, rig: RigConfig) -> Masking | None:
+    """The masking noise, checked against the rig."""
+    table, player = design.config.masking, rig.player
+    if table is None:
+        return None
+    if table.output in player.channels or table.output == player.loopback_channel:
+        use = "the loopback" if table.output == player.loopback_channel else "an actuator"
+        raise design.wrong("masking.output", table.output, f"is the output of {use} in the rig file; use a spare one")
+    wired_v = player.output_full_scale_v
+    full_scale_v = wired_v[table.output] if table.output < len(wired_v) else player.full_scale_v
+    if table.rms_v * MASKING_CREST > full_scale_v:
+        allowed = f"must be at most {full_scale_v / MASKING_CREST:g} V, a fifth of the output's full scale"
+        raise design.wrong("masking.rms_v", table.rms_v, allowed)
+    return Masking(table.output, table.rms_v, table.around_s, design.config.trials.seed)
+
+
+def _prepared(
+    design: TrialsDesign,
+    bank: Bank,
+    rig: RigConfig,
+    out: Path,
+    on_progress: Callable[[int, int], object],
+    *,
+    anew: bool,
+) -> Prepared:
+    limits = stricter(design.config.output, rig.player)
+    with progress("prepare", len(design.stimuli)) as report:
+
+        def show(done: int, total: int) -> None:
+            report(done, total)
+            on_progress(done, total)
+
+        interface = interface_of(rig)
+        prepared = prepare(design, bank, out, limits=limits, interface=interface, on_progress=show, anew=anew)
+    for warning in prepared.warnings:
+        say(f"warning: {warning}")
+    return prepared
+
+
+def _facts(design: TrialsDesign, bank: Bank, rig: RigConfig, prepared: Prepared) -> dict[str, object]:
+    """What ``trials.json`` says of the experiment."""
+    return {
+        "name": design.config.trials.name,
+        "trials_file": design.file.name,
+        "trials_sha256": design.sha256,
+        "bank": bank.path.name,
+        "bank_sha256": prepared.bank_sha256,
+        "sample_rate_hz": float(bank.sample_rate_hz),
+        "rig": rig.rig.name,
+        "software": {name: version(name) for name in ("wavefocus", "numpy", "scipy")}
+        | {"python": platform.python_version()},
+        "design": design.config.model_dump(mode="json", exclude_none=True),
+        "stimuli": {
+            one.name: {
+                "path": one.path,
+                "signal": one.signal,
+                "speed_mm_s": one.speed_mm_s,
+                "amplitude": one.amplitude,
+                "plays": one.plays,
+                "correct": one.correct,
+                "track": one.track,
+                "sha256": prepared.sha256[one.name],
+            }
+            for one in design.stimuli.values()
+        },
+    }
+
+
+def _in_window(trials_file: Path, bank: Path, rig_file: Path, participant: str, out: Path, *, fast: bool) -> int:
+    from wavefocus.commands.gui import front_door
+    from wavefocus.gui.front_door import open_trials
+
+    arguments = [str(trials_file), "--bank", str(bank), "--rig", str(rig_file), "--participant", participant]
+    arguments += ["--out", str(out), *(["--fast"] if fast else [])]
+    return open_trials(front_door(), arguments, say)

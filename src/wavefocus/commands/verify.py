@@ -1,0 +1,418 @@
+"""``wavefocus verify``: a scene played, scanned and compared with its prediction."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import socket
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from wavefocus.acquisition.limits import DriftLimits
+from wavefocus.acquisition.setup import Setup
+from wavefocus.acquisition.wording import hours
+from wavefocus.campaign.blueprint import bank_configuration, blueprint_of
+from wavefocus.campaign.campaign_view import CampaignView
+from wavefocus.campaign.sidecar_files import EventLines, read_drift
+from wavefocus.commands.render import rendered
+from wavefocus.config.messages.campaign import Event, Subscriber
+from wavefocus.config.messages.codec import Message, to_line
+from wavefocus.config.messages.rig_checks import VerifyEnded, VerifyStarted, VerifyStep
+from wavefocus.config.rig import RigConfig
+from wavefocus.configuration import Configuration, named_rig, plan_sha256, with_rig
+from wavefocus.console import Report, progress, say
+from wavefocus.ending import ended_by_file, ending_at_once
+from wavefocus.exits import Exit, exit_code, sentence
+from wavefocus.input_files import input_files, parse_positions
+from wavefocus.rendering.field.metrics import grid_spacing_mm
+from wavefocus.rendering.field.prediction import predict as predict_field
+from wavefocus.rendering.report.page import build_report
+from wavefocus.rendering.report.words import percent
+from wavefocus.rendering.scene.model import Scene, load_scene
+from wavefocus.rendering.scene.scene_rows import scene_rows
+from wavefocus.rendering.verify.changes import change_lines, changes_since
+from wavefocus.rendering.verify.linearity import linearity_rows, quieter
+from wavefocus.rendering.verify.record import (
+    DRIVE_NAME,
+    FIELD_NAMES,
+    JOURNAL_NAME,
+    LOG_NAME,
+    PICTURE_NAMES,
+    PREDICTION_NAME,
+    QUIET_JOURNAL_NAME,
+    RECORD_NAME,
+    REPORT_NAME,
+    SCAN_NAME,
+    STOP_NAME,
+    Figure,
+    VerificationRecord,
+    read_record,
+    write_record,
+)
+from wavefocus.rendering.verify.scan import Scan, ScanPlan, scan
+from wavefocus.rendering.verify.sentinel import Sentinel, drift_sentence, measure_sentinel
+from wavefocus.rendering.verify.verdict import Tolerances, Verification, compare
+from wavefocus.rig.limits import check_drive
+from wavefocus.rig.setup import open_setup
+from wavefocus.storage.bank.reading import Bank, open_bank
+from wavefocus.storage.drive_file import Drive, write_drive
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.field_file import Field, write_field
+from wavefocus.storage.output_files import require_output_folder, staged_folder
+from wavefocus.storage.point_status import median_snr_db
+from wavefocus.storage.scan_journal import ScanJournal
+from wavefocus.storage.sidecar_files import create
+from wavefocus.storage.units import quantity
+
+# Enough for an outline that looks round on any screen.
+OUTLINE_POINTS = 400
+
+
+def verify(
+    scene_file: Path,
+    bank: Path,
+    rig_file: Path,
+    out: Path,
+    positions: str,
+    *,
+    against: Path | None = None,
+    linearity: bool = False,
+    sentinel: bool = True,
+    force: bool = False,
+    allow_large: bool = False,
+    as_json: bool,
+) -> Exit:
+    """Check the focusing of a scene against a new scan; exit code 1 when it is not good enough.
+
+    With an earlier record to compare `against`, what has changed since is stated; with `linearity` the scene is also
+    played 12 dB quieter at some positions.
+    The bank's sentinel position is measured again first, unless `sentinel` is false; its drift is stated.
+
+    A scan that was interrupted goes on where it was.
+
+    A file ``verify.stop`` in the folder ends it as Ctrl-C does: outputs muted, mirror parked, exit code 130.
+    """
+    results = (RECORD_NAME, REPORT_NAME, *FIELD_NAMES, *PICTURE_NAMES)
+    inputs = input_files(scene_file, bank, rig_file, against)
+    before = None if against is None else read_record(against)
+    journals = JOURNAL_NAME, QUIET_JOURNAL_NAME
+    require_output_folder(out, results, inputs, force=force, may_exist=(LOG_NAME, STOP_NAME, *journals))
+    scene = load_scene(scene_file, allow_large=allow_large)
+    with open_bank(bank) as view:
+        view.require_sound()
+        configuration = bank_configuration(view)
+        rig = _checked_rig(rig_file, configuration, view)
+        rows = _rows(positions, scene, view, scene_file)
+        out.mkdir(parents=True, exist_ok=True)
+        with ending_at_once(), ended_by_file(out / STOP_NAME), VerifyLog(out) as log:
+            with staged_folder(out, RECORD_NAME) as staged:
+                work = _Work(scene_file, scene, view, configuration, rig, staged, log, out, linearity, sentinel, force)
+                earlier = None if before is None else (str(against), before)
+                verification = work.run(rows, str(rig_file), earlier)
+            for name in journals:
+                (out / name).unlink(missing_ok=True)
+            report_file, record_file = out / REPORT_NAME, out / RECORD_NAME
+            code = Exit.DONE if verification.passed else Exit.NOT_GOOD_ENOUGH
+            log.done(code, verification.summary)
+    for symptom in verification.symptoms:
+        say(f"{symptom.sentence} {symptom.remedy}")
+    for check in verification.checks:
+        say(_line(check))
+    if (noise := verification.noise_error) is not None:
+        parts = [f"{percent(one)}" for one in (verification.fields.error, noise, verification.misfit)]
+        say("error {}: noise {}, model {}".format(*parts))
+    if verification.drift is not None:
+        say(drift_sentence(verification.drift))
+    if (changes := verification.changes) is not None:
+        say(f"since {changes.made:%Y-%m-%d %H:%M} ({changes.against}):")
+        for line in change_lines(changes):
+            say(f"  {line}")
+    say(f"report: {report_file}")
+    if as_json:
+        print(json.dumps({"report": str(report_file), "record": str(record_file), **verification.as_dict()}))
+    return code
+
+
+@dataclass(frozen=True, slots=True)
+class _Work:
+    scene_file: Path
+    scene: Scene
+    bank: Bank
+    configuration: Configuration
+    rig: RigConfig
+    out: Path
+    log: VerifyLog
+    journals: Path
+    linearity: bool
+    sentinel: bool
+    force: bool
+
+    def run(
+        self, rows: list[int] | None, rig_name: str, earlier: tuple[str, VerificationRecord] | None
+    ) -> Verification:
+        """Render, predict, scan, compare, also with an `earlier` file, and report into `out`; return what was found."""
+        out, bank = self.out, self.bank
+        with self._step("render", 1) as report:
+            drive, facts = rendered(self.scene_file, self.scene, bank)
+            report(1, 1)
+        for warning in facts.warnings:
+            say(f"warning: {warning}")
+        check_drive(
+            drive, self.rig.player, str(self.scene_file), "set output.limit_v or output.limit_rms_v in the scene"
+        )
+        write_drive(out / DRIVE_NAME, drive)
+        with self._step("predict", bank.positions if rows is None else len(rows)) as report:
+            prediction = predict_field(drive, bank, rows, dtype=np.float32, on_progress=report)
+        write_field(out / PREDICTION_NAME, prediction)
+        measured, quiet, sentinel, scan_s = self._scanned(drive, prediction)
+        write_field(out / SCAN_NAME, measured.as_field())
+        outline_mm = self.rig.surface.outline.line(OUTLINE_POINTS)
+        with self._step("compare and report", 3) as report:
+            drift_limits = DriftLimits(**self.configuration.run.drift.model_dump())
+            verification = compare(
+                prediction,
+                measured,
+                drive,
+                bank,
+                _tolerances(self.configuration, bank),
+                quiet=quiet,
+                sentinel=sentinel,
+                drift_limits=drift_limits,
+            )
+            names = {"scene_file": str(self.scene_file), "bank": str(bank.path), "rig": rig_name}
+            if earlier is not None:
+                file, record = earlier
+                changes = changes_since(record, file, verification, self.scene.name, names)
+                verification = replace(verification, changes=changes)
+            report(1, 3)
+            build_report(
+                out,
+                verification=verification,
+                scene=self.scene,
+                drive=drive,
+                prediction=prediction,
+                scan=measured,
+                bank=bank,
+                campaign=_facts(self.configuration, bank, scan_s),
+                outline_mm=outline_mm,
+                drift=read_drift(bank.path),
+                drift_limits=drift_limits,
+                save_pictures=True,
+            )
+            report(2, 3)
+            write_record(
+                out,
+                verification=verification,
+                scene=self.scene,
+                prediction=prediction,
+                bank=bank,
+                names=names,
+                outline_mm=outline_mm,
+            )
+            report(3, 3)
+        return verification
+
+    def _scanned(self, drive: Drive, prediction: Field) -> tuple[Scan, Scan | None, Sentinel | None, float]:
+        with open_setup(self.rig, self.configuration.run) as setup:
+            sentinel = self._sentinel(setup) if self.sentinel else None
+            started_s = setup.instruments.clock.now_s()
+            plan = ScanPlan(tuple(int(row) for row in prediction.position_index))
+            measured = self._scan(plan, setup, drive, self.journals / JOURNAL_NAME)
+            quiet = None
+            if self.linearity:
+                rows = linearity_rows(drive, measured.position_index)
+                some = ScanPlan(rows, purpose="linearity")
+                quiet = self._scan(some, setup, quieter(drive), self.journals / QUIET_JOURNAL_NAME)
+            return measured, quiet, sentinel, setup.instruments.clock.now_s() - started_s
+
+    def _scan(self, plan: ScanPlan, setup: Setup, drive: Drive, journal: Path) -> Scan:
+        with self._journal(drive, journal) as kept, self._step(plan.purpose, len(plan.position)) as report:
+            publish = self._publisher(report)
+            return scan(plan, setup, drive, self.bank, on_progress=report, publish=publish, journal=kept)
+
+    @contextmanager
+    def _journal(self, drive: Drive, path: Path) -> Iterator[ScanJournal]:
+        """The positions that were scanned before an interruption of this same scan, and are from now on."""
+        bank = self.bank
+        what = plan_sha256(self.rig, self.configuration.run, self.configuration.position_mm)
+        identity = hashlib.sha256(what.encode() + np.ascontiguousarray(drive.drive_v, "<f8").tobytes()).hexdigest()
+        samples = drive.drive_v.shape[1] + bank.taps - 1
+        with ScanJournal(path, identity, samples, replace=self.force) as journal:
+            if len(journal):
+                say(f"the interrupted scan goes on; positions scanned before: {len(journal)}, kept in {path}")
+            try:
+                yield journal
+            except BaseException:
+                if len(journal):
+                    say(f"positions scanned so far: {len(journal)}, kept in {path}; the same command goes on with them")
+                raise
+
+    def _sentinel(self, setup: Setup) -> Sentinel | None:
+        """Measure the bank's sentinel position again, where this rig can play the sweeps of the bank's run."""
+        try:
+            plan = blueprint_of(with_rig(self.configuration, self.rig, "the rig")).plan
+        except InputError as refused:
+            say(f"warning: the sentinel position is not measured: {refused}")
+            return None
+        with self._step("sentinel", 1) as report:
+            sentinel = measure_sentinel(plan, setup, self.bank, self._publisher(report))
+            report(1, 1)
+        if sentinel is None:
+            say("warning: the bank has no sentinel position that gives a usable record; drift is not stated")
+        return sentinel
+
+    def _publisher(self, report: Report) -> Subscriber:
+        view = CampaignView(report)
+
+        def publish(event: Event) -> None:
+            view(event)
+            self.log(event)
+
+        return publish
+
+    @contextmanager
+    def _step(self, name: str, total: int) -> Iterator[Report]:
+        """Report how far a step is, to people and in the log."""
+        logged = self.log.step(name, total)
+        with progress(name, total) as people:
+
+            def report(done: int, total: int, note: str = "") -> None:
+                people(done, total, note)
+                logged(done, total)
+
+            yield report
+
+
+def _rows(positions: str, scene: Scene, bank: Bank, scene_file: Path) -> list[int] | None:
+    """Which bank rows to scan: all (None), those that are named, one of every few, or those that the scene needs."""
+    if not positions:
+        return None
+    if positions == "path":
+        try:
+            return [int(row) for row in scene_rows(scene, np.asarray(bank.position_mm, np.float64)).all]
+        except InputError as wrong:
+            raise InputError(f"{scene_file}: {wrong}") from None
+    if positions.startswith("every:"):
+        step = positions.removeprefix("every:")
+        if not (step.isascii() and step.isdecimal() and len(step) < 10 and 0 < int(step) <= bank.positions):
+            raise InputError(f"--positions: {positions} is not every:N with N from 1 to {bank.positions}")
+        return list(range(0, bank.positions, int(step)))
+    return parse_positions(positions, bank.positions)
+
+
+def _tolerances(configuration: Configuration, bank: Bank) -> Tolerances:
+    """The limits of the run; the distance allowed to a focus is in millimetres there."""
+    limits = configuration.run.tolerance
+    return Tolerances(
+        normalised_error=limits.normalised_error,
+        correlation=limits.correlation,
+        focus_offset_spacings=limits.focus_error_mm / grid_spacing_mm(bank.position_mm),
+    )
+
+
+def _facts(configuration: Configuration, bank: Bank, scan_s: float) -> dict[str, object]:
+    run = configuration.run
+    sweep, capture = run.sweep, run.capture
+    facts: dict[str, object] = {
+        "Bank": str(bank.path),
+        "Positions measured": f"{np.count_nonzero(bank.status)} of {bank.positions}",
+        "Excitation": (
+            f"{capture.averages} linear sweeps of {sweep.duration_s:g} s, {sweep.start_hz:g}-{sweep.stop_hz:g} Hz, "
+            f"{sweep.amplitude_v:g} V, each followed by {capture.decay_s:g} s"
+        ),
+        "Rig": configuration.rig.rig.name,
+        "Scan": f"{hours(scan_s)} on the rig's clock",
+        "Plan": str(bank.plan_sha256),
+    }
+    if (snr_db := median_snr_db(bank.quality.get("snr_db"), bank.status)) is not None:
+        facts["Signal-to-noise ratio"] = f"{snr_db:.1f} dB, median over all pairs"
+    return facts
+
+
+def _line(check: Figure) -> str:
+    if check.value is None:
+        return f"-     {check.name}: the positions it needs were not scanned"
+    word = "pass" if check.passed else "FAIL"
+    return f"{word}  {check.name}: {quantity(f'{check.value:.4g}', check.unit)} ({check.relation} {check.limit:.4g})"
+
+
+def _checked_rig(rig_file: Path, configuration: Configuration, bank: Bank) -> RigConfig:
+    """The rig that shall play, refused when it is wired to other actuators than the bank's."""
+    rig = named_rig(rig_file)
+    if rig.actuators.position_mm != configuration.rig.actuators.position_mm:
+        raise InputError(
+            f"{rig_file}: actuators.position_mm are not those of {bank.path}; verify plays the bank's drives, so the "
+            "rig must have the bank's actuators in the bank's order"
+        )
+    return rig
+
+
+# Followers look twenty times a second; more lines would only fill the disk.
+TELLS_EVERY_S = 0.1
+
+
+class VerifyLog:
+    """Writes the log of one verification; a context manager, and a subscriber of the scan's events.
+
+    A line is an object with ``at`` and ``event``: first ``started`` (``pid``, ``host``), then ``step`` (``step``,
+    ``done``, ``total``, ``left_s``) and any event of a scan as in a bank's log, at the end ``ended`` (``code``,
+    ``reason``). A disk that refuses lines does not end the verification.
+    """
+
+    def __init__(self, out: Path) -> None:
+        # A file of its own, so that followers see that it is another one.
+        (out / LOG_NAME).unlink(missing_ok=True)
+        self._file = create(out / LOG_NAME)
+        self._lines = EventLines(lambda line: self._file.write(line.encode()), str(out / LOG_NAME), "verification")
+        self._write(VerifyStarted(_now(), os.getpid(), socket.gethostname()))
+
+    def __call__(self, event: Event) -> None:
+        """Write an event of the scan."""
+        self._lines(event)
+
+    def step(self, name: str, total: int) -> Callable[[int, int], None]:
+        """Begin a step of `total` items; the result is called with the number done."""
+        started_s = time.monotonic()
+        told_s = started_s
+        self._write(VerifyStep(_now(), name, 0, total))
+
+        def report(done: int, total: int) -> None:
+            nonlocal told_s
+            now_s = time.monotonic()
+            if done < total and now_s - told_s < TELLS_EVERY_S:
+                return
+            told_s = now_s
+            left_s = round((now_s - started_s) / done * (total - done), 1) if done else None
+            self._write(VerifyStep(_now(), name, done, total, left_s))
+
+        return report
+
+    def done(self, code: int, reason: str) -> None:
+        """Say how it ended."""
+        self._write(VerifyEnded(_now(), int(code), reason))
+
+    def __enter__(self) -> VerifyLog:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is not None and (code := exit_code(error)) is not None:
+            self.done(code, sentence(error))
+        with suppress(OSError):
+            self._file.close()
+
+    def _write(self, message: Message) -> None:
+        self._lines.write(to_line(message))
+
+
+def _now() -> datetime:
+    return datetime.now(UTC)

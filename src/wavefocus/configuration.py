@@ -1,0 +1,328 @@
+"""From run and rig files to a validated configuration: the files, and all that they name, checked together."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefocus.acquisition.grid import read_positions_file, surface_grid
+from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.config.calibration import load_calibration
+from wavefocus.config.fields import Table
+from wavefocus.config.loading import named_file, printable, read_toml, shown, validated
+from wavefocus.config.plate import FINGER_MM, PlateKeys, plate_of
+from wavefocus.config.rig import RigConfig, default_rig
+from wavefocus.config.run import FaultFile, Publication, PublicationFile, RunConfig, Virtual
+from wavefocus.storage.errors import InputError
+
+if TYPE_CHECKING:
+    from wavefocus.storage.bank.reading import Bank
+
+
+@dataclass(frozen=True, slots=True)
+class Configuration:
+    """A run file and the rig that it names, checked together; `position_mm` (positions, 2) in measuring order."""
+
+    run: RunConfig
+    rig: RigConfig
+    position_mm: NDArray[np.float64]
+
+    @property
+    def plan_sha256(self) -> str:
+        """Hash of all that a resume must not change."""
+        return plan_sha256(self.rig, self.run, self.position_mm)
+
+
+def load_run(path: Path) -> Configuration:
+    """Read a run file, the rig and the position list that it names.
+
+    Raises InputError: anything in the files is wrong, alone or against each other.
+    """
+    data = read_toml(path)
+    if "settled" in data:
+        raise InputError(
+            f"{path}: settled: comes from the trial before a staggered campaign and stands in its bank alone"
+        )
+    virtual = data.get("virtual")
+    if isinstance(virtual, dict) and isinstance(virtual.get("fault_plan"), str):
+        plan_file = named_file(path, "virtual.fault_plan", virtual["fault_plan"])
+        faults = validated(FaultFile, read_toml(plan_file), str(plan_file))
+        data["virtual"] = {**virtual, "fault_plan": faults.model_dump()["fault"]}
+    run = validated(RunConfig, data, str(path))
+    rig = default_rig() if run.rig == "virtual" else load_rig(named_file(path, "rig", run.rig))
+    if run.virtual is not None and run.virtual.fault_plan:
+        from wavefocus.mocks.virtual.faults import Fault
+
+        _check_faults(Fault, run.virtual.fault_plan, f"{path}: virtual.fault_plan")
+    position_mm = None
+    if run.grid.positions_file is not None:
+        positions_file = named_file(path, "grid.positions_file", run.grid.positions_file)
+        position_mm = read_positions_file(positions_file, rig.surface.outline)
+    return configuration_of(run, rig, position_mm, str(path))
+
+
+def configuration_of(
+    run: RunConfig, rig: RigConfig, position_mm: NDArray[np.float64] | None, source: str
+) -> Configuration:
+    """A run on a rig, checked together, at some positions or on the run's own grid.
+
+    Raises InputError: the run cannot be carried out with the rig.
+    """
+    check_together(run, rig, source)
+    if position_mm is None:
+        try:
+            grid = run.grid
+            position_mm = surface_grid(rig.surface.outline, grid.margin_mm, grid.spacing_mm, grid.lattice)
+        except InputError as error:
+            raise InputError(printable(f"{source}: grid.{error}")) from None
+    _check_mirror_reach(rig, position_mm, source)
+    return Configuration(run, rig, position_mm)
+
+
+def load_rig(path: Path) -> RigConfig:
+    """Read a rig file.
+
+    Raises InputError: anything in the file is wrong.
+    """
+    data = read_toml(path)
+    care = data.get("calibration")
+    if isinstance(care, dict):
+        if "measured" in care:
+            raise InputError(f"{path}: calibration.measured: comes from the file that calibration.file names")
+        if isinstance(care.get("file"), str):
+            record = load_calibration(named_file(path, "calibration.file", care["file"]))
+            data["calibration"] = {**care, "measured": record.model_dump()}
+    recorder = data.get("recorder")
+    if isinstance(recorder, dict):
+        for key in ("tls_root", "tls_certificate", "tls_key"):
+            if isinstance(recorder.get(key), str):
+                # A bank holds the rig; it may be resumed from any folder.
+                recorder[key] = str(named_file(path, f"recorder.{key}", recorder[key]).absolute())
+    rig = validated(RigConfig, data, str(path))
+    if rig.emulation.fault_plan:
+        from wavefocus.mocks.wire.faults import WireFault
+
+        _check_faults(WireFault, rig.emulation.fault_plan, f"{path}: emulation.fault_plan")
+    return rig
+
+
+def publication_of(bank: Bank, file: Path | None = None) -> Publication:
+    """Read ``[publication]`` of a TOML file or, by default, of the run that a bank carries; empty where it has none.
+
+    Raises InputError: the file has no table ``[publication]``, or anything in it is wrong.
+    """
+    if file is not None:
+        data = read_toml(file)
+        if "publication" not in data:
+            raise InputError(printable(f"{file}: publication: is missing; a table [publication] is needed"))
+        return validated(PublicationFile, {"publication": data["publication"]}, str(file)).publication
+    if not (bank.run_json and bank.plan_sha256):  # of another program, which may mean something else by it
+        return Publication()
+    source = f"{bank.path}: attribute run"
+    run = _from_json(bank.run_json, source)
+    table = run.get("publication", {}) if isinstance(run, dict) else {}
+    return validated(PublicationFile, {"publication": table}, source).publication
+
+
+def named_rig(file: Path) -> RigConfig:
+    """The rig of a file; the built-in virtual rig where the file is called ``virtual``.
+
+    Raises InputError: anything in the file is wrong.
+    """
+    return default_rig() if str(file) == "virtual" else load_rig(file)
+
+
+def configuration_from_json(
+    rig_json: str, run_json: str, position_mm: NDArray[np.float64], source: str
+) -> Configuration:
+    """Read the configuration that a bank carries.
+
+    Raises InputError: the texts are no configuration of this version.
+    """
+    rig = validated(RigConfig, _from_json(rig_json, f"{source}: attribute rig"), f"{source}: attribute rig")
+    run = validated(RunConfig, _from_json(run_json, f"{source}: attribute run"), f"{source}: attribute run")
+    check_together(run, rig, source)
+    return Configuration(run, rig, position_mm)
+
+
+def with_rig(configuration: Configuration, rig: RigConfig, source: str) -> Configuration:
+    """Put another rig in the place of a configuration's own, checked against its run and grid.
+
+    Raises InputError: the run cannot be carried out with it.
+    """
+    check_together(configuration.run, rig, source)
+    _check_mirror_reach(rig, configuration.position_mm, source)
+    return replace(configuration, rig=rig)
+
+
+def plate_behind(rig: RigConfig, run: RunConfig) -> PlateKeys:
+    """The plate that a run is measured on; of real instruments no more is known than that it is one."""
+    return plate_of(run.virtual, rig.emulation) if rig.is_virtual else PlateKeys()
+
+
+def check_together(run: RunConfig, rig: RigConfig, source: str) -> None:
+    """Check run and rig against each other.
+
+    Raises InputError: A virtual setting without a virtual rig, or a sweep that the wiring cannot carry.
+    """
+    if run.virtual is not None and not rig.is_virtual:
+        raise InputError(f"{source}: virtual: is only for a virtual rig; {shown(run.rig)} has other drivers")
+    plate = plate_behind(rig, run)
+    table = "emulation" if plate is rig.emulation else "virtual"
+    if plate.plate == "thin" and plate.edge != "infinite" and rig.surface.kind != "rectangle":
+        raise InputError(
+            f'{source}: {table}.plate = "thin": needs kind = "rectangle" in [surface] of the rig file, '
+            'or edge = "infinite"'
+        )
+    if plate.finger is not None and not rig.surface.outline.contains(plate.finger.place_mm, FINGER_MM):
+        x_mm, y_mm = plate.finger.place_mm
+        allowed = f"must be on the surface, {FINGER_MM:g} mm or more from its edge"
+        raise InputError(f"{source}: {table}.finger.place_mm = [{x_mm:g}, {y_mm:g}]: {allowed}")
+    if plate.plate == "stadium" and find_spec("skfem") is None:
+        raise InputError(f'{source}: {table}.plate = "stadium": needs scikit-fem: pip install "wavefocus[plates]"')
+    actuators = len(rig.actuators.position_mm)
+    if run.capture.groups > actuators:
+        allowed = f"must be at most {actuators}, the number of actuators"
+        raise InputError(f"{source}: capture.groups = {run.capture.groups}: {allowed}")
+    amplitude_v, key = run.sweep.amplitude_v, f"{source}: sweep.amplitude_v"
+    if amplitude_v > rig.player.limit_v:
+        allowed = f"must be at most player.limit_v = {rig.player.limit_v:g} of the rig"
+        raise InputError(f"{key} = {amplitude_v:g}: {allowed}")
+    weakest_v = min(rig.player.output_full_scale_v[one] for one in (*rig.player.channels, rig.player.loopback_channel))
+    if amplitude_v > weakest_v:
+        allowed = f"must be at most {weakest_v:g}, the full scale of the rig's weakest output"
+        raise InputError(f"{key} = {amplitude_v:g}: {allowed}")
+    rms_limit = rig.player.rms_limit
+    if rms_limit is not None and amplitude_v / 2**0.5 > rms_limit[1]:
+        allowed = f"must be at most {rms_limit[1] * 2**0.5:.4g}, or its rms is beyond the rig's {rms_limit[0]}"
+        raise InputError(f"{key} = {amplitude_v:g}: {allowed}")
+    loudest_v = rig.recorder.reference_range_v / rig.recorder.reference_gain
+    if amplitude_v > loudest_v:
+        allowed = f"must be at most {loudest_v:g} (the rig's recorder.reference_range_v / reference_gain)"
+        raise InputError(f"{key} = {amplitude_v:g}: {allowed}")
+
+
+def _check_faults(made: Callable[..., object], plan: Sequence[Table], key: str) -> None:
+    """Refuse a fault that the instruments which are to show it do not support."""
+    for index, fault in enumerate(plan):
+        try:
+            made(**fault.model_dump())
+        except ValueError as error:
+            given = fault.model_dump(exclude_defaults=True)
+            raise InputError(printable(f"{key}[{index}] = {shown(given)}: {error}")) from None
+
+
+def _from_json(text: str, source: str) -> object:
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(printable(f"{source}: not JSON: {error}")) from None
+
+
+def _check_mirror_reach(rig: RigConfig, position_mm: NDArray[np.float64], source: str) -> None:
+    try:
+        angles = np.column_stack(MirrorMap(rig.mirror.matrix).angles_mrad(*position_mm.T))
+    except InputError as error:
+        raise InputError(f"{source}: grid: {error}; the rig's mirror.map must reach every position") from None
+    beyond = np.flatnonzero(~(np.abs(angles).max(axis=1) <= rig.mirror.limit_mrad))
+    if len(beyond):
+        row = int(beyond[0])
+        (x_mm, y_mm), (x_mrad, y_mrad) = position_mm[row], angles[row]
+        raise InputError(
+            f"{source}: grid: position {row} at ({x_mm:g}, {y_mm:g}) mm needs mirror angles of "
+            f"({x_mrad:.1f}, {y_mrad:.1f}) mrad; the rig's mirror.limit_mrad = {rig.mirror.limit_mrad:g}"
+        )
+
+
+def plan_sha256(rig: RigConfig, run: RunConfig, position_mm: NDArray[np.float64]) -> str:
+    """Hash all that a resume must not change, so that no bank mixes two plans.
+
+    Positions, actuators, sweep, capture, wiring, inputs, ranges, calibration, quality limits and what a virtual
+    rig is like count. Names, file paths, addresses, ports, device names, safety limits, settling time,
+    time-outs, verification tolerances, fault plans and what an emulation is like do not: they can change
+    without making the rows of one bank differ in kind.
+
+    Returns 64 hexadecimal digits: SHA-256 of canonical JSON.
+    """
+    hashed = _hashed_keys(rig, run, position_mm)
+    text = json.dumps(hashed, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode("ascii")).hexdigest()
+
+
+def rig_differences(rig: RigConfig, other: RigConfig, run: RunConfig) -> tuple[str, ...]:
+    """Keys of a rig that a resume must not change and in which two rigs differ, as ``recorder.response_range_v``."""
+    nowhere = np.empty((0, 2))
+    own, new = (dict(_leaves("", _hashed_keys(one, run, nowhere))) for one in (rig, other))
+    return tuple(key for key in sorted({**own, **new}) if own.get(key) != new.get(key))
+
+
+def _leaves(name: str, value: object) -> Iterator[tuple[str, object]]:
+    if isinstance(value, dict):
+        for key, beneath in value.items():
+            yield from _leaves(f"{name}.{key}" if name else str(key), beneath)
+    else:
+        yield name, value
+
+
+def _hashed_keys(rig: RigConfig, run: RunConfig, position_mm: NDArray[np.float64]) -> dict[str, object]:
+    capture = {"averages", "decay_s", "excitation", "taps", "sample_rate_hz"}
+    if run.capture.excitation == "staggered":
+        capture |= {"stagger_s", "groups", "periods"}
+    if run.capture.level_db != 0:
+        capture |= {"level_db"}
+    return {
+        "position_mm": (position_mm + 0.0).tolist(),
+        "actuator_mm": rig.actuators.position_mm,
+        "surface": rig.surface.model_dump(exclude_none=True),
+        **_rig_keys(rig),
+        "sweep": run.sweep.model_dump(),
+        "capture": run.capture.model_dump(include=capture),
+        "quality": _quality_keys(run),
+        "virtual": _virtual_keys(rig, run),
+    }
+
+
+def _quality_keys(run: RunConfig) -> dict[str, object]:
+    """When a row counts as valid and how it was tried; keys that came later, only where they differ from what was."""
+    first = {"poor_residual_db", "excess_noise_db", "poor_snr_db", "max_attempts"}
+    return run.quality.model_dump(include=first) | run.quality.model_dump(exclude=first, exclude_defaults=True)
+
+
+def _rig_keys(rig: RigConfig) -> dict[str, object]:
+    """What of the instruments makes the rows of one bank differ in kind.
+
+    Keys that a rig does not use are left out, so that banks keep their hash when new keys come.
+    """
+    recorder = {"driver", "reference_range_v", "response_range_v", "reference_gain", "inter_channel_delay_s",
+                "pre_roll_s", "post_roll_s"}  # fmt: skip
+    player = {"driver", "channels", "loopback_channel", "full_scale_v"}
+    return {
+        "mirror": {"driver": rig.mirror.driver, "matrix": rig.mirror.matrix}
+        | rig.mirror.model_dump(include=rig.mirror.plan_keys(), exclude_none=True),
+        "recorder": rig.recorder.model_dump(include=recorder)
+        | rig.recorder.model_dump(include=rig.recorder.plan_keys(), exclude_none=True),
+        "player": rig.player.model_dump(include=player)
+        | rig.player.model_dump(include={"channel_full_scale_v"}, exclude_none=True),
+        "vibrometer": rig.vibrometer.model_dump(include={"sensitivity_m_s_per_v"})
+        | rig.vibrometer.model_dump(include={"latency_s"}, exclude_none=True),
+    }
+
+
+def _virtual_keys(rig: RigConfig, run: RunConfig) -> dict[str, object] | None:
+    """What makes a virtual rig's rows what they are; nothing for real instruments, emulated or not."""
+    if not rig.is_virtual:
+        return None
+    hashed: dict[str, object] = (run.virtual or Virtual()).model_dump(include={"seed", "noise_v"})
+    if run.virtual and (run.virtual.plate_keys or run.virtual.plate != Virtual().plate):
+        hashed |= {"plate": run.virtual.plate, **run.virtual.plate_keys}
+    if not rig.emulation.is_flawless:
+        hashed["emulation"] = rig.emulation.truth()
+    return hashed

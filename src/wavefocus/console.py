@@ -1,0 +1,165 @@
+"""What people see while a command works: lines and a progress bar, all on standard error."""
+
+from __future__ import annotations
+
+import io
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from datetime import datetime, timedelta
+from functools import cache
+from typing import IO, TYPE_CHECKING, Protocol, cast
+
+from wavefocus.acquisition.wording import hours
+from wavefocus.exits import escaped
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Task
+
+# Without a terminal (a log file, a service) a line this often shows progress.
+LINE_EVERY_S = 30.0
+
+
+class _StandardError(io.TextIOBase):
+    """Standard error as it is now; what cannot be written to a terminal that is gone is dropped.
+
+    Nobody is left to read it, and a campaign must not end for it: its log next to the bank holds the same.
+    """
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        return getattr(self._stream(), "encoding", None) or "utf-8"
+
+    def write(self, text: str) -> int:
+        with suppress(OSError, ValueError):  # ValueError: it was closed
+            self._stream().write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with suppress(OSError, ValueError):
+            self._stream().flush()
+
+    def isatty(self) -> bool:
+        try:
+            return self._stream().isatty()
+        except (OSError, ValueError):
+            return False
+
+    def fileno(self) -> int:
+        return self._stream().fileno()
+
+    @staticmethod
+    def _stream() -> IO[str]:
+        # While a progress bar is shown, rich puts a stand-in there that writes to the bar's console, that is, here.
+        return cast(IO[str], getattr(sys.stderr, "rich_proxied_file", sys.stderr))
+
+
+@cache
+def people() -> Console:
+    """Tables, rules and progress bars on standard error."""
+    from rich.console import Console  # most commands only say lines
+
+    return Console(file=cast(IO[str], _StandardError()), highlight=False, soft_wrap=True)
+
+
+def say(line: str) -> None:
+    """Write one line to standard error; dropped where the terminal is gone."""
+    with suppress(OSError, ValueError):  # ValueError: it was closed
+        print(escaped(line), file=sys.stderr, flush=True)
+
+
+def answer(line: str) -> None:
+    """Write one line of what a command was asked for, on standard output.
+
+    Raises OSError: standard output cannot be written.
+    """
+    print(escaped(line), flush=True)
+
+
+def finish_clock(remaining_s: float) -> str:
+    """The wall's clock time in `remaining_s` seconds, with the day when it is not today."""
+    now = datetime.now().astimezone()
+    finish = now + timedelta(seconds=remaining_s)
+    return finish.strftime("%H:%M:%S" if finish.date() == now.date() else "%a %d %b %H:%M")
+
+
+class Report(Protocol):
+    """Progress of some work."""
+
+    def __call__(self, done: int, total: int, note: str = "") -> None:
+        """`done` of `total` items are done; `note` stands at the end of the line."""
+        ...
+
+
+def _rate(task: Task) -> str:
+    speed = task.finished_speed or task.speed
+    if task.finished:
+        return f"in {hours(task.finished_time or 0.0)}"
+    if not speed or task.total is None:
+        return ""
+    remaining_s = (task.total - task.completed) / speed
+    return f"{speed:.1f}/s  {hours(remaining_s)} left  finished at {finish_clock(remaining_s)}"
+
+
+@contextmanager
+def progress(what: str, total: int, *, done: int = 0, timed: bool = True) -> Iterator[Report]:
+    """Show how far some work is, with rate, remaining time and finish time.
+
+    Yields
+    ------
+    callable
+        ``report(done, total, note="")``, to be called as items are done.
+    """
+    if not sys.stderr.isatty():
+        yield _line_reporter(what, done, timed=timed)
+        return
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, SpinnerColumn, TextColumn
+    from rich.text import Text
+
+    class RateColumn(ProgressColumn):
+        def render(self, task: Task) -> Text:
+            return Text(_rate(task))
+
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}", markup=False),
+        BarColumn(bar_width=None),
+        MofNCompleteColumn(),
+        *([RateColumn()] if timed else []),
+        TextColumn("{task.fields[note]}", markup=False),
+    )
+    with Progress(*columns, console=people(), expand=True) as bar:
+        task = bar.add_task(what, total=total, completed=done, note="")
+
+        def report(done: int, total: int, note: str = "") -> None:
+            bar.update(task, completed=done, total=total, note=note)
+
+        yield report
+
+
+def _line_reporter(what: str, first: int, *, timed: bool) -> Report:
+    """Progress as a line now and then, for when nobody watches a terminal."""
+    started_s = last_s = time.monotonic()
+
+    def report(done: int, total: int, note: str = "") -> None:
+        nonlocal last_s
+        now_s = time.monotonic()
+        if now_s - last_s < LINE_EVERY_S:
+            return
+        last_s = now_s
+        if not timed:
+            say(f"{what}: {done} of {total}, {note}")
+            return
+        rate = (done - first) / (now_s - started_s)
+        left = f"{hours((total - done) / rate)} left" if rate > 0 else "no estimate yet"
+        say(f"{what}: {done} of {total}, {rate:.1f}/s, {left} {note}".rstrip())
+
+    return report
+
+
+def print_line(line: str) -> None:
+    """Write a line on standard output at once."""
+    sys.stdout.write(line)
+    sys.stdout.flush()

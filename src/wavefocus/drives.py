@@ -1,0 +1,215 @@
+"""Drives, fields and foci in Python: made as the commands do, with paths or open files, without printing."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from numpy.typing import DTypeLike
+
+from wavefocus.banks import OnProgress, opened_bank
+from wavefocus.storage.drive_file import Drive, read_drive
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.field_file import Field, read_field
+
+if TYPE_CHECKING:
+    from wavefocus.rendering.field.foci import FocusResults
+    from wavefocus.rendering.greens.source import GreenSource
+    from wavefocus.rendering.scene.model import Scene
+
+
+def render(
+    scene: Scene | str | Path,
+    bank: GreenSource | str | Path,
+    *,
+    method: Literal["sampled", "exact"] | None = None,
+    focusing: Literal["time-reversal", "inverse"] = "time-reversal",
+    tolerance_db: float | None = None,
+    interpolation_tolerance: float | None = None,
+    regularisation_db: float | None = None,
+    device: Literal["cpu", "cuda"] = "cpu",
+    on_progress: OnProgress | None = None,
+) -> Drive:
+    """Render a scene into the drives of all actuators, as ``wavefocus render``.
+
+    The drive starts at -(L - 1) samples of scene time, L the taps of the bank, and ends with the last emitted sample.
+
+    Parameters
+    ----------
+    scene
+        A scene, or the path of a scene file.
+    bank
+        An open bank, an array of Green's functions (`GreenArray`), or the path of a bank.
+    method
+        ``"sampled"`` (eq. 16) or ``"exact"`` (eq. 9); by default exact where an emission is continuous.
+    focusing
+        ``"time-reversal"``, or ``"inverse"``: inverse filtering at the path points.
+    tolerance_db
+        Bound on the relative L2 error of the drives in dB, < 0, within which frequencies may be left out. By default
+        nothing is.
+    interpolation_tolerance
+        Largest relative error of the Green's functions between the bank's positions, > 0. By default an error above
+        0.05 is warned of.
+    regularisation_db
+        Of the inverse filter, relative to the largest mean power at a control point, in dB, < 0.
+    device
+        ``"cuda"`` computes on a GPU, and needs CuPy.
+    on_progress
+        Called with the parts done and the parts in all.
+
+    Returns
+    -------
+    Drive
+        ``drive_v``, float64 (actuators, samples), in volts, at the bank's rate.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, the scene does not fit the bank, or an option does not go with another.
+
+    Warns
+    -----
+    RenderWarning
+        The drives are as asked, and something about them is worth a look: loud ends, interpolation errors.
+
+    Examples
+    --------
+    >>> import wavefocus as wf
+    >>> drive = wf.render("scene.toml", "plate.h5")
+    >>> drive.drive_v.shape, drive.drive_v.dtype
+    ((4, 3499), dtype('float64'))
+    >>> wf.write_drive("drive.h5", drive)
+    """
+    from wavefocus.commands.render import RenderOptions, naming, render_by_options
+    from wavefocus.rendering.report.render_report import RenderWarning
+    from wavefocus.rendering.scene.model import load_scene
+
+    options = RenderOptions(method, tolerance_db, interpolation_tolerance, focusing, regularisation_db, device)
+    file = scene if isinstance(scene, str | Path) else None
+    made = load_scene(scene) if isinstance(scene, str | Path) else scene
+    with opened_bank(bank) as view, nullcontext() if file is None else naming(file, view):
+        drive, report = render_by_options(made, view, options, on_progress)
+    for text in report.warnings:
+        warnings.warn(text, RenderWarning, stacklevel=2)
+    return drive
+
+
+def predict(
+    drive: Drive | str | Path,
+    bank: GreenSource | str | Path,
+    positions: Sequence[int] | None = None,
+    *,
+    dtype: DTypeLike = "float64",
+    rate_hz: float | None = None,
+    device: Literal["cpu", "cuda"] = "cpu",
+    on_progress: OnProgress | None = None,
+) -> Field:
+    """Predict the field that a drive makes (eq. 4), as ``wavefocus predict``, drive samples + L - 1 long.
+
+    Parameters
+    ----------
+    drive
+        A drive, or the path of a drive file.
+    bank
+        An open bank, an array of Green's functions (`GreenArray`), or the path of a bank; at the drive's rate.
+    positions
+        Rows of the bank, in any order; by default all that are measured.
+    dtype
+        ``"float64"``, exact to 1e-12; or ``"float32"``, twice as fast, and exact to 1e-6 of each position's largest
+        response.
+    rate_hz
+        Rate of the field, the bank's over a whole number; the field is low-passed to it. By default the bank's.
+    device
+        ``"cuda"`` computes on a GPU, and needs CuPy.
+    on_progress
+        Called with the positions done and the positions in all.
+
+    Returns
+    -------
+    Field
+        ``field``, (positions, samples), in the bank's response unit, m/s for a vibrometer; ``position_index``, the
+        rows of the bank. It is in memory whole: of large fields predict some positions at a time.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, drive and bank do not fit, or a position does not exist or is not measured.
+
+    Examples
+    --------
+    >>> import wavefocus as wf
+    >>> field = wf.predict("drive.h5", "plate.h5", [3, 4])
+    >>> field.field.shape, field.response_unit
+    ((2, 4498), 'm/s')
+    """
+    from wavefocus.rendering.device import cuda_device
+    from wavefocus.rendering.field.prediction import predict as predict_field
+
+    if device != "cpu" and rate_hz is not None:
+        raise InputError(f"device {device} does not go with rate_hz")
+    played = _read(drive)
+    with opened_bank(bank) as view:
+        return predict_field(
+            played,
+            view,
+            positions,
+            dtype=dtype,
+            rate_hz=rate_hz,
+            device=None if device == "cpu" else cuda_device(),
+            on_progress=on_progress,
+        )
+
+
+def focus_figures(
+    drive: Drive | str | Path,
+    bank: GreenSource | str | Path,
+    field: Field | str | Path | None = None,
+    *,
+    on_progress: OnProgress | None = None,
+) -> FocusResults:
+    """Place, height, width and artefacts of a drive's foci.
+
+    Parameters
+    ----------
+    drive
+        A drive, or the path of a drive file; of more than 64 foci, 64 are looked at, evenly chosen.
+    bank
+        An open bank, an array of Green's functions, or the path of a bank.
+    field
+        The field to look at, or the path of a field file: predicted or scanned, at the drive's rate. By default the
+        predicted field at all measured positions, computed at the focus instants alone.
+    on_progress
+        Called with the foci done and the foci in all.
+
+    Returns
+    -------
+    FocusResults
+        An array for each figure, a row per focus: ``source``, ``position``, ``time_s``, ``intended_mm``, ``at_mm``,
+        ``peak``, ``off_mm``, ``width_mm`` and ``artefact_db``; NaN where a focus has none. Foci quieter than a quarter
+        of the loudest are left out.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, or drive, bank and field do not belong together.
+
+    Examples
+    --------
+    >>> import wavefocus as wf
+    >>> foci = wf.focus_figures("drive.h5", "plate.h5")
+    >>> len(foci), foci.intended_mm[0]
+    (5, array([-10.,   0.]))
+    """
+    from wavefocus.rendering.field.foci import focus_figures as figures_of
+
+    played = _read(drive)
+    seen = read_field(field) if isinstance(field, str | Path) else field
+    with opened_bank(bank) as view:
+        return figures_of(played, view, seen, on_progress=on_progress)
+
+
+def _read(drive: Drive | str | Path) -> Drive:
+    return read_drive(drive) if isinstance(drive, str | Path) else drive

@@ -1,0 +1,78 @@
+"""Exit codes of the contract, the error that ends in each, and text that is safe to show."""
+
+from __future__ import annotations
+
+import unicodedata
+from enum import IntEnum
+
+from wavefocus.drivers.errors import InstrumentError
+from wavefocus.storage.errors import BankBusyError, InputError, WavefocusError
+
+
+class Exit(IntEnum):
+    """Exit codes, as the public contract states them."""
+
+    DONE = 0
+    NOT_GOOD_ENOUGH = 1
+    WRONG_INPUT = 2
+    INSTRUMENT_FAILED = 3
+    BANK_BUSY = 75
+    STOPPED = 130
+
+
+def exit_code(failure: BaseException) -> Exit | None:
+    """The exit code of an error that people can act on; None for a defect of the program."""
+    match failure:
+        case KeyboardInterrupt():
+            return Exit.STOPPED
+        case BankBusyError():
+            return Exit.BANK_BUSY
+        case InputError() | OSError():
+            return Exit.WRONG_INPUT
+        case InstrumentError() | WavefocusError():
+            return Exit.INSTRUMENT_FAILED
+        # What a file asks for can be beyond memory or arithmetic; NumPy's LinAlgError is a ValueError.
+        case MemoryError() | ArithmeticError() | ValueError() | RuntimeError():
+            return Exit.WRONG_INPUT
+    return None
+
+
+def sentence(failure: BaseException) -> str:
+    """The one line that reports an error."""
+    if isinstance(failure, KeyboardInterrupt):
+        return "stopped by the user"
+    if isinstance(failure, OSError) and failure.filename is not None:
+        return one_line(f"{failure.filename}: {failure.strerror}")
+    return one_line(str(failure)) or type(failure).__name__
+
+
+def is_foreseen(failure: BaseException) -> bool:
+    """Whether the error's own text says what is wrong and what to do, so that it stands alone."""
+    return isinstance(failure, KeyboardInterrupt | InputError | OSError | InstrumentError | WavefocusError)
+
+
+# Control, format (bidirectional overrides among them), surrogate, line and paragraph separator.
+_UNSAFE = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
+_LONGEST = 900
+
+
+def escaped(text: str) -> str:
+    r"""Return a text with control and bidirectional characters as escapes (``\x1b``); line ends and tabs stay."""
+    if text.isascii() and text.isprintable():
+        return text
+    return "".join(_escape(one) if unicodedata.category(one) in _UNSAFE and one not in "\n\t" else one for one in text)
+
+
+def one_line(text: str, longest: int = _LONGEST) -> str:
+    """A message as one escaped line of bounded length: what is too long loses its middle."""
+    line = escaped(" ".join(text.split()))
+    if len(line) <= longest:
+        return line
+    head = longest // 2
+    tail = longest - head - 5
+    return f"{line[:head]} ... {line[-tail:]}"
+
+
+def _escape(one: str) -> str:
+    code = ord(one)
+    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"

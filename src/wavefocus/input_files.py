@@ -1,0 +1,69 @@
+"""Files and positions that a command line names."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+from wavefocus.console import say
+from wavefocus.storage.errors import InputError
+
+
+def input_files(*files: Path | None) -> list[Path]:
+    """List files, and the files that TOML files among them name by any key, at any depth."""
+    found: list[Path] = []
+    left = [file for file in files if file is not None]
+    while left:
+        file = left.pop()
+        if file in found:
+            continue
+        found.append(file)
+        if file.suffix == ".toml":
+            left += _named_by(file)
+    return found
+
+
+def _named_by(file: Path) -> list[Path]:
+    try:
+        content = tomllib.loads(file.read_text(encoding="utf-8"))
+        return [path for text in _texts(content) if (path := file.parent / text).is_file()]
+    except (OSError, ValueError, RecursionError):
+        return []
+
+
+def _texts(value: object) -> Iterator[str]:
+    if isinstance(value, dict):
+        for one in value.values():
+            yield from _texts(one)
+    elif isinstance(value, list):
+        for one in value:
+            yield from _texts(one)
+    elif isinstance(value, str) and value and "\0" not in value:
+        yield value
+
+
+def parse_positions(text: str, count: int) -> list[int]:
+    """Bank rows from ``"3,5-9,12"``.
+
+    Returns rows in the order given, each once. Raises InputError: something that is no row number, or one outside
+    0..count-1.
+    """
+    rows: dict[int, None] = {}
+    for part in text.split(","):
+        match = re.fullmatch(r"\s*(\d{1,9})\s*(?:-\s*(\d{1,9})\s*)?", part)
+        if match is None:
+            raise InputError(f"--positions: {part.strip()!r} is no row number; allowed: 0 to {count - 1}, as 3,5-9")
+        first = int(match[1])
+        last = int(match[2]) if match[2] else first
+        if last < first or last >= count:
+            raise InputError(f"--positions: {part.strip()} is outside the bank's rows 0 to {count - 1}")
+        rows.update(dict.fromkeys(range(first, last + 1)))
+    return list(rows)
+
+
+def name_unverified(path: Path, *, verified: bool) -> None:
+    """Warn of a drive or field file that does not carry checksums of all its values."""
+    if not verified:
+        say(f"warning: {path} carries no checksums (contract 1.1): its values are unverified")

@@ -1,0 +1,150 @@
+"""A live session from files: bank, rig and scene, checked together, and the instruments opened."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wavefocus.commands.render import naming
+from wavefocus.config.messages.live import LiveReady
+from wavefocus.config.scene import Output, Regularisation
+from wavefocus.console import progress
+from wavefocus.live_session.output import LiveOutput
+from wavefocus.live_session.session import LiveSession, Publish
+from wavefocus.rendering.greens.source import usable
+from wavefocus.rendering.live.engine import LiveEngine
+from wavefocus.rendering.live.recording import SessionRecording
+from wavefocus.rendering.scene.model import load_scene
+from wavefocus.rendering.scene.signals import Signal
+from wavefocus.rig.instruments import open_player
+from wavefocus.rig.limits import interface_of, rig_of, stricter
+from wavefocus.storage.bank.reading import Bank, open_bank
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.units import PLAYED_UNITS
+
+AHEAD_MS = 40.0
+"""What waits to be played at first where nothing is asked for; an interface with long periods gets more, see `adapts`
+of the session."""
+WARM_BLOCKS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class LiveOptions:
+    """Settings of a live session, as of the options of ``wavefocus live``.
+
+    scene_file: Its regularisation, its output and the signal of its first source are used.
+    look_ahead_ms: By how much sources lag what is ordered.
+    block_ms: Time of a block, rounded to whole samples of the bank.
+    ahead_ms: So much waits to be played; None: 20 ms, and twice as much after each underrun.
+    gain_db: On the amplitudes of all orders.
+    duration_s: The session ends by itself after so long.
+    record: Folder in which the session is recorded as a scene.
+    """
+
+    scene_file: Path | None = None
+    look_ahead_ms: float = 50.0
+    block_ms: float = 5.0
+    ahead_ms: float | None = None
+    gain_db: float = 0.0
+    duration_s: float | None = None
+    record: Path | None = None
+
+
+@contextmanager
+def open_session(
+    bank: Path,
+    rig_file: Path | None,
+    options: LiveOptions,
+    publish: Publish,
+    on_loaded: Callable[[], object] = lambda: None,
+) -> Iterator[tuple[LiveSession, LiveReady]]:
+    """Open everything; whatever happens, the outputs are muted and released on the way out.
+
+    rig_file: By default the bank's own rig. publish: As of `LiveSession`.
+    on_loaded: Called when the bank is in memory, before the interface is opened.
+
+    Raises InputError: bank, rig and scene do not go together. Raises InstrumentError: the interface cannot be opened.
+    """
+    regularisation, output, signal = _of_scene(options.scene_file)
+    with ExitStack() as opened:
+        view = opened.enter_context(open_bank(bank))
+        view.require_sound()
+        if view.drive_unit not in PLAYED_UNITS:
+            raise InputError(f"{bank} takes drives in {view.drive_unit}, and the player plays volts")
+        rig = rig_of(rig_file, view)
+        if rig is None:
+            raise InputError(f"{bank} does not say what rig it was measured with; name a rig file")
+        rate_hz = float(view.sample_rate_hz)
+
+        def engine_and_output() -> tuple[LiveEngine, LiveOutput]:
+            engine = LiveEngine(
+                view,
+                block_samples=max(1, round(options.block_ms * rate_hz / 1e3)),
+                look_ahead_samples=round(options.look_ahead_ms * rate_hz / 1e3),
+                regularisation=regularisation,
+                interpolation=output.interpolation,
+                signal=signal,
+                record=options.record is not None,
+            )
+            return engine, LiveOutput(interface_of(rig), rate_hz, stricter(output, rig.player))
+
+        with naming(options.scene_file or bank, view):
+            _warm_up(*engine_and_output(), view)
+            engine, frames = engine_and_output()
+        with progress("reading the bank", 1):
+            engine.preload()
+        recording = None
+        if options.record is not None:
+            recording = opened.enter_context(
+                SessionRecording(
+                    options.record, rate_hz=rate_hz, regularisation=regularisation, interpolation=output.interpolation
+                )
+            )
+        on_loaded()
+        player, _ = opened.enter_context(open_player(rig, realtime=True))
+        ahead_ms = AHEAD_MS if options.ahead_ms is None else options.ahead_ms
+        session = LiveSession(
+            engine,
+            player,
+            frames,
+            publish,
+            channels=rig.player.channels,
+            ahead_s=ahead_ms / 1e3,
+            adapts=options.ahead_ms is None,
+            gives_up_s=rig.recovery.give_up_after_s,
+            duration_s=options.duration_s,
+            gain=10.0 ** (options.gain_db / 20.0),
+            recording=recording,
+        )
+        ready = LiveReady(
+            player.identify(),
+            str(bank),
+            engine.actuators,
+            1e3 * engine.block_samples / rate_hz,
+            options.look_ahead_ms,
+            1e3 * engine.sufficient_samples / rate_hz,
+            ahead_ms + 1e3 * (frames.delay_frames / frames.rate_hz + player.latency_s),
+            engine.x_mm,
+            engine.y_mm,
+        )
+        yield session, ready
+
+
+def _warm_up(engine: LiveEngine, output: LiveOutput, bank: Bank) -> None:
+    """Compute some blocks: what is loaded and planned when it is first used does not delay those of the session."""
+    at_mm = bank.position_mm[int(np.flatnonzero(usable(bank))[0])].tolist()
+    for _ in range(WARM_BLOCKS):
+        engine.move("warm", (at_mm[0], at_mm[1]))
+        output.frames(engine.next_block())
+    engine.state()
+
+
+def _of_scene(scene_file: Path | None) -> tuple[Regularisation, Output, Signal | None]:
+    if scene_file is None:
+        return Regularisation(), Output(), None
+    scene = load_scene(scene_file)
+    return scene.regularisation, scene.output, scene.sources[0].signal

@@ -1,0 +1,172 @@
+"""Orders by OSC over UDP.
+
+``/source/NAME/position x y [amplitude]``, ``/source/NAME/amplitude a`` (from its next position on),
+``/source/NAME/signal TABLE`` (a JSON text, as in a scene file), ``/source/NAME/end``, ``/end``; alone or in bundles,
+whose times are not waited for. Source: The Open Sound Control 1.0 specification.
+"""
+
+from __future__ import annotations
+
+import json
+import select
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+
+from pythonosc.osc_packet import OscPacket
+
+from wavefocus.exits import one_line
+from wavefocus.storage.errors import InputError
+
+Content = Mapping[str, object]
+
+MOST_BYTES = 1 << 16
+MOST_AT_ONCE = 8
+FLOOD_PAUSE_S = 0.002
+"""Of a flood the newest so many messages are read every 2 ms, 4000 a second: reading more would slow down computing."""
+MOST_AMPLITUDES = 64
+LOOKS_EVERY_S = 0.2
+
+
+def address_of(text: str) -> tuple[str, int]:
+    """Host and port of ``HOST:PORT``; port 0 is any that is free. Raises InputError."""
+    host, _, port = text.rpartition(":")
+    host = host.removeprefix("[").removesuffix("]")
+    if not host or not port.isascii() or not port.isdecimal() or int(port) > 65_535:
+        raise InputError(f"--osc {text}: must be HOST:PORT with a port from 0 to 65535, as 127.0.0.1:9000")
+    return host, int(port)
+
+
+class OscInput:
+    """Receives messages in a thread of its own, from `start` to `close`.
+
+    address: Where it listens, as ``HOST:PORT``. loopback: No other computer can reach it.
+
+    Raises InputError: The address cannot be listened at.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        try:
+            family, kind, protocol, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+            self._socket = socket.socket(family, kind, protocol)
+        except OSError as error:
+            raise InputError(f"--osc {host}:{port}: cannot be listened at: {error.strerror}") from None
+        try:
+            self._socket.bind(place)
+        except OSError as error:
+            self._socket.close()
+            raise InputError(f"--osc {host}:{port}: cannot be listened at: {error.strerror}") from None
+        self._socket.setblocking(False)
+        bound = self._socket.getsockname()
+        self.address = f"[{bound[0]}]:{bound[1]}" if ":" in bound[0] else f"{bound[0]}:{bound[1]}"
+        self.loopback = bound[0].startswith("127.") or bound[0] == "::1"
+        self._over = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def start(self, receive: Callable[[Content | InputError, float], object]) -> None:
+        """Begin to receive.
+
+        receive: Gets each order as `wavefocus.live_session.orders.order_of` reads it, or what is wrong with a message,
+            and the instant of its arrival, of `time.monotonic`.
+        """
+        messages = OscMessages()
+
+        def listen() -> None:
+            for datagram, arrived_s in self._datagrams():
+                for order in messages.read(datagram):
+                    receive(order, arrived_s)
+
+        self._thread = threading.Thread(target=listen, name="OSC", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Receive no more."""
+        self._over.set()
+        if self._thread is not None:
+            self._thread.join()
+        self._socket.close()
+
+    def _datagrams(self) -> Iterator[tuple[bytes, float]]:
+        while not self._over.is_set():
+            select.select([self._socket], [], [], LOOKS_EVERY_S)
+            newest: deque[bytes] = deque(maxlen=MOST_AT_ONCE)
+            count, arrived_s = 0, time.monotonic()
+            # Windows reports there that an earlier answer met a closed port; it is none of ours.
+            with suppress(BlockingIOError, ConnectionResetError):
+                while count < 100 * MOST_AT_ONCE:
+                    newest.append(self._socket.recv(MOST_BYTES))
+                    count += 1
+            for datagram in newest:
+                yield datagram, arrived_s
+            if count > MOST_AT_ONCE:
+                time.sleep(FLOOD_PAUSE_S)
+
+
+class OscMessages:
+    """Reads datagrams; holds the amplitudes that wait for a position."""
+
+    def __init__(self) -> None:
+        self._amplitudes: dict[str, float] = {}
+
+    def read(self, datagram: bytes) -> Iterator[Content | InputError]:
+        """The orders of a datagram, and an InputError for each message that is none."""
+        try:
+            messages = [timed.message for timed in OscPacket(datagram).messages]
+        except Exception:  # the parser lets through what it did not expect, and anybody may send anything
+            yield InputError(f"{one_line(repr(datagram[:40]), 80)} is no OSC message")
+            return
+        for message in messages:
+            try:
+                order = self._order(str(message.address), list(message.params))
+            except InputError as wrong:
+                order = InputError(one_line(f"OSC {message.address}: {wrong}", 300))
+            if order is not None:
+                yield order
+
+    def _order(self, address: str, values: list[object]) -> Content | InputError | None:
+        if address == "/end":
+            return {"order": "end"}
+        parts = address.split("/")
+        if len(parts) != 4 or parts[:2] != ["", "source"] or not parts[2]:
+            raise InputError("is not known; allowed: /source/NAME/position, amplitude, signal or end, and /end")
+        name, word = parts[2], parts[3]
+        if word == "position":
+            numbers = _numbers(values, "x y [amplitude]", 2, 3)
+            kept = self._amplitudes.pop(name, None)
+            amplitude = numbers[2] if len(numbers) == 3 else kept
+            order: dict[str, object] = {"order": "move", "name": name, "at_mm": numbers[:2]}
+            return order if amplitude is None else order | {"amplitude": amplitude}
+        if word == "amplitude":
+            (amplitude,) = _numbers(values, "a", 1, 1)
+            if name not in self._amplitudes and len(self._amplitudes) >= MOST_AMPLITUDES:
+                raise InputError(f"more than {MOST_AMPLITUDES} sources wait for a position")
+            self._amplitudes[name] = amplitude
+            return None
+        if word == "signal":
+            return {"order": "signal", "name": name, "signal": _table(values)}
+        if word == "end":
+            self._amplitudes.pop(name, None)
+            return {"order": "end_source", "name": name}
+        raise InputError(f"{word!r} is not known; allowed: position, amplitude, signal, end")
+
+
+def _numbers(values: list[object], allowed: str, least: int, most: int) -> list[float]:
+    numbers = [value for value in values if isinstance(value, int | float) and not isinstance(value, bool)]
+    if len(numbers) < len(values) or not least <= len(numbers) <= most:
+        raise InputError(f"has {values!r}; allowed: {allowed}, numbers")
+    return [float(number) for number in numbers]
+
+
+def _table(values: list[object]) -> Mapping[str, object]:
+    table = None
+    if len(values) == 1 and isinstance(values[0], str):
+        with suppress(ValueError, RecursionError):
+            table = json.loads(values[0])
+    if not isinstance(table, dict):
+        raise InputError('allowed: one JSON text, as {"kind": "sine", "frequency_hz": 200, "duration_s": 1}')
+    if table.get("kind") == "file":
+        raise InputError("sound files are not read by order of the network; name them in the scene file")
+    return table

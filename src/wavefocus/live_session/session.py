@@ -1,0 +1,347 @@
+"""The loop of a live session: orders, blocks, the interface; figures and notices as it goes."""
+
+from __future__ import annotations
+
+import gc
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from wavefocus.acquisition.engine.recovery import back_off_s
+from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.config.messages.codec import Message
+from wavefocus.config.messages.live import (
+    EndLive,
+    EndSource,
+    LiveEnded,
+    LiveNotice,
+    LiveRefused,
+    LiveState,
+    MoveSource,
+    NoticeCode,
+)
+from wavefocus.config.messages.live import SoundingSource as Sounding
+from wavefocus.drivers.errors import InstrumentLostError, TransientInstrumentError
+from wavefocus.drivers.timeouts import BoundedPlayer
+from wavefocus.exits import one_line
+from wavefocus.live_session.latency import LatencyHistogram
+from wavefocus.live_session.orders import Inbox, Order, UseSignal
+from wavefocus.live_session.output import LiveOutput
+from wavefocus.live_session.pace import Change, Pace
+from wavefocus.rendering.live.engine import LiveEngine, SourceState
+from wavefocus.rendering.live.recording import SessionRecording
+from wavefocus.storage.errors import InputError
+
+Publish = Callable[[Message], object]
+
+STATES_EVERY_S = 0.2
+NOTICES_EVERY_S = 2.0
+MOST_AHEAD_S = 1.0
+PACED = 0.95
+"""Blocks begin so many block times apart where enough waits to be played: an interface asks for a period at a time, and
+several blocks computed in a burst would leave positions waiting for the next one."""
+ENDING_S = 5.0
+"""Beyond what waits to be played and the interface's latency, the last sound has left after so long."""
+SWITCH_S = 0.0005
+"""Python lets another thread run after so long, in place of 5 ms: reading orders must not hold up a block."""
+
+
+class LiveSession:
+    """Computes block after block and hands them to the player, until it is ended.
+
+    channels: Outputs of the actuators. ahead_s: So much waits to be played.
+    adapts: After each underrun twice as much waits, up to a second.
+    publish: Receives figures and notices; it must not wait.
+    gives_up_s: Longest wait for an interface that is lost.
+    duration_s: The session ends by itself after so long; None: it does not.
+    gain: Factor on the amplitudes of all orders.
+    recording: Receives the courses of all sources; the engine must keep them.
+    """
+
+    def __init__(
+        self,
+        engine: LiveEngine,
+        player: BoundedPlayer,
+        output: LiveOutput,
+        publish: Publish,
+        *,
+        channels: tuple[int, ...],
+        ahead_s: float,
+        adapts: bool = False,
+        gives_up_s: float = 0.0,
+        duration_s: float | None = None,
+        gain: float = 1.0,
+        recording: SessionRecording | None = None,
+    ) -> None:
+        self.engine, self._player, self._output, self._publish = engine, player, output, publish
+        self._channels, self._ahead_s, self._adapts = channels, ahead_s, adapts
+        self._gives_up_s, self._duration_s = gives_up_s, duration_s
+        self._block_s = engine.block_samples / engine.rate_hz
+        self._inbox, self._pace = Inbox(), Pace(self._block_s, ahead_s)
+        self._stop, self._ending = threading.Event(), threading.Event()
+        self._latency, self._figures = LatencyHistogram(), _Figures()
+        self._frames = 0
+        self._arrived: list[float] = []
+        self._unwritten: deque[tuple[int, float]] = deque()
+        self._noticed_s: dict[str, float] = {}
+        self._recording, self._record_failed = recording, False
+        self._gain, self._amplitudes = gain, dict[str, float]()
+        self._late: set[str] = set()
+        self._sounding_sources = 0  # of the last report
+
+    @property
+    def played_s(self) -> float:
+        """Scene time of the next block."""
+        return self.engine.next_sample / self.engine.rate_hz
+
+    def order(self, order: Order, arrived_s: float, *answers: Future[None]) -> None:
+        """Give an order, from any thread; it takes effect with the next block, and then its answers end.
+
+        arrived_s: When it arrived, of `time.monotonic`. Raises InputError: too many orders wait.
+        """
+        self._inbox.put(order, arrived_s, *answers)
+        if isinstance(order, EndLive):
+            self._ending.set()
+
+    def stop(self) -> None:
+        """End at once, from any thread; the caller of `run` mutes."""
+        self._stop.set()
+        self._ending.set()
+
+    def run(self, on_begun: Callable[[], object] = lambda: None) -> None:
+        """Play until `EndLive`, the end of the duration, or `stop`.
+
+        on_begun: Called when orders take effect at once.
+
+        Raises InstrumentError: The interface failed, or did not come back.
+        """
+        try:
+            with one_blas_thread(), _undisturbed():
+                self._begin()
+                on_begun()
+                while not self._stop.is_set():
+                    try:
+                        self._next_block()
+                    except TransientInstrumentError as dry:
+                        self._begin_anew(dry)
+                    except InstrumentLostError as lost:
+                        self._bring_back(lost)
+                    if self._ending.is_set() and not self.engine.state():
+                        self._play_out()
+                        return
+        finally:
+            self._record()
+
+    def ended(self) -> LiveEnded:
+        """The session's last message."""
+        recorded = None if self._recording is None else self._recording.scene
+        return LiveEnded(
+            round(self.played_s, 3), self._inbox.positions, self._latency.percentile_ms(99.9), self._figures.underruns,
+            round(self._figures.limited_s, 3), str(recorded or ""),
+        )  # fmt: skip
+
+    def _begin(self) -> None:
+        self._player.begin_pieces(self._channels, self._output.rate_hz, self._ahead_s)
+
+    def _next_block(self) -> None:
+        begun_s = time.monotonic()
+        self._apply_orders()
+        first = self._frames + self._output.delay_frames
+        frames = self._output.frames(self.engine.next_block())
+        computed_s = time.monotonic() - begun_s
+        self._unwritten.extend((first, arrived_s) for arrived_s in self._arrived)
+        waiting_s = self._player.add_piece(frames)
+        self._frames += frames.shape[1]
+        while self._unwritten and self._unwritten[0][0] < self._frames:
+            self._latency.add(self._player.written_s - self._unwritten.popleft()[1])
+        self._account(computed_s, waiting_s)
+        if waiting_s > self._ahead_s / 2:
+            time.sleep(max(0.0, begun_s + PACED * self._block_s - time.monotonic()))
+
+    def _apply_orders(self) -> None:
+        self._arrived = []
+        for waiting in self._inbox.take():
+            try:
+                self._apply(waiting.order)
+            except InputError as wrong:
+                waiting.end(wrong)
+                if not waiting.answers:
+                    self._publish(LiveRefused(one_line(str(wrong), 300)))
+                continue
+            waiting.end()
+            if isinstance(waiting.order, MoveSource):
+                self._arrived.append(waiting.arrived_s)
+        if self._duration_s is not None and self.played_s >= self._duration_s and not self._ending.is_set():
+            self._ending.set()
+            self._apply(EndLive())
+
+    def _apply(self, order: Order) -> None:
+        match order:
+            case MoveSource(name, at_mm, amplitude):
+                amplitude = self._amplitudes.get(name, 1.0) if amplitude is None else amplitude
+                self.engine.move(name, at_mm, self._gain * amplitude)
+                self._amplitudes[name] = amplitude
+                self._late.discard(name)
+            case UseSignal(name, signal, values, repeat):
+                self.engine.set_signal(name, signal, repeat=repeat, values=values)
+            case EndSource(name):
+                self.engine.end_source(name)
+                self._amplitudes.pop(name, None)
+            case EndLive():
+                for source in self.engine.state():
+                    with suppress(InputError):  # it fades already
+                        self._apply(EndSource(source.name))
+
+    def _account(self, computed_s: float, waiting_s: float) -> None:
+        """Figures, the effort, notices, and five times a second the state."""
+        figures = self._figures
+        figures.blocks += 1
+        figures.load = max(figures.load, computed_s / self._block_s)
+        if self._output.limited_db < 0:
+            figures.limited_s += self._block_s
+            figures.limited_db = min(figures.limited_db, self._output.limited_db)
+            self._notice(
+                "limited",
+                f"limited by {-figures.limited_db:.1f} dB to stay within the limits; lower the amplitudes, or use"
+                " --gain-db",
+            )
+        for name in self.engine.late_sources():
+            if name not in self._late:
+                self._late.add(name)
+                self._notice("late", f"source {name}: its positions stopped coming; it fades")
+        change = self._pace.add(computed_s, waiting_s, self._sounding_sources)
+        if change:
+            self._change_effort(change)
+        if figures.blocks >= STATES_EVERY_S / self._block_s:
+            self._report(self.engine.state())
+
+    def _change_effort(self, change: Change) -> None:
+        effort = self._pace.effort
+        self.engine.set_effort(effort)
+        bins = "" if effort.bound_db is None else f"frequencies are left out within {effort.bound_db:g} dB"
+        sources = "" if effort.most_sources is None else f"the latest sources are left out, {effort.most_sources} sound"
+        left_out = ", ".join(filter(None, (bins, sources))) or "nothing is left out"
+        if change == "slower":
+            self._notice("degraded", f"computing did not keep pace: {left_out}", always=True)
+        else:
+            self._notice("recovered", f"computing keeps pace again: {left_out}", always=True)
+
+    def _report(self, sources: tuple[SourceState, ...]) -> None:
+        figures = self._figures
+        names, self._sounding_sources = {source.name for source in sources}, len(sources)
+        self._late &= names
+        self._amplitudes = {name: one for name, one in self._amplitudes.items() if name in names}
+        self._publish(
+            LiveState(
+                round(self.played_s, 3),
+                self._latency.take_largest_ms(),
+                self._latency.percentile_ms(99.9),
+                round(figures.load, 3),
+                figures.underruns,
+                self._pace.degradation,
+                self._pace.effort.bound_db,
+                tuple(source.name for source in sources if source.dropped),
+                round(figures.limited_db, 2),
+                tuple(self._sounding(one) for one in sources if not one.dropped),
+            )
+        )
+        figures.blocks, figures.load, figures.limited_db = 0, 0.0, 0.0
+        self._record()
+
+    def _record(self) -> None:
+        if self._recording is None or self._record_failed:
+            return
+        self._recording.add(self.engine.take_record())
+        if self._recording.failure:
+            self._record_failed = True
+            self._notice("recording", f"nothing more is recorded: {self._recording.failure}", always=True)
+
+    def _sounding(self, source: SourceState) -> Sounding:
+        return Sounding(source.name, source.at_mm, source.amplitude / self._gain, source.fading)
+
+    def _begin_anew(self, dry: TransientInstrumentError) -> None:
+        """After the player ran dry: silence, then what comes next; the block that came too late is lost."""
+        self._figures.underruns += 1
+        if self._pace.slower(len(self.engine.state())):
+            self._change_effort("slower")
+        more = ""
+        if self._adapts and self._ahead_s < MOST_AHEAD_S:
+            self._ahead_s = min(2 * self._ahead_s, MOST_AHEAD_S)
+            more = f"; from now on {1e3 * self._ahead_s:.0f} ms wait to be played"
+        self._unwritten.clear()
+        self._notice("underrun", f"{dry.instrument}: {dry.cause}{more}", always=True)
+        self._player.mute()
+        self._begin()
+
+    def _bring_back(self, lost: InstrumentLostError) -> None:
+        """Wait for an interface that is gone, all sources ended. Raises InstrumentError: it does not come back."""
+        self._notice("lost", f"{lost.instrument}: {lost.cause}; it is waited for", always=True)
+        self._unwritten.clear()
+        gives_up_s, tries = time.monotonic() + self._gives_up_s, 0
+        while not self._ending.wait(min(back_off_s(tries), max(0.0, gives_up_s - time.monotonic()))):
+            tries += 1
+            try:
+                self._player.reconnect()
+            except (InstrumentLostError, TransientInstrumentError):
+                if time.monotonic() >= gives_up_s:
+                    raise lost from None
+                continue
+            self._apply_orders()
+            self._apply(EndLive())
+            self._notice("reconnected", f"{lost.instrument} is connected again", always=True)
+            self._begin()
+            return
+        raise lost
+
+    def _play_out(self) -> None:
+        """Let what is still in the conversion, the limiter and the player sound."""
+        silence = np.zeros((len(self._channels), self.engine.block_samples))
+        last = self._frames + self._output.delay_frames
+        try:
+            while self._frames < last:
+                frames = self._output.frames(silence)
+                self._player.add_piece(frames)
+                self._frames += frames.shape[1]
+            self._player.end_pieces()
+            self._player.wait(self._ahead_s + self._player.latency_s + ENDING_S)
+        except TransientInstrumentError:  # the last of a fade is lost
+            self._figures.underruns += 1
+
+    def _notice(self, code: NoticeCode, sentence: str, *, always: bool = False) -> None:
+        """Publish a notice, one of a kind in 2 s unless it is to be published always."""
+        now_s = time.monotonic()
+        if always or now_s - self._noticed_s.get(code, -NOTICES_EVERY_S) >= NOTICES_EVERY_S:
+            self._noticed_s[code] = now_s
+            self._publish(LiveNotice(code, sentence))
+
+
+@dataclass(slots=True)
+class _Figures:
+    """Since the last state: blocks, largest load, least gain of the limiter; in all: underruns, time limited."""
+
+    blocks: int = 0
+    load: float = 0.0
+    limited_db: float = 0.0
+    underruns: int = 0
+    limited_s: float = 0.0
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Other threads of Python give way soon, and what there is already is not searched for garbage meanwhile."""
+    interval_s = sys.getswitchinterval()
+    gc.collect()
+    gc.freeze()
+    sys.setswitchinterval(SWITCH_S)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(interval_s)
+        gc.unfreeze()

@@ -1,0 +1,417 @@
+"""A calibration of a rig: the request, its parts one by one, and the record of both."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from datetime import datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefocus.acquisition.calibrate_channels import (
+    REMEDIES,
+    ActuatorsTask,
+    OutputsTask,
+    Probe,
+    listening_places,
+    measure_actuators,
+    measure_inputs,
+    measure_outputs,
+)
+from wavefocus.acquisition.calibrate_mirror import (
+    VIBROMETER,
+    Jog,
+    JogView,
+    Judged,
+    NotMeasuredError,
+    Operator,
+    Place,
+    fitted_marks,
+    measure_mirror,
+    output,
+    read_fiducials,
+)
+from wavefocus.acquisition.setup import Setup, identities_of, names_of
+from wavefocus.calibration.mirror_map import LEAST_MARKS, MirrorMap
+from wavefocus.config.calibration import (
+    FORMAT,
+    FORMAT_VERSION,
+    PARTS,
+    ActuatorMeasured,
+    ActuatorsMeasured,
+    CalibrationRecord,
+    Fiducial,
+    InputsMeasured,
+    MirrorMeasured,
+    OutputMeasured,
+    OutputsMeasured,
+)
+from wavefocus.config.fields import Table
+from wavefocus.config.messages.operate import Role
+from wavefocus.config.messages.rig_checks import MapView
+from wavefocus.config.outline import default_marks_mm
+from wavefocus.config.rig import RigConfig
+from wavefocus.console import progress
+from wavefocus.rig.limits import safe_amplitude_v
+from wavefocus.storage.errors import InputError
+
+if TYPE_CHECKING:
+    from wavefocus.mocks.virtual.laboratory import PatchBay
+
+# The listening distance, as a share of the surface's width.
+DISTANCE_SHARE = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """Request for a calibration; None leaves the choice.
+
+    `fiducials` is a file of marks, `limit_mm` the largest residual of the mirror map, `summing_box` that all outputs
+    for actuators are in one box of gain `box_gain`, `amplitude_v` the peak played, `distance_mm` the distance from
+    each actuator at which it is recorded.
+    """
+
+    parts: tuple[str, ...] = PARTS
+    fiducials: Path | None = None
+    limit_mm: float = 1.0
+    summing_box: bool = False
+    box_gain: float | None = None
+    amplitude_v: float | None = None
+    distance_mm: float | None = None
+    sample_rate_hz: float = 10_000.0
+
+
+LEAST_V = 1e-6
+"""No converter puts out less."""
+
+
+def amplitude_v(rig: RigConfig, request: Request) -> float:
+    """Peak of what is played: asked for within the limits, or well below them.
+
+    Raises InputError: more than the rig may put out, or next to nothing.
+    """
+    largest_v = rig.player.largest_v
+    if request.amplitude_v is None:
+        return safe_amplitude_v(rig)
+    if 0 < request.amplitude_v < LEAST_V:
+        raise InputError(f"--amplitude-v {request.amplitude_v:g}: must be {LEAST_V:g} V or more")
+    if not 0 < request.amplitude_v <= largest_v:
+        raise InputError(
+            f"--amplitude-v {request.amplitude_v:g}: must be above 0 and at most {largest_v:g} (the rig's "
+            "player.limit_v, or the full scale of its weakest output)"
+        )
+    return request.amplitude_v
+
+
+def marks(rig: RigConfig, request: Request) -> tuple[tuple[Place, ...], tuple[Place, ...] | None]:
+    """Places of the marks in millimetres, and their angles in milliradians where they are given.
+
+    Raises InputError: A file that cannot be understood, or marks that no map can be fitted through.
+    """
+    angles: tuple[Place, ...] | None = None
+    if request.fiducials is None:
+        places = default_marks_mm(rig.surface.length_mm, rig.surface.width_mm)
+        if not rig.surface.outline.contains(places).all():
+            raise InputError("the usual marks do not fit on this polygon; name your own with --fiducials marks.csv")
+    else:
+        places, angles = read_fiducials(request.fiducials)
+    if "mirror" in request.parts:
+        # Refused now rather than after the last mark: the first guess replaces angles not measured yet.
+        if angles is None:
+            guessed = np.column_stack(MirrorMap(rig.mirror.matrix).angles_mrad(*np.array(places).T)).tolist()
+        else:
+            guessed = list(angles)
+        fitted_marks(places, guessed)
+        if len(places) == LEAST_MARKS:
+            raise InputError(
+                f"{request.fiducials}: {LEAST_MARKS} marks decide the map alone, so that nothing shows a mark that is "
+                f"wrong; at least {LEAST_MARKS + 1} are needed"
+            )
+    return places, angles
+
+
+def listening(rig: RigConfig, request: Request) -> tuple[float, NDArray[np.float64]]:
+    """How far from each actuator it is listened to, and where.
+
+    Raises InputError: A place off the surface.
+    """
+    distance_mm = request.distance_mm or DISTANCE_SHARE * rig.surface.width_mm
+    places = listening_places(rig.actuator_mm, distance_mm)
+    there = rig.surface.outline.contains(places)
+    if "actuators" in request.parts and not there.all():
+        raise InputError(f"--distance-mm {distance_mm:g}: leaves the surface at actuator {there.argmin()}")
+    return distance_mm, places
+
+
+# Latencies that scatter by more are reported: one record gives them a thousand times better.
+MOST_SPREAD_S = 1e-6
+
+
+class CalibrationSession:
+    """Carries out a calibration: `measured` are the parts measured, `problems` what is not good enough and what to do.
+
+    Raises InputError: a request that the rig cannot fulfil.
+    """
+
+    def __init__(self, rig: RigConfig, request: Request) -> None:
+        self._rig, self._request = rig, request
+        self._amplitude_v = amplitude_v(rig, request)
+        self._marks, self._angles = marks(rig, request)
+        self._distance_mm, self._places = listening(rig, request)
+        before = rig.calibration.measured
+        self._found: dict[str, Table] = {}
+        if before is not None:
+            kept = {name: getattr(before, name) for name in PARTS}
+            self._found = {name: part for name, part in kept.items() if part is not None}
+        self._names: dict[str, str] = {}
+        self.measured: list[str] = []
+        self.problems: list[str] = []
+
+    def carry_out(self, setup: Setup, operator: Operator, patch_bay: PatchBay | None = None) -> None:
+        """Measure every part asked for; one that cannot be measured does not keep the others from it.
+
+        Raises InputError: angles that no map can be fitted through, or an operator who is gone. Raises InstrumentError:
+        of the instrument that failed for good.
+        """
+        self._names = dict(zip(("mirror", "recorder", "player"), names_of(setup.instruments), strict=True))
+        self._identities = identities_of(setup.instruments)
+        work: dict[str, Callable[[Setup, Operator], Setup]] = {
+            "inputs": self._inputs,
+            "outputs": self._outputs,
+            "mirror": self._mirror,
+            "actuators": self._actuators,
+        }
+        cables = Cables(operator, patch_bay)
+        try:
+            for part in PARTS:
+                if part not in self._request.parts:
+                    continue
+                try:
+                    if part == "actuators" or (part == "mirror" and cables.source != VIBROMETER):
+                        self._need_vibrometer(setup, cables)
+                    setup = work[part](setup, cables)
+                except NotMeasuredError as failure:
+                    self.problems.append(f"{part}: {failure}")
+            if cables.source != VIBROMETER:
+                try:
+                    self._need_vibrometer(setup, cables)
+                except NotMeasuredError as failure:
+                    self.problems.append(str(failure))
+        finally:
+            if cables.source != VIBROMETER:
+                operator.report("the response input is not on the vibrometer: plug it back before anything is measured")
+
+    def record(self) -> CalibrationRecord:
+        """All that is known: what was measured now, and what the rig's calibration held of the rest."""
+        return CalibrationRecord.model_validate(
+            {
+                "format": FORMAT,
+                "format_version": FORMAT_VERSION,
+                "made": _now(),
+                "software": f"wavefocus {version('wavefocus')}",
+                "rig": self._rig.rig.name,
+                **self._found,
+            }
+        )
+
+    # -- the parts: each measures with the setup so far, and returns it with its results ---------
+
+    def _inputs(self, setup: Setup, operator: Operator) -> Setup:
+        found = measure_inputs(self._probe(setup), operator)
+        delay_s = _rounded(found.late_s)
+        operator.report(
+            f"inputs: the response is sampled {1e6 * delay_s:.3f} us after the reference, spread "
+            f"{1e9 * found.spread_s:.0f} ns; clocks {found.clock_ppm:+.1f} ppm apart"
+        )
+        self._take_up(
+            "inputs",
+            InputsMeasured(
+                **self._by("recorder"),
+                inter_channel_delay_s=delay_s,
+            ),
+        )
+        return replace(setup, inter_channel_delay_s=delay_s)
+
+    def _outputs(self, setup: Setup, operator: Operator) -> Setup:
+        player, request = self._rig.player, self._request
+        task = OutputsTask(
+            channels=player.channels,
+            loopback_channel=player.loopback_channel,
+            full_scale_v=player.output_full_scale_v,
+            reference_gain=setup.reference_gain,
+            inter_channel_delay_s=setup.inter_channel_delay_s,
+            summing_box=request.summing_box,
+            box_gain=request.box_gain,
+        )
+        # Cable by cable the person sees how far it is, and a bar would write over what is typed.
+        with progress("outputs", len(player.channels)) if request.summing_box else nullcontext(_silent) as report:
+            found = measure_outputs(task, self._probe(setup), operator, report)
+        given_up = sorted(set(player.channels) - {one.channel for one in found})
+        if given_up:
+            self.problems.append(f"outputs: {_listed(given_up)} no signal: check the cables, then --only outputs")
+        for one in found:
+            if one.spread_s > MOST_SPREAD_S:
+                self.problems.append(
+                    f"outputs: the latency of output {one.channel} scatters by {1e6 * one.spread_s:.1f} us: check "
+                    "the interface's clock and its buffer"
+                )
+            if one.polarity < 0:
+                self.problems.append(f"outputs: output {one.channel} is reversed: swap its two wires")
+        if not found:
+            raise NotMeasuredError("no signal from any output: is the response input plugged into the player?")
+        loudest = max((abs(one.latency_s) for one in found), default=0.0)
+        operator.report(f"outputs: {len(found)} measured, latencies within {1e6 * loudest:.2f} us of the loopback's")
+        self._take_up(
+            "outputs",
+            OutputsMeasured(
+                **self._by("player"),
+                loopback_channel=player.loopback_channel,
+                channel=tuple(
+                    OutputMeasured(
+                        channel=one.channel,
+                        latency_s=_rounded(one.latency_s),
+                        full_scale_v=None if one.full_scale_v is None else round(one.full_scale_v, 6),
+                        polarity=one.polarity,
+                    )
+                    for one in found
+                ),
+            ),
+        )
+        return setup
+
+    def _mirror(self, setup: Setup, operator: Operator) -> Setup:
+        if self._angles is None:
+            limits = self._rig.mirror.limit_mrad, operator, self._request.limit_mm
+            found = measure_mirror(setup, self._marks, *limits)
+        else:
+            found = fitted_marks(self._marks, self._angles)
+        operator.report(f"mirror: residual {found.fit.rms_mm:.3f} mm rms, worst {found.worst_mm:.3f} mm")
+        if found.worst_mm > self._request.limit_mm:
+            raise NotMeasuredError(
+                f"the map misses a mark by {found.worst_mm:.2f} mm, more than --limit-mm {self._request.limit_mm:g}: "
+                f"most likely mark {found.suspect() + 1} is wrong; check its place and jog the beam onto it again"
+            )
+        self._take_up(
+            "mirror",
+            MirrorMeasured(
+                **self._by("mirror"),
+                map=found.fit.mirror_map.matrix,
+                residual_rms_mm=round(found.fit.rms_mm, 6),
+                fiducial=tuple(
+                    Fiducial(place_mm=place, angles_mrad=angles, residual_mm=round(float(residual), 6))
+                    for place, angles, residual in zip(
+                        self._marks, found.angles_mrad.round(6).tolist(), found.fit.residual_mm, strict=True
+                    )
+                ),
+            ),
+        )
+        return replace(setup, mirror_map=MirrorMap(found.fit.mirror_map.matrix))
+
+    def _actuators(self, setup: Setup, operator: Operator) -> Setup:
+        channels = self._rig.player.channels
+        task = ActuatorsTask(self._places, self._amplitude_v, self._request.sample_rate_hz)
+        with progress("actuators", len(channels)) as report:
+            found = measure_actuators(task, setup, report)
+        for actuator, verdict in enumerate(found.verdict):
+            if verdict != "good":
+                self.problems.append(
+                    f"actuators: actuator {actuator} on output {channels[actuator]} is {verdict} "
+                    f"({found.level_db[actuator]:+.1f} dB): {REMEDIES[verdict]}"
+                )
+        good = sum(verdict == "good" for verdict in found.verdict)
+        operator.report(f"actuators: {good} of {len(channels)} good, measured at {self._distance_mm:g} mm from each")
+        self._take_up(
+            "actuators",
+            ActuatorsMeasured(
+                **self._by("player"),
+                distance_mm=self._distance_mm,
+                actuator=tuple(
+                    ActuatorMeasured(
+                        actuator=actuator,
+                        channel=channel,
+                        polarity=found.polarity[actuator],
+                        level_db=round(float(found.level_db[actuator]), 3),
+                        verdict=found.verdict[actuator],
+                    )
+                    for actuator, channel in enumerate(channels)
+                ),
+            ),
+        )
+        return setup
+
+    def _need_vibrometer(self, setup: Setup, cables: Cables) -> None:
+        """Have the vibrometer plugged in; an output that was plugged there must have no signal there any more."""
+        plugged = [one for one in self._rig.player.channels if output(one) == cables.source]
+        probe, channel = self._probe(setup), (plugged or self._rig.player.channels)[0]
+        while True:
+            cables.back_to_vibrometer()
+            if not probe.detects(channel):
+                return
+            problem = "the response input still carries an output of the player, not the vibrometer"
+            cables.source = ""
+            if not cables.again(problem):
+                raise NotMeasuredError(problem)
+
+    def _probe(self, setup: Setup) -> Probe:
+        return Probe(setup, self._request.sample_rate_hz, self._amplitude_v)
+
+    def _by(self, role: Role) -> dict[str, Any]:
+        """When and by which device a part was measured."""
+        return {"at": _now(), "device": self._names[role], "identity": self._identities[role]}
+
+    def _take_up(self, part: str, figures: Table) -> None:
+        self._found[part] = figures
+        self.measured.append(part)
+
+
+class Cables:
+    """An operator who remembers what is plugged into the response input; on a virtual rig it is plugged with that."""
+
+    def __init__(self, operator: Operator, patch_bay: PatchBay | None) -> None:
+        self._operator, self._patch_bay = operator, patch_bay
+        self.source = VIBROMETER
+
+    def report(self, line: str) -> None:
+        self._operator.report(line)
+
+    def connect(self, source: str) -> None:
+        self.source = ""  # neither the one nor the other until it is done
+        self._operator.connect(source)
+        if self._patch_bay is not None:
+            self._patch_bay.connect(source)
+        self.source = source
+
+    def back_to_vibrometer(self) -> None:
+        if self.source != VIBROMETER:
+            self.connect(VIBROMETER)
+
+    def jog(self, view: JogView) -> Jog:
+        return self._operator.jog(view)
+
+    def judge(self, view: MapView) -> Judged:
+        return self._operator.judge(view)
+
+    def again(self, problem: str) -> bool:
+        return self._operator.again(problem)
+
+
+def _silent(done: int, total: int, note: str = "") -> None:
+    """Progress that nobody needs to see."""
+
+
+def _now() -> datetime:
+    return datetime.now().astimezone().replace(microsecond=0)
+
+
+def _rounded(seconds: float) -> float:
+    """To the picosecond: digits beyond are noise."""
+    return round(seconds, 12)
+
+
+def _listed(numbers: list[int]) -> str:
+    return ("output " if len(numbers) == 1 else "outputs ") + ", ".join(str(one) for one in numbers)

@@ -1,0 +1,249 @@
+"""From a rig's configuration to its instruments: which driver opens each, and in what order."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from wavefocus.acquisition.conditions import Sensor
+from wavefocus.config.rig import RigConfig
+from wavefocus.config.rig_instruments import VibrometerSection
+from wavefocus.config.run import Virtual
+from wavefocus.console import say
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
+from wavefocus.drivers.protocols import Clock, Instruments, Mirror, Player, Recorder, WallClock
+from wavefocus.drivers.registry import Outputs, PlayerDriver, RecorderDriver, VibrometerDriver, VibrometerReading
+from wavefocus.drivers.timeouts import REMEDY, BoundedPlayer, CallThread, HungError
+from wavefocus.storage.errors import InputError
+
+if TYPE_CHECKING:
+    from wavefocus.mocks.virtual.laboratory import PatchBay
+
+
+Opened = TypeVar("Opened")
+
+# A decoder's range is a round number; what differs by more is another range.
+SAME_SENSITIVITY = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Vibrometer:
+    """Sensitivity, name and latency of the vibrometer; `signal_level` 0 to 1, None where it is not reported."""
+
+    sensitivity_m_s_per_v: float
+    identity: str
+    latency_s: float
+    signal_level: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Openers:
+    """Functions that open each instrument of a rig, independent of the others, or raise InstrumentError.
+
+    `patch_bay` is where the virtual rig's cables are plugged, `virtual_sensors` are those of its room.
+    """
+
+    clock: Clock
+    mirror: Callable[[], Mirror]
+    recorder: Callable[[], Recorder]
+    player: Callable[[], Player]
+    vibrometer: Callable[[], Vibrometer]
+    patch_bay: PatchBay | None = None
+    virtual_sensors: Mapping[str, Sensor] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class OpenedRig:
+    """The instruments of a rig, all open, and the vibrometer's figures; the rest as of `Openers`."""
+
+    instruments: Instruments
+    sensitivity_m_s_per_v: float
+    vibrometer_latency_s: float
+    patch_bay: PatchBay | None
+    virtual_sensors: Mapping[str, Sensor] = field(default_factory=dict)
+
+
+def openers(rig: RigConfig, virtual: Virtual | None = None, *, realtime: bool = False, outputs: int = 0) -> Openers:
+    """Find the driver of each instrument; nothing is opened yet.
+
+    realtime: A virtual rig's seconds last as long as the wall's; by default they take no time.
+    outputs: Outputs of the player to open, where more are needed than the rig file wires.
+    """
+    if rig.is_virtual:
+        from wavefocus.rig.virtual_bench import virtual_rig  # a real rig needs none of what stands in for one
+
+        bench = virtual_rig(rig, virtual, realtime=realtime, outputs=outputs)
+        roles = bench.instruments
+        return Openers(
+            roles.clock,
+            lambda: roles.mirror,
+            lambda: roles.recorder,
+            lambda: roles.player,
+            lambda: _vibrometer(rig),
+            bench.patch_bay,
+            bench.sensors,
+        )
+    clock = WallClock()
+    return Openers(
+        clock,
+        lambda: _mirror(rig, clock),
+        lambda: _recorder(rig),
+        lambda: _player(rig, outputs),
+        lambda: _vibrometer(rig),
+    )
+
+
+def in_time(ways: Openers, limit_s: float) -> Openers:
+    """The same ways, each with an end: an instrument whose driver hangs while it is opened is reported as lost."""
+
+    def bounded(role: str, opens: Callable[[], Opened]) -> Callable[[], Opened]:
+        def call() -> Opened:
+            calls = CallThread(f"opening {role}")
+            try:
+                return calls.call(opens, limit_s)
+            except HungError:
+                cause = f"the call did not come back within {limit_s:.3g} s"
+                raise InstrumentLostError(role, "opening", cause, REMEDY) from None
+            finally:
+                calls.abandon()
+
+        return call
+
+    return replace(
+        ways,
+        mirror=bounded("mirror", ways.mirror),
+        recorder=bounded("recorder", ways.recorder),
+        player=bounded("player", ways.player),
+        vibrometer=bounded("vibrometer", ways.vibrometer),
+    )
+
+
+def open_rig(ways: Openers) -> OpenedRig:
+    """Open every instrument, one after the other; when one fails, those before it are put to rest.
+
+    Raises InstrumentError: an instrument cannot be opened. Raises InputError: the process's address space is limited to
+    less than measuring needs.
+    """
+    require_address_space()
+    with ExitStack() as opened:
+        vibrometer = ways.vibrometer()
+        mirror = ways.mirror()
+        opened.callback(mirror.close)
+        opened.callback(mirror.park)
+        recorder = ways.recorder()
+        opened.callback(recorder.close)
+        player = ways.player()
+        opened.pop_all()  # from here on the caller who opened the rig puts them to rest
+    instruments = Instruments(mirror, recorder, player, ways.clock)
+    return OpenedRig(
+        instruments, vibrometer.sensitivity_m_s_per_v, vibrometer.latency_s, ways.patch_bay, ways.virtual_sensors
+    )
+
+
+def _mirror(rig: RigConfig, clock: Clock) -> Mirror:
+    from wavefocus.drivers.mirror.serial_mirror import SerialMirror
+
+    mirror = rig.mirror
+    return SerialMirror(
+        mirror.make_driver(),
+        mirror.port or "",
+        baud=mirror.baud,
+        identity=mirror.identity,
+        settle_s=mirror.settle_s,
+        limit_mrad=mirror.limit_mrad,
+        park_mrad=mirror.park_mrad,
+        clock=clock,
+    )
+
+
+def _recorder(rig: RigConfig) -> Recorder:
+    driver: RecorderDriver = rig.recorder.make_driver()
+    return driver.open()
+
+
+def _player(rig: RigConfig, outputs: int) -> Player:
+    driver: PlayerDriver = rig.player.make_driver()
+    wired_v = rig.player.output_full_scale_v
+    further_v = (rig.player.full_scale_v,) * (outputs - len(wired_v))
+    return driver.open(Outputs(wired_v + further_v, rig.player.interface_rate_hz))
+
+
+def read_vibrometer(section: VibrometerSection, *, any_level: bool = False) -> VibrometerReading:
+    """Ask a vibrometer's controller for its settings; a signal too weak is an error unless any level will do."""
+    driver: VibrometerDriver = section.make_driver()
+    return driver.read(section.port or "", baud=section.baud, identity=section.identity, any_level=any_level)
+
+
+def _vibrometer(rig: RigConfig) -> Vibrometer:
+    """Sensitivity and name of the vibrometer, the two sensitivities held against each other where there are two."""
+    vibrometer = rig.vibrometer
+    configured = vibrometer.sensitivity_m_s_per_v
+    if vibrometer.port is None:
+        return Vibrometer(configured or 0.0, "vibrometer, its sensitivity typed in", vibrometer.latency_s or 0.0, None)
+    reading = read_vibrometer(vibrometer)
+    read = reading.sensitivity_m_s_per_v
+    if configured is not None and abs(read / configured - 1) > SAME_SENSITIVITY:
+        raise InstrumentError(
+            f"vibrometer ({vibrometer.driver} at {vibrometer.port})",
+            "reading its sensitivity",
+            f"it is set to {reading.range_text}, the rig file says {configured:g} m/s per V",
+            "set the range that the campaign needs, or correct vibrometer.sensitivity_m_s_per_v",
+        )
+    latency_s = reading.latency_s if vibrometer.latency_s is None else vibrometer.latency_s
+    return Vibrometer(read, f"{reading.identity}, {reading.range_text}", latency_s or 0.0, reading.signal_level)
+
+
+# Work buffers of linear algebra, stacks of threads, one position's records: measured 180 MiB for 20 actuators. With
+# less, OpenBLAS waits for memory for ever, in a call that nothing can interrupt.
+LEAST_BYTES = 256 << 20
+
+
+def spare_address_space() -> int | None:
+    """Bytes of address space that are left; None where there is no limit, or none that is known."""
+    if sys.platform != "linux":
+        return None
+    import resource
+
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit == resource.RLIM_INFINITY:
+        return None
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    return limit - pages * resource.getpagesize()
+
+
+def require_address_space() -> None:
+    """Refuse to open instruments where there may not be enough to put them to rest again.
+
+    Raises InputError: less than `LEAST_BYTES` are left.
+    """
+    spare = spare_address_space()
+    if spare is not None and spare < LEAST_BYTES:
+        raise InputError(
+            f"{max(spare, 0) >> 20} MiB of address space are left to this process, and measuring needs "
+            f"{LEAST_BYTES >> 20}: raise its limit (ulimit -v, or the batch queue's memory); no instrument was opened"
+        )
+
+
+@contextmanager
+def open_player(rig: RigConfig, *, realtime: bool = False) -> Iterator[tuple[BoundedPlayer, Clock]]:
+    """Open the interface alone, `realtime` as of `openers`; whatever happens, its outputs are muted and released."""
+    ways = openers(rig, realtime=realtime)
+    player = BoundedPlayer(ways.player(), rig.recovery.hung_after_s)
+    try:
+        yield player, ways.clock
+    except BaseException:
+        # The first failure is the one to act on; what else fails on the way out is reported and does not hide it.
+        for step in (player.mute, player.close):
+            try:
+                step()
+            except Exception as failure:
+                say(f"on the way out: {failure}")
+        raise
+    try:
+        player.mute()
+    finally:
+        player.close()

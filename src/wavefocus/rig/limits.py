@@ -1,0 +1,131 @@
+"""What a rig's actuators may get: levels to try it with, limits of a scene, refusal of drives beyond them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from wavefocus.config.scene import Output
+from wavefocus.rendering.drive.coil_limits import DriveLimits, Limiting, largest_rms
+from wavefocus.rendering.drive.wav import Interface
+from wavefocus.rendering.scene.model import Scene
+from wavefocus.storage.bank.reading import Bank
+from wavefocus.storage.drive_file import Drive
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.units import PLAYED_UNITS
+
+if TYPE_CHECKING:
+    from wavefocus.config.rig import RigConfig
+    from wavefocus.config.rig_instruments import PlayerSection
+
+MOST_AMPLITUDE_V = 1.0
+# An output that puts out four times what the rig believes is still within the limit.
+SAFE_SHARE = 0.25
+
+
+def safe_amplitude_v(rig: RigConfig) -> float:
+    """A peak voltage well below the rig's limits, of volts and of rms, and below the ends of the recorder's ranges."""
+    recorder = rig.recorder
+    half_range_v = min(recorder.reference_range_v / recorder.reference_gain, recorder.response_range_v) / 2
+    return min(MOST_AMPLITUDE_V, SAFE_SHARE * largest_sine_v(rig.player), half_range_v)
+
+
+def largest_sine_v(player: PlayerSection) -> float:
+    """Largest peak of a sine or a sweep that any actuator may get for as long as one likes."""
+    rms_v = player.largest_rms_v
+    return player.largest_v if rms_v is None else min(player.largest_v, 2**0.5 * rms_v)
+
+
+def limits_of(player: PlayerSection) -> DriveLimits:
+    """The limits of a rig's actuators."""
+    rms = player.rms_limit
+    return DriveLimits(
+        peak_v=player.largest_v,
+        rms_v=None if rms is None else rms[1],
+        peak_key="player.limit_v" if player.limit_v == player.largest_v else "player.channel_full_scale_v",
+        rms_key="limit_rms_v" if rms is None else rms[0],
+    )
+
+
+def stricter(output: Output, player: PlayerSection) -> DriveLimits:
+    """The limits of a scene and of a rig together."""
+    rig = limits_of(player)
+    peak = min(_known(output.limit_v, "limit_v"), _known(rig.peak_v, rig.peak_key))
+    rms = min(_known(output.limit_rms_v, "limit_rms_v"), _known(rig.rms_v, rig.rms_key))
+    return DriveLimits(
+        None if math.isinf(peak[0]) else peak[0], None if math.isinf(rms[0]) else rms[0], peak[1], rms[1]
+    )
+
+
+def check_drive(
+    drive: Drive, player: PlayerSection, source: str, remedy: str, *, repeated: bool = False, gain_db: float = 0.0
+) -> None:
+    """Refuse a drive that the rig's actuators may not get; only a person may say that it is to be scaled.
+
+    Raises InputError: the drive is not in volts, or an actuator would get more than it may.
+    """
+    if drive.drive_unit not in PLAYED_UNITS:
+        raise InputError(
+            f"{source} is in {drive.drive_unit}, and the player plays volts; render it from a bank in volts"
+        )
+    limits = limits_of(player)
+    reached = [("", limits.peak_v, limits.peak_key, np.abs(drive.drive_v).max(axis=1, initial=0.0))]
+    if limits.rms_v is not None:
+        rms_v = largest_rms(drive.drive_v, drive.sample_rate_hz, repeated=repeated)
+        reached.append((" rms", limits.rms_v, limits.rms_key, rms_v))
+    for kind, limit_v, key, each_v in reached:
+        actuator = int(np.argmax(each_v))
+        most_v = float(each_v[actuator])
+        if limit_v is not None and most_v > limit_v * (1 + 1e-9):
+            enough_db = math.floor(100 * (gain_db + 20 * math.log10(limit_v / most_v))) / 100
+            raise InputError(
+                f"{source}: the drive of actuator {actuator} reaches {most_v:.4g} V{kind}; the rig's actuators may get"
+                f" {limit_v:.4g} V{kind} ({key}): {remedy.format(gain_db=f'{enough_db:.2f}')}"
+            )
+
+
+def _known(limit_v: float | None, key: str) -> tuple[float, str]:
+    return (math.inf if limit_v is None else limit_v, key)
+
+
+# A bank made by other means holds no interface; then the WAV is in volts at the common rate.
+DEFAULT_INTERFACE_RATE_HZ = 48_000
+DEFAULT_FULL_SCALE_V = 1.0
+
+
+def rig_of(rig_file: Path | None, bank: Bank) -> RigConfig | None:
+    """The rig that was named, else the bank's own; None where neither is known."""
+    from wavefocus.campaign.blueprint import bank_configuration
+    from wavefocus.configuration import named_rig
+
+    if rig_file is None:
+        return None if bank.rig_json is None or bank.run_json is None else bank_configuration(bank).rig
+    rig = named_rig(rig_file)
+    if len(rig.player.channels) != bank.actuators:
+        raise InputError(f"{rig_file} has {len(rig.player.channels)} actuators, {bank.path} {bank.actuators}")
+    return rig
+
+
+def within(scene: Scene, rig: RigConfig) -> Scene:
+    """The scene with the limits of the rig where they are stricter than its own."""
+    limits = stricter(scene.output, rig.player)
+    return replace(
+        scene, output=scene.output.model_copy(update={"limit_v": limits.peak_v, "limit_rms_v": limits.rms_v})
+    )
+
+
+def limited_words(limiting: Limiting, rig_file: Path | None) -> str:
+    """What the limits did, and whose they are."""
+    where = "" if rig_file is None else f" (the scene's or {rig_file}'s, whichever is stricter)"
+    return f"{limiting}{where}"
+
+
+def interface_of(rig: RigConfig) -> Interface:
+    """The outputs that a rig's actuators hang on."""
+    player = rig.player
+    each_v = [player.output_full_scale_v[channel] for channel in player.channels]
+    return Interface(player.interface_rate_hz, np.array(each_v))

@@ -1,0 +1,234 @@
+"""Messages to people who are away: finished, failed, suspended, drift; through apprise."""
+
+from __future__ import annotations
+
+import logging
+import os
+import queue
+import re
+import socket
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from types import TracebackType
+
+from wavefocus.acquisition.wording import hours
+from wavefocus.campaign.supervision import resume_line
+from wavefocus.config.messages.campaign import (
+    Drift,
+    Event,
+    Fault,
+    SessionEnded,
+    State,
+    StateChanged,
+)
+from wavefocus.config.messages.rig_checks import Act, Finding
+from wavefocus.config.rig import MessagesSection, RigConfig
+from wavefocus.console import say
+from wavefocus.storage.errors import InputError
+
+ADDRESSES_VARIABLE = "WAVEFOCUS_MESSAGES"
+"""Addresses, with blanks between, for sessions that go on from a bank alone: the bank does not hold them."""
+CLOSE_S = 20.0
+"""At the end of a session so long is waited for messages under way."""
+WAITING = frozenset({State.SUSPENDED, State.RECOVERING})
+
+
+class AppriseOutbox:
+    """Addresses as apprise has them: ``mailto://...``, ``tgram://...``, ``json://...`` and some hundred more.
+
+    Raises InputError: apprise is not installed, or not an address, which is named by number and kind.
+    """
+
+    def __init__(self, urls: Sequence[str]) -> None:
+        try:
+            import apprise
+        except ImportError:
+            raise InputError("messages.urls: sending needs the package apprise: pip install apprise") from None
+        # What it logs may hold an address.
+        log = logging.getLogger("apprise")
+        log.addHandler(logging.NullHandler())
+        log.propagate = False
+        self._each: list[tuple[str, apprise.Apprise]] = []
+        for number, url in enumerate(urls):
+            one = apprise.Apprise()
+            scheme = re.match(r"[A-Za-z][A-Za-z0-9+.-]{0,19}(?=://)", url)
+            kind = "?" if scheme is None else scheme[0]
+            if not one.add(url):
+                raise InputError(
+                    f"messages.urls[{number}]: apprise does not support this kind of address ({kind}), or it lacks "
+                    "a part; its documentation lists what each needs"
+                )
+            self._each.append((kind, one))
+
+    def __len__(self) -> int:
+        return len(self._each)
+
+    def send(self, title: str, text: str) -> list[str]:
+        """Send a message to all addresses; the kinds of those that did not take it."""
+        refused = []
+        for kind, one in self._each:
+            try:
+                taken = bool(one.notify(title=title, body=text))
+            except Exception:  # whatever a sender raises must not end a campaign; its words may hold the address
+                taken = False
+            if not taken:
+                refused.append(kind)
+        return refused
+
+
+def addresses(section: MessagesSection) -> tuple[str, ...]:
+    """The addresses of a rig file, and those of the environment."""
+    return (*section.urls, *os.environ.get(ADDRESSES_VARIABLE, "").split())
+
+
+class Messenger:
+    """Sends messages about a session's events; a subscriber, and a context that ends with the session.
+
+    Sending goes on in a thread of its own: an address that does not answer never holds up a campaign.
+    """
+
+    def __init__(self, bank: Path, section: MessagesSection, outbox: AppriseOutbox | None, go_on: str = "") -> None:
+        self._bank, self._section, self._outbox = bank, section, outbox
+        self._go_on = go_on or resume_line(Path(bank.name), None)
+        self._events: queue.SimpleQueue[Event | None] = queue.SimpleQueue()
+        self._since_s: float | None = None
+        self._state: StateChanged | None = None
+        self._last_fault: Fault | None = None
+        self._waiting_sent = False
+        self._drift_sent = ""
+        self._undelivered = 0
+        self._thread = threading.Thread(target=self._work, name="messages", daemon=True)
+
+    def __enter__(self) -> Messenger:
+        if self._outbox is not None:
+            self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._outbox is None:
+            return
+        self._events.put(None)
+        self._thread.join(CLOSE_S)
+        if self._thread.is_alive():
+            say(f"messages: the last one was not taken within {CLOSE_S:g} s and is given up")
+        if self._undelivered:
+            say(f"messages: {self._undelivered} were not taken by their address")
+
+    def __call__(self, event: Event) -> None:
+        """Take an event; returns at once."""
+        if self._outbox is not None:
+            self._events.put(event)
+
+    def _work(self) -> None:
+        while True:
+            try:
+                event = self._events.get(timeout=self._patience_s())
+            except queue.Empty:
+                self._send_waiting()
+                continue
+            if event is None:
+                return
+            self._take(event)
+
+    def _patience_s(self) -> float | None:
+        if self._since_s is None or self._waiting_sent:
+            return None
+        return max(0.0, self._since_s + 60 * self._section.suspended_after_min - time.monotonic())
+
+    def _take(self, event: Event) -> None:
+        if isinstance(event, StateChanged):
+            waits = event.state in WAITING
+            if waits and self._since_s is None:
+                self._since_s = time.monotonic()
+            elif not waits:
+                if self._waiting_sent and event.state is State.RUNNING:
+                    self._send("suspended", "goes on", event.reason)
+                self._since_s, self._waiting_sent = None, False
+            self._state = event
+        elif isinstance(event, Fault):
+            self._last_fault = event
+        elif isinstance(event, Drift):
+            self._take_drift(event)
+        elif isinstance(event, SessionEnded):
+            self._take_end(event)
+
+    def _take_drift(self, drift: Drift) -> None:
+        if drift.verdict not in (self._drift_sent, "steady"):
+            figures = (
+                f"level {drift.level_db:+.2f} dB, delay {drift.delay_samples:+.2f} samples, "
+                f"correlation {drift.correlation:.3f} ({drift.verdict})"
+            )
+            self._send("drift", "drift", f"sentinel position {drift.position}: {figures}: {drift.cause}")
+        self._drift_sent = drift.verdict
+
+    def _take_end(self, ended: SessionEnded) -> None:
+        counts = ", ".join(f"{count} {word}" for word, count in ended.counts.items() if count)
+        reason = "" if self._state is None else self._state.reason
+        text = f"{ended.done} of {ended.total} positions are in the bank ({counts}) after {hours(ended.time_s)}."
+        if ended.state is not State.FINISHED:
+            text = f"{reason}. {text} Go on with: {self._go_on}"
+        if ended.state is State.FAILED and self._last_fault is not None:
+            text += f" What to do: {self._last_fault.remedy}"
+        self._send(str(ended.state), str(ended.state), text)
+
+    def _send_waiting(self) -> None:
+        self._waiting_sent = True
+        if self._state is not None and self._since_s is not None:
+            waited = hours(time.monotonic() - self._since_s)
+            self._send("suspended", str(self._state.state), f"for {waited}: {self._state.reason}")
+
+    def _send(self, about: str, title: str, text: str) -> None:
+        if about not in self._section.about or self._outbox is None:
+            return
+        refused = self._outbox.send(f"{self._bank.name}: {title}", f"{text}\n{socket.gethostname()}")
+        self._undelivered += len(refused)
+        if refused:
+            say(f"messages: not taken by {len(refused)} of the addresses ({', '.join(refused)})")
+
+
+def messenger_for(bank: Path, section: MessagesSection, go_on: str = "") -> Messenger:
+    """The messenger of a session, from the rig's addresses and those of the environment; `go_on` as of `Messenger`.
+
+    Raises InputError: an address is unknown, or apprise is missing.
+    """
+    urls = addresses(section)
+    return Messenger(bank, section, AppriseOutbox(urls) if urls else None, go_on)
+
+
+REMEDY = "correct the address, or look whether its server can be reached from here"
+EDIT = Act("edit-rig", "messages.urls")
+
+
+def message_findings(rig: RigConfig, name: str, *, send: bool) -> Iterator[Finding]:
+    """Look at the addresses of a rig file, and send a message to each if asked to; addresses are never shown."""
+    urls = addresses(rig.messages)
+    if not urls:
+        if send:
+            yield Finding(
+                "messages", "addresses", "fail", "there are none", "write messages.urls into the rig file", EDIT
+            )
+        return
+    if not send:
+        try:
+            AppriseOutbox(urls)
+        except InputError as wrong:
+            yield Finding("messages", "addresses", "fail", str(wrong), "correct it", EDIT)
+            return
+        what = f"{len(urls)} given, none tried"
+        yield Finding("messages", "addresses", "ok", what, "--test-message sends one to each", Act("test-message"))
+        return
+    for number, url in enumerate(urls):
+        kind = url.partition("://")[0][:20]
+        try:
+            refused = AppriseOutbox([url]).send(f"{name}: test", "A test message of wavefocus doctor.")
+        except InputError as wrong:
+            yield Finding("messages", f"address {number}", "fail", str(wrong).partition(": ")[2], "correct it", EDIT)
+            continue
+        if refused:
+            yield Finding("messages", f"address {number}", "fail", f"{kind}: took no message", REMEDY, EDIT)
+        else:
+            yield Finding("messages", f"address {number}", "ok", f"{kind}: took a message")

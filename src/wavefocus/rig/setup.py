@@ -1,0 +1,186 @@
+"""From configuration to instruments that are open, watched, bounded in time, and put to rest at the end."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Protocol
+
+from wavefocus.acquisition.conditions import Band, Sensor, Watch
+from wavefocus.acquisition.setup import Setup, identities_of
+from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.config.calibration import calibrated
+from wavefocus.config.rig import BandSection, RigConfig, RoomSection
+from wavefocus.config.rig_instruments import VibrometerSection
+from wavefocus.config.run import RunConfig
+from wavefocus.console import say
+from wavefocus.drivers.errors import InstrumentError
+from wavefocus.drivers.protocols import OffersRanges
+from wavefocus.drivers.timeouts import RECONNECTING, CallThread, HungError, bounded
+from wavefocus.rig.calibration_validity import calibration_warnings
+from wavefocus.rig.instruments import OpenedRig, in_time, open_rig, openers, read_vibrometer
+
+
+@contextmanager
+def open_setup(rig: RigConfig, run: RunConfig | None, *, realtime: bool = False, outputs: int = 0) -> Iterator[Setup]:
+    """Open the instruments of a rig; on the way out they are muted, parked and released.
+
+    run: Says what a virtual rig is like; None for a flawless one.
+    realtime, outputs: As of `wavefocus.rig.instruments.openers`.
+
+    Raises InstrumentError: an instrument cannot be opened, or could not be put to rest.
+    """
+    virtual = None if run is None else run.virtual
+    ways = openers(rig, virtual, realtime=realtime, outputs=outputs)
+    ways = in_time(ways, RECONNECTING * rig.recovery.hung_after_s)
+    setup = setup_of(rig, open_rig(ways))
+    with put_to_rest(setup):
+        if rig.calibration.measured is not None:
+            say(f"{rig.calibration.file}: {calibrated(rig.calibration.measured)}, in place of the rig file's")
+            for warning in calibration_warnings(rig, identities_of(setup.instruments)):
+                say(f"warning: {warning}")
+        yield setup
+
+
+def setup_of(rig: RigConfig, opened: OpenedRig) -> Setup:
+    """Open instruments with the wiring and the calibration of their rig."""
+    return Setup(
+        instruments=bounded(opened.instruments, rig.recovery.hung_after_s),
+        mirror_map=MirrorMap(rig.mirror.matrix),
+        actuator_channels=rig.player.channels,
+        loopback_channel=rig.player.loopback_channel,
+        range_v=(rig.recorder.reference_range_v, rig.recorder.response_range_v),
+        response_per_volt=opened.sensitivity_m_s_per_v,
+        reference_gain=rig.recorder.reference_gain,
+        inter_channel_delay_s=rig.recorder.inter_channel_delay_s,
+        vibrometer_latency_s=opened.vibrometer_latency_s,
+        pre_roll_s=rig.recorder.pre_roll_s,
+        post_roll_s=rig.recorder.post_roll_s,
+        recovery_s=rig.recovery.give_up_after_s,
+        watch=watch_of(rig, opened),
+        response_ranges_v=_response_ranges_v(rig, opened),
+    )
+
+
+def _response_ranges_v(rig: RigConfig, opened: OpenedRig) -> tuple[float, ...]:
+    """Ranges that the response may step up to: the rig file's, or all that the recorder says it has."""
+    recorder = opened.instruments.recorder
+    if rig.recorder.response_ranges_v is not None:
+        return rig.recorder.response_ranges_v
+    return recorder.input_ranges_v if isinstance(recorder, OffersRanges) else ()
+
+
+@contextmanager
+def put_to_rest(setup: Setup) -> Iterator[None]:
+    """Mute, park and release the instruments on the way out, whatever happens before.
+
+    Raises InstrumentError: one of them could not be put to rest, and nothing else had failed.
+    """
+    try:
+        yield
+    except BaseException:
+        # The first failure is the one to act on; what else fails on the way out is reported and does not hide it.
+        try:
+            setup.close()
+        except* Exception as group:
+            for one in group.exceptions:
+                say(f"on the way out: {one}")
+        raise
+    try:
+        setup.close()
+    except* InstrumentError as group:
+        causes = "; ".join(str(one) for one in group.exceptions)
+        raise InstrumentError("rig", "putting the instruments to rest", causes, "check them by hand") from group
+
+
+class ReadsInput(Protocol):
+    """A recorder whose other inputs can be read between two records."""
+
+    def read_input_v(self, name: str) -> float:
+        """Volts at an input, the mean of a moment. Raises InstrumentError."""
+        ...
+
+
+class RoomSensor:
+    """Room temperature from a transmitter at an input of the recorder's box."""
+
+    def __init__(self, recorder: ReadsInput, section: RoomSection) -> None:
+        self._recorder = recorder
+        self._section = section
+
+    def read(self) -> float:
+        """Degrees Celsius."""
+        volts = self._recorder.read_input_v(self._section.input)
+        return self._section.celsius_at_0_v + self._section.celsius_per_v * volts
+
+
+class LightSensor:
+    """The signal level of a Polytec controller, 0 to 1."""
+
+    def __init__(self, section: VibrometerSection) -> None:
+        self._section = section
+
+    def read(self) -> float:
+        """Share of full signal level."""
+        reading = read_vibrometer(self._section, any_level=True)
+        if reading.signal_level is None:
+            raise InstrumentError(
+                reading.identity, "asking the signal level", "it has none", "leave watch.light out of the rig file"
+            )
+        return reading.signal_level
+
+
+class BoundedSensor:
+    """A sensor that answers in time or counts as one that does not answer."""
+
+    def __init__(self, name: str, sensor: Sensor, limit_s: float) -> None:
+        self._name = name
+        self._sensor = sensor
+        self._limit_s = limit_s
+        self._calls = CallThread(f"sensor {name}")
+
+    def read(self) -> float:
+        """The value now."""
+        try:
+            return self._calls.call(self._sensor.read, self._limit_s)
+        except HungError:
+            cause = f"the call did not come back within {self._limit_s:.3g} s"
+            raise InstrumentError(f"sensor {self._name}", "reading", cause, "look after its cable and power") from None
+
+
+def band_of(section: BandSection, words: str, unit: str) -> Band:
+    """The band that the engine watches; a limit that is left out is infinite."""
+    return Band(
+        words,
+        unit,
+        leaves_below=-math.inf if section.leaves_below is None else section.leaves_below,
+        leaves_above=math.inf if section.leaves_above is None else section.leaves_above,
+        returns_above=-math.inf if section.returns_above is None else section.returns_above,
+        returns_below=math.inf if section.returns_below is None else section.returns_below,
+        settle_s=section.settle_s,
+    )
+
+
+def watch_of(rig: RigConfig, opened: OpenedRig) -> Watch:
+    """What a rig's configuration says is to be watched, with the sensors for it."""
+    section = rig.watch
+    bands: dict[str, Band] = {}
+    sensors: dict[str, Sensor] = {}
+    for name, of_name, words, unit in (
+        ("reference", section.reference, "reference level", "dB"),
+        ("noise", section.noise, "vibrometer noise", "V"),
+        ("light", section.light, "vibrometer signal level", "of full"),
+        ("room", section.room, "room temperature", "degrees C"),
+    ):
+        if of_name is not None:
+            bands[name] = band_of(of_name, words, unit)
+    for name in bands.keys() & {"light", "room"}:
+        if rig.is_virtual:
+            sensors[name] = opened.virtual_sensors[name]
+        elif name == "light":
+            sensors[name] = LightSensor(rig.vibrometer)
+        elif section.room is not None:
+            sensors[name] = RoomSensor(opened.instruments.recorder, section.room)  # type: ignore[arg-type]
+    bounded = {name: BoundedSensor(name, one, rig.recovery.hung_after_s) for name, one in sensors.items()}
+    return Watch(bands, bounded, section.probe_every_s, section.give_up_after_s)
