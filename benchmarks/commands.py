@@ -75,7 +75,6 @@ def _tolerances(command: tuple[object, ...], file: Path, repeats: int) -> list[P
             work="wavefocus render, the whole command", method="exact" if db is None else "to a tolerance",
             parameters={} if db is None else {"tolerance_db": float(db)}, timing=timing,
             error=None if db is None else relative_error(written[db], written[None]),
-            paste=f"# no key of a file: wavefocus render{'' if db is None else f' --tolerance-db {db}'}",
         )
         for db, timing in _measured(arguments, repeats).items()
     ]  # fmt: skip

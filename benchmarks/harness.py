@@ -83,8 +83,6 @@ class Point:
         Targets of figures.
     remark : str
         Note for the reader.
-    paste : str
-        TOML lines, under a comment that names their file, that choose this setting; for ``bench choose``.
     """
 
     work: str
@@ -96,7 +94,6 @@ class Point:
     figures: Mapping[str, Plain] = field(default_factory=dict)
     marks: tuple[Mark, ...] = ()
     remark: str = ""
-    paste: str = ""
 
     @property
     def row(self) -> dict[str, Plain]:
@@ -148,7 +145,7 @@ class Findings:
 
     def write(self, out: Path, name: str, made: Mapping[str, Any]) -> Path:
         """Write ``NAME.json`` and ``NAME.csv`` into a folder; `made` holds the conditions. Returns the former."""
-        points = [{"work": one.work, **one.row, "remark": one.remark, "paste": one.paste} for one in self.points]
+        points = [{"work": one.work, **one.row, "remark": one.remark} for one in self.points]
         marks = [
             {"work": one.work, "method": one.method, **asdict(mark), "met": one.judged(mark)}
             for one in self.points

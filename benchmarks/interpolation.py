@@ -10,14 +10,14 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.acquisition.grid import surface_grid
 from wavefocus.benchmarks.harness import Findings, Mark, Point, measure
-from wavefocus.benchmarks.rig_bank import BAND_HZ, MARGIN_MM, RATE_HZ, TAPS, default_grid, true_bank
+from wavefocus.benchmarks.rig_bank import MARGIN_MM, RATE_HZ, TAPS, default_grid, true_bank
 from wavefocus.config.interpolations import INTERPOLATIONS
 from wavefocus.config.outline import Outline
 from wavefocus.config.scene import Output
@@ -26,7 +26,6 @@ from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.greens.interpolation.base import Interpolation, Nodes, OffGridError, interpolation_method
 from wavefocus.rendering.greens.interpolation.error_estimates import left_out_errors
 from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
-from wavefocus.rendering.greens.interpolation.needed_grid import needed_grid
 from wavefocus.rendering.greens.interpolation.on_grid import LatticeInterpolation
 from wavefocus.rendering.greens.source import GreenArray, GreenSource
 from wavefocus.rendering.scene.model import Scene, Source
@@ -42,15 +41,13 @@ MARKS = {(None, 250.0): 0.005, (None, 450.0): 0.07, (-60.0, 250.0): 0.01, (-60.0
 POINTS = 300
 QUICK_MM = 36.0
 """A quick run keeps to a square of so many millimetres each way."""
-AREA_MM2 = 24_000.0
-ERRORS = (0.01, 0.05)
 SPACINGS_MM = (3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 HOURS_A_POSITION = 31.0 / 1500
 """Of sequential capture, three sweeps of 1 s by 20 actuators."""
 
 
 def run(out: Path | None = None, *, quick: bool = False) -> Findings:
-    """Measure errors and times, and list the grids that the band needs."""
+    """Measure errors and times."""
     rig = VirtualRig()
     position_mm, points_mm = default_grid(rig), random_points(POINTS)
     if quick:
@@ -61,7 +58,6 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
     points = [point for error_db, bank in banks.items() for point in errors_of(bank, error_db, points_mm, truth)]
     points += spacings(rig, points_mm, truth, quick=quick)
     points += render_times(banks[-60.0])
-    points += grids_needed(banks[-60.0], points_mm, ERRORS[:1] if quick else ERRORS)
     return Findings(points, "the plate's true transfer functions")
 
 
@@ -129,8 +125,6 @@ def spacings(rig: VirtualRig, points_mm: Float64Array, truth: Complex128Array, *
                     work=f"responses between positions at {FREQUENCIES_HZ[-1]:g} Hz", method=name,
                     parameters={"spacing_mm": spacing_mm}, error=float(np.median(error)), timing=timing,
                     figures={"positions": bank.positions, "hours": bank.positions * HOURS_A_POSITION},
-                    paste=f'# run.toml\n[grid]\nspacing_mm = {spacing_mm:g}\n\n'
-                    f'# scene.toml\n[output]\ninterpolation = "{name}"',
                 )
             )  # fmt: skip
     return sorted(points, key=lambda one: list(INTERPOLATIONS).index(one.method))
@@ -154,29 +148,6 @@ def render_times(bank: GreenArray) -> list[Point]:
     scenes = {name: Scene("circle", (source,), output=Output(interpolation=name)) for name in INTERPOLATIONS}
     found = measure({name: partial(render_with_report, one, bank, method="exact") for name, one in scenes.items()}, 2)
     return [Point(work="exact moving source, 2.4 s", method=name, timing=timing) for name, timing in found.items()]
-
-
-def grids_needed(bank: GreenArray, points_mm: Float64Array, errors: tuple[float, ...]) -> list[Point]:
-    """Grids that the band needs for some errors, by the wave number that the bank itself shows."""
-    waves = KernelInterpolation(bank, points_mm).waves.at(np.array([BAND_HZ[1]]))
-    wavenumber = complex(waves.wavenumber_rad_mm[0])
-    points = []
-    lattices: tuple[tuple[str, Literal["square", "hexagonal"], bool], ...] = (
-        ("bicubic", "square", False), ("kernel", "square", False), ("kernel", "hexagonal", False),
-        ("kernel", "square", True), ("kernel", "hexagonal", True),
-    )  # fmt: skip
-    for kind, lattice, trusted in lattices:
-        for error in errors:
-            grid = needed_grid(wavenumber, AREA_MM2, error, lattice=lattice, kind=kind, trusted=trusted)
-            points.append(
-                Point(
-                    work=f"grids needed for {AREA_MM2:g} mm2 up to {BAND_HZ[1]:g} Hz",
-                    method=f"{kind}{' (waves trusted)' if trusted else ''}, {lattice}",
-                    error=error,
-                    figures={"spacing_mm": grid.spacing_mm, "positions": grid.positions},
-                )
-            )
-    return points
 
 
 def _in_a_cell(kind: Interpolation, point_mm: Float64Array) -> bool:

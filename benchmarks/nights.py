@@ -104,14 +104,10 @@ def measuring_times(*, quick: bool = False) -> list[Point]:
     points = []
     for method, parameters in schedules:
         night = _night(settings, positions, staggered=method == "staggered", **parameters)
-        keys = {"sweep_s": "duration_s", "averages": "averages", "periods": "periods"}
-        lines = [f"{keys[name]} = {value}" for name, value in parameters.items()]
-        sweep = [f"[sweep]\n{lines.pop(0)}\n"] if method == "sequential" else []
         points.append(
             Point(
                 work=f"measuring {NIGHT} x 20 responses, {positions} positions of it tried",
                 method=method, parameters=parameters, error=10 ** (night["median_db"] / 20), figures=night,
-                paste="\n".join(["# run.toml", *sweep, "[capture]", f'excitation = "{method}"', *lines]),
             )
         )  # fmt: skip
     return points

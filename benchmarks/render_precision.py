@@ -35,10 +35,6 @@ TOLERANCES_DB = (-20.0, -40.0, -60.0, -80.0)
 SAMPLED_TOLERANCE_DB = -60.0
 FEW_ROWS = 100
 WAVE_SPEED_MM_S = 5000.0
-FIELD_SETTINGS = {
-    "ours, float64": "# no key of a file: wavefocus predict",
-    "ours, float32": "# no key of a file: wavefocus.predict(drive, bank, dtype=numpy.float32)",
-}
 DIRECT = "direct summation of eq. (9), the reference"
 EXACT = "exact, all bins"
 LOOSE = "exact, left out by a proved bound"
@@ -105,20 +101,9 @@ def precision_points(*, quick: bool) -> list[Point]:
         points.append(
             Point(
                 work=work, method=method, parameters=parameters, timing=timing, error=error,
-                paste="" if method in (DIRECT, PEER) else _paste(method, parameters),
             )
         )  # fmt: skip
     return points
-
-
-def _paste(method: str, parameters: dict[str, float]) -> str:
-    loose_db = parameters.get("tolerance_db", SAMPLED_TOLERANCE_DB if method == SAMPLED_LOOSE else None)
-    options = [
-        f"--method {'exact' if method in (EXACT, LOOSE) else 'sampled'}",
-        *([] if loose_db is None else [f"--tolerance-db {loose_db:g}"]),
-    ]
-    keys = [f"step_mm = {step:g}  # of every source" for name, step in parameters.items() if name == "step_mm"]
-    return "\n".join([f"# scene.toml, rendered with: wavefocus render {' '.join(options)}", *keys])
 
 
 def field_points(bank: GreenArray, *, quick: bool) -> list[Point]:
@@ -142,7 +127,6 @@ def field_points(bank: GreenArray, *, quick: bool) -> list[Point]:
         Point(
             work=work, method=method, parameters=parameters, timing=timing,
             error=None if method == truth_by else relative_error(timing.result, found["0"].result),
-            paste=FIELD_SETTINGS.get(method, ""),
         )
         for (method, parameters, _), timing in zip(ways, found.values(), strict=True)
     ]  # fmt: skip

@@ -7,6 +7,5 @@ tests/unit/test_interpolation.py.
 INTERPOLATIONS = {
     "nearest": "wavefocus.rendering.greens.interpolation.on_grid:Nearest",
     "bilinear": "wavefocus.rendering.greens.interpolation.on_grid:Bilinear",
-    "bicubic": "wavefocus.rendering.greens.interpolation.on_grid:Bicubic",
     "kernel": "wavefocus.rendering.greens.interpolation.kernel:KernelInterpolation",
 }

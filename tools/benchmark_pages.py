@@ -54,8 +54,7 @@ def _page(measured: dict[str, Any]) -> str:
         "# Error against run time\n\nMade by `make bench`; every time is the median of some runs, the methods taking"
         " turns in one process, its spread\nthe difference of the quartiles. `times` is the peer's wall or CPU time,"
         " whichever is less, over our wall time. Expect\nratios to vary by a quarter from run to run. Grey in a diagram"
-        " is the Pareto front: no other setting beats those on it in\nerror and in time. `wavefocus bench choose"
-        " --error-db -60` prints the cheapest settings measured on your machine.\n[The paper's"
+        " is the Pareto front: no other setting beats those on it in\nerror and in time.\n[The paper's"
         " figures](../reference/paper-figures.md) and the [stiff and extreme cases](../reference/stiff-cases.md) have\n"
         "pages of their own.\n",
         _conditions(measured),

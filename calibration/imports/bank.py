@@ -196,7 +196,7 @@ def _facts(
         left_out.append(f"places of {unknown} actuators, which are not known")
     unsuited = {}
     if not projection.is_flat:
-        unsuited = dict.fromkeys(("kernel", "bilinear", "bicubic"), NOT_A_SURFACE)
+        unsuited = dict.fromkeys(("kernel", "bilinear"), NOT_A_SURFACE)
     elif not conversion.is_motion:
         unsuited = {"kernel": NOT_A_PLATE}
     caution = ""

@@ -23,7 +23,7 @@ from wavefocus.storage.errors import InputError
 class Surface:
     """Places of a bank from which the interpolation can be made; a row is read when a place first needs it.
 
-    interpolation: "nearest", "bilinear" or "bicubic".
+    interpolation: "nearest" or "bilinear".
     read: Reads a row. Raises InputError where it may not be used.
 
     Raises InputError: the bank does not allow the interpolation, or no position was measured.
@@ -37,8 +37,8 @@ class Surface:
         method = interpolation_method(interpolation)
         if not issubclass(method, GridInterpolation):
             raise InputError(
-                f"interpolation is {interpolation!r}, which prepares a path beforehand; live sources need 'nearest',"
-                " 'bilinear' or 'bicubic'"
+                f"interpolation is {interpolation!r}, which prepares a path beforehand; live sources need 'nearest'"
+                " or 'bilinear'"
             )
         if reason := getattr(bank, "import_facts", {}).get("unsuited", {}).get(interpolation):
             raise InputError(f"interpolation is {interpolation!r}, and the bank was imported: {reason}; use 'nearest'")

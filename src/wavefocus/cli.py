@@ -271,15 +271,11 @@ COMMANDS = (
     ),
     Command("emulate", "emulate:emulate", "Emulate instruments at the far ends of a rig's wires.", (RIG, JSON)),
     Command(
-        "plan", _bundling("plan:plan", "waves", "plan:Waves"), "Dry run: positions, hours, bytes, limits, finish time.",
+        "plan", "plan:plan", "Dry run: positions, hours, bytes, limits, finish time.",
         (
             RUN, SCENES, NO_CHECKS, LARGE,
-            number("--interpolation-error", 1e-4, 0.99, dest="error", default=0.05,
-                   help="Allowed between the grid's positions."),
             number("--wave-speed", 1e-3, dest="speed_m_s", default=4.8,
                    help="Of the plate, in m/s; a gel's by default."),
-            number("--attenuation", 0, 1e6, dest="attenuation_db_per_cm", default=3.8,
-                   help="Of the plate's waves, in dB/cm."),
             JSON,
         ),
     ),
@@ -541,10 +537,9 @@ COMMANDS = (
     Command(
         "bench", "bench:bench", "Measure error against run time, ours and peers.",
         (
-            argument("what", nargs="?", choices=(*BENCHMARKS, "all", "choose"), default="all",
-                     help="Which benchmark; or print the cheapest settings that keep to an error."),
+            argument("what", nargs="?", choices=(*BENCHMARKS, "all"), default="all",
+                     help="Which benchmark."),
             _out("DIR", "Folder for tables, diagrams and a page.", required=False, default=Path("bench-out")),
-            number("--error-db", -300, -1e-6, metavar="DB", help="For choose: largest relative error, below 0."),
             switch("--quick", help="Small sizes, to see that it works."),
             FORCE,
         ),

@@ -603,7 +603,7 @@ DRAFTS = st.builds(
     ),
     output=st.builds(
         Output,
-        interpolation=st.sampled_from(["nearest", "bilinear", "bicubic", "kernel"]),
+        interpolation=st.sampled_from(["nearest", "bilinear", "kernel"]),
         limit_v=st.one_of(st.none(), ABOVE),
         limit_rms_v=st.one_of(st.none(), ABOVE),
     ),

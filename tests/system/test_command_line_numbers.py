@@ -30,7 +30,7 @@ OPTIONS = [
     ([*RENDER, "--focusing", "inverse"], "--regularisation-db"),
     (PREDICT, "--rate"),
     *((MOVIE, option) for option in ("--from-s", "--slow", "--limit", "--frame-rate-hz", "--width-px")),
-    *((PLAN, option) for option in ("--interpolation-error", "--wave-speed", "--attenuation")),
+    *((PLAN, option) for option in ("--wave-speed",)),
     *((PLAY, option) for option in ("--gain-db", "--tolerance-db", "--ahead-s")),
     (["pause", "bank.h5"], "--wait-s"),
 ]

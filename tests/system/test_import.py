@@ -148,7 +148,7 @@ def test_given_places_in_space_then_two_columns_are_chosen_and_what_does_not_app
     options = ["--places", str(tmp_path / "places.csv"), "--unit", "m/s/V", "--sample-rate-hz", "2000"]
     assert "--columns" in refused(tmp_path / "g.npy", *options)
     back, told = imported(tmp_path / "g.npy", *options, "--columns", "x,y")
-    assert set(told["unsuited"]) == {"kernel", "bilinear", "bicubic"}
+    assert set(told["unsuited"]) == {"kernel", "bilinear"}
     scene = tmp_path / "scene.toml"
     scene.write_text(SCENE.format(kind="kernel"), encoding="utf-8")
     assert run(["render", str(scene), "--bank", str(back), "--out", str(tmp_path / "drive.h5")]) == 2

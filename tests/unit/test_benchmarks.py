@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import tomllib
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -14,9 +13,7 @@ import pytest
 from wavefocus.benchmarks import BENCHMARKS
 from wavefocus.benchmarks.harness import Findings, Mark, Point, Timing, measure
 from wavefocus.benchmarks.machine import conditions, load
-from wavefocus.benchmarks.page import chosen_lines, draw_diagrams, html_page, pareto
-from wavefocus.commands.bench import bench
-from wavefocus.storage.errors import InputError
+from wavefocus.benchmarks.page import draw_diagrams, html_page, pareto
 
 
 def test_every_registered_benchmark_is_a_module() -> None:
@@ -77,10 +74,7 @@ def test_the_pareto_front_is_what_nothing_beats_in_cost_and_error() -> None:
 
 
 def _precision(method: str, step: float, error: float, wall_s: float) -> Point:
-    paste = f"# scene.toml\nstep_mm = {step:g}" if method == "ours" else ""
-    return Point(
-        work="w", method=method, parameters={"step_mm": step}, error=error, timing=Timing(wall_s, wall_s), paste=paste
-    )
+    return Point(work="w", method=method, parameters={"step_mm": step}, error=error, timing=Timing(wall_s, wall_s))
 
 
 def test_a_work_of_three_errors_is_a_diagram_on_a_page_that_needs_no_other_file(tmp_path: Path) -> None:
@@ -96,26 +90,3 @@ def test_a_work_of_three_errors_is_a_diagram_on_a_page_that_needs_no_other_file(
     assert page.count("<table>") == page.count("</table>") == 2
     assert "&lt;title&gt;" in page
     assert "src='some" not in page
-
-
-def test_the_cheapest_setting_within_the_error_is_chosen_and_is_toml(tmp_path: Path) -> None:
-    findings = Findings([_precision("ours", 1.0, 1e-4, 3.0), _precision("ours", 2.0, 9e-4, 1.0),
-                         _precision("ours", 4.0, 1e-2, 0.5), _precision("peer", 1.0, 1e-6, 0.1)])  # fmt: skip
-    path = findings.write(tmp_path, "some", {})
-    measured = {"some": json.loads(path.read_text(encoding="utf-8"))}
-    assert tomllib.loads("\n".join(chosen_lines(measured, -60.0))) == {"step_mm": 2.0}
-    assert tomllib.loads("\n".join(chosen_lines(measured, -80.0))) == {"step_mm": 1.0}
-    assert tomllib.loads("\n".join(chosen_lines(measured, -90.0))) == {}
-
-
-def test_settings_of_another_machine_or_of_a_quick_run_are_not_chosen(tmp_path: Path) -> None:
-    findings = Findings([_precision("ours", 1.0, 1e-4, 3.0)])
-    made = conditions("wavefocus bench bank")
-    findings.write(tmp_path, "bank", {"quick": True, "made": made})
-    with pytest.raises(InputError, match="no full measurements"):
-        bench("choose", tmp_path, quick=False, error_db=-60.0)
-    findings.write(tmp_path, "bank", {"quick": False, "made": made | {"processor": "another"}})
-    with pytest.raises(InputError, match="another machine"):
-        bench("choose", tmp_path, quick=False, error_db=-60.0)
-    with pytest.raises(InputError, match="--error-db"):
-        bench("choose", tmp_path, quick=False)

@@ -1,6 +1,6 @@
-"""The bank between its grid positions: interpolation methods, their errors, and the grid that a band needs.
+"""The bank between its grid positions: interpolation methods and their errors.
 
 Public: `base` (scene_interpolation, interpolation_method, Interpolation, GridInterpolation, Nodes, OffGridError),
-`position_grid` (PositionGrid), `errors` (judged_errors) and `needed_grid`
-(needed_grid, expected_error). Methods are registered in `wavefocus.config.interpolations`.
+`position_grid` (PositionGrid) and `errors` (judged_errors). Methods are registered in
+`wavefocus.config.interpolations`.
 """

@@ -1,4 +1,4 @@
-"""Interpolation from the grid's positions alone: nearest, bilinear, bicubic."""
+"""Interpolation from the grid's positions only: nearest and bilinear."""
 
 from __future__ import annotations
 
@@ -88,44 +88,3 @@ class Bilinear(LatticeInterpolation):
         nearest, distance_mm = near(self.grid, points_mm)
         rows, weights = self._corners(*self._cells(points_mm), points_mm)
         return Nodes(rows, weights, nearest, distance_mm)
-
-
-class Bicubic(LatticeInterpolation):
-    """Cubic along x and y through the 4 x 4 positions around a point (Lagrange's polynomial).
-
-    Where a row or column of them is missing at the rim, the polynomial goes through the three that are left,
-    or through the cell's two; where a position within them is missing, the cell's four corners count alone.
-    """
-
-    name = "bicubic"
-
-    def nodes(self, points_mm: Float64Array) -> Nodes:
-        nearest, distance_mm = near(self.grid, points_mm)
-        cell, part, outside = self._cells(points_mm)
-        corner_rows, corner_weights = self._corners(cell, part, outside, points_mm)
-        shape = self._row_at.shape
-        before, after = cell >= 1, cell + 2 < shape
-        along = np.stack([_cubic_weights(part[:, axis], before[:, axis], after[:, axis]) for axis in (0, 1)])
-        weights = (along[1][:, :, None] * along[0][:, None, :]).reshape(-1, 16)
-        step = np.arange(-1, 3)
-        column = np.clip(cell[:, None, 0] + step, 0, shape[0] - 1)
-        line = np.clip(cell[:, None, 1] + step, 0, shape[1] - 1)
-        rows = self._row_at[column[:, None, :], line[:, :, None]].reshape(-1, 16)
-        holed = ((rows < 0) & (weights != 0)).any(axis=1)
-        rows = np.maximum(rows, 0)
-        rows[holed, :4], weights[holed] = corner_rows[holed], 0.0
-        weights[holed, :4] = corner_weights[holed]
-        return Nodes(rows, weights, nearest, distance_mm)
-
-
-def _cubic_weights(part: Float64Array, before: BoolArray, after: BoolArray) -> Float64Array:
-    """Weights (n, 4) of the values at -1, 0, 1, 2 for places between 0 and 1; 0 where a value is missing."""
-    at = np.arange(-1.0, 3.0)
-    there = np.stack([before, np.ones_like(before), np.ones_like(before), after], axis=1)
-    weights = there.astype(np.float64)
-    for place in range(4):
-        for other in range(4):
-            if other != place:
-                factor = (part - at[other]) / (at[place] - at[other])
-                weights[:, place] *= np.where(there[:, other], factor, 1.0)
-    return weights

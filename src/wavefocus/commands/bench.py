@@ -1,4 +1,4 @@
-"""``wavefocus bench``: error against run time, and the settings that it recommends."""
+"""``wavefocus bench``: error against run time."""
 
 from __future__ import annotations
 
@@ -10,22 +10,13 @@ from typing import Any
 
 from wavefocus.benchmarks import BENCHMARKS
 from wavefocus.console import people, say
-from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import require_output_folder, write_whole
 
 PAGE = "index.html"
 
 
-def bench(what: str, out: Path, *, quick: bool, error_db: float | None = None, force: bool = False) -> None:
-    """Run one benchmark, or all: print their tables, and write points, diagrams and a page; or choose settings."""
-    if (what == "choose") != (error_db is not None):
-        raise InputError("--error-db and `bench choose` belong together: wavefocus bench choose --error-db -60")
-    if error_db is not None:
-        from wavefocus.benchmarks.machine import conditions
-        from wavefocus.benchmarks.page import chosen_lines
-
-        print("\n".join(chosen_lines(_of_this_machine(out, conditions("")), error_db)))
-        return
+def bench(what: str, out: Path, *, quick: bool, force: bool = False) -> None:
+    """Run one benchmark, or all: print their tables, and write points, diagrams and a page."""
     from wavefocus.benchmarks.machine import conditions, load
     from wavefocus.benchmarks.page import draw_diagrams, html_page
 
@@ -53,17 +44,3 @@ def _measured(folder: Path) -> dict[str, dict[str, Any]]:
     """Contents of the JSON files in a folder, by benchmark."""
     paths = {name: folder / f"{name}.json" for name in BENCHMARKS}
     return {name: json.loads(path.read_text(encoding="utf-8")) for name, path in paths.items() if path.exists()}
-
-
-def _of_this_machine(folder: Path, here: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Full measurements in a folder. Raises InputError: there are none, or they are another machine's."""
-    found = {name: one for name, one in _measured(folder).items() if not one["quick"]}
-    if not found:
-        raise InputError(f"{folder}: no full measurements; run `wavefocus bench all --out {folder}` first")
-    for name, one in found.items():
-        if any(one["made"][key] != here[key] for key in ("processor", "cores")):
-            raise InputError(
-                f"{folder / name}.json: measured on another machine ({one['made']['processor']}, {one['made']['cores']}"
-                f" cores); run `wavefocus bench {name} --out {folder} --force` on this one"
-            )
-    return found
