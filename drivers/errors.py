@@ -33,3 +33,7 @@ class TransientInstrumentError(InstrumentError):
 
 class InstrumentLostError(InstrumentError):
     """The instrument is gone and stays gone: unplugged, powered off, never answering."""
+
+
+class UnknownFaultError(InstrumentLostError):
+    """A failure that the driver cannot interpret; it is final if it recurs after one fresh connection."""

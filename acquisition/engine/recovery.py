@@ -13,7 +13,12 @@ from wavefocus.acquisition.engine.session import LOOKED_FOR_S, Session
 from wavefocus.acquisition.setup import Setup, as_lost, asking, silence
 from wavefocus.acquisition.wording import hours
 from wavefocus.config.messages.campaign import ConditionsSeen, ReconnectTried, State
-from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from wavefocus.drivers.errors import (
+    InstrumentError,
+    InstrumentLostError,
+    TransientInstrumentError,
+    UnknownFaultError,
+)
 from wavefocus.drivers.protocols import Recording
 from wavefocus.storage.errors import WavefocusError
 
@@ -36,8 +41,9 @@ class Recovery:
 
     def __init__(self, setup: Setup, session: Session) -> None:
         self._setup, self._session, self._clock = setup, session, session.clock
-        # All three are forgotten when a measurement comes to its end.
+        # All four are forgotten when a measurement comes to its end.
         self._tries: Counter[str] = Counter()
+        self._unknown: set[str] = set()
         self._passing: Counter[str] = Counter()
         self._losses = 0
 
@@ -48,8 +54,8 @@ class Recovery:
         attempt: What is measured, for the events.
 
         Raises StoppedWhileWaitingError: a person asked for a stop. InstrumentLostError: the instrument did not come
-        back in time, or did not stay. InstrumentError: any other failure, at once; passing ones are for
-        :meth:`renew_if_repeated`.
+        back in time, or did not stay; or its failure is unknown to its driver and recurred after one fresh connection.
+        InstrumentError: any other failure, at once; passing ones are for :meth:`renew_if_repeated`.
         """
         while True:
             try:
@@ -57,10 +63,12 @@ class Recovery:
             except InstrumentLostError as lost:
                 if not lost.role:
                     raise  # nobody noted whose it was, so nobody can be asked for a fresh connection
+                self._allow_once(lost)
                 self._session.fault(lost, attempt, retried=True)
                 self._bring_back(lost)
             else:
                 self._tries.clear()
+                self._unknown.clear()
                 self._passing.clear()
                 self._losses = 0
                 return result
@@ -70,6 +78,13 @@ class Recovery:
         self._passing[fault.role] += 1
         if self._passing[fault.role] >= PASSING_IN_A_ROW:
             self._bring_back(fault)
+
+    def _allow_once(self, failure: InstrumentError) -> None:
+        """Note a failure that its driver does not know; raises it where it recurs."""
+        if isinstance(failure, UnknownFaultError):
+            if failure.role in self._unknown:
+                raise as_lost(failure, f"{failure.cause}; again after a fresh connection") from failure
+            self._unknown.add(failure.role)
 
     def _bring_back(self, failure: InstrumentError) -> None:
         """Silence the rig and wait until all that was lost is connected again."""
@@ -111,6 +126,9 @@ class Recovery:
             try:
                 getattr(self._setup.instruments, role).reconnect()
             except (InstrumentLostError, TransientInstrumentError) as absent:
+                if isinstance(failure, UnknownFaultError) and isinstance(absent, UnknownFaultError):
+                    absent.role = role
+                    self._allow_once(absent)
                 left_s = round(until_s - self._clock.now_s(), 3)  # slices of time do not add up exactly
                 if time.monotonic() >= gives_up_wall_s:
                     left_s = 0.0

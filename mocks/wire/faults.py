@@ -19,6 +19,7 @@ KINDS = {
         "in_use",
         "usb_aborted",
         "wait_timeout",
+        "unknown_code",
         "silent",
         "server_dead",
         "short_read",

@@ -52,6 +52,7 @@ class NiCode(IntEnum):
     TRANSFER_ABORTED = -50405, "The transfer was aborted on the bus."
     STOPPED_BEFORE_DONE = 200010, "Finite acquisition was stopped before all requested samples were acquired."
     ADC_OVERLOADED = 200005, "The analog-to-digital converter was overloaded."
+    SOFTWARE_ERROR = -229771, "Internal Software Error occurred in MIG software."  # in no list; from public reports
     NOT_CALIBRATED = 200016, "The device was never self-calibrated with NI-DAQmx."
 
 

@@ -30,6 +30,7 @@ CODES = {
     "in_use": NiCode.IN_USE,
     "usb_aborted": NiCode.TRANSFER_ABORTED,
     "wait_timeout": NiCode.NOT_DONE,
+    "unknown_code": NiCode.SOFTWARE_ERROR,
 }
 """Faults that are an error code and no more."""
 STATUSES = {"internal": grpc.StatusCode.INTERNAL, "exhausted": grpc.StatusCode.RESOURCE_EXHAUSTED}

@@ -19,7 +19,7 @@ from wavefocus.config.messages.campaign import (
     State,
     StateChanged,
 )
-from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, UnknownFaultError
 from wavefocus.drivers.protocols import Clock, Instruments, WallClock
 from wavefocus.ending import stop_on_signals
 from wavefocus.mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
@@ -121,6 +121,31 @@ def test_given_an_instrument_that_is_lost_again_and_again_then_it_is_not_connect
     assert len(watched.tries) == LOSSES_IN_A_ROW
     # Each is waited for longer than the one before, so that nothing spins.
     assert setup.instruments.clock.now_s() == pytest.approx(sum(map(back_off_s, range(LOSSES_IN_A_ROW))))
+
+
+def test_given_a_failure_that_no_driver_knows_then_it_is_tried_once_more_and_final_when_it_recurs():
+    setup = setup_of()
+    watched = Watched(setup)
+    calls = []
+
+    def measure(fails: Callable[[int], bool]) -> str:
+        calls.append(None)
+        if fails(len(calls)):
+            unknown = UnknownFaultError("recorder", "recording", "code -1", "look it up")
+            unknown.role = "recorder"
+            raise unknown
+        return "measured"
+
+    # Cured by a fresh connection, twice in one campaign.
+    for _ in range(2):
+        assert watched.recovery.until_done(lambda: measure(lambda call: call % 2 == 1)) == "measured"
+    assert [(one.role, one.connected) for one in watched.tries] == [("recorder", True)] * 2
+    calls.clear()
+    with pytest.raises(InstrumentLostError) as caught:
+        watched.recovery.until_done(lambda: measure(lambda call: True))
+    assert (len(calls), len(watched.tries)) == (2, 3)
+    assert caught.value.role == "recorder"
+    assert "code -1" in caught.value.cause
 
 
 def test_given_a_player_that_cannot_be_muted_then_its_fresh_connections_come_to_an_end():

@@ -9,18 +9,25 @@ from pathlib import Path
 import grpc
 import numpy as np
 import pytest
+from nidaqmx.error_codes import DAQmxErrors
 from nidaqmx.errors import DaqError
 
 from tests.wire.daq_bench import RANGE_V, RATE_HZ, TAKE, Tone, ask, check_tone, daq_bench, take_one
 from wavefocus.calibration.clock.timing import ReferenceMissingError, fit_clock
 from wavefocus.drivers.daq.ni.ni_session import TlsFiles, explain
-from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from wavefocus.drivers.errors import (
+    InstrumentError,
+    InstrumentLostError,
+    TransientInstrumentError,
+    UnknownFaultError,
+)
 from wavefocus.mocks.wire.faults import WireFault
 from wavefocus.mocks.wire.ni_server import NiServer
 
 # No test waits long for an answer that does not come.
 ANSWER_S = 0.5
 PASSING, LOST, FOR_GOOD = TransientInstrumentError, InstrumentLostError, InstrumentError
+UNKNOWN = UnknownFaultError
 
 
 def fault(kind, operation, at_call=2, **more):
@@ -47,6 +54,8 @@ def until_reconnected(recorder):
         ("unplugged", "StartTask", LOST, "cannot be accessed: unplugged.*-201003"),
         ("unplugged", "ReadAnalogF64", LOST, "cannot be accessed: unplugged.*-201003"),
         ("in_use", "StartTask", LOST, "reserved, .*-50103"),
+        ("unknown_code", "ReadAnalogF64", UNKNOWN, "NI-DAQmx says: .*-229771"),
+        ("unknown_code", "StartTask", UNKNOWN, "NI-DAQmx says: .*-229771"),
         ("silent", "StartTask", LOST, "does not answer .StartTask got no answer within 0.5 s"),
         ("server_dead", "WaitUntilTaskDone", LOST, "cannot be reached, or went away"),
     ],
@@ -64,7 +73,7 @@ def test_given_a_fault_in_the_second_record_then_it_is_told_and_the_third_is_goo
         assert str(TAKE) in caught.value.operation
         assert caught.value.remedy
         recorder.abort()
-        if error is LOST:
+        if issubclass(error, LOST):
             until_reconnected(recorder)
         check_tone(take_one(recorder))
         recorder.close()
@@ -81,6 +90,10 @@ def test_given_a_fault_in_the_second_record_then_it_is_told_and_the_third_is_goo
         (-200220, False, False, FOR_GOOD, "no device of this name"),
         (-50103, True, True, LOST, "reserved"),
         (-50103, True, False, FOR_GOOD, "another program has reserved it"),
+        (-200022, True, False, FOR_GOOD, "another program has reserved it"),
+        (-229771, True, True, UNKNOWN, "NI-DAQmx says"),
+        (-229771, True, False, FOR_GOOD, "NI-DAQmx says"),
+        (-229771, False, False, FOR_GOOD, "NI-DAQmx says"),
     ],
 )
 def test_given_a_code_of_the_driver_then_it_has_its_meaning(code, known, owned, error, cause):
@@ -88,6 +101,39 @@ def test_given_a_code_of_the_driver_then_it_has_its_meaning(code, known, owned, 
     assert type(explained) is error
     assert re.search(cause, explained.cause)
     assert explained.remedy
+
+
+# By the names of NI's own list, which say what the codes mean.
+GONE = """
+    DEVICE_REMOVED HARDWARE_NOT_RESPONDING HW_UNEXPECTEDLY_POWERED_OFF_AND_ON DEVICE_NOT_USABLE_UNTIL_USB_REPLUG
+    CHASSIS_COMMUNICATION_INTERRUPTED NETWORK_STATUS_CONNECTION_LOST NETWORK_STATUS_TIMED_OUT NETWORK_TARGET_UNREACHABLE
+    NETWORK_DEVICE_NOT_RESERVED_BY_HOST DEVICE_REBOOTED_FROM_WDT_TIMEOUT PAL_COMMUNICATIONS_FAULT PAL_HARDWARE_FAULT
+    PAL_FIRMWARE_FAULT PAL_OS_FAULT PAL_DEVICE_NOT_FOUND PAL_TRANSFER_ABORTED PAL_USB_TRANSACTION_ERROR
+    PAL_CONNECTION_RESET PAL_CONNECTION_ABORTED PAL_CONNECTION_REFUSED DEV_CANNOT_BE_ACCESSED
+"""
+NOT_KEPT_UP = """
+    PAL_TRANSFER_STOPPED PAL_TRANSFER_OVERWRITTEN PAL_TRANSFER_OVERREAD PAL_SYNC_TIMED_OUT OPERATION_TIMED_OUT
+    TIMEOUT_EXCEEDED INPUT_FIFO_OVERFLOW INPUT_FIFO_OVERFLOW_2 INPUT_FIFO_OVERFLOW_3 DATA_OVERWRITTEN_IN_DEVICE_MEMORY
+    RECORD_OVERWRITTEN TIME_STAMP_OVERWRITTEN ACQ_STOPPED_TO_PREVENT_INPUT_BUFFER_OVERWRITE
+    ACQ_STOPPED_TO_PREVENT_INPUT_BUFFER_OVERWRITE_ONE_DATA_XFER_MECH ACQ_STOPPED_DRIVER_CANT_XFER_DATA_FAST_ENOUGH
+    ACQ_STOPPED_TO_PREVENT_INTERMEDIATE_BUFFER_OVERFLOW AI_OVERRUN ADC_OVERRUN LOST_REF_CLK OPERATION_ABORTED
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "error"), [*((name, LOST) for name in GONE.split()), *((name, PASSING) for name in NOT_KEPT_UP.split())]
+)
+def test_given_a_code_for_gone_or_not_kept_up_then_it_does_not_end_a_campaign(name, error):
+    explained = explain(DaqError("", DAQmxErrors[name].value), "recorder Dev1", "recording", known=True, owned=True)
+    assert type(explained) is error
+
+
+def test_given_any_code_in_mid_campaign_then_it_is_tried_again_at_least_once():
+    kinds = {
+        type(explain(DaqError("", code.value), "recorder Dev1", "recording", known=True, owned=True))
+        for code in DAQmxErrors
+    }
+    assert kinds == {PASSING, LOST, UNKNOWN}
 
 
 @pytest.mark.parametrize(

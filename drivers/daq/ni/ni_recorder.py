@@ -218,13 +218,19 @@ class NiRecorder:
 
     def _opened(self, doing: str, identity: DeviceIdentity | None) -> NiSession:
         """A session with the device, which must be that of an earlier session, if there was one."""
-        session = NiSession(self._device, self._address, self._answer_s, known=identity is not None, tls=self._tls)
+        session = NiSession(
+            self._device,
+            self._address,
+            self._answer_s,
+            known=identity is not None,
+            owned=self._owned,
+            tls=self._tls,
+        )
         try:
             if identity is not None and session.identity != identity:
                 cause = f"{session.identity} answers instead of {identity}"
                 remedy = "plug the right one in, or start a new campaign with this one"
                 raise InstrumentError(session.instrument, doing, cause, remedy)
-            session.owned = self._owned
             if self._owned:
                 with session.telling("resetting the device"):
                     session.reset()

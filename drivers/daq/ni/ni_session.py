@@ -10,7 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from wavefocus.drivers.errors import (
+    InstrumentError,
+    InstrumentLostError,
+    TransientInstrumentError,
+    UnknownFaultError,
+)
 from wavefocus.drivers.protocols import DeviceIdentity
 
 # Resetting and testing a device takes seconds.
@@ -148,15 +153,23 @@ class NiSession:
     address: ``"host:port"`` of NI's gRPC Device Server; None for the local driver.
     answer_s: How long a server may take to answer, in s.
     known: Whether it has answered before: then it is gone where it does not answer, and not misspelt.
+    owned: Whether this program may have reserved it before.
     tls: For a server with a certificate.
     """
 
     def __init__(
-        self, device: str, address: str | None, answer_s: float, *, known: bool = False, tls: TlsFiles | None = None
+        self,
+        device: str,
+        address: str | None,
+        answer_s: float,
+        *,
+        known: bool = False,
+        owned: bool = False,
+        tls: TlsFiles | None = None,
     ) -> None:
         self.device = device
         self.instrument = f"recorder {device}" + (f" at {address}" if address else "")
-        self.owned = False  # whether this program may have reserved it
+        self.owned = owned
         self._seen = known
         self._channel: Any = None
         self._nidaqmx = _packages(self.instrument, over_network=bool(address))
@@ -303,6 +316,7 @@ def _packages(instrument: str, *, over_network: bool) -> Any:
 # Codes of nidaqmx.error_codes.DAQmxErrors and DAQmxWarnings.
 NO_SUCH_DEVICE = -200220
 IN_USE = -50103
+RESERVED = (IN_USE, -200022, -201352, -201420)  # PAL_, RESOURCE_ALREADY_RESERVED, RESERVATION_CONFLICT, by another host
 NOT_DONE = -200560
 NOT_YET_AVAILABLE = -200284
 NOT_SUPPORTED = (-200452, -200197)  # a property that this device or task has not
@@ -335,25 +349,126 @@ USB_FAILED = Meaning(
     "the USB transfer was aborted",
     "connect again, which resets it; if it stays, use another USB port or cable, and no hub",
 )
+NOT_RESPONDING = Meaning(InstrumentLostError, "it does not respond: unplugged, without power or restarted", PLUG)
+HARDWARE_FAILED = Meaning(
+    InstrumentLostError,
+    "its hardware, or the operating system's driver of it, reports a failure",
+    "connect again, which resets it; if it stays, unplug it and plug it in again",
+)
+NETWORK_LOST = Meaning(InstrumentLostError, "the network connection to it is lost", "check its network cable and power")
+OVERFLOWED = Meaning(TransientInstrumentError, "the device's memory overflowed: the USB is too slow for it", REPEAT)
+OVERWRITTEN = Meaning(TransientInstrumentError, "samples were overwritten before they could be read", REPEAT)
+TRANSFER_FAILED = Meaning(TransientInstrumentError, "the transfer of samples stopped before the record's end", REPEAT)
+TIMED_OUT = Meaning(TransientInstrumentError, "an operation of NI-DAQmx did not end in time", REPEAT)
+TOO_FAST = Meaning(
+    TransientInstrumentError,
+    "the converter was asked for a sample before the one before was finished",
+    "try again; if it stays, lower the sample rate",
+)
+CLOCK_LOST = Meaning(
+    TransientInstrumentError, "the sample clock lost its reference", "try again; check the clock's cable"
+)
+STOPPED_ELSEWHERE = Meaning(
+    TransientInstrumentError, "the record was aborted from elsewhere", "keep other programs away"
+)
 MEANINGS = {
-    -200279: Meaning(TransientInstrumentError, "samples were overwritten before they could be read", REPEAT),
-    NOT_YET_AVAILABLE: Meaning(TransientInstrumentError, "samples are missing: they did not come in time", REPEAT),
-    -200278: Meaning(TransientInstrumentError, "samples are missing: the task had ended before they came", REPEAT),
-    -200361: Meaning(TransientInstrumentError, "the device's memory overflowed: the USB is too slow for it", REPEAT),
-    NOT_DONE: Meaning(TransientInstrumentError, "the record did not end in time", REPEAT),
-    -88709: Meaning(TransientInstrumentError, "the record was aborted from elsewhere", "keep other programs away"),
-    -88710: Meaning(TransientInstrumentError, "the record was aborted from elsewhere", "keep other programs away"),
+    **dict.fromkeys(
+        (
+            -200045,  # DEVICE_REMOVED
+            -200175,  # HARDWARE_NOT_RESPONDING
+            -200194,  # HW_UNEXPECTEDLY_POWERED_OFF_AND_ON
+            -201190,  # DEVICE_NOT_USABLE_UNTIL_USB_REPLUG
+            -201423,  # CHASSIS_COMMUNICATION_INTERRUPTED
+            -201438,  # DEVICE_REBOOTED_FROM_WDT_TIMEOUT
+        ),
+        NOT_RESPONDING,
+    ),
     -201003: Meaning(InstrumentLostError, "it cannot be accessed: unplugged, without power or in reset", PLUG),
-    -88705: Meaning(InstrumentLostError, "it is not present", PLUG),
-    -50300: Meaning(InstrumentLostError, "it is not present", PLUG),
-    -50400: USB_FAILED,
-    -50405: USB_FAILED,
-    -50808: USB_FAILED,
+    **dict.fromkeys((-88705, -50300), Meaning(InstrumentLostError, "it is not present", PLUG)),
+    **dict.fromkeys(
+        (
+            -50150,  # PAL_SOFTWARE_FAULT
+            -50151,  # PAL_FIRMWARE_FAULT
+            -50152,  # PAL_HARDWARE_FAULT
+            -50202,  # PAL_OS_FAULT
+            -50303,  # PAL_DEVICE_INITIALIZATION_FAULT
+            -50401,  # PAL_COMMUNICATIONS_FAULT
+            -201464,  # EXTERNAL_FIFO_FAULT
+        ),
+        HARDWARE_FAILED,
+    ),
+    **dict.fromkeys(
+        (-50400, -50405, -50808), USB_FAILED
+    ),  # PAL_TRANSFER_TIMED_OUT, _ABORTED, PAL_USB_TRANSACTION_ERROR
+    **dict.fromkeys(
+        (
+            -50801,  # PAL_CONNECTION_REFUSED
+            -50802,  # PAL_CONNECTION_ABORTED
+            -50803,  # PAL_CONNECTION_RESET
+            -201250,  # NETWORK_STATUS_TIMED_OUT
+            -201251,  # NETWORK_TARGET_NOT_FOUND
+            -201252,  # NETWORK_TARGET_UNREACHABLE
+            -201388,  # NETWORK_DEVICE_NOT_RESERVED_BY_HOST
+            -201389,  # MODULE_CHANGE_DURING_CONNECTION_LOSS
+            -201390,  # NETWORK_STATUS_CONNECTION_LOST
+        ),
+        NETWORK_LOST,
+    ),
     -200088: Meaning(
         InstrumentLostError, "the driver has forgotten the task: it or the device was restarted", "connect again"
     ),
+    **dict.fromkeys(
+        (
+            -200004,  # DATA_OVERWRITTEN_IN_DEVICE_MEMORY
+            -200006,  # RECORD_OVERWRITTEN
+            -200009,  # TIME_STAMP_OVERWRITTEN
+            -200222,  # ACQ_STOPPED_TO_PREVENT_INPUT_BUFFER_OVERWRITE
+            -200279,  # SAMPLES_NO_LONGER_AVAILABLE
+            -200283,  # ACQ_STOPPED_TO_PREVENT_INTERMEDIATE_BUFFER_OVERFLOW
+            -200613,  # ACQ_STOPPED_TO_PREVENT_INPUT_BUFFER_OVERWRITE_ONE_DATA_XFER_MECH
+            -200714,  # ACQ_STOPPED_DRIVER_CANT_XFER_DATA_FAST_ENOUGH
+            -50410,  # PAL_TRANSFER_OVERWRITTEN
+            -50411,  # PAL_TRANSFER_OVERREAD
+            -50650,  # PAL_MESSAGE_OVERFLOW
+        ),
+        OVERWRITTEN,
+    ),
+    **dict.fromkeys(
+        (
+            -200010,  # INPUT_FIFO_OVERFLOW
+            -200017,  # INPUT_FIFO_UNDERFLOW
+            -200361,  # INPUT_FIFO_OVERFLOW_2
+            -201188,  # INPUT_FIFO_OVERFLOW_DURING_CALIBRATION
+            -201189,  # INPUT_FIFO_OVERFLOW_DURING_CALIBRATION_ON_FULL_SPEED_USB
+            -209829,  # INPUT_FIFO_OVERFLOW_3
+        ),
+        OVERFLOWED,
+    ),
+    **dict.fromkeys(
+        (
+            -50402,  # PAL_TRANSFER_NOT_IN_PROGRESS
+            -50403,  # PAL_TRANSFER_IN_PROGRESS
+            -50404,  # PAL_TRANSFER_STOPPED
+        ),
+        TRANSFER_FAILED,
+    ),
+    **dict.fromkeys(
+        (
+            -50550,  # PAL_SYNC_TIMED_OUT
+            -50700,  # PAL_WAIT_INTERRUPTED
+            -200221,  # TIMEOUT_EXCEEDED
+            -200474,  # OPERATION_TIMED_OUT
+        ),
+        TIMED_OUT,
+    ),
+    **dict.fromkeys((-200019, -201319), TOO_FAST),  # ADC_OVERRUN, AI_OVERRUN
+    **dict.fromkeys((-201504, -209838), CLOCK_LOST),  # LOST_REF_CLK, SYNCHRONIZATION_LOCK_LOST
+    **dict.fromkeys((-88709, -88710, -201452), STOPPED_ELSEWHERE),
+    NOT_YET_AVAILABLE: Meaning(TransientInstrumentError, "samples are missing: they did not come in time", REPEAT),
+    -200278: Meaning(TransientInstrumentError, "samples are missing: the task had ended before they came", REPEAT),
+    NOT_DONE: Meaning(TransientInstrumentError, "the record did not end in time", REPEAT),
 }
-"""Codes that have a meaning of their own; NO_SUCH_DEVICE and IN_USE depend on what was before."""
+"""Codes of `nidaqmx.error_codes.DAQmxErrors` by meaning; NO_SUCH_DEVICE and RESERVED depend on what was before."""
 
 GONE = Meaning(InstrumentLostError, "it is not there any more", PLUG)
 WRONG_NAME = Meaning(InstrumentError, "there is no device of this name", "put its name into device of [recorder]")
@@ -399,13 +514,16 @@ def _meaning(failure: BaseException, known: bool, owned: bool) -> Meaning:
         return Meaning(InstrumentError, _one_line(failure), "close and open the rig again")
     if code == NO_SUCH_DEVICE:
         return _with_code(GONE if known else WRONG_NAME, code)
-    if code == IN_USE:
+    if code in RESERVED:
         return _with_code(STALE if owned else OCCUPIED, code)
     if code in MEANINGS:
         meaning = _with_code(MEANINGS[code], code)
         count = getattr(failure, "samps_per_chan_read", None)
         return meaning._replace(cause=f"{meaning.cause}; {count} came") if count else meaning
-    return Meaning(InstrumentError, f"NI-DAQmx says: {_one_line(failure)}", "follow what it says, or look the code up")
+    # A device that has recorded before was set up properly, so the fault may pass; of a first task, the settings may be
+    # wrong, and a repeat does not help.
+    kind = UnknownFaultError if known and owned else InstrumentError
+    return Meaning(kind, f"NI-DAQmx says: {_one_line(failure)}", "follow what it says, or look the code up")
 
 
 def _meaning_of_rpc(failure: Any) -> Meaning:
