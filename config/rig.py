@@ -93,6 +93,10 @@ class WireFaultTable(Table):
     seconds: Finite = 0.0
 
 
+# Keys that came later: left out of a plan's hash at 0, so that banks of before keep theirs.
+UNUSED_AT_ZERO = ("noise_per_response", "cubic_per_v2", "crosstalk", "crosstalk_delay_s")
+
+
 class Emulation(PlateKeys):
     """What `wavefocus emulate` builds, and what the virtual rig is like; real instruments take no notice of it.
 
@@ -113,6 +117,14 @@ class Emulation(PlateKeys):
     cubic_per_v2: Finite = Field(
         default=0.0,
         description="Distortion of the plate: u V come out as u + cubic_per_v2 u^3, in 1/V^2; virtual rigs only",
+    )
+    crosstalk: Annotated[Finite, Field(ge=-1, le=1)] = Field(
+        default=0.0,
+        description="Share of the loopback voltage that leaks into the response input; the run file's "
+        "virtual.crosstalk is stronger",
+    )
+    crosstalk_delay_s: Annotated[NonNegative, Field(le=0.01)] = Field(
+        default=0.0, description="How much later the leak comes than the loopback's voltage"
     )
     clock_ppm: Annotated[Finite, Field(ge=-1000, le=1000)] = Field(
         default=30.0, description="Rate of the recorder's clock beyond the player's"
@@ -160,7 +172,7 @@ class Emulation(PlateKeys):
         """What is measured of the rig depends on this; on faults and on how a wire is emulated it does not."""
         later = ("output_gains_db", "output_delays_s", "swapped_outputs", "room_c")
         unused = {key for key in later if getattr(self, key) in ((), None)}
-        unused |= {key for key in ("noise_per_response", "cubic_per_v2") if getattr(self, key) == 0}
+        unused |= {key for key in UNUSED_AT_ZERO if getattr(self, key) == 0}
         unused |= {key for key, field in PlateKeys.model_fields.items() if getattr(self, key) == field.default}
         return self.model_dump(exclude={"fault_plan", "period_frames", "ni_product"} | unused)
 

@@ -172,6 +172,12 @@ class Virtual(PlateKeys):
         default=1, description="The same seed gives the same bytes"
     )
     noise_v: NonNegative | None = Field(default=None, description="Rms noise at the vibrometer's output")
+    crosstalk: Annotated[Finite, Field(ge=-1, le=1)] | None = Field(
+        default=None, description="Share of the loopback voltage that leaks into the response input; 0 by default"
+    )
+    crosstalk_delay_s: Annotated[NonNegative, Field(le=0.01)] | None = Field(
+        default=None, description="How much later the leak comes than the loopback's voltage; 0 by default"
+    )
     fault_plan: tuple[Fault, ...] = Field(
         default=(), description="Faults that the instruments show: a list, or a TOML file of [[fault]] tables"
     )

@@ -153,6 +153,9 @@ class VirtualRecorder(VirtualDevice):
         lost = [*blind, *self._dropout(request, always=always)] if patched is None else []
         for first, stop in lost:
             response_v[first:stop] = self._settings.lost_signal_v * normal(generator, stop - first)
+        leaked_v = self._synthesis.crosstalk_v(request.samples, request.sample_rate_hz, start_ns, plays)
+        if leaked_v is not None:
+            response_v += leaked_v
         if any(fault.kind == "dead_response" for fault in faults):
             response_v[:] = 0.0
         volts = np.empty((2, request.samples), dtype=np.float32)

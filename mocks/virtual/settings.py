@@ -65,6 +65,7 @@ class MirrorGeometry:
 
 # Small compared with any record, and more than outputs and converters differ.
 MOST_DELAY_S = 1e-3
+MOST_CROSSTALK_DELAY_S = 1e-2
 OUTLINE = Outline.stadium(250.0, 150.0)  # the paper, section IV.A: a stadium of 25 cm x 15 cm
 
 
@@ -78,6 +79,8 @@ class VirtualSettings:
     reference_noise_v: Noise of the reference input, volts rms, >= 0.
     noise_per_response: Noise that grows with the response: volts rms per volt of it at every instant, >= 0.
     cubic_per_v2: A response of u volts comes out as u + cubic_per_v2 * u**3, in 1/V^2.
+    crosstalk: Share of the loopback voltage that leaks into the response input, within +-1.
+    crosstalk_delay_s: How much later it comes there than at the reference input, in s, 0 to 0.01.
     clock_ppm: How much faster the recorder's clock is than the player's, in parts per million, within +-1000.
     inter_channel_delay_s: How much later the response is sampled than the reference, in s, within +-0.001; negative
         where the response input is converted first.
@@ -119,6 +122,8 @@ class VirtualSettings:
     reference_noise_v: float = 1e-4
     noise_per_response: float = 0.0
     cubic_per_v2: float = 0.0
+    crosstalk: float = 0.0
+    crosstalk_delay_s: float = 0.0
     clock_ppm: float = 30.0
     inter_channel_delay_s: float = 5e-6
     vibrometer_latency_s: float = 0.0
@@ -165,6 +170,9 @@ class VirtualSettings:
         for name in ("sensitivity_m_s_per_v", "velocity_scale", "full_scale_v", "largest_range_v",
                      "slew_mrad_s", "limit_mrad"):  # fmt: skip
             _require(name, getattr(self, name), getattr(self, name) > 0, "greater than 0")
+        _require("crosstalk", self.crosstalk, abs(self.crosstalk) <= 1, "within +-1")
+        leak_s = self.crosstalk_delay_s
+        _require("crosstalk_delay_s", leak_s, 0 <= leak_s <= MOST_CROSSTALK_DELAY_S, f"0 to {MOST_CROSSTALK_DELAY_S}")
         _require("clock_ppm", self.clock_ppm, abs(self.clock_ppm) <= 1000, "within +-1000")
         delay_s = self.inter_channel_delay_s
         _require("inter_channel_delay_s", delay_s, abs(delay_s) <= MOST_DELAY_S, f"within +-{MOST_DELAY_S}")

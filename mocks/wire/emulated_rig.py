@@ -103,6 +103,9 @@ class WireBench:
                 if spot.place_mm is None and patched is None:
                     lost_v = self._settings.lost_signal_v * self._generator.standard_normal(spot.stop - spot.first)
                     response_v[spot.first : spot.stop] = lost_v
+            leaked_v = synthesis.crosstalk_v(samples, rate_hz, start_ns, plays)
+            if leaked_v is not None:
+                response_v += leaked_v
             noise_v = self._generator.standard_normal((len(inputs), samples))
         volts = noise_v * self._settings.reference_noise_v
         for row, name in enumerate(inputs):

@@ -323,6 +323,9 @@ def _virtual_keys(rig: RigConfig, run: RunConfig) -> dict[str, object] | None:
     hashed: dict[str, object] = (run.virtual or Virtual()).model_dump(include={"seed", "noise_v"})
     if run.virtual and (run.virtual.plate_keys or run.virtual.plate != Virtual().plate):
         hashed |= {"plate": run.virtual.plate, **run.virtual.plate_keys}
+    for key in ("crosstalk", "crosstalk_delay_s"):
+        if run.virtual and getattr(run.virtual, key) is not None:
+            hashed[key] = getattr(run.virtual, key)
     if not rig.emulation.is_flawless:
         hashed["emulation"] = rig.emulation.truth()
     return hashed

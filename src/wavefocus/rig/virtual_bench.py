@@ -28,6 +28,10 @@ def virtual_settings(rig: RigConfig, virtual: Virtual | None = None) -> VirtualS
     plate = plate_of(virtual, emulation)
     seed = emulation.seed if virtual is None else virtual.seed
     noise_v = emulation.noise_v if virtual is None or virtual.noise_v is None else virtual.noise_v
+    crosstalk, leak_s = (
+        getattr(emulation if virtual is None or getattr(virtual, key) is None else virtual, key)
+        for key in ("crosstalk", "crosstalk_delay_s")
+    )
     delay_s = emulation.inter_channel_delay_s
     latency_s, gain = _outputs(rig, emulation)
     return VirtualSettings(
@@ -38,6 +42,8 @@ def virtual_settings(rig: RigConfig, virtual: Virtual | None = None) -> VirtualS
         ),
         noise_per_response=emulation.noise_per_response,
         cubic_per_v2=emulation.cubic_per_v2,
+        crosstalk=crosstalk,
+        crosstalk_delay_s=leak_s,
         clock_ppm=emulation.clock_ppm,
         actuator_mm=rig.actuators.position_mm,
         actuator_channels=_wired(rig),
