@@ -8,10 +8,11 @@ from pathlib import Path
 
 from PyQt5.QtCore import QByteArray, QSettings, Qt, QUrl, pyqtSignal
 from PyQt5.QtGui import QDropEvent
-from PyQt5.QtWidgets import QCheckBox, QComboBox, QFileDialog, QLineEdit, QSpinBox, QSplitter, QWidget
+from PyQt5.QtWidgets import QCheckBox, QComboBox, QFileDialog, QLineEdit, QSplitter, QWidget
 
 from wavefocus.config.loading import read_toml
 from wavefocus.gui import widgets as ui
+from wavefocus.gui.number_box import NumberBox, typed_number
 from wavefocus.gui.surface import VIRTUAL, is_virtual
 from wavefocus.storage.errors import InputError
 
@@ -70,8 +71,8 @@ class Settings:
                 self.keep(key, widget.saveState())
             case QCheckBox():
                 self.keep(key, int(widget.isChecked()))
-            case QSpinBox():
-                self.keep(key, widget.value())
+            case NumberBox():
+                self.keep(key, str(widget.value()))
             case QComboBox():
                 self.keep(key, str(widget.currentData()))
             case QLineEdit():
@@ -86,8 +87,9 @@ class Settings:
                 widget.restoreState(self.bytes(key))
             case QCheckBox():
                 widget.setChecked(bool(self.whole(key, widget.isChecked())))
-            case QSpinBox():
-                widget.setValue(self.whole(key, widget.value()))
+            case NumberBox():
+                number = typed_number(self.text(key))
+                widget.setValue(widget.value() if number is None else number)
             case QComboBox():
                 widget.setCurrentIndex(max(0, widget.findData(self.text(key))))
             case QLineEdit():

@@ -19,7 +19,6 @@ from PyQt5.QtWidgets import (
     QCheckBox,
     QComboBox,
     QDialog,
-    QDoubleSpinBox,
     QFrame,
     QHBoxLayout,
     QHeaderView,
@@ -30,7 +29,6 @@ from PyQt5.QtWidgets import (
     QPushButton,
     QScrollArea,
     QSizePolicy,
-    QSpinBox,
     QSplitter,
     QTableWidget,
     QTableWidgetItem,
@@ -41,6 +39,7 @@ from PyQt5.QtWidgets import (
 )
 
 from wavefocus.acquisition.wording import hours
+from wavefocus.gui.number_box import NumberBox
 from wavefocus.gui.theme import Themed
 
 AnyWidget = TypeVar("AnyWidget", bound=QWidget)
@@ -88,23 +87,16 @@ def named(widget: AnyWidget, tip: str, name: str = "") -> AnyWidget:
 
 def number_box(
     name: str, tip: str, suffix: str, decimals: int, low: float, high: float, *, value: float = 0.0, prefix: str = ""
-) -> QDoubleSpinBox:
+) -> NumberBox:
     """Make a box for a number with a unit."""
-    box = named(QDoubleSpinBox(), tip, name)
-    box.setDecimals(decimals)
-    box.setRange(low, high)
-    box.setSuffix(suffix)
-    box.setPrefix(prefix)
+    box = named(NumberBox(decimals, low, high, prefix=prefix, suffix=suffix), tip, name)
     box.setValue(value)
     return box
 
 
-def whole_box(name: str, tip: str, low: int, high: int, prefix: str = "") -> QSpinBox:
+def whole_box(name: str, tip: str, low: int, high: int, prefix: str = "", suffix: str = "") -> NumberBox:
     """Make a box for a whole number."""
-    box = named(QSpinBox(), tip, name)
-    box.setRange(low, high)
-    box.setPrefix(prefix)
-    return box
+    return named(NumberBox(0, low, high, prefix=prefix, suffix=suffix), tip, name)
 
 
 def table(titles: Sequence[str], name: str, stretched: Sequence[int]) -> QTableWidget:

@@ -319,7 +319,7 @@ class PositionPanel(Themed, QTabWidget):
 
     def _draw_recording(self) -> None:
         if self.recordings is not None:
-            self.recording_plot.show_record(self.recordings, self._record.value(), self._raw_rate_hz, self.position)
+            self.recording_plot.show_record(self.recordings, self._record.whole(), self._raw_rate_hz, self.position)
 
     def _fill_attempts(self) -> None:
         history = self._campaign.history.get(self.position, [])

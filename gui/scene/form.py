@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any, Literal, get_args, get_origin
 
-from PyQt5.QtCore import QEvent, QLocale, Qt, pyqtSignal
+from PyQt5.QtCore import QEvent, Qt, pyqtSignal
 from PyQt5.QtGui import QKeyEvent, QKeySequence, QWheelEvent
-from PyQt5.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QFormLayout, QLabel, QLineEdit, QSizePolicy, QWidget
+from PyQt5.QtWidgets import QCheckBox, QComboBox, QFormLayout, QLabel, QLineEdit, QSizePolicy, QWidget
 
 from wavefocus.config.fields import Table
 from wavefocus.gui import widgets as ui
+from wavefocus.gui.number_box import NumberBox
 
 _DECIMALS = 6
 _WIDE = 1e9
@@ -74,7 +75,7 @@ def align(forms: Sequence[QFormLayout]) -> None:
         label.setMinimumWidth(width)
 
 
-class NumberField(QDoubleSpinBox):
+class NumberField(NumberBox):
     """A number with its unit; Ctrl+Z and the mouse wheel pass through unless it is being edited."""
 
     edited = pyqtSignal(object)
@@ -83,15 +84,10 @@ class NumberField(QDoubleSpinBox):
         self, title: str, tip: str, unit: str = "", step: float = 0.1, low: float = -_WIDE, high: float = _WIDE, *,
         decimals: int = _DECIMALS,
     ) -> None:  # fmt: skip
-        super().__init__()
+        super().__init__(decimals, low, high, suffix=f" {unit}" if unit else "")
         least = f", {low:g} or more" if low > -_WIDE else ""
         ui.named(self, f"{tip}{least}", f"{title} in {unit}" if unit else title)
-        self.setLocale(QLocale.c())  # a decimal point, as in files
-        self.setDecimals(decimals)
-        self.setRange(low, high)
         self.setSingleStep(step)
-        self.setKeyboardTracking(False)
-        self.setSuffix(f" {unit}" if unit else "")
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self.setMinimumWidth(self.fontMetrics().horizontalAdvance("-0000") + 30)
@@ -99,19 +95,10 @@ class NumberField(QDoubleSpinBox):
 
     def show_value(self, value: float | None) -> None:
         """Show a value without reporting a change."""
-        value = value or 0.0
-        if value != self.value():
-            self.blockSignals(True)
-            self.setValue(value)
-            self.blockSignals(False)
+        self.show_number(value or 0.0)
 
     def event(self, event: QEvent | None) -> bool:
-        typing = self.text() != f"{self.textFromValue(self.value())}{self.suffix()}"
-        return False if not typing and _is_undo(event) else super().event(event)
-
-    def textFromValue(self, value: float) -> str:  # noqa: N802
-        text = f"{value:.{self.decimals()}f}"
-        return text.rstrip("0").rstrip(".") if "." in text else text
+        return False if not self.is_typing() and _is_undo(event) else super().event(event)
 
     def wheelEvent(self, event: QWheelEvent | None) -> None:  # noqa: N802
         if event is not None and not self.hasFocus():

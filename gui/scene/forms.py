@@ -24,6 +24,7 @@ from wavefocus.config.scene import (
 )
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.files import PathField
+from wavefocus.gui.number_box import typed_number
 from wavefocus.gui.scene.document import NEW_PATHS, NEW_SIGNALS, PointMm, SceneDocument, changed, new_source
 from wavefocus.gui.scene.form import ChoiceField, Form, NumberField, align
 from wavefocus.gui.scene.preview import Preview, trace_text
@@ -272,11 +273,8 @@ class VertexTable(QWidget):
     def _changed(self, row: int, column: int) -> None:
         item = self.table.item(row, column)
         assert item is not None
-        at = list(self._points[row])
-        try:
-            at[column] = float(item.text().replace(",", "."))
-        except ValueError:
-            at[column] = math.nan
+        at, number = list(self._points[row]), typed_number(item.text())
+        at[column] = math.nan if number is None else number
         points = (*self._points[:row], (at[0], at[1]), *self._points[row + 1 :])
         if math.isfinite(at[column]):
             self.edited.emit(points)

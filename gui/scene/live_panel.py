@@ -159,8 +159,7 @@ class LivePanel(Themed, QWidget):
         tip = "Let the sources fade, and mute the outputs"
         self.stop = ui.action(self, "Stop live sources", run.stop, "Shift+F8", tip=tip)
         tip = "Delay by which sources follow their pointers, so that less of their path has to be predicted (ms)"
-        self.look_ahead = ui.whole_box("Look-ahead in ms", tip, 0, _LONGEST_LOOK_AHEAD_MS, "look-ahead ")
-        self.look_ahead.setSuffix(" ms")
+        self.look_ahead = ui.whole_box("Look-ahead in ms", tip, 0, _LONGEST_LOOK_AHEAD_MS, "look-ahead ", " ms")
         self.look_ahead.setValue(_LOOK_AHEAD_MS)
         tip = "Save each session as a scene in a new folder, named by the time, inside this one"
         self.records = ui.check("&Record in", tip, "Record the session")
@@ -210,7 +209,7 @@ class LivePanel(Themed, QWidget):
         elif self.records.isChecked() and record is None:
             self._context.messages.warn("choose the folder to record in, or record nothing")
         else:
-            act = partial(self._run.start, rig, self.look_ahead.value(), record)
+            act = partial(self._run.start, rig, self.look_ahead.whole(), record)
             self._context.claim_instruments(self, "Start", act, virtual=names_virtual_rig(rig))
 
     def note(self, sentence: str) -> None:

@@ -211,7 +211,7 @@ class ResultsPanel(QWidget):
     def play(self) -> None:
         """Play the present scene on the rig."""
         lasts_s = 0.0 if self.driven is None else self.driven.lasts_s
-        rig, gain_db, loops = self.bar.rig, self.bar.gain.value(), self.bar.loops.value()
+        rig, gain_db, loops = self.bar.rig, self.bar.gain.value(), self.bar.loops.whole()
         self._context.claim_instruments(
             self, "Play", lambda: self.playing.play(rig, gain_db, loops, lasts_s), virtual=names_virtual_rig(rig)
         )

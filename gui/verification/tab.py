@@ -130,7 +130,7 @@ class RequestForm(QWidget):
     def _positions(self, bank: Path) -> str:
         match self.positions.currentData():
             case "every":
-                return f"every:{self.step.value()}"
+                return f"every:{self.step.whole()}"
             case "path":
                 return "path"
             case "selected":

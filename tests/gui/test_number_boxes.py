@@ -1,0 +1,134 @@
+"""Numbers typed into the window's boxes, in every box and in three locales."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+
+import pytest
+from PyQt5.QtCore import QEvent, QLocale, Qt
+from PyQt5.QtGui import QKeyEvent
+from PyQt5.QtTest import QTest
+from PyQt5.QtWidgets import QAbstractSpinBox, QApplication, QDoubleSpinBox, QWidget
+from pytestqt.qtbot import QtBot
+
+from tests.gui.conftest import Opens, shown_tab, tab_of
+from wavefocus.config.scene import PolylineTable
+from wavefocus.gui.number_box import NumberBox, typed_number
+from wavefocus.gui.rig.tab import RigTab
+from wavefocus.gui.scene.document import NEW_PATHS, new_source
+from wavefocus.gui.scene.tab import SceneTab
+
+LOCALES = ("C", "en_US", "de_DE")
+# Texts, and the number that each is; None for those that are refused.
+TYPED = {
+    "0.2": 0.2, "0,2": 0.2, ".5": 0.5, ",5": 0.5, "1,5": 1.5, "1.5": 1.5, "0,05": 0.05, "0.05": 0.05, "3": 3.0,
+    "1,000": 1.0, "1.000": 1.0, "-1,5": -1.5, "2e0": 2.0, " 2 ": 2.0,
+    "1,234.5": None, "1.234,5": None, "1 000": None, "1'000": None, "1\u00a0000": None, "1\u202f000": None, "1_0": None,
+    "": None, "-": None, ",": None, "0,2,": None, "nan": None, "inf": None, "0x10": None, "\u0663": None, "1e": None,
+}  # fmt: skip
+
+
+@pytest.fixture(params=LOCALES)
+def locale(request: pytest.FixtureRequest) -> Generator[str]:
+    """A locale that all widgets made from now on have."""
+    former = QLocale()
+    QLocale.setDefault(QLocale(request.param))
+    yield request.param
+    QLocale.setDefault(former)
+
+
+def type_into(box: QAbstractSpinBox, text: str, end: Qt.Key = Qt.Key.Key_Return) -> None:
+    box.selectAll()
+    QTest.keyClick(box, Qt.Key.Key_Delete)
+    for character in text:  # QTest.keyClicks knows ASCII only
+        QApplication.sendEvent(box, QKeyEvent(QEvent.Type.KeyPress, 0, Qt.KeyboardModifiers(), character))
+    QTest.keyClick(box, end)
+
+
+def test_given_texts_then_point_and_comma_separate_decimals_and_all_else_is_refused() -> None:
+    assert {text: typed_number(text) for text in TYPED} == TYPED
+
+
+def test_given_texts_typed_into_every_box_then_the_value_is_theirs_or_stays(
+    qtbot: QtBot, open_window: Opens, locale: str
+) -> None:
+    window = open_window()
+    boxes = window.findChildren(QAbstractSpinBox)
+    assert len(boxes) > 30  # of all tabs and forms
+    assert {type(box) for box in boxes if not isinstance(box, NumberBox)} == set()
+    for box in boxes:
+        assert isinstance(box, NumberBox)
+        low, high, decimals = box.minimum(), box.maximum(), box.decimals()
+        for text, number in TYPED.items():
+            former = min(max(7.0, low), high)
+            box.setValue(former)
+            part: QWidget | None = box
+            while part is not None:  # a form without a source is disabled
+                part.setEnabled(True)
+                part = part.parentWidget()
+            type_into(box, text)
+            fits = number is not None and low <= number <= high and (decimals > 0 or number == int(number))
+            expected = number if fits and number is not None else former
+            case = (box.accessibleName(), text)
+            assert box.value() == pytest.approx(expected, abs=0.5001 * 10.0**-decimals), case
+            assert QDoubleSpinBox.value(box) == box.value(), case
+            assert box.text() == f"{box.prefix()}{box.textFromValue(box.value())}{box.suffix()}", case
+
+
+def test_given_a_refused_text_then_it_stays_until_the_end_and_nothing_is_reported(qtbot: QtBot) -> None:
+    box, values = NumberBox(3, 0.001, 4.0, suffix=" V"), []
+    qtbot.addWidget(box)
+    box.setValue(0.5)
+    box.valueChanged.connect(values.append)
+    box.selectAll()
+    QTest.keyClicks(box, "1,234.5 V")
+    assert box.text().startswith("1,234.5")  # a text without some of its keys would be another number
+    QTest.keyClick(box, Qt.Key.Key_Tab)
+    box.clearFocus()
+    assert (box.value(), values) == (0.5, [])
+    type_into(box, "10")  # larger than the box allows: not 1
+    assert (box.value(), values) == (0.5, [])
+    box.selectAll()
+    QTest.keyClicks(box, "0,25")
+    assert (box.value(), values) == (0.25, [])  # used by a key, F5, before it was finished
+    QTest.keyClick(box, Qt.Key.Key_Return)
+    assert values == [0.25]
+
+
+def test_given_typed_numbers_when_a_sweep_and_a_jog_are_asked_for_then_those_are_sent(
+    qtbot: QtBot, open_window: Opens, locale: str
+) -> None:
+    page = shown_tab(open_window(), RigTab).manual_page
+    sound, jog = page.sound, page.jog
+    for box in (sound.level_v, jog.x_mm):
+        box.setEnabled(True)
+    type_into(sound.level_v, "0,2", Qt.Key.Key_Tab)
+    type_into(jog.x_mm, "1,5", Qt.Key.Key_Tab)
+    assert (sound.level_v.value(), jog.x_mm.value()) == (0.2, 1.5)
+
+
+def test_given_vertices_then_the_table_reads_numbers_as_the_boxes_do(
+    qtbot: QtBot, open_window: Opens, locale: str
+) -> None:
+    tab = tab_of(open_window(), SceneTab)
+    path = NEW_PATHS["polyline"]
+    assert isinstance(path, PolylineTable)
+    tab.document.edit("draw", tab.document.draft.model_copy(update={"source": (new_source(path),)}), chosen=0)
+    table, former = tab.source_form.vertices.table, path.points_mm[0][0]
+    for text, number in TYPED.items():
+        for cell in (f"{former:g}", text):
+            item = table.item(0, 0)
+            assert item is not None
+            item.setText(cell)
+        held = tab.document.source
+        assert held is not None
+        assert isinstance(held.path, PolylineTable)
+        assert held.path.points_mm[0][0] == (former if number is None else number), text
+
+
+def test_given_numbers_of_the_last_session_then_the_boxes_show_them(qtbot: QtBot, open_window: Opens) -> None:
+    first = open_window()
+    tab = tab_of(first, SceneTab)
+    tab.live_panel.look_ahead.setValue(120)
+    first.close()
+    assert tab_of(open_window(), SceneTab).live_panel.look_ahead.whole() == 120
