@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
+
 from wavefocus.storage.errors import InputError
 
 PLAYED_UNITS = ("V", "1")
 """Units of drives that are played as volts; 1 is that of a bank without a unit."""
 _VOLTS = ("V", "volt", "volts")
 _ONE = ("", "1")
+_NAMES = {"volt": "V", "volts": "V", "Volt": "V", "Volts": "V", "newton": "N", "newtons": "N", "ampere": "A",
+          "amperes": "A", "metre": "m", "meter": "m", "metres": "m", "meters": "m", "second": "s", "seconds": "s",
+          "sec": "s", "S": "s", "pascal": "Pa", "millivolt": "mV", "millivolts": "mV", "g_n": "g"}  # fmt: skip
+_TIMES = ("s", "ms", "us", "min")
+_FACTOR = re.compile(r"(.*?[^\d^+-])\^?([+-]?\d+)")
+Factors = tuple[tuple[str, int], ...]
 
 
 def response_unit(green_unit: str, drive_unit: str = "V") -> str:
@@ -35,7 +44,41 @@ def response_unit(green_unit: str, drive_unit: str = "V") -> str:
                 rest = rest.rstrip(" ·*.")
                 bare = rest[1:-1] if rest.startswith("(") and rest.endswith(")") else rest
                 return bare.strip() or "1"
+    factors = _factors(unit)
+    if (found := (_NAMES.get(drive, drive), -1)) in factors:
+        return _text(factor for factor in factors if factor != found)
     return unit or "1"
+
+
+def drive_of(green_unit: str, stated: str | None = None) -> str:
+    """Unit of the drive of a Green's function's unit: N of ``"m/s/N"``, mV of ``"m/s per mV"``; V where it names none.
+
+    green_unit: Unit of g in any of the forms of `response_unit`.
+    stated: Unit of the drive as it is given elsewhere; None or empty where it is not.
+
+    Raises InputError: the two are different units.
+    """
+    named = _drive_of(_factors(green_unit))
+    if not (stated := (stated or "").strip()):
+        return _text(named, 1) if named else "V"
+    drive = _NAMES.get(stated, stated)
+    certain = [factor for factor in named if factor[0] not in _LENGTHS]  # um/m is a strain and no drive in metres
+    if certain and _text(certain, 1) != _text(((name, -power) for name, power in _factors(drive)), 1):
+        raise InputError(
+            f"response_unit is {green_unit!r}, per {_text(certain, 1)}, and drive_unit is {stated!r}; both must name"
+            " the same drive"
+        )
+    return drive
+
+
+def green_unit(unit: str, drive_unit: str) -> str:
+    """Unit of a Green's function as response over drive, as ``"m/s/N"``, from any form of the two texts.
+
+    Raises InputError: as `drive_of`.
+    """
+    drive = drive_of(unit, drive_unit)
+    over = _text(_factors(response_unit(unit, drive)))
+    return "1" if (over, drive) == ("1", "1") else f"{over}/{drive}"
 
 
 def quantity(number: str, unit: str) -> str:
@@ -43,7 +86,7 @@ def quantity(number: str, unit: str) -> str:
     return number if unit in _ONE else f"{number} {unit}"
 
 
-_LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "in": 0.0254, "ft": 0.3048}
+_LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "pm": 1e-12, "in": 0.0254, "ft": 0.3048}
 MOTIONS = {
     **{name: (0, metres) for name, metres in _LENGTHS.items()},
     **{f"{name}/s": (1, metres) for name, metres in _LENGTHS.items()},
@@ -51,8 +94,9 @@ MOTIONS = {
     "g": (2, 9.80665),
 }
 """Units of motion: derivatives of a displacement (1: velocity), and their size in m, m/s or m/s^2."""
-OTHER_RESPONSES = ("Pa", "mPa", "V", "mV", "A", "N", "1")
-DRIVES = ("V", "mV", "A", "mA", "N", "mN", "kN", "lbf", "Pa", "1")
+_PREFIXES = ("", "n", "u", "m", "k", "M")
+OTHER_RESPONSES = ("Pa", "V", "A", "N", "W", "rad", "rad/s", "1")
+DRIVES = ("V", "A", "N", "Pa", "W", "lbf", "1")
 
 
 def split_unit(unit: str) -> tuple[str, str]:
@@ -60,13 +104,62 @@ def split_unit(unit: str) -> tuple[str, str]:
 
     Raises InputError: the text does not end with the unit of a drive, or begins with no unit of a response.
     """
-    text = unit.strip().replace("²", "^2").replace("s2", "s^2").replace("µ", "u").replace("μ", "u").replace(" ", "")
-    over, _, under = ("1", "", "1") if text == "1" else text.rpartition("/")
-    over, under = (one[1:-1] if one.startswith("(") and one.endswith(")") else one for one in (over, under))
-    over = {"m/s/s": "m/s^2", "g_n": "g"}.get(over, over)
-    if under not in DRIVES or (over not in MOTIONS and over not in OTHER_RESPONSES):
+    factors = _factors(unit)
+    named = _drive_of(factors)
+    over, under = _text(factor for factor in factors if factor not in named), _text(named, 1)
+    if not named and (unit.strip() == "1" or unit.rstrip().endswith("/1")):
+        under = "1"
+    elif not named:
+        under = ""
+    if not _is_one_of(under, DRIVES) or (over not in MOTIONS and not _is_one_of(over, OTHER_RESPONSES)):
         raise InputError(
             f"the unit is {unit!r}; RESPONSE/DRIVE is needed, as m/s/V: responses {', '.join(MOTIONS)},"
-            f" {', '.join(OTHER_RESPONSES)}; drives {', '.join(DRIVES)}"
+            f" {', '.join(OTHER_RESPONSES)}; drives {', '.join(DRIVES)}, also as mV, kN, uA"
         )
     return over, under
+
+
+def _is_one_of(unit: str, units: Iterable[str]) -> bool:
+    return any(unit == prefix * (one not in ("1", "lbf")) + one for one in units for prefix in _PREFIXES)
+
+
+def _drive_of(factors: Factors) -> Factors:
+    """The factors that a unit is divided by, but for times."""
+    return tuple((name, power) for name, power in factors if power < 0 and name not in _TIMES)
+
+
+def _text(factors: Iterable[tuple[str, int]], sign: int = 0) -> str:
+    """Factors as a text, ``"m/s^2"``; of those that are divided by, with `sign` 1, ``"V"``."""
+    power_of = [(name, -power if sign else power) for name, power in factors]
+    over = " ".join(name + (f"^{power}" if power > 1 else "") for name, power in power_of if power > 0) or "1"
+    return over + "".join(f"/{name}" + (f"^{-power}" if power < -1 else "") for name, power in power_of if power < 0)
+
+
+def _factors(unit: str) -> Factors:
+    """Names and powers of the factors of a unit; those that stand above and below a line are both kept, as in V/V."""
+    text = unit.strip()[:255]
+    for theirs, ours in (("⁻", "^-"), ("¹", "1"), ("²", "^2"), ("^-^", "^-"), ("µ", "u"), ("μ", "u"), ("**", "^")):
+        text = text.replace(theirs, ours)
+    text = re.sub(r"[·⋅*]|(?<=[^\W\d])\.(?=[^\W\d])|(?<=\d)\.(?=[^\W\d])", " ", text)
+    text = re.sub(r"\bper\b", "/", text)
+    found: dict[tuple[str, bool], int] = {}
+    signs, sign = [1], 1
+    for token in re.findall(r"[()/]|[^\s()/]+", text):
+        if token == "/":
+            sign = -sign if sign == signs[-1] else sign
+            continue
+        if token == "(":
+            signs.append(sign)
+            continue
+        if token == ")":
+            if len(signs) > 1:
+                signs.pop()
+        else:
+            match = _FACTOR.fullmatch(token)
+            name, power = (match[1], int(match[2])) if match else (token, 1)
+            name = _NAMES.get(name, name)
+            if name != "1" and power:
+                key = (name, sign * power > 0)
+                found[key] = found.get(key, 0) + sign * power
+        sign = signs[-1]
+    return tuple((name, power) for (name, _), power in found.items())

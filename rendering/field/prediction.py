@@ -19,7 +19,7 @@ from wavefocus.rendering.greens.source import GreenSource, RowReader, drive_unit
 from wavefocus.storage.drive_file import Drive
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import Field, LowPass
-from wavefocus.storage.units import response_unit
+from wavefocus.storage.units import drive_of, response_unit
 
 RealArray = Float32Array | Float64Array
 OnProgress = Callable[[int, int], None]
@@ -195,6 +195,8 @@ def chosen_positions(drive: Drive, bank: GreenSource, positions: Sequence[int] |
         raise InputError(
             f"the drive is at {drive.sample_rate_hz:g} Hz, the bank at {bank.sample_rate_hz:g} Hz; they must agree"
         )
+    if drive_of("", drive.drive_unit) != drive_unit(bank):
+        raise InputError(f"the drive is in {drive.drive_unit}, the bank takes {drive_unit(bank)}; they must agree")
     if positions is None:
         index, _ = measured_positions(bank)
         if not len(index):

@@ -14,6 +14,7 @@ from wavefocus.rendering.arrays import BoolArray, Float32Array, Float64Array
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.point_status import DOUBTFUL, USABLE, Status
 from wavefocus.storage.point_status import usable as usable_rows
+from wavefocus.storage.units import drive_of
 
 RealArray = Float32Array | Float64Array
 
@@ -251,8 +252,12 @@ def usable(bank: GreenSource) -> BoolArray:
 
 
 def drive_unit(bank: GreenSource) -> str:
-    """Unit of the drives that a bank takes; volts where it does not say."""
-    return str(getattr(getattr(bank, "measured", bank), "drive_unit", "V"))
+    """Unit of the drives that a bank takes: its own word, else that of its `response_unit`; volts where neither says.
+
+    Raises InputError: the two contradict each other.
+    """
+    measured = getattr(bank, "measured", bank)
+    return drive_of(str(getattr(measured, "response_unit", "")), getattr(measured, "drive_unit", None))
 
 
 def refusal(status: int) -> str | None:

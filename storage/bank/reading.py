@@ -21,6 +21,7 @@ from wavefocus.storage.errors import InputError
 from wavefocus.storage.hdf5_writing import sample_times
 from wavefocus.storage.ledger.layout import LedgerLayout, has_ledger
 from wavefocus.storage.ledger.reader import LedgerReader, damage_of
+from wavefocus.storage.units import drive_of
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -109,8 +110,7 @@ def read_foreign(file: h5py.File, path: Path, stack: ExitStack) -> tuple[dict[st
         "band_hz": _band(file, path, rate),
         "quality": {name: _quality(file, path, name, positions, actuators) for name in QUALITY_NAMES},
         "rms": np.full((positions, actuators), np.nan),
-        "response_unit": hdf5_reading.text(file, "response_unit", path) or "m/s/V",
-        "drive_unit": hdf5_reading.text(file, "drive_unit", path) or "V",
+        **_units(file, path),
         "rig_json": hdf5_reading.text(file, "rig", path),
         "run_json": hdf5_reading.text(file, "run", path),
         "plan_sha256": hdf5_reading.text(file, "plan_sha256", path),
@@ -120,6 +120,14 @@ def read_foreign(file: h5py.File, path: Path, stack: ExitStack) -> tuple[dict[st
     }
     status = _status(file, path, positions)
     return facts, ForeignRows(path, green, status, stack.pop_all())
+
+
+def _units(file: h5py.File, path: Path) -> dict[str, str]:
+    unit = hdf5_reading.text(file, "response_unit", path) or "m/s/V"
+    try:
+        return {"response_unit": unit, "drive_unit": drive_of(unit, hdf5_reading.text(file, "drive_unit", path))}
+    except InputError as error:
+        raise InputError(f"{path}: attribute {error}") from None
 
 
 def _band(file: h5py.File, path: Path, rate: float) -> tuple[float, float] | None:
@@ -177,8 +185,8 @@ class Bank(Closing):
     rms, (P, N): Root mean square over the taps of each Green's function, float64, as computed when the position was
         committed and covered by its checksum; NaN in rows that are not measured or silent, of an older version, or
         foreign.
-    response_unit, drive_unit: Unit of the Green's functions, and of the drive; ``"m/s/V"`` and ``"V"`` where the file
-        names none.
+    response_unit, drive_unit: Unit of the Green's functions, ``"m/s/V"`` where the file names none, and of the drive:
+        where the file names none, what `response_unit` is divided by (N of ``"m/s/N"``), else ``"V"``.
     rig_json, run_json: The validated configuration as JSON text.
     plan_sha256: Hash of all that a resume must not change.
     software: Program and version that made the bank.

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from wavefocus.storage.bank.reading import Bank
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.point_status import usable
+from wavefocus.storage.units import green_unit, response_unit
 
 Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
@@ -52,6 +53,12 @@ class BankRows:
     def bank_name(self) -> str:
         """Name of the bank's file, as a text that every format holds."""
         return printable(self.bank.path.name)
+
+    @property
+    def units(self) -> tuple[str, str, str]:
+        """Unit of the Green's functions as response over drive, ``"m/s/N"``; that of the response, and of the drive."""
+        unit = green_unit(self.bank.response_unit, self.bank.drive_unit)
+        return unit, response_unit(unit, self.bank.drive_unit), self.bank.drive_unit
 
     @property
     def position_mm(self) -> Float64Array:

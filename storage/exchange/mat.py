@@ -41,7 +41,7 @@ Example: y = filter(squeeze(green(1, 1, :)), 1, drive);   % response at the firs
 
 def _about(rows: BankRows) -> dict[str, Any]:
     bank = rows.bank
-    units = {"green": bank.response_unit, "position_mm": "mm", "actuator_mm": "mm", "time_s": "s"}
+    units = {"green": rows.units[0], "position_mm": "mm", "actuator_mm": "mm", "time_s": "s"}
     units |= {"sample_rate_hz": "Hz", "band_hz": "Hz"} | {
         f"quality_{name}": QUALITY_UNITS[name] for name in bank.quality
     }

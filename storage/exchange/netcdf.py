@@ -61,7 +61,7 @@ def write(path: Path, rows: BankRows, on_progress: OnProgress | None = None) -> 
             attach(figures, *(position, actuator)[: figures.ndim])
             file[f"quality/{name}"] = figures
         shape = (count, bank.actuators, bank.taps)
-        green = reserved(file, "green", shape, "<f4", bank.response_unit, chunk=(1, *shape[1:]))
+        green = reserved(file, "green", shape, "<f4", rows.units[0], chunk=(1, *shape[1:]))
         green.attrs["coordinates"] = "x_mm y_mm status"
         attach(green, position, actuator, time_s)
         set_long_names(file, LONG_NAMES)
@@ -78,7 +78,7 @@ def _attributes(rows: BankRows) -> dict[str, object]:
         "source": bank.software or "measured with another program",
         "history": made,
         "sample_rate_hz": np.float64(bank.sample_rate_hz),
-        "response_unit": bank.response_unit,
+        "response_unit": rows.units[0],
         "drive_unit": bank.drive_unit,
         EXPORT_MARK: "netcdf",
     }

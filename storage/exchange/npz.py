@@ -30,7 +30,7 @@ def named_arrays(rows: BankRows, on_progress: OnProgress | None) -> dict[str, An
         "sample_rate_hz": np.float64(bank.sample_rate_hz),
         "band_hz": np.array([np.nan, np.nan] if bank.band_hz is None else bank.band_hz),
         "status": rows.status,
-        "response_unit": bank.response_unit,
+        "response_unit": rows.units[0],
         "drive_unit": bank.drive_unit,
     }
     return arrays | {f"quality_{name}": figures[rows.row] for name, figures in bank.quality.items()}

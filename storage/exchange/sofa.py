@@ -72,7 +72,7 @@ def _attributes(rows: BankRows) -> dict[str, str]:
         "APIVersion": version("wavefocus"),
         "ApplicationName": "wavefocus",
         "ApplicationVersion": version("wavefocus"),
-        "Comment": f"Data.IR is in {bank.response_unit}, tap 0 at the drive sample; band {band}; coordinates on the"
+        "Comment": f"Data.IR is in {rows.units[0]}, tap 0 at the drive sample; band {band}; coordinates on the"
         " surface, origin at its centre, x right, y up, seen from the laser",
     }
     optional = {"RoomDescription": "room", "DatabaseName": "database", "References": "references"}

@@ -16,7 +16,9 @@ from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.bank_rows import BankRows, Float64Array, OnProgress, printable
 from wavefocus.storage.output_files import replacement
 
-TIME_RESPONSE, NORMAL, TIME, VELOCITY = 1, 3, 17, 11
+TIME_RESPONSE, NORMAL, TIME = 1, 3, 17
+QUANTITIES = {"m": 8, "m/s": 11, "m/s^2": 12, "N": 13, "Pa": 15}
+"""Numbers of the standard for quantities, where they are in its SI units; 0 is unknown."""
 _EVEN = 1
 _SINGLE, _DOUBLE = 2, 4
 _LITTLE_ENDIAN, _IEEE, _HEADER_LINES = 1, 2, 11
@@ -74,10 +76,10 @@ def _header(rows: BankRows, row: int, actuator: int, status: int) -> str:
     if rows.binary:
         binary = f"b{_LITTLE_ENDIAN:6d}{_IEEE:6d}{_HEADER_LINES:12d}{4 * bank.taps:12d}{0:6d}{0:6d}{0:12d}{0:12d}"
     nothing = f"{0:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20} {'NONE':<20}"
-    ordinate = VELOCITY if bank.response_unit == "m/s/V" else 0
+    unit, over, under = rows.units
     lines = (
         f"{58:6d}{binary}",
-        f"Green's function, FIR from drive to response in {bank.response_unit}"[:80],
+        f"Green's function, FIR from drive to response in {unit}"[:80],
         f"{rows.bank_name}, row {row}, actuator {actuator}, status {status}"[:80],
         f"x = {x_mm:.6g} mm, y = {y_mm:.6g} mm, {bank.sample_rate_hz:.12g} samples a second",
         rows.publication.get("title", "NONE")[:80],
@@ -87,8 +89,8 @@ def _header(rows: BankRows, row: int, actuator: int, status: int) -> str:
         f"{_SINGLE if rows.binary else _DOUBLE:10d}{bank.taps:10d}{_EVEN:10d}"
         f"{0:13.5E}{1 / bank.sample_rate_hz:13.5E}{0:13.5E}",
         f"{TIME:10d}{0:5d}{0:5d}{0:5d} {'Time':<20} {'s':<20}",
-        f"{ordinate:10d}{0:5d}{0:5d}{0:5d} {'Greens function':<20} {bank.response_unit[:20]:<20}",
-        f"{0:10d}{0:5d}{0:5d}{0:5d} {'Drive':<20} {bank.drive_unit[:20]:<20}",
+        f"{QUANTITIES.get(over, 0):10d}{0:5d}{0:5d}{0:5d} {'Response':<20} {over[:20]:<20}",
+        f"{QUANTITIES.get(under, 0):10d}{0:5d}{0:5d}{0:5d} {'Drive':<20} {under[:20]:<20}",
         nothing,
     )
     return _END + "".join(f"{printable(line)}\n" for line in lines)

@@ -46,7 +46,7 @@ def write(folder: Path, rows: BankRows, on_progress: OnProgress | None = None) -
     facts = {
         "format": "wavefocus-wav-export",
         "scale": scale,
-        "unit": bank.response_unit,
+        "unit": rows.units[0],
         "drive_unit": bank.drive_unit,
         "band_hz": bank.band_hz,
         "publication": dict(rows.publication),

@@ -20,7 +20,7 @@ from wavefocus.rendering.drive.coil_limits import dynamic_range_db, relative_rms
 from wavefocus.rendering.drive.rendering import OnProgress, render_with_report
 from wavefocus.rendering.drive.streamed import StreamedDrive
 from wavefocus.rendering.drive.wav import in_chunks, stream_wav
-from wavefocus.rendering.field.prediction import predicted_focus_peak
+from wavefocus.rendering.field.prediction import field_unit, predicted_focus_peak
 from wavefocus.rendering.greens.source import GreenSource
 from wavefocus.rendering.report.render_report import RenderReport
 from wavefocus.rendering.scene.model import Scene, load_scene
@@ -273,7 +273,7 @@ def _kept(
 
 def _report(job: _Job, result: _Result, rig_file: Path | None, *, streamed: bool, as_json: bool) -> None:
     facts, limiting, (actuators, samples) = result.facts, result.facts.limiting, result.shape
-    unit = job.bank.response_unit.removesuffix("/V")
+    unit = field_unit(job.bank)
     range_db = dynamic_range_db(result.relative_rms)
     if job.wav is not None:
         rate_hz, full_scale_v, _ = job.wav_scale

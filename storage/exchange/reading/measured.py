@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from wavefocus.storage.errors import InputError, WavefocusError
 from wavefocus.storage.hdf5_reading import most_bytes
+from wavefocus.storage.units import green_unit
 
 Float64Array = NDArray[np.float64]
 
@@ -135,6 +136,19 @@ def require_plain(text: str, path: Path, what: str) -> str:
     if len(text) > 255 or any(unicodedata.category(one) in ("Cc", "Cf", "Cs") for one in text):
         raise InputError(f"{path}: {what} is {text[:80]!r}; a short name without control characters is needed")
     return text
+
+
+def stated_unit(unit: str, drive: str, path: Path) -> str:
+    """Unit of the responses over that of the drive, as a file states them; empty where it states neither.
+
+    Raises InputError: the two contradict each other.
+    """
+    if not unit or not drive:
+        return require_plain(unit, path, "response_unit")
+    try:
+        return green_unit(require_plain(unit, path, "response_unit"), require_plain(drive, path, "drive_unit"))
+    except InputError as error:
+        raise InputError(str(error) if str(error).startswith(str(path)) else f"{path}: {error}") from None
 
 
 def blocks(values: Any, row_bytes: int, chunk_rows: int = 1) -> Iterator[NDArray[Any]]:

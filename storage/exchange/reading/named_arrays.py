@@ -20,7 +20,7 @@ from wavefocus.storage.exchange.reading.measured import (
     Measured,
     blocks,
     chosen_direction,
-    require_plain,
+    stated_unit,
     uniform_step,
     with_z,
 )
@@ -92,9 +92,7 @@ def measured_arrays(file: NamedArrays, options: ImportOptions) -> Measured:
             )
     rate_hz, frequency_hz, start_s = _axis(path, options, numbers, samples, is_complex=is_complex)
     band, unit, drive = numbers("band_hz"), find("response_unit"), find("drive_unit")
-    unit = require_plain(unit, path, "response_unit") if isinstance(unit, str) else ""
-    if unit and isinstance(drive, str) and not unit.endswith(f"/{drive}"):
-        unit = f"{unit}/{require_plain(drive, path, 'drive_unit')}"
+    unit = stated_unit(unit if isinstance(unit, str) else "", drive if isinstance(drive, str) else "", path)
     status = numbers("status")
     if status is not None and not (status.size == count and np.isin(status, np.arange(32)).all()):
         raise InputError(f"{path}: status needs a sum of 1, 2, 4, 8 and 16 for each of the {count} positions")

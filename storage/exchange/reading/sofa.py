@@ -29,7 +29,7 @@ from wavefocus.storage.exchange.reading.measured import (
 from wavefocus.storage.exchange.reading.places import table_of
 
 _AXES = {"FIR": "mrn", "FIR-E": "mrne", "FIRE": "mren", "TF": "mrn", "TF-E": "mrne"}
-_UNIT = re.compile(r"Data\.IR is in ([^\s,;]+)")
+_UNIT = re.compile(r"Data\.IR is in ([^,;]+)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +104,7 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
         shape=(*counts, samples),
         position_m=position_m,
         actuator_m=actuator_m,
-        unit=unit[1] if unit else "",
+        unit=unit[1].strip() if unit else "",
         sample_rate_hz=rate_hz,
         frequency_hz=frequency_hz,
         status=status,

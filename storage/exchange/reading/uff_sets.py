@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.reading.measured import Float64Array, require_plain, uniform_step
-from wavefocus.storage.units import split_unit
+from wavefocus.storage.units import green_unit, split_unit
 
 _LINE = 1 << 12
 _POWERS = np.array([float(f"1e{power}") for power in range(-400, 308)])
@@ -152,14 +152,13 @@ def _decoded(text: bytes) -> str:
 
 @cache
 def _labelled(over: str, under: str) -> str:
-    """Unit by the labels of numerator and denominator; empty where they name none that is understood."""
-    for unit in (over, f"{over}/{under}"):
-        try:
-            split_unit(unit)
-        except InputError:
-            continue
-        return unit
-    return ""
+    """Unit by the labels of numerator and denominator; empty where they name none, or two, that are understood."""
+    try:
+        unit = green_unit(over, under) if over and under.upper() != "NONE" else over
+        split_unit(unit)
+    except InputError:
+        return ""
+    return unit
 
 
 def _own_facts(lines: list[bytes], step: float) -> tuple[float | None, int | None]:

@@ -20,6 +20,7 @@ from wavefocus.storage.exchange.reading.measured import (
     distinct,
     require_honest,
     require_plain,
+    stated_unit,
     with_z,
 )
 from wavefocus.storage.exchange.reading.places import Place, coordinates, read_places
@@ -121,7 +122,7 @@ def _exported(folder: Path) -> _Sounds:
         channels,
         with_z(position_mm / 1e3),
         with_z(actuator_mm / 1e3),
-        require_plain(str(facts["unit"]), table, "unit"),
+        stated_unit(str(facts["unit"]), str(facts.get("drive_unit", "")), table),
         scale,
         None if band is None else (float(band[0]), float(band[1])),
         status.astype(np.uint8),

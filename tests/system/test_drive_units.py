@@ -1,0 +1,125 @@
+"""Units of drives: taken from the unit of the Green's functions, kept by exports, and played only in volts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+import pyuff
+
+import wavefocus as wf
+from wavefocus.__main__ import run
+from wavefocus.storage.units import drive_of
+
+POSITIONS, ACTUATORS, TAPS = 4, 2, 16
+GREEN = (
+    np.random.default_rng(3).standard_normal((POSITIONS, ACTUATORS, TAPS)) * np.exp(-np.arange(TAPS) / 1.5)
+).astype(np.float32)
+SCENE = """
+[scene]
+name = "point"
+[[source]]
+path = { kind = "point", at_mm = [0, 0] }
+signal = { kind = "impulse" }
+"""
+RIG = """
+[rig]
+name = "virtual"
+[actuators]
+position_mm = [[0, 0], [9, 0]]
+[player]
+driver = "virtual"
+channels = [0, 1]
+loopback_channel = 4
+"""
+
+
+def foreign(path: Path, **attributes: str) -> Path:
+    with h5py.File(path, "w") as file:
+        file["green"], file["position_mm"] = GREEN, [[0.0, 0.0], [4.0, 0.0], [0.0, 4.0], [4.0, 4.0]]
+        file.attrs.update(sample_rate_hz=2000.0, **attributes)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("unit", "stated", "drive"),
+    [
+        ("m/s/N", "", "N"), ("m/s per mV", "", "mV"), ("m s-1 N-1", "", "N"), ("m/(s·A)", "", "A"),
+        ("g/lbf", "", "lbf"),
+        ("m·s⁻¹·V⁻¹", "", "V"), ("m/s/V^2", "", "V^2"), ("m/s/Vpp", "", "Vpp"), ("V/V", "volts", "V"),
+        ("m/s", "", "V"), ("m/s", "N", "N"), ("um/m", "V", "V"),
+        ("m/s/volt", "V", "V"), ("m/s per millivolt", "mV", "mV"),
+    ],
+)  # fmt: skip
+def test_a_bank_then_takes_drives_in_the_unit_that_its_green_functions_name(
+    tmp_path: Path, unit: str, stated: str, drive: str
+) -> None:
+    words = {"drive_unit": stated} if stated else {}
+    with wf.open_bank(foreign(tmp_path / "b.h5", response_unit=unit, **words)) as bank:
+        assert bank.drive_unit == drive == drive_of(unit, stated)
+
+
+@pytest.mark.parametrize(("unit", "stated"), [("m/s/N", "V"), ("m/s per mV", "V"), ("m/s/V", "N"), ("g/V", "mV")])
+def test_a_bank_that_names_two_drives_then_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], unit: str, stated: str
+) -> None:
+    bank = foreign(tmp_path / "b.h5", response_unit=unit, drive_unit=stated)
+    assert run(["status", str(bank)]) == 2
+    told = capsys.readouterr().err
+    assert all(word in told for word in ("response_unit", unit, "drive_unit", stated))
+    np.savez(tmp_path / "b.npz", green=GREEN, position_mm=np.zeros((POSITIONS, 2)), sample_rate_hz=2000.0,
+             response_unit=unit, drive_unit=stated)  # fmt: skip
+    assert run(["import", str(tmp_path / "b.npz"), "--bank", str(tmp_path / "i.h5")]) == 2
+
+
+@pytest.mark.parametrize("unit", ["m/s/N", "m/s per mV"])
+def test_drives_that_are_not_in_volts_then_are_not_played(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], unit: str
+) -> None:
+    bank = str(foreign(tmp_path / "b.h5", response_unit=unit))
+    scene, rig, drive = tmp_path / "scene.toml", tmp_path / "rig.toml", str(tmp_path / "drive.h5")
+    scene.write_text(SCENE, encoding="utf-8")
+    rig.write_text(RIG, encoding="utf-8")
+    assert run(["render", str(scene), "--bank", bank, "--out", drive]) == 0
+    assert wf.read_drive(drive).drive_unit == drive_of(unit)
+    capsys.readouterr()
+    for command in (
+        ["render", str(scene), "--bank", bank, "--out", str(tmp_path / "w.h5"), "--wav", str(tmp_path / "w.wav")],
+        ["play", drive, "--rig", str(rig)],
+        ["play", str(scene), "--bank", bank, "--rig", str(rig)],
+        ["live", bank, "--rig", str(rig)],
+    ):
+        assert run(command) == 2, command
+        assert f"in {drive_of(unit)}" in capsys.readouterr().err
+    volts = foreign(tmp_path / "volts.h5")
+    assert run(["predict", drive, "--bank", str(volts), "--out", str(tmp_path / "field.h5")]) == 2
+    array = wf.GreenArray(GREEN, np.zeros((POSITIONS, 2)), 2000.0, response_unit=unit)
+    assert wf.render(scene, array).drive_unit == drive_of(unit)
+
+
+@pytest.mark.parametrize("unit", ["m/s/N", "m/s per mV", "m s-1 V-1", "mm/s²/kN"])
+@pytest.mark.parametrize("kind", ["sofa", "uff", "uff --binary", "wav", "wav --per actuator", "mat", "npz", "netcdf"])
+def test_an_export_then_names_units_that_the_import_reads_back(tmp_path: Path, kind: str, unit: str) -> None:
+    bank, out, back = foreign(tmp_path / "b.h5", response_unit=unit), tmp_path / "out", tmp_path / "back.h5"
+    assert run(["export", str(bank), str(out), "--to", *kind.split()]) == 0
+    assert run(["import", str(out), "--bank", str(back)]) == 0
+    wanted = {"m/s per mV": "m/s/mV", "m s-1 V-1": "m/s/V", "mm/s²/kN": "mm/s^2/kN"}.get(unit, unit)
+    with wf.open_bank(back) as found:
+        assert (found.response_unit, found.drive_unit) == (wanted, wanted.rpartition("/")[2])
+        assert np.array_equal([found.green(row) for row in range(POSITIONS)], GREEN)
+
+
+@pytest.mark.parametrize(
+    ("unit", "over", "under", "codes"), [("m/s/V", "m/s", "V", (11, 0)), ("g/N", "g", "N", (0, 13))]
+)
+def test_a_universal_export_then_divides_by_the_drive_once(
+    tmp_path: Path, unit: str, over: str, under: str, codes: tuple[int, int]
+) -> None:
+    bank, out = foreign(tmp_path / "b.h5", response_unit=unit), tmp_path / "out.uff"
+    assert run(["export", str(bank), str(out), "--to", "uff"]) == 0
+    found: dict[str, Any] = next(one for one in pyuff.UFF(str(out)).read_sets() if one["type"] == 58)
+    assert (found["ordinate_axis_units_lab"].strip(), found["orddenom_axis_units_lab"].strip()) == (over, under)
+    assert (found["ordinate_spec_data_type"], found["orddenom_spec_data_type"]) == codes
