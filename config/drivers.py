@@ -20,7 +20,7 @@ from typing import (
 
 from pydantic import Field, create_model, model_validator
 
-from wavefocus.config.fields import Finite, Table, Text, Whole, like, mistake
+from wavefocus.config.fields import ALWAYS, FREE, Finite, Table, Text, Whole, like, mistake, plan_mark
 from wavefocus.config.loading import shown
 from wavefocus.drivers.registry import KeyMistakeError
 
@@ -41,7 +41,7 @@ class DriverTable(Table):
     drivers: ClassVar[Mapping[str, type[Any]]] = {}
     shared_keys: ClassVar[Mapping[str, str]] = {}
 
-    driver: str = "virtual"
+    driver: Annotated[str, ALWAYS] = "virtual"
 
     if TYPE_CHECKING:
 
@@ -53,9 +53,16 @@ class DriverTable(Table):
         values = {key.name: getattr(self, key.name) for key in fields(driver)}
         return driver(**{key: value for key, value in values.items() if value is not None})
 
-    def plan_keys(self) -> set[str]:
-        """Keys of the drivers that must not change in a campaign."""
-        return {key.name for driver in self.drivers.values() for key in fields(driver) if key.metadata["in_plan"]}
+    def _unused_in_plan(self) -> frozenset[str]:
+        """Keys of other drivers."""
+        own = {key.name for key in fields(self.drivers[self.driver])} if self.driver in self.drivers else set()
+        return frozenset(key.name for driver in self.drivers.values() for key in fields(driver)) - own
+
+    def _plan_default(self, key: str) -> object:
+        """The driver's own default of its key."""
+        driver = self.drivers.get(self.driver)
+        own = {one.name: one.default for one in fields(driver)} if driver is not None else {}
+        return own[key] if own.get(key, MISSING) is not MISSING else super()._plan_default(key)
 
     @model_validator(mode="before")
     @classmethod
@@ -99,13 +106,16 @@ class DriverTable(Table):
 def with_drivers(section: type[Section], drivers: Mapping[str, type[Any]]) -> type[Section]:
     """The table with the keys of all its drivers; two drivers with a key of one name mean the same by it."""
     default = section.model_fields["driver"].default
-    keys: dict[str, Any] = {"driver": (Literal[(default, *drivers)], default)}
+    mark = plan_mark(section.model_fields["driver"])
+    keys: dict[str, Any] = {"driver": (Annotated[Literal[(default, *drivers)], mark], default)}
     for driver in drivers.values():
         hints = get_type_hints(driver)
         for key in fields(driver):
             about = key.metadata
             described = Field(default=None, title=about["title"], description=about["description"])
-            keys[key.name] = (Union[_checked(hints[key.name], about), None], described)  # noqa: UP007
+            checked: Any = Union[_checked(hints[key.name], about), None]  # noqa: UP007
+            mark = {"free": FREE, "always": ALWAYS}.get(about["in_plan"])
+            keys[key.name] = (Annotated[checked, mark] if mark else checked, described)
     module = section.__module__
     made = create_model(section.__name__, __base__=section, __doc__=section.__doc__, __module__=module, **keys)
     made.drivers = drivers

@@ -6,6 +6,7 @@ import json
 import re
 import textwrap
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, StrictBool
@@ -22,10 +23,49 @@ Text = Annotated[str, Strict(), Field(min_length=1)]
 PointMm = tuple[Finite, Finite]
 
 
+@dataclass(frozen=True, slots=True)
+class PlanMark:
+    """How a key counts in the hash of a plan; metadata of its field, as ``Annotated[Positive, FREE]``."""
+
+    meaning: str
+
+
+FREE = PlanMark("may change in a campaign, or is hashed in another form")
+ALWAYS = PlanMark("hashed at its default too, as the first banks were")
+"""A key without a mark is hashed where it is not at its default, so that a new key changes no older bank's hash."""
+
+
 class Table(BaseModel):
     """A table of a configuration file: immutable, and closed to unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    def plan_values(self) -> dict[str, Any]:
+        """Keys that a resume must not change, as JSON has them: all that are not marked `FREE`."""
+        values, plain, unused = {}, self.model_dump(), self._unused_in_plan()
+        for key, field in type(self).model_fields.items():
+            mark, value, default = plan_mark(field), getattr(self, key), self._plan_default(key)
+            if mark is FREE or key in unused:
+                continue
+            if isinstance(value, Table):
+                if (nested := value.plan_values()) or default is None:
+                    values[key] = nested
+            elif mark is ALWAYS or value != default:
+                values[key] = plain[key]
+        return values
+
+    def _plan_default(self, key: str) -> object:
+        """The value of a key that is left out."""
+        return type(self).model_fields[key].get_default(call_default_factory=True)
+
+    def _unused_in_plan(self) -> frozenset[str]:
+        """Keys without effect beside the values of others."""
+        return frozenset()
+
+
+def plan_mark(field: FieldInfo) -> PlanMark | None:
+    """The mark of a key; None where it has none."""
+    return next((one for one in field.metadata if isinstance(one, PlanMark)), None)
 
 
 def mistake(key: str, value: object, allowed: str) -> PydanticCustomError:

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from wavefocus.config.fields import Finite, NonNegative, PointMm, Positive, Table, mistake
+from wavefocus.config.fields import ALWAYS, Finite, NonNegative, PointMm, Positive, Table, mistake
 
 PLATES_OF_KEY = {
     "loss": ("soft",),
@@ -29,10 +29,10 @@ _OF_ANY_PLATE = ("speed_per_k", "loss_per_k", "finger")
 class Finger(Table):
     """A finger that rests on the surface: mass, damper and spring at one place."""
 
-    place_mm: PointMm
-    mass_kg: NonNegative = 0.0
-    damping_n_s_m: NonNegative = 0.0
-    stiffness_n_m: NonNegative = 0.0
+    place_mm: Annotated[PointMm, ALWAYS]
+    mass_kg: Annotated[NonNegative, ALWAYS] = 0.0
+    damping_n_s_m: Annotated[NonNegative, ALWAYS] = 0.0
+    stiffness_n_m: Annotated[NonNegative, ALWAYS] = 0.0
 
 
 class PlateKeys(Table):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from wavefocus.config.calibration import CalibrationRecord, with_calibration
-from wavefocus.config.fields import Finite, NonNegative, PointMm, Positive, Table, Text, Whole, mistake
+from wavefocus.config.fields import ALWAYS, FREE, Finite, NonNegative, PointMm, Positive, Table, Text, Whole, mistake
 from wavefocus.config.outline import Kind, Outline
 from wavefocus.config.plate import PlateKeys
 from wavefocus.config.rig_instruments import (
@@ -93,24 +93,22 @@ class WireFaultTable(Table):
     seconds: Finite = 0.0
 
 
-# Keys that came later: left out of a plan's hash at 0, so that banks of before keep theirs.
-UNUSED_AT_ZERO = ("noise_per_response", "cubic_per_v2", "crosstalk", "crosstalk_delay_s")
-
-
 class Emulation(PlateKeys):
     """What `wavefocus emulate` builds, and what the virtual rig is like; real instruments take no notice of it.
 
     What is left out is as the rig's own tables say, and without a flaw.
     """
 
-    seed: Annotated[Whole, Field(ge=0, le=2**63 - 1)] = Field(
+    seed: Annotated[Whole, Field(ge=0, le=2**63 - 1), ALWAYS] = Field(
         default=1,
         description="Seed of the rig's flaws; the run file's virtual.seed is stronger for the noise of records",
     )
-    noise_v: NonNegative | None = Field(
+    noise_v: Annotated[NonNegative | None, ALWAYS] = Field(
         default=None, description="Rms noise of the vibrometer; the run file's virtual.noise_v is stronger"
     )
-    reference_noise_v: NonNegative | None = Field(default=None, description="Rms noise of the reference input")
+    reference_noise_v: Annotated[NonNegative | None, ALWAYS] = Field(
+        default=None, description="Rms noise of the reference input"
+    )
     noise_per_response: NonNegative = Field(
         default=0.0, description="Rms noise that grows with the response, in V per V"
     )
@@ -126,17 +124,19 @@ class Emulation(PlateKeys):
     crosstalk_delay_s: Annotated[NonNegative, Field(le=0.01)] = Field(
         default=0.0, description="How much later the leak comes than the loopback's voltage"
     )
-    clock_ppm: Annotated[Finite, Field(ge=-1000, le=1000)] = Field(
+    clock_ppm: Annotated[Finite, Field(ge=-1000, le=1000), ALWAYS] = Field(
         default=30.0, description="Rate of the recorder's clock beyond the player's"
     )
-    inter_channel_delay_s: Annotated[Finite, Field(ge=-0.001, le=0.001)] | None = Field(
+    inter_channel_delay_s: Annotated[Annotated[Finite, Field(ge=-0.001, le=0.001)] | None, ALWAYS] = Field(
         default=None, description="True delay between the inputs; virtual rigs only, and by default the recorder's"
     )
-    mirror_map: Matrix | None = Field(default=None, description="True map of the mirror; by default the mirror's")
-    output_latency_spread_s: Annotated[NonNegative, Field(le=0.001)] = Field(
+    mirror_map: Annotated[Matrix | None, ALWAYS] = Field(
+        default=None, description="True map of the mirror; by default the mirror's"
+    )
+    output_latency_spread_s: Annotated[NonNegative, Field(le=0.001), ALWAYS] = Field(
         default=0.0, description="Largest deviation of an output's latency"
     )
-    output_gain_spread_db: Annotated[NonNegative, Field(le=20)] = Field(
+    output_gain_spread_db: Annotated[NonNegative, Field(le=20), ALWAYS] = Field(
         default=0.0, description="Largest deviation of an output's level"
     )
     output_gains_db: tuple[Finite, ...] = Field(default=(), description="Deviation of each output's level, from 0 on")
@@ -146,19 +146,27 @@ class Emulation(PlateKeys):
     swapped_outputs: tuple[tuple[Actuator, Actuator], ...] = Field(
         default=(), description="Pairs of outputs whose cables are exchanged"
     )
-    reversed_outputs: tuple[Actuator, ...] = Field(default=(), description="Outputs whose wires are crossed")
-    dead_actuators: tuple[Actuator, ...] = Field(default=(), description="Actuators, from 0, that do nothing")
-    weak_actuators: tuple[Actuator, ...] = Field(default=(), description="Actuators that move a quarter as much")
-    reversed_actuators: tuple[Actuator, ...] = Field(default=(), description="Actuators that move the other way")
+    reversed_outputs: Annotated[tuple[Actuator, ...], ALWAYS] = Field(
+        default=(), description="Outputs whose wires are crossed"
+    )
+    dead_actuators: Annotated[tuple[Actuator, ...], ALWAYS] = Field(
+        default=(), description="Actuators, from 0, that do nothing"
+    )
+    weak_actuators: Annotated[tuple[Actuator, ...], ALWAYS] = Field(
+        default=(), description="Actuators that move a quarter as much"
+    )
+    reversed_actuators: Annotated[tuple[Actuator, ...], ALWAYS] = Field(
+        default=(), description="Actuators that move the other way"
+    )
     room_c: Finite | None = Field(
         default=None,
         description="Temperature of the room in degrees Celsius; the run file's virtual.room_c is stronger",
     )
-    period_frames: Annotated[Whole, Field(ge=16, le=65_536)] = Field(
+    period_frames: Annotated[Whole, Field(ge=16, le=65_536), FREE] = Field(
         default=4096, description="Frames per period of the emulated audio server"
     )
-    ni_product: Text = Field(default="USB-6211", description="NI box that is emulated")
-    fault_plan: tuple[WireFaultTable, ...] = Field(
+    ni_product: Annotated[Text, FREE] = Field(default="USB-6211", description="NI box that is emulated")
+    fault_plan: Annotated[tuple[WireFaultTable, ...], FREE] = Field(
         default=(),
         description="Faults of the emulated wires: tables with role, kind, operation, at_call or at_s, count, seconds",
     )
@@ -166,15 +174,7 @@ class Emulation(PlateKeys):
     @property
     def is_flawless(self) -> bool:
         """Whether the rig is just as its own tables say."""
-        return self.truth() == Emulation().truth()
-
-    def truth(self) -> dict[str, object]:
-        """What is measured of the rig depends on this; on faults and on how a wire is emulated it does not."""
-        later = ("output_gains_db", "output_delays_s", "swapped_outputs", "room_c")
-        unused = {key for key in later if getattr(self, key) in ((), None)}
-        unused |= {key for key in UNUSED_AT_ZERO if getattr(self, key) == 0}
-        unused |= {key for key, field in PlateKeys.model_fields.items() if getattr(self, key) == field.default}
-        return self.model_dump(exclude={"fault_plan", "period_frames", "ni_product"} | unused)
+        return self.plan_values() == Emulation().plan_values()
 
     @model_validator(mode="after")
     def _one_flaw_each(self) -> Emulation:
@@ -297,14 +297,14 @@ class RigSection(Table):
 class Surface(Table):
     """The outline of the plate, its length along x; all but a polygon are centred on the origin."""
 
-    kind: Kind = Field(
+    kind: Annotated[Kind, ALWAYS] = Field(
         default="stadium",
         description="A stadium is a rectangle with a half disk at either end",
     )
-    length_mm: Annotated[Positive, Field(le=100_000)] = Field(
+    length_mm: Annotated[Positive, Field(le=100_000), ALWAYS] = Field(
         default=250.0, description="Length along x, or diameter of a disk"
     )
-    width_mm: Annotated[Positive, Field(le=100_000)] = Field(
+    width_mm: Annotated[Positive, Field(le=100_000), ALWAYS] = Field(
         default=150.0, description="Width along y; of a stadium at most length_mm"
     )
     corners_mm: Annotated[tuple[PointMm, ...], Field(min_length=3, max_length=1024)] | None = Field(
@@ -355,7 +355,7 @@ class Surface(Table):
 class Actuators(Table):
     """Where the actuators touch the plate; their order is the bank's."""
 
-    position_mm: Annotated[tuple[PointMm, ...], Field(min_length=1, max_length=1024)] = Field(
+    position_mm: Annotated[tuple[PointMm, ...], Field(min_length=1, max_length=1024), FREE] = Field(
         description="[x, y] of each actuator, on the surface; their order is the bank's"
     )
 
@@ -363,19 +363,19 @@ class Actuators(Table):
 class RigConfig(Table):
     """A validated rig file; with no argument, the built-in virtual rig."""
 
-    rig: RigSection = RigSection()
+    rig: Annotated[RigSection, FREE] = RigSection()
     surface: Surface = Surface()
     actuators: Actuators
     mirror: MirrorSection = MirrorSection()
     recorder: RecorderSection = RecorderSection()
     player: PlayerSection
     vibrometer: VibrometerSection = VibrometerSection()
-    recovery: RecoverySection = RecoverySection()
-    watch: WatchSection = WatchSection()
-    messages: MessagesSection = MessagesSection()
-    calibration: CalibrationSection = CalibrationSection()
-    usb: Annotated[tuple[UsbDevice, ...], Field(max_length=64)] = ()
-    emulation: Emulation = Emulation()
+    recovery: Annotated[RecoverySection, FREE] = RecoverySection()
+    watch: Annotated[WatchSection, FREE] = WatchSection()
+    messages: Annotated[MessagesSection, FREE] = MessagesSection()
+    calibration: Annotated[CalibrationSection, FREE] = CalibrationSection()
+    usb: Annotated[tuple[UsbDevice, ...], Field(max_length=64), FREE] = ()
+    emulation: Annotated[Emulation, FREE] = Emulation()
 
     @property
     def actuator_mm(self) -> NDArray[np.float64]:

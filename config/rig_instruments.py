@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from wavefocus.config.drivers import DriverTable, with_drivers
-from wavefocus.config.fields import Finite, NonNegative, Positive, Text, Whole, like, mistake
+from wavefocus.config.fields import ALWAYS, FREE, Finite, NonNegative, Positive, Text, Whole, like, mistake
 from wavefocus.drivers.daq.nidaqmx import ANALOG_INPUT
 from wavefocus.drivers.registry import MIRRORS, PLAYERS, RECORDERS, VIBROMETERS
 
@@ -29,26 +29,28 @@ class MirrorSection(DriverTable):
         "identity": "",
     }
 
-    port: Text | None = Field(
+    port: Annotated[Text | None, FREE] = Field(
         default=None,
         description='"/dev/ttyUSB0", "COM3", "socket://HOST:PORT" or "serial-number:ABC123" (of its USB adapter)',
     )
-    baud: Annotated[Whole, Field(ge=300, le=10_000_000)] | None = Field(
+    baud: Annotated[Annotated[Whole, Field(ge=300, le=10_000_000)] | None, FREE] = Field(
         default=None, description="Bits per second; by default the driver's own"
     )
-    identity: Text | None = Field(default=None, description="Text that the device's own identification must contain")
-    distance_mm: Positive = Field(
+    identity: Annotated[Text | None, FREE] = Field(
+        default=None, description="Text that the device's own identification must contain"
+    )
+    distance_mm: Annotated[Positive, FREE] = Field(
         default=DEFAULT_DISTANCE_MM,
         description="Distance from the mirror to the surface's centre, the beam square to it",
     )
-    map: Matrix | None = Field(
+    map: Annotated[Matrix | None, FREE] = Field(
         default=None, description="In place of distance_mm: H of (tan x, tan y, 1) ~ H (x_mm, y_mm, 1)"
     )
-    settle_s: NonNegative = Field(default=0.005, description="Time that the beam swings after a move")
-    limit_mrad: Annotated[Positive, Field(lt=1000 * math.pi / 2)] = Field(
+    settle_s: Annotated[NonNegative, FREE] = Field(default=0.005, description="Time that the beam swings after a move")
+    limit_mrad: Annotated[Positive, Field(lt=1000 * math.pi / 2), FREE] = Field(
         default=250.0, description="Largest optical angle on either axis"
     )
-    park_mrad: tuple[Finite, Finite] = Field(
+    park_mrad: Annotated[tuple[Finite, Finite], FREE] = Field(
         default=(-240.0, -240.0),
         description="Safe direction, within limit_mrad: off the plate, and where no eye can be",
     )
@@ -59,6 +61,10 @@ class MirrorSection(DriverTable):
         if self.map is not None:
             return self.map
         return ((1 / self.distance_mm, 0.0, 0.0), (0.0, 1 / self.distance_mm, 0.0), (0.0, 0.0, 1.0))
+
+    def plan_values(self) -> dict[str, Any]:
+        """The map is hashed as its matrix, wherever it comes from."""
+        return super().plan_values() | {"matrix": self.matrix}
 
     @model_validator(mode="after")
     def _possible(self) -> MirrorSection:
@@ -99,20 +105,22 @@ AnalogInput = Annotated[Text, like(*ANALOG_INPUT)]
 class RecorderSection(DriverTable):
     """The two-channel DAQ: reference (loopback) and response (vibrometer)."""
 
-    reference_range_v: Positive = Field(default=10.0, description="Input range of the loopback")
-    response_range_v: Positive = Field(default=10.0, description="Input range of the vibrometer")
-    response_ranges_v: tuple[Positive, ...] | None = Field(
+    reference_range_v: Annotated[Positive, ALWAYS] = Field(default=10.0, description="Input range of the loopback")
+    response_range_v: Annotated[Positive, ALWAYS] = Field(default=10.0, description="Input range of the vibrometer")
+    response_ranges_v: Annotated[tuple[Positive, ...] | None, FREE] = Field(
         default=None,
         description="Larger ranges for a position that was over response_range_v; by default all that the device has",
     )
-    reference_gain: Positive = Field(default=1.0, description="Volts at the reference input per volt of drive")
-    inter_channel_delay_s: Annotated[Finite, Field(ge=-0.001, le=0.001)] = Field(
+    reference_gain: Annotated[Positive, ALWAYS] = Field(
+        default=1.0, description="Volts at the reference input per volt of drive"
+    )
+    inter_channel_delay_s: Annotated[Finite, Field(ge=-0.001, le=0.001), ALWAYS] = Field(
         default=5e-6, description="Delay of the response's sampling after the reference's; from calibrate"
     )
-    pre_roll_s: Annotated[NonNegative, Field(le=10)] = Field(
+    pre_roll_s: Annotated[NonNegative, Field(le=10), ALWAYS] = Field(
         default=0.02, description="Recorded before the player starts"
     )
-    post_roll_s: Annotated[NonNegative, Field(le=10)] = Field(
+    post_roll_s: Annotated[NonNegative, Field(le=10), ALWAYS] = Field(
         default=0.1, description="Recorded after the player should have ended; covers its latency"
     )
 
@@ -132,15 +140,15 @@ class VibrometerSection(DriverTable):
         "identity": "",
     }
 
-    driver: str = "fixed"
-    port: Text | None = Field(default=None, description="As of the mirror")
-    baud: Annotated[Whole, Field(ge=300, le=10_000_000)] | None = Field(
+    driver: Annotated[str, FREE] = "fixed"
+    port: Annotated[Text | None, FREE] = Field(default=None, description="As of the mirror")
+    baud: Annotated[Annotated[Whole, Field(ge=300, le=10_000_000)] | None, FREE] = Field(
         default=None, description="Bits per second; by default the driver's own"
     )
-    identity: Text | None = Field(
+    identity: Annotated[Text | None, FREE] = Field(
         default=None, description="Text that the name of the device or of its decoder must contain"
     )
-    sensitivity_m_s_per_v: Positive | None = Field(
+    sensitivity_m_s_per_v: Annotated[Positive | None, ALWAYS] = Field(
         default=None,
         description="m/s per volt at the DAQ; optional for polytec-ofv5000, and must then agree with the device",
     )
@@ -173,21 +181,29 @@ Channel = Annotated[Whole, Field(ge=0, le=4095)]
 class PlayerSection(DriverTable):
     """The multichannel audio interface that drives the actuators."""
 
-    channels: tuple[Channel, ...] = Field(description="Output of each actuator, from 0, in the order of position_mm")
-    loopback_channel: Channel = Field(description="Spare output that is wired to the reference input")
-    interface_rate_hz: Annotated[Whole, Field(ge=8_000, le=768_000)] = Field(
+    channels: Annotated[tuple[Channel, ...], ALWAYS] = Field(
+        description="Output of each actuator, from 0, in the order of position_mm"
+    )
+    loopback_channel: Annotated[Channel, ALWAYS] = Field(
+        description="Spare output that is wired to the reference input"
+    )
+    interface_rate_hz: Annotated[Whole, Field(ge=8_000, le=768_000), FREE] = Field(
         default=48_000, description="Rate of the audio interface"
     )
-    full_scale_v: Positive = Field(default=5.0, description="Volts at full scale, all outputs")
+    full_scale_v: Annotated[Positive, ALWAYS] = Field(default=5.0, description="Volts at full scale, all outputs")
     channel_full_scale_v: tuple[Positive, ...] | None = Field(
         default=None, description="Volts at full scale of each output from 0 to the highest used; from calibrate"
     )
-    limit_v: Positive = Field(default=5.0, description="Largest voltage of an actuator, at most full_scale_v")
-    limit_rms_v: Positive | None = Field(default=None, description="Largest rms voltage of an actuator over any second")
-    coil_resistance_ohm: Positive | None = Field(
+    limit_v: Annotated[Positive, FREE] = Field(
+        default=5.0, description="Largest voltage of an actuator, at most full_scale_v"
+    )
+    limit_rms_v: Annotated[Positive | None, FREE] = Field(
+        default=None, description="Largest rms voltage of an actuator over any second"
+    )
+    coil_resistance_ohm: Annotated[Positive | None, FREE] = Field(
         default=None, description="Resistance of an actuator's coil; needed for limit_power_w"
     )
-    limit_power_w: Positive | None = Field(
+    limit_power_w: Annotated[Positive | None, FREE] = Field(
         default=None,
         description="Largest mean power of a coil over any second; the stricter of it and limit_rms_v counts",
     )

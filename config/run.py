@@ -8,7 +8,19 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from wavefocus.config.fields import Finite, NonNegative, Positive, Switch, Table, Text, Whole, like, mistake
+from wavefocus.config.fields import (
+    ALWAYS,
+    FREE,
+    Finite,
+    NonNegative,
+    Positive,
+    Switch,
+    Table,
+    Text,
+    Whole,
+    like,
+    mistake,
+)
 from wavefocus.config.plate import PlateKeys
 
 STAGGER_OVER_RESPONSE = 1.2
@@ -22,15 +34,15 @@ SHORTEST_SWEEP_S = 0.05
 class Grid(Table):
     """Where to measure: a grid inside the surface, or a list of positions in its place."""
 
-    lattice: Literal["square", "hexagonal"] = Field(
+    lattice: Annotated[Literal["square", "hexagonal"], FREE] = Field(
         default="square",
         description='Arrangement of the positions; hexagonal needs fewer, and interpolation "nearest" or "kernel"',
     )
-    spacing_mm: Positive = Field(default=4.0, description="Distance of neighbouring positions")
-    margin_mm: NonNegative = Field(
+    spacing_mm: Annotated[Positive, FREE] = Field(default=4.0, description="Distance of neighbouring positions")
+    margin_mm: Annotated[NonNegative, FREE] = Field(
         default=14.3, description="Distance kept from the outline, less than half the surface's width"
     )
-    positions_file: Text | None = Field(
+    positions_file: Annotated[Text | None, FREE] = Field(
         default=None, description="CSV file with the header x_mm,y_mm, in place of a lattice"
     )
 
@@ -38,14 +50,16 @@ class Grid(Table):
 class Sweep(Table):
     """The linear sweep that drives each actuator."""
 
-    start_hz: Positive = Field(default=20.0, description="Start of the linear sweep")
-    stop_hz: Positive = Field(
+    start_hz: Annotated[Positive, ALWAYS] = Field(default=20.0, description="Start of the linear sweep")
+    stop_hz: Annotated[Positive, ALWAYS] = Field(
         default=500.0, description="End of the sweep, above start_hz and below half of sample_rate_hz"
     )
-    duration_s: Annotated[Finite, Field(ge=SHORTEST_SWEEP_S, le=3600)] = Field(
+    duration_s: Annotated[Finite, Field(ge=SHORTEST_SWEEP_S, le=3600), ALWAYS] = Field(
         default=1.0, description="Duration of one sweep"
     )
-    amplitude_v: Positive = Field(default=1.0, description="Peak of the sweep, at most the rig's player.limit_v")
+    amplitude_v: Annotated[Positive, ALWAYS] = Field(
+        default=1.0, description="Peak of the sweep, at most the rig's player.limit_v"
+    )
 
     @model_validator(mode="after")
     def _upwards(self) -> Sweep:
@@ -57,35 +71,44 @@ class Sweep(Table):
 class Capture(Table):
     """How each position is recorded."""
 
-    averages: Annotated[Whole, Field(ge=1, le=1000)] = Field(default=3, description="Sweeps per actuator and position")
-    decay_s: Annotated[Positive, Field(le=3600)] = Field(
+    averages: Annotated[Whole, Field(ge=1, le=1000), ALWAYS] = Field(
+        default=3, description="Sweeps per actuator and position"
+    )
+    decay_s: Annotated[Positive, Field(le=3600), ALWAYS] = Field(
         default=0.2, description="Silence after each sweep; the response must be over by then"
     )
-    excitation: Literal["sequential", "staggered"] = Field(
+    excitation: Annotated[Literal["sequential", "staggered"], ALWAYS] = Field(
         default="sequential", description="One actuator after another, or all at once"
     )
-    taps: Annotated[Whole, Field(ge=1, le=10_000_000)] = Field(
+    taps: Annotated[Whole, Field(ge=1, le=10_000_000), ALWAYS] = Field(
         default=2000, description="Length of a Green's function in samples, at most decay_s * sample_rate_hz"
     )
-    sample_rate_hz: Annotated[Positive, Field(le=10_000_000)] = Field(
+    sample_rate_hz: Annotated[Positive, Field(le=10_000_000), ALWAYS] = Field(
         default=10_000.0, description="Rate of the recordings and of the bank"
     )
-    stagger_s: Positive = Field(
+    stagger_s: Annotated[Positive, ALWAYS] = Field(
         description="Staggered: from one actuator's start to the next one's, at least 1.2 taps / sample_rate_hz"
     )
-    groups: Annotated[Whole, Field(ge=1, le=1024)] = Field(
+    groups: Annotated[Whole, Field(ge=1, le=1024), ALWAYS] = Field(
         default=1, description="Staggered: records per position, the actuators divided among them"
     )
-    periods: Annotated[Whole, Field(ge=1, le=1000)] = Field(default=1, description="Staggered: periods of a record")
+    periods: Annotated[Whole, Field(ge=1, le=1000), ALWAYS] = Field(
+        default=1, description="Staggered: periods of a record"
+    )
     level_db: Annotated[Finite, Field(ge=-40, le=0)] = Field(default=0.0, description="Drive relative to amplitude_v")
-    when_staggered_does_not_pay: Literal["choose", "refuse", "keep"] = Field(
+    when_staggered_does_not_pay: Annotated[Literal["choose", "refuse", "keep"], FREE] = Field(
         default="choose",
         description="After the trial at one position: choose the schedule that pays, refuse, or keep it (no trial)",
     )
-    allowed_loss_db: NonNegative = Field(
+    allowed_loss_db: Annotated[NonNegative, FREE] = Field(
         default=3.0, description="Error that staggered capture may have beyond that of sequential capture and still pay"
     )
-    keep_raw: Switch = Field(default=False, description="Keep the recordings in BANK.raw.h5, for wavefocus estimate")
+    keep_raw: Annotated[Switch, FREE] = Field(
+        default=False, description="Keep the recordings in BANK.raw.h5, for wavefocus estimate"
+    )
+
+    def _unused_in_plan(self) -> frozenset[str]:
+        return frozenset() if self.excitation == "staggered" else frozenset({"stagger_s", "groups", "periods"})
 
     @property
     def stagger_samples(self) -> int:
@@ -168,29 +191,35 @@ Course = Annotated[tuple[tuple[NonNegative, Finite], ...], AfterValidator(_risin
 class Virtual(PlateKeys):
     """Settings of the virtual rig."""
 
-    seed: Annotated[Whole, Field(ge=0, le=2**63 - 1)] = Field(
+    seed: Annotated[Whole, Field(ge=0, le=2**63 - 1), ALWAYS] = Field(
         default=1, description="The same seed gives the same bytes"
     )
-    noise_v: NonNegative | None = Field(default=None, description="Rms noise at the vibrometer's output")
+    noise_v: Annotated[NonNegative | None, ALWAYS] = Field(
+        default=None, description="Rms noise at the vibrometer's output"
+    )
     crosstalk: Annotated[Finite, Field(ge=-1, le=1)] | None = Field(
         default=None, description="Share of the loopback voltage that leaks into the response input; 0 by default"
     )
     crosstalk_delay_s: Annotated[NonNegative, Field(le=0.01)] | None = Field(
         default=None, description="How much later the leak comes than the loopback's voltage; 0 by default"
     )
-    fault_plan: tuple[Fault, ...] = Field(
+    fault_plan: Annotated[tuple[Fault, ...], FREE] = Field(
         default=(), description="Faults that the instruments show: a list, or a TOML file of [[fault]] tables"
     )
-    room_c: Course = Field(
+    room_c: Annotated[Course, FREE] = Field(
         default=(), description="Temperature of the room: pairs of seconds, rising, and degrees Celsius"
     )
     speed_per_k: Finite | None = Field(
         default=None, description="Change of the wave speed per kelvin of the room above 21 degrees Celsius, relative"
     )
     loss_per_k: Finite | None = Field(default=None, description="The same of the loss")
-    light: Course = Field(
+    light: Annotated[Course, FREE] = Field(
         default=(), description="Share of light that comes back to the vibrometer: pairs of seconds, rising, and 0 to 1"
     )
+
+    def plan_values(self) -> dict[str, Any]:
+        """A plate whose keys are given is named, the default one too."""
+        return super().plan_values() | ({"plate": self.plate} if self.plate_keys else {})
 
 
 def _second_look(value: object) -> object:
@@ -201,17 +230,17 @@ def _second_look(value: object) -> object:
 class Quality(Table):
     """When a measured position is good enough."""
 
-    poor_residual_db: Annotated[Finite, Field(le=0)] = Field(
+    poor_residual_db: Annotated[Finite, Field(le=0), ALWAYS] = Field(
         default=-50.0, description="A record is suspect when its fit leaves more than this unexplained"
     )
-    excess_noise_db: Positive = Field(
+    excess_noise_db: Annotated[Positive, ALWAYS] = Field(
         default=8.0,
         description="A suspect record makes its position poor when it is this much above the quietest record",
     )
-    poor_snr_db: Finite = Field(
+    poor_snr_db: Annotated[Finite, ALWAYS] = Field(
         default=20.0, description="A position is poor when even its best record has less signal-to-noise ratio"
     )
-    max_attempts: Annotated[Whole, Field(ge=1, le=100)] = Field(default=3, description="Attempts at a position")
+    max_attempts: Annotated[Whole, Field(ge=1, le=100), ALWAYS] = Field(default=3, description="Attempts at a position")
     poor_harmonic_db: Annotated[Finite, Field(le=0)] = Field(
         default=-42.0, description="A record is clipped when its third harmonic at the loudest moment is above this"
     )
@@ -326,7 +355,7 @@ class PublicationFile(Table):
 class RunConfig(Table):
     """A validated run file."""
 
-    rig: Text = Field(
+    rig: Annotated[Text, FREE] = Field(
         default="virtual", description='The rig file, relative to this file; "virtual" is the built-in virtual rig'
     )
     grid: Grid = Grid()
@@ -334,10 +363,10 @@ class RunConfig(Table):
     capture: Capture
     virtual: Virtual | None = None
     quality: Quality = Quality()
-    drift: Drift = Drift()
-    tolerance: Tolerance = Tolerance()
-    publication: Publication = Publication()
-    settled: Settled | None = None
+    drift: Annotated[Drift, FREE] = Drift()
+    tolerance: Annotated[Tolerance, FREE] = Tolerance()
+    publication: Annotated[Publication, FREE] = Publication()
+    settled: Annotated[Settled | None, FREE] = None
 
     @property
     def awaits_trial(self) -> bool:

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field
 from importlib import import_module
 from pkgutil import iter_modules
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Literal, Protocol, TypeVar
 
 if TYPE_CHECKING:
     from wavefocus.drivers.mirror.serial_mirror import Dialect
@@ -73,7 +73,7 @@ def rig_key(
     description: str,
     *,
     default: Any = MISSING,
-    in_plan: bool = False,
+    in_plan: Literal["changed", "always", "free"] = "changed",
     pattern: tuple[str, str] | None = None,
     **bounds: float,
 ) -> Any:
@@ -82,7 +82,9 @@ def rig_key(
     title, description: For forms and reference pages; of a key without a default, the description also says what is
         missing.
     default: Where the key is left out; without one the key is needed.
-    in_plan: Whether rows measured with another value are of another kind: such a key must not change in a campaign.
+    in_plan: A key must not change in a campaign unless it is ``"free"`` to, because rows measured with another value
+        are of the same kind: an address, a time-out. ``"always"``: it is in the plan's hash at its default too, as in
+        banks that are there; a new key is not, or their hash would change.
     pattern: A regular expression that texts match, and what is allowed, as the end of a sentence.
     **bounds: ``gt``, ``ge``, ``lt`` and ``le``, as of pydantic's ``Field``.
     """

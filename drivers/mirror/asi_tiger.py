@@ -58,14 +58,13 @@ class AsiTiger(Dialect):
         "Axes",
         "Letters of the scanner's two axes; needed where the controller has two scanners",
         default=None,
-        in_plan=True,
         pattern=(r"[A-Za-z]", "must be the letter of an axis"),
     )
     beam_per_mirror: float = rig_key(
         "Beam per mirror",
         "Degrees that the beam turns by per degree of the controller",
         default=2.0,
-        in_plan=True,
+        in_plan="always",
         gt=0,
     )
     tolerance_mrad: float = tolerance_key()

@@ -36,12 +36,15 @@ class MirrorcleMti(Dialect):
     full_scale_mrad: float = rig_key(
         "Full scale",
         "the optical angle at full scale in mrad: its commands have no unit",
-        in_plan=True,
+        in_plan="always",
         gt=0,
         lt=1000 * math.pi / 2,
     )
     setup: tuple[str, ...] = rig_key(
-        "Setup", "Commands of the mirror's data sheet, sent before it is enabled, each answered by MTI-OK", default=()
+        "Setup",
+        "Commands of the mirror's data sheet, sent before it is enabled, each answered by MTI-OK",
+        default=(),
+        in_plan="free",
     )
 
     name = "mirrorcle-mti"

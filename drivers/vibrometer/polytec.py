@@ -33,9 +33,9 @@ SECONDS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
 class Polytec:
     """Polytec OFV-5000 controllers."""
 
-    decoder: int = rig_key("Decoder", "Number of the velocity decoder in use", default=1, ge=0, le=9)
+    decoder: int = rig_key("Decoder", "Number of the velocity decoder in use", default=1, in_plan="free", ge=0, le=9)
     least_signal_level: float = rig_key(
-        "Least signal level", "Smallest signal level that will do", default=0.0, ge=0, le=1
+        "Least signal level", "Smallest signal level that will do", default=0.0, in_plan="free", ge=0, le=1
     )
 
     name = "polytec-ofv5000"

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -245,10 +245,9 @@ def _check_mirror_reach(rig: RigConfig, position_mm: NDArray[np.float64], source
 def plan_sha256(rig: RigConfig, run: RunConfig, position_mm: NDArray[np.float64]) -> str:
     """Hash all that a resume must not change, so that no bank mixes two plans.
 
-    Positions, actuators, sweep, capture, wiring, inputs, ranges, calibration, quality limits and what a virtual
-    rig is like count. Names, file paths, addresses, ports, device names, safety limits, settling time,
-    time-outs, verification tolerances, fault plans and what an emulation is like do not: they can change
-    without making the rows of one bank differ in kind.
+    Every key of rig and run counts that is not marked `FREE` where its table is defined. Free are names, file paths,
+    addresses, ports, device names, safety limits, settling time, time-outs, verification tolerances, fault plans and
+    what an emulation is like: they can change without making the rows of one bank differ in kind.
 
     Returns 64 hexadecimal digits: SHA-256 of canonical JSON.
     """
@@ -257,11 +256,32 @@ def plan_sha256(rig: RigConfig, run: RunConfig, position_mm: NDArray[np.float64]
     return hashlib.sha256(text.encode("ascii")).hexdigest()
 
 
-def rig_differences(rig: RigConfig, other: RigConfig, run: RunConfig) -> tuple[str, ...]:
-    """Keys of a rig that a resume must not change and in which two rigs differ, as ``recorder.response_range_v``."""
-    nowhere = np.empty((0, 2))
-    own, new = (dict(_leaves("", _hashed_keys(one, run, nowhere))) for one in (rig, other))
-    return tuple(key for key in sorted({**own, **new}) if own.get(key) != new.get(key))
+class Difference(NamedTuple):
+    """A key that a resume must not change, as ``recorder.response_range_v``, and its two values as a file has them."""
+
+    key: str
+    own: str
+    other: str
+
+    def __str__(self) -> str:
+        return f"{self.key} ({self.own}, not {self.other})"
+
+
+def plan_differences(own: Configuration, other: Configuration) -> tuple[Difference, ...]:
+    """Keys that a resume must not change and in which two configurations differ; empty where their hashes agree."""
+    mine, theirs = (dict(_leaves("", _hashed_keys(one.rig, one.run, one.position_mm))) for one in (own, other))
+    keys = [key for key in {**mine, **theirs} if mine.get(key, _ABSENT) != theirs.get(key, _ABSENT)]
+    return tuple(Difference(key, _value(mine, key), _value(theirs, key)) for key in keys)
+
+
+_ABSENT = object()
+
+
+def _value(leaves: Mapping[str, object], key: str) -> str:
+    value = leaves.get(key, _ABSENT)
+    if key == "position_mm" and isinstance(value, list):
+        return f"{len(value)} positions from {shown(value[:1])} to {shown(value[-1:])}"
+    return "the default" if value is _ABSENT else "none" if value is None else shown(value)
 
 
 def _leaves(name: str, value: object) -> Iterator[tuple[str, object]]:
@@ -273,59 +293,9 @@ def _leaves(name: str, value: object) -> Iterator[tuple[str, object]]:
 
 
 def _hashed_keys(rig: RigConfig, run: RunConfig, position_mm: NDArray[np.float64]) -> dict[str, object]:
-    capture = {"averages", "decay_s", "excitation", "taps", "sample_rate_hz"}
-    if run.capture.excitation == "staggered":
-        capture |= {"stagger_s", "groups", "periods"}
-    if run.capture.level_db != 0:
-        capture |= {"level_db"}
-    return {
-        "position_mm": (position_mm + 0.0).tolist(),
-        "actuator_mm": rig.actuators.position_mm,
-        "surface": rig.surface.model_dump(exclude_none=True),
-        **_rig_keys(rig),
-        "sweep": run.sweep.model_dump(),
-        "capture": run.capture.model_dump(include=capture),
-        "quality": _quality_keys(run),
-        "virtual": _virtual_keys(rig, run),
-    }
-
-
-def _quality_keys(run: RunConfig) -> dict[str, object]:
-    """When a row counts as valid and how it was tried; keys that came later, only where they differ from what was."""
-    first = {"poor_residual_db", "excess_noise_db", "poor_snr_db", "max_attempts"}
-    return run.quality.model_dump(include=first) | run.quality.model_dump(exclude=first, exclude_defaults=True)
-
-
-def _rig_keys(rig: RigConfig) -> dict[str, object]:
-    """What of the instruments makes the rows of one bank differ in kind.
-
-    Keys that a rig does not use are left out, so that banks keep their hash when new keys come.
-    """
-    recorder = {"driver", "reference_range_v", "response_range_v", "reference_gain", "inter_channel_delay_s",
-                "pre_roll_s", "post_roll_s"}  # fmt: skip
-    player = {"driver", "channels", "loopback_channel", "full_scale_v"}
-    return {
-        "mirror": {"driver": rig.mirror.driver, "matrix": rig.mirror.matrix}
-        | rig.mirror.model_dump(include=rig.mirror.plan_keys(), exclude_none=True),
-        "recorder": rig.recorder.model_dump(include=recorder)
-        | rig.recorder.model_dump(include=rig.recorder.plan_keys(), exclude_none=True),
-        "player": rig.player.model_dump(include=player)
-        | rig.player.model_dump(include={"channel_full_scale_v"}, exclude_none=True),
-        "vibrometer": rig.vibrometer.model_dump(include={"sensitivity_m_s_per_v"})
-        | rig.vibrometer.model_dump(include={"latency_s"}, exclude_none=True),
-    }
-
-
-def _virtual_keys(rig: RigConfig, run: RunConfig) -> dict[str, object] | None:
-    """What makes a virtual rig's rows what they are; nothing for real instruments, emulated or not."""
-    if not rig.is_virtual:
-        return None
-    hashed: dict[str, object] = (run.virtual or Virtual()).model_dump(include={"seed", "noise_v"})
-    if run.virtual and (run.virtual.plate_keys or run.virtual.plate != Virtual().plate):
-        hashed |= {"plate": run.virtual.plate, **run.virtual.plate_keys}
-    for key in ("crosstalk", "crosstalk_delay_s"):
-        if run.virtual and getattr(run.virtual, key) is not None:
-            hashed[key] = getattr(run.virtual, key)
-    if not rig.emulation.is_flawless:
-        hashed["emulation"] = rig.emulation.truth()
+    hashed = {**rig.plan_values(), **run.plan_values()}
+    hashed |= {"position_mm": (position_mm + 0.0).tolist(), "actuator_mm": rig.actuators.position_mm, "virtual": None}
+    if rig.is_virtual:
+        flaws = {} if rig.emulation.is_flawless else {"emulation": rig.emulation.plan_values()}
+        hashed["virtual"] = (run.virtual or Virtual()).plan_values() | flaws
     return hashed

@@ -17,11 +17,12 @@ from wavefocus.acquisition.plan import Plan
 from wavefocus.calibration.sweeps import Excitation, StaggeredSignal
 from wavefocus.configuration import (
     Configuration,
+    Difference,
     configuration_from_json,
     load_run,
     named_rig,
+    plan_differences,
     plate_behind,
-    rig_differences,
     with_rig,
 )
 from wavefocus.storage.bank.layout import BankHeader
@@ -92,12 +93,37 @@ def blueprint_with_rig(path: Path, rig_file: Path) -> Blueprint:
     changed = blueprint_of(with_rig(own.configuration, rig, str(rig_file)))
     calibrated = rig.calibration.measured != own.configuration.rig.calibration.measured
     if changed.plan.sha256 != own.plan.sha256 and not calibrated:  # another calibration has words of its own
-        keys = ", ".join(rig_differences(own.configuration.rig, rig, own.configuration.run))
+        keys = _listed(plan_differences(own.configuration, changed.configuration))
         raise InputError(
             f"{rig_file}: differs from the rig that {path} was measured with in {keys}; ports, addresses, device "
             "names, limits and time-outs may change, these may not: undo the change, or start a new bank"
         )
     return changed
+
+
+MAX_DIFFERENCES = 5
+"""Differences of two plans that are named one by one."""
+
+
+def require_same_plan(bank: Path, configuration: Configuration, plan_sha256: str) -> None:
+    """Refuse to go on in a bank of another plan; a bank that does not carry its configuration is not judged here.
+
+    Raises InputError: the plans differ; the message names the keys and both values.
+    """
+    with open_bank(bank) as view:
+        if view.plan_sha256 == plan_sha256 or view.rig_json is None or view.run_json is None:
+            return
+        differences = plan_differences(bank_configuration(view), configuration)
+    if differences:  # else it is of another version, and refused by its hash when it is opened
+        raise InputError(
+            f"{bank} belongs to another plan; it differs in {_listed(differences)}; resume it from the bank alone, "
+            "undo the change, or name a new bank"
+        )
+
+
+def _listed(differences: Sequence[Difference]) -> str:
+    more = len(differences) - MAX_DIFFERENCES
+    return ", ".join(map(str, differences[:MAX_DIFFERENCES])) + (f" and {more} more" if more > 0 else "")
 
 
 def bank_configuration(bank: Bank) -> Configuration:
@@ -198,15 +224,24 @@ def needed_by(
 
 def own_plan(header: RawHeader, raw: Path) -> Plan | None:
     """The plan that the recordings were made by; None where the file does not carry one that this version reads."""
-    if not (header.rig_json and header.run_json):
+    configuration = carried_configuration(header, raw)
+    if configuration is None:
         return None
     try:
-        plan = blueprint_of(
-            configuration_from_json(header.rig_json, header.run_json, header.position_mm, str(raw))
-        ).plan
+        plan = blueprint_of(configuration).plan
     except InputError:
         return None
     return plan if plan.sha256 == header.plan_sha256 else None
+
+
+def carried_configuration(header: RawHeader, raw: Path) -> Configuration | None:
+    """The configuration that recordings carry; None where there is none that this version reads."""
+    if not (header.rig_json and header.run_json):
+        return None
+    try:
+        return configuration_from_json(header.rig_json, header.run_json, header.position_mm, str(raw))
+    except InputError:
+        return None
 
 
 def estimator_for(

@@ -19,6 +19,7 @@ from wavefocus.campaign.blueprint import (
     blueprint_from_bank,
     blueprint_from_files,
     blueprint_with_rig,
+    require_same_plan,
     ringing_of,
 )
 from wavefocus.campaign.campaign_view import CampaignView
@@ -111,7 +112,9 @@ def with_bank(
         with suppress(ExistsError):  # another capture was quicker: go on as one that came later
             create_bank(bank, settled.bank_header())
             return settled, earlier
-    return with_one_calibration(with_chosen_schedule(blueprint, bank), bank, run_file, accept=accept_calibration), ()
+    blueprint = with_one_calibration(with_chosen_schedule(blueprint, bank), bank, run_file, accept=accept_calibration)
+    require_same_plan(bank, blueprint.configuration, blueprint.plan.sha256)
+    return blueprint, ()
 
 
 def resume(

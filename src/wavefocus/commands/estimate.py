@@ -19,9 +19,9 @@ from wavefocus.acquisition.limits import QualityLimits
 from wavefocus.acquisition.wording import hours
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.estimator.raw_estimation import PositionResult, affordable_workers, estimate_positions
-from wavefocus.campaign.blueprint import estimator_for, own_plan
+from wavefocus.campaign.blueprint import carried_configuration, estimator_for, own_plan, require_same_plan
 from wavefocus.cluster import estimate_on_cluster
-from wavefocus.configuration import configuration_from_json, plate_behind
+from wavefocus.configuration import plate_behind
 from wavefocus.console import progress, say
 from wavefocus.storage.bank.layout import BankHeader
 from wavefocus.storage.bank.ledger import PointRecord
@@ -99,6 +99,8 @@ def estimate_into(
             create_bank(bank, _bank_header(header))
         else:
             estimator = None
+            if (configuration := carried_configuration(header, raw)) is not None:
+                require_same_plan(bank, configuration, header.identity())
         with BankWriter.open(bank, plan_sha256=header.identity()) as writer:
             _require_alike(writer.header, header, bank, raw)
             to_do = np.flatnonzero(writer.status == 0).tolist()
@@ -164,11 +166,8 @@ def _bank_header(header: RawHeader) -> BankHeader:
 
 
 def _directions_deg(header: RawHeader) -> tuple[float, float] | None:
-    try:
-        found = configuration_from_json(header.rig_json, header.run_json, header.position_mm, "raw recordings")
-    except InputError:
-        return None  # recordings of other programs name no plate
-    return plate_behind(found.rig, found.run).directions_deg
+    found = carried_configuration(header, Path("raw recordings"))
+    return None if found is None else plate_behind(found.rig, found.run).directions_deg
 
 
 def _require_alike(held: BankHeader, header: RawHeader, bank: Path, raw: Path) -> None:

@@ -1,0 +1,107 @@
+"""The hash of a plan: equal to that of banks that are there, and closed to keys that nobody has thought of."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import pytest
+from pydantic import BaseModel
+
+import wavefocus as wf
+from wavefocus.config.fields import FREE, Positive, Table, plan_mark
+from wavefocus.config.rig import Emulation, RigConfig
+from wavefocus.config.run import RunConfig, Sweep
+from wavefocus.configuration import Configuration, plan_differences, plan_sha256
+
+GOLDEN = json.loads((Path(__file__).parent / "golden" / "plan_hashes.json").read_text(encoding="utf-8"))
+POSITION_MM = np.array(GOLDEN["position_mm"])
+
+
+@pytest.mark.parametrize("case", GOLDEN["cases"], ids=lambda case: case["name"])
+def test_given_a_plan_of_an_earlier_version_then_its_hash_is_the_one_that_its_bank_holds(case: dict) -> None:
+    rig, run = RigConfig.model_validate(case["rig"]), RunConfig.model_validate(case["run"])
+    assert plan_sha256(rig, run, POSITION_MM) == case["plan_sha256"]
+
+
+def test_given_a_new_key_then_it_counts_unless_it_is_marked_and_old_banks_keep_their_hash() -> None:
+    class LaterSweep(Sweep):
+        fade_s: Positive = 0.01
+        comment: Annotated[str, FREE] = ""
+
+    class LaterRun(RunConfig):
+        sweep: Sweep = LaterSweep()
+        burst: LaterSweep = LaterSweep()
+
+    def hashed(**tables: Table) -> str:
+        return plan_sha256(RigConfig.model_validate({}), LaterRun(**tables), POSITION_MM)
+
+    before = GOLDEN["cases"][0]["plan_sha256"]
+    assert hashed(sweep=LaterSweep(fade_s=0.02)) != before
+    assert hashed(sweep=LaterSweep(comment="tried")) == hashed()
+    # A table that is new as a whole counts as well.
+    assert hashed(burst=LaterSweep(fade_s=0.02)) != hashed()
+
+
+def test_given_every_key_of_rig_and_run_then_it_is_hashed_or_marked_as_free() -> None:
+    marked = {
+        f"{model.__name__}.{key}"
+        for model in _tables(RigConfig) | _tables(RunConfig) | {Emulation}
+        for key, field in model.model_fields.items()
+        if plan_mark(field) is FREE
+    }
+    # Written out, so that to set a key free is a decision that shows.
+    assert marked == {
+        "Actuators.position_mm",  # hashed as actuator_mm
+        "Capture.allowed_loss_db", "Capture.keep_raw", "Capture.when_staggered_does_not_pay",
+        "Emulation.fault_plan", "Emulation.ni_product", "Emulation.period_frames",
+        "Grid.lattice", "Grid.margin_mm", "Grid.positions_file", "Grid.spacing_mm",  # hashed as position_mm
+        "MirrorSection.baud", "MirrorSection.distance_mm", "MirrorSection.identity", "MirrorSection.limit_mrad",
+        "MirrorSection.map", "MirrorSection.park_mrad", "MirrorSection.port", "MirrorSection.settle_s",
+        "MirrorSection.setup", "MirrorSection.tolerance_mrad",
+        "PlayerSection.block_frames", "PlayerSection.coil_resistance_ohm", "PlayerSection.device",
+        "PlayerSection.host_api", "PlayerSection.interface_rate_hz", "PlayerSection.limit_power_w",
+        "PlayerSection.limit_rms_v", "PlayerSection.limit_v",
+        "RecorderSection.address", "RecorderSection.device", "RecorderSection.response_ranges_v",
+        "RecorderSection.tls_certificate", "RecorderSection.tls_key", "RecorderSection.tls_root",
+        "RecorderSection.trigger",
+        "RigConfig.calibration", "RigConfig.emulation", "RigConfig.messages", "RigConfig.recovery", "RigConfig.rig",
+        "RigConfig.usb", "RigConfig.watch",
+        "RunConfig.drift", "RunConfig.publication", "RunConfig.rig", "RunConfig.settled", "RunConfig.tolerance",
+        "VibrometerSection.baud", "VibrometerSection.decoder", "VibrometerSection.driver",
+        "VibrometerSection.identity", "VibrometerSection.least_signal_level", "VibrometerSection.port",
+        "Virtual.fault_plan", "Virtual.light", "Virtual.room_c",
+    }  # fmt: skip
+
+
+def test_given_two_plans_then_the_keys_that_differ_are_named_with_both_values() -> None:
+    own = Configuration(RunConfig.model_validate({}), RigConfig.model_validate({}), POSITION_MM)
+    run = RunConfig.model_validate({"sweep": {"stop_hz": 800.0}, "tolerance": {"correlation": 0.5}})
+    rig = RigConfig.model_validate({"recorder": {"response_range_v": 5.0}})
+    differences = plan_differences(own, Configuration(run, rig, POSITION_MM[:2]))
+    assert {one.key: (one.own, one.other) for one in differences if one.key != "position_mm"} == {
+        "sweep.stop_hz": ("500.0", "800.0"),
+        "recorder.response_range_v": ("10.0", "5.0"),
+    }
+    assert len(differences) == 3
+    assert plan_differences(own, own) == ()
+
+
+def test_given_a_bank_of_another_plan_then_the_keys_that_differ_are_named_with_both_values(tmp_path: Path) -> None:
+    places = [[0, 0], [5, 0]]
+    wf.virtual_rig(actuators=2, position_mm=places).measure(tmp_path / "bank.h5", [0]).close()
+    other = wf.virtual_rig(actuators=2, position_mm=places, run={"sweep": {"stop_hz": 400.0}})
+    with pytest.raises(wf.InputError, match=r"another plan.*sweep\.stop_hz \(500\.0, not 400\.0\)"):
+        other.measure(tmp_path / "bank.h5")
+
+
+def _tables(model: type[BaseModel]) -> set[type[BaseModel]]:
+    """A table and those that count in its plan: not those beneath a key that is free as a whole."""
+    found = {model}
+    for field in model.model_fields.values():
+        for kind in (field.annotation, *getattr(field.annotation, "__args__", ())):
+            if isinstance(kind, type) and issubclass(kind, BaseModel) and plan_mark(field) is not FREE:
+                found |= _tables(kind)
+    return found
