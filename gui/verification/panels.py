@@ -19,7 +19,8 @@ from wavefocus.gui.time_slider import TimeSlider
 from wavefocus.gui.verification.run import Results
 
 if TYPE_CHECKING:
-    from wavefocus.rendering.verify.record import Figure, VerificationRecord
+    from wavefocus.rendering.verify.record import VerificationRecord
+    from wavefocus.rendering.verify.results import Figure
 
 
 _COLUMNS = (
@@ -113,7 +114,7 @@ class FiguresPanel(Themed, QWidget):
 
 
 def _cells(figure: Figure) -> list[str]:
-    from wavefocus.rendering.report.words import number, precise  # the window starts without scipy
+    from wavefocus.rendering.number_text import number, precise  # the window starts without scipy
 
     shown = precise if "correlation" in figure.name else lambda value: number(value, figure.unit)
     between = figure.difference
@@ -129,8 +130,9 @@ def _cells(figure: Figure) -> list[str]:
 def _findings(record: VerificationRecord) -> list[str]:
     """Symptoms with what to do, and what has changed since an earlier verification."""
     from wavefocus.rendering.verify.changes import change_lines
+    from wavefocus.rendering.verify.symptom_words import remedy, sentence
 
-    lines = [f"{symptom.sentence} {symptom.remedy}" for symptom in record.symptoms]
+    lines = [f"{sentence(symptom)} {remedy(symptom)}" for symptom in record.symptoms]
     if record.changes is not None:
         since = record.changes.made.astimezone().strftime("%d %b %Y %H:%M")
         lines.append(f"Since {since}: {'; '.join(change_lines(record.changes))}.")

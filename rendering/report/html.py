@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 from typing import Any
 
-from wavefocus.rendering.report.words import number, precise
+from wavefocus.rendering.number_text import number, precise
 
 
 def html_page(template: str, package: str = "wavefocus.rendering", /, **content: Any) -> str:

@@ -14,15 +14,17 @@ from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.rendering.field import metrics
 from wavefocus.rendering.field.focus_figures import evenly
 from wavefocus.rendering.greens.regularisation import focus_gain_map
+from wavefocus.rendering.number_text import number
 from wavefocus.rendering.report import figures as report_figures
 from wavefocus.rendering.report.canvas import Picture, Surface
 from wavefocus.rendering.report.figures import drift_over_time
 from wavefocus.rendering.report.html import html_page
 from wavefocus.rendering.report.waves import wave_figures, waves_of, waves_picture
-from wavefocus.rendering.report.words import figure_lines, number, remarks
+from wavefocus.rendering.report.words import figure_lines, remarks
 from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
 from wavefocus.rendering.verify.changes import change_lines
 from wavefocus.rendering.verify.record import PATH_POINTS, REPORT_NAME, path_line_mm
+from wavefocus.rendering.verify.symptom_words import remedy, sentence
 from wavefocus.rendering.verify.verdict import Verification
 from wavefocus.storage.output_files import write_whole
 
@@ -71,6 +73,8 @@ def build_report(
         scene_name=scene.name,
         verification=verification,
         remarks=remarks(verification, drive, scan),
+        sentence=sentence,
+        remedy=remedy,
         changes=verification.changes and change_lines(verification.changes),
         pictures=pictures,
         figures=[

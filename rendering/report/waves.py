@@ -22,9 +22,10 @@ from wavefocus.rendering.field.wave_figures import (
     path_spectrum,
 )
 from wavefocus.rendering.greens.source import usable
+from wavefocus.rendering.number_text import number
 from wavefocus.rendering.report.canvas import COLOURS, FAINT, Canvas, Picture, drawn_in_style
 from wavefocus.rendering.report.figures import PREDICTION, SCAN
-from wavefocus.rendering.report.words import FigureLine, number
+from wavefocus.rendering.report.words import FigureLine
 from wavefocus.storage.errors import InputError
 
 if TYPE_CHECKING:

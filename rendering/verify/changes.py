@@ -5,15 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
-from wavefocus.rendering.report.words import number, precise
-from wavefocus.rendering.verify.record import (
-    ActuatorFigures,
-    Change,
-    Changes,
-    Figure,
-    SourceFigures,
-    VerificationRecord,
-)
+from wavefocus.rendering.number_text import number, precise
+from wavefocus.rendering.verify.record import VerificationRecord
+from wavefocus.rendering.verify.results import ActuatorFigures, Change, Changes, Figure, SourceFigures, Symptom
+from wavefocus.rendering.verify.symptom_words import sentence
 
 if TYPE_CHECKING:
     from wavefocus.rendering.verify.verdict import Verification
@@ -33,7 +28,7 @@ def changes_since(
     inputs = {"scene": scene, **names}
     earlier = _values(before.figures, before.source_figures, before.actuators)
     later = _values(now.figures, now.sources, now.actuators)
-    then_found, found = ({one.sentence for one in symptoms} for symptoms in (before.symptoms, now.symptoms))
+    then, now_found = ({symptom.identity for symptom in symptoms} for symptoms in (before.symptoms, now.symptoms))
     return Changes(
         against=file,
         made=before.made,
@@ -42,8 +37,8 @@ def changes_since(
             for name, value in inputs.items()
             if getattr(before, name) != value
         ),
-        symptoms_gone=tuple(one.sentence for one in before.symptoms if one.sentence not in found),
-        symptoms_new=tuple(one.sentence for one in now.symptoms if one.sentence not in then_found),
+        symptoms_gone=tuple(symptom for symptom in before.symptoms if symptom.identity not in now_found),
+        symptoms_new=tuple(symptom for symptom in now.symptoms if symptom.identity not in then),
         figures=tuple(
             _change(name, unit, earlier.get(name, (unit, None))[1], value) for name, (unit, value) in later.items()
         ),
@@ -54,11 +49,15 @@ def change_lines(changes: Changes) -> list[str]:
     """The changes in words: inputs, symptoms, and the figures that are noted."""
     lines = [
         *changes.inputs,
-        *(f"no longer: {one}" for one in changes.symptoms_gone),
-        *(f"new: {one}" for one in changes.symptoms_new),
+        *(f"no longer: {_text(symptom)}" for symptom in changes.symptoms_gone),
+        *(f"new: {_text(symptom)}" for symptom in changes.symptoms_new),
         *(_line(one) for one in changes.figures if one.noted),
     ]
     return lines or ["no figure has changed by more than two scans of a steady rig differ"]
+
+
+def _text(symptom: Symptom | str) -> str:
+    return symptom if isinstance(symptom, str) else sentence(symptom)
 
 
 def _values(

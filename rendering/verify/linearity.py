@@ -12,7 +12,7 @@ from wavefocus.rendering.arrays import Int64Array
 from wavefocus.rendering.field.focus_figures import evenly
 from wavefocus.rendering.field.metrics import level_db
 from wavefocus.rendering.verify.field_pair import BandLimit
-from wavefocus.rendering.verify.record import Figure
+from wavefocus.rendering.verify.results import Figure
 from wavefocus.rendering.verify.scan import Scan
 from wavefocus.storage.point_status import Status
 

@@ -9,12 +9,14 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from wavefocus.config.messages.codec import Message, MessageError, from_record, to_record
 from wavefocus.rendering.arrays import BoolArray, Float64Array, Int64Array
+from wavefocus.rendering.verify.results import ActuatorFigures, Changes, Drift, Figure, PointMm, SourceFigures, Symptom
+from wavefocus.rendering.verify.symptom_words import with_words
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import write_whole
 
@@ -23,8 +25,6 @@ if TYPE_CHECKING:
     from wavefocus.rendering.scene.model import Scene, Source
     from wavefocus.rendering.verify.verdict import Verification
     from wavefocus.storage.field_file import Field
-
-PointMm = tuple[float, float]
 
 DRIVE_NAME = "drive.h5"
 PREDICTION_NAME = "prediction.h5"
@@ -46,115 +46,6 @@ STOP_NAME = "verify.stop"
 
 PATH_POINTS = 401
 """Points of a recorded path: it looks smooth on any screen."""
-
-
-@dataclass(frozen=True)
-class Figure:
-    """One figure of a verification.
-
-    Of the prediction, of the scan, and between them: None where it has no such side. `value` is what the limit is for,
-    None where the positions needed were not scanned. `relation` is "at most" or "at least", None without a limit;
-    `passed` is None where nothing was judged.
-    """
-
-    name: str
-    unit: str
-    definition: str
-    predicted: float | None = None
-    scanned: float | None = None
-    difference: float | None = None
-    value: float | None = None
-    limit: float | None = None
-    relation: str | None = None
-    passed: bool | None = None
-
-
-SymptomCode = Literal[
-    "level", "polarity", "silent", "delay", "swapped", "shifted", "speed", "wrong_bank", "unexplained"
-]
-
-
-@dataclass(frozen=True)
-class Symptom:
-    """A cause of a difference between scan and prediction, and what to do about it.
-
-    actuators: Those concerned; none where the cause concerns all responses alike.
-    value, unit: Its size: level in dB, delay in ms (above 0: later), speed in %, distance in mm, median correlation.
-    positions, shift_mm: Of shifted positions: bank rows, and the way to the place that they show.
-    explained: Share of the difference's sum of squares.
-    """
-
-    code: SymptomCode
-    actuators: tuple[int, ...]
-    value: float | None
-    unit: str
-    sentence: str
-    remedy: str
-    positions: tuple[int, ...] = ()
-    shift_mm: PointMm | None = None
-    explained: float | None = None
-
-
-@dataclass(frozen=True)
-class ActuatorFigures:
-    """Level and delay of an actuator against the bank; None where the scan hardly shows it."""
-
-    level_db: float | None
-    delay_us: float | None
-
-
-@dataclass(frozen=True)
-class Drift:
-    """The bank's sentinel position measured again, against its rows in the bank.
-
-    level_db, delay_us, correlation: Over all actuators; delay above 0 where it is later.
-    speed_percent: Change of the wave speed that explains most of the difference; None where none does.
-    verdict: "steady", "warn" or "stop", by the run's limits of drift.
-    """
-
-    position: int
-    level_db: float
-    delay_us: float
-    correlation: float
-    speed_percent: float | None
-    verdict: str
-
-
-@dataclass(frozen=True)
-class Change:
-    """A figure then and now, None where it was not found; `noted` where it changed by more than scans differ."""
-
-    name: str
-    unit: str
-    before: float | None
-    now: float | None
-    noted: bool
-
-
-@dataclass(frozen=True)
-class Changes:
-    """What has changed since an earlier verification.
-
-    against, made: File and time of the earlier record.
-    inputs: Names of scene, bank and rig that are others now.
-    symptoms_gone, symptoms_new: Their sentences.
-    figures: All figures, those of each source and of each actuator included.
-    """
-
-    against: str
-    made: datetime
-    inputs: tuple[str, ...]
-    symptoms_gone: tuple[str, ...]
-    symptoms_new: tuple[str, ...]
-    figures: tuple[Change, ...]
-
-
-@dataclass(frozen=True)
-class SourceFigures:
-    """Normalised error within 15 mm of a source's foci, and the foci's median distance from the path; None: unknown."""
-
-    error: float | None
-    focus_mm: float | None
 
 
 @dataclass(frozen=True)
@@ -334,7 +225,12 @@ def write_record(
         changes=verification.changes,
     )
     path = out_dir / RECORD_NAME
-    write_whole(path, json.dumps(to_record(record), allow_nan=False, indent=1) + "\n")
+    content: dict[str, Any] = to_record(record)
+    content["symptoms"] = [with_words(symptom) for symptom in content["symptoms"]]
+    if content["changes"] is not None:
+        for key in ("symptoms_gone", "symptoms_new"):
+            content["changes"][key] = [with_words(symptom) for symptom in content["changes"][key]]
+    write_whole(path, json.dumps(content, allow_nan=False, indent=1) + "\n")
     return path
 
 

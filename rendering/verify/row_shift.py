@@ -11,8 +11,7 @@ import numpy as np
 from wavefocus.rendering.arrays import Complex128Array, Float64Array, Int64Array
 from wavefocus.rendering.field.focus_figures import evenly
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
-from wavefocus.rendering.verify import symptom_words as words
-from wavefocus.rendering.verify.record import Symptom
+from wavefocus.rendering.verify.results import Symptom
 from wavefocus.storage.point_status import Status
 
 if TYPE_CHECKING:
@@ -78,8 +77,8 @@ class _Neighbours:
             self._predicted[row] = self._predict(row)
         return np.stack([self._predicted[row] for row in rows.tolist()])
 
-    def best_step(self, members: Int64Array) -> tuple[int, int] | None:
-        """The step that explains the differences of some compared positions, if one does."""
+    def best_step(self, members: Int64Array) -> tuple[float, tuple[int, int] | None]:
+        """The step that explains the differences of some compared positions, if one does, and the share it leaves."""
         looked_at = members[evenly(len(members), MOST_LOOKED_AT)]
         own = self.squares(looked_at, self.rows[looked_at])
         best: tuple[float, tuple[int, int] | None] = (LEFT, None)
@@ -90,16 +89,16 @@ class _Neighbours:
                 continue
             left = float(self.squares(looked_at[there], rows[there]).sum() / own[there].sum())
             best = min(best, (left, step))
-        return best[1]
+        return best
 
-    def best_fraction(self, members: Int64Array) -> tuple[float, float] | None:
-        """The part of a step, in x and y, that explains the differences; fields between positions are quadratic."""
+    def best_fraction(self, members: Int64Array) -> tuple[float, tuple[float, float] | None]:
+        """The same for parts of a step in x and y; fields between positions are quadratic."""
         looked_at = members[evenly(len(members), MOST_LOOKED_AT)]
         steps = [(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)]
         rows = np.stack([self.shifted_rows(step, self.rows[looked_at]) for step in steps])
         inner = (rows >= 0).all(axis=0)
         if np.count_nonzero(inner) < LEAST_LINE:
-            return None
+            return LEFT, None
         around = np.stack([self.predicted(of_step) for of_step in rows[:, inner]])
         scanned = self._spectra.scanned[looked_at[inner]]
         own = np.square(np.abs(scanned - around[len(steps) // 2])).sum()
@@ -108,7 +107,7 @@ class _Neighbours:
             for y in FRACTIONS:
                 field_there = np.tensordot(np.outer(_quadratic(x), _quadratic(y)).ravel(), around, axes=1)
                 best = min(best, (float(np.square(np.abs(scanned - field_there)).sum() / own), (x, y)))
-        return best[1]
+        return best
 
 
 def _quadratic(place: float) -> Float64Array:
@@ -127,33 +126,36 @@ def find_shifts(fields: FieldComparison, bank: GreenSource, predict: Callable[[i
     everything = np.arange(len(neighbours.rows))
     wrong = fields.position_error > LEAST_ERROR
     if np.mean(wrong) > 0.5:
-        step = neighbours.best_step(everything)
+        left, step = neighbours.best_step(everything)
         if step is not None:
-            return _shift(neighbours, everything, step, "", whole=True)
-        part = neighbours.best_fraction(everything)
+            return _shift(neighbours, everything, step, left, whole=True)
+        left, part = neighbours.best_fraction(everything)
         if part is None:
             return Shifts()
         x_mm, y_mm = (float(one) for one in np.array(part) * neighbours.pitch_mm)
-        return Shifts((words.shifted(tuple(neighbours.rows.tolist()), (x_mm, y_mm), ""),), {}, between=True)
+        symptom = Symptom("shifted", (), float(np.hypot(x_mm, y_mm)), 1.0 - left, shift_mm=(x_mm, y_mm))
+        return Shifts((symptom,), {}, between=True)
     found = Shifts()
-    for axis, name in ((1, "y"), (0, "x")):
+    for axis in (1, 0):
         along = neighbours.place_mm[neighbours.rows, axis] / neighbours.pitch_mm[axis]
         for level in np.unique(np.round(along[wrong] / SAME_LINE)) * SAME_LINE:
             members = np.flatnonzero(np.abs(along - level) <= SAME_LINE)
             if len(members) >= LEAST_LINE and np.mean(wrong[members]) > 0.5:
-                step = neighbours.best_step(members)
+                left, step = neighbours.best_step(members)
                 if step is not None:
-                    line = f"{name} = {neighbours.place_mm[neighbours.rows[members[0]], axis]:g} mm"
-                    one = _shift(neighbours, members, step, line, whole=False)
+                    one = _shift(neighbours, members, step, left, whole=False)
                     found = Shifts((*found.symptoms, *one.symptoms), found.row_at | one.row_at)
         if found.symptoms:
             break
     return found
 
 
-def _shift(neighbours: _Neighbours, members: Int64Array, step: tuple[int, int], line: str, *, whole: bool) -> Shifts:
+def _shift(neighbours: _Neighbours, members: Int64Array, step: tuple[int, int], left: float, *, whole: bool) -> Shifts:
     rows = neighbours.rows[members]
     x_mm, y_mm = (float(one) for one in np.array(step) * neighbours.pitch_mm)
     shown = neighbours.shifted_rows(step, rows)
-    symptom = words.shifted(tuple(rows.tolist()), (x_mm, y_mm), line)
+    positions = () if whole else tuple(rows.tolist())
+    symptom = Symptom(
+        "shifted", (), float(np.hypot(x_mm, y_mm)), 1.0 - left, positions=positions, shift_mm=(x_mm, y_mm)
+    )
     return Shifts((symptom,), dict(zip(rows.tolist(), shown.tolist(), strict=True)), whole)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wavefocus.acquisition.attempt import Attempt, PositionRecords, evaluate
 from wavefocus.acquisition.drift_watch import measure_again
@@ -18,25 +16,12 @@ from wavefocus.acquisition.plays import measuring_of
 from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.config.messages.campaign import State, Subscriber
-from wavefocus.rendering.report.words import number
-from wavefocus.rendering.verify.record import Drift, Figure
+from wavefocus.rendering.number_text import number
+from wavefocus.rendering.verify.results import Drift, Figure, Sentinel
+from wavefocus.rendering.verify.symptoms import wave_speed
 
 if TYPE_CHECKING:
     from wavefocus.rendering.greens.source import GreenSource
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Sentinel:
-    """A position measured again.
-
-    position: Bank row.
-    green, float32 (actuators, taps): Its Green's functions now.
-    snr_db, float32 (actuators,): Their signal-to-noise ratios.
-    """
-
-    position: int
-    green: NDArray[np.float32]
-    snr_db: NDArray[np.float32]
 
 
 def measure_sentinel(
@@ -72,8 +57,6 @@ def measure_sentinel(
 
 def drift_of(sentinel: Sentinel, bank: GreenSource, limits: DriftLimits) -> Drift:
     """How the sentinel position differs from the bank: as a level, as a delay, and as a wave speed."""
-    from wavefocus.rendering.verify.symptoms import wave_speed  # which reads sentinels
-
     figures = compare_sentinel(np.asarray(bank.green(sentinel.position), np.float32), sentinel.green)
     return Drift(
         sentinel.position,

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from wavefocus.calibration.neighbour_judge import RowSpectra
 from wavefocus.rendering.arrays import Complex128Array, Float32Array, Float64Array, Int64Array
 from wavefocus.rendering.field.focus_figures import evenly
+from wavefocus.rendering.verify.results import Sentinel
 
 if TYPE_CHECKING:
     from wavefocus.rendering.greens.source import GreenSource
-    from wavefocus.rendering.verify.sentinel import Sentinel
 
 ALLOWED = 0.01
 """Error of a sound bank, relative to the response."""

@@ -1,112 +1,143 @@
-"""The symptoms of a verification in words: what is wrong, and what to do about it."""
+"""The symptoms of a verification in words: the only place where a code becomes a sentence."""
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Mapping
+from typing import Any
 
-from wavefocus.rendering.arrays import Float64Array
-from wavefocus.rendering.report.words import number
-from wavefocus.rendering.verify.record import PointMm, Symptom
+from wavefocus.rendering.number_text import number
+from wavefocus.rendering.verify.results import Symptom, SymptomCode
 
-
-def level(actuators: tuple[int, ...], level_db: float, *, reversed_: bool, silent: bool) -> Symptom:
-    """One actuator's level or polarity, or that of all responses where `actuators` is empty."""
-    who = f"Actuator {actuators[0]}" if actuators else "The whole surface"
-    if silent:
-        sentence = f"{who} does not move: its response is {number(-level_db, 'dB')} below that in the bank."
-        remedy = "Check its cable, its amplifier channel and its coil."
-        return Symptom("silent", actuators, level_db, "dB", sentence, remedy)
-    if reversed_:
-        also = f" and its level {_louder(level_db)}" if abs(level_db) >= 0.5 else ""
-        sentence = f"{who} moves in the opposite direction: its polarity is reversed{also}."
-        remedy = (
-            f"Exchange the two wires of actuator {actuators[0]} at its amplifier channel."
-            if actuators
-            else "Check the wires of the loopback, the sign of the vibrometer's output, and the recorder's inputs."
-        )
-        return Symptom("polarity", actuators, level_db, "dB", sentence, remedy)
-    if actuators:
-        sentence = f"Actuator {actuators[0]} is {_louder(level_db)} than in the bank."
-        remedy = f"Set the amplifier channel of actuator {actuators[0]} as it was when the bank was measured."
-    else:
-        sentence = f"All responses are {_louder(level_db)} than predicted."
-        remedy = "Set amplifier volume, vibrometer range and sensitivity as they were when the bank was measured."
-    return Symptom("level", actuators, level_db, "dB", sentence, remedy)
+UNITS: Mapping[SymptomCode, str] = {
+    "polarity": "dB", "level": "dB", "silent": "dB", "crosstalk": "dB", "delay": "ms", "speed": "%", "damping": "%",
+    "nonlinear": "%", "shifted": "mm", "rotated": "°", "scaled": "%",
+}  # fmt: skip
+"""Unit of a symptom's value; the others have none, or a plain number."""
+NOTED_DB = 0.5
+"""A change of level that is stated with a reversed polarity."""
 
 
-def delay(actuators: tuple[int, ...], late_s: float) -> Symptom:
-    """One actuator's delay, or that of all responses."""
-    late = f"{abs(1e3 * late_s):.2f} ms {'later' if late_s > 0.0 else 'earlier'}"
-    if actuators:
-        sentence = f"Actuator {actuators[0]} moves {late} than in the bank."
-        remedy = "Check the latency of its output: filters, sample rate conversion, another interface or channel."
-    else:
-        sentence = f"All responses come {late} than predicted."
-        remedy = (
-            "Check inter_channel_delay_s and latency_s in the rig file, the vibrometer's filter, and that the"
-            " recorder's rate is that of the bank."
-        )
-    return Symptom("delay", actuators, 1e3 * late_s, "ms", sentence, remedy)
+def sentence(symptom: Symptom) -> str:
+    """What is wrong; of a best guess, that it is one and how much it explains."""
+    text = _cause(symptom)
+    if symptom.certain or symptom.code in ("unexplained", "wrong_bank"):
+        return text
+    share = "" if symptom.explained is None else f", which explains {100.0 * symptom.explained:.0f} % of the excess"
+    return f"Best guess{share}: {text[0].lower()}{text[1:]}"
 
 
-def swapped(one: int, other: int) -> Symptom:
-    """Two actuators play each other's drive."""
-    sentence = f"Actuators {one} and {other} are swapped: each plays the drive of the other."
-    remedy = f"Exchange the cables of actuators {one} and {other}, or their entries in player.channels of the rig file."
-    return Symptom("swapped", (one, other), None, "", sentence, remedy)
+def remedy(symptom: Symptom) -> str:
+    """What to do about it."""
+    who = _listed(symptom.actuators)
+    match symptom.code:
+        case "silent":
+            return f"Check cable, amplifier channel and coil of {who or 'each actuator'}."
+        case "polarity" if who:
+            return f"Exchange the two wires of {who} at the amplifier."
+        case "level" if who:
+            return f"Set the amplifier channels of {who} as they were when the bank was measured."
+        case "delay" if who:
+            return f"Check the output latency of {who}: filters, sample rate conversion, another interface or channel."
+        case "swapped":
+            return f"Exchange the cables of {who}, or their entries in player.channels of the rig file."
+        case "shifted" if symptom.positions:
+            return (
+                "Compare their places in the position list with those of their neighbours; measure them anew with"
+                " wavefocus remeasure."
+            )
+        case "unexplained":
+            return (
+                "Look at the error map: errors in one area point to the surface or something that touches it. Measure"
+                ' a few positions anew with "wavefocus remeasure" and compare.'
+            )
+        case _:
+            return _REMEDIES[symptom.code]
 
 
-def speed(relative: float) -> Symptom:
-    """Waves are faster or slower than in the bank."""
-    percent = 100.0 * relative
-    sentence = f"Waves are {abs(percent):.1f} % {'faster' if percent > 0.0 else 'slower'} than in the bank."
-    remedy = "The surface is warmer, colder or drier than it was: bring it back to that state, or measure a new bank."
-    return Symptom("speed", (), percent, "%", sentence, remedy)
+_MIRROR = "Calibrate the mirror: the laser, the mirror or the surface has moved since the bank was measured."
+_REMEDIES: Mapping[SymptomCode, str] = {
+    "polarity": "Check the wires of the loopback, the sign of the vibrometer's output, and the recorder's inputs.",
+    "level": "Set amplifier volume, vibrometer range and sensitivity as they were when the bank was measured.",
+    "delay": (
+        "Check inter_channel_delay_s and latency_s in the rig file, the vibrometer's filter, and that the recorder's"
+        " rate is that of the bank."
+    ),
+    "shifted": _MIRROR,
+    "rotated": _MIRROR,
+    "scaled": _MIRROR,
+    "speed": (
+        "The surface is warmer, colder or drier than it was: bring it back to that state, or measure a new bank."
+    ),
+    "damping": (
+        "Look for what touches or clamps the surface; temperature and age change the damping too. Restore it, or"
+        " measure a new bank."
+    ),
+    "nonlinear": "Play quieter (limit_v or amplitude in the scene), and check amplifier, coils and vibrometer range.",
+    "crosstalk": (
+        "Separate the cables of loopback and vibrometer, leave an unused input between their channels, or lower the"
+        " loopback's voltage; then measure a new bank."
+    ),
+    "wrong_bank": "Name the bank that was measured on this surface with these actuators, or measure a new one.",
+}
 
 
-def shifted(positions: tuple[int, ...], shift_mm: PointMm, line: str) -> Symptom:
-    """The positions of one grid row, or all, show the field of a neighbouring place; `line` names the grid row."""
-    where = f"({shift_mm[0]:+g}, {shift_mm[1]:+g}) mm"
-    if line:
-        sentence = f"The grid row at {line} is shifted: its positions show the field {where} further."
-        remedy = (
-            "Compare their places in the position list with those of their neighbours; measure them anew with"
-            " wavefocus remeasure."
-        )
-    else:
-        sentence = f"The whole scan is shifted: every position shows the field {where} further."
-        remedy = "Calibrate the mirror: the laser, the mirror or the surface has moved since the bank was measured."
-    distance_mm = float(np.hypot(*shift_mm))
-    return Symptom("shifted", (), distance_mm, "mm", sentence, remedy, positions=positions, shift_mm=shift_mm)
+def with_words(record: Mapping[str, Any]) -> dict[str, Any]:
+    """A symptom's JSON object with its unit and its sentences, for those who read the file."""
+    symptom = Symptom(**{**record, **{key: tuple(record[key]) for key in ("actuators", "positions")}})
+    words = {"unit": UNITS.get(symptom.code, ""), "sentence": sentence(symptom), "remedy": remedy(symptom)}
+    return {**record, **words}
 
 
-def other_levels(level_db: Float64Array) -> Symptom:
-    """The levels of many actuators differ from the bank's."""
-    other = np.flatnonzero(np.abs(level_db) >= 0.5)
-    sentence = (
-        f"Wrong bank: {len(other)} of {len(level_db)} actuators have other levels than in it"
-        f" ({number(float(level_db.min()), 'dB')} to {number(float(level_db.max()), 'dB')})."
-    )
-    remedy = (
-        "Name the bank that was measured with these actuators and amplifier settings, or measure a new one:"
-        " each actuator's level is in verify.json."
-    )
-    return Symptom("wrong_bank", tuple(other.tolist()), None, "", sentence, remedy)
-
-
-def unexplained(correlation: float, alike: float) -> Symptom:
-    """No cause explains the error; with a small correlation the bank is taken for another plate's."""
-    if not correlation >= alike:
-        sentence = f"Wrong bank: the scan does not resemble the prediction (median correlation {number(correlation)})."
-        remedy = "Name the bank that was measured on this surface with these actuators, or measure a new one."
-        return Symptom("wrong_bank", (), correlation, "", sentence, remedy)
-    sentence = "The error is not explained by noise, nor by an actuator, levels, delays, the grid or the wave speed."
-    remedy = (
-        "Look at the error map: errors in one area point to the surface or something that touches it. Measure a few"
-        ' positions anew with "wavefocus remeasure" and compare.'
-    )
-    return Symptom("unexplained", (), None, "", sentence, remedy)
+def _cause(symptom: Symptom) -> str:
+    who, value = _listed(symptom.actuators), symptom.value if symptom.value is not None else float("nan")
+    subject = f"{who[0].upper()}{who[1:]}" if who else "All responses"
+    several, one = len(symptom.actuators) != 1, len(symptom.actuators) == 1
+    match symptom.code:
+        case "silent":
+            moves, is_ = ("does", "its response is") if one else ("do", "the responses are")
+            return f"{subject} {moves} not move: {is_} {number(-value, 'dB')} below those in the bank."
+        case "polarity":
+            also = f" and the level is {_louder(value)}" if abs(value) >= NOTED_DB else ""
+            return f"The polarity of {who or 'all responses'} is reversed{also}."
+        case "level":
+            return f"{subject} {'are' if several else 'is'} {_louder(value)} than in the bank."
+        case "delay":
+            late = f"{number(abs(value), 'ms')} {'later' if value > 0.0 else 'earlier'}"
+            return f"{subject} {'move' if several else 'moves'} {late} than in the bank."
+        case "swapped":
+            return f"{subject} are swapped: each plays the drive of the other."
+        case "shifted":
+            where = "({:+.3g}, {:+.3g}) mm".format(*symptom.shift_mm or (float("nan"), float("nan")))
+            if symptom.positions:
+                rows = f"positions {symptom.positions[0]} to {symptom.positions[-1]}"
+                return f"The grid row of {rows} is shifted: it shows the field {where} further."
+            return f"The whole scan is shifted: every position shows the field {where} further."
+        case "rotated":
+            way = "counter-clockwise" if value > 0.0 else "clockwise"
+            return f"The scan is rotated about the centre of the surface by {number(abs(value), '°')} {way}."
+        case "scaled":
+            return f"The scan is {number(abs(value), '%')} {'larger' if value > 0.0 else 'smaller'} than the surface."
+        case "speed":
+            return f"Waves are {number(abs(value), '%')} {'faster' if value > 0.0 else 'slower'} than in the bank."
+        case "damping":
+            return f"Waves are damped {number(abs(value), '%')} {'more' if value > 0.0 else 'less'} than in the bank."
+        case "nonlinear":
+            return f"The responses are not in proportion to the drive: {number(value, '%')} of them is distortion."
+        case "crosstalk":
+            late = "" if symptom.delay_s is None else f", {number(1e3 * symptom.delay_s, 'ms')} after it"
+            return f"The loopback voltage leaks into the response input at {number(value, 'dB')} of its level{late}."
+        case "wrong_bank":
+            alike = "" if symptom.value is None else f" (median correlation {number(value)})"
+            return f"Wrong bank: the scan does not resemble the prediction{alike}."
+        case "unexplained":
+            return "The error is unexplained: not by noise, nor by one of the causes that are looked for."
 
 
 def _louder(level_db: float) -> str:
     return f"{number(abs(level_db), 'dB')} {'louder' if level_db > 0.0 else 'quieter'}"
+
+
+def _listed(actuators: tuple[int, ...]) -> str:
+    if len(actuators) < 2:
+        return "".join(f"actuator {index}" for index in actuators)
+    return f"actuators {', '.join(map(str, actuators[:-1]))} and {actuators[-1]}"

@@ -16,15 +16,13 @@ import scipy.optimize
 
 from wavefocus.rendering.arrays import Complex128Array, Float64Array
 from wavefocus.rendering.field.focus_figures import evenly
-from wavefocus.rendering.verify import symptom_words as words
-from wavefocus.rendering.verify.record import ActuatorFigures, Symptom
+from wavefocus.rendering.verify.results import CERTAIN_SHARE, ActuatorFigures, Sentinel, Symptom, SymptomCode
 from wavefocus.rendering.verify.row_shift import Shifts, find_shifts
 from wavefocus.rendering.verify.superposition import ALLOWED, Blocks, block_of, energy, sentinel_block, transforms
 
 if TYPE_CHECKING:
     from wavefocus.rendering.greens.source import GreenSource
     from wavefocus.rendering.verify.comparison import FieldComparison
-    from wavefocus.rendering.verify.sentinel import Sentinel
 
 MOST_ROWS, LEAST_ROWS, SPEED_ROWS = 48, 4, 12
 ROWS_BYTES = 64 << 20
@@ -34,7 +32,6 @@ LEAST_REDUCTION = 6.0
 """A cause takes off so much of the sum of squares, in units of what is allowed at one position."""
 LEAST_SHARE = 0.1
 """And this share of the whole: what is smaller is found when the larger cause is put right."""
-EXPLAINED = 0.8
 MANY_LEFT = 0.05
 """The levels of many actuators are named together when they leave no more than this share."""
 TIE, LEAST_TIE = 0.02, 0.5
@@ -108,7 +105,7 @@ def diagnose(
     state = _state(fields, bank, sentinel, shifts)
     if shifts.between:
         cause = _best(list(_causes(state)))
-        if cause is None or cause.reduction < EXPLAINED * state.left:
+        if cause is None or cause.reduction < CERTAIN_SHARE * state.left:
             return Diagnosis(shifts.symptoms, ())
         shifts = Shifts()
     if shifts.whole:
@@ -131,11 +128,33 @@ def diagnose(
     uneven = np.abs(levels_db - np.median(levels_db)) >= LEAST_DB
     many = np.count_nonzero(uneven) >= max(2, len(uneven) / 2) and state.left > count
     if many and left < min(start * MANY_LEFT, state.left / 4):
-        return Diagnosis((*shifts.symptoms, words.other_levels(levels_db)), _actuator_figures(first))
-    if state.left > max((1.0 - EXPLAINED) * start, count * (error_limit / ALLOWED) ** 2):
-        nameless = (words.unexplained(fields.correlation_median, ALIKE),) if model_error > error_limit else ()
+        others = np.flatnonzero(np.abs(levels_db) >= LEAST_DB)
+        levels = Symptom("wrong_bank", tuple(others.tolist()), explained=1.0 - left / start)
+        return Diagnosis((*shifts.symptoms, levels), _actuator_figures(first))
+    if state.left > max((1.0 - CERTAIN_SHARE) * start, count * (error_limit / ALLOWED) ** 2):
+        nameless = _unexplained(found, fields.correlation_median) if model_error > error_limit else ()
         return Diagnosis(shifts.symptoms or nameless, ())
-    return Diagnosis(tuple(found), _actuator_figures(state))
+    return Diagnosis(_of_what_others_leave(found), _actuator_figures(state))
+
+
+def _of_what_others_leave(found: list[Symptom]) -> tuple[Symptom, ...]:
+    """Symptoms that explain the excess together, each with its share of what the others leave."""
+    together = sum(symptom.explained or 0.0 for symptom in found)
+    shares = [(symptom.explained or 0.0) / max(1.0 - together + (symptom.explained or 0.0), 1e-12) for symptom in found]
+    return tuple(
+        replace(symptom, explained=min(share, 1.0), certain=bool(share >= CERTAIN_SHARE))
+        for symptom, share in zip(found, shares, strict=True)
+    )
+
+
+def _unexplained(guesses: list[Symptom], correlation: float) -> tuple[Symptom, ...]:
+    """The verdict where no cause explains enough, and the best guess."""
+    together = sum(guess.explained or 0.0 for guess in guesses)
+    if not correlation >= ALIKE:
+        share = max(1.0 - together, 0.0)
+        return (Symptom("wrong_bank", (), correlation, share, bool(share >= CERTAIN_SHARE)),)
+    best = [replace(guess, certain=False) for guess in guesses[:1]]
+    return (Symptom("unexplained", explained=0.0, certain=False), *best)
 
 
 def _state(fields: FieldComparison, bank: GreenSource, sentinel: Sentinel | None, shifts: Shifts) -> _State:
@@ -162,7 +181,7 @@ def wave_speed(sentinel: Sentinel, bank: GreenSource) -> float | None:
     block = sentinel_block(sentinel, np.asarray(bank.green(sentinel.position), np.float32), bank)
     state = _State((block,), np.ones(bank.actuators), np.zeros(bank.actuators))
     cause = _best(list(_causes(state)))
-    if cause is None or cause.symptom.code != "speed" or cause.reduction < EXPLAINED * state.left:
+    if cause is None or cause.symptom.code != "speed" or cause.reduction < CERTAIN_SHARE * state.left:
         return None
     return cause.symptom.value
 
@@ -216,7 +235,8 @@ def _level(state: _State, of: list[int], reduction: float, factor: float) -> _Ca
             state, blocks=tuple(block.driven(each[:, None]) for block in state.blocks), factor=state.factor * each
         )
 
-    symptom = words.level(() if everyone else tuple(of), level_db, reversed_=factor < 0.0, silent=level_db < SILENT_DB)
+    code: SymptomCode = "silent" if level_db < SILENT_DB else "polarity" if factor < 0.0 else "level"
+    symptom = Symptom(code, () if everyone else tuple(of), level_db)
     return _Cause(reduction, symptom, apply, symptom.code != "level" or abs(level_db) >= LEAST_DB)
 
 
@@ -231,7 +251,7 @@ def _delay(state: _State, of: list[int], reduction: float, late_s: float) -> _Ca
         )
         return replace(state, blocks=blocks, late_s=state.late_s + each_s)
 
-    symptom = words.delay(() if everyone else tuple(of), late_s)
+    symptom = Symptom("delay", () if everyone else tuple(of), 1e3 * late_s)
     return _Cause(reduction, symptom, apply, abs(late_s) >= LEAST_DELAY_S)
 
 
@@ -286,7 +306,7 @@ def _exchanges(state: _State, differences: list[Complex128Array]) -> Iterator[_C
         def apply() -> _State:
             return replace(state, blocks=tuple(block.exchanged(one, other) for block in state.blocks))
 
-        yield _Cause(float(reduction[one, other]), words.swapped(one, other), apply, named=True)
+        yield _Cause(float(reduction[one, other]), Symptom("swapped", (one, other)), apply, named=True)
 
 
 def _at_speed(state: _State, speed: float) -> tuple[float, float]:
@@ -321,7 +341,7 @@ def _speed(state: _State) -> _Cause:
         blocks = tuple(block.stretched(speed).driven(np.full((1, 1), factor)) for block in state.blocks)
         return replace(state, blocks=blocks, factor=state.factor * factor)
 
-    return _Cause(state.left - left, words.speed(speed), apply, abs(speed) >= LEAST_SPEED)
+    return _Cause(state.left - left, Symptom("speed", value=100.0 * speed), apply, abs(speed) >= LEAST_SPEED)
 
 
 def _levels_together(state: _State) -> tuple[Float64Array, float]:

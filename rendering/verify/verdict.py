@@ -13,12 +13,22 @@ from wavefocus.acquisition.limits import DriftLimits
 from wavefocus.rendering.arrays import BoolArray
 from wavefocus.rendering.field import metrics
 from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusTable, focus_table, median_or_none
-from wavefocus.rendering.report.words import number, precise
+from wavefocus.rendering.number_text import number, precise
 from wavefocus.rendering.verify.comparison import FieldComparison, compare_fields
 from wavefocus.rendering.verify.linearity import linearity_figures
-from wavefocus.rendering.verify.record import ActuatorFigures, Changes, Drift, Figure, SourceFigures, Symptom, finite
+from wavefocus.rendering.verify.record import finite
+from wavefocus.rendering.verify.results import (
+    ActuatorFigures,
+    Changes,
+    Drift,
+    Figure,
+    Sentinel,
+    SourceFigures,
+    Symptom,
+)
 from wavefocus.rendering.verify.scan import Scan
-from wavefocus.rendering.verify.sentinel import Sentinel, drift_figures, drift_of
+from wavefocus.rendering.verify.sentinel import drift_figures, drift_of
+from wavefocus.rendering.verify.symptom_words import sentence, with_words
 from wavefocus.rendering.verify.symptoms import Diagnosis, diagnose
 
 if TYPE_CHECKING:
@@ -103,7 +113,7 @@ class Verification:
     @property
     def summary(self) -> str:
         """The verdict in some sentences, what is wrong first."""
-        return " ".join([*(symptom.sentence for symptom in self.symptoms), self.outcome])
+        return " ".join([*(sentence(symptom) for symptom in self.symptoms), self.outcome])
 
     @property
     def outcome(self) -> str:
@@ -144,7 +154,7 @@ class Verification:
             "positions_compared": len(fields.position_index),
             "positions_excluded": len(fields.excluded),
             **{name: finite(value) for name, value in figures.items()},
-            "symptoms": [dataclasses.asdict(symptom) | {"value": finite(symptom.value)} for symptom in self.symptoms],
+            "symptoms": [with_words(dataclasses.asdict(symptom)) for symptom in self.symptoms],
             "actuators": [dataclasses.asdict(one) for one in self.actuators],
             "drift": None if self.drift is None else dataclasses.asdict(self.drift),
             "changes": None

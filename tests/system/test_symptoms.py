@@ -23,6 +23,7 @@ from wavefocus.rendering.field.prediction import predict
 from wavefocus.rendering.scene.model import load_scene
 from wavefocus.rendering.verify.scan import ScanPlan, scan
 from wavefocus.rendering.verify.sentinel import measure_sentinel
+from wavefocus.rendering.verify.symptom_words import sentence
 from wavefocus.rendering.verify.verdict import Verification, compare
 from wavefocus.rig.setup import open_setup
 from wavefocus.storage.bank.reading import Bank, open_bank
@@ -119,7 +120,9 @@ def test_given_a_changed_rig_then_its_symptom_is_named(
     assert (symptom.code, symptom.actuators) == (code, actuators)
     assert value is None or symptom.value == pytest.approx(value, rel=0.1, abs=0.05)
     assert not found.passed
-    assert found.summary.startswith(symptom.sentence)
+    assert symptom.certain
+    assert 0.8 <= symptom.explained <= 1.0
+    assert found.summary.startswith(sentence(symptom))
 
 
 def test_given_some_positions_then_the_symptom_is_named_from_them(sound: Bank) -> None:

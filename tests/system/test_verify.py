@@ -171,7 +171,7 @@ def test_given_an_earlier_verification_then_what_has_changed_is_stated(
     assert "source 1: error" in noted
     (symptom,) = json.loads(printed.out)["symptoms"]
     assert (symptom["code"], symptom["actuators"]) == ("level", [1])
-    assert changes.symptoms_new == (symptom["sentence"],)
+    assert [new.identity for new in changes.symptoms_new] == [("level", (1,), ())]
     assert f"new: {symptom['sentence']}" in printed.err
     report = (lab / "verify" / "report.html").read_text(encoding="utf-8")
     assert report.index(symptom["sentence"]) < report.index(symptom["remedy"]) < report.index("<table>")

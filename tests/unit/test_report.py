@@ -17,9 +17,10 @@ from PIL import Image
 from tests.unit.line_verification import GRID_MM, RATE_HZ, bank, rendered, scan_of, scene_of
 from wavefocus.acquisition.limits import DriftPoint
 from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.number_text import number
 from wavefocus.rendering.report.page import build_report
 from wavefocus.rendering.report.waves import LINE_POINTS, line_of, wave_figures, waves_of, waves_picture
-from wavefocus.rendering.report.words import number, remarks
+from wavefocus.rendering.report.words import remarks
 from wavefocus.rendering.scene.model import Scene, Source
 from wavefocus.rendering.scene.paths import Line, Point
 from wavefocus.rendering.scene.signals import Impulse

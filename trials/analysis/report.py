@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from wavefocus.rendering.number_text import number
 from wavefocus.rendering.report.canvas import Picture
 from wavefocus.rendering.report.html import html_page
-from wavefocus.rendering.report.words import number
 from wavefocus.trials.analysis.figures import (
     MOST_BARS,
     MOST_CURVES,

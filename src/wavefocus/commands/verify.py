@@ -34,10 +34,11 @@ from wavefocus.exits import Exit, exit_code, sentence
 from wavefocus.input_files import input_files, parse_positions
 from wavefocus.rendering.field.metrics import grid_spacing_mm
 from wavefocus.rendering.field.prediction import predict as predict_field
+from wavefocus.rendering.number_text import percent
 from wavefocus.rendering.report.page import build_report
-from wavefocus.rendering.report.words import percent
 from wavefocus.rendering.scene.model import Scene, load_scene
 from wavefocus.rendering.scene.scene_rows import scene_rows
+from wavefocus.rendering.verify import symptom_words
 from wavefocus.rendering.verify.changes import change_lines, changes_since
 from wavefocus.rendering.verify.linearity import linearity_rows, quieter
 from wavefocus.rendering.verify.record import (
@@ -52,13 +53,13 @@ from wavefocus.rendering.verify.record import (
     REPORT_NAME,
     SCAN_NAME,
     STOP_NAME,
-    Figure,
     VerificationRecord,
     read_record,
     write_record,
 )
+from wavefocus.rendering.verify.results import Figure, Sentinel
 from wavefocus.rendering.verify.scan import Scan, ScanPlan, scan
-from wavefocus.rendering.verify.sentinel import Sentinel, drift_sentence, measure_sentinel
+from wavefocus.rendering.verify.sentinel import drift_sentence, measure_sentinel
 from wavefocus.rendering.verify.verdict import Tolerances, Verification, compare
 from wavefocus.rig.limits import check_drive
 from wavefocus.rig.setup import open_setup
@@ -123,7 +124,7 @@ def verify(
             code = Exit.DONE if verification.passed else Exit.NOT_GOOD_ENOUGH
             log.done(code, verification.summary)
     for symptom in verification.symptoms:
-        say(f"{symptom.sentence} {symptom.remedy}")
+        say(f"{symptom_words.sentence(symptom)} {symptom_words.remedy(symptom)}")
     for check in verification.checks:
         say(_line(check))
     if (noise := verification.noise_error) is not None:

@@ -1,0 +1,146 @@
+"""What a verification finds: figures, symptoms, drift, changes. Plain data, which every other module here imports."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+PointMm = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One figure of a verification.
+
+    Of the prediction, of the scan, and between them: None where it has no such side. `value` is what the limit is for,
+    None where the positions needed were not scanned. `relation` is "at most" or "at least", None without a limit;
+    `passed` is None where nothing was judged.
+    """
+
+    name: str
+    unit: str
+    definition: str
+    predicted: float | None = None
+    scanned: float | None = None
+    difference: float | None = None
+    value: float | None = None
+    limit: float | None = None
+    relation: str | None = None
+    passed: bool | None = None
+
+
+SymptomCode = Literal[
+    "polarity", "swapped", "level", "delay", "silent", "shifted", "rotated", "scaled", "speed", "damping",
+    "nonlinear", "crosstalk", "wrong_bank", "unexplained",
+]  # fmt: skip
+
+CERTAIN_SHARE = 0.8
+"""A cause is certain only if it explains at least this share of the excess."""
+
+
+@dataclass(frozen=True)
+class Symptom:
+    """A cause of a difference between scan and prediction; `symptom_words` makes sentences of it.
+
+    actuators: Those concerned; none where the cause concerns all responses alike.
+    value: Its size, in the unit of `symptom_words.UNITS`; None where it has none.
+    explained: Share, 0 to 1, of the excess (the squared difference that noise does not explain) that it takes off, of
+        what the other symptoms leave; None in records of earlier versions.
+    certain: Whether it is the cause; false for a best guess.
+    delay_s: Of crosstalk: its delay against the loopback.
+    positions, shift_mm: Of shifted positions: bank rows, and the way to the place that they show.
+    """
+
+    code: SymptomCode
+    actuators: tuple[int, ...] = ()
+    value: float | None = None
+    explained: float | None = None
+    certain: bool = True
+    delay_s: float | None = None
+    positions: tuple[int, ...] = ()
+    shift_mm: PointMm | None = None
+
+    @property
+    def identity(self) -> tuple[SymptomCode, tuple[int, ...], tuple[int, ...]]:
+        """What makes two symptoms the same cause, whatever their sizes."""
+        return self.code, self.actuators, self.positions
+
+
+@dataclass(frozen=True)
+class ActuatorFigures:
+    """Level and delay of an actuator against the bank; None where the scan hardly shows it."""
+
+    level_db: float | None
+    delay_us: float | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sentinel:
+    """The bank's sentinel position, measured again.
+
+    position: Bank row.
+    green, float32 (actuators, taps): Its Green's functions now.
+    snr_db, float32 (actuators,): Their signal-to-noise ratios.
+    """
+
+    position: int
+    green: NDArray[np.float32]
+    snr_db: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Drift:
+    """The bank's sentinel position measured again, against its rows in the bank.
+
+    level_db, delay_us, correlation: Over all actuators; delay above 0 where it is later.
+    speed_percent: Change of the wave speed that explains most of the difference; None where none does.
+    verdict: "steady", "warn" or "stop", by the run's limits of drift.
+    """
+
+    position: int
+    level_db: float
+    delay_us: float
+    correlation: float
+    speed_percent: float | None
+    verdict: str
+
+
+@dataclass(frozen=True)
+class Change:
+    """A figure then and now, None where it was not found; `noted` where it changed by more than scans differ."""
+
+    name: str
+    unit: str
+    before: float | None
+    now: float | None
+    noted: bool
+
+
+@dataclass(frozen=True)
+class Changes:
+    """What has changed since an earlier verification.
+
+    against, made: File and time of the earlier record.
+    inputs: Names of scene, bank and rig that are others now.
+    symptoms_gone, symptoms_new: By code, actuators and positions; sentences in records of earlier versions.
+    figures: All figures, those of each source and of each actuator included.
+    """
+
+    against: str
+    made: datetime
+    inputs: tuple[str, ...]
+    symptoms_gone: tuple[Symptom | str, ...]
+    symptoms_new: tuple[Symptom | str, ...]
+    figures: tuple[Change, ...]
+
+
+@dataclass(frozen=True)
+class SourceFigures:
+    """Normalised error within 15 mm of a source's foci, and the foci's median distance from the path; None: unknown."""
+
+    error: float | None
+    focus_mm: float | None

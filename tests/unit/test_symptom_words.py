@@ -1,0 +1,29 @@
+"""Symptoms in words."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+import pytest
+
+from wavefocus.rendering.verify import symptom_words
+from wavefocus.rendering.verify.results import Symptom, SymptomCode
+
+
+@pytest.mark.parametrize("code", get_args(SymptomCode))
+@pytest.mark.parametrize("actuators", [(), (3,), (1, 4, 5)])
+def test_given_any_code_then_it_has_a_sentence_and_a_remedy(code: SymptomCode, actuators: tuple[int, ...]) -> None:
+    symptom = Symptom(code, actuators, 1.5, 0.4, certain=False, shift_mm=(1.0, 0.0))
+    sentence, remedy = symptom_words.sentence(symptom), symptom_words.remedy(symptom)
+    assert sentence.endswith(".")
+    assert remedy.endswith(".")
+    assert "nan" not in sentence
+    if code not in ("unexplained", "wrong_bank"):
+        assert "40 %" in sentence
+
+
+def test_given_a_best_guess_then_the_sentence_says_how_much_it_explains() -> None:
+    guess = Symptom("level", (), 0.2, 0.4, certain=False)
+    assert symptom_words.sentence(guess) == (
+        "Best guess, which explains 40 % of the excess: all responses are 0.20 dB louder than in the bank."
+    )
