@@ -9,13 +9,14 @@ import numpy as np
 import scipy.fft
 
 from wavefocus.calibration import Complex64Array, Float32Array, Float64Array, Int64Array
-from wavefocus.calibration.clock.czt import BandSpectrum
+from wavefocus.calibration.clock.czt import BandSpectrum, fourier_sum
 from wavefocus.calibration.clock.timing import CORNERS, ReferenceMissingError, check_inside
 from wavefocus.calibration.sweeps import Sweeps
 from wavefocus.storage.errors import InputError
 
 # Bins whose nominal energy is below this share of the median in band carry noise only.
 LEAST_POWER = 1e-3
+FLOOR_POWER = 1e-12
 # Reference energy in the band that the nominal sweep leaves unexplained.
 REFERENCE_LIMIT = 10**-1.5
 # Repeats that are not evenly spaced mean that the player slipped; then each sweep's own stretch counts. Two
@@ -32,6 +33,13 @@ DELAY_PARTS = 8
 # Where a clock skew turns the ends of the band by more than this against its middle, in radians, phases wrap and the
 # skew is searched for in such steps.
 WRAP_TURN = 1.5
+# A reference that the linear curves do not explain is compared with the stretched excitation, so many times at most.
+# The stretch comes from the repeats' distances and from their own phases in turn. Phases of noise and of multisines
+# bend far from those curves.
+REFINEMENTS = 5
+# A stretch that turns phases by less than this beyond any delay, in radians (rms) per unit, does not show in one
+# repeat.
+LEAST_BEND = 40.0
 # A segment begins near its sweep, so fewer bins are enough for the distance: modulo the period over this.
 SEGMENT_THIN = 8
 # The first guess of the start may be wrong by samples; it is taken from a recording thinned this close to aliasing.
@@ -56,8 +64,9 @@ class Repeats:
 class RepeatFinder:
     """Cut records into repeats of one nominal sweep and fit the clocks' ratio to their phases.
 
-    A linear sweep makes the phase of segment over nominal spectrum a sum of known curves: the frequency
-    (delay), the frequency times the nominal group delay (stretch by the clock ratio)
+    The phase of segment over nominal spectrum is a sum of known curves: the frequency (delay), the frequency times the
+    nominal group delay (stretch by the clock ratio), and what coupling capacitors turn. Any excitation that is repeated
+    will do; where all its energy comes at once, the repeats' distances alone show the clocks' ratio.
 
     excitation: What was played.
     room_samples: Silence to spare after a response of L taps.
@@ -72,6 +81,7 @@ class RepeatFinder:
         self._guard = min(GUARD_SAMPLES, room_samples // 2)
         # The end of the last silence may lie behind the record's: nothing sounds there.
         self._least = self.averages * base.size - room_samples - GUARD_SAMPLES
+        self._base = base
         nominal = scipy.fft.rfft(base)
         slope = -1j * scipy.fft.rfft(np.arange(base.size) * base)
         power = np.abs(nominal) ** 2
@@ -85,25 +95,32 @@ class RepeatFinder:
         most = max(1, int(base.size / (GUESS_BANDS * self.bins.stop)))
         self._guess_thinning = max(step for step in range(1, most + 1) if base.size % step == 0)
         self.omega = 2 * np.pi * np.arange(nominal.size)[self.bins] / base.size
-        self.power = power[self.bins]
         self._nominal = nominal[self.bins].astype(np.complex64)
         self._omega32 = self.omega[::THIN].astype(np.float32)
-        stretch = self.omega * np.imag(slope[self.bins] / nominal[self.bins])
+        # Bins without any of the excitation, as those between the lines of a multisine may be, weigh nothing.
+        self.power = np.maximum(power[self.bins], FLOOR_POWER * self.median_power)
+        stretch = self.omega * np.imag(slope[self.bins] * nominal[self.bins].conj() / self.power)
         # Whether higher frequencies come later, eighth of the band by eighth: so that bins stand for times.
         delays = [part.mean() for part in np.array_split(-stretch / self.omega, DELAY_PARTS)]
         self.delay_rises = bool(np.all(np.diff(delays) > 0))
         # Coupling capacitors turn low frequencies; unmodelled, a corner of 2 Hz passes for 20 ppm.
         lowest = 2 * np.pi * excitation.start_hz / excitation.sample_rate_hz
         turns = [np.arctan(share * lowest / self.omega) for share in CORNERS]
+        # How far a stretch bends the phases beyond any delay. All sounds within the period, so that no bin's energy is
+        # further than that from the others'; a group delay that is lies in a gap of the spectrum and means nothing.
+        line = np.polyfit(self.omega, stretch, 1, w=np.sqrt(self.power))
+        furthest = self.omega * base.size
+        bent = np.clip(stretch - np.polyval(line, self.omega), -furthest, furthest)
+        bend = float(np.ptp(bent)) + 1e-30
+        self._shows_stretch = float(np.average(np.square(bent), weights=self.power)) > LEAST_BEND**2
         curves = np.stack([-self.omega, stretch, *turns])[:, ::THIN]
         weighted = curves * self.power[::THIN]
         self._curves = curves.astype(np.float32)
-        # How far a stretch bends the phases beyond any delay.
-        line = np.polyfit(self.omega, stretch, 1, w=np.sqrt(self.power))
-        bend = float(np.ptp(stretch - np.polyval(line, self.omega))) + 1e-30
         steps = math.floor(1e-6 * max_ppm * bend / WRAP_TURN)
         self._tried = WRAP_TURN / bend * np.array(sorted(range(-steps, steps + 1), key=abs))
-        self._solve = np.linalg.solve(weighted @ curves.T, weighted).T
+        fitted = np.array([True, self._shows_stretch, *(True for _ in CORNERS)])
+        self._solve = np.zeros(weighted.T.shape)
+        self._solve[:, fitted] = np.linalg.solve(weighted[fitted] @ curves[fitted].T, weighted[fitted]).T
 
     def find(self, reference: Float32Array, first_record: int = 0) -> Repeats:
         """Find the repeats in reference recordings.
@@ -125,10 +142,25 @@ class RepeatFinder:
         spectra = self.segment_spectra(reference, starts)
         near = np.zeros(records)
         delay, stretch, explained = self._phase_fit(spectra, near)
-        wrapped = np.flatnonzero(~(explained > 1 - REFERENCE_LIMIT)) if self._tried.size > 1 else np.zeros(0, np.int64)
-        if wrapped.size:
-            near[wrapped] = self._searched_stretch(spectra[wrapped, 0])
-            delay[wrapped], stretch[wrapped], explained[wrapped] = self._phase_fit(spectra[wrapped], near[wrapped])
+        unexplained = np.flatnonzero(~(explained > 1 - REFERENCE_LIMIT))
+        if unexplained.size and self._tried.size > 1:
+            near[unexplained] = self._searched_stretch(spectra[unexplained, 0])
+        for refinement in range(REFINEMENTS):
+            if not unexplained.size:
+                break
+            begin = np.floor(starts + delay)[unexplained, :1] - self._guard
+            apart = self.period * (1 + near[unexplained, None]) * np.arange(self.averages)
+            cut = self._limited(np.rint(begin + apart).astype(np.int64), samples)
+            segments = self.segment_spectra(reference[unexplained], cut)
+            late, slower, share = self._phase_fit(segments, near[unexplained])
+            better = share > explained[unexplained]
+            which = unexplained[better]
+            starts[which], spectra[which], explained[which] = cut[better], segments[better], share[better]
+            delay[which], stretch[which] = late[better], slower[better]
+            unexplained = unexplained[~(explained[unexplained] > 1 - REFERENCE_LIMIT)]
+            near[unexplained] = self._likely_stretch(starts + delay, stretch, by_distance=refinement % 2 == 0)[
+                unexplained
+            ]
         misplaced = np.abs(delay - self._guard).max(axis=1) > MISPLACED_SAMPLES
         misplaced &= explained > 1 - REFERENCE_LIMIT
         if misplaced.any():
@@ -184,13 +216,11 @@ class RepeatFinder:
         return np.clip(starts, 0, samples - self.period)
 
     def _coarse_delay(
-        self, spectra: Complex64Array, thin: int = 1, taken: Complex64Array | None = None
+        self, spectra: Complex64Array, thin: int = 1, nominal: Complex64Array | None = None
     ) -> Float64Array:
         """Delay in samples, 0 to the period over `thin`, from the envelope of the cross-correlation."""
         length = scipy.fft.next_fast_len(2 * -(-self.omega.size // thin))
-        cross = spectra[..., ::thin] * self._nominal[::thin].conj()
-        if taken is not None:
-            cross *= taken
+        cross = spectra[..., ::thin] * (self._nominal if nominal is None else nominal)[..., ::thin].conj()
         correlation = scipy.fft.ifft(cross, length, overwrite_x=True)
         # The square has its top where the envelope has it, at a tenth of the cost.
         envelope = np.square(correlation.real) + np.square(correlation.imag)
@@ -219,18 +249,16 @@ class RepeatFinder:
     ) -> tuple[Float64Array, Float64Array, Float64Array]:
         """Delay in samples and stretch of each segment, and the share of a record's energy they explain.
 
-        `near` (records,) is a stretch of each record's segments that is taken out before.
+        `near` (records,) is a stretch of each record, with which its segments are compared.
         """
-        taken = None
+        nominal = self._nominal
         if near.any():
-            taken = np.exp(-1j * near.astype(np.float32)[:, None, None] * self._curves[1])
-        coarse = self._coarse_delay(spectra, SEGMENT_THIN, taken)
+            nominal = np.stack([self._stretched(one) for one in near.tolist()])[:, None]
+        coarse = self._coarse_delay(spectra, SEGMENT_THIN, nominal)
         span = self.period / SEGMENT_THIN
         coarse = np.where(coarse > span / 2, coarse - span, coarse)
         thinned = spectra[..., ::THIN]
-        cross = thinned * self._nominal[::THIN].conj()
-        if taken is not None:
-            cross *= taken
+        cross = thinned * nominal[..., ::THIN].conj()
         cross *= np.exp(1j * self._omega32 * coarse[..., None].astype(np.float32))
         # Crossed wires turn every phase by half a turn.
         cross *= np.where(cross.real.sum(axis=-1, keepdims=True) < 0, -1, 1).astype(np.float32)
@@ -241,6 +269,18 @@ class RepeatFinder:
         share = matched**2 / np.maximum(energy * self.power[::THIN].sum(), 1e-300)
         return coarse + fitted[..., 0], fitted[..., 1] + near[:, None], share.min(axis=-1)
 
+    def _stretched(self, stretch: float) -> Complex64Array:
+        """Spectrum (bins,) of the excitation played by a clock that is slower by this share."""
+        turn = 2 * np.pi / self.period * (1 + stretch)
+        return fourier_sum(self._base, turn, self.bins.start, self.omega.size).astype(np.complex64)
+
+    def _likely_stretch(self, place: Float64Array, stretch: Float64Array, *, by_distance: bool) -> Float64Array:
+        """Stretch (records,) by the distances of the repeats, where there are several, or by their own phases."""
+        found = stretch.mean(axis=1)
+        if by_distance and self.averages > 1:
+            found = (place[:, -1] - place[:, 0]) / (self.period * (self.averages - 1)) - 1
+        return np.asarray(np.clip(found, -1e-6 * self.max_ppm, 1e-6 * self.max_ppm))
+
     def _clock(self, place: Float64Array, stretch: Float64Array) -> tuple[Float64Array, Float64Array]:
         own = 1 + stretch.mean(axis=1)
         if self.averages == 1:
@@ -250,6 +290,8 @@ class RepeatFinder:
         spaced = place @ lever / (lever @ lever)
         late = place - spaced[:, None] * nominal
         start = late.mean(axis=1)
+        if not self._shows_stretch:
+            return start, spaced
         if self.averages == 2:
             slipped = np.abs(spaced - own) > 1e-6 * SLIP_PPM
         else:

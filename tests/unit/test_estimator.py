@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from wavefocus.calibration.clock.timing import ReferenceMissingError
 from wavefocus.calibration.estimator.estimate import Channels, Estimate
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
-from wavefocus.calibration.sweeps import Excitation
+from wavefocus.calibration.sweeps import Excitation, RecordedSweeps, Sweeps
 from wavefocus.storage.errors import InputError
 
 # A quarter of the default in every length, for quick tests; one below runs the default itself.
@@ -73,7 +73,7 @@ class Records:
 
 def records_of(
     green: Float64Array,
-    excitation: Excitation = SMALL,
+    excitation: Sweeps = SMALL,
     *,
     snr_db: float | None = 40.0,
     offset: float = 100.4,
@@ -84,7 +84,7 @@ def records_of(
 ) -> Records:
     """Records of a linear plate: drive convolved on the playback clock, both channels then on the DAQ's."""
     draw = np.random.default_rng(seed)
-    signal = excitation.signal_v()
+    signal = np.tile(excitation.base_v(), excitation.averages)
     length = scipy.fft.next_fast_len(signal.size + green.shape[1], real=True)
     response = scipy.fft.irfft(scipy.fft.rfft(green, length) * scipy.fft.rfft(signal, length), length)
     samples = int(offset) + signal.size + post_roll
@@ -323,6 +323,38 @@ def test_a_record_cut_before_its_end_is_refused() -> None:
     for kept in (slice(0, -500), slice(900, None)):
         with pytest.raises(ReferenceMissingError, match="record 0 "):
             Records(records.reference[:, kept], records.response[:, kept], records.noise_v).estimate()
+
+
+def repeated_signals() -> dict[str, Float64Array]:
+    """One repeat of signals that fill the band of `SMALL` and are no sweeps; rising, noisy, sparse, all at once."""
+    samples, rate_hz = round(SMALL.duration_s * SMALL.sample_rate_hz), SMALL.sample_rate_hz
+    hertz = np.fft.rfftfreq(samples, 1 / rate_hz)
+    inside, draw = (hertz >= SMALL.start_hz) & (hertz <= SMALL.stop_hz), np.random.default_rng(3)
+    line = np.cumsum(inside)
+    phases = {
+        "random multisine": draw.uniform(0, 2 * np.pi, hertz.size),
+        "Schroeder multisine": -np.pi * line**2 / line[-1],
+        "sparse multisine": draw.uniform(0, 2 * np.pi, hertz.size),
+        "noise": draw.uniform(0, 2 * np.pi, hertz.size),
+        "pulse": np.pi * np.arange(hertz.size),
+    }
+    amplitude = {"sparse multisine": line % 3 == 0, "noise": draw.rayleigh(size=hertz.size)}
+    return {
+        name: scipy.fft.irfft(inside * amplitude.get(name, 1.0) * np.exp(1j * phase), samples)
+        for name, phase in phases.items()
+    }
+
+
+@pytest.mark.parametrize("name", repeated_signals())
+@pytest.mark.parametrize("ppm", [30.0, -480.0])
+def test_any_repeated_excitation_of_the_band_is_estimated(name: str, ppm: float) -> None:
+    signal = repeated_signals()[name]
+    base_v = np.pad(signal / np.abs(signal).max(), (0, SMALL.decay_samples))
+    excitation = RecordedSweeps(base_v, SMALL.sample_rate_hz, *SMALL.band_hz, SMALL.decay_samples, SMALL.averages)
+    truth = damped_modes(2, TAPS, SMALL)
+    estimate = records_of(truth, excitation, ppm=ppm, snr_db=None).estimate(SequentialEstimator(excitation, TAPS))
+    assert 1e6 * (estimate.clock_ratio - 1) == pytest.approx([ppm, ppm], abs=2)
+    assert error_db(estimate.green, truth).max() < -60
 
 
 @pytest.mark.parametrize("options", [{"taps": 0}, {"taps": 601}, {"ridge": 0.0}])
