@@ -119,7 +119,7 @@ class Dialogue:
             guard.call(self._line.close, CLOSING_S, anyhow=True)
         guard.abandon()
 
-    def introduce(self, query: Query[str], patience_s: float, before: str = "") -> str:
+    def introduce(self, query: Query[str], patience_s: float, before: str = "", between: str = "") -> str:
         """Ask a device that was just opened who it is, again and again: it may still be starting.
 
         Raises InstrumentLostError.
@@ -127,6 +127,7 @@ class Dialogue:
         query: Answered with the identity.
         patience_s: How long to try; a try that was begun is finished.
         before: A command to send before each try, whether it is answered or not.
+        between: A command to send before the second try and each later one; then there are two tries at least.
         """
         doing = "asking who it is"
         latest = NoAnswerError("no answer came")
@@ -147,7 +148,9 @@ class Dialogue:
                     cause = f"the connection was closed ({failure})"
                     remedy = "it may serve one program at a time: close the others; check its power"
                     raise self._lost(doing, cause, remedy) from failure
-                if self._clock.now_s() > gives_up_s:
+                if between and before != between:
+                    before = between
+                elif self._clock.now_s() > gives_up_s:
                     remedy = "switch it on; check the cable, and driver and baud in the rig file"
                     raise InstrumentLostError(self._instrument, doing, str(latest), remedy)
 

@@ -7,7 +7,9 @@ time here) and ``commands/pm``; "MicroMirror Drive Card User Guide" (4.6 degrees
 ASITiger: ``ASIScanner.cpp`` (``UM`` gives units per degree, 1000 by default; ``SL`` and ``SU`` are in degrees; ``PM``
 is the input mode of a card whose modules have no ``DAC_4CH``, and an output range otherwise), ``ASIHub.cpp`` (answers,
 axis types and modules of ``BU X``), ``ASITigerComm.cpp`` (``VB F=0``; type ``u`` is a scanner, ``x`` a stage) and
-``ASIPeripheralBase.h`` (addresses of cards, one raw byte from 0x31 to 0x39 and from 0x81 to 0xF5).
+``ASIPeripheralBase.h`` (addresses of cards, one raw byte from 0x31 to 0x39 and from 0x81 to 0xF5). ASI's page
+``commands/vb``: ``VB X``, which a laboratory may have saved, makes answers end with a carriage return only (bit 8) or
+a move answer with its target (bit 16); it is set to 0 here, as ``VB F`` is.
 
 Not confirmed: whether the degrees of ``UM``, ``SL`` and ``SU`` are those of the mirror or of the beam. Micro-Manager
 calls them "degree rotation for the micromirror", ASI's drive card guide gives 4.6 degrees for a mirror whose maker
@@ -28,6 +30,8 @@ from wavefocus.drivers.mirror.serial_mirror import Dialect, tolerance_key
 from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.drivers.registry import MIRRORS, rig_key
 
+# Every answer ends with a line feed, and a move answers without its target.
+PLAIN_ANSWERS = "VB X=0"
 # Type of a scanner's axes in the answer to BU X.
 SCANNER = "u"
 NUMBER = r"-?\d{1,9}(?:\.\d{1,9})?"
@@ -87,7 +91,8 @@ class AsiTiger(Dialect):
         return self._reach_mrad
 
     def wake(self, dialogue: Dialogue, patience_s: float) -> str:
-        self._build = dialogue.introduce(Query("BU X", _build), patience_s)
+        # Answers without a line feed cannot be read before they are asked for in another form.
+        self._build = dialogue.introduce(Query("BU X", _build), patience_s, between=PLAIN_ANSWERS)
         return _printable(self._build)
 
     def device(self, identity: str) -> DeviceIdentity:
@@ -104,7 +109,8 @@ class AsiTiger(Dialect):
     def enable(self, dialogue: Dialogue, park_mrad: tuple[float, float]) -> None:
         # What the axes are comes first: nothing is set or moved on a controller that has no scanner.
         self._axes = _scanner_axes(self._build, self.axes, dialogue.instrument)
-        dialogue.ask(Query("VB F=0", _accepted), "choosing the syntax of its answers")
+        for command in (PLAIN_ANSWERS, "VB F=0"):
+            dialogue.ask(Query(command, _accepted), "choosing the syntax of its answers")
         for axis in self._axes:
             self._require_serial_input(dialogue, axis)
         scales = [
@@ -206,7 +212,9 @@ def _printable(text: str) -> str:
 def _build(answer: str) -> str:
     if "Motor Axes:" not in answer or BANNER.search(answer):
         raise UnreadableError(answer)
-    return answer
+    # Answers that ended with a carriage return alone may stand before it in the same line.
+    before = answer[: answer.rindex("Motor Axes:")].rstrip("\r")
+    return answer[before.rfind("\r") + 1 :]
 
 
 def _card(answer: str) -> str:
@@ -221,7 +229,8 @@ def _accepted(answer: str) -> None:
 
 
 def _done(answer: str) -> None:
-    _match(r":A ?", answer)
+    # The target, where a card prints it all the same.
+    _match(rf":A ?(?:{NUMBER} ?)*", answer)
 
 
 def _busy(answer: str) -> bool:

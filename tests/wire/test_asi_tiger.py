@@ -113,8 +113,26 @@ def test_given_a_controller_in_the_other_syntax_then_opening_changes_that(tmp_pa
         mirror.move_to(40.0, -25.0)
         mirror.wait_settled(10.0)
         assert mirror.where_mrad() == pytest.approx((40.0, -25.0), abs=0.01)
-        before, _, _ = "|".join(filter(None, bench.far.commands)).partition("VB F=0")
+        before, _, _ = "|".join(filter(None, bench.far.commands)).partition("VB X=0")
         assert set(before.strip("|").split("|")) == {"BU X"}
+
+
+@pytest.mark.parametrize("verbosity", [1, 8, 16, 8 + 16, 31])
+def test_given_a_saved_verbosity_then_the_controller_is_opened_moved_and_opened_again(verbosity, tmp_path):
+    with bench_with(tmp_path, verbosity=verbosity) as bench:
+        mirror = bench.mirror(**MEMS)
+        identity = mirror.identity
+        bench.check_move(mirror)
+        bench.device.restart()
+        mirror.reconnect()
+        assert mirror.identity == identity
+        bench.check_move(mirror, -40.0, 25.0)
+
+
+@pytest.mark.parametrize("answer", [":A 2291.8 -1432.4 ", ":A 2291 -1432", ":A"])
+def test_given_a_card_that_prints_the_target_all_the_same_then_the_move_is_done(answer, tmp_path):
+    with bench_with(tmp_path, device_class=answering(AsiTigerDevice, "M ", answer)) as bench:
+        bench.mirror(**MEMS).move_to(40.0, -25.0)
 
 
 @pytest.mark.parametrize("code", [":N-2", ":N-4"])
