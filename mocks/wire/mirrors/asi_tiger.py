@@ -145,7 +145,9 @@ class AsiTigerDevice(MirrorDevice):
         return cls(motion, board="dac_4ch", limit_degrees=math.degrees(full_scale_mrad / 2000))
 
     def operation(self, command: str) -> str:
-        verb = self._parsed(command)[1]
+        address, verb, _ = self._parsed(command)
+        if address is not None:
+            return f"card {verb.lower()}"  # only the controller says who it is
         return {"BU": "identify", "M": "move", "/": "busy", "W": "where", "UM": "units"}.get(verb, verb.lower())
 
     def answer(self, command: str) -> str:
