@@ -84,12 +84,12 @@ soak: ## Kill, cut the power, fill disks and flip bytes by the thousand; half an
 
 screenshots: ## Take pictures of the window, light, dark and scaled; writes docs/pictures/window-*.png
 	@tools/system-packages.sh $(WINDOW_PACKAGES)
-	@tools/set-up.sh
+	@tools/set-up.sh window
 	$(PY) tools/screenshots.py docs/pictures $(ARGS)
 
 window-figures: ## Measure how soon the window is up and what it costs
 	@tools/system-packages.sh $(WINDOW_PACKAGES)
-	@tools/set-up.sh
+	@tools/set-up.sh window
 	$(PY) -m tools.window_figures $(ARGS)
 
 clean: ## Remove .venv, caches and what demo and bench wrote

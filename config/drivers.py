@@ -22,7 +22,7 @@ from pydantic import Field, create_model, model_validator
 
 from wavefocus.config.fields import ALWAYS, FREE, Finite, Table, Text, Whole, like, mistake, plan_mark
 from wavefocus.config.loading import shown
-from wavefocus.drivers.registry import KeyMistakeError
+from wavefocus.drivers.registry import KeyMistakeError, Registry
 
 Section = TypeVar("Section", bound="DriverTable")
 
@@ -35,11 +35,15 @@ class DriverTable(Table):
     drivers : mapping from name to data class
         The drivers that have keys.
     shared_keys : mapping from key to str
-        Keys that each of these has; what is missing, if it is needed, else empty.
+        Keys that each of these has; what is missing, if it is needed, else empty. A driver is without those that it
+        names in an attribute ``without_keys``.
+    left_out : mapping from name to str
+        Drivers of other distributions that cannot be used, and why.
     """
 
     drivers: ClassVar[Mapping[str, type[Any]]] = {}
     shared_keys: ClassVar[Mapping[str, str]] = {}
+    left_out: ClassVar[Mapping[str, str]] = {}
 
     driver: Annotated[str, ALWAYS] = "virtual"
 
@@ -70,6 +74,8 @@ class DriverTable(Table):
         """Fill in the driver's own defaults, so that the validated table says everything outright."""
         name = data.get("driver", cls.model_fields["driver"].default) if isinstance(data, dict) else None
         if not isinstance(name, str) or name not in cls.drivers:
+            if isinstance(name, str) and name in cls.left_out:
+                raise mistake("driver", name, f"cannot be used: {cls.left_out[name]}")
             return data
         driver = cls.drivers[name]
         own = {key.name: key.default for key in fields(driver) if key.default not in (MISSING, None)}
@@ -80,8 +86,11 @@ class DriverTable(Table):
     @model_validator(mode="after")
     def _driver_keys(self: Section) -> Section:
         """Refuse keys that belong to another driver, and miss those that this one cannot do without."""
-        owners = {key: list(self.drivers) for key in self.shared_keys}
-        needed = {(name, key): text for name in self.drivers for key, text in self.shared_keys.items() if text}
+        owners = {
+            key: [name for name, driver in self.drivers.items() if key not in getattr(driver, "without_keys", ())]
+            for key in self.shared_keys
+        }
+        needed = {(name, key): text for key, text in self.shared_keys.items() if text for name in owners[key]}
         for name, driver in self.drivers.items():
             for field in fields(driver):
                 owners.setdefault(field.name, []).append(name)
@@ -103,8 +112,16 @@ class DriverTable(Table):
         return self
 
 
-def with_drivers(section: type[Section], drivers: Mapping[str, type[Any]]) -> type[Section]:
-    """The table with the keys of all its drivers; two drivers with a key of one name mean the same by it."""
+def with_drivers(section: type[Section], registry: Registry[Any]) -> type[Section]:
+    """The table with the keys of all its drivers; two drivers with a key of one name mean the same by it.
+
+    Another distribution's driver with a key of the table's own is left out.
+    """
+    for name, driver in list(registry.all().items()):
+        taken = [key.name for key in fields(driver) if key.name in section.model_fields]
+        if taken:
+            registry.leave_out(name, f"has a key that the table has: {', '.join(taken)}")
+    drivers = registry.all()
     default = section.model_fields["driver"].default
     mark = plan_mark(section.model_fields["driver"])
     keys: dict[str, Any] = {"driver": (Annotated[Literal[(default, *drivers)], mark], default)}
@@ -119,6 +136,7 @@ def with_drivers(section: type[Section], drivers: Mapping[str, type[Any]]) -> ty
     module = section.__module__
     made = create_model(section.__name__, __base__=section, __doc__=section.__doc__, __module__=module, **keys)
     made.drivers = drivers
+    made.left_out = registry.failures
     return made
 
 

@@ -83,7 +83,7 @@ class MirrorSection(DriverTable):
 
 
 if not TYPE_CHECKING:
-    MirrorSection = with_drivers(MirrorSection, MIRRORS.all())
+    MirrorSection = with_drivers(MirrorSection, MIRRORS)
 
 
 def check_port(key: str, port: str) -> None:
@@ -171,8 +171,8 @@ class VibrometerSection(DriverTable):
 
 
 if not TYPE_CHECKING:
-    RecorderSection = with_drivers(RecorderSection, RECORDERS.all())
-    VibrometerSection = with_drivers(VibrometerSection, VIBROMETERS.all())
+    RecorderSection = with_drivers(RecorderSection, RECORDERS)
+    VibrometerSection = with_drivers(VibrometerSection, VIBROMETERS)
 
 
 Channel = Annotated[Whole, Field(ge=0, le=4095)]
@@ -259,4 +259,4 @@ class PlayerSection(DriverTable):
 
 
 if not TYPE_CHECKING:
-    PlayerSection = with_drivers(PlayerSection, PLAYERS.all())
+    PlayerSection = with_drivers(PlayerSection, PLAYERS)

@@ -37,3 +37,7 @@ class InstrumentLostError(InstrumentError):
 
 class UnknownFaultError(InstrumentLostError):
     """A failure that the driver cannot interpret; it is final if it recurs after one fresh connection."""
+
+
+class MissingPackageError(InstrumentError):
+    """A Python package that a driver needs is not installed; no instrument has failed."""

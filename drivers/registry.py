@@ -1,20 +1,23 @@
 """Drivers by the name that the rig file gives them, and the keys of the rig file that each of them has.
 
 A new driver is a module in its role's folder: a data class whose fields are its keys, registered by a decorator.
-config/ makes the rig file's tables of these fields, so that no other file names the driver.
+Another distribution adds one with an entry point (docs/how-to/write-a-driver.md). config/ makes the rig file's tables
+of these fields, so that no other file names the driver.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, field
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from functools import cache
 from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+from inspect import isabstract
 from pkgutil import iter_modules
-from typing import TYPE_CHECKING, Any, Generic, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Literal, Protocol, TypeVar, get_type_hints
 
 if TYPE_CHECKING:
-    from wavefocus.drivers.mirror.serial_mirror import Dialect
-    from wavefocus.drivers.protocols import Player, Recorder
+    from wavefocus.drivers.protocols import Clock, Mirror, Player, Recorder
 
 
 class Named(Protocol):
@@ -29,15 +32,22 @@ Entry = TypeVar("Entry", bound=type[Named])
 class Registry(Generic[Entry]):
     """Classes by name, registered in the modules of a package, which are imported when they are first asked for.
 
-    A subfolder holds what only one driver needs; it is not searched.
+    A subfolder holds what only one driver needs; it is not searched. Entry points of other distributions come after
+    them. One that cannot be used is left out, so that it harms no rig but its own; `failures` says why.
 
     package: Where the modules are.
+    group: Name of the group of entry points; each is a class, and its name that of the driver.
+    method: What the class must be able to do. Both are empty where only modules of `package` register.
     """
 
-    def __init__(self, package: str) -> None:
+    def __init__(self, package: str, group: str = "", method: str = "") -> None:
         self._package = package
+        self._group = group
+        self._method = method
         self._found: dict[str, Entry] = {}
         self._complete = False
+        self._sources: dict[str, str] = {}
+        self.failures: dict[str, str] = {}
 
     def register(self, entry: Entry) -> Entry:
         """Add a class; used as its decorator."""
@@ -50,8 +60,55 @@ class Registry(Generic[Entry]):
             for module in iter_modules(import_module(self._package).__path__):
                 if not module.ispkg:
                     import_module(f"{self._package}.{module.name}")
-            self._complete = True
+            self._complete = True  # before other distributions' modules run, which may ask
+            for point in _all_entry_points().select(group=self._group) if self._group else ():
+                self._add(point)
         return self._found
+
+    def leave_out(self, name: str, why: str) -> None:
+        """Remove a driver that cannot be used; `failures` has the reason."""
+        self._found.pop(name, None)
+        self.failures[name] = f"{self._sources.get(name, self._package)} {why}"
+
+    def _add(self, point: EntryPoint) -> None:
+        """Load another distribution's driver, or say why it cannot be used."""
+        source = f"{point.value} of {f'{point.dist.name} {point.dist.version}' if point.dist else 'no distribution'}"
+        try:
+            entry = point.load()
+            fault = self._fault(entry, point.name)
+        except (Exception, SystemExit) as failure:  # another program's, which must not end this one
+            fault = f"cannot be loaded: {type(failure).__name__}: {failure}"
+        if fault:
+            self.failures[point.name] = f"{source} {fault}"
+        else:
+            self._found[point.name], self._sources[point.name] = entry, source
+
+    def _fault(self, entry: Any, name: str) -> str:
+        """Why a class is not a driver for this role; empty if it is one."""
+        if not (isinstance(entry, type) and is_dataclass(entry)):
+            return "is not a data class"
+        if getattr(entry, "name", None) != name:
+            return f"has the name {getattr(entry, 'name', None)!r}, and its entry point {name!r}: they must be equal"
+        if name in self._found:
+            return f"has the name of a driver that is there already: {self._found[name].__module__}"
+        if isabstract(entry) or not callable(getattr(entry, self._method, None)):
+            missing = sorted(getattr(entry, "__abstractmethods__", ())) or [self._method]
+            return f"lacks {', '.join(missing)}"
+        hints = get_type_hints(entry)
+        for key in fields(entry):
+            if "in_plan" not in key.metadata:
+                return f"has a field that is not declared with rig_key: {key.name}"
+            for other in self._found.values():
+                theirs = {field.name for field in fields(other)}  # type: ignore[arg-type]  # all are data classes
+                if key.name in theirs and get_type_hints(other)[key.name] != hints[key.name]:
+                    return f"has a key that driver {other.name} has with another type: {key.name}"
+        return ""
+
+
+@cache
+def _all_entry_points() -> Any:
+    """Read once: to look through every installed distribution takes some 10 ms; its type changed in Python 3.12."""
+    return entry_points()
 
 
 class KeyMistakeError(ValueError):
@@ -103,6 +160,40 @@ class Outputs:
     rate_hz: int
 
 
+@dataclass(frozen=True, slots=True)
+class MirrorSettings:
+    """Keys of ``[mirror]`` that every mirror has.
+
+    port: Where a mirror on a serial line is; empty for others.
+    baud: Bits per second; None for the driver's own.
+    identity: Text that the device's identification must contain; None: any.
+    settle_s: How long the beam swings after a move, >= 0.
+    limit_mrad: Largest optical angle in x and in y, > 0; moves beyond it are refused.
+    park_mrad: The safe direction, within the limit.
+    clock: The time that `Mirror.wait_settled` goes by.
+    """
+
+    port: str
+    baud: int | None
+    identity: str | None
+    settle_s: float
+    limit_mrad: float
+    park_mrad: tuple[float, float]
+    clock: Clock
+
+
+class MirrorDriver(Named, Protocol):
+    """Opens a mirror; its fields are the keys of ``[mirror]`` that it has.
+
+    Optional attributes: `table_defaults`, a mapping from keys that every mirror has to other defaults, and
+    `without_keys`, those of ``port``, ``baud`` and ``identity`` that it does not have.
+    """
+
+    def open(self, settings: MirrorSettings) -> Mirror:
+        """Open the device, without moving it. Raises InstrumentError."""
+        ...
+
+
 class PlayerDriver(Named, Protocol):
     """Opens a player; its fields are the keys of ``[player]`` that it has."""
 
@@ -151,7 +242,9 @@ class VibrometerDriver(Named, Protocol):
         ...
 
 
-MIRRORS: Registry[type[Dialect]] = Registry("wavefocus.drivers.mirror")
-RECORDERS: Registry[type[RecorderDriver]] = Registry("wavefocus.drivers.daq")
-PLAYERS: Registry[type[PlayerDriver]] = Registry("wavefocus.drivers.audio")
-VIBROMETERS: Registry[type[VibrometerDriver]] = Registry("wavefocus.drivers.vibrometer")
+MIRRORS: Registry[type[MirrorDriver]] = Registry("wavefocus.drivers.mirror", "wavefocus.mirrors", "open")
+RECORDERS: Registry[type[RecorderDriver]] = Registry("wavefocus.drivers.daq", "wavefocus.recorders", "open")
+PLAYERS: Registry[type[PlayerDriver]] = Registry("wavefocus.drivers.audio", "wavefocus.players", "open")
+VIBROMETERS: Registry[type[VibrometerDriver]] = Registry(
+    "wavefocus.drivers.vibrometer", "wavefocus.vibrometers", "read"
+)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 from urllib.parse import urlsplit
 
-from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, MissingPackageError
 
 NETWORK = "socket://"
 BY_SERIAL_NUMBER = "serial-number:"
@@ -76,7 +76,7 @@ def find_port(port: str, instrument: str, present: Iterable[SerialPort] | None =
 
 def pyserial_missing(instrument: str, doing: str) -> InstrumentError:
     """What to say where pyserial is not installed."""
-    return InstrumentError(instrument, doing, "the package pyserial is not installed", "pip install pyserial")
+    return MissingPackageError(instrument, doing, "the package pyserial is not installed", "pip install pyserial")
 
 
 def _network_address(port: str, instrument: str) -> str:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, MissingPackageError
 from wavefocus.drivers.protocols import Clock, WallClock
 
 RULES_FILE = "/etc/udev/rules.d/70-wavefocus.rules"
@@ -137,7 +137,9 @@ def list_with_handles(backend: Any = None) -> list[tuple[UsbDevice, Any]]:
     try:
         import usb.core
     except ImportError as missing:
-        raise InstrumentError("usb", LISTING, f"pyusb is not installed ({missing})", "pip install pyusb") from missing
+        raise MissingPackageError(
+            "usb", LISTING, f"pyusb is not installed ({missing})", "pip install pyusb"
+        ) from missing
     for attempt in range(LIST_TRIES):
         try:
             found = list(usb.core.find(find_all=True, backend=backend))

@@ -140,6 +140,6 @@ def _require_answer(display: str) -> None:
 def _missing(missing: ImportError) -> str:
     reason = " ".join(str(missing).split())
     if isinstance(missing, ModuleNotFoundError):
-        return f"the window needs PyQt5 and pyqtgraph ({reason}): python -m pip install PyQt5 pyqtgraph"
+        return f'the window needs PyQt5 and pyqtgraph ({reason}): pip install "wavefocus[window]"'
     install = f"sudo apt-get install {_LIBRARIES}"
     return f"Qt cannot be loaded ({reason}): install what it needs, on Debian and Ubuntu: {install}"

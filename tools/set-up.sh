@@ -1,6 +1,6 @@
 #!/bin/sh
 # Make .venv and install wavefocus into it; does nothing when that is done already.
-#   tools/set-up.sh [EXTRA]      EXTRA: plates, test, lint, docs or bench; PYTHON names the interpreter to start from
+#   tools/set-up.sh [EXTRA]      EXTRA: plates, window, test, lint, docs or bench; PYTHON names the interpreter to start from
 set -eu
 unset CDPATH PYTHONPATH PYTHONHOME __PYVENV_LAUNCHER__ 2>/dev/null || true
 PIP_USER=0 PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_INPUT=1

@@ -10,7 +10,7 @@ from typing import Any
 from wavefocus.drivers.dialogue import Dialogue, Marker
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.protocols import Clock, DeviceIdentity
-from wavefocus.drivers.registry import rig_key
+from wavefocus.drivers.registry import MirrorSettings, rig_key
 from wavefocus.drivers.serial_line import LineSettings, SerialLine
 
 
@@ -38,6 +38,19 @@ class Dialect(ABC):
     patience_s = 2.0
     says_when_idle = True
     tolerance_mrad: float = math.inf
+
+    def open(self, settings: MirrorSettings) -> SerialMirror:
+        """Open the mirror that speaks this dialect. Raises InstrumentError."""
+        return SerialMirror(
+            self,
+            settings.port,
+            baud=settings.baud,
+            identity=settings.identity,
+            settle_s=settings.settle_s,
+            limit_mrad=settings.limit_mrad,
+            park_mrad=settings.park_mrad,
+            clock=settings.clock,
+        )
 
     @property
     @abstractmethod

@@ -5,7 +5,7 @@ from __future__ import annotations
 import unicodedata
 from enum import IntEnum
 
-from wavefocus.drivers.errors import InstrumentError
+from wavefocus.drivers.errors import InstrumentError, MissingPackageError
 from wavefocus.storage.errors import BankBusyError, InputError, WavefocusError
 
 
@@ -27,7 +27,9 @@ def exit_code(failure: BaseException) -> Exit | None:
             return Exit.STOPPED
         case BankBusyError():
             return Exit.BANK_BUSY
-        case InputError() | OSError():
+        case ModuleNotFoundError() if missing_package(failure):
+            return Exit.WRONG_INPUT
+        case InputError() | OSError() | MissingPackageError():
             return Exit.WRONG_INPUT
         case InstrumentError() | WavefocusError():
             return Exit.INSTRUMENT_FAILED
@@ -43,12 +45,30 @@ def sentence(failure: BaseException) -> str:
         return "stopped by the user"
     if isinstance(failure, OSError) and failure.filename is not None:
         return one_line(f"{failure.filename}: {failure.strerror}")
+    if isinstance(failure, ModuleNotFoundError) and (package := missing_package(failure)):
+        installed = f"wavefocus[{EXTRAS[package]}]" if package in EXTRAS else package
+        return f'the Python package {package} is not installed: pip install "{installed}"'
     return one_line(str(failure)) or type(failure).__name__
 
 
 def is_foreseen(failure: BaseException) -> bool:
     """Whether the error's own text says what is wrong and what to do, so that it stands alone."""
+    if isinstance(failure, ModuleNotFoundError):
+        return bool(missing_package(failure))
     return isinstance(failure, KeyboardInterrupt | InputError | OSError | InstrumentError | WavefocusError)
+
+
+# Packages that only some commands need, by the extra of pyproject.toml that installs them.
+EXTRAS = {
+    "PyQt5": "window", "pyqtgraph": "window", "grpc": "remote", "jack": "emulate", "skfem": "plates",
+    "xarray": "exchange", "h5netcdf": "exchange", "apprise": "notify", "dask": "cluster", "distributed": "cluster",
+}  # fmt: skip
+
+
+def missing_package(failure: ModuleNotFoundError) -> str:
+    """The package that is not installed; empty where a module of wavefocus itself is missing, which is a defect."""
+    package = (failure.name or "").partition(".")[0]
+    return "" if package == "wavefocus" else package
 
 
 # Control, format (bidirectional overrides among them), surrogate, line and paragraph separator.

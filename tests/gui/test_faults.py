@@ -47,7 +47,7 @@ def test_given_no_display_or_a_dead_one_then_exit_2_and_a_sentence() -> None:
 
 def test_given_no_pyqt5_then_exit_2_and_the_command_that_installs_it() -> None:
     done = gui(code="import sys\nsys.modules['PyQt5'] = None", QT_QPA_PLATFORM="offscreen")
-    refused(done, "python -m pip install PyQt5 pyqtgraph")
+    refused(done, 'pip install "wavefocus[window]"')
 
 
 def test_given_a_library_that_qt_misses_then_exit_2_and_the_packages() -> None:

@@ -19,11 +19,11 @@ import sys
 for name in {missing!r}:
     sys.modules[name] = None
 from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
-from wavefocus.drivers.errors import InstrumentError
+from wavefocus.drivers.errors import MissingPackageError
 assert not any(name in sys.modules for name in {unneeded!r}), "imported before it is needed"
 try:
     NiRecorder("Dev1", address={address!r}, reference_input="ai0", response_input="ai1", terminal="rse", trigger=None)
-except InstrumentError as error:
+except MissingPackageError as error:
     print(error.instrument, error.operation, error.cause, error.remedy, sep="|")
 """
 
@@ -37,17 +37,18 @@ def opened_without(missing, address):
 
 
 @pytest.mark.parametrize(
-    ("missing", "cause"),
+    ("missing", "address", "cause", "package"),
     [
-        ("nidaqmx", "the Python package nidaqmx is missing"),
-        ("grpc", "what the nidaqmx package needs for an address is missing (import of grpc"),
+        ("nidaqmx", None, "the Python package nidaqmx is missing", "nidaqmx"),
+        ("nidaqmx", "localhost:31763", "the Python package nidaqmx is missing", "wavefocus[remote]"),
+        ("grpc", "localhost:31763", "what the nidaqmx package needs for an address is missing", "wavefocus[remote]"),
     ],
 )
-def test_given_a_package_that_is_not_installed_then_opening_says_how_to_install_it(missing, cause):
-    instrument, operation, told, remedy = opened_without([missing], "localhost:31763")
-    assert (instrument, operation) == ("recorder Dev1 at localhost:31763", "opening")
+def test_given_a_package_that_is_not_installed_then_opening_says_how_to_install_it(missing, address, cause, package):
+    instrument, operation, told, remedy = opened_without([missing], address)
+    assert (instrument, operation) == (f"recorder Dev1{f' at {address}' if address else ''}", "opening")
     assert cause in told
-    assert remedy == 'install it: pip install "nidaqmx[grpc]"'
+    assert remedy == f'install it: pip install "{package}"'
 
 
 @pytest.mark.may_skip("NI-DAQmx is on this computer")

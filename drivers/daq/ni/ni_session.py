@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 from wavefocus.drivers.errors import (
     InstrumentError,
     InstrumentLostError,
+    MissingPackageError,
     TransientInstrumentError,
     UnknownFaultError,
 )
@@ -294,7 +295,7 @@ class NiSession:
 
 
 def _packages(instrument: str, *, over_network: bool) -> Any:
-    """The package nidaqmx, with what it needs for an address. Raises InstrumentError."""
+    """The package nidaqmx, with what it needs for an address. Raises MissingPackageError."""
     missing = "the Python package nidaqmx is missing"
     try:
         import nidaqmx
@@ -306,8 +307,9 @@ def _packages(instrument: str, *, over_network: bool) -> Any:
             import grpc  # noqa: F401
             import nidaqmx._grpc_interpreter
     except ImportError as error:
-        remedy = 'install it: pip install "nidaqmx[grpc]"'
-        raise InstrumentError(instrument, "opening", f"{missing} ({error})", remedy) from error
+        package = "wavefocus[remote]" if over_network else "nidaqmx"
+        remedy = f'install it: pip install "{package}"'
+        raise MissingPackageError(instrument, "opening", f"{missing} ({error})", remedy) from error
     return nidaqmx
 
 

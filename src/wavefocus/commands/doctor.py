@@ -22,6 +22,7 @@ from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import load_rig
 from wavefocus.console import answer, people, print_line, say
 from wavefocus.drivers.protocols import DeviceIdentity
+from wavefocus.drivers.registry import MIRRORS, PLAYERS, RECORDERS, VIBROMETERS
 from wavefocus.ending import ending_at_once
 from wavefocus.exits import Exit
 from wavefocus.rig.calibration_validity import calibration_warnings
@@ -175,6 +176,9 @@ def check_surroundings(
     """Look at all that is not an instrument."""
     findings = Findings(publish)
     _check_packages(rig, findings)
+    for registry in (MIRRORS, RECORDERS, PLAYERS, VIBROMETERS):
+        for name, why in registry.failures.items():
+            findings.add("packages", f"driver {name}", "warn", why, "repair or uninstall the package that provides it")
     _check_disk(folder, findings)
     _check_usb(rig, findings)
     _check_calibration(rig, identities, findings)
@@ -191,7 +195,8 @@ def _check_packages(rig: RigConfig, findings: Findings) -> None:
     }
     missing = [package for package, wanted in needed.items() if wanted and there[package] == "missing"]
     if missing:
-        what, remedy = f"missing: {', '.join(missing)}", f"pip install {' '.join(missing)}"
+        packages = ['"wavefocus[remote]"' if package == "grpcio" else package for package in missing]
+        what, remedy = f"missing: {', '.join(missing)}", f"pip install {' '.join(packages)}"
         findings.add("packages", "installed", "fail", what, remedy, Act("run", remedy))
         return
     used = ", ".join(f"{package} {there[package]}" for package, wanted in needed.items() if wanted)

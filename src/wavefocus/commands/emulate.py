@@ -46,7 +46,7 @@ def emulate(rig_file: Path, *, as_json: bool) -> Exit:
         from wavefocus.mocks.wire.jack_server import JackServerError
     except ImportError as missing:
         raise InputError(
-            f"emulate: the Python package {missing.name} is missing; install it with: pip install JACK-Client"
+            f'emulate: the Python package {missing.name} is missing; install it with: pip install "wavefocus[emulate]"'
         ) from None
     faults = tuple(WireFault(**fault.model_dump()) for fault in rig.emulation.fault_plan)
     stop = StopRequest()

@@ -14,9 +14,17 @@ from wavefocus.config.rig import RigConfig
 from wavefocus.config.rig_instruments import VibrometerSection
 from wavefocus.config.run import Virtual
 from wavefocus.console import say
-from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, MissingPackageError
 from wavefocus.drivers.protocols import Clock, Instruments, Mirror, Player, Recorder, WallClock
-from wavefocus.drivers.registry import Outputs, PlayerDriver, RecorderDriver, VibrometerDriver, VibrometerReading
+from wavefocus.drivers.registry import (
+    MirrorDriver,
+    MirrorSettings,
+    Outputs,
+    PlayerDriver,
+    RecorderDriver,
+    VibrometerDriver,
+    VibrometerReading,
+)
 from wavefocus.drivers.timeouts import REMEDY, BoundedPlayer, CallThread, HungError
 from wavefocus.storage.errors import InputError
 
@@ -145,37 +153,58 @@ def open_rig(ways: Openers) -> OpenedRig:
 
 
 def _mirror(rig: RigConfig, clock: Clock) -> Mirror:
-    from wavefocus.drivers.mirror.serial_mirror import SerialMirror
-
     mirror = rig.mirror
-    return SerialMirror(
-        mirror.make_driver(),
-        mirror.port or "",
-        baud=mirror.baud,
-        identity=mirror.identity,
-        settle_s=mirror.settle_s,
-        limit_mrad=mirror.limit_mrad,
-        park_mrad=mirror.park_mrad,
-        clock=clock,
-    )
+    driver: MirrorDriver = mirror.make_driver()
+    with reporting_missing_packages("mirror", mirror.driver):
+        return driver.open(
+            MirrorSettings(
+                mirror.port or "",
+                mirror.baud,
+                mirror.identity,
+                mirror.settle_s,
+                mirror.limit_mrad,
+                mirror.park_mrad,
+                clock,
+            )
+        )
 
 
 def _recorder(rig: RigConfig) -> Recorder:
     driver: RecorderDriver = rig.recorder.make_driver()
-    return driver.open()
+    with reporting_missing_packages("recorder", rig.recorder.driver):
+        return driver.open()
 
 
 def _player(rig: RigConfig, outputs: int) -> Player:
     driver: PlayerDriver = rig.player.make_driver()
     wired_v = rig.player.output_full_scale_v
     further_v = (rig.player.full_scale_v,) * (outputs - len(wired_v))
-    return driver.open(Outputs(wired_v + further_v, rig.player.interface_rate_hz))
+    with reporting_missing_packages("player", rig.player.driver):
+        return driver.open(Outputs(wired_v + further_v, rig.player.interface_rate_hz))
+
+
+@contextmanager
+def reporting_missing_packages(role: str, driver: str) -> Iterator[None]:
+    """Report a package that a driver imports and that is not installed, as a fault of that instrument.
+
+    Raises MissingPackageError.
+    """
+    try:
+        yield
+    except ImportError as missing:
+        package = (missing.name or "").partition(".")[0]
+        if package == "wavefocus":
+            raise
+        cause = f"the Python package {package or 'of its maker'} cannot be imported ({missing})"
+        remedy = "install it in the environment of wavefocus, as the driver's documentation says"
+        raise MissingPackageError(f"{role} ({driver})", "opening", cause, remedy) from missing
 
 
 def read_vibrometer(section: VibrometerSection, *, any_level: bool = False) -> VibrometerReading:
     """Ask a vibrometer's controller for its settings; a signal too weak is an error unless any level will do."""
     driver: VibrometerDriver = section.make_driver()
-    return driver.read(section.port or "", baud=section.baud, identity=section.identity, any_level=any_level)
+    with reporting_missing_packages("vibrometer", section.driver):
+        return driver.read(section.port or "", baud=section.baud, identity=section.identity, any_level=any_level)
 
 
 def _vibrometer(rig: RigConfig) -> Vibrometer:

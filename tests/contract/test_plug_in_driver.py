@@ -1,0 +1,193 @@
+"""The example of docs/how-to/write-a-driver.md, installed as another distribution, and drivers that are broken."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.system.test_documented_commands import steps
+from tests.wire.emulated import RIG
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "how-to" / "write-a-driver.md"
+KEYS = 'serial_number = "A-1234"\nlimit_mrad = 200.0\npark_mrad = [-190.0, -190.0]'
+
+# What the maker's package does; each move takes 20 ms.
+MAKERS_PACKAGE = '''
+import time
+
+class AcmeError(Exception):
+    """The controller refuses."""
+
+class ConnectionLost(AcmeError):
+    """The controller is gone."""
+
+class Controller:
+    model = "GS-2"
+    def __init__(self, serial_number):
+        if serial_number != "A-1234":
+            raise ConnectionLost(f"no controller {serial_number}")
+        self.still_at_s = 0.0
+    def ping(self):
+        return "GS-2, firmware 1.0"
+    def go(self, x_deg, y_deg):
+        if max(abs(x_deg), abs(y_deg)) > 10:
+            raise AcmeError("out of range")
+        self.still_at_s = time.monotonic() + 0.02
+    def busy(self):
+        return time.monotonic() < self.still_at_s
+    def close(self):
+        pass
+'''
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder in which pip has installed the example's distribution."""
+    source, target = tmp_path_factory.mktemp("wavefocus-acme"), tmp_path_factory.mktemp("installed")
+    for step in steps(PAGE):
+        if step.kind == "file":
+            (source / step.note).write_text(step.text, "utf-8")
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
+    done = subprocess.run([*pip, "--target", str(target), str(source)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return target
+
+
+def python(*arguments: object, paths: tuple[Path, ...], cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, paths))}
+    command = [sys.executable, *map(str, arguments)]
+    return subprocess.run(command, env=environment, cwd=cwd, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Path:
+    text = RIG.format(
+        actuators=[[0.0, 0.0]], dialect="acme-gs", mirror="", keys=KEYS, recorder="localhost:1", period_frames=4096
+    )
+    (tmp_path / "rig.toml").write_text(text.replace('port = ""\n', ""), "utf-8")
+    (tmp_path / "run.toml").write_text('rig = "rig.toml"\n', "utf-8")
+    (tmp_path / "maker").mkdir()
+    (tmp_path / "maker" / "acme_mirror.py").write_text(MAKERS_PACKAGE, "utf-8")
+    return tmp_path / "rig.toml"
+
+
+def test_given_the_example_as_a_distribution_then_it_passes_the_tests_of_mirrors(installed, rig):
+    suite = [
+        "-m",
+        "pytest",
+        "tests/contract/test_mirror_contract.py",
+        "--hardware",
+        rig,
+        "-n",
+        "0",
+        "-q",
+        "-p",
+        "no:cov",
+    ]
+    done = python(*suite, paths=(installed, rig.parent / "maker"))
+    assert done.returncode == 0, done.stdout
+    assert "6 passed" in done.stdout
+
+
+def test_given_no_package_of_the_maker_then_commands_name_it_with_exit_2_and_doctor_blames_no_defect(installed, rig):
+    bank = ["--bank", rig.parent / "bank.h5"]
+    done = python("-m", "wavefocus", "capture", rig.parent / "run.toml", *bank, paths=(installed,))
+    assert done.returncode == 2, done.stderr
+    assert len([line for line in done.stderr.splitlines() if "acme_mirror" in line]) == 1
+    assert "Traceback" not in done.stderr
+    done = python("-m", "wavefocus", "doctor", rig, "--json", paths=(installed,))
+    assert done.returncode == 1
+    faults = [one for one in json.loads(done.stdout)["findings"] if "acme_mirror" in one["what"]]
+    assert [(one["instrument"], one["verdict"]) for one in faults] == [("mirror", "fail")]
+    assert "defect" not in faults[0]["remedy"]
+
+
+# The entry points of one distribution, and what is said of each.
+BROKEN = {
+    "missing-module": ("missing_module:Good", "ModuleNotFoundError"),
+    "ending": ("ending:Good", "SystemExit"),
+    "number": ("acme:NUMBER", "is not a data class"),
+    "renamed": ("acme:Good", "has the name 'good'"),
+    "asi-tiger": ("acme:Tiger", "has the name of a driver that is there already"),
+    "plain": ("acme:Plain", "has a field that is not declared with rig_key: number"),
+    "settling": ("acme:Settling", "has a key that the table has: settle_s"),
+    "scaled": ("acme:Scaled", "has a key that driver mirrorcle-mti has with another type: full_scale_mrad"),
+    "unable": ("acme:Unable", "lacks open"),
+}
+ACME = """
+from dataclasses import dataclass
+from wavefocus.drivers.registry import rig_key
+NUMBER = 1
+class Opens:
+    def open(self, settings): ...
+@dataclass
+class Good(Opens):
+    name = "good"
+@dataclass
+class Tiger(Opens):
+    name = "asi-tiger"
+@dataclass
+class Plain(Opens):
+    name = "plain"
+    number: int = 3
+@dataclass
+class Settling(Opens):
+    name = "settling"
+    settle_s: float = rig_key("A key", "it")
+@dataclass
+class Scaled(Opens):
+    name = "scaled"
+    full_scale_mrad: str = rig_key("A key", "it")
+@dataclass
+class Unable:
+    name = "unable"
+"""
+READ = """
+import json, sys
+from pathlib import Path
+from wavefocus.configuration import load_rig
+from wavefocus.drivers.registry import MIRRORS
+from wavefocus.storage.errors import InputError
+told = {}
+for name in sys.argv[1:]:
+    try:
+        load_rig(Path(name))
+    except InputError as error:
+        told[Path(name).stem] = str(error)
+print(json.dumps([MIRRORS.failures, told]))
+"""
+
+
+def test_given_drivers_that_cannot_be_used_then_their_rigs_are_refused_with_the_reason_and_others_are_not(tmp_path):
+    facts = tmp_path / "site" / "acme-1.0.dist-info"
+    facts.mkdir(parents=True)
+    (facts / "METADATA").write_text("Name: acme\nVersion: 1.0\n", "utf-8")
+    points = "".join(f"{name} = {point}\n" for name, (point, _) in BROKEN.items())
+    (facts / "entry_points.txt").write_text(f"[wavefocus.mirrors]\n{points}good = acme:Good\n", "utf-8")
+    (facts.parent / "ending.py").write_text("raise SystemExit(3)", "utf-8")
+    (facts.parent / "acme.py").write_text(ACME, "utf-8")
+    rigs = []
+    for name in (*BROKEN, "good"):
+        rigs.append(tmp_path / f"{name}.toml")
+        rigs[-1].write_text(
+            RIG.format(
+                actuators=[[0.0, 0.0]], dialect=name, mirror="COM3", keys="", recorder="localhost:1", period_frames=4096
+            ),
+            "utf-8",
+        )
+    done = python("-c", READ, *rigs, paths=(facts.parent,))
+    assert done.returncode == 0, done.stderr
+    failures, told = json.loads(done.stdout)
+    for name, (point, reason) in BROKEN.items():
+        assert failures[name].startswith(f"{point} of acme 1.0 ")
+        assert reason in failures[name]
+        if name != "asi-tiger":
+            assert told[name].startswith(f"{tmp_path / name}.toml: mirror.driver")
+            assert failures[name] in told[name]
+    assert set(told) == set(BROKEN) - {"asi-tiger"}
