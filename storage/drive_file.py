@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from wavefocus.storage import hdf5_digest, hdf5_reading
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.hdf5_writing import attach, created, filled, reserved, sample_times, scale, set_long_names
-from wavefocus.storage.output_files import replacement
+from wavefocus.storage.output_files import replacement, require_outputs
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -111,8 +111,8 @@ class DriveAbout:
     drive_unit: str = "V"
 
 
-def write_drive(path: str | Path, drive: Drive) -> None:
-    """Write a drive file, replacing an older one only when the new one is whole.
+def write_drive(path: str | Path, drive: Drive, *, force: bool = False) -> None:
+    """Write a drive file; it appears under its name only when it is whole.
 
     Parameters
     ----------
@@ -120,34 +120,37 @@ def write_drive(path: str | Path, drive: Drive) -> None:
         Name of the file.
     drive
         Volts, float64 (actuators, samples), and what is said of them.
+    force
+        Whether an older file of that name may be replaced; a bank, raw recordings or a link never is.
 
     Raises
     ------
     InputError
-        The file cannot be written.
+        The file exists and may not be replaced, or cannot be written.
 
     Examples
     --------
     >>> import wavefocus as wf
     >>> wf.write_drive("copy.h5", wf.read_drive("drive.h5"))
     """
-    with drive_in_blocks(path, drive, drive.drive_v.shape) as append:
+    with drive_in_blocks(path, drive, drive.drive_v.shape, force=force) as append:
         append(drive.drive_v)
 
 
 @contextmanager
 def drive_in_blocks(
-    path: str | Path, about: DriveAbout | Drive, shape: tuple[int, ...]
+    path: str | Path, about: DriveAbout | Drive, shape: tuple[int, ...], *, force: bool = False
 ) -> Iterator[Callable[[Float64Array], None]]:
-    """Write a drive file block by block, replacing an older one only when the new one is whole.
+    """Write a drive file block by block, as `write_drive`.
 
     about: What it says of the drive.
     shape: Actuators and samples of the whole drive.
 
     Yields a callable that writes the next block, volts as float64 (actuators, any number of samples).
-    Raises InputError: the folder is missing or cannot be written.
+    Raises InputError: the file exists and may not be replaced, or cannot be written.
     """
     path = Path(path)
+    require_outputs((path,), (), force=force)
     data_bytes = 8 * (shape[0] * shape[1] + shape[0] + shape[1] + 4 * len(about.focus_sample))
     with replacement(path) as temporary, created(temporary, data_bytes) as file:
         file.attrs["format"] = FORMAT

@@ -16,7 +16,7 @@ from wavefocus.storage import hdf5_digest, hdf5_reading
 from wavefocus.storage.durable import Closing
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.hdf5_writing import attach, created, filled, reserved, sample_times, scale, set_long_names
-from wavefocus.storage.output_files import replacement
+from wavefocus.storage.output_files import replacement, require_outputs
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -150,13 +150,15 @@ def field_in_rows(
     response_unit: str,
     low_pass: LowPass | None = None,
     dtype: DTypeLike = np.float32,
+    force: bool = False,
 ) -> Iterator[FieldWriter]:
-    """Write a field file row by row, replacing an older one only when all rows were written.
+    """Write a field file row by row; it appears under its name only when all rows were written.
 
     position_index, sequence of int (K,): Positions of the rows to come.
     samples: Samples per row, >= 1.
     sample_rate_hz, start_s, response_unit, low_pass: As :class:`Field`.
     dtype: float32 as the contract has it; float64 keeps more digits.
+    force: Whether an older file of that name may be replaced; a bank, raw recordings or a link never is.
 
     Raises InputError: when a value is outside what is stated here, or the file cannot be written.
     """
@@ -165,6 +167,7 @@ def field_in_rows(
         raise InputError(f"a field of {len(index)} positions and {samples} samples; 1 or more is needed")
     _require_times(sample_rate_hz, start_s)
     kind = np.dtype(dtype).newbyteorder("<")
+    require_outputs((path,), (), force=force)
     data_bytes = len(index) * samples * kind.itemsize + 8 * (2 * len(index) + samples)
     with replacement(path) as temporary, created(temporary, data_bytes) as file:
         file.attrs["format"] = FORMAT
@@ -185,8 +188,8 @@ def field_in_rows(
         writer._finish()
 
 
-def write_field(path: str | Path, field: Field, *, dtype: DTypeLike = np.float32) -> None:
-    """Write a field file, replacing an older one only when the new one is whole.
+def write_field(path: str | Path, field: Field, *, dtype: DTypeLike = np.float32, force: bool = False) -> None:
+    """Write a field file; it appears under its name only when it is whole.
 
     Parameters
     ----------
@@ -196,16 +199,18 @@ def write_field(path: str | Path, field: Field, *, dtype: DTypeLike = np.float32
         Responses, (positions, samples), and what is said of them.
     dtype
         float32 as the contract has it; float64 keeps more digits.
+    force
+        Whether an older file of that name may be replaced; a bank, raw recordings or a link never is.
 
     Raises
     ------
     InputError
-        The file cannot be written.
+        The file exists and may not be replaced, or cannot be written.
 
     Examples
     --------
     >>> import wavefocus as wf
-    >>> wf.write_field("field.h5", wf.predict("drive.h5", "plate.h5", [0, 7]))
+    >>> wf.write_field("two.h5", wf.predict("drive.h5", "plate.h5", [0, 7]))
     """
     with field_in_rows(
         path,
@@ -216,6 +221,7 @@ def write_field(path: str | Path, field: Field, *, dtype: DTypeLike = np.float32
         response_unit=field.response_unit,
         low_pass=field.low_pass,
         dtype=dtype,
+        force=force,
     ) as writer:
         writer.write(0, field.field)
 

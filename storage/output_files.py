@@ -36,12 +36,14 @@ _KINDS = (
 def replacement(path: Path, *, new: bool = False) -> Iterator[Path]:
     """Write a file whole: yields a path that does not exist yet and gets the name `path` when the block ends well.
 
-    path: The file; an older one of that name is replaced at the end.
+    path: The file; an older one of that name is replaced at the end, but never a bank, raw recordings or a link.
     new: Whether an older one stays, and FileExistsError is raised.
 
-    Raises InputError: it cannot be written; an older file of that name is there as before.
+    Raises InputError: it must stay, or cannot be written; an older file of that name is there as before.
     """
     with _named_failures(path):
+        if not new:
+            _require_replaceable(path, ())
         clear_leftovers(path.parent)
         with staging_dir(path) as place:
             yield place.temporary
@@ -192,6 +194,16 @@ def require_replaceable_folder(
 
 
 def _require_output(path: Path, inputs: Sequence[Path], *, force: bool) -> None:
+    if not _require_replaceable(path, inputs):
+        return
+    if not force:
+        raise InputError(f"{path} exists; name another file, or replace it with --force (in Python: force=True)")
+    if not os.access(path, os.W_OK):
+        raise InputError(f"{path} is write-protected; name another file")
+
+
+def _require_replaceable(path: Path, inputs: Sequence[Path]) -> bool:
+    """Refuse what is never replaced, whoever asks for it; returns whether there is a file that may be."""
     if path.is_symlink():
         raise InputError(f"{path} is a symbolic link to {path.readlink()}; name the file itself")
     folder = path.absolute().parent
@@ -200,7 +212,7 @@ def _require_output(path: Path, inputs: Sequence[Path], *, force: bool) -> None:
     try:
         mode = path.lstat().st_mode
     except FileNotFoundError:
-        return
+        return False
     if not stat.S_ISREG(mode):
         kind = next((words for is_kind, words in _KINDS if is_kind(mode)), "not a regular file")
         raise InputError(f"{path} is {kind}; an output is written to a regular file or a new name")
@@ -209,10 +221,7 @@ def _require_output(path: Path, inputs: Sequence[Path], *, force: bool) -> None:
             raise InputError(f"{path} is an input of this command and is never written over; name another file")
     if found := _precious(path):
         raise InputError(f"{path} {found} and is never written over; name another file")
-    if not force:
-        raise InputError(f"{path} exists; name another file, or replace it with --force")
-    if not os.access(path, os.W_OK):
-        raise InputError(f"{path} is write-protected; name another file")
+    return True
 
 
 def _same(one: Path, other: Path) -> bool:

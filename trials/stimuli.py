@@ -105,7 +105,7 @@ def prepare(
         if name in listed and entries[name]["sha256"] != listed[name]["sha256"]:
             raise InputError(f"{path}: is missing, and is rendered otherwise now than {MANIFEST} lists; restore it")
         if not there:
-            write_drive(path, drive)
+            write_drive(path, drive, force=True)
     on_progress(len(design.stimuli), len(design.stimuli))
     if entries != listed:
         _write_manifest(place, origin, entries)

@@ -285,7 +285,7 @@ class SceneDocument(QObject):
             held = error.object[error.start : error.end]
             raise InputError(f"{path}: not saved: a name contains {held!r}, which a text file cannot hold") from None
         read_draft(text, path)
-        with replacement(path) as temporary:
+        with replacement(path.resolve()) as temporary:  # a scene that is linked to stays a link
             temporary.write_bytes(content)
         self.path, self._restored_unsaved = path, False
         self.steps.setClean()

@@ -81,7 +81,7 @@ def render(
     >>> drive = wf.render("scene.toml", "plate.h5")
     >>> drive.drive_v.shape, drive.drive_v.dtype
     ((4, 3499), dtype('float64'))
-    >>> wf.write_drive("drive.h5", drive)
+    >>> wf.write_drive("stroke.h5", drive)
     """
     from wavefocus.commands.render import RenderOptions, naming, render_by_options
     from wavefocus.rendering.report.render_report import RenderWarning

@@ -50,12 +50,12 @@ def field(positions: int = 3, samples: int = 5, seed: int = 0) -> Field:
     return Field(values, rng.integers(0, 1500, positions), 10_000.0, -0.2, "m/s")
 
 
-def a_drive(path: Path, seed: int = 0) -> None:
-    write_drive(path, drive(seed=seed))
+def a_drive(path: Path, seed: int = 0, **options: bool) -> None:
+    write_drive(path, drive(seed=seed), **options)
 
 
-def a_field(path: Path, seed: int = 0) -> None:
-    write_field(path, field(seed=seed))
+def a_field(path: Path, seed: int = 0, **options: bool) -> None:
+    write_field(path, field(seed=seed), **options)
 
 
 @settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -64,14 +64,14 @@ def test_a_drive_or_field_written_then_comes_back_bit_for_bit(
     tmp_path: Path, rows: int, samples: int, foci: int, seed: int
 ) -> None:
     written = drive(rows, samples, foci, seed)
-    write_drive(tmp_path / "drive.h5", written)
+    write_drive(tmp_path / "drive.h5", written, force=True)
     found = read_drive(tmp_path / "drive.h5")
     for name in ("drive_v", "focus_sample", "focus_position", "focus_source"):
         assert np.array_equal(getattr(found, name), getattr(written, name))
     for name in ("sample_rate_hz", "start_s", "method", "scale", "omitted_bound"):
         assert getattr(found, name) == getattr(written, name)
     response = field(rows, samples, seed)
-    write_field(tmp_path / "field.h5", response)
+    write_field(tmp_path / "field.h5", response, force=True)
     read = read_field(tmp_path / "field.h5")
     assert read.field.dtype == np.float32
     assert np.array_equal(read.field, response.field)
@@ -146,18 +146,57 @@ def test_a_drive_file_with_only_what_is_needed_then_is_read(tmp_path: Path) -> N
 
 @pytest.mark.parametrize("write", [a_drive, a_field])
 def test_a_file_written_over_an_older_one_then_replaces_it_and_leaves_nothing_else(
-    tmp_path: Path, write: Callable[[Path, int], None]
+    tmp_path: Path, write: Callable[..., None]
 ) -> None:
     for name, seeds in (("over.h5", (1, 2)), ("new.h5", (2,))):
         for seed in seeds:
-            write(tmp_path / name, seed)
+            write(tmp_path / name, seed, force=True)
     assert (tmp_path / "over.h5").read_bytes() == (tmp_path / "new.h5").read_bytes()
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["new.h5", "over.h5"]
 
 
+def a_bank(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        file["green"], file["position_mm"] = np.ones((1, 1, 4)), [[0.0, 0.0]]
+
+
+def recordings(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        file["response"], file["reference"] = np.ones((1, 1, 4)), np.ones((1, 1, 4))
+
+
+def a_link_to_a_drive(path: Path) -> None:
+    a_drive(path.with_name("target.h5"))
+    path.symlink_to("target.h5")
+
+
+def a_damaged_bank(path: Path) -> None:
+    a_bank(path)
+    path.write_bytes(path.read_bytes()[:200])
+
+
+@pytest.mark.parametrize("write", [a_drive, a_field])
+@pytest.mark.parametrize(
+    ("make", "force"),
+    [
+        (a_bank, True), (recordings, True), (a_link_to_a_drive, True), (a_damaged_bank, True), (Path.mkdir, True),
+        (a_bank, False), (recordings, False), (a_drive, False), (a_field, False), (Path.touch, False),
+    ],
+)  # fmt: skip
+def test_what_must_stay_then_is_not_written_over(
+    tmp_path: Path, write: Callable[..., None], make: Callable[[Path], None], force: bool
+) -> None:
+    path = tmp_path / "file.h5"
+    make(path)
+    before = path.lstat().st_ino, path.read_bytes() if path.is_file() else None
+    with pytest.raises(InputError, match=r"file\.h5 "):
+        write(path, force=force)
+    assert (path.lstat().st_ino, path.read_bytes() if path.is_file() else None) == before
+
+
 @pytest.mark.parametrize("write", [a_drive, a_field])
 def test_a_folder_that_is_missing_then_is_an_input_error(tmp_path: Path, write: Callable[[Path], None]) -> None:
-    with pytest.raises(InputError, match=r"nowhere/file\.h5 cannot be written: No such file"):
+    with pytest.raises(InputError, match=r"nowhere/file\.h5: there is no folder"):
         write(tmp_path / "nowhere" / "file.h5")
 
 
@@ -293,8 +332,8 @@ def test_a_field_at_a_lower_rate_with_a_wrong_attribute_then_is_refused(
     assert str(path) in str(refusal.value)
 
 
-def rows_of(path: Path) -> AbstractContextManager[FieldWriter]:
-    return field_in_rows(path, [4, 7, 9], 2, sample_rate_hz=1e4, start_s=-0.1, response_unit="m/s")
+def rows_of(path: Path, **options: bool) -> AbstractContextManager[FieldWriter]:
+    return field_in_rows(path, [4, 7, 9], 2, sample_rate_hz=1e4, start_s=-0.1, response_unit="m/s", **options)
 
 
 def test_rows_written_one_by_one_then_make_the_whole_field(tmp_path: Path) -> None:
@@ -316,7 +355,7 @@ def test_a_field_that_is_not_finished_then_leaves_the_old_file_and_nothing_else(
     before = path.read_bytes()
 
     def write() -> None:
-        with rows_of(path) as writer:
+        with rows_of(path, force=True) as writer:
             writer.write(0, np.ones((2, 2)))
             if error is KeyboardInterrupt:
                 raise KeyboardInterrupt

@@ -152,7 +152,7 @@ def test_given_a_damaged_or_exchanged_drive_then_its_file_is_named(tmp_path: Pat
     file.write_bytes(content[: len(content) // 2] + b"\xff" + content[len(content) // 2 + 1 :])
     with pytest.raises(InputError, match=rf"^{file}"):
         prepared(design, bank)
-    write_drive(file, read_drive(made.folder / f"{NAMES[1]}.h5"))
+    write_drive(file, read_drive(made.folder / f"{NAMES[1]}.h5"), force=True)
     with pytest.raises(InputError, match=rf"^{file}: holds another drive"):
         prepared(design, bank)
 

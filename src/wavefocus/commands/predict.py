@@ -62,6 +62,7 @@ def predict(
                 start_s=prediction.start_s,
                 response_unit=unit,
                 low_pass=prediction.low_pass,
+                force=force,
             ) as writer,
             progress("predict", len(index)) as report,
         ):

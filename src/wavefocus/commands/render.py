@@ -90,6 +90,7 @@ class _Job:
     rig: RigConfig | None
     limited: bool
     options: RenderOptions
+    force: bool
 
     @property
     def wav_scale(self) -> tuple[int, float, Float64Array]:
@@ -148,7 +149,7 @@ def render(
         if stream and options.device != "cpu":
             raise InputError("--stream goes with --device cpu alone")
         limited = rig is not None and (wav is not None or rig_file is not None)
-        job = _Job(scene_file, scene, view, out, wav, rig, limited, options)
+        job = _Job(scene_file, scene, view, out, wav, rig, limited, options, force)
         whole = options.focusing == "inverse" or options.device != "cpu"
         streamed = not whole and (stream or _too_large(job))
         result = _render_streamed(job) if streamed else _render_whole(job)
@@ -179,7 +180,7 @@ def _render_whole(job: _Job) -> _Result:
             interface_rate_hz=rate_hz, full_scale_v=full_scale_v,
         )  # fmt: skip
     focus_peak = predicted_focus_peak(drive, job.bank)
-    write_drive(job.out, drive)
+    write_drive(job.out, drive, force=job.force)
     actuators, samples = drive.drive_v.shape
     return _Result(
         method=drive.method,
@@ -226,7 +227,7 @@ def _render_streamed(job: _Job) -> _Result:
             drive_unit=bank.drive_unit,
         )
         with (
-            drive_in_blocks(job.out, about, streamed.shape) as append,
+            drive_in_blocks(job.out, about, streamed.shape, force=job.force) as append,
             progress("second pass", samples) as report,
         ):
             blocks = _kept(streamed.blocks(), append, report, samples)
