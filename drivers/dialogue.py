@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from itertools import count
 from typing import Generic, TypeVar
 
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
@@ -119,7 +120,14 @@ class Dialogue:
             guard.call(self._line.close, CLOSING_S, anyhow=True)
         guard.abandon()
 
-    def introduce(self, query: Query[str], patience_s: float, before: str = "", between: str = "") -> str:
+    def introduce(
+        self,
+        query: Query[Answer],
+        patience_s: float,
+        before: str = "",
+        between: str = "",
+        also: Query[Answer] | None = None,
+    ) -> Answer:
         """Ask a device that was just opened who it is, again and again: it may still be starting.
 
         Raises InstrumentLostError.
@@ -128,19 +136,23 @@ class Dialogue:
         patience_s: How long to try; a try that was begun is finished.
         before: A command to send before each try, whether it is answered or not.
         between: A command to send before the second try and each later one; then there are two tries at least.
+        also: A question for devices that do not know the other one, asked in every second try; two tries at least.
         """
         doing = "asking who it is"
         latest = NoAnswerError("no answer came")
         gives_up_s = self._clock.now_s() + patience_s
+        questions = [query] if also is None else [query, also]
+        least = max(len(questions), 2 if between else 1)
         with self._turn(doing), self._losses(doing):
-            while True:
+            for number in count():
+                question = questions[number % len(questions)]
                 try:
                     # An end rounds off what another program may have left half said.
                     self._line.send(before)
                     if before:
                         self._clock.sleep(BEFORE_S)
-                    self._line.send(query.text)
-                    return self._first_readable(query)
+                    self._line.send(question.text)
+                    return self._first_readable(question)
                 except NoAnswerError as missing:
                     latest = missing
                 except LineFailedError as failure:
@@ -148,11 +160,11 @@ class Dialogue:
                     cause = f"the connection was closed ({failure})"
                     remedy = "it may serve one program at a time: close the others; check its power"
                     raise self._lost(doing, cause, remedy) from failure
-                if between and before != between:
-                    before = between
-                elif self._clock.now_s() > gives_up_s:
-                    remedy = "switch it on; check the cable, and driver and baud in the rig file"
-                    raise InstrumentLostError(self._instrument, doing, str(latest), remedy)
+                before = between or before
+                if number + 1 >= least and self._clock.now_s() > gives_up_s:
+                    break
+        remedy = "switch it on; check the cable, and driver and baud in the rig file"
+        raise InstrumentLostError(self._instrument, doing, str(latest), remedy)
 
     def recognise(self, marker: Marker) -> None:
         """Use this identity from now on.
@@ -227,7 +239,7 @@ class Dialogue:
         self._behind = False
         return read
 
-    def _first_readable(self, query: Query[str]) -> str:
+    def _first_readable(self, query: Query[Answer]) -> Answer:
         """The first line that answers a question, whatever comes before it."""
         deadline_s = time.monotonic() + self._line.settings.answer_s
         unread = ""

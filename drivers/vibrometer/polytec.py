@@ -1,28 +1,35 @@
 """Polytec OFV-5000 vibrometer controllers on their RS-232 interface.
 
 Sources: the PLACE laboratory package's driver, made after Polytec's "RS-232 Interface Commands: OFV-5000 User Manual"
-(``Get,VeloDec,1,Range`` -> ``125mm/s/V``, ``Get,VeloDec,1,SignalDelay`` -> ``8.16 us``, ``Get,Controller,0,Name``,
-``Set,Interface,0,Echo,Off`` without an answer; 115200 baud, 8N1, line feed); two further public programs ask
-``Get,SignalLevel,0,Value`` and get a number. Numbers may have decimals, behind a point or a comma. Which number a
-decoder has differs from box to box: 1 is the VD-09 in those programs.
+(``Get,VeloDec,1,Range`` -> ``125mm/s/V``, ``Get,VeloDec,1,SignalDelay`` -> ``8.16 us``, ``Set,Interface,0,Echo,Off``
+without an answer; 115200 baud, 8N1, line feed). Four public programs ask who the controller is by
+``GetDevInfo,Controller,0,Name`` (one gets ``OFV-5000 Vibrometer Controller``); PLACE also ``Get,Controller,0,Name``.
+Three ask ``Get,SignalLevel,0,Value`` and get a number. Three list ranges with `` LP`` (with a low-pass filter) and
+``Off``. Numbers may have decimals, behind a point or a comma. Which number a decoder has differs from box to box: 1
+is the VD-09 in those programs.
 
-Not confirmed: the largest signal level, 775 in one of the programs; what the controller answers to a command that it
-does not support (``Not Available`` for a decoder that is not installed).
+Not confirmed: the largest signal level, 775 in two of the programs; what the controller answers to a command that it
+does not support (``Not Available`` for a decoder that is not installed); which byte a micro sign is (latin-1 here).
 """
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from typing import TypeVar
 
 from wavefocus.drivers.dialogue import Dialogue, Marker, Query, RefusedError, UnreadableError
-from wavefocus.drivers.errors import InstrumentError
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.protocols import Clock
 from wavefocus.drivers.registry import VIBROMETERS, VibrometerReading, rig_key
 from wavefocus.drivers.serial_line import LineSettings, SerialLine
 
+Answer = TypeVar("Answer")
+
 BAUD = 115200
 FULL_SIGNAL_LEVEL = 775
+# All programs known ask the first; PLACE's driver has the second as well.
+NAME_QUESTIONS = ("GetDevInfo,Controller,0,Name", "Get,Controller,0,Name")
 NUMBER = r"(\d{1,6}(?:[.,]\d{1,9})?)"
 METRES = {"nm": 1e-9, "um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
 SECONDS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
@@ -62,14 +69,17 @@ class Polytec:
         clock: Passes the time while the controller starts; by default the wall's.
         """
         name = f"vibrometer (polytec-ofv5000 at {port})"
-        dialogue = Dialogue(name, SerialLine(name, port, LineSettings(baud or BAUD, "\n", answer_s)), clock)
+        line = SerialLine(name, port, LineSettings(baud or BAUD, "\n", answer_s, "latin-1"))
+        dialogue = Dialogue(name, line, clock)
         dialogue.open()
         try:
             # With echo on, the controller repeats every command before its answer.
-            who = dialogue.introduce(Query("Get,Controller,0,Name", _name), 2.0, before="Set,Interface,0,Echo,Off")
-            dialogue.recognise(Marker("Get,Controller,0,Name", who, lambda line: line.endswith(who), _stranger))
-            decoder_name = dialogue.ask(Query(f"Get,VeloDec,{self.decoder},Name", _name), "reading the decoder's name")
-            known_as = f"{who}, {decoder_name}"
+            asked, who = dialogue.introduce(
+                _who(NAME_QUESTIONS[0]), 2.0, before="Set,Interface,0,Echo,Off", also=_who(NAME_QUESTIONS[1])
+            )
+            dialogue.recognise(Marker(asked, who, lambda line: line.endswith(who), _stranger))
+            decoder_name = _optional(dialogue, Query(f"Get,VeloDec,{self.decoder},Name", _name))
+            known_as = who if decoder_name is None else f"{who}, {decoder_name}"
             if identity is not None and identity not in known_as:
                 cause = f"another device answers: {known_as!r} does not contain {identity!r}"
                 remedy = "plug in the right device, or correct the rig file, identity"
@@ -77,48 +87,59 @@ class Polytec:
             range_text = dialogue.ask(
                 Query(f"Get,VeloDec,{self.decoder},Range", _range), "reading the measurement range"
             )
-            latency_s = _unless_refused(dialogue, Query(f"Get,VeloDec,{self.decoder},SignalDelay", _delay_s))
-            level = _unless_refused(dialogue, Query("Get,SignalLevel,0,Value", _level))
+            latency_s = _optional(dialogue, Query(f"Get,VeloDec,{self.decoder},SignalDelay", _delay_s))
+            level = _optional(dialogue, Query("Get,SignalLevel,0,Value", _level))
         finally:
             dialogue.close()
         if level is not None and level < self.least_signal_level and not any_level:
             cause = f"it is {level:.0%} of full, at least {self.least_signal_level:.0%} is wanted"
             remedy = "focus the laser; put reflective film on the surface"
             raise InstrumentError(name, "checking the signal level", cause, remedy)
-        return VibrometerReading(_metres_per_second_per_volt(range_text), range_text, latency_s, level, known_as)
+        return VibrometerReading(sensitivity_m_s_per_v(range_text), range_text, latency_s, level, known_as)
 
 
-def _unless_refused(dialogue: Dialogue, query: Query[float]) -> float | None:
-    """The answer, or None from a controller that does not support the question."""
+def _optional(dialogue: Dialogue, query: Query[Answer]) -> Answer | None:
+    """The answer, or None where the controller has none that can be read. Raises InstrumentLostError."""
     try:
         return dialogue.ask(query, f"asking {query.text}")
-    except InstrumentError as refusal:
-        if isinstance(refusal.__cause__, RefusedError):
-            return None
+    except InstrumentLostError:
         raise
+    except InstrumentError:
+        return None
+
+
+def _who(question: str) -> Query[tuple[str, str]]:
+    """Ask for the controller's name; answered with the question that it knows, and the name."""
+    return Query(question, lambda answer: (question, _name(answer)))
 
 
 def _name(answer: str) -> str:
     """A device's name: some letters with a number, and no number with a unit, which would be another answer."""
     name = _given(answer)
-    if not re.fullmatch(r"(?=.*\d)[A-Za-z][A-Za-z0-9 ().+-]{1,40}", name):
+    if not re.fullmatch(r"(?=.*\d)(?!(?:Get|GetDevInfo|Set),)[A-Za-z][A-Za-z0-9 ().,;/+-]{1,80}", name):
         raise UnreadableError(answer)
     return name
 
 
 def _stranger(line: str) -> str | None:
-    return line if re.fullmatch(r"OFV-\d{4}[A-Z0-9 -]{0,20}", line.strip()) else None
+    return line if re.fullmatch(r"OFV-\d{4}[A-Za-z0-9 ().,;/+-]{0,80}", line.strip()) else None
 
 
 def _range(answer: str) -> str:
     text = _given(answer)
-    _metres_per_second_per_volt(text)
+    sensitivity_m_s_per_v(text)
     return text
 
 
-def _metres_per_second_per_volt(text: str) -> float:
-    """The sensitivity of a range such as ``125mm/s/V``."""
-    found = re.fullmatch(rf"{NUMBER} ?(nm|um|mm|cm|m)/s/V", text)
+def sensitivity_m_s_per_v(text: str) -> float:
+    """The sensitivity of a range such as ``125mm/s/V`` or, with its low-pass filter on, ``125mm/s/V LP``.
+
+    Raises UnreadableError; RefusedError for ``Off``.
+    """
+    if text.lower() == "off":
+        remedy = "choose a range at the controller, or the number of the decoder in use in the rig file, decoder"
+        raise RefusedError("the decoder is switched off: its range is Off", remedy)
+    found = re.fullmatch(rf"{NUMBER} ?(nm|um|mm|cm|m)/s/V(?: ?LP)?", text)
     if found is None or _number(found.group(1)) == 0:
         raise UnreadableError(text)
     return _number(found.group(1)) * METRES[found.group(2)]
@@ -143,8 +164,8 @@ def _number(text: str) -> float:
 
 
 def _given(answer: str) -> str:
-    """The answer, unless it says that there is none."""
-    text = answer.strip()
+    """The answer, unless it says that there is none; a micro sign, in latin-1 or UTF-8, becomes u."""
+    text = answer.strip().replace("\xc2\xb5", "u").replace("\xb5", "u")
     if re.fullmatch(r"(?i)not (available|installed)|error[ -~]*|unknown[ -~]*", text):
         raise RefusedError(f"the controller answers {text!r}", "check the decoder's number in the rig file")
     return text

@@ -69,6 +69,8 @@ class WireBench:
         self._inputs = (reference_input, response_input)
         self.patch_bay = PatchBay(settings.channel_of_actuator, settings.channel_of_loopback)
         self.onsets: deque[float] = deque(maxlen=KEPT_ONSETS)
+        # What the vibrometer puts out over what it would in the range of `settings`.
+        self.output_scale: Callable[[], float] = lambda: 1.0
         self._store = SignalStore(max(full_scale_v))
         # The plate is made, and refused, before anything is played.
         self._synthesis = {settings.inter_channel_delay_s: Synthesis(settings)}
@@ -107,6 +109,8 @@ class WireBench:
             if leaked_v is not None:
                 response_v += leaked_v
             noise_v = self._generator.standard_normal((len(inputs), samples))
+        if patched is None:
+            response_v = response_v * self.output_scale()
         volts = noise_v * self._settings.reference_noise_v
         for row, name in enumerate(inputs):
             if name == self._inputs[0]:
@@ -246,6 +250,8 @@ class EmulatedRig(ExitStack):
                 f"{1000 * settings.sensitivity_m_s_per_v:g}mm/s/V",
                 signal_delay=f"{1e6 * settings.vibrometer_latency_s:g} us",
             )
+            nominal = polytec.sensitivity_m_s_per_v
+            self.bench.output_scale = lambda: nominal / polytec.sensitivity_m_s_per_v
             vibrometer = self._serial("vibrometer", polytec, wiring.vibrometer_port, faults)
             self._plugs["vibrometer"] = (vibrometer.unplug, vibrometer.plug)
 

@@ -83,7 +83,7 @@ def test_given_a_vibrometer_that_can_be_asked_then_its_sensitivity_is_its_own(
 ) -> None:
     found = openers(with_vibrometer(vibrometer.address, **configured)).vibrometer()
     assert found.sensitivity_m_s_per_v == pytest.approx(0.025)
-    assert "OFV-5000, VD-09" in found.identity
+    assert "OFV-5000 Vibrometer Controller, VD-09" in found.identity
     assert found.signal_level == pytest.approx(600 / 775)
 
 

@@ -124,15 +124,32 @@ def test_given_the_reference_page_then_the_device_holds_the_conversation_in_it()
             assert answer == ("0*30" if said.startswith("BUSY?") else heard)
 
 
-def test_given_polytec_then_it_echoes_until_it_is_told_not_to():
-    with terminal(PolytecDevice()) as ask:
+def test_given_polytec_with_echo_then_it_echoes_until_it_is_told_not_to():
+    with terminal(PolytecDevice(echo=True)) as ask:
         assert ask("Get,VeloDec,1,Range") == "Get,VeloDec,1,Range\n"
         assert ask("Set,Interface,0,Echo,Off") == "125mm/s/V\n"
         assert ask("") == "Set,Interface,0,Echo,Off\n"
+        assert ask("Get,VeloDec,1,Range") == "125mm/s/V\n"
+
+
+def test_given_polytec_then_it_answers_as_public_programs_expect():
+    device = PolytecDevice()
+    with terminal(device) as ask:
+        assert ask("GetDevInfo,Controller,0,Name") == "OFV-5000 Vibrometer Controller\n"
+        assert ask("GetDevInfo,controller,0,Name\r") == "OFV-5000 Vibrometer Controller\n"
+        assert ask("Get,Controller,0,Name") == "OFV-5000\n"
+        assert ask("Get,Interface,0,Echo") == "Off\n"
+        assert ask("Get,VeloDec,1,MaxFreq") == "1.5MHz\n"
         assert ask("Get,VeloDec,0,Range") == "Not Available\n"
         assert ask("Get,VeloDec,1,SignalDelay") == "8.16 us\n"
         assert ask("Get,SignalLevel,0,Value") == "600\n"
         assert ask("Get,Laser,0,Colour") == "Not Available\n"
+        assert ask("Set,VeloDec,1,Range,5mm/s/V LP\nGet,VeloDec,1,Range") == "5mm/s/V LP\n"
+        assert device.sensitivity_m_s_per_v == pytest.approx(0.005)
+        for refused in ("7mm/s/V", "on", ""):
+            assert ask(f"Set,VeloDec,1,Range,{refused}\nGet,VeloDec,1,Range") == "5mm/s/V LP\n"
+        assert ask("Set,VeloDec,1,Range,Off\nGet,VeloDec,1,Range") == "Off\n"
+        assert "125mm/s/V LP" in ask("GetDevInfo,VeloDec,1,Range").split(",")
 
 
 def test_given_an_unknown_dialect_then_there_is_no_device():

@@ -41,7 +41,7 @@ def test_given_a_controller_then_it_tells_its_sensitivity_delay_and_signal_level
     assert reading.range_text == "125mm/s/V"
     assert reading.latency_s == pytest.approx(8.16e-6)
     assert reading.signal_level == pytest.approx(0.8)
-    assert reading.identity == "OFV-5000, VD-09"
+    assert reading.identity == "OFV-5000 Vibrometer Controller, VD-09"
 
 
 @pytest.mark.parametrize(
@@ -52,6 +52,10 @@ def test_given_a_controller_then_it_tells_its_sensitivity_delay_and_signal_level
         ("2,5mm/s/V", "8,16 us", "310,5", 0.0025, 8.16e-6),
         ("0.488281mm/s/V", "12.123456789us", "310.5", 0.000488281, 12.123456789e-6),
         ("1 m/s/V", "8 us", 310, 1.0, 8e-6),
+        ("125mm/s/V LP", "8.16 us", 310, 0.125, 8.16e-6),
+        ("50 mm/s/V LP", "8.16 us", 310, 0.05, 8.16e-6),
+        ("2.5m/s/V LP", "8.16 \xb5s", 310, 2.5, 8.16e-6),
+        ("20\xb5m/s/V", "8.16\xc2\xb5s", 310, 2e-5, 8.16e-6),
     ],
 )
 def test_given_values_with_units_and_decimals_then_they_are_read(
@@ -66,7 +70,7 @@ def test_given_values_with_units_and_decimals_then_they_are_read(
     assert reading.signal_level == pytest.approx(0.4, rel=2e-3)
 
 
-@pytest.mark.parametrize("text", ["125", "0mm/s/V", "125mm/s", "125 km/s/V", "1e3mm/s/V"])
+@pytest.mark.parametrize("text", ["125", "0mm/s/V", "125mm/s", "125 km/s/V", "1e3mm/s/V", "125mm/s/V XY"])
 def test_given_a_range_that_cannot_be_read_then_it_is_no_sensitivity(text, tmp_path):
     with (
         controller(LOCAL, tmp_path, range_text=text) as far,
@@ -89,6 +93,45 @@ def test_given_a_controller_that_does_not_know_delay_and_level_then_they_are_unk
     assert reading.signal_level is None
 
 
+@pytest.mark.parametrize("text", ["Off", "off"])
+def test_given_a_decoder_that_is_switched_off_then_that_is_said_and_not_the_cable_blamed(text, tmp_path):
+    with controller(LOCAL, tmp_path, range_text=text) as far, pytest.raises(InstrumentError) as caught:
+        read(far)
+    assert type(caught.value) is InstrumentError
+    assert "Off" in caught.value.cause
+    assert "range at the controller" in caught.value.remedy
+
+
+@pytest.mark.parametrize("operation", ["name", "delay", "level"])
+@pytest.mark.parametrize("answer", ["\xb5\xe9 \xff", "", "see display"])
+def test_given_an_optional_answer_that_cannot_be_read_then_the_reading_goes_on_without_it(operation, answer, tmp_path):
+    class Odd(PolytecDevice):
+        def answer(self, command):
+            return f"{answer}\n" if self.operation(command) == operation else super().answer(command)
+
+    with SerialFarSide(Odd(), wire(LOCAL, tmp_path)) as far:
+        reading = read(far, answer_s=0.1)
+    assert reading.sensitivity_m_s_per_v == pytest.approx(0.125)
+    assert (reading.latency_s is None) == (operation == "delay")
+    assert (reading.signal_level is None) == (operation == "level")
+    assert ("VD-09" in reading.identity) == (operation != "name")
+
+
+@pytest.mark.parametrize("silent", ["Get,Controller", "GetDevInfo,Controller"])
+@pytest.mark.parametrize("name", ["OFV-5000", "OFV-5000Xtra", "OFV-5000 Vibrometer Controller"])
+def test_given_a_controller_that_knows_one_of_the_two_questions_for_its_name_then_it_is_asked_that(
+    silent, name, tmp_path
+):
+    class KnowsOne(PolytecDevice):
+        def answer(self, command):
+            if self.operation(command) != "identify":
+                return super().answer(command)
+            return "" if command.startswith(silent) else f"{name}\n"
+
+    with SerialFarSide(KnowsOne(), wire(LOCAL, tmp_path)) as far:
+        assert read(far, answer_s=0.1).identity == f"{name}, VD-09"
+
+
 def test_given_too_little_light_then_focus_is_asked_for(tmp_path):
     with (
         controller(LOCAL, tmp_path, signal_level=100) as far,
@@ -100,7 +143,7 @@ def test_given_too_little_light_then_focus_is_asked_for(tmp_path):
 def test_given_another_identity_in_the_rig_file_then_the_device_is_refused_by_name(tmp_path):
     with (
         controller(LOCAL, tmp_path) as far,
-        pytest.raises(InstrumentError, match=r"'OFV-5000, VD-09' does not contain 'VD-02'"),
+        pytest.raises(InstrumentError, match=r"'OFV-5000 Vibrometer Controller, VD-09' does not contain 'VD-02'"),
     ):
         read(far, identity="VD-02")
 
