@@ -58,11 +58,13 @@ def replacement(path: Path, *, new: bool = False) -> Iterator[Path]:
 
 
 @contextmanager
-def staged_folder(folder: Path, last: str) -> Iterator[Path]:
+def staged_folder(folder: Path, last: str, owned: Collection[str] = ()) -> Iterator[Path]:
     """Write files into a folder together: yields a hidden folder whose files are moved when the block ends well.
 
-    The file named `last` is moved last: who finds it new finds all others new. The folder is made where missing, and
-    removed where the block fails and it is empty.
+    Other files of the folder stay. The file named `last` never stands among files of another making: who finds it
+    finds all others of the same. The folder is made where missing, and removed where the block fails and it is empty.
+
+    owned: Names of files that are gone afterwards unless the block has written them.
 
     Raises InputError: they cannot be written; older files are there as before.
     """
@@ -77,13 +79,10 @@ def staged_folder(folder: Path, last: str) -> Iterator[Path]:
                 yield place.temporary
             except InputError as error:
                 raise InputError(str(error).replace(str(place.temporary), str(folder))) from error
-            made = sorted(place.temporary.iterdir(), key=lambda file: (file.name == last, file.name))
-            for file in made:
+            for file in place.temporary.iterdir():
                 durable.sync_path(file)
-            durable.sync_folder(folder)
-            for file in made:
-                file.replace(folder / file.name)
-        durable.sync_folder(folder)
+            durable.sync_folder(place.temporary)
+            place.publish_files(last, owned)
 
 
 @contextmanager
@@ -182,6 +181,8 @@ def require_replaceable_folder(
     if folder.is_symlink() or not folder.is_dir():
         raise InputError(f"{folder} is not a folder; name a new folder")
     files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir())
+    if Path.cwd().is_relative_to(folder.resolve()):
+        raise InputError(f"{folder} is the folder that this command runs in; name a new folder")
     if not files:
         return
     if not force:

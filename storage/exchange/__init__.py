@@ -13,7 +13,8 @@ from dataclasses import dataclass
 class Export:
     """A format that ``wavefocus export --to`` writes.
 
-    module: Module with ``write(path, rows, on_progress)``; one that writes a folder has ``file_names(rows)`` too.
+    module: Module with ``write(path, rows, on_progress)``; one that writes a folder has ``file_names(rows)``
+        and ``older_files(folder)`` too.
     title: The format's name in the command's help.
     suffix: Ending of its files' names.
     folder: It writes a folder of files instead of one file.

@@ -18,7 +18,7 @@ from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange import EXPORTS
 from wavefocus.storage.exchange.bank_rows import BankRows, OnProgress, choose_rows
-from wavefocus.storage.output_files import require_output_folder, require_outputs
+from wavefocus.storage.output_files import require_outputs, require_replaceable_folder
 
 
 def export(
@@ -89,7 +89,8 @@ def write_export(
     writer = import_module(form.module)
     names = writer.file_names(rows) if form.folder else [out.name]
     if form.folder:
-        require_output_folder(out, names, inputs, force=force or only_list)
+        ours = writer.older_files(out) | set(names)
+        require_replaceable_folder(out, ours, inputs, by="export", force=force or only_list)
     if not only_list:
         with watch("export", len(rows.row)) as report:
             writer.write(out, rows, report)

@@ -114,7 +114,7 @@ def verify(
         rows = _rows(positions, scene, view, scene_file)
         out.mkdir(parents=True, exist_ok=True)
         with ending_at_once(), ended_by_file(out / STOP_NAME), VerifyLog(out) as log:
-            with staged_folder(out, RECORD_NAME) as staged:
+            with staged_folder(out, RECORD_NAME, results) as staged:
                 work = _Work(scene_file, scene, view, configuration, rig, staged, log, out, linearity, sentinel, force)
                 earlier = None if before is None else (str(against), before)
                 verification = work.run(rows, str(rig_file), earlier)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,7 @@ from wavefocus.storage.exchange.reading.measured import (
     with_z,
 )
 from wavefocus.storage.exchange.reading.places import Place, coordinates, read_places
-from wavefocus.storage.exchange.wav import MOST_CHANNELS, TABLE_NAME
+from wavefocus.storage.exchange.wav import FORMAT, MOST_CHANNELS, TABLE_NAME, checksum_of
 from wavefocus.storage.text_file import read_text
 
 
@@ -33,6 +34,7 @@ class _Sounds:
     """Channels of files and the pair (position, actuator) that each one holds.
 
     channels: (file, channel from 0, or None of a file with one, position, actuator).
+    checksums: SHA-256 of files by name, where the folder states them.
     """
 
     channels: list[tuple[str, int | None, int, int]]
@@ -42,6 +44,7 @@ class _Sounds:
     scale: float = 1.0
     band_hz: tuple[float, float] | None = None
     status: NDArray[np.uint8] | None = None
+    checksums: Mapping[str, str] = field(default_factory=dict)
 
 
 def read(folder: Path, options: ImportOptions, stack: ExitStack) -> Measured:
@@ -54,12 +57,20 @@ def read(folder: Path, options: ImportOptions, stack: ExitStack) -> Measured:
     exported = _exported(folder) if (folder / TABLE_NAME).is_file() else None
     sounds = exported if exported and options.places is None else _listed(folder, options)
     if exported:
-        sounds = replace(sounds, unit=exported.unit, scale=exported.scale, band_hz=exported.band_hz)
+        sounds = replace(
+            sounds, unit=exported.unit, scale=exported.scale, band_hz=exported.band_hz, checksums=exported.checksums
+        )
     files: dict[str, list[tuple[int | None, int, int]]] = {}
     for file, channel, position, actuator in sounds.channels:
         files.setdefault(file, []).append((channel, position, actuator))
     shape = (len(sounds.position_m), len(sounds.actuator_m))
     paths = {name: _inside(folder, name) for name in files}
+    for name in paths.keys() & sounds.checksums.keys():
+        if checksum_of(paths[name]) != sounds.checksums[name]:
+            raise InputError(
+                f"{paths[name]} is not the file that {TABLE_NAME} describes (sha256); export the bank again, or restore"
+                " the folder"
+            )
     infos = {name: soundfile.info(str(path)) for name, path in paths.items()}
     rates = sorted({info.samplerate for info in infos.values()})
     if len(rates) > 1:
@@ -83,6 +94,9 @@ def read(folder: Path, options: ImportOptions, stack: ExitStack) -> Measured:
                 raise InputError(f"{paths[name]}: a second response of position {position} to actuator {actuator}")
             green[position, actuator, : len(sound)] = sound[:, channel or 0] * np.float32(sounds.scale)
             green[position, actuator, len(sound) :] = 0.0
+    unverified: tuple[str, ...] = ()
+    if exported and (count := len(paths.keys() - sounds.checksums.keys())):
+        unverified = (f"{count} sound files without a checksum are those that {TABLE_NAME} describes",)
     missing = np.isnan(green[:, :, 0])
     partly = missing.any(axis=1)
     green[partly] = np.nan
@@ -96,6 +110,7 @@ def read(folder: Path, options: ImportOptions, stack: ExitStack) -> Measured:
         band_hz=sounds.band_hz,
         status=sounds.status,
         read=(f"{len(files)} sound files of up to {samples} samples",),
+        assumed=unverified,
         left_out=(f"{int(partly.sum())} positions without a response to every actuator",) if partly.any() else (),
     )
 
@@ -104,7 +119,7 @@ def _exported(folder: Path) -> _Sounds:
     """The description that our own export writes."""
     table = folder / TABLE_NAME
     facts = json.loads(read_text(table))
-    if not isinstance(facts, dict) or facts.get("format") != "wavefocus-wav-export":
+    if not isinstance(facts, dict) or facts.get("format") != FORMAT:
         raise InputError(f"{table} is no description of exported sound files; name a CSV table with --places")
     per_position = facts["channels"] == "actuators"
     position_mm = np.array(facts["position_mm"], np.float64).reshape(-1, 2)
@@ -126,6 +141,7 @@ def _exported(folder: Path) -> _Sounds:
         scale,
         None if band is None else (float(band[0]), float(band[1])),
         status.astype(np.uint8),
+        {str(one["file"]): str(one["sha256"]) for one in facts["files"] if "sha256" in one},
     )
 
 

@@ -1,0 +1,175 @@
+"""Results of several files are replaced at once: killed at any moment, old and new are never read as one."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+import wavefocus as wf
+from wavefocus.__main__ import run
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.output_files import staged_folder
+
+POSITIONS, ACTUATORS, TAPS = 5, 2, 16
+# Python reports each renaming to audit hooks; the process ends there as if it were killed.
+KILLED = """
+import os, sys
+left = int(sys.argv.pop(1))
+def hook(event, arguments):
+    global left
+    if event == "os.rename":
+        left -= 1
+        if left == 0:
+            os._exit(9)
+sys.addaudithook(hook)
+"""
+
+
+def killed_at(renaming: int, code: str, *arguments: object) -> bool:
+    """Run code in a process that is killed before its n-th renaming; whether it came that far."""
+    done = subprocess.run(
+        [sys.executable, "-c", KILLED + code, str(renaming), *map(str, arguments)],
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode in (0, 9), done.stderr
+    return done.returncode == 9
+
+
+def bank_of(path: Path, factor: float) -> Path:
+    green = np.random.default_rng(3).standard_normal((POSITIONS, ACTUATORS, TAPS)) * factor
+    with h5py.File(path, "w") as file:
+        file["green"], file["position_mm"] = green.astype(np.float32), [[4.0 * row, 0.0] for row in range(POSITIONS)]
+        file.attrs["sample_rate_hz"] = 2000.0
+    return path
+
+
+def values(folder: Path, out: Path) -> np.ndarray | None:
+    """Green's functions of an exported folder as an import reads them; None where it refuses it."""
+    try:
+        with wf.import_bank(folder, out, "wav") as bank:
+            return np.stack([bank.green(row) for row in range(bank.positions)])
+    except InputError:
+        return None
+
+
+def test_an_export_that_is_killed_over_an_older_one_then_leaves_no_mixture(tmp_path: Path) -> None:
+    first, second = bank_of(tmp_path / "1.h5", 1.0), bank_of(tmp_path / "2.h5", 1.13)
+    whole = [h5py.File(one)["green"][()] for one in (first, second)]
+    folder = tmp_path / "sounds"
+    code = "from wavefocus.__main__ import run\nsys.exit(run(sys.argv[1:]))"
+    outcomes = set()
+    for renaming in range(1, 20):
+        assert run(["export", str(first), str(folder), "--to", "wav", "--force"]) == 0
+        killed = killed_at(renaming, code, "export", second, folder, "--to", "wav", "--force")
+        found = values(folder, tmp_path / f"i{renaming}.h5")
+        which = -1 if found is None else next(n for n, one in enumerate(whole) if np.array_equal(found, one))
+        outcomes.add((killed, which))
+        if not killed:
+            break
+    assert (False, 1) in outcomes
+    assert (True, 0) in outcomes
+    assert {which for killed, which in outcomes if not killed} == {1}
+    assert [entry.name for entry in tmp_path.iterdir() if "partial" in entry.name] == []
+
+
+STAGED = """
+from pathlib import Path
+from wavefocus.storage.output_files import staged_folder
+with staged_folder(Path(sys.argv[1]), "record", ("stale",)) as staged:
+    for name in ("a", "b", "record"):
+        (staged / name).write_text("new")
+"""
+
+
+def test_a_staged_folder_that_is_killed_then_has_a_record_only_with_its_own_files(tmp_path: Path) -> None:
+    for renaming in range(1, 20):
+        out = tmp_path / str(renaming)
+        out.mkdir()
+        for name in ("a", "b", "record", "stale"):
+            (out / name).write_text("old")
+        (out / "notes").write_text("mine")
+        killed = killed_at(renaming, STAGED, out)
+        found = {file.name: file.read_text() for file in out.iterdir() if file.is_file()}
+        assert found.pop("notes") == "mine"
+        if "record" in found:
+            assert set(found.values()) == {found["record"]}
+        assert run_again(out) == {"a": "newer", "record": "newer", "b": "new", "notes": "mine"} if killed else True
+        if not killed:
+            assert found == {"a": "new", "b": "new", "record": "new"}
+            break
+    assert renaming > 5
+
+
+def run_again(out: Path) -> dict[str, str]:
+    """Contents after the next command wrote two of the files, and what the killed one left behind is finished."""
+    with staged_folder(out, "record", ("stale",)) as staged:
+        left = {file.name for file in out.iterdir() if file.is_file()}
+        assert left in ({"a", "b", "record", "notes"}, {"a", "b", "record", "stale", "notes"})
+        for name in ("a", "record"):
+            (staged / name).write_text("newer")
+    if "old" in (content := {file.name: file.read_text() for file in out.iterdir()}).values():
+        content["b"] = "new"  # killed before anything was noted: the older file stays, as one that is not written
+    return content
+
+
+def test_a_staged_folder_that_cannot_be_moved_then_leaves_all_older_files(tmp_path: Path) -> None:
+    failing = KILLED.replace("os._exit(9)", "raise OSError(28, 'No space left on device')")
+    code = (
+        failing
+        + STAGED.replace("with", "try:\n  with", 1).replace("\n    ", "\n      ")
+        + "\nexcept Exception: os._exit(8)"
+    )
+    for renaming in range(1, 20):
+        out = tmp_path / str(renaming)
+        out.mkdir()
+        old = dict.fromkeys(("a", "b", "record", "stale"), "old")
+        for name, content in old.items():
+            (out / name).write_text(content)
+        done = subprocess.run([sys.executable, "-c", code, str(renaming), str(out)], check=False)
+        found = {file.name: file.read_text() for file in out.iterdir()}
+        if done.returncode == 0:
+            assert found == {"a": "new", "b": "new", "record": "new"}
+            break
+        assert (done.returncode, found) == (8, old)
+    assert renaming > 5
+
+
+def test_a_smaller_export_then_leaves_no_files_of_the_older_one(tmp_path: Path) -> None:
+    bank, folder = str(bank_of(tmp_path / "1.h5", 1.0)), tmp_path / "sounds"
+    assert run(["export", bank, str(folder), "--to", "wav"]) == 0
+    assert run(["export", bank, str(folder), "--to", "wav", "--positions", "1,3"]) == 2
+    assert run(["export", bank, str(folder), "--to", "wav", "--positions", "1,3", "--force"]) == 0
+    files = sorted(file.name for file in folder.iterdir())
+    assert files == ["bank.json", "places.csv", "position-1.wav", "position-3.wav"]
+    (folder / "notes.txt").write_text("mine")
+    assert run(["export", bank, str(folder), "--to", "wav", "--force"]) == 2
+    assert (folder / "notes.txt").read_text() == "mine"
+
+
+def test_an_export_then_states_checksums_and_a_file_of_another_export_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folders = [tmp_path / "1", tmp_path / "2"]
+    for factor, folder in zip((1.0, 1.13), folders, strict=True):
+        assert run(["export", str(bank_of(tmp_path / f"{factor}.h5", factor)), str(folder), "--to", "wav"]) == 0
+    table: dict[str, Any] = json.loads((folders[0] / "bank.json").read_text(encoding="utf-8"))
+    assert all(len(one["sha256"]) == 64 for one in table["files"])
+    name = table["files"][2]["file"]
+    (folders[0] / name).write_bytes((folders[1] / name).read_bytes())
+    capsys.readouterr()
+    assert run(["import", str(folders[0]), "--bank", str(tmp_path / "i.h5")]) == 2
+    assert name in capsys.readouterr().err
+    for one in table["files"]:
+        del one["sha256"]  # as older versions wrote it
+    (folders[0] / "bank.json").write_text(json.dumps(table), encoding="utf-8")
+    assert run(["import", str(folders[0]), "--bank", str(tmp_path / "i.h5")]) == 0
+    assert "without a checksum" in capsys.readouterr().out
