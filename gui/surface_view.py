@@ -89,8 +89,8 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
 
     def link(self, other: SurfaceView) -> None:
         """Show the same part of the surface as another map."""
-        self.setXLink(other)
-        self.setYLink(other)
+        self.box.setXLink(other.box)
+        self.box.setYLink(other.box)
         self._linked.append(other)
         other._linked.append(self)
 

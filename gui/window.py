@@ -197,6 +197,10 @@ class Window(QMainWindow):
         dialog.filesSelected.connect(self._open_named)
         dialog.show()
 
+    def _open_named(self, names: Sequence[str]) -> None:
+        for name in names:
+            self.open_file(Path(name))
+
     def _endings(self) -> list[str]:
         return list(dict.fromkeys(ending for tab in self.tabs for ending in tab.opens))
 

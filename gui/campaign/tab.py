@@ -211,7 +211,6 @@ class CampaignTab(Tab):
         """Actions of the buttons, and what a resume may accept."""
         seek = partial(self.events.text.setFocus, Qt.FocusReason.ShortcutFocusReason)
         find = ui.action(self, "&Find in events", seek, "Ctrl+F")
-        find = ui.action(self, "&Find in events", seek, "Ctrl+F")
         return [*self.controls.actions_by_name.values(), None, *self.run.accepts.values(), None, find]
 
     def accepts(self, path: Path) -> bool:
@@ -267,7 +266,6 @@ class CampaignTab(Tab):
         poor = int(((campaign.status & NOT_GOOD) > 0).sum())
         self.controls.show_possible(orders, has_run=has_run, selected=selected, poor=poor)
         for part in (self.map_panel, self.position_panel, self.events, self.instruments):
-            part.draw()
             part.draw()
 
     def run_file(self) -> Path | None:

@@ -88,6 +88,8 @@ class SceneTask(QObject):
         """End it without waiting, and without a word; the window closes."""
         if self.busy:
             self.cancel()
+            if self._process is not None:
+                self._process.detach()
             self.release()
 
     def release(self) -> None:

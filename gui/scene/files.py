@@ -13,7 +13,7 @@ from pathlib import Path
 from PyQt5.QtCore import QObject, QTimer, pyqtSignal
 from PyQt5.QtWidgets import QWidget
 
-from wavefocus.gui.files import choose_place
+from wavefocus.gui.files import choose_file, choose_place
 from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.tab import Question, TabContext
 from wavefocus.storage.errors import WavefocusError
@@ -47,6 +47,10 @@ class SceneFiles(QObject):
 
     def new(self) -> None:
         self._unless_unsaved("starting a new scene", self._document.clear)
+
+    def choose(self) -> None:
+        """Choose a scene file to open, in a dialog that does not block."""
+        choose_file(self._owner, "Open a scene", self._context.settings.folder(".toml"), "scene", [".toml"], self.open)
 
     def open(self, path: Path) -> None:
         self._unless_unsaved(f"opening {path.name}", lambda: self._open(path))
@@ -135,6 +139,7 @@ class SceneFiles(QObject):
         except (WavefocusError, OSError) as failure:
             self._context.report_failure(failure)
             return
+        self._context.settings.opened(path)
         self._seen_ns, self._written_elsewhere = _written_ns(path), True
         self.save_settings()
         self.opened.emit()

@@ -76,7 +76,7 @@ class SceneTab(Tab):
     def menu_actions(self) -> list[QAction | None]:
         named = self.actions_by_name
         return [
-            named["new"], named["save"], named["save as"], None, named["undo"], named["redo"], None,
+            named["new"], named["open"], named["save"], named["save as"], None, named["undo"], named["redo"], None,
             *(named[name] for name in ("copy", "paste", "duplicate", "delete", "up", "down")), None,
             named["drawing"], None, *self.results.menu_actions(), None, self.live_panel.start, self.live_panel.stop,
         ]  # fmt: skip
@@ -148,6 +148,7 @@ class SceneTab(Tab):
         acts, files, steps = self.acts, self.files, self.document.steps
         made = {
             "new": ui.action(self, "&New", files.new, "Ctrl+N", tip="Begin a new scene"),
+            "open": ui.action(self, "&Open…", files.choose, tip="Open a scene file (Ctrl+O opens any file)"),
             "save": ui.action(self, "&Save", files.save, "Ctrl+S", tip="Save the scene to its file"),
             "save as": ui.action(self, "Save &as…", files.save_as, "Ctrl+Shift+S", tip="Save to another file"),
             "undo": ui.action(self, "&Undo", steps.undo, "Ctrl+Z", tip="Undo the last change"),
@@ -176,7 +177,7 @@ class SceneTab(Tab):
         return made
 
     def _lay_out(self) -> None:
-        buttons = [ui.button(self.actions_by_name[name]) for name in ("new", "save", "save as", "undo", "redo")]
+        buttons = [ui.button(self.actions_by_name[name]) for name in ("new", "open", "save", "save as", "undo", "redo")]
         areas = {"Source": ui.scrolling(self.source_form), "Scene": ui.scrolling(self.scene_form)}
         for area in areas.values():
             area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)

@@ -1,0 +1,105 @@
+"""Every action of every menu, triggered in every tab, and what File > Open opens."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from PyQt5.QtCore import Qt
+from PyQt5.QtTest import QTest
+from PyQt5.QtWidgets import QAction, QApplication, QFileDialog, QMenu
+from pytestqt.qtbot import QtBot
+
+from tests.gui.conftest import Opens, campaign_of, tab_of, wait
+from wavefocus.config.scene import LineTable, SceneConfig
+from wavefocus.gui.campaign.tab import CampaignTab
+from wavefocus.gui.rig.tab import RigTab
+from wavefocus.gui.scene.document import new_source, scene_toml
+from wavefocus.gui.scene.tab import SceneTab
+from wavefocus.gui.window import Window
+
+
+def menus(window: Window) -> dict[str, QMenu]:
+    bar = window.menuBar()
+    assert bar is not None
+    return {action.text().replace("&", ""): menu for action in bar.actions() if (menu := action.menu()) is not None}
+
+
+def actions(menu: QMenu) -> list[QAction]:
+    return [action for action in menu.actions() if not action.isSeparator() and action.menu() is None]
+
+
+def close_dialogs(window: Window) -> int:
+    dialogs = [dialog for dialog in window.findChildren(QFileDialog) if dialog.isVisible()]
+    for dialog in dialogs:
+        dialog.reject()
+    return len(dialogs)
+
+
+def write_scene(folder: Path) -> Path:
+    path = folder / "scene.toml"
+    source = new_source(LineTable(start_mm=(0.0, 0.0), end_mm=(4.5, 0.0)))
+    path.write_text(scene_toml(SceneConfig(source=(source,))), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(("tab", "with_files"), [(0, False), (0, True), (1, True), (2, True), (3, True)])
+def test_given_every_action_of_every_menu_in_every_tab_then_no_error_is_raised(
+    qtbot: QtBot, open_window: Opens, finished: Path, tab: int, with_files: bool
+) -> None:
+    files = [finished.with_name("run.toml"), finished.with_name("rig.toml"), write_scene(finished.parent), finished]
+    window = open_window(*(files if with_files else ()))
+    campaign = campaign_of(window)
+    wait(qtbot, lambda: campaign.campaign.measured == 12 or not with_files)
+    triggered = 0
+    for name, menu in menus(window).items():
+        menu.aboutToShow.emit()
+        for action in actions(menu):
+            if action.text() == "&Quit" or (name == "View" and tab > 0):  # drawing all anew takes seconds
+                continue
+            window._pages.setCurrentIndex(tab)
+            window.refresh()
+            action.trigger()
+            QApplication.processEvents()
+            triggered += action.isEnabled()
+            close_dialogs(window)
+            assert window.mishaps == [], action.text()
+    assert triggered > 10
+    rig = tab_of(window, RigTab)
+    rig.examination.cancel()
+    rig.session.release()
+    wait(qtbot, lambda: not (rig.session.running or rig.examination.running))
+
+
+@pytest.mark.parametrize("tab", range(4))
+def test_given_ctrl_o_in_any_tab_then_what_is_chosen_is_opened(
+    qtbot: QtBot, open_window: Opens, finished: Path, tab: int
+) -> None:
+    scene = write_scene(finished.parent)
+    window = open_window()
+    window._pages.setCurrentIndex(tab)
+    with qtbot.waitActive(window):
+        window.activateWindow()
+    QTest.keyClick(window, Qt.Key.Key_O, Qt.KeyboardModifier.ControlModifier)
+    (dialog,) = (one for one in window.findChildren(QFileDialog) if one.isVisible())
+    chosen = [str(finished.with_name("run.toml")), str(finished.with_name("rig.toml")), str(scene), str(finished)]
+    dialog.filesSelected.emit(chosen)
+    close_dialogs(window)
+    assert tab_of(window, CampaignTab).run_field.path == finished.with_name("run.toml")
+    assert tab_of(window, CampaignTab).bank_field.path == finished
+    assert tab_of(window, RigTab).rig_field.path == finished.with_name("rig.toml")
+    assert tab_of(window, SceneTab).document.path == scene
+    assert window._pages.currentWidget() is tab_of(window, CampaignTab)  # that of the last one
+
+
+def test_given_a_click_on_open_in_the_scene_tab_then_the_scene_that_is_chosen_is_shown(
+    qtbot: QtBot, open_window: Opens, tmp_path: Path
+) -> None:
+    scene = write_scene(tmp_path)
+    window = open_window()
+    tab = tab_of(window, SceneTab)
+    window._pages.setCurrentWidget(tab)
+    tab.actions_by_name["open"].trigger()
+    (dialog,) = (one for one in window.findChildren(QFileDialog) if one.isVisible())
+    dialog.fileSelected.emit(str(scene))
+    assert (tab.document.path, len(tab.document.draft.source)) == (scene, 1)
