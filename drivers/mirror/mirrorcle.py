@@ -6,9 +6,10 @@ high voltage, and its settings cannot be changed while it is on; ``MTI+GT x y m`
 digital output, here 0; answers are ``MTI-OK`` and ``MTI-ERR`` with a word, ``MTI-ERR InvalidCommand`` also to
 ``$MTI$`` within command mode. Commands end with a line feed.
 
-Not confirmed: other words after ``MTI-ERR``; the baud, which is a setting of the controller (115200 and 460800 are
-both in use). There is no read-back and no busy query: a move lasts the stated settling time. Between full deflections
-the angle is taken to be linear in x and y; what is not is the mirror map's business.
+Not confirmed: other words after ``MTI-ERR``; which models leave the factory at 115200 baud, as in those drivers, and
+which at 460800, the default of the vendor's header: both are tried. There is no read-back and no busy query: a move
+lasts the stated settling time. Between full deflections the angle is taken to be linear in x and y; what is not is the
+mirror map's business.
 
 Bias, largest difference and filter (``MTI+VB``, ``MTI+VD``, ``MTI+BW``) belong to the mirror's data sheet. They are
 taken from the controller's memory, or sent as `setup` before the mirror is enabled.
@@ -48,6 +49,7 @@ class MirrorcleMti(Dialect):
     )
 
     name = "mirrorcle-mti"
+    bauds = (115200, 460800)
     says_when_idle = False
 
     @property

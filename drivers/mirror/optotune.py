@@ -42,7 +42,7 @@ class OptotuneMre2(Dialect):
     """The dialect ``optotune-mre2``."""
 
     name = "optotune-mre2"
-    baud = 256000
+    bauds = (256000,)
     command_end = "\r\n"
     reach_mrad = 1000 * math.radians(50.0)
 

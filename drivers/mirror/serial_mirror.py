@@ -11,7 +11,7 @@ from wavefocus.drivers.dialogue import Dialogue, Marker
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.protocols import Clock, DeviceIdentity
 from wavefocus.drivers.registry import MirrorSettings, rig_key
-from wavefocus.drivers.serial_line import LineSettings, SerialLine
+from wavefocus.drivers.serial_line import NETWORK, LineSettings, SerialLine
 
 
 class Dialect(ABC):
@@ -22,7 +22,7 @@ class Dialect(ABC):
 
     name: In the rig file.
     table_defaults: Keys of every mirror that have another default with this one.
-    baud: Bits per second as the device leaves the factory.
+    bauds: Bits per second as the device leaves the factory; where there are several, they are tried in this order.
     command_end: What ends a command.
     encoding: Of commands and answers, see `wavefocus.drivers.serial_line.LineSettings`.
     patience_s: How long the device may take to answer once its port is open.
@@ -32,7 +32,7 @@ class Dialect(ABC):
 
     name: str
     table_defaults: Mapping[str, object] = {}
-    baud = 115200
+    bauds: tuple[int, ...] = (115200,)
     command_end = "\n"
     encoding = "ascii"
     patience_s = 2.0
@@ -113,7 +113,7 @@ class SerialMirror:
     Raises InstrumentError or InstrumentLostError.
 
     port: A device path, ``"COM3"``, ``"socket://host:port"`` or ``"serial-number:ABC123"``.
-    baud: Bits per second; by default the dialect's.
+    baud: Bits per second; by default the dialect's, one after the other where it has several.
     identity: Text that the device's identification must contain. Whatever it is at the first open, it must be the same
         at every other.
     settle_s: How long the beam swings after the device says that it stands, or, where it cannot say so, after the move
@@ -154,10 +154,12 @@ class SerialMirror:
         self._astray = ""
         self._check_settings()
         self._port = port
-        self._line_settings = LineSettings(
-            baud or self._dialect.baud, self._dialect.command_end, answer_s, self._dialect.encoding
-        )
-        self._dialogue = self._new_dialogue()
+        self._answer_s = answer_s
+        # The one that was answered last comes first.
+        self._bauds = list(self._dialect.bauds if baud is None else (baud,))
+        if port.startswith(NETWORK):
+            del self._bauds[1:]  # the serial server has its own
+        self._dialogue = self._new_dialogue(self._bauds[0])
         self._open()
 
     # -- the role ----------------------------------------------------------------------------------
@@ -171,7 +173,8 @@ class SerialMirror:
         """Name of the device, after making sure that it still answers."""
         self._check_open("identifying")
         self._dialogue.verify("identifying")
-        return f"{self._name}: {_words(self._identity or '')}, within +-{self._limit_mrad:g} mrad"
+        at = f" at {self._bauds[0]} baud" if len(self._bauds) > 1 else ""
+        return f"{self._name}: {_words(self._identity or '')}{at}, within +-{self._limit_mrad:g} mrad"
 
     def move_to(self, x_mrad: float, y_mrad: float) -> None:
         doing = f"moving to ({x_mrad:.3f}, {y_mrad:.3f}) mrad"
@@ -237,10 +240,8 @@ class SerialMirror:
         self._forget_move()
         # A call that hangs keeps the old dialogue; nobody waits for it.
         self._dialogue.close()
-        self._dialogue = self._new_dialogue()
-        self._dialogue.open()
         try:
-            identity = self._dialect.wake(self._dialogue, self._patience_s)
+            identity = self._wake()
             if self._stranger(identity):
                 # One disturbed answer is no other device.
                 identity = self._dialect.wake(self._dialogue, self._patience_s)
@@ -254,8 +255,27 @@ class SerialMirror:
         self._identity = identity
         self._standing_since_s = None if self._dialect.says_when_idle else self._clock.now_s()
 
-    def _new_dialogue(self) -> Dialogue:
-        return Dialogue(self._name, SerialLine(self._name, self._port, self._line_settings), self._clock)
+    def _wake(self) -> str:
+        """Open the port at the first baud at which the device says who it is. Raises InstrumentError."""
+        for baud in list(self._bauds):
+            self._dialogue = self._new_dialogue(baud)
+            self._dialogue.open()
+            try:
+                identity = self._dialect.wake(self._dialogue, self._patience_s)
+            except InstrumentLostError as silent:
+                self._dialogue.close()
+                latest = silent
+            else:
+                self._bauds.sort(key=lambda other: other != baud)
+                return identity
+        if len(self._bauds) == 1:
+            raise latest
+        cause = f"{latest.cause}; at {' and '.join(map(str, self._bauds))} baud alike"
+        raise InstrumentLostError(latest.instrument, latest.operation, cause, latest.remedy) from latest
+
+    def _new_dialogue(self, baud: int) -> Dialogue:
+        settings = LineSettings(baud, self._dialect.command_end, self._answer_s, self._dialect.encoding)
+        return Dialogue(self._name, SerialLine(self._name, self._port, settings), self._clock)
 
     def _check_identity(self, identity: str) -> None:
         stranger = self._stranger(identity)

@@ -153,6 +153,43 @@ def test_given_full_scale_then_mirrorcle_gets_parts_of_it(tmp_path):
         )
 
 
+@pytest.mark.skipif(LOCAL != "pty", reason="a TCP port has no baud")
+@pytest.mark.parametrize("its_baud", [115200, 460800])
+def test_given_either_factory_baud_then_mirrorcle_is_found_and_says_which(its_baud, tmp_path):
+    class Set(MirrorcleDevice):
+        baud = its_baud
+
+    def device(motion):
+        return Set(motion, LIMIT_MRAD)
+
+    with mirror_bench("mirrorcle-mti", LOCAL, tmp_path, device=device) as bench:
+        mirror = bench.mirror(answer_s=0.1, patience_s=0.1)
+        bench.check_move(mirror)
+        assert f"at {its_baud} baud" in mirror.identify()
+        before = len(bench.far.commands)
+        mirror.reconnect()  # at the baud that was found: one greeting is enough
+        assert bench.far.commands[before:].count("$MTI$") <= 2
+        bench.check_move(mirror)
+        mirror.close()
+        # A baud in the rig file is the only one that is tried.
+        other = 576000 - its_baud
+        with pytest.raises(InstrumentLostError):
+            bench.mirror(baud=other, answer_s=0.1, patience_s=0.1)
+
+
+@pytest.mark.skipif(LOCAL != "pty", reason="a TCP port has no baud")
+def test_given_no_answer_at_any_baud_then_all_that_were_tried_are_named(tmp_path):
+    class Slow(MirrorcleDevice):
+        baud = 9600
+
+    with (
+        mirror_bench("mirrorcle-mti", LOCAL, tmp_path, device=lambda motion: Slow(motion, LIMIT_MRAD)) as bench,
+        pytest.raises(InstrumentLostError) as caught,
+    ):
+        bench.mirror(answer_s=0.1, patience_s=0.1)
+    assert "115200 and 460800 baud" in caught.value.cause
+
+
 def test_given_a_controller_that_is_still_enabled_then_its_settings_are_sent_with_the_voltage_off(tmp_path):
     with mirror_bench("mirrorcle-mti", LOCAL, tmp_path) as bench:
         bench.mirror(setup=("MTI+VB 80",)).close()  # closing leaves the mirror enabled
