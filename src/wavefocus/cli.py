@@ -552,8 +552,9 @@ COMMANDS = (
         "demo", "demo:demo", "Run everything on the virtual rig, with a power cut.",
         (
             _out("DIR", "Folder for the demo's files; its own alone.", required=False, default=Path("demo-out")),
-            argument("--plate", choices=("stadium", "soft"), default="stadium",
-                     help="A gel with a rim that reflects waves, or without a rim."),
+            argument("--plate", choices=("stadium", "soft"),
+                     help="A gel with a rim that reflects waves, or without a rim. [default: stadium]"),
+            switch("--quick", help="A coarse grid and, unless --plate is given, no rim: to see that it works."),
             FORCE,
         ),
     ),

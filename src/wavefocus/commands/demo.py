@@ -35,6 +35,8 @@ from wavefocus.storage.errors import InputError, WavefocusError
 # The bank is this good at the default noise, or the demo has failed.
 BANK_LIMIT_DB = -55.0
 PLATE = "stadium"
+# Some hundred positions in place of 1500.
+QUICK_SPACING_MM = 16.0
 
 _MARKER = "made-by-wavefocus-demo"
 
@@ -51,15 +53,20 @@ class _Stopwatch:
         self.parts.append((name, time.monotonic() - started_s))
 
 
-def demo(out: Path, *, plate: str = PLATE, force: bool = False) -> Exit:
-    """Capture, kill half-way, resume, check, render, predict, verify; all files in a folder of its own."""
+def demo(out: Path, *, plate: str | None = None, quick: bool = False, force: bool = False) -> Exit:
+    """Capture, kill half-way, resume, check, render, predict, verify; all files in a folder of its own.
+
+    plate: By default with a rim, and without one where it is to be quick.
+    quick: A coarse grid, to see that everything works.
+    """
+    plate = plate or ("soft" if quick else PLATE)
     if plate == "stadium" and find_spec("skfem") is None:
         raise InputError("--plate stadium: needs scikit-fem, pip install 'wavefocus[plates]'; or choose --plate soft")
     _prepare(out, force=force)
     run, bank, scene = out / "run.toml", out / "plate.h5", out / "scene.toml"
     drive, report = out / "drive.h5", out / "verify" / "report.html"
     watch = _Stopwatch()
-    watch.time("Configuration", lambda: _configure(out, plate))
+    watch.time("Configuration", lambda: _configure(out, plate, quick=quick))
     watch.time("Compute the plate, or read it from the cache", lambda: _rig(run))
     watch.time("Plan", lambda: plan.plan(run, as_json=False))
     watch.time("Capture, until the power is cut half-way", lambda: _capture_and_kill(run, bank))
@@ -83,7 +90,7 @@ def demo(out: Path, *, plate: str = PLATE, force: bool = False) -> Exit:
     )
     watch.time(
         "Predict ten positions of its field",
-        lambda: prediction.predict(drive, bank, out / "field.h5", "700-709", as_json=False),
+        lambda: prediction.predict(drive, bank, out / "field.h5", "0-9" if quick else "700-709", as_json=False),
     )
     watch.time(
         "Play it on the rig, scan it, compare",
@@ -93,11 +100,14 @@ def demo(out: Path, *, plate: str = PLATE, force: bool = False) -> Exit:
     return max(outcome)
 
 
-def _configure(out: Path, plate: str) -> None:
+def _configure(out: Path, plate: str, *, quick: bool) -> None:
     init.init(out, "virtual")
     run = out / "run.toml"
     text = run.read_text(encoding="utf-8")
-    run.write_text(text.replace('plate = "soft"', f'plate = "{plate}"'), encoding="utf-8")
+    text = text.replace('plate = "soft"', f'plate = "{plate}"')
+    if quick:
+        text = text.replace("spacing_mm = 4.0", f"spacing_mm = {QUICK_SPACING_MM:g}")
+    run.write_text(text, encoding="utf-8")
 
 
 def _rig(run: Path) -> VirtualRig:

@@ -1,0 +1,96 @@
+"""A user's own files of everyday names, and other packages, do not stand in the way of wavefocus, nor it in theirs."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import venv
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+NAMES = (
+    "acquisition", "benchmarks", "calibration", "config", "drivers", "gui", "mocks", "rendering", "storage", "trials",
+)  # fmt: skip
+SCRIPT = f"""
+import {", ".join(NAMES)}
+import wavefocus as wf
+from wavefocus.config.rig import default_rig
+assert all(module.LAB == 1 for module in ({", ".join(NAMES)}))
+with wf.open_bank("plate.h5") as bank:
+    drive = wf.render("scene.toml", bank)
+    wf.predict(drive, bank, [0])
+"""
+
+
+def checked(*command: object, cwd: Path) -> str:
+    """Run a command in a folder, without this test's own paths; what it printed."""
+    environment = {key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "COVERAGE"))}
+    done = subprocess.run(
+        list(map(str, command)), cwd=cwd, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def take_names(folder: Path, kind: str) -> None:
+    """Put a module or a package of each name into a folder."""
+    for name in NAMES:
+        module = folder / f"{name}.py" if kind == "files" else folder / name / "__init__.py"
+        module.parent.mkdir(exist_ok=True)
+        module.write_text("LAB = 1\n", encoding="utf-8")
+
+
+@pytest.mark.parametrize("kind", ["files", "folders"])
+def test_given_a_users_modules_of_our_folders_names_then_commands_and_scripts_work_and_each_gets_its_own(bank, kind):
+    take_names(bank.parent, kind)
+    (bank.parent / "script.py").write_text(SCRIPT, encoding="utf-8")
+    checked(sys.executable, "-m", "wavefocus", "status", bank, cwd=bank.parent)
+    checked(sys.executable, "script.py", cwd=bank.parent)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+def test_given_a_wheel_next_to_the_package_config_then_both_are_whole_and_the_demo_runs_among_a_users_files(tmp_path):
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
+    checked(
+        *pip,
+        "wheel",
+        "-q",
+        "--no-deps",
+        "--no-build-isolation",
+        "-w",
+        tmp_path / "wheel",
+        copy_of_source(tmp_path),
+        cwd=tmp_path,
+    )
+    (wheel,) = (tmp_path / "wheel").iterdir()
+    environment = tmp_path / "environment"
+    venv.create(environment, with_pip=False)
+    python = environment / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
+    checked(*pip, "--python", python, "install", "-q", "--no-deps", wheel, "config", cwd=tmp_path)
+    site = Path(checked(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=tmp_path).strip())
+    installed = {path.name for path in site.iterdir() if not path.name.endswith(".dist-info")}
+    assert installed - {"__pycache__"} == {"wavefocus", "config"}
+    # What wavefocus depends on comes from the environment of the tests: only its packages, not its .pth files.
+    (site / "dependencies.pth").write_text("\n".join(one for one in sys.path if "site-packages" in one), "utf-8")
+    assert checked(python, "-c", "import config; print(config.Config.__name__)", cwd=tmp_path)
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    take_names(folder, "files")
+    where = checked(python, "-c", "import wavefocus.config; print(wavefocus.config.__file__)", cwd=folder)
+    assert Path(where.strip()).is_relative_to(site)
+    checked(python, "-m", "wavefocus", "demo", "--quick", "--out", "out", cwd=folder)
+    assert (folder / "out" / "verify" / "report.html").is_file()
+
+
+def copy_of_source(tmp_path: Path) -> Path:
+    """The files that git has, as a fresh checkout would hold them: a build leaves no trace among the sources."""
+    source = tmp_path / "source"
+    for name in checked("git", "ls-files", "-z", cwd=ROOT).split("\0"):
+        if name and (ROOT / name).is_file() and not name.startswith(("docs/", "tests/")):
+            (source / name).parent.mkdir(parents=True, exist_ok=True)
+            (source / name).write_bytes((ROOT / name).read_bytes())
+    return source
