@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -243,6 +244,11 @@ class Instruments:
     clock: Clock
 
 
+def uncounted(name: str) -> str:
+    """A device's name without the number that Windows puts before it when it meets it in another socket."""
+    return re.sub(r"(^|\()\d{1,3}- ", r"\1", name)
+
+
 @dataclass(frozen=True, slots=True)
 class DeviceIdentity:
     """Who a device says it is, without its settings and without the way to it; equal for the same device in any run.
@@ -254,6 +260,10 @@ class DeviceIdentity:
     maker: str
     product: str
     serial: str = ""
+
+    def is_same(self, other: DeviceIdentity) -> bool:
+        """Whether both are one device; Windows counts audio interfaces anew in every socket: ``(2- X)``, ``(3- X)``."""
+        return replace(self, product=uncounted(self.product)) == replace(other, product=uncounted(other.product))
 
     def __str__(self) -> str:
         name = f"{self.maker} {self.product}".strip()

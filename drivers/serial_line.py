@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import re
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 from urllib.parse import urlsplit
@@ -14,6 +15,10 @@ from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, Missi
 
 NETWORK = "socket://"
 BY_SERIAL_NUMBER = "serial-number:"
+# Windows shows an FTDI adapter's serial number with the letter of its port behind it.
+LETTERS = ("A", "B", "C", "D")
+# The interface behind a serial number: ":1", ":B", ":Enhanced", or "-if01-port0" as in Linux' /dev/serial/by-id.
+SUFFIX = re.compile(r"(.+?)(?:-if(?=\d)|:)(\d{1,2}|[^:]+?)(?:-port\d+)?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,11 +28,13 @@ class SerialPort:
     device: What it is opened by: ``"/dev/ttyUSB0"``, ``"COM3"``.
     serial_number: Of its USB interface; empty where it has none.
     description: What the operating system calls it.
+    interface: Number of its interface in an adapter with several ports, from 0; None where that is not known.
     """
 
     device: str
     serial_number: str = ""
     description: str = ""
+    interface: int | None = None
 
 
 def serial_ports(instrument: str = "serial ports") -> tuple[SerialPort, ...]:
@@ -37,7 +44,14 @@ def serial_ports(instrument: str = "serial ports") -> tuple[SerialPort, ...]:
     except ImportError as missing:
         raise pyserial_missing(instrument, "looking for serial ports") from missing
     return tuple(
-        SerialPort(str(port.device), str(port.serial_number or ""), str(port.description or "")) for port in comports()
+        SerialPort(
+            str(port.device),
+            str(port.serial_number or ""),
+            str(port.description or ""),
+            # "1-1.4:1.0" on Linux, "1-4:x.0" on Windows: configuration and interface behind the colon.
+            None if (found := re.search(r":\w+\.(\d+)$", str(port.location or ""))) is None else int(found.group(1)),
+        )
+        for port in comports()
     )
 
 
@@ -46,7 +60,8 @@ def find_port(port: str, instrument: str, present: Iterable[SerialPort] | None =
 
     Raises InstrumentLostError or InstrumentError.
 
-    port: A device path (``"/dev/ttyUSB0"``, ``"COM3"``), ``"socket://host:port"``, or ``"serial-number:ABC123"``.
+    port: A device path (``"/dev/ttyUSB0"``, ``"COM3"``), ``"socket://host:port"``, or ``"serial-number:ABC123"``, of
+        an adapter with several ports ``"serial-number:ABC123:1"``, ``"...:B"`` or a word of the port's description.
     instrument: Who asks, for the message.
     present: The ports to choose from; by default those of this computer, now.
 
@@ -60,18 +75,77 @@ def find_port(port: str, instrument: str, present: Iterable[SerialPort] | None =
         return port
     wanted = port.removeprefix(BY_SERIAL_NUMBER).strip()
     listed = tuple(serial_ports(instrument) if present is None else present)
-    found = [one.device for one in listed if wanted and one.serial_number == wanted]
+    found = _with_serial_number(listed, wanted)
     if len(found) == 1:
-        return found[0]
+        return found[0].device
     doing = f"looking for the port with serial number {wanted!r}"
     if found:
-        raise InstrumentLostError(
-            instrument, doing, f"{' and '.join(found)} both have it", "name one of them in the rig file, port"
-        )
+        names = " and ".join(one.device for one in found)
+        forms = (f"{BY_SERIAL_NUMBER}{_own_name(found, one, wanted)} is {one.device}" for one in found)
+        remedy = f"name one of them in the rig file, port: {', '.join(forms)}"
+        raise InstrumentLostError(instrument, doing, f"{names} have it", remedy)
     numbers = ", ".join(f"{one.serial_number} ({one.device})" for one in listed if one.serial_number)
+    nameless = ", ".join(one.device for one in listed if not one.serial_number)
     cause = f"no port has it; those present: {numbers or 'none with a serial number'}"
     remedy = "plug it in, or correct the rig file, port"
+    if nameless:
+        remedy += f"; ports without a serial number go by their path: {nameless}"
     raise InstrumentLostError(instrument, doing, cause, remedy)
+
+
+def _with_serial_number(listed: Sequence[SerialPort], wanted: str) -> list[SerialPort]:
+    """Ports that have a serial number, or, of an adapter with several ports, the one of an interface."""
+    found = _of_number(listed, wanted)
+    if found:
+        return found
+    parts = SUFFIX.fullmatch(wanted)
+    number, interface = (wanted, "") if parts is None else (parts.group(1), parts.group(2))
+    several = _of_number(listed, number)
+    if interface.isdecimal() or interface.upper() in LETTERS:
+        index = int(interface) if interface.isdecimal() else LETTERS.index(interface.upper())
+        chosen = [one for one in several if _interface_of(several, one) == index]
+    else:
+        chosen = [one for one in several if interface and interface.casefold() in one.description.casefold()]
+    if chosen or len(wanted) < 2 or wanted[-1].upper() not in LETTERS:
+        return chosen
+    # FTDI's letter, as Windows shows it, where a system has the adapter's number and its interfaces.
+    several = _of_number(listed, wanted[:-1])
+    return [one for one in several if _interface_of(several, one) == LETTERS.index(wanted[-1].upper())]
+
+
+def _of_number(listed: Sequence[SerialPort], wanted: str) -> list[SerialPort]:
+    """Ports that have just this number, else in another case, else with FTDI's letter behind it."""
+    if not wanted:
+        return []
+    matching: tuple[Callable[[str], bool], ...] = (
+        lambda number: number == wanted,
+        lambda number: number.casefold() == wanted.casefold(),
+        lambda number: number[-1:].upper() in LETTERS and number[:-1].casefold() == wanted.casefold(),
+    )
+    for matches in matching:
+        if found := [one for one in listed if one.serial_number and matches(one.serial_number)]:
+            # macOS has every port under two names; "cu" opens without waiting for a modem's carrier.
+            devices = {one.device for one in found}
+            return [one for one in found if one.device.replace("/dev/tty.", "/dev/cu.") not in devices - {one.device}]
+    return []
+
+
+def _interface_of(several: Sequence[SerialPort], port: SerialPort) -> int:
+    """Number of a port among those of one adapter, from 0."""
+    if all(one.interface is not None for one in several) and port.interface is not None:
+        return port.interface
+    letter = port.serial_number[-1:].upper()
+    if letter in LETTERS and len({one.serial_number for one in several}) == len(several) > 1:
+        return LETTERS.index(letter)
+    # "COM10" comes after "COM9".
+    return sorted(several, key=lambda one: (len(one.device), one.device)).index(port)
+
+
+def _own_name(several: Sequence[SerialPort], port: SerialPort, wanted: str) -> str:
+    """What names only this port of an adapter."""
+    if [one.serial_number for one in several].count(port.serial_number) == 1:
+        return port.serial_number
+    return f"{wanted}:{_interface_of(several, port)}"
 
 
 def pyserial_missing(instrument: str, doing: str) -> InstrumentError:

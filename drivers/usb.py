@@ -14,6 +14,7 @@ from typing import Any
 
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, MissingPackageError
 from wavefocus.drivers.protocols import Clock, WallClock
+from wavefocus.drivers.serial_line import LETTERS
 
 RULES_FILE = "/etc/udev/rules.d/70-wavefocus.rules"
 
@@ -58,6 +59,7 @@ def permit(vendor_id: int, product_id: int, platform: str = sys.platform) -> str
 
 
 NI_VENDOR = 0x3923
+FTDI_VENDOR = 0x0403
 SERIAL_ADAPTERS = {
     (0x0403, 0x6001),  # FTDI FT232
     (0x10C4, 0xEA60),  # Silicon Labs CP2102, CP2104: in ASI's Tiger, among others
@@ -313,7 +315,7 @@ def _judge(expected: ExpectedUsbDevice, candidates: list[UsbDevice], platform: s
         remedy = "check its cable, its power and the hub, and the vendor_id and product_id in its [[usb]] table"
         return finding(Verdict.MISSING, (), "it is not plugged in", remedy)
     wanted = expected.serial_number
-    same = [device for device in candidates if wanted is None or _equal(device.serial_number, wanted)]
+    same = [device for device in candidates if wanted is None or _has_number(device, wanted)]
     if len(same) == 1:
         return finding(Verdict.FOUND, same, *_as_found(same[0], platform))
     if same:
@@ -351,9 +353,11 @@ def _as_found(device: UsbDevice, platform: str) -> tuple[str, str]:
     return f"{device}; its names cannot be read: {device.problem}", advice
 
 
-def _equal(found: str | None, expected: str | None) -> bool:
-    """Serial numbers are compared as people copy them from labels: without regard to case and spaces around."""
-    return found is not None and expected is not None and found.strip().casefold() == expected.strip().casefold()
+def _has_number(device: UsbDevice, wanted: str) -> bool:
+    """Whether a device has a serial number as people copy it: from a label, or from Windows with FTDI's letter."""
+    found, wanted = (device.serial_number or "").casefold(), wanted.strip().casefold()
+    ftdi = device.vendor_id == FTDI_VENDOR and wanted[-1:].upper() in LETTERS
+    return found != "" and (found == wanted or (ftdi and found == wanted[:-1]))
 
 
 RESETTING = "resetting it over USB"

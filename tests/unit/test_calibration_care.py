@@ -73,3 +73,16 @@ def test_given_other_settings_then_the_virtual_devices_stay_the_same() -> None:
     first, second = (identities_of(each) for each in instruments)
     assert first == second == identities_of(bounded(instruments[0], 10.0))
     assert len(set(first.values())) == 3
+
+
+def test_given_an_interface_that_windows_counts_anew_then_the_calibration_still_holds() -> None:
+    player = DeviceIdentity("", "Speakers (2- Scarlett 18i20 USB)")
+    rig = calibrated()
+    record = rig.calibration.measured
+    outputs = record.outputs.model_copy(update={"identity": player})
+    section = rig.calibration.model_copy(update={"measured": record.model_copy(update={"outputs": outputs})})
+    rig = rig.model_copy(update={"calibration": section})
+    moved = DeviceIdentity("", "Speakers (3- Scarlett 18i20 USB)")
+    other = DeviceIdentity("", "Speakers (3- Scarlett 18i8 USB)")
+    assert "outputs" not in calibrated_elsewhere(rig, {"player": moved})
+    assert "outputs" in calibrated_elsewhere(rig, {"player": other})

@@ -7,12 +7,19 @@ import venv
 from contextlib import ExitStack
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from tests.wire.audio_bench import CHANNELS, RATE_HZ, AlsaFile, AudioBench, as_played, noise, run_python, sounding
-from wavefocus.drivers.audio.stream.portaudio import DeviceChoiceError, OutputDevice, choose
+from wavefocus.drivers.audio.stream.portaudio import (
+    DeviceChoiceError,
+    OutputDevice,
+    StreamRequest,
+    WatchedStream,
+    choose,
+)
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.protocols import DeviceIdentity
 
@@ -22,6 +29,7 @@ DEVICES = (
     OutputDevice(7, "ASIO", "Fireface UCX", 28, 48_000.0),
     OutputDevice(8, "ASIO", "ASIO4ALL v2", 2, 48_000.0),
     OutputDevice(9, "Windows WASAPI", "Speakers (Fireface UCX)", 8, 48_000.0),
+    OutputDevice(10, "Windows WASAPI", "Line (3- UMC1820)", 10, 48_000.0),
 )
 OPENING = """
 from wavefocus.drivers.audio.stream.player import StreamPlayer
@@ -49,6 +57,9 @@ def linux_only(test):
         (None, "Fireface UCX", 7),  # the one of exactly that name
         (None, "Speakers", 9),
         ("MME", "UCX", 3),
+        (None, "Line (3- UMC1820)", 10),
+        (None, "Line (2- UMC1820)", 10),  # in another socket than when the rig file was written
+        (None, "line (umc1820)", 10),
     ],
 )
 def test_given_a_host_api_and_a_name_or_a_part_of_it_then_that_device_is_meant(host_api, name, index):
@@ -67,6 +78,61 @@ def test_given_a_choice_that_is_not_one_device_then_it_names_those_there_are(hos
     with pytest.raises(DeviceChoiceError, match=cause) as caught:
         choose(DEVICES, APIS, host_api, name)
     assert caught.value.absent == absent
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "same"),
+    [
+        ("Speakers (2- Scarlett 18i20 USB)", "Speakers (3- Scarlett 18i20 USB)", True),
+        ("Speakers (Scarlett 18i20 USB)", "Speakers (12- Scarlett 18i20 USB)", True),
+        ("Speakers (2- Scarlett 18i20 USB)", "Speakers (2- Scarlett 18i8 USB)", False),
+        ("Analog 1-2 (UMC)", "Analog 3-4 (UMC)", False),
+    ],
+)
+def test_given_the_number_that_windows_counts_by_then_it_is_the_same_device(one, other, same):
+    identities = [OutputDevice(1, "Windows WASAPI", name, 8, 48_000.0).identity for name in (one, other)]
+    assert (identities[0] == identities[1]) == same
+    # As an earlier version wrote it into a calibration.
+    assert DeviceIdentity("", one).is_same(identities[1]) == same
+
+
+class AllOrNothing:
+    """The calls of the package sounddevice, as an interface answers that opens only with all its 24 channels."""
+
+    class PortAudioError(Exception):
+        pass
+
+    class OutputStream:
+        latency = 0.01
+        active = True
+
+        def __init__(self, *, channels, callback, **settings):
+            self.opened, self.callback = channels, callback
+
+        def start(self):
+            self.buffer = np.full((16, self.opened), np.nan, dtype=np.float32)
+            self.callback(self.buffer, 16, None, SimpleNamespace(output_underflow=False))
+
+    def query_hostapis(self):
+        return [{"name": "ASIO"}]
+
+    def query_devices(self):
+        return [{"index": 0, "hostapi": 0, "name": "AVB 24", "max_output_channels": 24, "default_samplerate": 48e3}]
+
+    def check_output_settings(self, *, channels, **settings):
+        if channels != 24:
+            raise self.PortAudioError("Invalid number of channels", -9998)
+
+
+def test_given_an_interface_that_opens_only_with_all_channels_then_it_is_opened_with_all_and_the_rest_is_silent():
+    stream = WatchedStream(AllOrNothing(), StreamRequest("ASIO", "AVB 24", 7, 48_000, 0))
+    assert stream._stream.opened == 24
+    assert (stream._stream.buffer == 0).all()
+
+
+def test_given_more_channels_than_there_are_then_it_is_refused():
+    with pytest.raises(DeviceChoiceError, match="needs 25 channels"):
+        WatchedStream(AllOrNothing(), StreamRequest("ASIO", "AVB 24", 25, 48_000, 0))
 
 
 @linux_only

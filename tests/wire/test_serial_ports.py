@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -38,13 +39,62 @@ def test_given_a_serial_number_then_its_port_is_found():
     assert find_port("serial-number:A1", "mirror", PRESENT) == "/dev/ttyUSB0"
 
 
+FTDI_PAIR = (SerialPort("COM10", "FT3BNM1OB"), SerialPort("COM9", "FT3BNM1OA"))
+CP2105 = (
+    SerialPort("/dev/ttyUSB0", "00AB12", "CP2105 - Enhanced Com Port", 0),
+    SerialPort("/dev/ttyUSB1", "00AB12", "CP2105 - Standard Com Port", 1),
+)
+UNNUMBERED = (SerialPort("/dev/ttyUSB9", "00AB12"), SerialPort("/dev/ttyUSB10", "00AB12"))
+
+
+@pytest.mark.parametrize(
+    ("number", "present", "device"),
+    [
+        ("01a2b3c4", (SerialPort("COM9", "01A2B3C4"),), "COM9"),
+        # Windows shows FTDI's number with a letter; a label, Linux and FT_Prog without.
+        ("FT3BNM1O", (SerialPort("COM9", "FT3BNM1OA"), SerialPort("COM4", "0002")), "COM9"),
+        ("ft3bnm1o", (SerialPort("COM9", "FT3BNM1OA"),), "COM9"),
+        ("FT3BNM1OA", FTDI_PAIR, "COM9"),
+        ("FT3BNM1O:1", FTDI_PAIR, "COM10"),
+        ("FT3BNM1OB", (SerialPort("/dev/ttyUSB4", "FT3BNM1O", "", 0), SerialPort("/dev/ttyUSB5", "FT3BNM1O", "", 1)),
+         "/dev/ttyUSB5"),
+        # A number of its own comes before one with a letter behind.
+        ("FT3BNM1O", (SerialPort("COM1", "FT3BNM1OA"), SerialPort("COM2", "FT3BNM1O")), "COM2"),
+        ("00AB12:0", CP2105, "/dev/ttyUSB0"),
+        ("00ab12:1", CP2105, "/dev/ttyUSB1"),
+        ("00AB12:B", CP2105, "/dev/ttyUSB1"),
+        ("00AB12:standard", CP2105, "/dev/ttyUSB1"),
+        ("00AB12-if01-port0", CP2105, "/dev/ttyUSB1"),
+        ("00AB12:1", UNNUMBERED, "/dev/ttyUSB10"),
+        ("AA:BB:01", (SerialPort("COM3", "AA:BB:01"), SerialPort("COM4", "AA:BB")), "COM3"),
+        ("XYZ", (SerialPort("/dev/tty.usbserial-XYZ", "XYZ"), SerialPort("/dev/cu.usbserial-XYZ", "XYZ")),
+         "/dev/cu.usbserial-XYZ"),
+    ],
+)  # fmt: skip
+def test_given_a_serial_number_as_another_system_writes_it_then_its_port_is_found(number, present, device):
+    assert find_port(f"serial-number:{number}", "mirror", present) == device
+
+
+@pytest.mark.parametrize(("number", "present"), [("FT3BNM1O", FTDI_PAIR), ("00AB12", CP2105), ("00AB12", UNNUMBERED)])
+def test_given_an_adapter_with_several_ports_then_the_remedy_names_what_finds_each(number, present):
+    with pytest.raises(InstrumentLostError) as caught:
+        find_port(f"serial-number:{number}", "mirror", present)
+    forms = re.findall(r"serial-number:(\S+) is ([^,;]+)", caught.value.remedy)
+    assert {find_port(f"serial-number:{form}", "mirror", present) for form, _ in forms} == {
+        device for _, device in forms
+    }
+    assert len(forms) == len(present)
+
+
 @pytest.mark.parametrize(
     ("number", "present", "sentence"),
     [
         ("C3", PRESENT, r"'C3': no port has it; those present: A1 \(/dev/ttyUSB0\), B2"),
         ("C3", (), "none with a serial number"),
         ("", PRESENT, "no port has it"),
-        ("B2", PRESENT, "/dev/ttyUSB1 and /dev/ttyUSB2 both have it"),
+        ("00AB12:7", CP2105, "no port has it"),
+        ("FT3BNM1OD", (SerialPort("/dev/ttyUSB4", "FT3BNM1O", "", 0),), "no port has it"),
+        ("B2", PRESENT, "/dev/ttyUSB1 and /dev/ttyUSB2 have it"),
     ],
 )
 def test_given_a_serial_number_that_no_port_has_alone_then_those_present_are_named(number, present, sentence):
@@ -152,5 +202,5 @@ def test_given_no_pyserial_then_the_drivers_import_and_opening_says_what_to_inst
         text=True,
         check=False,
     )
-    assert "InstrumentError: mirror (generic at /dev/ttyUSB0): opening /dev/ttyUSB0" in run.stderr
+    assert "MissingPackageError: mirror (generic at /dev/ttyUSB0): opening /dev/ttyUSB0" in run.stderr
     assert "the package pyserial is not installed; pip install pyserial" in run.stderr

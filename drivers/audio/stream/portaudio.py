@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from wavefocus.drivers.audio.stream.playback import Playback
-from wavefocus.drivers.protocols import DeviceIdentity
+from wavefocus.drivers.protocols import DeviceIdentity, uncounted
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,9 +33,10 @@ class OutputDevice:
     def identity(self) -> DeviceIdentity:
         """Its name; PortAudio reports neither maker nor serial number.
 
-        With ALSA the name ends in the card's number, " (hw:2,0)", which depends on what was plugged in first.
+        With ALSA the name ends in the card's number, " (hw:2,0)", which depends on what was plugged in first. On
+        Windows it may contain a number, "(2- X)", that depends on the socket.
         """
-        name = self.name.partition(" (hw:")[0] if self.host_api == "ALSA" else self.name
+        name = self.name.partition(" (hw:")[0] if self.host_api == "ALSA" else uncounted(self.name)
         return DeviceIdentity("", name)
 
     def __str__(self) -> str:
@@ -73,7 +74,12 @@ def choose(devices: Sequence[OutputDevice], host_apis: Sequence[str], host_api: 
         )
     within = [one for one in devices if host_api is None or one.host_api.casefold() == host_api.casefold()]
     exact = [one for one in within if one.name.casefold() == name.casefold()]
-    found = exact or [one for one in within if name.casefold() in one.name.casefold()]
+    plain = uncounted(name).casefold()
+    found = (
+        exact
+        or [one for one in within if name.casefold() in one.name.casefold()]
+        or [one for one in within if plain in uncounted(one.name).casefold()]
+    )
     if len(found) == 1:
         return found[0]
     if found:
@@ -173,9 +179,9 @@ class WatchedStream:
                 "correct player.channels and player.loopback_channel, or choose another device or host API"
                 " (on Windows, ASIO)",
             )
+        self._used = request.channels
         settings = {
             "device": self.device.index,
-            "channels": request.channels,
             "dtype": "float32",
             "samplerate": request.rate_hz,
         }
@@ -186,18 +192,27 @@ class WatchedStream:
             )
         self._hold = _Hold(request.rate_hz)
         self._period_s = 0.0
-        try:
-            sounddevice.check_output_settings(**settings)
-            self._stream = sounddevice.OutputStream(
-                **settings, blocksize=request.block_frames, latency="high", dither_off=True, callback=self._callback
-            )
-            told_s = float(self._stream.latency)
-            self.latency_s = told_s if 0 <= told_s <= MOST_LATENCY_S else 0.0
-            self.playback = Playback(request.rate_hz, self.latency_s)
-            self._hold.allow_s = AHEAD_S + 2 * self.latency_s
-            self._stream.start()
-        except sounddevice.PortAudioError as error:
-            raise _refused(self.device, request, error) from error
+        # Some interfaces open only with all their channels.
+        for channels in sorted({request.channels, self.device.channels}):
+            try:
+                self._start(settings | {"channels": channels}, request.block_frames)
+            except sounddevice.PortAudioError as error:
+                if channels == self.device.channels or _code(error) != INVALID_CHANNEL_COUNT:
+                    raise _refused(self.device, request, error) from error
+            else:
+                break
+
+    def _start(self, settings: dict[str, Any], block_frames: int) -> None:
+        """Open the stream and let it run. Raises sounddevice.PortAudioError."""
+        self._sounddevice.check_output_settings(**settings)
+        self._stream = self._sounddevice.OutputStream(
+            **settings, blocksize=block_frames, latency="high", dither_off=True, callback=self._callback
+        )
+        told_s = float(self._stream.latency)
+        self.latency_s = told_s if 0 <= told_s <= MOST_LATENCY_S else 0.0
+        self.playback = Playback(self.rate_hz, self.latency_s)
+        self._hold.allow_s = AHEAD_S + 2 * self.latency_s
+        self._stream.start()
 
     def watch(self, stopping: Callable[[], bool]) -> str:
         """Look at the stream until it is lost.
@@ -236,7 +251,8 @@ class WatchedStream:
     def _callback(self, out: Any, frames: int, _time: Any, status: Any) -> None:
         now_s = time.monotonic()
         self._period_s = frames / self._hold.rate_hz
-        self.playback.fill(out, now_s, flagged=bool(status.output_underflow))
+        out[:, self._used :] = 0
+        self.playback.fill(out[:, : self._used], now_s, flagged=bool(status.output_underflow))
         self._hold.frames(frames, now_s)
 
 
@@ -255,9 +271,14 @@ class _Hold:
             time.sleep(self._due_s - now_s - self.allow_s)
 
 
+def _code(error: Exception) -> Any:
+    """PortAudio's number of an error."""
+    return error.args[1] if len(error.args) > 1 else None
+
+
 def _refused(device: OutputDevice, request: StreamRequest, error: Exception) -> DeviceChoiceError:
     """PortAudio's refusal as a sentence."""
-    code = error.args[1] if len(error.args) > 1 else None
+    code = _code(error)
     if code == INVALID_SAMPLE_RATE:
         return DeviceChoiceError(
             f"{device} does not run at {request.rate_hz} Hz",

@@ -74,7 +74,9 @@ def calibrated_elsewhere(rig: RigConfig, identities: Mapping[str, DeviceIdentity
     found = {}
     for name in PARTS:
         part, there = getattr(record, name), identities.get(ROLE_OF[name])
-        if part is not None and part.identity is not None and there is not None and part.identity != there:
+        if part is None or part.identity is None or there is None:
+            continue
+        if not part.identity.is_same(there):
             device = f"({part.identity}); this is {there}"
             found[name] = f"{rig.calibration.file}: {name} measured on another device {device}"
     return found
