@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.storage import hdf5_digest, hdf5_reading
+from wavefocus.storage.argument_types import check_fields, checked, real_array, whole_array
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.hdf5_writing import attach, created, filled, reserved, sample_times, scale, set_long_names
 from wavefocus.storage.output_files import replacement, require_outputs
@@ -66,7 +67,8 @@ class Drive:
     known_finite: InitVar[bool] = False
 
     def __post_init__(self, known_finite: bool) -> None:
-        object.__setattr__(self, "drive_v", np.ascontiguousarray(self.drive_v, np.float64))
+        check_fields(self, known_finite=known_finite)
+        object.__setattr__(self, "drive_v", np.ascontiguousarray(real_array("drive_v", self.drive_v)))
         if self.drive_v.ndim != 2 or not self.drive_v.size:
             raise InputError(f"/drive has shape {self.drive_v.shape}; (actuator, sample), each 1 or more, is needed")
         if not known_finite and not _finite(self.drive_v):
@@ -81,7 +83,7 @@ class Drive:
         if not self.omitted_bound >= 0:
             raise InputError(f"omitted_bound is {self.omitted_bound}; 0 or more is needed")
         for name in ("focus_sample", "focus_position", "focus_source"):
-            object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), np.int64))
+            object.__setattr__(self, name, np.ascontiguousarray(whole_array(name, getattr(self, name))))
         shapes = {self.focus_sample.shape, self.focus_position.shape, self.focus_source.shape}
         if len(shapes) != 1 or self.focus_sample.ndim != 1:
             raise InputError(f"/focus datasets have shapes {sorted(shapes)}; one common length is needed")
@@ -111,6 +113,7 @@ class DriveAbout:
     drive_unit: str = "V"
 
 
+@checked
 def write_drive(path: str | Path, drive: Drive, *, force: bool = False) -> None:
     """Write a drive file; it appears under its name only when it is whole.
 
@@ -181,6 +184,7 @@ def drive_in_blocks(
         hdf5_digest.seal(file)
 
 
+@checked
 def read_drive(path: str | Path) -> Drive:
     """Read a drive file; what only describes it (method, scale, omitted_bound, foci) may be missing.
 

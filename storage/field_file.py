@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from wavefocus.storage import hdf5_digest, hdf5_reading
+from wavefocus.storage.argument_types import check_fields, checked, float_type, reals, whole_array
 from wavefocus.storage.durable import Closing
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.hdf5_writing import attach, created, filled, reserved, sample_times, scale, set_long_names
@@ -76,7 +77,8 @@ class Field:
     known_finite: InitVar[bool] = False
 
     def __post_init__(self, known_finite: bool) -> None:
-        values: NDArray[Any] = np.asarray(self.field)
+        check_fields(self, known_finite=known_finite)
+        values: NDArray[Any] = reals("field", self.field)
         if values.dtype not in (np.float32, np.float64):
             values = values.astype(np.float64)
         if values.ndim != 2 or not values.size:
@@ -166,7 +168,7 @@ def field_in_rows(
     if not len(index) or samples < 1:
         raise InputError(f"a field of {len(index)} positions and {samples} samples; 1 or more is needed")
     _require_times(sample_rate_hz, start_s)
-    kind = np.dtype(dtype).newbyteorder("<")
+    kind = float_type(dtype).newbyteorder("<")
     require_outputs((path,), (), force=force)
     data_bytes = len(index) * samples * kind.itemsize + 8 * (2 * len(index) + samples)
     with replacement(path) as temporary, created(temporary, data_bytes) as file:
@@ -188,6 +190,7 @@ def field_in_rows(
         writer._finish()
 
 
+@checked
 def write_field(path: str | Path, field: Field, *, dtype: DTypeLike = np.float32, force: bool = False) -> None:
     """Write a field file; it appears under its name only when it is whole.
 
@@ -304,6 +307,7 @@ class FieldRowReader(Closing):
         )  # fmt: skip
 
 
+@checked
 def read_field(path: str | Path) -> Field:
     """Read a field file, predicted or scanned.
 
@@ -344,7 +348,7 @@ def _read_low_pass(file: h5py.File, path: Path) -> LowPass | None:
 
 
 def _indices(position_index: Sequence[int] | Int64Array, count: int) -> Int64Array:
-    indices = np.ascontiguousarray(position_index, np.int64)
+    indices = np.ascontiguousarray(whole_array("position_index", position_index))
     if indices.shape != (count,):
         raise InputError(f"/position_index has shape {indices.shape}; one position for each of {count} rows is needed")
     if (indices < 0).any():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -19,6 +19,7 @@ from wavefocus.calibration.estimator.multichannel_fir_fit import MOST_JOINT_BYTE
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.estimator.staggered import StaggeredEstimator
 from wavefocus.calibration.estimator.whole_record import WholeRecordEstimator
+from wavefocus.storage.argument_types import Positions, bank_rows, checked
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.raw.header import RawHeader
 from wavefocus.storage.raw.writer import DamagedError, RawFile, Recordings
@@ -43,6 +44,7 @@ class PositionResult:
     fault: str
 
 
+@checked
 def estimator_of(raw: RawFile, report: Callable[[str], None] = lambda line: None) -> PositionEstimator:
     """Find out what was played, and make the estimator for it; the same file gives the same estimator.
 
@@ -85,8 +87,9 @@ def estimator_of(raw: RawFile, report: Callable[[str], None] = lambda line: None
     raise failure or InputError(f"{raw.path} holds no recordings; there is nothing to estimate")
 
 
+@checked
 def estimate_positions(
-    raw: RawFile, estimator: PositionEstimator, positions: Iterable[int], workers: int
+    raw: RawFile, estimator: PositionEstimator, positions: Positions, workers: int
 ) -> Iterator[PositionResult]:
     """Estimate positions in several threads, in their order; one position more than workers is in memory.
 
@@ -101,7 +104,7 @@ def estimate_positions(
     estimator
         What `estimator` made of them, or any other.
     positions
-        Rows of the file; those where nothing was recorded are left out.
+        Rows of the file, or a mask of them; those where nothing was recorded are left out.
     workers
         Threads, >= 1.
 
@@ -127,7 +130,7 @@ def estimate_positions(
     pending: deque[Future[PositionResult]] = deque()
     with ThreadPoolExecutor(max_workers=workers, thread_name_prefix="estimate") as pool:
         try:
-            for position in positions:
+            for position in bank_rows(positions, raw.header.positions).tolist():
                 try:
                     recordings = raw.read(position)
                 except DamagedError as damaged:

@@ -16,6 +16,7 @@ from wavefocus.rendering.field.bank_spectra import BankSpectra, Decimation
 from wavefocus.rendering.field.convolution import Convolution
 from wavefocus.rendering.field.focus_figures import FocusInstant, emission_windows, evenly
 from wavefocus.rendering.greens.source import GreenSource, RowReader, drive_unit, refusal, usable
+from wavefocus.storage.argument_types import Positions, bank_rows, float_type
 from wavefocus.storage.drive_file import Drive
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import Field, LowPass
@@ -73,9 +74,7 @@ class Prediction:
         device: Device | None = None,
     ) -> None:
         self.position_index = np.asarray(positions, dtype=np.int64)
-        if np.dtype(dtype) not in (np.float32, np.float64):
-            raise InputError(f"dtype is {np.dtype(dtype)}; allowed are float32 and float64")
-        self._drive, self._dtype = drive, np.dtype(dtype)
+        self._drive, self._dtype = drive, float_type(dtype)
         self._device = host_device() if device is None else device
         rate = float(drive.sample_rate_hz)
         if isinstance(bank, BankSpectra):
@@ -153,7 +152,7 @@ class Prediction:
 def predict(
     drive: Drive,
     bank: GreenSource,
-    positions: Sequence[int] | None = None,
+    positions: Positions | None = None,
     *,
     dtype: DTypeLike = np.float64,
     rate_hz: float | None = None,
@@ -184,7 +183,7 @@ def field_unit(bank: GreenSource) -> str:
     return response_unit(bank.response_unit, drive_unit(bank))
 
 
-def chosen_positions(drive: Drive, bank: GreenSource, positions: Sequence[int] | None) -> Int64Array:
+def chosen_positions(drive: Drive, bank: GreenSource, positions: Positions | None) -> Int64Array:
     """Bank rows to predict.
 
     Raises InputError: drive and bank do not fit, a position does not exist or was not measured, or none is left.
@@ -202,12 +201,9 @@ def chosen_positions(drive: Drive, bank: GreenSource, positions: Sequence[int] |
         if not len(index):
             raise InputError("the bank has no measured position; nothing can be predicted")
         return index
-    index = np.asarray(positions, dtype=np.int64).reshape(-1)
+    index = bank_rows(positions, bank.positions)
     if not len(index):
         raise InputError("positions is empty; at least one bank row is needed")
-    missing = index[(index < 0) | (index >= bank.positions)]
-    if len(missing):
-        raise InputError(f"positions holds {missing[0]}; allowed are 0 to {bank.positions - 1}")
     status = np.asarray(bank.status)
     refused = [int(row) for row in index if refusal(int(status[row]))]
     if refused:

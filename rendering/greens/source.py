@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wavefocus.rendering.arrays import BoolArray, Float32Array, Float64Array
+from wavefocus.storage.argument_types import bank_row, check_fields, real_array, reals, whole_array
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.point_status import DOUBTFUL, USABLE, Status
 from wavefocus.storage.point_status import usable as usable_rows
@@ -147,6 +148,14 @@ class GreenSource(Protocol):
         """Green's functions of one row, (actuators, taps)."""
 
 
+def require_source(bank: object) -> None:
+    """Raise InputError where an object is not a bank."""
+    if missing := [name for name in vars(GreenSource) if not name.startswith("_") and not hasattr(bank, name)]:
+        raise InputError(
+            f"bank is of type {type(bank).__name__}; a bank, or its path, is needed: it has no {missing[0]}"
+        )
+
+
 @dataclass(frozen=True, slots=True)
 class GreenArray:
     """A bank held in memory.
@@ -161,20 +170,32 @@ class GreenArray:
     values: NDArray[Any]
     position_mm: Float64Array
     sample_rate_hz: float
-    status: NDArray[np.uint8] = field(default=None)  # type: ignore[arg-type]
+    status: NDArray[np.uint8] = field(default=None)  # type: ignore[arg-type]  # made below
     actuator_mm: Float64Array = field(default=None)  # type: ignore[arg-type]
     band_hz: tuple[float, float] | None = None
     response_unit: str = "m/s/V"
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "values", reals("green", self.values))
         if self.values.ndim != 3 or 0 in self.values.shape:
             raise InputError(f"green has shape {self.values.shape}; allowed is (positions, actuators, taps), none 0")
         positions, actuators, _ = self.values.shape
         object.__setattr__(self, "position_mm", _table(self.position_mm, positions, "position_mm"))
         if self.status is None:
             object.__setattr__(self, "status", np.ones(positions, np.uint8))
+        status = whole_array("status", self.status)
+        if status.shape != (positions,) or ((status < 0) | (status > 255)).any():
+            raise InputError(f"status has shape {status.shape}; status bits of {positions} positions are needed")
+        object.__setattr__(self, "status", status.astype(np.uint8))
         if self.actuator_mm is None:
             object.__setattr__(self, "actuator_mm", np.full((actuators, 2), np.nan))
+        object.__setattr__(self, "actuator_mm", _table(self.actuator_mm, actuators, "actuator_mm"))
+        check_fields(self)
+        if self.band_hz is not None:
+            low_hz, high_hz = self.band_hz
+            if not 0 <= low_hz < high_hz < np.inf:
+                raise InputError(f"band_hz is {self.band_hz}; two frequencies are needed, the lower one first")
+            object.__setattr__(self, "band_hz", (float(low_hz), float(high_hz)))
         if not (np.isfinite(self.sample_rate_hz) and self.sample_rate_hz > 0):
             raise InputError(f"sample_rate_hz is {self.sample_rate_hz}; it must be a finite number above 0")
 
@@ -191,7 +212,7 @@ class GreenArray:
         return int(self.values.shape[2])
 
     def green(self, position: int) -> NDArray[Any]:
-        return np.asarray(self.values[position])
+        return np.asarray(self.values[bank_row(position, self.positions)])
 
 
 def read_row(bank: GreenSource, position: int) -> ScaledRow:
@@ -272,7 +293,7 @@ def refusal(status: int) -> str | None:
 
 
 def _table(values: ArrayLike, rows: int, name: str) -> Float64Array:
-    table = np.asarray(values, dtype=np.float64)
+    table = real_array(name, values)
     if table.shape != (rows, 2):
         raise InputError(f"{name} has shape {table.shape}; expected {(rows, 2)}")
     return table

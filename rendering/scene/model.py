@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -14,6 +14,7 @@ from wavefocus.rendering.scene import paths, signals
 from wavefocus.rendering.scene.signals import Signal
 from wavefocus.rendering.scene.svg import SvgPath
 from wavefocus.rendering.scene.trajectory_path import TrajectoryPath, read_trajectory
+from wavefocus.storage.argument_types import check_fields, checked
 from wavefocus.storage.errors import InputError
 
 Emission = Literal["continuous", "per_point"]
@@ -45,6 +46,7 @@ class Source:
     repeat: bool = False
 
     def __post_init__(self) -> None:
+        check_fields(self)
         _check(self.start_s >= 0, "start_s", self.start_s, ", 0 or above")
         _check(True, "amplitude", self.amplitude, "")
         if self.emission not in ("continuous", "per_point"):
@@ -78,12 +80,16 @@ class Scene:
     """
 
     name: str
-    sources: tuple[Source, ...]
+    sources: Sequence[Source]
     regularisation: Regularisation = field(default_factory=Regularisation)
     output: Output = field(default_factory=Output)
     allow_large: bool = False
 
     def __post_init__(self) -> None:
+        check_fields(self)
+        object.__setattr__(self, "sources", tuple(self.sources))
+        if not all(isinstance(source, Source) for source in self.sources):
+            raise InputError("sources holds something else than a Source")
         if not self.sources:
             raise InputError("the scene has no source; at least one [[source]] is needed")
 
@@ -93,6 +99,7 @@ def _check(allowed: bool, name: str, value: float | None, words: str) -> None:
         raise InputError(f"{name} is {value}; it must be a finite number{words}")
 
 
+@checked
 def load_scene(path: str | Path, *, allow_large: bool = False) -> Scene:
     """Read a scene file with all that it names.
 

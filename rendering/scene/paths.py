@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wavefocus.rendering.arrays import Float64Array
+from wavefocus.storage.argument_types import check_fields, real_array
 from wavefocus.storage.errors import InputError
 
-PointMm = tuple[float, float]
+PointMm = Sequence[float] | Float64Array
+"""x and y in millimetres; a path keeps them as a tuple."""
 
 MOST_TURNS = 1e12
 """Of more, numbers do not resolve the angle."""
@@ -37,7 +39,7 @@ class Point:
     at_mm: PointMm
 
     def __post_init__(self) -> None:
-        check_point(self.at_mm, "at_mm")
+        object.__setattr__(self, "at_mm", check_point(self.at_mm, "at_mm"))
 
     @property
     def length_mm(self) -> float:
@@ -110,8 +112,8 @@ class Line(DrawnPath):
     end_mm: PointMm
 
     def __post_init__(self) -> None:
-        check_point(self.start_mm, "start_mm")
-        check_point(self.end_mm, "end_mm")
+        for name in ("start_mm", "end_mm"):
+            object.__setattr__(self, name, check_point(getattr(self, name), name))
         self._draw([np.array([self.start_mm, self.end_mm], dtype=np.float64)])
 
 
@@ -126,9 +128,11 @@ class Polyline(DrawnPath):
     closed: bool = False
 
     def __post_init__(self) -> None:
-        points = [tuple(point) for point in self.points_mm]
-        if not points:
+        check_fields(self)
+        if not len(self.points_mm):
             raise InputError("points_mm is empty; a polyline needs at least one point")
+        points = [check_point(point, "points_mm") for point in self.points_mm]
+        object.__setattr__(self, "points_mm", tuple(points))
         if self.closed:
             points.append(points[0])
         self._draw([np.array(points, dtype=np.float64)])
@@ -151,7 +155,8 @@ class Circle:
     start_deg: float = 0.0
 
     def __post_init__(self) -> None:
-        check_point(self.centre_mm, "centre_mm")
+        check_fields(self)
+        object.__setattr__(self, "centre_mm", check_point(self.centre_mm, "centre_mm"))
         if not (math.isfinite(self.radius_mm) and self.radius_mm >= 0):
             raise InputError(f"radius_mm is {self.radius_mm}; it must be a finite number, 0 or above")
         for name in ("turns", "start_deg"):
@@ -175,10 +180,12 @@ class Circle:
         return np.stack([x, y], axis=1)
 
 
-def check_point(point: PointMm, name: str) -> None:
-    """Raise InputError where a point is not two finite numbers."""
-    if len(point) != 2 or not all(math.isfinite(value) for value in point):
+def check_point(point: PointMm, name: str) -> tuple[float, float]:
+    """Coordinates of a point; raises InputError where they are not two finite numbers."""
+    xy = real_array(name, point)
+    if xy.shape != (2,) or not np.isfinite(xy).all():
         raise InputError(f"{name} is {point}; two finite numbers (x, y) in millimetres are expected")
+    return float(xy[0]), float(xy[1])
 
 
 MOST_LETTERS = 1000
@@ -203,9 +210,10 @@ class TextPath(DrawnPath):
     allow_large: bool = False
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if not (math.isfinite(self.height_mm) and self.height_mm > 0):
             raise InputError(f"height_mm is {self.height_mm}; it must be a finite number above 0")
-        check_point(self.centre_mm, "centre_mm")
+        object.__setattr__(self, "centre_mm", check_point(self.centre_mm, "centre_mm"))
         if len(self.string) > MOST_LETTERS and not self.allow_large:
             raise InputError(
                 f"string has {len(self.string)} letters; more than {MOST_LETTERS} must be allowed with --allow-large"

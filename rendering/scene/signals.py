@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from wavefocus.rendering.arrays import Float64Array
+from wavefocus.storage.argument_types import check_fields
 from wavefocus.storage.errors import InputError
 
 if TYPE_CHECKING:
@@ -52,6 +53,9 @@ class Sine:
     frequency_hz: float
     duration_s: float
 
+    def __post_init__(self) -> None:
+        check_fields(self)
+
     def samples(self, sample_rate_hz: float) -> Float64Array:
         """Samples at `sample_rate_hz`.
 
@@ -83,6 +87,10 @@ class Noise:
     band_hz: tuple[float, float]
     duration_s: float
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        object.__setattr__(self, "band_hz", tuple(self.band_hz))
 
     def samples(self, sample_rate_hz: float) -> Float64Array:
         """Samples at `sample_rate_hz`.
@@ -118,7 +126,11 @@ class SoundFile:
         64 zero crossings each side), so that nothing above either Nyquist frequency folds back.
     """
 
-    path: Path
+    path: str | Path
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        object.__setattr__(self, "path", Path(self.path))
 
     def samples(self, sample_rate_hz: float) -> Float64Array:
         """Samples at `sample_rate_hz`.

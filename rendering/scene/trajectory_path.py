@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 
 from wavefocus.acquisition.grid import read_rows
 from wavefocus.rendering.arrays import Float64Array, Int64Array
-from wavefocus.rendering.scene.paths import DrawnPath, PointMm
+from wavefocus.rendering.scene.paths import DrawnPath
 from wavefocus.rendering.scene.trajectory import FURTHEST_MM, Trajectory
+from wavefocus.storage.argument_types import check_fields, real_array
 from wavefocus.storage.errors import InputError
 
 FOCUS_S = 0.01
@@ -35,14 +36,15 @@ class TrajectoryPath(DrawnPath):
     """
 
     time_s: Sequence[float] | Float64Array
-    points_mm: Sequence[PointMm] | Float64Array
+    points_mm: Sequence[Sequence[float]] | Float64Array
     amplitude: Sequence[float] | Float64Array | None = None
     focus_rows: Int64Array = field(init=False, repr=False, compare=False)
     _arc_mm: Float64Array = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        time_s, rows = np.asarray(self.time_s, dtype=np.float64), len(self.time_s)
-        points_mm, amplitude = np.asarray(self.points_mm, dtype=np.float64), self._amplitudes()
+        check_fields(self)
+        time_s, rows = real_array("time_s", self.time_s), len(self.time_s)
+        points_mm, amplitude = real_array("points_mm", self.points_mm), self._amplitudes()
         if rows < 2 or points_mm.shape != (rows, 2) or amplitude.shape != (rows,):
             raise InputError(
                 f"a trajectory has {rows} instants, places of shape {points_mm.shape} and {amplitude.size} amplitudes;"
@@ -89,7 +91,7 @@ class TrajectoryPath(DrawnPath):
         return start_s + np.asarray(self.time_s)[rows], np.asarray(self.points_mm, dtype=np.float64)[rows]
 
     def _amplitudes(self) -> Float64Array:
-        return np.ones(len(self.time_s)) if self.amplitude is None else np.asarray(self.amplitude, dtype=np.float64)
+        return np.ones(len(self.time_s)) if self.amplitude is None else real_array("amplitude", self.amplitude)
 
 
 def read_trajectory(file: Path) -> TrajectoryPath:

@@ -8,7 +8,9 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from wavefocus.storage.argument_types import Positions, checked, real_array
 from wavefocus.storage.bank.reading import Bank, open_bank
+from wavefocus.storage.errors import InputError
 
 if TYPE_CHECKING:
     from wavefocus.rendering.greens.source import GreenSource
@@ -18,6 +20,7 @@ OnProgress = Callable[[int, int], None]
 LOG = logging.getLogger("wavefocus")
 
 
+@checked
 def estimate(
     raw: RawFile | str | Path,
     bank: str | Path,
@@ -63,6 +66,7 @@ def estimate(
     return open_bank(bank)
 
 
+@checked
 def import_bank(
     source: str | Path,
     bank: str | Path,
@@ -72,10 +76,10 @@ def import_bank(
     unit: str = "",
     length_unit: str = "",
     to_velocity: bool = False,
-    band_hz: tuple[float, float] | None = None,
+    band_hz: Sequence[float] | None = None,
     taps: int | None = None,
     sample_rate_hz: float | None = None,
-    frequencies: tuple[float, float] | str | Path | None = None,
+    frequencies: Sequence[float] | str | Path | None = None,
     end: Literal["keep", "window", "damp"] = "keep",
     direction: str = "",
     columns: str = "",
@@ -165,13 +169,13 @@ def import_bank(
         direction=direction,
         axes=axes,
         names=[f"{ours}={theirs}" for ours, theirs in (names or {}).items()],
-        frequencies=_comma(frequencies),
+        frequencies=_comma("frequencies", frequencies),
         sample_rate_hz=sample_rate_hz,
         measurements=measurements,
         swap_roles=swap_roles,
         columns=columns,
         taps=taps,
-        band_hz=_comma(band_hz),
+        band_hz=_comma("band_hz", band_hz),
         to_velocity=to_velocity,
         end=end,
     )
@@ -179,12 +183,13 @@ def import_bank(
     return open_bank(bank)
 
 
+@checked
 def export_bank(
     bank: Bank | str | Path,
     out: str | Path,
     to: Literal["sofa", "uff", "wav", "mat", "npz", "netcdf", "csv"],
     *,
-    positions: Sequence[int] | None = None,
+    positions: Positions | None = None,
     missing: Literal["leave-out", "nan"] = "leave-out",
     per: Literal["position", "actuator"] = "position",
     binary: bool = False,
@@ -203,7 +208,7 @@ def export_bank(
     to
         The format.
     positions
-        Rows of the bank, in any order; by default all.
+        Rows of the bank, in any order, or a mask of them; by default all.
     missing
         Positions that are not measured, failed or disabled are left out, or hold NaN.
     per
@@ -246,7 +251,11 @@ def export_bank(
 
 @contextmanager
 def opened_bank(bank: GreenSource | str | Path) -> Iterator[GreenSource]:
-    """The bank, opened and closed where it is a path."""
+    """The bank, opened and closed where it is a path. Raises InputError: it is neither a path nor a bank."""
+    from wavefocus.rendering.greens.source import require_source
+
+    if not isinstance(bank, str | Path):
+        require_source(bank)
     with open_bank(bank) if isinstance(bank, str | Path) else nullcontext(bank) as view:
         if isinstance(view, Bank):
             view.require_sound()
@@ -258,8 +267,11 @@ def _watched(on_progress: OnProgress | None) -> Callable[..., AbstractContextMan
     return lambda what, total, **_: nullcontext(on_progress or (lambda done, total: None))
 
 
-def _comma(value: tuple[float, float] | str | Path | None) -> str:
+def _comma(name: str, value: Sequence[float] | str | Path | None) -> str:
     """Two numbers as an option of the command line has them."""
-    if value is None:
-        return ""
-    return ",".join(map(repr, value)) if isinstance(value, tuple) else str(value)
+    if value is None or isinstance(value, str | Path):
+        return "" if value is None else str(value)
+    numbers = real_array(name, value)
+    if numbers.shape != (2,):
+        raise InputError(f"{name} has shape {numbers.shape}; two numbers are needed")
+    return ",".join(map(repr, numbers.tolist()))

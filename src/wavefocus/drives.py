@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 from numpy.typing import DTypeLike
 
 from wavefocus.banks import OnProgress, opened_bank
+from wavefocus.storage.argument_types import Positions, checked
 from wavefocus.storage.drive_file import Drive, read_drive
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import Field, read_field
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from wavefocus.rendering.scene.model import Scene
 
 
+@checked
 def render(
     scene: Scene | str | Path,
     bank: GreenSource | str | Path,
@@ -93,14 +94,15 @@ def render(
     with opened_bank(bank) as view, nullcontext() if file is None else naming(file, view):
         drive, report = render_by_options(made, view, options, on_progress)
     for text in report.warnings:
-        warnings.warn(text, RenderWarning, stacklevel=2)
+        warnings.warn(text, RenderWarning, stacklevel=3)
     return drive
 
 
+@checked
 def predict(
     drive: Drive | str | Path,
     bank: GreenSource | str | Path,
-    positions: Sequence[int] | None = None,
+    positions: Positions | None = None,
     *,
     dtype: DTypeLike = "float64",
     rate_hz: float | None = None,
@@ -116,7 +118,7 @@ def predict(
     bank
         An open bank, an array of Green's functions (`GreenArray`), or the path of a bank; at the drive's rate.
     positions
-        Rows of the bank, in any order; by default all that are measured.
+        Rows of the bank, in any order, or a mask of them; by default all that are measured.
     dtype
         ``"float64"``, exact to 1e-12; or ``"float32"``, twice as fast, and exact to 1e-6 of each position's largest
         response.
@@ -163,6 +165,7 @@ def predict(
         )
 
 
+@checked
 def focus_figures(
     drive: Drive | str | Path,
     bank: GreenSource | str | Path,

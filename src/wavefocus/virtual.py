@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,7 @@ from wavefocus.mocks.virtual.settings import rim_places
 from wavefocus.rig import virtual_bench
 from wavefocus.rig.instruments import open_rig, openers
 from wavefocus.rig.setup import setup_of
+from wavefocus.storage.argument_types import Positions, bank_row, bank_rows, checked, real_array
 from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.errors import InputError
@@ -37,6 +38,7 @@ from wavefocus.storage.errors import InputError
 SOURCE = "virtual_rig"
 
 
+@checked
 def virtual_rig(
     *,
     actuators: int | ArrayLike = 4,
@@ -108,7 +110,7 @@ def virtual_rig(
     }
     for name, table in (run or {}).items():
         tables[name] = {**tables.get(name, {}), **table}
-    places = rim_places(actuators) if isinstance(actuators, int) else np.asarray(actuators, np.float64).tolist()
+    places = rim_places(actuators) if isinstance(actuators, int) else real_array("actuators", actuators).tolist()
     asked = validated(RunConfig, tables, SOURCE)
     bench = validated(RigConfig, {"actuators": {"position_mm": places}, **(rig or {})}, SOURCE)
     there = None if position_mm is None else _on_surface(position_mm, bench)
@@ -135,10 +137,11 @@ class VirtualBench:
         """Places of the actuators in mm, (actuators, 2)."""
         return self.configuration.rig.actuator_mm
 
+    @checked
     def measure(
         self,
         bank: str | Path,
-        positions: Sequence[int] | None = None,
+        positions: Positions | None = None,
         *,
         on_progress: Callable[[int, int], None] | None = None,
     ) -> Bank:
@@ -149,7 +152,7 @@ class VirtualBench:
         bank
             Path of the bank; it and the log of its events next to it are as those of ``wavefocus capture``.
         positions
-            Rows to measure now, again where they have been; by default all that are not measured yet.
+            Rows to measure now, or a mask of them, again where they have been; by default all not measured yet.
         on_progress
             Called with the positions done and the positions in all.
 
@@ -159,6 +162,7 @@ class VirtualBench:
             The bank is of another rig or run, or cannot be written.
         """
         path = Path(bank)
+        rows = None if positions is None else bank_rows(positions, len(self.position_mm)).tolist()
         blueprint, earlier = with_bank(self._blueprint, path, Path(SOURCE))
 
         def show(event: Event) -> None:
@@ -174,7 +178,7 @@ class VirtualBench:
             for event in earlier:
                 publish(event)
             campaign = Campaign(blueprint.plan, self._setup, writer, publish, StopRequest(), raw=raw)
-            if campaign.run(positions).state is State.STOPPED:
+            if campaign.run(rows).state is State.STOPPED:
                 raise KeyboardInterrupt
         return open_bank(path)
 
@@ -184,12 +188,12 @@ class VirtualBench:
         ``recordings`` of the result has a record per actuator, in staggered capture per group of them; its ``volts``
         are float32 (2, samples), reference and response. Raises InputError: there is no such position.
         """
-        if not 0 <= position < len(self.position_mm):
-            raise InputError(f"position {position} is not of this rig; 0 to {len(self.position_mm) - 1} are")
+        position = bank_row(position, len(self.position_mm))
         plan, attempt = self._blueprint.plan, Attempt(position, 1, 1)
         records = PositionRecords(plan, self._setup, measuring_of(plan, self._setup).plays, _pass_over)
         return Recorded(attempt, records.take(attempt, "capture"), "")
 
+    @checked
     def estimate(self, recorded: Recorded) -> AttemptResult:
         """Estimate and judge what `record` has recorded.
 
@@ -206,7 +210,7 @@ class VirtualBench:
         They hold all frequencies, and a measurement those of its sweep: compare within the band.
         """
         capture = self.configuration.run.capture
-        x_mm, y_mm = self.position_mm[position].tolist()
+        x_mm, y_mm = self.position_mm[bank_row(position, len(self.position_mm))].tolist()
         return self._plate.truth(x_mm, y_mm, capture.taps, capture.sample_rate_hz)
 
     @cached_property
@@ -221,7 +225,7 @@ class VirtualBench:
 
 def _on_surface(position_mm: ArrayLike, rig: RigConfig) -> NDArray[np.float64]:
     """Positions as an array; raises InputError where they are not pairs, not on the surface, or repeat each other."""
-    places = np.asarray(position_mm, np.float64) + 0.0
+    places = real_array("position_mm", position_mm) + 0.0
     if places.ndim != 2 or places.shape[1] != 2 or not len(places):
         raise InputError(f"{SOURCE}: position_mm has shape {places.shape}; (positions, 2) is needed")
     outside = np.flatnonzero(~(np.isfinite(places).all(axis=1) & rig.surface.outline.contains(places)))

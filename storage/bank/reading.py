@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.storage import hdf5_reading
+from wavefocus.storage.argument_types import Positions, bank_row, bank_rows, checked
 from wavefocus.storage.bank.layout import quality_shape, read_layout
 from wavefocus.storage.bank.ledger import BANK, QUALITY_NAMES, Figures, figures_of
 from wavefocus.storage.durable import Closing
@@ -250,9 +250,7 @@ class Bank(Closing):
         measured.
         Raises InputError: when there is no such position, its checksum does not hold, or it holds NaN or infinities.
         """
-        if not 0 <= position < self.positions:
-            raise InputError(f"position {position} is not in bank {self.path}; 0 to {self.positions - 1} are")
-        green = self.rows.read(int(position))
+        green = self.rows.read(bank_row(position, self.positions, f"{self.path}: position"))
         if not np.isfinite(green).all():
             actuator = int(np.flatnonzero(~np.isfinite(green).all(axis=1))[0])
             raise InputError(
@@ -269,11 +267,11 @@ class Bank(Closing):
         """
         return self.rows.broken()
 
-    def require_sound(self, positions: Sequence[int] | None = None) -> None:
+    def require_sound(self, positions: Positions | None = None) -> None:
         """Raise InputError where the ledger of the positions that are used, by default of all, is damaged."""
         broken = np.flatnonzero(self.broken)
         if positions is not None:
-            broken = np.intersect1d(broken, positions)
+            broken = np.intersect1d(broken, bank_rows(positions, self.positions))
         if len(broken):
             more = f" ({len(broken)} positions are)" if len(broken) > 1 else ""
             raise InputError(damage_of(self.path, BANK, int(broken[0]), more))
@@ -298,6 +296,7 @@ class Bank(Closing):
         self.rows.close()
 
 
+@checked
 def open_bank(path: str | Path, *, contents: bool = False) -> Bank:
     """Open a bank for reading, without locks, also while a run is on.
 

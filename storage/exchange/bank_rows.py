@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefocus.storage.argument_types import Positions, bank_rows
 from wavefocus.storage.bank.reading import Bank
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.point_status import usable
@@ -98,15 +99,13 @@ def printable(text: str) -> str:
     return "".join(one if one.isprintable() else "?" for one in text)
 
 
-def choose_rows(bank: Bank, positions: Sequence[int] | None, *, missing_as_nan: bool, **options: Any) -> BankRows:
+def choose_rows(bank: Bank, positions: Positions | None, *, missing_as_nan: bool, **options: Any) -> BankRows:
     """Choose the rows of an export: those asked for, by default all.
 
     Rows that are not measured, failed or disabled are exported as NaN or left out. `options` are fields of `BankRows`.
     Raises InputError where no measured row is left.
     """
-    wanted = np.arange(bank.positions) if positions is None else np.asarray(positions, dtype=np.int64)
-    if (outside := wanted[(wanted < 0) | (wanted >= bank.positions)]).size:
-        raise InputError(f"position {outside[0]} is not in bank {bank.path}; 0 to {bank.positions - 1} are")
+    wanted = np.arange(bank.positions) if positions is None else bank_rows(positions, bank.positions)
     known = usable(np.asarray(bank.status))[wanted]
     if not known.any():
         raise InputError(f"{bank.path}: none of these positions holds a measurement; there is nothing to export")

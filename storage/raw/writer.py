@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.storage import hdf5_reading
+from wavefocus.storage.argument_types import bank_row, checked
 from wavefocus.storage.durable import Closing
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.layout import has_ledger
@@ -62,9 +63,7 @@ class RawFile(Closing):
         Raises InputError: when there is no such position, or it holds NaN or infinities. DamagedError: when its
         checksum does not hold.
         """
-        if not 0 <= position < self.header.positions:
-            raise InputError(f"position {position} is not in {self.path}; 0 to {self.header.positions - 1} are")
-        counts = self.rows.read(int(position))
+        counts = self.rows.read(bank_row(position, self.header.positions, f"{self.path}: position"))
         if counts is None:
             return None
         volts, ranges = [], []
@@ -86,6 +85,7 @@ class RawFile(Closing):
         self.rows.close()
 
 
+@checked
 def open_raw(path: str | Path) -> RawFile:
     """Open raw recordings for reading, without locks, also while a run is on.
 

@@ -72,7 +72,7 @@ def test_a_measured_bank_then_tells_its_header(tmp_path: Path) -> None:
 def test_a_position_outside_the_bank_then_is_refused(tmp_path: Path, position: int) -> None:
     with (
         open_bank(measured(tmp_path / "bank.h5")) as bank,
-        pytest.raises(InputError, match=rf"position {position} is not in bank .*; 0 to 2 are"),
+        pytest.raises(InputError, match=rf"bank\.h5: position is {position}; allowed are 0 to 2"),
     ):
         bank.green(position)
 

@@ -14,6 +14,7 @@ import numpy as np
 from wavefocus.configuration import publication_of
 from wavefocus.console import answer, progress, say
 from wavefocus.input_files import parse_positions
+from wavefocus.storage.argument_types import Positions
 from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange import EXPORTS
@@ -52,7 +53,7 @@ def write_export(
     view: Bank,
     out: Path,
     to: str,
-    positions: Sequence[int] | None,
+    positions: Positions | None,
     publication: Path | None,
     *,
     missing: Literal["leave-out", "nan"],

@@ -18,11 +18,13 @@ from wavefocus.live_session.priority import raise_priority
 from wavefocus.live_session.session import LiveSession
 from wavefocus.rendering.live.emitted import live_samples
 from wavefocus.rendering.scene.signals import Signal
+from wavefocus.storage.argument_types import checked
 from wavefocus.storage.errors import InputError
 
 LOOKS_EVERY_S = 0.25
 
 
+@checked
 @contextmanager
 def live(
     bank: str | Path,
@@ -121,6 +123,7 @@ class LiveSources:
         self._begun = threading.Event()
         self._thread = threading.Thread(target=self._run, name="live", daemon=True)
 
+    @checked
     def move(self, name: str, at_mm: tuple[float, float], amplitude: float | None = None) -> None:
         """Set the position of a source as it is now; one that does not sound yet begins to.
 
@@ -143,6 +146,7 @@ class LiveSources:
         check_name(name)
         self._order(MoveSource(name, (float(at_mm[0]), float(at_mm[1])), amplitude))
 
+    @checked
     def set_signal(self, name: str, signal: Signal, *, repeat: bool = True) -> None:
         """Give a source a signal, such as `Sine`, before or while it sounds; it repeats unless it shall not.
 
@@ -152,6 +156,7 @@ class LiveSources:
         values = live_samples(signal, self._session.engine.rate_hz)
         self._order(UseSignal(name, signal, values, repeat))
 
+    @checked
     def end_source(self, name: str) -> None:
         """Let a source fade and vanish. Raises InputError: none of that name sounds."""
         check_name(name)

@@ -1,0 +1,229 @@
+"""Wrong types, words and shapes in Python: every parameter of every public function, one at a time."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import wavefocus as wf
+
+RNG = np.random.default_rng(3)
+PLACES_MM = np.array([[0.0, 0.0], [4.0, 0.0], [8.0, 0.0]])
+BANK = wf.GreenArray(RNG.normal(size=(3, 2, 8)), PLACES_MM, 1000.0)
+SOURCE = wf.Source(wf.Point((0.0, 0.0)), wf.Impulse())
+SCENE = wf.Scene("tap", (SOURCE,))
+DRIVE = wf.render(SCENE, BANK)
+FIELD = wf.predict(DRIVE, BANK)
+BENCH = wf.virtual_rig(actuators=2, position_mm=[[0, 0], [5, 0], [10, 0]])
+
+# What a valid call has; of keywords that are not here the default.
+VALID: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
+    "Circle": (wf.Circle, {"centre_mm": (0.0, 0.0), "radius_mm": 1.0}),
+    "Drive": (wf.Drive, {one.name: getattr(DRIVE, one.name) for one in fields(DRIVE)}),
+    "Field": (wf.Field, {one.name: getattr(FIELD, one.name) for one in fields(FIELD)}),
+    "GreenArray": (
+        wf.GreenArray, {"values": BANK.values, "position_mm": PLACES_MM, "sample_rate_hz": 1000.0, "status": [1, 1, 1]},
+    ),
+    "Line": (wf.Line, {"start_mm": (0.0, 0.0), "end_mm": (4.0, 0.0)}),
+    "Noise": (wf.Noise, {"band_hz": (50.0, 450.0), "duration_s": 0.1}),
+    "Point": (wf.Point, {"at_mm": (0.0, 0.0)}),
+    "Polyline": (wf.Polyline, {"points_mm": [(0.0, 0.0), (4.0, 0.0)]}),
+    "Scene": (wf.Scene, {"name": "tap", "sources": (SOURCE,)}),
+    "Sine": (wf.Sine, {"frequency_hz": 100.0, "duration_s": 0.1}),
+    "SoundFile": (wf.SoundFile, {"path": "none.wav"}),
+    "Source": (wf.Source, {"path": wf.Point((0.0, 0.0)), "signal": wf.Impulse()}),
+    "TrajectoryPath": (wf.TrajectoryPath, {"time_s": [0.0, 1.0], "points_mm": [(0.0, 0.0), (4.0, 0.0)]}),
+    "VirtualBench.estimate": (BENCH.estimate, {}),
+    "VirtualBench.measure": (BENCH.measure, {"bank": "new.h5"}),
+    "VirtualBench.record": (BENCH.record, {"position": 0}),
+    "VirtualBench.truth": (BENCH.truth, {"position": 0}),
+    "GreenArray.green": (BANK.green, {"position": 0}),
+    # Of a session that is not open: the arguments are looked at first.
+    "LiveSources.end_source": (lambda **given: wf.LiveSources.end_source(None, **given), {"name": "a"}),
+    "LiveSources.move": (lambda **given: wf.LiveSources.move(None, **given), {"name": "a", "at_mm": (0.0, 0.0)}),
+    "LiveSources.set_signal": (
+        lambda **given: wf.LiveSources.set_signal(None, **given), {"name": "a", "signal": wf.Impulse()},
+    ),
+    "estimate": (wf.estimate, {"raw": "none.raw.h5", "bank": "new.h5"}),
+    "estimate_positions": (wf.estimate_positions, {"raw": None, "estimator": None, "positions": [0], "workers": 1}),
+    "estimator": (wf.estimator, {"raw": None}),
+    "export_bank": (wf.export_bank, {"bank": "none.h5", "out": "new.mat", "to": "mat"}),
+    "focus_figures": (wf.focus_figures, {"drive": DRIVE, "bank": BANK}),
+    "import_bank": (wf.import_bank, {"source": "none.npz", "bank": "new.h5"}),
+    "live": (wf.live, {"bank": "none.h5"}),
+    "load_scene": (wf.load_scene, {"path": "none.toml"}),
+    "open_bank": (wf.open_bank, {"path": "none.h5"}),
+    "open_raw": (wf.open_raw, {"path": "none.h5"}),
+    "predict": (wf.predict, {"drive": DRIVE, "bank": BANK}),
+    "read_drive": (wf.read_drive, {"path": "none.h5"}),
+    "read_field": (wf.read_field, {"path": "none.h5"}),
+    "render": (wf.render, {"scene": SCENE, "bank": BANK}),
+    "virtual_rig": (wf.virtual_rig, {}),
+    "write_drive": (wf.write_drive, {"path": "new.h5", "drive": DRIVE}),
+    "write_field": (wf.write_field, {"path": "new.h5", "field": FIELD}),
+}  # fmt: skip
+MADE_BY_OTHERS = {"Bank", "FocusResults", "Impulse", "InputError", "LiveSources", "RawFile", "VirtualBench"}
+
+
+class Stranger:
+    """An object that fits nothing."""
+
+
+def parameters(name: str) -> list[str]:
+    made: Any = wf
+    for part in name.split("."):
+        made = getattr(made, part)
+    return [one for one in inspect.signature(made).parameters if one != "self"]
+
+
+def test_given_the_public_names_then_every_one_that_takes_arguments_is_tried() -> None:
+    assert {name.partition(".")[0] for name in VALID} | MADE_BY_OTHERS == set(wf.__all__)
+
+
+@pytest.mark.parametrize("name", VALID)
+@pytest.mark.parametrize(
+    "wrong",
+    [Stranger(), b"bytes", {"a": 1}, [Stranger()], [[1.0], [1.0, 2.0]], 1j],
+    ids=["object", "bytes", "mapping", "list of objects", "ragged list", "complex"],
+)
+def test_given_a_wrong_type_then_it_is_an_input_error(
+    name: str, wrong: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    call, valid = VALID[name]
+    for parameter in parameters(name):
+        if isinstance(wrong, dict) and parameter in ("names", "run", "rig"):
+            continue  # a mapping is what they take
+        with pytest.raises(wf.InputError, match=rf"\b{parameter}\b|none\.|shape|trajectory|bank|green|raw is"):
+            call(**{**valid, parameter: wrong})
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        ("render", {"focusing": "Inverse"}),
+        ("render", {"method": "Exact"}),
+        ("render", {"device": "gpu"}),
+        ("render", {"tolerance_db": "-60"}),
+        ("render", {"tolerance_db": math.nan}),
+        ("render", {"interpolation_tolerance": True}),
+        ("render", {"bank": DRIVE}),
+        ("render", {"scene": DRIVE}),
+        ("predict", {"dtype": "complex128"}),
+        ("predict", {"dtype": "nonsense"}),
+        ("predict", {"rate_hz": 0.0}),
+        ("predict", {"rate_hz": -100.0}),
+        ("predict", {"device": ""}),
+        ("predict", {"bank": SCENE}),
+        ("predict", {"on_progress": 3}),
+        ("write_field", {"dtype": "int8"}),
+        ("write_drive", {"force": "no"}),
+        ("export_bank", {"missing": "Nan"}),
+        ("export_bank", {"per": "actuators"}),
+        ("export_bank", {"to": "MAT"}),
+        ("export_bank", {"binary": 1}),
+        ("import_bank", {"end": "zz"}),
+        ("import_bank", {"kind": "xyz"}),
+        ("import_bank", {"measurements": "rows"}),
+        ("import_bank", {"band_hz": (50.0, 450.0, 3.0)}),
+        ("import_bank", {"taps": 1.5}),
+        ("import_bank", {"names": {"green": 3}}),
+        ("import_bank", {"length_unit": "furlong"}),
+        ("live", {"gain_db": math.inf}),
+        ("estimate", {"workers": 0}),
+        ("estimate", {"workers": 2.5}),
+        ("virtual_rig", {"actuators": 0}),
+        ("virtual_rig", {"actuators": -3}),
+        ("virtual_rig", {"actuators": "four"}),
+        ("virtual_rig", {"run": {"sweep": 3}}),
+        ("virtual_rig", {"run": {3: {}}}),
+        ("GreenArray", {"status": [1, 1]}),
+        ("GreenArray", {"status": [1, 1, 256]}),
+        ("GreenArray", {"band_hz": (500, 20)}),
+        ("GreenArray", {"band_hz": (20.0,)}),
+        ("GreenArray", {"response_unit": 3}),
+        ("GreenArray", {"actuator_mm": [[0.0, 0.0]]}),
+        ("GreenArray", {"values": [["a"]]}),
+        ("GreenArray", {"values": np.ones((3, 2, 8), complex)}),
+        ("GreenArray", {"sample_rate_hz": "1000"}),
+        ("GreenArray", {"sample_rate_hz": True}),
+        ("Drive", {"focus_sample": [0.5]}),
+        ("Drive", {"drive_unit": 3}),
+        ("Field", {"position_index": [0.5, 1, 2]}),
+        ("Scene", {"sources": [3]}),
+        ("Scene", {"sources": "ab"}),
+        ("Source", {"emission": "Continuous"}),
+        ("Source", {"start_s": "0"}),
+        ("Point", {"at_mm": ("0", "0")}),
+        ("Point", {"at_mm": (0.0, 0.0, 0.0)}),
+        ("Polyline", {"points_mm": [0.0, 1.0]}),
+        ("Noise", {"band_hz": 50.0}),
+        ("Noise", {"seed": 1.5}),
+        ("TrajectoryPath", {"time_s": 3.0}),
+    ],
+)
+def test_given_a_wrong_word_number_or_shape_then_it_is_an_input_error(
+    name: str, given: dict, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    call, valid = VALID[name]
+    with pytest.raises(wf.InputError):
+        call(**{**valid, **given})
+    assert not list(tmp_path.iterdir())
+
+
+NOT_ROWS = [[1.9], [1.0], ["1"], [None], "1", 1.5, [3], [-1], [True, False], [[0, 1]], [1j], {"0": 1}, np.nan]
+
+
+@pytest.mark.parametrize("positions", NOT_ROWS, ids=repr)
+def test_given_something_else_than_rows_then_it_is_refused_everywhere(positions: object, tmp_path: Path) -> None:
+    bank = tmp_path / "bank.h5"
+    _write_bank(bank)
+    for call in (
+        lambda: wf.predict(DRIVE, BANK, positions),
+        lambda: wf.export_bank(bank, tmp_path / "out.mat", "mat", positions=positions),
+        lambda: BENCH.measure(tmp_path / "new.h5", positions),
+    ):
+        with pytest.raises(wf.InputError):
+            call()
+    assert [file.name for file in tmp_path.iterdir()] == ["bank.h5"]
+
+
+@pytest.mark.parametrize(
+    "positions",
+    [
+        [2, 0], (2, 0), np.array([2, 0], np.uint8), np.array([True, False, True]), [True, False, True],
+        np.flatnonzero([True, False, True]), range(0, 3, 2),
+    ],
+    ids=repr,
+)  # fmt: skip
+def test_given_rows_or_a_mask_then_those_are_taken(positions: Any, tmp_path: Path) -> None:
+    _write_bank(tmp_path / "bank.h5")
+    wanted = sorted([2, 0])
+    assert sorted(wf.predict(DRIVE, BANK, positions).position_index) == wanted
+    wf.export_bank(tmp_path / "bank.h5", tmp_path / "out.npz", "npz", positions=positions)
+    assert sorted(np.load(tmp_path / "out.npz")["position_mm"][:, 0]) == PLACES_MM[wanted, 0].tolist()
+
+
+def test_given_lists_and_arrays_in_place_of_tuples_then_they_are_the_same() -> None:
+    assert wf.Scene("tap", [SOURCE]) == SCENE
+    assert wf.Point([1, 2]) == wf.Point(np.array([1.0, 2.0])) == wf.Point((1.0, 2.0))
+    assert wf.Polyline(np.array([[0, 0], [4, 0]])) == wf.Polyline([(0.0, 0.0), (4.0, 0.0)])
+    assert wf.Noise([50, 450], 0.1) == wf.Noise((50.0, 450.0), 0.1)
+    assert all(is_dataclass(one) for one in (SCENE, SOURCE))
+
+
+def _write_bank(path: Path) -> None:
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        file["green"], file["position_mm"] = BANK.values, PLACES_MM
+        file.attrs["sample_rate_hz"] = 1000.0
