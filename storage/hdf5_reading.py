@@ -6,7 +6,6 @@ import contextlib
 import math
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.owner import require_regular
+from wavefocus.storage.packing import DEFAULT_FILL, KEYS, Packing, packing
 
 _MOST_METADATA_BYTES = 64 << 20
 _LEAST_HEAP_BYTES = 4096  # of the collections that HDF5 keeps texts in
@@ -126,7 +126,8 @@ def plain_dataset(
         raise InputError(f"{path}: {name} holds no plain numbers; floats or integers are allowed")
     if shape is not None and dataset.shape != shape:
         raise InputError(f"{path}: {name} has shape {dataset.shape}; {shape} is needed")
-    if not packed and not packing_of(dataset, path).is_plain:
+    stated = packing_of(dataset, path, written=True) if not packed else Packing()
+    if stated.is_scaled or any(comparison in ("==", "~") for comparison, _, _ in stated.absent):
         raise InputError(f"{path}: {name} has a scale_factor, add_offset or _FillValue; plain values are needed here")
     declared, held = _bytes_of(dataset, dataset.shape), dataset.id.get_storage_size()
     if declared > most_bytes() and declared > _HOLLOW * held:
@@ -159,39 +160,16 @@ def stored_pieces(dataset: h5py.Dataset) -> list[tuple[int, int]]:
     return pieces
 
 
-@dataclass(frozen=True, slots=True)
-class Packing:
-    """How stored numbers stand for values (CF conventions 1.11, section 8.1): ``value = stored * scale + offset``."""
+def packing_of(dataset: h5py.Dataset, path: Path, *, written: bool = False) -> Packing:
+    """How a dataset of real numbers is packed; raises InputError where an attribute is no finite number.
 
-    scale: float = 1.0
-    offset: float = 0.0
-    fill: float | None = None
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether stored numbers are the values."""
-        return self.scale == 1.0 and self.offset == 0.0 and (self.fill is None or math.isnan(self.fill))
-
-    def unpack(self, stored: NDArray[Any]) -> NDArray[np.float64]:
-        """Values of stored numbers; NaN where they are missing."""
-        with np.errstate(over="ignore"):
-            values = np.asarray(stored, np.float64) * self.scale + self.offset
-        if self.fill is not None:
-            values[stored == self.fill] = np.nan
-        return values
-
-
-def packing_of(dataset: h5py.Dataset, path: Path) -> Packing:
-    """Read how a dataset is packed; raises InputError where an attribute is no finite number."""
-    found: dict[str, float] = {}
-    for key in ("scale_factor", "add_offset", "_FillValue"):
-        if key in dataset.attrs:
-            value = np.asarray(dataset.attrs[key])
-            is_number = value.dtype.kind in "fiu" and value.size == 1
-            if not is_number or not (np.isfinite(value).all() or key == "_FillValue"):
-                raise InputError(f"{path}: {dataset.name} has the {key} {value.tolist()!r}; a finite number is needed")
-            found[key] = float(value.reshape(-1)[0])
-    return Packing(found.get("scale_factor", 1.0), found.get("add_offset", 0.0), found.get("_FillValue"))
+    written: Whether all of it was written, so that the fill value of netCDF's library is a value as any other.
+    """
+    attributes = {key: dataset.attrs[key] for key in KEYS if key in dataset.attrs}
+    fill = None if written else DEFAULT_FILL.get(dataset.dtype.str[1:])
+    if fill is not None and dataset.fillvalue != fill:
+        fill = None
+    return packing(attributes, dataset.dtype, f"{path}: {dataset.name}", fill)
 
 
 def _bytes_of(dataset: h5py.Dataset, shape: tuple[int, ...]) -> int:
@@ -245,8 +223,8 @@ def _find(file: h5py.File, name: str) -> object:
 def read_floats(file: h5py.File, name: str, path: Path, shape: tuple[int, ...] | None = None) -> NDArray[np.float64]:
     """Read a whole dataset as native float64, unpacked."""
     dataset = plain_dataset(file, name, path, shape=shape, packed=True)
-    stored, packing = read_whole(dataset, path), packing_of(dataset, path)
-    return np.asarray(stored, np.float64) if packing.is_plain else packing.unpack(stored)
+    stored, packed = read_whole(dataset, path), packing_of(dataset, path)
+    return np.asarray(stored if packed.is_plain else packed.unpack(stored), np.float64)
 
 
 def read_integers(file: h5py.File, name: str, path: Path, shape: tuple[int, ...] | None = None) -> NDArray[np.int64]:

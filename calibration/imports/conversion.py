@@ -28,6 +28,7 @@ class Conversion:
         self.said: list[str] = []
         self.assumed: list[str] = []
         self._count = measured.shape[1]
+        self._measured = np.ones(measured.shape[0], bool) if measured.status is None else measured.status != 0
         motion = self._motion(measured)
         rows = iter(measured.rows)
         first = next(rows, None)
@@ -188,9 +189,12 @@ class Conversion:
         return out
 
     def rows(self) -> Iterator[tuple[int, NDArray[np.float32] | None, Float64Array | None]]:
-        """Position, Green's functions (None where it was not measured) and residual in dB of each actuator, if any."""
+        """Position, Green's functions (None where it was not measured) and residual in dB of each actuator, if any.
+
+        Not measured are rows that are missing or zero throughout, as in a bank, and those that the file's status says.
+        """
         for position, row in enumerate(self._rows):
-            if np.isnan(row).all():
+            if np.isnan(row).all() or not row.any() or not self._measured[position]:
                 yield position, None, None
             else:
                 # What is beyond single precision becomes infinite and is refused.

@@ -45,6 +45,9 @@ def choose_projection(places_m: Float64Array, columns: str) -> Projection:
 
     Raises InputError: the columns are none, or the positions lie in no plane and no columns are named.
     """
+    if not np.isfinite(places_m).all():
+        missing = int(np.flatnonzero(~np.isfinite(places_m).all(axis=1))[0])
+        raise InputError(f"the place of position {missing} is missing; each position needs one, as with --places")
     extent = float(np.linalg.norm(np.ptp(places_m, axis=0)))
     spread = np.ptp(places_m, axis=0)
     if columns:

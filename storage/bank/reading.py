@@ -35,9 +35,8 @@ class ForeignRows:
 
     def __init__(self, path: Path, green: h5py.Dataset, status: NDArray[np.uint8] | None, stack: ExitStack) -> None:
         self._path, self._green, self._status, self._open = path, green, status, stack
-        single = green.dtype.kind == "f" and green.dtype.itemsize <= 4
         self._packing = hdf5_reading.packing_of(green, path)
-        self.dtype = np.dtype(np.float32 if single and self._packing.is_plain else np.float64)
+        self.dtype = self._packing.dtype_of(green.dtype)
 
     def read(self, position: int) -> Float32Array | Float64Array:
         """Green's functions of a position, unpacked by `scale_factor` and `add_offset` where there are any."""
@@ -155,9 +154,10 @@ def _quality(file: h5py.File, path: Path, name: str, positions: int, actuators: 
     if not hdf5_reading.has(file, f"/quality/{name}"):
         return np.full(full, 0 if name == "attempts" else np.nan, np.float32)
     dataset = hdf5_reading.plain_dataset(file, f"/quality/{name}", path)
+    packing = hdf5_reading.packing_of(dataset, path)
     if dataset.shape not in (full, (positions,)):
         raise InputError(f"{path}: /quality/{name} has shape {dataset.shape}; {full} or ({positions},) is needed")
-    figures = np.asarray(hdf5_reading.read_whole(dataset, path), np.float32)
+    figures = np.asarray(packing.unpack(hdf5_reading.read_whole(dataset, path)), np.float32)
     if figures.shape != full:  # one figure per position stands for all its actuators
         figures = np.repeat(figures[:, None], actuators, axis=1)
     return figures

@@ -94,6 +94,7 @@ def measured_arrays(file: NamedArrays, options: ImportOptions) -> Measured:
     band, unit, drive = numbers("band_hz"), find("response_unit"), find("drive_unit")
     unit = stated_unit(unit if isinstance(unit, str) else "", drive if isinstance(drive, str) else "", path)
     status = numbers("status")
+    status = None if status is None else np.nan_to_num(status)  # missing, as what was not measured
     if status is not None and not (status.size == count and np.isin(status, np.arange(32)).all()):
         raise InputError(f"{path}: status needs a sum of 1, 2, 4, 8 and 16 for each of the {count} positions")
     return Measured(

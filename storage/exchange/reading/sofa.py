@@ -27,6 +27,7 @@ from wavefocus.storage.exchange.reading.measured import (
     require_honest,
 )
 from wavefocus.storage.exchange.reading.places import table_of
+from wavefocus.storage.packing import UnpackedArray
 
 _AXES = {"FIR": "mrn", "FIR-E": "mrne", "FIRE": "mren", "TF": "mrn", "TF-E": "mrne"}
 _UNIT = re.compile(r"Data\.IR is in ([^,;]+)")
@@ -60,7 +61,8 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
     datasets = [_needed(file, name, path) for name in (("Data.Real", "Data.Imag") if is_spectrum else ("Data.IR",))]
     shape = datasets[0].shape
     if len(shape) != len(axes) or 0 in shape or any(one.shape != shape for one in datasets):
-        raise InputError(f"{path}: {datasets[0].name} has shape {shape}; ({', '.join(axes.upper())}) is needed")
+        name = "Data.Real" if is_spectrum else "Data.IR"
+        raise InputError(f"{path}: {name} has shape {shape}; ({', '.join(axes.upper())}) is needed")
     size = {axis: int(count) for axis, count in zip(axes, shape, strict=True)} | ({} if "e" in axes else {"e": 1})
     listener = _places(file, "Listener", "Receiver", size["r"], size["m"], path)
     source = _places(file, "Source", "Emitter", size["e"], size["m"], path)
@@ -112,14 +114,14 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
     )
 
 
-def _needed(file: h5py.File, name: str, path: Path) -> h5py.Dataset:
+def _needed(file: h5py.File, name: str, path: Path) -> h5py.Dataset | UnpackedArray:
     found = numbers(file, name, path)
     if found is None or found.dtype.kind not in "fiu":
         raise InputError(f"{path} has no {name} of real numbers, which a SOFA file of this DataType needs")
     packing = hdf5_reading.packing_of(found, path)
-    if packing.scale != 1.0 or packing.offset != 0.0:
+    if packing.is_scaled:
         raise InputError(f"{path}: {name} has a scale_factor or add_offset, which SOFA does not know")
-    return found
+    return found if packing.is_plain else UnpackedArray(found, packing)
 
 
 def _places(file: h5py.File, body: str, part: str, count: int, measurements: int, path: Path) -> _Places:
@@ -247,7 +249,12 @@ class _Responses:
     """Responses of each measurement and receiver, (emitters, samples), with their delays."""
 
     def __init__(
-        self, path: Path, datasets: list[h5py.Dataset], axes: str, receivers: NDArray[np.int64], delay: Float64Array
+        self,
+        path: Path,
+        datasets: list[h5py.Dataset | UnpackedArray],
+        axes: str,
+        receivers: NDArray[np.int64],
+        delay: Float64Array,
     ) -> None:
         self._path, self._datasets, self._axes = path, datasets, axes
         self._receivers, self._delay = receivers, delay

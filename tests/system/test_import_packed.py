@@ -1,0 +1,164 @@
+"""Packed, masked and unwritten values of netCDF files, as the netCDF library reads them itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import h5py
+import netCDF4
+import numpy as np
+import pytest
+import sofar
+import xarray
+
+import wavefocus as wf
+from wavefocus.__main__ import run
+
+POSITIONS, ACTUATORS, TAPS = 5, 2, 12
+PLACES_MM = np.array([[4.0 * (row % 3), 4.0 * (row // 3)] for row in range(POSITIONS)])
+VALUES = np.random.default_rng(5).integers(1, 1200, (POSITIONS, ACTUATORS, TAPS))
+
+
+def write(path: Path, kind: str, form: str, attributes: dict[str, Any], rows: Any = slice(None)) -> None:
+    """Write stored numbers with the netCDF library, whose own packing is off, in some rows only."""
+    attributes = dict(attributes)
+    with netCDF4.Dataset(path, "w", format=form) as file:
+        for name, size in (("position", POSITIONS), ("actuator", ACTUATORS), ("tap", TAPS), ("axis", 2)):
+            file.createDimension(name, size)
+        fill = attributes.pop("_FillValue", None)
+        green = file.createVariable("green", kind, ("position", "actuator", "tap"), fill_value=fill)
+        places = file.createVariable("position_mm", "f8", ("position", "axis"))
+        file.set_auto_maskandscale(False)
+        green.setncatts(attributes)
+        places[:] = PLACES_MM
+        stored = VALUES.astype(kind)
+        if isinstance(rows, slice):
+            green[rows] = stored[rows]
+        else:
+            for row in rows:
+                green[row] = stored[row]
+        file.setncatts({"sample_rate_hz": np.float32(1000.0), "response_unit": "m/s/V"})
+
+
+def imported(source: Path, tmp_path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Values and status of the bank that an import makes."""
+    with wf.import_bank(source, tmp_path / f"{source.stem}.h5", "netcdf") as bank:
+        assert (bank.sample_rate_hz, bank.response_unit) == (1000.0, "m/s/V")
+        return np.stack([bank.green(row) for row in range(bank.positions)]), bank.status
+
+
+def as_netcdf4_reads(source: Path) -> np.ma.MaskedArray:
+    with netCDF4.Dataset(source) as file:
+        return np.ma.masked_array(file["green"][:], dtype=np.float64)
+
+
+ATTRIBUTES: dict[str, tuple[str, dict[str, Any]]] = {
+    "scale alone": ("i2", {"scale_factor": np.float32(1e-3)}),
+    "offset alone": ("i2", {"add_offset": 0.5}),
+    "scale and offset": ("i2", {"scale_factor": 1e-3, "add_offset": np.float32(-0.5)}),
+    "bytes": ("i1", {"scale_factor": 0.01}),
+    "unsigned": ("i2", {"scale_factor": 1e-3, "_Unsigned": "true"}),
+    "scaled floats": ("f4", {"scale_factor": 2.0}),
+    "plain floats": ("f4", {}),
+    "plain doubles": ("f8", {}),
+    "whole numbers": ("i4", {}),
+}
+MASKS: dict[str, tuple[str, dict[str, Any]]] = {
+    "_FillValue": ("i2", {"_FillValue": 7, "scale_factor": 1e-3}),
+    "_FillValue of floats": ("f4", {"_FillValue": np.float32(-999.9)}),
+    "missing_value": ("i2", {"missing_value": np.int16(7), "scale_factor": 1e-3, "add_offset": 1.0}),
+    "several missing values": ("f4", {"missing_value": np.float32([7.0, 8.0])}),
+    "valid_range": ("i2", {"valid_range": np.int16([0, 1200]), "scale_factor": 1e-3}),
+    "valid_max": ("f4", {"valid_max": np.float32(1e4)}),
+    "valid_min": ("f8", {"valid_min": -5.0}),
+}
+OUTSIDE = {"valid_range": -30, "valid_max": 2e4, "valid_min": -1e3, "_FillValue of floats": np.float32(-999.9)}
+
+
+@pytest.mark.parametrize("form", ["NETCDF3_CLASSIC", "NETCDF3_64BIT_OFFSET", "NETCDF4"])
+@pytest.mark.parametrize("case", ATTRIBUTES)
+def test_packed_values_then_are_those_that_the_netcdf_library_reads(tmp_path: Path, case: str, form: str) -> None:
+    kind, attributes = ATTRIBUTES[case]
+    write(tmp_path / "a.nc", kind, form, attributes)
+    found, status = imported(tmp_path / "a.nc", tmp_path)
+    wanted = as_netcdf4_reads(tmp_path / "a.nc")
+    assert not np.ma.getmaskarray(wanted).any()
+    assert np.abs(found - wanted).max() <= 1e-6 * np.abs(wanted).max()
+    assert (status == 1).all()
+
+
+@pytest.mark.parametrize("form", ["NETCDF3_CLASSIC", "NETCDF4"])
+@pytest.mark.parametrize("case", MASKS)
+def test_masked_rows_then_are_not_measured(tmp_path: Path, case: str, form: str) -> None:
+    kind, attributes = MASKS[case]
+    write(tmp_path / "a.nc", kind, form, attributes)
+    with netCDF4.Dataset(tmp_path / "a.nc", "r+") as file:
+        file.set_auto_maskandscale(False)
+        file["green"][:] = np.where(np.isin(file["green"][:], (7, 8)), 9, file["green"][:])
+        file["green"][2] = OUTSIDE.get(case, 7)
+    found, status = imported(tmp_path / "a.nc", tmp_path)
+    wanted = as_netcdf4_reads(tmp_path / "a.nc")
+    masked = np.ma.getmaskarray(wanted).all(axis=(1, 2))
+    assert masked.tolist() == [False, False, True, False, False]
+    assert status.tolist() == [1, 1, 0, 1, 1]
+    assert np.abs(found - wanted)[~masked].max() <= 1e-6 * np.abs(wanted).max()
+    with netCDF4.Dataset(tmp_path / "a.nc", "r+") as file:
+        file.set_auto_maskandscale(False)
+        file["green"][3, 1, 4] = OUTSIDE.get(case, 7)
+    assert run(["import", str(tmp_path / "a.nc"), "--bank", str(tmp_path / "partly.h5")]) == 2
+
+
+@pytest.mark.parametrize("form", ["NETCDF3_CLASSIC", "NETCDF4", "NETCDF4_CLASSIC"])
+@pytest.mark.parametrize("kind", ["f4", "f8", "i2", "i4"])
+def test_rows_that_were_never_written_then_are_not_measured(tmp_path: Path, kind: str, form: str) -> None:
+    write(tmp_path / "a.nc", kind, form, {}, rows=(0, 3))
+    assert np.ma.getmaskarray(as_netcdf4_reads(tmp_path / "a.nc")).all(axis=(1, 2)).tolist() == [0, 1, 1, 0, 1]
+    found, status = imported(tmp_path / "a.nc", tmp_path)
+    assert status.tolist() == [1, 0, 0, 1, 0]
+    assert np.array_equal(found[[0, 3]], VALUES[[0, 3]])
+    if form != "NETCDF3_CLASSIC":  # read as a bank, without an import
+        with wf.open_bank(tmp_path / "a.nc") as bank:
+            assert bank.status.tolist() == [1, 0, 0, 1, 0]
+
+
+def test_rows_that_are_zero_or_not_measured_by_their_status_then_are_not_valid(tmp_path: Path) -> None:
+    green = VALUES.astype(float)
+    green[1] = 0.0
+    np.savez(tmp_path / "a.npz", green=green, position_mm=PLACES_MM, sample_rate_hz=1000.0, response_unit="m/s",
+             drive_unit="V", status=[1, 1, 0, 4, 16])  # fmt: skip
+    with wf.import_bank(tmp_path / "a.npz", tmp_path / "a.h5") as bank:
+        assert bank.status.tolist() == [1, 0, 0, 4, 16]
+
+
+def test_a_file_that_xarray_packs_then_comes_back(tmp_path: Path) -> None:
+    dims = ("position", "actuator", "tap")
+    values = VALUES * 1e-3
+    values[4] = np.nan
+    data = xarray.Dataset({"green": (dims, values), "position_mm": (("position", "axis"), PLACES_MM)},
+                          attrs={"sample_rate_hz": 1000.0, "response_unit": "m/s/V"})  # fmt: skip
+    encoding = {"green": {"dtype": "int16", "scale_factor": 1e-3, "_FillValue": -32768}}
+    for engine in ("h5netcdf", "scipy"):
+        data.to_netcdf(tmp_path / f"{engine}.nc", engine=engine, encoding=encoding)
+        found, status = imported(tmp_path / f"{engine}.nc", tmp_path)
+        assert np.abs(found[:4] - values[:4]).max() < 1e-6
+        assert status.tolist() == [1, 1, 1, 1, 0]
+
+
+def test_measurements_of_a_sofa_file_that_were_never_written_then_are_not_measured(tmp_path: Path) -> None:
+    sofa = sofar.Sofa("GeneralFIR")
+    sofa.Data_IR, sofa.Data_SamplingRate = VALUES[:, :1].astype(float), 1000.0
+    sofa.ListenerPosition = np.column_stack([PLACES_MM / 1e3, np.zeros(POSITIONS)])
+    sofar.write_sofa(str(tmp_path / "a.sofa"), sofa)
+    with h5py.File(tmp_path / "a.sofa", "r+") as file:
+        file["Data.IR"][3] = netCDF4.default_fillvals["f8"]
+        has_fill = file["Data.IR"].fillvalue == netCDF4.default_fillvals["f8"]
+    assert has_fill
+    with wf.import_bank(tmp_path / "a.sofa", tmp_path / "a.h5", unit="Pa/V") as bank:
+        assert bank.status.tolist() == [1, 1, 1, 0, 1]
+
+
+def test_a_kind_of_netcdf_that_is_not_read_then_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write(tmp_path / "a.nc", "i8", "NETCDF3_64BIT_DATA", {})
+    assert run(["import", str(tmp_path / "a.nc"), "--bank", str(tmp_path / "a.h5")]) == 2
+    assert "CDF-5" in capsys.readouterr().err
