@@ -40,7 +40,7 @@ def imported(tmp_path: Path) -> Any:
 
     def do(values: np.ndarray, **options: Any) -> tuple[np.ndarray, Imported, Any]:
         np.save(tmp_path / "a.npy", values)
-        out = tmp_path / "out.h5"
+        out = tmp_path / f"out-{len(list(tmp_path.iterdir()))}.h5"
         made = import_bank(tmp_path / "a.npy", out, ImportOptions(**{"places": places, "unit": "m/s/V", **options}))
         with open_bank(out, contents=True) as bank:
             return np.stack([bank.green(row) for row in range(bank.positions)]), made, bank
