@@ -16,7 +16,7 @@ from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM, median_or_n
 from wavefocus.rendering.field.prediction import Prediction, predict
 from wavefocus.rendering.field.wave_figures import PathSpectrum, path_spectrum
 from wavefocus.rendering.greens.regularisation import row_weights, saturation_threshold
-from wavefocus.rendering.greens.source import GreenArray, read_row, usable
+from wavefocus.rendering.greens.source import GreenArray, usable
 from wavefocus.rendering.report.canvas import Surface
 from wavefocus.rendering.scene.model import Scene, Source
 from wavefocus.rendering.scene.paths import Line, Path, Point, Strokes
@@ -74,11 +74,10 @@ def focus_fields(bank: GreenArray, rows: Sequence[int], saturation: float | None
     flat = bank.values.reshape(bank.positions, -1)
     fields = np.empty((len(rows), bank.positions))
     for place, row in enumerate(rows):
-        scaled = read_row(bank, row)
-        weights = row_weights(scaled, threshold, normalise=True)
+        green = bank.values[row].astype(np.float64)
+        weights = row_weights(green, threshold, normalise=True)
         sigma = np.ones(bank.actuators) if weights.sigma is None else weights.sigma
-        gain = np.ldexp(weights.gain, weights.gain_exponent + scaled.exponent)
-        driven = (gain * sigma[:, None] * scaled.values).astype(np.float32)
+        driven = (weights.gain * sigma[:, None] * green).astype(np.float32)
         fields[place] = flat @ driven.ravel()
     return fields
 

@@ -110,7 +110,7 @@ def compare_drives(workload: Workload, repeats: int) -> list[Point]:
             speed = MARKS.get((workload.kind, method))
             marks = () if speed is None else (Mark("times", speed),)
             if WAYS[method] is not None:
-                figures = {"bound_error": drive.omitted_bound, "kept_bins": report.kept_bins, "bins": report.bins}
+                figures = {"bound_error": drive.omitted_bound, "single": report.single}
             point = Point(
                 work=workload.name, method=method, timing=timing, figures=figures, marks=marks,
                 error=relative_error(drive.drive_v, reference),

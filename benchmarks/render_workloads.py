@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.greens.interpolation.on_grid import Bilinear
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
-from wavefocus.rendering.greens.source import GreenArray, read_row
+from wavefocus.rendering.greens.source import GreenArray, RowReader
 from wavefocus.rendering.scene.model import Scene, Source
 from wavefocus.rendering.scene.paths import Circle, Polyline
 from wavefocus.rendering.scene.signals import Noise
@@ -156,8 +156,9 @@ def convolve_each(workload: Workload, segments: int) -> Float64Array:
 def floor(workload: Workload, dtype: type[np.float32] | type[np.float64] = np.float64) -> None:
     """Do what no method can do without: read and transform the rows, transform the drives back."""
     _, rows, signal = workload.segments()
+    reader = RowReader(workload.bank)
     for row in np.unique(rows).tolist():
-        scipy.fft.rfft(read_row(workload.bank, row).values.astype(dtype, copy=False), 4096, workers=2)
+        scipy.fft.rfft(reader.read(row).astype(dtype, copy=False), 4096, workers=2)
     spectrum = np.zeros((ACTUATORS, 2049), dtype=np.result_type(dtype, np.complex64))
     for _ in range(-(-len(signal) // (4096 - TAPS + 1))):
         scipy.fft.irfft(spectrum, 4096, workers=2)

@@ -1,19 +1,12 @@
-"""Frequency bins that are computed, in which precision, and the proof of what that leaves out.
+"""Frequency bins that are computed, in which precision, and the proof of what single precision leaves out.
 
-In one block the spectrum of actuator i's drive is F_i = sum_J U_J G_iJ over the windows J of bank rows; the spectrum
-of a response is sum_i U_i G_i. With g_J for the norm of G_iJ over the actuators, bin by bin,
-
-    |F|_2 <= a,  a = sum_J |U_J| g_J                       (triangle inequality; for responses Cauchy-Schwarz)
-
-so that leaving out bins errs by at most the norm of a over them. By Parseval the error in time is sqrt(2 / n) times
-that, twice per bin for the two signs of frequency. A sample lies in at most q = ceil(n / hop) blocks, so by
-Cauchy-Schwarz the blocks' errors add up to at most sqrt(q * sum of squares).
-
-Rounding: a transform of n samples errs by at most 8 log2(n) units of its norm (N. Higham, Accuracy and Stability of
-Numerical Algorithms, 2nd ed., theorem 24.2: 6.7 per factor 2), a product or sum by one unit per term. With
-c = sum_J max|U_J| |G_J|_2, which is no smaller than |a|_2, all of it is at most `rounding_units` times c: a row's
-error may lie in any bin, and so meet the largest value of its window. Relative to drives without omission:
-error / (norm computed - error).
+In one block the spectrum of actuator i's drive is F_i = sum_J U_J G_iJ over the windows J of bank rows. A transform of
+n samples errs by at most 8 log2(n) units of roundoff of its norm (N. Higham, Accuracy and Stability of Numerical
+Algorithms, 2nd ed., theorem 24.2: 6.7 per factor 2), a product or sum by one unit per term. With
+c = sum_J max|U_J| |G_J|_2 all of it is at most `rounding_units` times c: a row's error may lie in any bin, and so meet
+the largest value of its window. By Parseval the error in time is sqrt(2 / n) times that, twice per bin for the two
+signs of frequency. A sample lies in at most q = ceil(n / hop) blocks, so by Cauchy-Schwarz the blocks' errors add up to
+at most sqrt(q * sum of squares). Relative to drives without omission: error / (norm computed - error).
 """
 
 from __future__ import annotations
@@ -28,18 +21,14 @@ from numpy.typing import NDArray
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.storage.errors import InputError
 
-MOST_KEPT = 0.9
-"""Beyond this share of kept bins, leaving out the rest saves nothing."""
-CAUTION = 0.9
-"""Share of the tolerance that the estimated bound may fill; the proved one is found only afterwards."""
 TRANSFORM = 8.0
 """Units of roundoff per factor 2 of the transform length."""
 TRANSFORMS = 3.0
-"""Transforms whose errors count: of a row, into the bins computed and into g, and back."""
+"""Transforms whose errors count: of a row, of a window, and back."""
 OTHER_TERMS = 20.0
 UNDERFLOW = 2.0**-100
 """Bounds what products in single precision lose below their smallest normal number, per unit of rows and windows."""
-LEAST_NORM = 1e-140
+MIN_NORM = 1e-140
 """Norms above this are not falsified by squares that vanish."""
 
 
@@ -67,11 +56,6 @@ class Band:
         return self.fft_samples // 2 + 1
 
     @property
-    def exact(self) -> bool:
-        """Whether nothing is left out."""
-        return not self.single and self.kept == self.bins
-
-    @property
     def real(self) -> type[np.float32] | type[np.float64]:
         """Type of samples."""
         return np.float32 if self.single else np.float64
@@ -86,36 +70,15 @@ class Band:
         units = TRANSFORMS * TRANSFORM * math.log2(max(self.fft_samples, 2)) + terms + OTHER_TERMS
         return units * (2.0**-24 if self.single else 2.0**-53)
 
-    def block_error(self, summed: Float64Array, coherent: float, terms: float) -> float:
-        """Bound on the norm of the error of one block in time.
+    def rounding_error(self, coherent: float, terms: float) -> float:
+        """Bound on the norm in time of what single precision costs one block; 0 in double precision.
 
-        summed, float64 (bins,): a, bin by bin.
         coherent: c.
         terms: How many products were added up.
         """
-        rounding = self.rounding_units(terms) * coherent + (UNDERFLOW * terms if self.single else 0.0)
-        return math.sqrt(2.0 / self.fft_samples) * (norm_of(summed[self.kept :]) + rounding)
-
-
-def choose_band(
-    fft_samples: int, contribution: Float64Array, energy: float, coherent: float, terms: float, tolerance: float
-) -> Band:
-    """Choose bins and precision so that the estimated bound fits the tolerance.
-
-    contribution, float64 (bins,): Squares of a, times q, added up over some blocks.
-    energy: Estimated energy of these blocks' spectra.
-    coherent: Squares of c, times q, added up.
-    terms: Products that a block adds up.
-    tolerance: Relative magnitude of what may be left out, > 0.
-    """
-    if not (energy > 0 and math.isfinite(energy) and math.isfinite(coherent)):
-        return Band.whole(fft_samples)
-    rounding = Band.whole(fft_samples, single=True).rounding_units(terms) * math.sqrt(coherent / energy)
-    single = rounding < 0.5 * tolerance
-    allowed = (CAUTION * tolerance - (rounding if single else 0.0)) ** 2 * energy
-    bins = len(contribution)
-    kept = bins - int(np.searchsorted(np.cumsum(contribution[::-1]), allowed, side="right"))
-    return Band(fft_samples, bins if kept > MOST_KEPT * bins else max(kept, 1), single)
+        if not self.single:
+            return 0.0
+        return math.sqrt(2.0 / self.fft_samples) * (self.rounding_units(terms) * coherent + UNDERFLOW * terms)
 
 
 def tolerance_of(tolerance_db: float | None) -> float:
@@ -152,7 +115,7 @@ def row_norms(values: NDArray[Any]) -> Float64Array:
     with np.errstate(over="ignore", under="ignore", invalid="ignore"):
         # Not the dot product, which may wait for threads that are busy elsewhere.
         norms: Float64Array = np.sqrt(np.einsum("ij,ij->i", values, values, dtype=np.float64))
-    for place in np.flatnonzero(~((norms > LEAST_NORM) & (norms < np.inf))).tolist():
+    for place in np.flatnonzero(~((norms > MIN_NORM) & (norms < np.inf))).tolist():
         row = values[place]
         peak = float(max(row.max(initial=0.0), -row.min(initial=0.0)))
         norms[place] = peak if peak == 0.0 or not np.isfinite(peak) else peak * float(np.linalg.norm(row / peak))
@@ -164,12 +127,3 @@ def power_over(spectra: NDArray[Any], axis: int) -> Float64Array:
     parts = np.ascontiguousarray(spectra).view(spectra.real.dtype)
     squares = np.square(parts, dtype=np.float64).sum(axis=axis)
     return np.asarray(squares[..., ::2] + squares[..., 1::2])
-
-
-def scale(samples: NDArray[Any], exponent: int) -> Float64Array:
-    """Samples times two to a power, in float64, without over- or underflow on the way."""
-    double = samples.astype(np.float64, copy=False)
-    if abs(exponent) < 1000:
-        return double * 2.0**exponent
-    with np.errstate(over="ignore", under="ignore"):
-        return np.ldexp(double, exponent)

@@ -21,8 +21,8 @@ from wavefocus.rendering.drive.streamed import BlockDrive
 from wavefocus.rendering.field.crosstalk import PathResponses
 from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusInstant, evenly
 from wavefocus.rendering.field.metrics import focus_spot, grid_spacing_mm
-from wavefocus.rendering.greens.regularisation import row_weights, saturation_threshold
-from wavefocus.rendering.greens.source import read_row, refusal
+from wavefocus.rendering.greens.regularisation import focus_gains, saturation_threshold
+from wavefocus.rendering.greens.source import refusal
 from wavefocus.rendering.report.movie import Foci
 from wavefocus.rendering.scene.model import Scene, Source
 from wavefocus.rendering.scene.scene_rows import scene_rows
@@ -178,7 +178,7 @@ def emission_s(source: Source, sample_rate_hz: float) -> float:
 
 def _beginning(scene: Scene, bank: Bank, most: int, on_progress: OnProgress) -> Drive:
     """The first samples of a drive that is not made as a whole."""
-    live = BlockDrive(scene, bank, block_samples=_BLOCK_SAMPLES, tolerance_db=TOLERANCE_DB)
+    live = BlockDrive(scene, bank, block_samples=_BLOCK_SAMPLES, single=True)
     drive_v, filled = np.zeros((bank.actuators, min(most, live.shape[1]))), 0
     for block in live.blocks():
         taken = block[:, : drive_v.shape[1] - filled]
@@ -201,12 +201,8 @@ def _gains(scene: Scene, bank: Bank, drive: Drive) -> tuple[Float64Array, Float6
     order = np.argsort(drive.focus_sample, kind="stable")
     chosen = order[evenly(len(order), MOST_GAINS)]
     threshold = saturation_threshold(scene.regularisation, bank)
-    known: dict[int, float] = {}
-    for position in np.unique(drive.focus_position[chosen]).tolist():
-        row = read_row(bank, position)
-        found = None if row.silent else row_weights(row, threshold, normalise=True)
-        known[position] = math.nan if found is None else math.ldexp(found.gain, found.gain_exponent)
-    gain = np.array([known[position] for position in drive.focus_position[chosen].tolist()])
+    positions, of_focus = np.unique(drive.focus_position[chosen], return_inverse=True)
+    gain = focus_gains(bank, positions.tolist(), threshold)[of_focus]
     return drive.focus_sample[chosen] / drive.sample_rate_hz, gain
 
 

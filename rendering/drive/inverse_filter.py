@@ -24,7 +24,7 @@ from wavefocus.rendering.drive.coil_limits import DriveLimits, Limiting, limit_d
 from wavefocus.rendering.field.metrics import band_weights
 from wavefocus.rendering.greens.interpolation.base import Nodes
 from wavefocus.rendering.greens.regularisation import BankRows
-from wavefocus.rendering.greens.source import GreenSource, drive_unit
+from wavefocus.rendering.greens.source import GreenSource, apply_exponent, drive_unit
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.rendering.scene.sampling import SampledSource, sample_scene
 from wavefocus.storage.drive_file import Drive
@@ -106,7 +106,7 @@ def inverse_filter(
             f"{len(points_mm)} control points over {samples / rate_hz:.3g} s are too many to invert; use a coarser"
             " step_mm or a shorter scene"
         )
-    system, exponent = _system(rows, nodes, place, len(points_mm), band, length)
+    system = _system(rows, nodes, place, len(points_mm), band, length)
     largest = float(np.square(np.abs(system)).sum(axis=2).mean(axis=1).max())
     ridge = largest * 10.0 ** (regularisation_db / 10.0)
     singular = np.linalg.svd(system, compute_uv=False)
@@ -123,8 +123,8 @@ def inverse_filter(
     drive_v = np.ascontiguousarray(in_time[:, taps : taps + samples])
     energy = float(np.square(in_time).sum())
     cut_share = 1.0 - float(np.square(drive_v).sum()) / energy if energy > 0 else 0.0
-    with np.errstate(over="ignore", under="ignore"):
-        np.ldexp(drive_v, -exponent, out=drive_v)
+    # Without normalisation in `rows`, their exponent is the bank's; an inverse is over it.
+    drive_v = apply_exponent(drive_v, -rows.drive_exponent)
     require_finite(drive_v)
     limiting = limit_drive(drive_v, rate_hz, DriveLimits(scene.output.limit_v, scene.output.limit_rms_v))
     drive = Drive(
@@ -170,8 +170,8 @@ def _control_points(sources: Sequence[SampledSource]) -> tuple[Float64Array, lis
 
 def _system(
     rows: BankRows, nodes: Sequence[Nodes], place: Sequence[Int64Array], points: int, band: _Band, length: int
-) -> tuple[Complex128Array, int]:
-    """Transfer functions (bins, points, actuators) over a power of two."""
+) -> Complex128Array:
+    """Transfer functions (bins, points, actuators), of rows as `rows` reads them."""
     uses: dict[int, dict[int, float]] = {}
     for one, at in zip(nodes, place, strict=True):
         for point, own_rows, weights in zip(at.tolist(), one.rows.tolist(), one.weights.tolist(), strict=True):
@@ -179,15 +179,11 @@ def _system(
                 if weight:
                     uses.setdefault(row, {})[point] = weight
     system = np.zeros((len(band.bins), points, rows.bank.actuators), dtype=np.complex128)
-    exponent: int | None = None
     for row, by_point in sorted(uses.items()):
-        scaled = rows.read(row)
-        exponent = scaled.exponent if exponent is None else exponent
-        spectrum = np.fft.rfft(scaled.values, length, axis=1)[:, band.bins].T
-        spectrum *= np.ldexp(1.0, scaled.exponent - exponent)
+        spectrum = np.fft.rfft(rows.read(row), length, axis=1)[:, band.bins].T
         for point, weight in by_point.items():
             system[:, point] += weight * spectrum
-    return system, exponent or 0
+    return system
 
 
 def _wanted(

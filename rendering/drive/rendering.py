@@ -15,7 +15,7 @@ from wavefocus.rendering.drive.accumulate import Accumulated, SourceDrives
 from wavefocus.rendering.drive.coil_limits import DriveLimits, limit_drive, require_finite
 from wavefocus.rendering.greens.interpolation.errors import judged_errors
 from wavefocus.rendering.greens.regularisation import BankRows
-from wavefocus.rendering.greens.source import GreenSource, drive_unit
+from wavefocus.rendering.greens.source import GreenSource, apply_exponent, drive_unit
 from wavefocus.rendering.report.render_report import RenderReport, RenderWarning, report_render
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.rendering.scene.sampling import Method, SampledScene, sample_scene
@@ -24,8 +24,6 @@ from wavefocus.storage.errors import InputError
 
 OnProgress = Callable[[int, int], None]
 
-STRICTER = (1.0, 0.6, 0.2, 0.0)
-"""Shares of the tolerance tried one after another until the proved bound holds; 0 computes everything."""
 SOURCE_PARTS = 100
 """Steps of progress for each source."""
 
@@ -65,8 +63,8 @@ def render_with_report(
     ends with the last emitted sample. A continuous emission lasts until n_M, silence included.
 
     method: Eq. (16) or eq. (9), see `sample_scene`.
-    tolerance_db: Allows leaving out frequency bins as long as the proved bound on the relative L2 error of the drives
-        stays below it, < 0. Without it all is computed, to 1e-12 of direct evaluation.
+    tolerance_db: Allows single precision as long as the proved bound on the relative L2 error of the drives stays below
+        it, < 0. Without it all is computed in double precision, to 1e-12 of direct evaluation.
     interpolation_tolerance: Largest relative error of the Green's functions between the bank's positions, > 0: the
         median along the paths, in every band that the scene makes use of. Without it an error above 5 % is warned
         about.
@@ -106,7 +104,7 @@ def _accumulated(
     scene: SampledScene, rows: BankRows, tolerance: float, on_progress: OnProgress | None, device: Device | None
 ) -> tuple[Float64Array, list[Accumulated], Float64Array, float]:
     """Drives, what each source cost, norms of the drives, and the bound on what was left out."""
-    for share in STRICTER if tolerance > 0 else (0.0,):
+    for single in (True, False) if tolerance > 0 else (False,):
         drive_v = np.zeros((rows.bank.actuators, scene.samples))
         accumulated: list[Accumulated] = []
 
@@ -114,7 +112,7 @@ def _accumulated(
             for source in scene.sources:
                 rows.needed_by = source.naming
                 made = SourceDrives(
-                    source, rows, tolerance=share * tolerance, on_block=_counted(on_progress, source.index, scene),
+                    source, rows, single=single, on_block=_counted(on_progress, source.index, scene),
                     device=device,
                 )  # fmt: skip
                 accumulated.append(made.add_to(drive_v))
@@ -122,10 +120,8 @@ def _accumulated(
         bound = relative_bound(math.fsum(item.error for item in accumulated), norm_of(norms))
         if bound <= tolerance:
             break
-    if rows.drive_exponent:
-        with np.errstate(over="ignore", under="ignore"):
-            np.ldexp(drive_v, rows.drive_exponent, out=drive_v)
-        norms = row_norms(drive_v)
+    drive_v = apply_exponent(drive_v, rows.drive_exponent)
+    norms = row_norms(drive_v)
     return drive_v, accumulated, norms, bound
 
 

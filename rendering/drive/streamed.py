@@ -17,11 +17,10 @@ from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.band import norm_of, relative_bound, tolerance_of
 from wavefocus.rendering.drive.accumulate import Accumulated, SourceDrives
 from wavefocus.rendering.drive.coil_limits import DriveLimits, Reached, RunningLevels, strictest
-from wavefocus.rendering.drive.rendering import STRICTER
 from wavefocus.rendering.drive.wav import Interface, InterfaceRate, largest_of
 from wavefocus.rendering.greens.interpolation.errors import judged_errors
 from wavefocus.rendering.greens.regularisation import BankRows
-from wavefocus.rendering.greens.source import GreenSource
+from wavefocus.rendering.greens.source import GreenSource, apply_exponent
 from wavefocus.rendering.report.render_report import RenderReport, report_render
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.rendering.scene.sampling import Method, SampledScene, sample_scene
@@ -40,7 +39,8 @@ class BlockDrive:
     The same numbers as `wavefocus.rendering.drive.rendering.render` gives, but for the order in which sources are added
     up.
 
-    method, tolerance_db: As for `render`; the bound is available at the end.
+    method: As for `render`.
+    single: Compute in single precision; the bound on its error is available at the end.
     limits: What no actuator may exceed; by default the scene's. They cannot be met by scaling here, as the largest
         value is not available yet: drives that exceed them are refused when they come.
 
@@ -61,19 +61,16 @@ class BlockDrive:
         *,
         block_samples: int = 1024,
         method: Method | None = None,
-        tolerance_db: float | None = None,
+        single: bool = False,
         limits: DriveLimits | None = None,
     ) -> None:
         if block_samples < 1:
             raise InputError(f"block_samples is {block_samples}; it must be 1 or more")
         self._block_samples, self._rate_hz = block_samples, float(bank.sample_rate_hz)
         self.limits = DriveLimits(scene.output.limit_v, scene.output.limit_rms_v) if limits is None else limits
-        tolerance = tolerance_of(tolerance_db)
         self.sampled = sample_scene(scene, bank, method)
         self.rows = BankRows(self.sampled.kind.rows_of(bank), scene.regularisation)
-        self._makers = [
-            SourceDrives(source, self.rows, tolerance=tolerance, live=True) for source in self.sampled.sources
-        ]
+        self._makers = [SourceDrives(source, self.rows, single=single, live=True) for source in self.sampled.sources]
         self.shape = bank.actuators, self.sampled.samples
         self.latency_samples = 2 * max(maker.block_samples for maker in self._makers)
 
@@ -91,7 +88,7 @@ class BlockDrive:
         with ExitStack() as stack:
             sources = [stack.enter_context(closing(self._of_source(index))) for index in range(len(self._makers))]
             for parts in zip(*sources, strict=True):
-                block = np.ldexp(sum(parts, np.zeros(parts[0].shape)), self.rows.drive_exponent) * self.gain
+                block = apply_exponent(sum(parts, np.zeros(parts[0].shape)), self.rows.drive_exponent) * self.gain
                 self._judge(block, first, levels)
                 yield block
                 first += block.shape[1]
@@ -167,7 +164,7 @@ class StreamedDrive:
         self._limits = DriveLimits(scene.output.limit_v, scene.output.limit_rms_v)
         self._rate = None if interface is None else InterfaceRate(float(bank.sample_rate_hz), interface.rate_hz)
         self._report: RenderReport | None = None
-        self.live = self._live(STRICTER[0])
+        self.live = self._live(single=self._tolerance > 0)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -188,13 +185,12 @@ class StreamedDrive:
         errors, remarks = judged_errors(
             self._scene, self._bank, self.live.sampled.kind, signals, self._interpolation_tolerance
         )
-        for share in STRICTER if self._tolerance > 0 else (0.0,):
-            if share != STRICTER[0]:
-                self.live = self._live(share)
+        for single in (True, False) if self._tolerance > 0 else (False,):
+            if self._tolerance > 0 and not single:
+                self.live = self._live(single=False)
             reached = self._pass(on_progress)
             error = math.fsum(item.error for item in self.live.accumulated)
-            with np.errstate(over="ignore", under="ignore"):
-                norms = np.ldexp(self._levels.norms, -self.live.rows.drive_exponent)
+            norms = apply_exponent(self._levels.norms, -self.live.rows.drive_exponent)
             bound = relative_bound(error, norm_of(norms))
             if bound <= self._tolerance:
                 break
@@ -213,11 +209,10 @@ class StreamedDrive:
             raise RuntimeError("the first pass is not done")
         return self.live.blocks()
 
-    def _live(self, share: float) -> BlockDrive:
-        left_out = share * self._tolerance
+    def _live(self, *, single: bool) -> BlockDrive:
         return BlockDrive(
             self._scene, self._bank, block_samples=self._block_samples, method=self._method, limits=DriveLimits(),
-            tolerance_db=20.0 * math.log10(left_out) if left_out > 0 else None,
+            single=single,
         )  # fmt: skip
 
     def _pass(self, on_progress: OnProgress | None) -> list[Reached]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -10,14 +11,15 @@ from typing import Any
 import numpy as np
 
 from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
-from wavefocus.rendering.band import Band, power_over
+from wavefocus.rendering.band import Band, norm_of, power_over
 from wavefocus.rendering.device import WORKERS, Device, in_order
 from wavefocus.rendering.greens.regularisation import BankRows
 
-Weigh = Callable[[Int64Array, Int64Array], tuple[Float64Array, BoolArray]]
-"""For pairs of a row and its regularising row: the factor, and whether actuators are saturated."""
+Weigh = Callable[[Int64Array], tuple[Float64Array, BoolArray]]
+"""For regularising rows: the factor, and whether actuators are saturated."""
 
-
+MIN_ROW_NORM = 2.0**-60
+"""Bounds what `to_single` takes from a row: 2**-94 of each sample, after which rounding counts 2**-16 of the norm."""
 SPAN = 2**31
 """More than a bank has rows: two of them make one number."""
 
@@ -84,7 +86,7 @@ class Windows:
     def weigh(self, weigh: Weigh) -> None:
         """Weigh what is emitted, and join what saturates alike."""
         rows, by = self.pairs
-        factors, saturated = weigh(rows, by)
+        factors, saturated = weigh(by)
         windows, of_pair = np.unique(rows * SPAN + np.where(saturated, by + 1, 0), return_inverse=True)
         self.rows, self.regularised_by = windows // SPAN, windows % SPAN - 1
         self._part, self._parts, self._pieces = of_pair[self._pair], np.arange(len(windows)), 1
@@ -120,12 +122,12 @@ class Windows:
 class RowSpectrum:
     """The spectrum of one row.
 
-    kept, complex array of the device, shape (actuators, kept bins): The bins computed.
-    magnitude, float64 (bins,), or None: g, the norm over the actuators of every bin, where errors are bounded.
-    norm: Norm over actuators and bins.
+    values, complex array of the device, shape (actuators, bins).
+    magnitude, float64 (bins,), or None: Norm over the actuators of every bin, where asked for.
+    norm: Norm over actuators and bins, at least `MIN_ROW_NORM`; in single precision only.
     """
 
-    kept: Any
+    values: Any
     magnitude: Float64Array | None = None
     norm: float = 0.0
 
@@ -133,23 +135,16 @@ class RowSpectrum:
 class RowSpectra:
     """Reads rows, reverses them in time and transforms them; the rows used last are kept.
 
-    band: Transform length, bins and precision.
+    band: Transform length and precision.
     device: Where they are computed and kept, within its memory.
-    bounded: Whether magnitudes are needed.
+    magnitudes: Whether magnitudes are asked for.
     """
 
-    def __init__(self, rows: BankRows, band: Band, device: Device, *, bounded: bool) -> None:
-        self._rows, self._device, self._bounded = rows, device, bounded
+    def __init__(self, rows: BankRows, band: Band, device: Device, *, magnitudes: bool = False) -> None:
+        self._rows, self._device, self._magnitudes, self.band = rows, device, magnitudes, band
         self._spectra: OrderedDict[int, RowSpectrum] = OrderedDict()
-        self.narrow(band)
-
-    def narrow(self, band: Band) -> None:
-        """Go on with fewer bins or less precision; spectra that are kept are cut."""
-        self.band = band
-        row_bytes = band.kept * self._rows.bank.actuators * np.dtype(band.complex).itemsize
-        self.most_rows = int(max(1, self._device.memory_bytes // row_bytes))
-        for row, known in self._spectra.items():
-            self._spectra[row] = RowSpectrum(self._cut(known.kept), known.magnitude, known.norm)
+        row_bytes = band.bins * rows.bank.actuators * np.dtype(band.complex).itemsize
+        self.most_rows = int(max(1, device.memory_bytes // row_bytes))
 
     def __getitem__(self, row: int) -> RowSpectrum:
         return self._spectra[row]
@@ -167,18 +162,11 @@ class RowSpectra:
             self._spectra[row] = spectrum
 
     def _transform(self, row: int) -> RowSpectrum:
-        scaled = self._rows.read(row, single=self.band.single).values
-        reversed_in_time = self._device.xp.asarray(np.ascontiguousarray(scaled[:, ::-1], dtype=self.band.real))
-        whole = self._device.fft(single=self.band.single).rfft(reversed_in_time, n=self.band.fft_samples, axis=1)
-        if not self._bounded:
-            return RowSpectrum(self._cut(whole))
-        host = self._device.to_host(whole)
-        power = power_over(host, axis=0)
-        return RowSpectrum(self._cut(whole), np.sqrt(power), float(np.sqrt(power.sum())))
-
-    def _cut(self, spectrum: Any) -> Any:
-        dtype = self._device.dtype(self.band.complex)
-        if spectrum.shape[1] == self.band.kept and spectrum.dtype == dtype:
-            return spectrum
-        # A copy: a view would hold on to all bins.
-        return self._device.xp.asarray(spectrum[:, : self.band.kept], dtype=dtype, copy=True)
+        xp, single = self._device.xp, self.band.single
+        green = self._rows.read(row, single=single)
+        reversed_in_time = xp.asarray(np.ascontiguousarray(green[:, ::-1]))
+        values = self._device.fft(single=single).rfft(reversed_in_time, n=self.band.fft_samples, axis=1)
+        magnitude = np.sqrt(power_over(self._device.to_host(values), axis=0)) if self._magnitudes else None
+        # Of what is transformed: the spectrum of a whole transform has sqrt(n) times the norm.
+        norm = math.sqrt(self.band.fft_samples) * norm_of(green) if single else 0.0
+        return RowSpectrum(values, magnitude, max(norm, MIN_ROW_NORM))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from wavefocus.rendering.arrays import Complex128Array, Int64Array
 from wavefocus.rendering.band import Band
 from wavefocus.rendering.device import Device, fast_length, host_device, in_order
-from wavefocus.rendering.greens.source import GreenSource, RowReader
+from wavefocus.rendering.greens.source import GreenSource, RowReader, to_single
 from wavefocus.storage.errors import InputError
 
 BLOCK_SHARE = 4.1
@@ -23,25 +22,13 @@ STOPBAND_DB = 80.0
 LARGEST_FACTOR = 64
 
 
-@dataclass(frozen=True, slots=True)
-class RowsSpectra:
-    """Spectra of some rows, each of size about 1.
-
-    kept, complex (kept bins, rows, actuators): of the device.
-    exponents, int64 (rows,): The rows are these times two to such a power.
-    """
-
-    kept: Any
-    exponents: Int64Array
-
-
-def transform_rows(reader: RowReader, positions: Sequence[int], band: Band, device: Device) -> RowsSpectra:
-    """Read some rows and transform them."""
-    rows = [reader.read(position, single=band.single) for position in positions]
-    green = device.xp.asarray(np.stack([row.values for row in rows]))
+def transform_rows(reader: RowReader, positions: Sequence[int], band: Band, device: Device) -> Any:
+    """Spectra of some rows over two to the reader's exponent, complex (kept bins, rows, actuators), of the device."""
+    rows = [reader.read(position) for position in positions]
+    green = device.xp.asarray(np.stack([to_single(row) for row in rows] if band.single else rows))
     # Bin by bin, as matrix products need them: the transform gathers at no cost.
     whole = device.fft(single=band.single).rfft(device.xp.moveaxis(green, 2, 0), n=band.fft_samples, axis=0)
-    return RowsSpectra(whole[: band.kept, :, :], np.array([row.exponent for row in rows]))
+    return whole[: band.kept, :, :]
 
 
 class BankSpectra:
@@ -55,11 +42,13 @@ class BankSpectra:
 
     decimation: Decimation
     band: Band
+    reader: RowReader
+    """Its exponent is that of the spectra."""
 
     def __init__(
         self, bank: GreenSource, positions: Sequence[int] | Int64Array, *, rate_hz: float | None = None
     ) -> None:
-        self.bank, reader = bank, RowReader(bank)
+        self.bank, self.reader = bank, RowReader(bank)
         rate = float(bank.sample_rate_hz)
         self.decimation = Decimation(rate, rate if rate_hz is None else rate_hz)
         factor = self.decimation.factor
@@ -69,7 +58,6 @@ class BankSpectra:
         rows = np.unique(np.asarray(positions, dtype=np.int64))
         self._place = np.full(bank.positions, -1, dtype=np.int64)
         self._place[rows] = np.arange(len(rows))
-        exponents = np.empty(len(rows), dtype=np.int64)
         try:
             kept = np.empty((self.band.kept, len(rows), bank.actuators), dtype=self.band.complex)
         except MemoryError as error:
@@ -81,20 +69,19 @@ class BankSpectra:
 
         def fill(first: int) -> None:
             where = slice(first, first + ROWS_AT_ONCE)
-            made = transform_rows(reader, rows[where].tolist(), self.band, host_device())
-            kept[:, where], exponents[where] = made.kept, made.exponents
+            kept[:, where] = transform_rows(self.reader, rows[where].tolist(), self.band, host_device())
 
         for _ in in_order(fill, range(0, len(rows), ROWS_AT_ONCE)):
             pass
-        self._made = RowsSpectra(kept, exponents)
+        self._made = kept
 
     @property
     def size_bytes(self) -> int:
         """Memory that the spectra take."""
-        return int(self._made.kept.nbytes)
+        return int(self._made.nbytes)
 
-    def rows(self, positions: Int64Array) -> RowsSpectra:
-        """Spectra of some rows. Raises InputError where one was not among the positions."""
+    def rows(self, positions: Int64Array) -> Any:
+        """Spectra of some rows, see `transform_rows`. Raises InputError where one was not among the positions."""
         place = self._place[positions]
         if (place < 0).any():
             raise InputError(
@@ -103,7 +90,7 @@ class BankSpectra:
             )
         # Those of a slice are the same memory.
         where = slice(int(place[0]), int(place[-1]) + 1) if (np.diff(place) == 1).all() else place
-        return RowsSpectra(self._made.kept[:, where, :], self._made.exponents[where])
+        return self._made[:, where, :]
 
 
 class Decimation:

@@ -119,7 +119,7 @@ class Convolution:
         for group in drive.groups():
             blocks = drive.blocks(group)
             kept = xp.asarray(blocks[: band.kept, :, :], dtype=self._device.dtype(band.complex))
-            product = xp.moveaxis(xp.matmul(rows.kept, kept), 0, 2)
+            product = xp.moveaxis(xp.matmul(rows, kept), 0, 2)
             parts = self._device.to_host(
                 self._device.fft(single=band.single).irfft(product, n=drive.lower_samples, axis=2)
             )
@@ -127,17 +127,17 @@ class Convolution:
                 first = block * drive.lower_hop
                 total[:, first : first + drive.lower_samples] += parts[:, place]
         lead = self._decimation.half
-        return self._scaled(total[:, lead : lead + self.samples], rows.exponents, drive.exponent, positions)
+        return self._scaled(total[:, lead : lead + self.samples], positions)
 
-    def _scaled(self, field: NDArray[Any], rows: Int64Array, drive: int, positions: Int64Array) -> RealArray:
-        total = rows + drive
-        with np.errstate(over="ignore", under="ignore"):
-            if (np.abs(total) < PLAIN_EXPONENT).all():
-                scaled = field * np.ldexp(1.0, total).astype(field.dtype)[:, None]
-            else:
-                # In two steps: the sum of two large exponents may lie beyond what one factor can hold.
-                scaled = np.ldexp(np.ldexp(field, rows[:, None]), drive)
-            scaled = np.asarray(scaled, dtype=self._dtype)
+    def _scaled(self, field: NDArray[Any], positions: Int64Array) -> RealArray:
+        # In two steps: the sum of two large exponents may lie beyond what one factor can hold.
+        rows, drive = self._reader.exponent, self._drive.exponent
+        if abs(rows + drive) < PLAIN_EXPONENT:
+            scaled = field * field.dtype.type(2.0 ** (rows + drive))
+        else:
+            with np.errstate(over="ignore", under="ignore"):
+                scaled = np.ldexp(np.ldexp(field, rows), drive)
+        scaled = np.asarray(scaled, dtype=self._dtype)
         finite = np.isfinite(scaled).all(axis=1)
         if not finite.all():
             bad = positions[int(np.argmin(finite))]

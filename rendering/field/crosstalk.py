@@ -12,7 +12,7 @@ from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.device import fast_length
 from wavefocus.rendering.field.metrics import band_weights
 from wavefocus.rendering.greens.regularisation import row_weights, saturation_threshold
-from wavefocus.rendering.greens.source import GreenSource, read_row
+from wavefocus.rendering.greens.source import GreenSource, RowReader, apply_exponent
 from wavefocus.storage.errors import InputError
 
 RESPONSE_BYTES = 2**29
@@ -59,26 +59,28 @@ class PathResponses:
         if bank.band_hz is not None:
             keep = band_weights(length, bank.sample_rate_hz, bank.band_hz).astype(np.float64)
         bins = np.flatnonzero(keep)
-        threshold = saturation_threshold(regularisation, bank)
+        reader = RowReader(bank)
+        threshold = float(apply_exponent(saturation_threshold(regularisation, bank), -reader.exponent))
         greens = np.empty((len(rows), bank.actuators, len(bins)), dtype=np.complex128)
         driven = np.empty_like(greens)
         for place, row in enumerate(rows):
-            scaled = read_row(bank, row)
-            if scaled.silent:
+            green = reader.read(row)
+            if not green.any():
                 raise InputError(f"position {row} is all zeros, so not measured; choose another path")
-            weights = row_weights(scaled, threshold, normalise=regularisation.normalise)
-            spectrum = np.fft.rfft(scaled.values, length, axis=1)[:, bins]
+            weights = row_weights(green, threshold, normalise=regularisation.normalise)
+            spectrum = np.fft.rfft(green, length, axis=1)[:, bins]
             sigma = np.ones(bank.actuators) if weights.sigma is None else weights.sigma
-            greens[place] = np.ldexp(1.0, scaled.exponent) * spectrum
-            gain = np.ldexp(weights.gain, weights.gain_exponent + scaled.exponent)
-            driven[place] = gain * sigma[:, None] * spectrum.conj()
+            greens[place] = spectrum
+            driven[place] = weights.gain * sigma[:, None] * spectrum.conj()
         responses = np.einsum("mib,nib->mnb", greens, driven, optimize=True)
         responses *= keep[bins] * np.fft.rfft(emitted, length)[bins]
         # Lags from -(taps - 1) on: the focus instant is at `lead`.
         responses *= np.exp(-2j * np.pi * bins * self.lead / length)
         whole = np.zeros((len(rows), len(rows), length // 2 + 1), dtype=np.complex128)
         whole[..., bins] = responses
-        self.values: Float64Array = np.fft.irfft(whole, length, axis=2)
+        # With normalisation a response is in the source's unit, without it in the square of the bank's.
+        unit = 0 if regularisation.normalise else 2 * reader.exponent
+        self.values: Float64Array = apply_exponent(np.fft.irfft(whole, length, axis=2), unit)
 
     def energy_ratio(self, speed_mm_s: float, step_mm: float, every: int = 1) -> float:
         """Crosstalk ratio of a source that moves from point to point; NaN with fewer than two points.

@@ -87,7 +87,12 @@ class Prediction:
         self.sample_rate_hz, self.passed_hz = rate / decimation.factor, decimation.passed_hz
         self.low_pass = LowPass(decimation.passed_hz, decimation.factor) if decimation.factor > 1 else None
         self._convolution = Convolution(
-            drive.drive_v, RowReader(self._bank), self._dtype, decimation, self._device, kept
+            drive.drive_v,
+            RowReader(self._bank) if kept is None else kept.reader,
+            self._dtype,
+            decimation,
+            self._device,
+            kept,
         )
         self.samples = self._convolution.samples
 
@@ -141,7 +146,7 @@ class Prediction:
         shares = [0.0]
         reader = RowReader(self._bank)
         for position in self.position_index[_spread(len(self.position_index) - 1, LOOKED_AT_ROWS)].tolist():
-            green = np.fft.rfft(reader.read(position, single=False).values, samples, axis=1)
+            green = np.fft.rfft(reader.read(position), samples, axis=1)
             energy = sum(np.square(np.abs((green * block).sum(axis=0))) for block in blocks)
             total = float(np.sum(energy))
             if total > 0:

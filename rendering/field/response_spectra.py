@@ -18,7 +18,7 @@ from wavefocus.rendering.band import Band
 from wavefocus.rendering.device import fast_length, host_device
 from wavefocus.rendering.field.bank_spectra import transform_rows
 from wavefocus.rendering.field.prediction import field_unit
-from wavefocus.rendering.greens.source import GreenSource, RowReader
+from wavefocus.rendering.greens.source import GreenSource, RowReader, apply_exponent
 from wavefocus.storage.drive_file import Drive
 
 WINDOW_TAPS = 2.0
@@ -64,9 +64,10 @@ def predict_spectra(drive: Drive, bank: GreenSource, positions: Sequence[int] | 
             for begin in range(0, len(index), ROWS_AT_ONCE):
                 some = index[begin : begin + ROWS_AT_ONCE]
                 rows = transform_rows(reader, some.tolist(), band, host_device())
-                response = np.matmul(rows.kept, driven)
+                response = np.matmul(rows, driven)
                 squares = (np.square(response.real) + np.square(response.imag)).sum(axis=2, dtype=np.float64)
-                power[begin : begin + len(some)] += np.ldexp(squares.T, 2 * (rows.exponents + exponent)[:, None])
+                power[begin : begin + len(some)] += squares.T
+    power = apply_exponent(power, 2 * (reader.exponent + exponent))
     rate_hz = float(drive.sample_rate_hz)
     frequency_hz: Float64Array = np.fft.rfftfreq(length, 1.0 / rate_hz).astype(np.float64)
     # Parseval: two bins each but for 0 and half the rate.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.rendering.device import fast_length
 from wavefocus.rendering.field.metrics import band_limited
-from wavefocus.rendering.greens.source import GreenSource, read_row, usable
+from wavefocus.rendering.greens.source import GreenSource, RowReader, usable
 from wavefocus.storage.errors import InputError
 
 
@@ -45,7 +45,8 @@ def correlation_over_distance(bank: GreenSource, edges_mm: Sequence[float], rows
     edges = np.asarray(edges_mm, dtype=np.float64)
     if len(chosen) < 2 or len(edges) < 2 or (np.diff(edges) <= 0).any():
         raise InputError("a correlation over distance needs two measured positions and ascending edges")
-    unit = np.stack([_unit(np.asarray(read_row(bank, int(row)).values, dtype=np.float64)) for row in chosen])
+    reader = RowReader(bank)
+    unit = np.stack([_unit(reader.read(int(row))) for row in chosen])
     position_mm = np.asarray(bank.position_mm, dtype=np.float64)[chosen]
     first, second = np.triu_indices(len(chosen), 1)
     apart_mm = np.hypot(*(position_mm[first] - position_mm[second]).T)
@@ -124,20 +125,19 @@ def impulse_travel(
     allowed = allowed[np.unique(np.linspace(0, len(allowed) - 1, min(MOST_ROWS, len(allowed))).astype(np.int64))]
     actuator_mm = np.asarray(bank.actuator_mm, dtype=np.float64)
     distance, arrival, level, actuator = ([] for _ in range(4))
-    time_s = np.arange(bank.taps) / bank.sample_rate_hz
+    time_s, reader = np.arange(bank.taps) / bank.sample_rate_hz, RowReader(bank)
     for row in allowed.tolist():
         apart_mm = np.hypot(*(actuator_mm - np.asarray(bank.position_mm)[row]).T)
         near = np.flatnonzero((apart_mm >= span_mm[0]) & (apart_mm <= span_mm[1]))
         if not len(near):
             continue
-        scaled = read_row(bank, row)
-        green = scaled.values[near]
+        green = reader.read(row)[near]
         energy = np.square(green if band_hz is None else band_limited(green, bank.sample_rate_hz, band_hz))
         total = energy.sum(axis=1)
         driven = total > 0
         distance.append(apart_mm[near][driven])
         arrival.append((energy[driven] @ time_s) / total[driven])
-        level.append(10.0 * np.log10(apart_mm[near][driven] * total[driven]) + 20.0 * np.log10(2.0) * scaled.exponent)
+        level.append(10.0 * np.log10(apart_mm[near][driven] * total[driven]) + 20.0 * np.log10(2.0) * reader.exponent)
         actuator.append(near[driven])
     pairs = sum(map(len, distance))
     if pairs < FEWEST_PAIRS:

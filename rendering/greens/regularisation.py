@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-import math
-import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from wavefocus.config.scene import Regularisation
 from wavefocus.rendering.arrays import BoolArray, Float64Array, Int64Array
-from wavefocus.rendering.greens.source import GreenSource, ScaledRow, fetch_row, read_row, refusal, scale_row, usable
+from wavefocus.rendering.greens.source import (
+    GreenSource,
+    RealArray,
+    RowReader,
+    apply_exponent,
+    refusal,
+    to_single,
+    usable,
+)
 from wavefocus.storage.errors import InputError
 
-LEAST_TOTAL = 1e-300
+MIN_TOTAL = 1e-300
 """The reciprocal of a smaller sum of energies is beyond the range of numbers."""
 
 
@@ -31,10 +37,13 @@ def rms_map(bank: GreenSource) -> Float64Array:
     stored = getattr(bank, "rms", None)
     if stored is not None:
         rms[in_use] = stored[in_use]
-    for position in np.flatnonzero(in_use & np.isnan(rms).all(axis=1)):
-        row = read_row(bank, int(position))
-        if not row.silent:
-            rms[position] = np.ldexp(_rms(row), row.exponent)
+    missing = np.flatnonzero(in_use & np.isnan(rms).all(axis=1)).tolist()
+    if missing:
+        reader = RowReader(bank)
+        for position in missing:
+            row = reader.read(position)
+            if row.any():
+                rms[position] = apply_exponent(_rms(row), reader.exponent)
     return rms
 
 
@@ -72,35 +81,52 @@ class RowWeights:
     """Regularisation of one focus position.
 
     sigma, float64 (actuators,), or None: Saturation factors; None where all are 1.
-    gain, gain_exponent: n(x) = gain * 2**gain_exponent; 1 * 2**0 where normalisation is off.
+    gain: n(x); 1 where normalisation is off.
     """
 
     sigma: Float64Array | None
     gain: float
-    gain_exponent: int
 
 
-def row_weights(row: ScaledRow, threshold: float, *, normalise: bool) -> RowWeights:
+def row_weights(green: Float64Array, threshold: float, *, normalise: bool) -> RowWeights:
     """Evaluate eqs. (14) and (15) at one position.
 
-    row: Its Green's functions, not all zero.
-    threshold: C, > 0, infinity for off.
+    green, (actuators, taps): Its Green's functions, not all zero, of values whose squares are in range.
+    threshold: C in their unit, > 0, infinity for off.
     normalise: Whether to form n(x).
     """
     sigma = None
     if np.isfinite(threshold):
-        level = np.ldexp(_rms(row), row.exponent)
+        level = _rms(green)
         saturated = level >= threshold
         if saturated.any():
             sigma = np.ones(len(level))
             sigma[saturated] = threshold / level[saturated]
     if not normalise:
-        return RowWeights(sigma, 1.0, 0)
-    energies = np.einsum("ij,ij->i", row.values, row.values, dtype=np.float64)
+        return RowWeights(sigma, 1.0)
+    energies = np.einsum("ij,ij->i", green, green)
     total = float(energies.sum() if sigma is None else sigma @ energies)
-    if not total > LEAST_TOTAL:
+    if not total > MIN_TOTAL:
         raise InputError(f"the saturation threshold is {threshold:.3g}, too small for numbers; use a larger saturation")
-    return RowWeights(sigma, 1.0 / total, -2 * row.exponent)
+    return RowWeights(sigma, 1.0 / total)
+
+
+def focus_gains(bank: GreenSource, positions: Sequence[int], threshold: float) -> Float64Array:
+    """n(x) of eq. (15) at some positions.
+
+    threshold: C of eq. (14) in the bank's unit, as `saturation_threshold` gives it.
+
+    Returns float64 (positions,): NaN where a row may not be used or is all zeros; 0 or infinity where n(x) does not fit
+    into float64. Raises InputError: a row holds NaN or infinity.
+    """
+    reader = RowReader(bank)
+    scaled_threshold = float(apply_exponent(threshold, -reader.exponent))
+    gain = np.full(len(positions), np.nan)
+    for place, position in enumerate(positions):
+        row = None if refusal(int(bank.status[position])) else reader.read(int(position))
+        if row is not None and row.any():
+            gain[place] = row_weights(row, scaled_threshold, normalise=True).gain
+    return apply_exponent(gain, -2 * reader.exponent)
 
 
 def focus_gain_map(bank: GreenSource, saturation: float | None = None) -> Float64Array:
@@ -112,37 +138,18 @@ def focus_gain_map(bank: GreenSource, saturation: float | None = None) -> Float6
     n(x) does not fit into float64.
     """
     threshold = saturation_threshold(Regularisation(saturation=saturation or 0.0), bank)
-    gain = np.full(bank.positions, np.nan)
-    for position in np.flatnonzero(usable(bank)):
-        row = read_row(bank, int(position))
-        if row.silent:
-            continue
-        weights = row_weights(row, threshold, normalise=True)
-        with np.errstate(over="ignore", under="ignore"):
-            gain[position] = np.ldexp(weights.gain, weights.gain_exponent)
-        if not (np.isfinite(gain[position]) and gain[position] > 0):
-            raise InputError(
-                f"n(x) at position {position} does not fit into float64: the bank's largest value there is"
-                " about"
-                f" 2**{row.exponent}; give the bank another unit"
-            )
+    gain = focus_gains(bank, range(bank.positions), threshold)
+    wrong = np.flatnonzero((gain == 0) | np.isinf(gain))
+    if len(wrong):
+        raise InputError(
+            f"n(x) at position {wrong[0]} does not fit into float64; give the bank another unit, so that its values are"
+            " nearer to 1"
+        )
     return gain
 
 
-def _rms(row: ScaledRow) -> Float64Array:
-    # One actuator may stand far below the row's peak: its squares must not vanish.
-    values = row.values.astype(np.float64, copy=False)
-    peak = np.abs(values).max(axis=1)
-    scale = np.where(peak > 0, peak, 1.0)
-    if float(peak.min()) > 1e-140:
-        scale = np.ones_like(peak)
-    part = values if scale.max() == scale.min() == 1.0 else values / scale[:, None]
-    rms: Float64Array = np.sqrt(np.einsum("ij,ij->i", part, part) / part.shape[1]) * scale
-    return rms
-
-
-PLAIN_EXPONENT = 300
-"""Drives within 2**300 of 1 are accumulated as they are."""
+def _rms(green: Float64Array) -> Float64Array:
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", green, green) / green.shape[1]))
 
 
 class BankRows:
@@ -156,15 +163,12 @@ class BankRows:
         self.needed_by = lambda row, at_mm: "the scene"
         self.status = np.asarray(bank.status)
         self._position_mm = np.asarray(bank.position_mm, dtype=np.float64)
+        self._reader = RowReader(bank)
         # Rows that an interpolation adds say nothing of the bank's median.
-        measured: GreenSource = getattr(bank, "measured", bank)
-        self.threshold = saturation_threshold(regularisation, measured)
+        threshold = saturation_threshold(regularisation, getattr(bank, "measured", bank))
+        self._threshold = float(apply_exponent(threshold, -self._reader.exponent))
         self._normalise = regularisation.normalise
         self._weights: dict[int, RowWeights] = {}
-        self._exponent: dict[int, int] = {}
-        self._drive_exponent: int | None = None
-        # Files are read by one thread at a time.
-        self._reading = threading.Lock()
         self._loud = np.zeros(bank.actuators, dtype=bool)
 
     @property
@@ -177,18 +181,19 @@ class BankRows:
         """Actuators whose Green's functions are zero in every row read so far."""
         return [int(actuator) for actuator in np.flatnonzero(~self._loud)] if self._weights else []
 
-    def read(self, row: int, *, single: bool = False) -> ScaledRow:
-        """Read a row. Raises InputError where it may not be used, saying which path point needs it.
+    @property
+    def drive_exponent(self) -> int:
+        """Drives are those made of `read` and `weigh` times two to this power."""
+        return -self._reader.exponent if self._normalise else self._reader.exponent
 
-        Several threads may read. With `single` the values are float32.
+    def read(self, row: int, *, single: bool = False) -> RealArray:
+        """Read a row as `RowReader` does; several threads may read.
+
+        Raises InputError where it may not be used, saying which path point needs it.
         """
         reason = refusal(int(self.status[row]))
-        scaled = None
-        if not reason:
-            with self._reading:
-                raw = fetch_row(self.bank, row)
-            scaled = scale_row(raw, row)
-        if scaled is None or scaled.silent:
+        green = None if reason else self._reader.read(row)
+        if green is None or not green.any():
             x, y = self._position_mm[row]
             raise InputError(
                 f"position {row} at ({x:.6g}, {y:.6g}) mm is {reason or 'all zeros, so not measured'}, but"
@@ -196,47 +201,23 @@ class BankRows:
                 " the path"
             )
         if row not in self._weights:
-            self._loud |= scaled.values.any(axis=1)
-            self._exponent[row] = scaled.exponent
-            self._weights[row] = row_weights(scaled, self.threshold, normalise=self._normalise)
-        return scaled.rounded() if single else scaled
+            self._loud |= green.any(axis=1)
+            self._weights[row] = row_weights(green, self._threshold, normalise=self._normalise)
+        return to_single(green) if single else green
 
     def sigma(self, regularised_by: int) -> Float64Array | None:
         """Saturation factors (actuators,) of a row, None where all are 1."""
-        return self._known(regularised_by).sigma
+        return self._of(regularised_by).sigma
 
-    def weigh(self, rows: Int64Array, regularised_by: Int64Array, exponent: int = 0) -> tuple[Float64Array, BoolArray]:
-        """Weights of rows, each regularised by another or by itself.
+    def weigh(self, regularised_by: Int64Array) -> tuple[Float64Array, BoolArray]:
+        """n(x) of rows, float64 (k,), and where `sigma` is not None, bool (k,).
 
-        rows, regularised_by, int64 (k,): Bank rows.
-        exponent: The factors are divided by 2**exponent.
-
-        Returns factors : float64 (k,): n(regularised_by) times the scale of the row, over 2**(drive_exponent +
-        exponent); saturated : bool (k,): where `sigma` is not None.
+        regularised_by, int64 (k,): Bank rows.
         """
-        factors, saturated = np.empty(len(rows)), np.empty(len(rows), dtype=bool)
-        for place, (row, by) in enumerate(zip(rows.tolist(), regularised_by.tolist(), strict=True)):
-            weights = self._known(by)
-            self._known(row)
-            power = weights.gain_exponent + self._exponent[row]
-            if self._drive_exponent is None:
-                self._drive_exponent = power if abs(power) > PLAIN_EXPONENT else 0
-            try:
-                factors[place] = math.ldexp(weights.gain, power - self._drive_exponent - exponent)
-            except OverflowError:
-                factors[place] = np.inf
-            saturated[place] = weights.sigma is not None
-        return factors, saturated
+        weights = [self._of(row) for row in regularised_by.tolist()]
+        return np.array([one.gain for one in weights]), np.array([one.sigma is not None for one in weights], dtype=bool)
 
-    @property
-    def drive_exponent(self) -> int:
-        """Power of two that the drives are still to be multiplied with.
-
-        It keeps a bank of tiny numbers from being accumulated in denormals, which are slow and inexact.
-        """
-        return self._drive_exponent or 0
-
-    def _known(self, row: int) -> RowWeights:
+    def _of(self, row: int) -> RowWeights:
         if row not in self._weights:
             self.read(row)
         return self._weights[row]

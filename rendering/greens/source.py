@@ -1,9 +1,8 @@
-"""The read interface of a bank, and its rows scaled by powers of two so that squares neither vanish nor overflow."""
+"""The read interface of a bank, and a reader that divides its rows by one power of two."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -21,85 +20,8 @@ RealArray = Float32Array | Float64Array
 
 FLUSH = np.float32(2.0**-70)
 """Added and taken away again, it rounds single precision to multiples of 2**-94: no denormal is left."""
-
-
-@dataclass(frozen=True, slots=True)
-class ScaledRow:
-    """One row of a bank as `values * 2**exponent`, with the largest value in [0.5, 1).
-
-    Powers of two scale without rounding, so that a bank in any unit renders to the same bits and squares
-    neither vanish nor overflow. A row of zeros has exponent 0.
-    """
-
-    values: RealArray
-    exponent: int
-
-    @property
-    def silent(self) -> bool:
-        # A look at the exponent spares most rows the search through all values.
-        return not self.exponent and not self.values.any()
-
-    def rounded(self) -> ScaledRow:
-        """The row in float32, without a denormal number."""
-        single = self.values.astype(np.float32) + FLUSH
-        return ScaledRow(np.subtract(single, FLUSH, out=single), self.exponent)
-
-
-def scale_row(raw: NDArray[Any], position: int, *, single: bool = False) -> ScaledRow:
-    """Scale one row by a power of two.
-
-    raw, (actuators, taps): The row as the bank has it.
-    single: As float32, without a denormal number, instead of float64.
-
-    Raises InputError: the row holds NaN or infinity.
-    """
-    values, shift = _without_denormals(raw)
-    peak = max(float(values.max()), -float(values.min()))
-    if not np.isfinite(peak):
-        actuator = int(np.argmin(np.isfinite(values).all(axis=1)))
-        raise InputError(
-            f"position {position}, actuator {actuator} of the bank holds NaN or infinity; remeasure or disable"
-            " the position"
-        )
-    exponent = int(np.frexp(peak)[1]) if peak else 0
-    if exponent:
-        values *= np.ldexp(1.0, -exponent)
-    if single:
-        return ScaledRow(values, exponent + shift).rounded()
-    if raw.dtype.itemsize >= np.dtype(np.float64).itemsize:
-        # What stands 290 decades below the peak adds nothing but denormal arithmetic, 100 times slower.
-        values[np.abs(values) < 1e-290] = 0.0
-    return ScaledRow(values, exponent + shift)
-
-
-def _without_denormals(raw: NDArray[Any]) -> tuple[Float64Array, int]:
-    """Copy to float64 as `values * 2**shift`, without ever computing with a denormal number.
-
-    A denormal is its integer mantissa times a fixed power of two, so that integers can carry it over.
-    """
-    integers = {np.dtype(np.float32): (np.uint32, 23, -149), np.dtype(np.float64): (np.uint64, 52, -1074)}
-    if raw.dtype not in integers:
-        return np.array(raw, dtype=np.float64, order="C"), 0
-    unsigned, mantissa_bits, unit = integers[raw.dtype]
-    raw = np.ascontiguousarray(raw)
-    magnitude = raw.view(unsigned) & unsigned(2 ** (8 * raw.dtype.itemsize - 1) - 1)
-    # Zero wraps round to the largest integer, so that the smallest one shows a denormal.
-    magnitude -= unsigned(1)
-    if magnitude.min(initial=unsigned(2**mantissa_bits)) >= 2**mantissa_bits - 1:
-        return raw.astype(np.float64), 0
-    magnitude += unsigned(1)
-    denormal = magnitude < unsigned(2**mantissa_bits)
-    largest = np.array(magnitude.max(), dtype=unsigned).view(raw.dtype)
-    double = raw.dtype == np.float64
-    if double and not largest < 2.0**-60:
-        return np.where(denormal, 0.0, raw), 0  # they stand 290 decades below the rest
-    lift = 54 if double else 0
-    lifted = magnitude.astype(np.float64)
-    lifted *= 2.0 ** (unit + lift)
-    np.copysign(lifted, raw, out=lifted)
-    if not denormal.all():
-        lifted = np.where(denormal, lifted, np.where(denormal, raw.dtype.type(0), raw) * 2.0**lift)
-    return lifted, -lift
+SMALLEST = 1e-290
+"""Smaller values, relative to the bank's, add nothing but arithmetic with denormal numbers, 100 times slower."""
 
 
 DOUBTFUL_BITS = int(DOUBTFUL)
@@ -215,21 +137,6 @@ class GreenArray:
         return np.asarray(self.values[bank_row(position, self.positions)])
 
 
-def read_row(bank: GreenSource, position: int) -> ScaledRow:
-    """Read one row as float64, scaled by a power of two.
-
-    bank: The bank, of any real number type, byte order or layout.
-
-    Raises InputError: the row is not real, has the wrong shape, or holds NaN or infinity.
-    """
-    return scale_row(fetch_row(bank, position), position)
-
-
-def read_rows(bank: GreenSource, positions: Sequence[int]) -> Float32Array:
-    """Read some rows as float32, each scaled by a power of two, (rows, actuators, taps). Raises as `read_row` does."""
-    return np.stack([scale_row(fetch_row(bank, row), row, single=True).values for row in positions])
-
-
 def fetch_row(bank: GreenSource, position: int) -> NDArray[Any]:
     """Read one row as the bank has it, (actuators, taps).
 
@@ -244,27 +151,77 @@ def fetch_row(bank: GreenSource, position: int) -> NDArray[Any]:
 
 
 class RowReader:
-    """Reads scaled rows of a bank for several threads; the bank itself is asked by one at a time."""
+    """Reads rows of a bank divided by one power of two, so that their values are about 1.
+
+    Powers of two scale without rounding: a bank in any unit renders to the same bits, and squares neither vanish nor
+    overflow. Several threads may read; the bank itself is asked by one at a time.
+
+    bank: The bank, of any real number type, byte order or layout.
+    """
+
+    exponent: int
+    """The bank's rows are those of `read` times 2**exponent: the largest value of its first row is in [0.5, 1)."""
 
     def __init__(self, bank: GreenSource) -> None:
-        self._bank = bank
+        self.bank = bank
         self._asking = threading.Lock()
+        # Of the rows of an interpolation, those that it is made from.
+        self.exponent = _exponent(getattr(bank, "measured", bank))
 
     @property
     def actuators(self) -> int:
         """Number of actuators."""
-        return self._bank.actuators
+        return self.bank.actuators
 
     @property
     def taps(self) -> int:
         """Taps of a Green's function."""
-        return self._bank.taps
+        return self.bank.taps
 
-    def read(self, position: int, *, single: bool) -> ScaledRow:
-        """Read one row, as float32 or as float64. Raises InputError where it cannot be used."""
+    def read(self, position: int) -> Float64Array:
+        """Read one row, (actuators, taps); `to_single` makes float32 of it.
+
+        Raises InputError: the row is not real, has the wrong shape, or holds NaN or infinity.
+        """
         with self._asking:
-            raw = fetch_row(self._bank, position)
-        return scale_row(raw, position, single=single)
+            raw = fetch_row(self.bank, position)
+        values = np.array(raw, dtype=np.float64, order="C")
+        if not np.isfinite(values).all():
+            actuator = int(np.argmin(np.isfinite(values).all(axis=1)))
+            raise InputError(
+                f"position {position}, actuator {actuator} of the bank holds NaN or infinity; remeasure or disable"
+                " the position"
+            )
+        values = apply_exponent(values, -self.exponent)
+        if raw.dtype.itemsize >= np.dtype(np.float64).itemsize:
+            values[np.abs(values) < SMALLEST] = 0.0
+        return values
+
+
+def to_single(values: Float64Array) -> Float32Array:
+    """Values of about 1 in float32, without a denormal number."""
+    rounded: Float32Array = values.astype(np.float32) + FLUSH
+    np.subtract(rounded, FLUSH, out=rounded)
+    return rounded
+
+
+def _exponent(bank: GreenSource) -> int:
+    """Power of two of the largest value of the first row that may be used and holds finite numbers; 0 without one."""
+    for row in np.flatnonzero(usable(bank)).tolist():
+        try:
+            peak = float(np.abs(np.asarray(fetch_row(bank, row), dtype=np.float64)).max())
+        except InputError:  # damaged, which matters only where a scene needs it
+            continue
+        if peak > 0.0 and np.isfinite(peak):
+            return int(np.frexp(peak)[1])
+    return 0
+
+
+def apply_exponent(values: ArrayLike, exponent: int) -> Float64Array:
+    """Values times two to a power, in float64, without over- or underflow on the way."""
+    double = np.asarray(values, dtype=np.float64)
+    with np.errstate(over="ignore", under="ignore"):
+        return double * 2.0**exponent if abs(exponent) < 1000 else np.ldexp(double, exponent)
 
 
 def usable(bank: GreenSource) -> BoolArray:

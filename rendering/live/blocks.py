@@ -19,11 +19,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
-from wavefocus.rendering.band import Band, norm_of, scale
+from wavefocus.rendering.arrays import Complex128Array, Float64Array
+from wavefocus.rendering.band import Band, norm_of
 from wavefocus.rendering.device import fast_length, host_device
 from wavefocus.rendering.drive.windows import Events, RowSpectra, Windows
 from wavefocus.rendering.greens.regularisation import BankRows
+from wavefocus.rendering.greens.source import apply_exponent
 
 CACHE_BYTES = 2**30
 """Memory of row spectra: 1500 positions of 20 actuators and 2000 taps take half of it."""
@@ -46,9 +47,8 @@ class CrossfadedBlocks:
         self.window_samples = self._lead + AT_ONCE * block_samples
         self._fft_samples = fast_length(self.window_samples)
         device = replace(host_device(), memory_bytes=CACHE_BYTES)
-        self._spectra = RowSpectra(rows, Band.whole(self._fft_samples), device, bounded=True)
+        self._spectra = RowSpectra(rows, Band.whole(self._fft_samples), device, magnitudes=True)
         self._product = np.empty((rows.bank.actuators, self._spectra.band.bins), dtype=np.complex128)
-        self._exponent: int | None = None
         self._rise = (np.arange(block_samples) + 0.5) / block_samples
         self._ahead: Float64Array = np.zeros((rows.bank.actuators, block_samples))
         """What the last computation gave for the blocks to come."""
@@ -98,16 +98,13 @@ class CrossfadedBlocks:
     def _computed(self, events: Events, bound_db: float | None) -> Float64Array:
         """Drives of three blocks, (actuators, 3 B)."""
         windows = Windows(events)
-        if self._exponent is None:
-            rows, by = windows.pairs
-            self._exponent = int(np.frexp(self._rows.weigh(rows[:1], by[:1])[0][0])[1])
-        windows.weigh(self._weigh)
-        unit = self._exponent + self._rows.drive_exponent
+        windows.weigh(self._rows.weigh)
+        unit = self._rows.drive_exponent
         emitted = windows.spectra(0, len(windows), self._fft_samples)
         error = 0.0 if bound_db is None else self._error(bound_db, unit)
         total = self._total(windows, emitted[:, : self._kept(windows, emitted, error)])
         samples = np.fft.irfft(total, n=self._fft_samples, axis=1)[:, self._lead : self.window_samples]
-        return scale(samples, unit)
+        return apply_exponent(samples, unit)
 
     def _total(self, windows: Windows, emitted: Complex128Array) -> Complex128Array:
         """Sum of windows times time-reversed rows, (actuators, kept bins)."""
@@ -115,7 +112,7 @@ class CrossfadedBlocks:
         total, product = np.zeros_like(self._product[:, :kept]), self._product[:, :kept]
         for row, by, window in zip(windows.rows.tolist(), windows.regularised_by.tolist(), emitted, strict=True):
             self.load(row)
-            np.multiply(self._spectra[row].kept[:, :kept], window, out=product)
+            np.multiply(self._spectra[row].values[:, :kept], window, out=product)
             sigma = self._rows.sigma(by) if by >= 0 else None
             if sigma is not None:
                 product *= sigma[:, None]
@@ -134,9 +131,6 @@ class CrossfadedBlocks:
             summed += size * self._spectra[row].magnitude
         beyond = np.cumsum(np.square(summed[::-1])) * (2.0 / self._fft_samples)
         return max(bins - int(np.searchsorted(beyond, error**2, side="right")), 1)
-
-    def _weigh(self, rows: Int64Array, regularised_by: Int64Array) -> tuple[Float64Array, BoolArray]:
-        return self._rows.weigh(rows, regularised_by, self._exponent or 0)
 
     def _error(self, bound_db: float, unit: int) -> float:
         """Norm that may be left out, over 2**unit volts."""

@@ -16,7 +16,7 @@ from wavefocus.rendering.field.metrics import band_weights
 from wavefocus.rendering.field.wave_figures import impulse_travel
 from wavefocus.rendering.greens.interpolation.errors import InterpolationErrors
 from wavefocus.rendering.greens.regularisation import BankRows
-from wavefocus.rendering.greens.source import DOUBTFUL_BITS, GreenSource, read_rows
+from wavefocus.rendering.greens.source import DOUBTFUL_BITS, GreenSource, RowReader, to_single
 from wavefocus.rendering.scene.emission import ContinuousEmission
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.rendering.scene.sampling import SampledSource
@@ -66,7 +66,8 @@ def response_tail(bank: GreenSource, rows: Sequence[int]) -> ResponseTail | None
         return None
     found: ResponseTail | None = None
     chosen = [rows[index] for index in np.unique(np.linspace(0, len(rows) - 1, min(ROWS, len(rows))).astype(np.int64))]
-    green = read_rows(bank, chosen)
+    reader = RowReader(bank)
+    green = np.stack([to_single(reader.read(row)) for row in chosen])
     kinds = [green]
     if bank.band_hz is not None:
         length = fast_length(2 * bank.taps)
@@ -111,7 +112,7 @@ class RenderReport:
         3B, right).
     out_of_band: Per source, the share of the emitted windows' energy outside the bank's band; None where it is unknown.
     omitted_bound: Proved bound on the relative error of the drives.
-    bins, kept_bins: Frequency bins of all sources' blocks, and how many of them were computed.
+    single: Computed in single precision.
     pairs: (Block, row) pairs that were multiplied: the cost of the render.
     interpolation_errors: Estimated error of the Green's functions between the bank's positions, by band; None where the
         paths keep to the positions, or the bank has too few of them.
@@ -124,8 +125,7 @@ class RenderReport:
     relative_rms_drive: Float64Array
     out_of_band: tuple[float | None, ...]
     omitted_bound: float
-    bins: int
-    kept_bins: int
+    single: bool
     pairs: int
     interpolation_errors: InterpolationErrors | None = None
     tail: ResponseTail | None = None
@@ -133,8 +133,7 @@ class RenderReport:
     @property
     def left_out_words(self) -> tuple[str, ...]:
         """Parts that were left out, a phrase each."""
-        left_out = self.bins - self.kept_bins
-        return (f"{left_out} of {self.bins} frequency bins",) if left_out else ()
+        return ("double precision",) if self.single else ()
 
     @property
     def scale(self) -> float:
@@ -183,8 +182,7 @@ def report_render(
         relative_rms_drive=norms / peak if peak > 0 else norms,
         out_of_band=outside,
         omitted_bound=omitted_bound,
-        bins=sum(item.bins for item in accumulated),
-        kept_bins=sum(item.kept_bins for item in accumulated),
+        single=omitted_bound > 0,
         pairs=sum(item.pairs for item in accumulated),
         interpolation_errors=errors,
         tail=tail,

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wavefocus.rendering.arrays import Float64Array, Int64Array
-from wavefocus.rendering.greens.regularisation import row_weights, saturation_threshold
-from wavefocus.rendering.greens.source import GreenSource, read_row, refusal, usable
+from wavefocus.rendering.greens.regularisation import focus_gains, saturation_threshold
+from wavefocus.rendering.greens.source import GreenSource, usable
 from wavefocus.rendering.report.canvas import (
     COLOURS,
     FAINT,
@@ -159,13 +159,7 @@ def _gains(scene: Scene, bank: GreenSource, rows: Int64Array) -> Float64Array | 
         threshold = saturation_threshold(scene.regularisation, bank)
     except InputError:
         return None
-    gain = np.empty(len(rows))
-    for place, row in enumerate(rows.tolist()):
-        scaled = None if refusal(int(bank.status[row])) else read_row(bank, row)
-        if scaled is None or scaled.silent:
-            return None
-        weights = row_weights(scaled, threshold, normalise=True)
-        gain[place] = np.ldexp(weights.gain, weights.gain_exponent)
+    gain = focus_gains(bank, rows.tolist(), threshold)
     return gain if np.isfinite(gain).all() and (gain > 0).all() else None
 
 

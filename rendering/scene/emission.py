@@ -25,8 +25,6 @@ class Emission(Protocol):
     """One past the last sample of the emission."""
     event_samples: int
     """Samples that one event lasts, 1 for a continuous emission."""
-    exponent: int
-    """The signal is emitted over 2**exponent, so that its largest value is about 1."""
 
     def events(self, start: int, stop: int) -> Events:
         """Events that begin at samples [start, stop), counted from `start`."""
@@ -60,7 +58,6 @@ class ContinuousEmission:
         self.first_sample = first_sample
         self.stop_sample = stop_sample
         self.signal = signal[: stop_sample - first_sample]
-        self.exponent = _exponent(self.signal)
         self.stop_event = first_sample + len(self.signal)
         self._nodes_at = nodes_at
         self._focus: Int64Array | None = None
@@ -71,7 +68,7 @@ class ContinuousEmission:
 
     def events(self, start: int, stop: int) -> Events:
         begin, end = start - self.first_sample, stop - self.first_sample
-        signal = np.ldexp(self.signal[begin:end], -self.exponent)
+        signal = self.signal[begin:end]
         if self._focus is None:
             return Events(*self._nodes_at(begin, end), np.arange(end - begin), signal)
         point = self._last_point[np.searchsorted(self._focus, np.arange(start, stop), side="right") - 1]
@@ -101,10 +98,8 @@ class PointEmission:
         self.signal = signal
         self.focus_sample = focus_sample
         self.first_sample = int(focus_sample[0])
-        self.exponent = _exponent(signal)
         self._pieces = [
-            np.ldexp(signal[begin : begin + self.event_samples], -self.exponent)
-            for begin in range(0, len(signal), self.event_samples)
+            signal[begin : begin + self.event_samples] for begin in range(0, len(signal), self.event_samples)
         ]
         self.stop_sample = int(focus_sample[-1]) + len(signal)
         self.stop_event = int(focus_sample[-1]) + (len(self._pieces) - 1) * self.event_samples + 1
@@ -126,7 +121,3 @@ class PointEmission:
 
     def piece_spectra(self, fft_samples: int) -> Complex128Array:
         return np.stack([np.fft.rfft(piece, fft_samples) for piece in self._pieces])
-
-
-def _exponent(signal: Float64Array) -> int:
-    return int(np.frexp(max(signal.max(initial=0.0), -signal.min(initial=0.0)))[1])

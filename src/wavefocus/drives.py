@@ -49,7 +49,7 @@ def render(
     focusing
         ``"time-reversal"``, or ``"inverse"``: inverse filtering at the path points.
     tolerance_db
-        Bound on the relative L2 error of the drives in dB, < 0, within which frequencies may be left out. By default
+        Bound on the relative L2 error of the drives in dB, < 0, within which single precision may be used. By default
         nothing is.
     interpolation_tolerance
         Largest relative error of the Green's functions between the bank's positions, > 0. By default an error above

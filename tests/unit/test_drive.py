@@ -240,12 +240,12 @@ def test_the_bound_is_never_smaller_than_the_error_of_what_was_left_out(
     assert drive.omitted_bound <= 10 ** (tolerance_db / 20)
 
 
-def test_a_tolerance_on_a_banded_bank_leaves_bins_out():
+def test_within_a_tolerance_single_precision_is_used_and_stated():
     bank = banded_bank(3, 400, 0.0)
     exact, _ = render_with_report(Scene("s", (MOVING,)), bank)
     drive, report = render_with_report(Scene("s", (MOVING,)), bank, tolerance_db=-20)
-    assert report.kept_bins < report.bins
-    assert report.left_out_words == (f"{report.bins - report.kept_bins} of {report.bins} frequency bins",)
+    assert report.single
+    assert report.left_out_words == ("double precision",)
     assert 0 < drive.omitted_bound <= 0.1
     assert 0 < relative_error(drive.drive_v, exact.drive_v) <= drive.omitted_bound
 

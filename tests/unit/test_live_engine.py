@@ -13,8 +13,7 @@ from wavefocus.config.scene import Regularisation
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.greens.interpolation.base import interpolation_method
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
-from wavefocus.rendering.greens.regularisation import row_weights
-from wavefocus.rendering.greens.source import GreenArray, read_row
+from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.live.engine import Effort, LiveEngine
 from wavefocus.rendering.scene.signals import Impulse, Noise, Sine
 from wavefocus.rendering.scene.trajectory import Trajectory
@@ -63,15 +62,15 @@ def direct(lives: dict[int, list], samples: int, interpolation: str, saturation_
         at_mm, amplitude = course.at(sample)
         nodes = method.nodes(at_mm)
         for place, now in enumerate(sample.tolist()):
-            weights = row_weights(read_row(BANK, int(nodes.nearest[place])), saturation_v, normalise=True)
-            green = np.einsum("k,kit->it", nodes.weights[place], GREEN[nodes.rows[place]])
-            if weights.sigma is not None:
-                green = green * weights.sigma[:, None]
+            nearest = GREEN[nodes.nearest[place]]
+            sigma = np.minimum(1.0, saturation_v / np.sqrt(np.square(nearest).mean(axis=1)))
+            gain = 1.0 / (sigma @ np.square(nearest).sum(axis=1))
+            green = sigma[:, None] * np.einsum("k,kit->it", nodes.weights[place], GREEN[nodes.rows[place]])
             since = now - int(sample[0])
             loud = parts[0].repeat or since < len(signal)
             emitted = amplitude[place] * signal[since % len(signal)] * loud
             taps = np.arange(TAPS)[(now - np.arange(TAPS) >= 0) & (now - np.arange(TAPS) < samples)]
-            drive_v[:, now - taps] += emitted * np.ldexp(weights.gain, weights.gain_exponent) * green[:, taps]
+            drive_v[:, now - taps] += emitted * gain * green[:, taps]
     return drive_v
 
 

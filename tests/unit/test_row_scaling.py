@@ -1,4 +1,4 @@
-"""Rows scaled by powers of two, and the rows that a scene visits."""
+"""Rows over a power of two, and the rows that a scene visits."""
 
 from __future__ import annotations
 
@@ -7,36 +7,38 @@ import pytest
 
 from wavefocus.config.scene import Regularisation
 from wavefocus.rendering.greens.regularisation import BankRows
-from wavefocus.rendering.greens.source import GreenArray, scale_row
+from wavefocus.rendering.greens.source import GreenArray, RowReader, to_single
 from wavefocus.storage.errors import InputError
 
 ACTUATORS, TAPS = 3, 40
 POSITION_MM = np.stack([4.0 * np.arange(6), np.zeros(6)], axis=1)
 
 
-def make_rows(seed: int = 0) -> np.ndarray:
-    """Rows of either sign, from 1e-30 to 1e30."""
-    rng = np.random.default_rng(seed)
-    rows = rng.uniform(0.01, 1.0, (6, ACTUATORS, TAPS)) * rng.choice([-1.0, 1.0], (6, ACTUATORS, TAPS))
-    return (rows * np.logspace(-30, 30, 6)[:, None, None]).astype(np.float32)
-
-
-@pytest.mark.parametrize("dtype", [np.float32, np.float64, ">f4"])
-def test_given_a_row_of_any_size_then_it_is_scaled_without_rounding(dtype):
-    for number, raw in enumerate(make_rows().astype(dtype)):
-        row = scale_row(raw, number)
-        assert 0.5 <= np.abs(row.values).max() < 1.0
-        np.testing.assert_array_equal(np.ldexp(row.values, row.exponent), raw)
+@pytest.mark.parametrize("dtype", [np.float32, np.float64, ">f4", np.int16])
+@pytest.mark.parametrize("unit", [1.0, 1e-30, 1e30])
+def test_given_a_bank_in_any_unit_then_its_rows_are_about_1_and_not_rounded(dtype, unit):
+    values = np.random.default_rng(0).uniform(-1.0, 1.0, (6, ACTUATORS, TAPS)) * (unit if dtype != np.int16 else 1e4)
+    bank = make_bank(values.astype(dtype))
+    reader = RowReader(bank)
+    assert 0.5 <= np.abs(reader.read(0)).max() < 1.0
+    for row in range(6):
+        np.testing.assert_array_equal(np.ldexp(reader.read(row), reader.exponent), bank.values[row])
 
 
 def test_given_denormal_numbers_then_single_precision_holds_none():
-    raw = np.full((ACTUATORS, TAPS), 1e-40, np.float32)
-    raw[0, 0] = 1.0
-    row = scale_row(raw, 0, single=True)
-    assert row.values.dtype == np.float32
-    assert set(np.unique(row.values)) == {0.0, 0.5}
-    alone = scale_row(raw[1:], 0)
-    np.testing.assert_array_equal(np.ldexp(alone.values, alone.exponent), raw[1:].astype(np.float64))
+    raw = np.full((6, ACTUATORS, TAPS), 1e-40, np.float32)
+    raw[0, 0, 0] = 1.0
+    single = to_single(RowReader(make_bank(raw)).read(0))
+    assert single.dtype == np.float32
+    assert set(np.unique(single)) == {0.0, 0.5}
+    reader = RowReader(make_bank(raw[[1] * 6]))
+    np.testing.assert_array_equal(np.ldexp(reader.read(1), reader.exponent), raw[1].astype(np.float64))
+
+
+def test_given_a_first_row_that_cannot_be_read_then_another_sets_the_power_of_two():
+    values = np.full((6, ACTUATORS, TAPS), 8.0)
+    values[0], values[1, 0, 0] = 0.0, np.nan
+    assert RowReader(make_bank(values)).exponent == 4
 
 
 def make_bank(values: np.ndarray, **more) -> GreenArray:
@@ -46,15 +48,15 @@ def make_bank(values: np.ndarray, **more) -> GreenArray:
 def test_given_rows_read_then_their_weights_are_those_of_the_equations():
     values = np.random.default_rng(1).uniform(-1.0, 1.0, (6, ACTUATORS, TAPS))
     rows = BankRows(make_bank(values), Regularisation(saturation_absolute=0.55))
-    factors, saturated = rows.weigh(np.array([4, 0]), np.array([2, 0]))
+    factors, saturated = rows.weigh(np.array([2, 0]))
     rms = np.sqrt(np.square(values).mean(axis=2))
     sigma = np.minimum(1.0, 0.55 / rms)
-    for place, (row, by) in enumerate(((4, 2), (0, 0))):
-        scale = np.abs(values[row]).max() / np.abs(rows.read(row).values).max()
-        assert factors[place] == pytest.approx(scale / (sigma[by] @ np.square(values[by]).sum(axis=1)), rel=1e-12)
+    for place, by in enumerate((2, 0)):
+        gain = np.ldexp(factors[place], 2 * rows.drive_exponent)
+        assert gain == pytest.approx(1.0 / (sigma[by] @ np.square(values[by]).sum(axis=1)), rel=1e-12)
         assert saturated[place] == (sigma[by] < 1).any()
         np.testing.assert_allclose(rows.sigma(by) if saturated[place] else 1.0, sigma[by], rtol=1e-12)
-    assert rows.used == [0, 2, 4]
+    assert rows.used == [0, 2]
 
 
 def test_given_an_actuator_silent_in_all_rows_read_then_it_is_listed():
@@ -75,7 +77,7 @@ def test_given_an_actuator_silent_in_all_rows_read_then_it_is_listed():
     ],
 )
 def test_given_a_row_that_may_not_be_used_then_it_is_named(spoil, message):
-    values, status = make_rows(), np.ones(6, dtype=np.uint8)
+    values, status = np.ones((6, ACTUATORS, TAPS)), np.ones(6, dtype=np.uint8)
     spoil(values, status)
     with pytest.raises(InputError, match=message):
         BankRows(make_bank(values, status=status), Regularisation()).read(3)

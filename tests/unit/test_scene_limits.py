@@ -14,12 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from wavefocus.config.scene import SceneConfig
+from wavefocus.config.scene import Regularisation, SceneConfig
 from wavefocus.rendering.drive.inverse_filter import inverse_filter
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.drive.streamed import BlockDrive, StreamedDrive
-from wavefocus.rendering.greens.regularisation import row_weights
-from wavefocus.rendering.greens.source import GreenArray, scale_row
+from wavefocus.rendering.greens.regularisation import BankRows
+from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.report.scene_picture import scene_picture
 from wavefocus.rendering.scene.model import build_scene, read_scene
 from wavefocus.rendering.scene.scene_rows import scene_rows
@@ -285,14 +285,17 @@ def test_any_numbers_of_a_scene_give_finite_drives_or_one_sentence(tables: dict)
 def test_any_saturation_threshold_gives_a_finite_weight_or_one_sentence(
     threshold: float, scale: float, normalise: bool
 ) -> None:
-    row = scale_row(np.random.default_rng(0).standard_normal((3, 8)) * scale, 0)
+    values = np.random.default_rng(0).standard_normal((1, 3, 8)) * scale
+    regularisation = Regularisation(saturation_absolute=threshold, normalise=normalise)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
-            weights = row_weights(row, threshold, normalise=normalise)
+            rows = BankRows(GreenArray(values, np.zeros((1, 2)), 1000.0), regularisation)
+            gain, _ = rows.weigh(np.zeros(1, dtype=np.int64))
         except InputError:
             return
-    assert np.isfinite([weights.gain, *(() if weights.sigma is None else weights.sigma)]).all()
+    sigma = rows.sigma(0)
+    assert np.isfinite([*gain, *(() if sigma is None else sigma)]).all()
 
 
 @pytest.mark.parametrize("name", ["costs $x_{$", "$", "\N{GRINNING FACE} \N{CJK UNIFIED IDEOGRAPH-6CE2}", "a\tb"])

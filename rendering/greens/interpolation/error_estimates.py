@@ -13,7 +13,7 @@ from wavefocus.calibration.wave_model import PatchKernel
 from wavefocus.rendering.arrays import Complex128Array, Float64Array, Int64Array
 from wavefocus.rendering.greens.interpolation.base import GridInterpolation, Nodes
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
-from wavefocus.rendering.greens.source import GreenSource, read_row, read_rows, usable
+from wavefocus.rendering.greens.source import GreenSource, RowReader, usable
 from wavefocus.storage.errors import InputError
 
 if TYPE_CHECKING:
@@ -136,7 +136,8 @@ def _pairs(bank: GreenSource, grid: PositionGrid, points_mm: Float64Array) -> tu
 def _correlation(bank: GreenSource, pairs: Int64Array, frequency_hz: Float64Array) -> tuple[Float64Array, Float64Array]:
     """Correlation of the pairs' rows over actuators, and their power, (bands,) each."""
     product, power = np.zeros(len(frequency_hz)), np.zeros(len(frequency_hz))
-    rows = read_rows(bank, pairs.ravel().tolist())
+    reader = RowReader(bank)
+    rows = np.stack([reader.read(row) for row in pairs.ravel().tolist()])
     spectra = transform_at(rows, frequency_hz, bank.sample_rate_hz)
     for first, second in spectra.reshape(len(pairs), 2, bank.actuators, -1):
         norms = [np.square(np.abs(part)).sum(axis=0) for part in (first, second)]
@@ -173,7 +174,7 @@ class RowValues:
         self._bank = bank
         self.frequency_hz = frequency_hz
         self._cached: dict[int, Complex128Array] = {}
-        self._exponent: int | None = None
+        self._reader = RowReader(bank)
 
     def of(self, rows: Int64Array) -> Complex128Array:
         """Values of rows, (frequencies, rows, actuators).
@@ -186,17 +187,14 @@ class RowValues:
         return np.stack([self._cached[row] for row in rows.tolist()], axis=1)
 
     def _read(self, row: int) -> Complex128Array:
-        scaled = read_row(self._bank, row)
-        if scaled.silent:
+        green = self._reader.read(row)
+        if not green.any():
             x, y = np.asarray(self._bank.position_mm)[row]
             raise InputError(
                 f"position {row} at ({x:.6g}, {y:.6g}) mm is all zeros, so not measured, but interpolation"
                 " needs it; remeasure or disable the position"
             )
-        if self._exponent is None:
-            self._exponent = scaled.exponent
-        values = np.ldexp(scaled.values, scaled.exponent - self._exponent)
-        return np.ascontiguousarray(transform_at(values, self.frequency_hz, self._bank.sample_rate_hz).T)
+        return np.ascontiguousarray(transform_at(green, self.frequency_hz, self._bank.sample_rate_hz).T)
 
 
 UNRESOLVED = 0.3

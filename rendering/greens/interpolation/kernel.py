@@ -29,7 +29,7 @@ from wavefocus.rendering.greens.interpolation.base import (
 )
 from wavefocus.rendering.greens.interpolation.error_estimates import RowValues
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
-from wavefocus.rendering.greens.source import DOUBTFUL_BITS, GreenSource, read_row, usable
+from wavefocus.rendering.greens.source import DOUBTFUL_BITS, GreenSource, RowReader, apply_exponent, usable
 from wavefocus.rendering.scene.paths import Circle, Path
 from wavefocus.storage.point_status import Status
 
@@ -65,7 +65,7 @@ class KernelRows:
     """
 
     def __init__(self, measured: GreenSource, waves: WaveModel, neighbourhoods: Neighbourhoods) -> None:
-        self.measured = measured
+        self.measured, self._reader = measured, RowReader(measured)
         self.actuator_mm, self.band_hz = measured.actuator_mm, measured.band_hz
         self.taps, self.actuators = measured.taps, measured.actuators
         self.sample_rate_hz, self.response_unit = measured.sample_rate_hz, measured.response_unit
@@ -143,7 +143,7 @@ class KernelRows:
         while knots_hz[-1] < highest_hz:
             knots_hz.append(knots_hz[-1] + min(GROWTH * knots_hz[-1], widest_hz))
         self._waves = waves.at(np.array(knots_hz))
-        from scipy.interpolate import CubicSpline  # slow to load; `plan` needs the kernel's weights alone
+        from scipy.interpolate import CubicSpline  # slow to load
 
         spline = CubicSpline(knots_hz, np.eye(len(knots_hz)))
         faded = 0.5 + 0.5 * np.cos(np.pi * np.clip((bins_hz - fade_hz[0]) / (fade_hz[1] - fade_hz[0]), 0.0, 1.0))
@@ -153,8 +153,7 @@ class KernelRows:
         """Frequency above which some rows of the bank have next to nothing."""
         energy = np.zeros(len(bins_hz))
         for row in self._neighbourhoods.some_rows(ROWS_LOOKED_AT):
-            values = read_row(self.measured, row).values
-            energy += np.square(np.abs(scipy_fft.rfft(values, self._samples, axis=1))).sum(axis=0)
+            energy += np.square(np.abs(scipy_fft.rfft(self._reader.read(row), self._samples, axis=1))).sum(axis=0)
         above = np.cumsum(energy[::-1])[::-1]
         loud = int(np.count_nonzero(above > LEFT_OUT * above[0]))
         return float(bins_hz[min(loud, len(bins_hz) - 1)])
@@ -166,13 +165,10 @@ class KernelRows:
         count, places, rows = weights.shape
         flat = weights.reshape(count, -1).view(np.float64)
         by_bin = (self._to_bins @ flat).view(np.complex128).reshape(-1, places, rows)
-        neighbours = [self._spectrum(row) for row in patch.rows.tolist()]
-        exponent = max(power for _, power in neighbours)
-        spectra = np.stack([np.ldexp(1.0, power - exponent) * values for values, power in neighbours], axis=1)
+        spectra = np.stack([self._spectrum(row) for row in patch.rows.tolist()], axis=1)
         found = (by_bin @ spectra).transpose(1, 2, 0)
         green = scipy_fft.irfft(found, self._samples, axis=2)[:, :, : self.taps]
-        with np.errstate(over="ignore", under="ignore"):
-            green = np.ldexp(green, exponent)
+        green = apply_exponent(green, self._reader.exponent)
         for number, row in zip(numbers, green, strict=True):
             self._rows[number] = row
         while len(self._rows) > max(ROWS_KEPT, len(numbers)):
@@ -186,11 +182,10 @@ class KernelRows:
         self._kernels.move_to_end(patch.key)
         return self._kernels[patch.key]
 
-    def _transform(self, row: int) -> tuple[Complex128Array, int]:
-        """Spectrum of a measured row, (bins, actuators), over a power of two."""
-        scaled = read_row(self.measured, row)
-        spectrum = scipy_fft.rfft(scaled.values, self._samples, axis=1)[:, : len(self._to_bins)]
-        return np.ascontiguousarray(spectrum.T), scaled.exponent
+    def _transform(self, row: int) -> Complex128Array:
+        """Spectrum of a measured row, (bins, actuators), over two to the reader's exponent."""
+        spectrum = scipy_fft.rfft(self._reader.read(row), self._samples, axis=1)[:, : len(self._to_bins)]
+        return np.ascontiguousarray(spectrum.T)
 
 
 STENCIL = 4
@@ -436,9 +431,9 @@ def _bands_hz(bank: GreenSource, neighbourhoods: Neighbourhoods) -> Float64Array
 
 
 def _loud_hz(bank: GreenSource, neighbourhoods: Neighbourhoods) -> tuple[float, float]:
-    power = np.zeros(bank.taps // 2 + 1)
+    power, reader = np.zeros(bank.taps // 2 + 1), RowReader(bank)
     for row in neighbourhoods.some_rows(8):
-        power += np.square(np.abs(np.fft.rfft(read_row(bank, row).values, axis=1))).sum(axis=0)
+        power += np.square(np.abs(np.fft.rfft(reader.read(row), axis=1))).sum(axis=0)
     loud = np.flatnonzero(power > FAINT * power.max()) if power.any() else np.array([1])
     step_hz = bank.sample_rate_hz / bank.taps
     return max(float(loud[0]), 1.0) * step_hz, max(float(loud[-1]), 1.0) * step_hz
