@@ -35,7 +35,7 @@ def write(lab: Path, amplitude_v: float, actuators: int = 3, seconds: float = 1.
     drive_v = np.zeros((actuators, time_s.size))
     drive_v[1] = amplitude_v * np.sin(2 * np.pi * 100.0 * time_s)
     none = np.zeros(0, np.int64)
-    write_drive(lab / "drive.h5", Drive(drive_v, RATE_HZ, -0.1999, "sampled", 1.0, 0.0, none, none, none))
+    write_drive(lab / "drive.h5", Drive(drive_v, RATE_HZ, -0.1999, "sampled", 1.0, 0.0, none, none, none), force=True)
 
 
 def play(lab: Path, *options: str) -> int:
@@ -81,7 +81,7 @@ def test_given_a_loop_then_the_power_counts_across_its_seam(lab: Path, capsys: p
     drive_v[3_000:12_000] = 0.0  # loud at both ends: 0.3 s of each within a second, and 0.6 s where they meet
     none = np.zeros(0, np.int64)
     drive = Drive(np.tile(drive_v, (3, 1)), RATE_HZ, 0.0, "sampled", 1.0, 0.0, none, none, none)
-    write_drive(lab / "drive.h5", drive)
+    write_drive(lab / "drive.h5", drive, force=True)
     text = (lab / "rig.toml").read_text(encoding="utf-8").replace("0.04", "0.02")
     (lab / "rig.toml").write_text(text, encoding="utf-8")
     assert play(lab) == 0
