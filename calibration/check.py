@@ -203,6 +203,13 @@ def _check_neighbours(bank: Bank, spectra: RowSpectra, measured: BoolArray) -> I
     for one in verdict.differences:
         actuator = one.actuators[0] if len(one.actuators) == 1 else None
         yield Finding(one.position, actuator, f"position {one.position}: {one.sentence}")
+    if verdict.incoherent:
+        message = (
+            "so many Green's functions contradict those of their neighbours that none can be judged by them: the"
+            " positions are not in the order of the rows, or most rows are wrong"
+        )
+        yield Finding(None, None, message, "warning")
+        return
     there, judged = int(measured.sum()) * bank.actuators, int(verdict.judged.sum())
     if measured.sum() >= _NEIGHBOURHOOD and judged < there:
         message = (

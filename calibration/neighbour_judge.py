@@ -36,6 +36,11 @@ UNSURE = 0.06
 """Rows whose level is not predicted within this are not judged."""
 MOST_ROUNDS = 40
 SEARCHES = 3
+MAX_RENEWED, MAX_RENEWED_SHARE = 30_000, 0.25
+"""Predictions that are renewed at most (half a minute), and so many more per row. One differing row needs 30, a
+position that was measured elsewhere some thousands; rows that do not belong together need a hundred each."""
+MAX_OUT = 0.5
+"""Where more than this share of the rows differ, none is judged: it is not the rows that are wrong."""
 LEAST_ROWS = 3
 """So many rows of a position make a whole that can differ by one cause."""
 GAIN_SIGMAS = 8.0
@@ -50,10 +55,13 @@ class Verdict:
 
     differences: By position.
     judged, bool (positions, actuators): Rows that could be judged.
+    incoherent: Whether so many rows contradict their neighbours that the search for the wrong ones was given up; then
+        none is judged.
     """
 
     differences: tuple[Difference, ...]
     judged: BoolArray
+    incoherent: bool = False
 
 
 class RowSpectra:
@@ -119,6 +127,7 @@ class NeighbourJudge:
         self.judged: BoolArray = np.zeros(shape[:2], dtype=bool)
         self._suspect: BoolArray = np.zeros(shape[:2], dtype=bool)
         self._tried: BoolArray = np.zeros(shape[:2], dtype=bool)
+        self._renewed, self._most_renewed = 0, MAX_RENEWED + MAX_RENEWED_SHARE * shape[0] * shape[1]
         self._gain: dict[int, float] = {}
         self._left_out: dict[int, BoolArray] = {}
         if not len(self._all):
@@ -155,6 +164,8 @@ class NeighbourJudge:
         if len(self._all):
             with one_blas_thread():
                 self._search()
+        if self._renewed > self._most_renewed or self._out.sum() > MAX_OUT * len(self._all) * self._out.shape[1]:
+            return Verdict((), np.zeros_like(self.judged), incoherent=True)
         rows = {
             int(position): np.flatnonzero(self._out[position]) for position in np.flatnonzero(self._out.any(axis=1))
         }
@@ -169,6 +180,8 @@ class NeighbourJudge:
         for _ in range(SEARCHES):
             for _ in range(MOST_ROUNDS):
                 tried = self._worst()
+                if self._renewed > self._most_renewed:
+                    return
                 if not tried.any():
                     break
                 self._tried |= tried
@@ -335,6 +348,7 @@ class NeighbourJudge:
             for pattern in {column.tobytes() for column in out.T[changed_for]}:
                 left_out = np.frombuffer(pattern, dtype=bool)
                 actuators = np.flatnonzero(changed_for & (out == left_out[:, None]).all(axis=0))
+                self._renewed += 1
                 errors, variance = self._rows.error_without(position, rows[left_out], actuators)
                 self._errors[position, actuators], self._variance[position, actuators] = errors, variance
         learned = set(predicted)

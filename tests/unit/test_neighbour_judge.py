@@ -122,3 +122,13 @@ def test_banks_in_any_unit_then_are_judged_alike(clean: np.ndarray) -> None:
     greens = clean * 1e-30
     greens[84] *= 0.8
     assert found(judged(greens)) == [(84, "level")]
+
+
+def test_rows_that_do_not_belong_together_then_are_called_so_and_none_is_judged() -> None:
+    # Each row is a response as of a plate, and has nothing to do with those next to it.
+    time_s = np.arange(TAPS) / RATE_HZ
+    phases = np.random.default_rng(0).uniform(0, 0.8, (POSITIONS, ACTUATORS, 1))
+    verdict = judged(np.exp(-time_s / 0.02) * np.sin(2 * np.pi * 150 * time_s + phases))
+    assert verdict.incoherent
+    assert verdict.differences == ()
+    assert not verdict.judged.any()
