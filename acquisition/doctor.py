@@ -10,12 +10,22 @@ from typing import Protocol, TypeVar, cast, runtime_checkable
 
 import numpy as np
 
-from wavefocus.acquisition.setup import Setup, point_at, record_silence, take_record
+from wavefocus.acquisition.setup import MAX_DELAY_DIFFERENCE_S, Setup, point_at, record_silence, take_record
 from wavefocus.calibration.clock.timing import ReferenceMissingError, fit_clock
 from wavefocus.calibration.sweeps import Excitation
 from wavefocus.config.messages.rig_checks import Act, Finding, Verdict
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
-from wavefocus.drivers.protocols import Clock, DeviceIdentity, Instruments, Mirror, Player, Recorder, Recording, Take
+from wavefocus.drivers.protocols import (
+    Clock,
+    DeviceIdentity,
+    Instruments,
+    Mirror,
+    Player,
+    Recorder,
+    Recording,
+    StatesDelay,
+    Take,
+)
 from wavefocus.drivers.timeouts import CallThread, HungError
 
 Answer = TypeVar("Answer")
@@ -164,6 +174,7 @@ class _Examination:
             opened = cast("tuple[Mirror, Recorder, Player]", (self._mirror, self._recorder, self._player))
             setup = self._rig.wired(Instruments(*opened, self._rig.clock), sensitivity)
             points = self._check_mirror(setup)
+            self._check_delay(setup)
             self._check_outputs(setup)
             self._check_sound(setup, points=points)
         finally:
@@ -222,6 +233,24 @@ class _Examination:
             return False
         findings.add("mirror", "corners", "ok", what)
         return True
+
+    def _check_delay(self, setup: Setup) -> None:
+        """Compare the stated delay between the inputs with the device's conversion clock."""
+        recorder, rate_hz, stated_s = self._recorder, self._rig.sample_rate_hz, setup.inter_channel_delay_s
+        if not isinstance(recorder, StatesDelay):
+            return
+        device_s = self._findings.ask("recorder", "input delay", partial(recorder.sampling_delay_s, rate_hz), ANSWER_S)
+        if device_s is None:
+            return
+        what = f"the response is sampled {1e6 * device_s:.2f} us after the reference at {rate_hz:g} Hz"
+        if abs(device_s - stated_s) <= MAX_DELAY_DIFFERENCE_S:
+            self._findings.add("recorder", "input delay", "ok", what)
+            return
+        what += f"; stated are {1e6 * stated_s:.2f} us"
+        remedy = f"write {device_s:.4g} into recorder.inter_channel_delay_s, or run wavefocus calibrate --only inputs"
+        self._findings.add(
+            "recorder", "input delay", "warn", what, remedy, Act("edit-rig", "recorder.inter_channel_delay_s")
+        )
 
     def _check_outputs(self, setup: Setup) -> None:
         if self._player is None:

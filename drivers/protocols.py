@@ -154,6 +154,18 @@ class OffersRanges(Protocol):
 
 
 @runtime_checkable
+class StatesDelay(Protocol):
+    """A recorder that knows the clock of its converter, and so how far apart in time its two inputs are sampled."""
+
+    def sampling_delay_s(self, sample_rate_hz: float) -> float | None:
+        """How much later the response is sampled than the reference at a sample rate, in s, between two records.
+
+        None where the device does not report it; 0 where each input has a converter. Raises InstrumentError.
+        """
+        ...
+
+
+@runtime_checkable
 class Player(Instrument, Protocol):
     """Plays one signal per channel of an audio interface."""
 

@@ -22,6 +22,7 @@ from wavefocus.drivers.protocols import (
     Recorder,
     Recording,
     RecordRequest,
+    StatesDelay,
 )
 
 Answer = TypeVar("Answer")
@@ -235,6 +236,13 @@ class BoundedRecorder(_Bounded[Recorder]):
 
     def read(self, timeout_s: float) -> Recording:
         return self._work(self._recording, lambda: self._device.read(timeout_s), timeout_s)
+
+    def sampling_delay_s(self, sample_rate_hz: float) -> float | None:
+        """As of `wavefocus.drivers.protocols.StatesDelay`; None from a recorder that cannot say."""
+        device = self._device
+        if not isinstance(device, StatesDelay):
+            return None
+        return self._work("asking for its conversion rate", lambda: device.sampling_delay_s(sample_rate_hz))
 
     def abort(self) -> None:
         self._rest("aborting", self._device.abort)

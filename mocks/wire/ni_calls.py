@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -26,6 +27,10 @@ COMMIT = 3  # nidaqmx.constants.TaskMode
 FEWEST_SAMPLES = 2  # NI-DAQmx refuses a finite task of one sample
 ANALOG_INPUT = 10100  # nidaqmx.constants.ChannelType
 VOLTAGE = 10322  # nidaqmx.constants.UsageTypeAI
+PRODUCT_CATEGORY = 14646  # nidaqmx.constants.ProductCategory.USBDAQ
+USB_BUS = 12586  # nidaqmx.constants.BusType
+ENUMERATIONS = (0x29A9, 0x2326, 0x1300)  # their values travel under another name
+ON_DEMAND_HZ = 1000.0
 OPEN_INPUT_V = 1e-4  # noise of an input that nothing drives, volts rms
 
 
@@ -42,6 +47,7 @@ class NiCalls:
             "GetErrorString": lambda request, alive: {"error_string": _text_of(request.error_code)},
             "GetDeviceAttributeString": self._device_attribute,
             "GetDeviceAttributeUInt32": self._device_attribute,
+            "GetDeviceAttributeInt32": self._device_attribute,
             "GetDeviceAttributeBool": self._device_attribute,
             "GetDeviceAttributeDouble": self._device_attribute,
             "GetDeviceAttributeDoubleArray": self._device_attribute,
@@ -50,11 +56,20 @@ class NiCalls:
             "CreateTask": self._create_task,
             "ClearTask": self._clear_task,
             "GetTaskAttributeString": self._task_text,
+            "GetTaskAttributeUInt32": self._task_number,
+            "IsTaskDone": self._is_done,
             "CreateAIVoltageChan": self._create_channel,
+            "GetChanAttributeInt32": self._channel_attribute,
+            "GetChanAttributeString": self._channel_attribute,
             "GetChanAttributeDouble": self._channel_attribute,
             "GetChanAttributeDoubleArray": self._channel_attribute,
             "CfgSampClkTiming": self._time,
             "GetTimingAttributeDouble": self._timing_attribute,
+            "GetTimingAttributeInt32": self._timing_attribute,
+            "GetTimingAttributeUInt64": self._timing_attribute,
+            "GetReadAttributeString": self._read_attribute,
+            "GetReadAttributeUInt32": self._read_attribute,
+            "GetReadAttributeUInt64": self._read_attribute,
             "CfgDigEdgeStartTrig": self._trigger,
             "TaskControl": self._control,
             "StartTask": self._start,
@@ -81,7 +96,8 @@ class NiCalls:
     def _device_attribute(self, request: Any, alive: Alive) -> Answer:
         box = self._box
         box.touch(request.device_name)
-        return {"value": _device_value(box.product, box.name, box.serial_number, request.attribute_raw)}
+        value = _device_value(box.product, box.name, box.serial_number, request.attribute_raw)
+        return {"value_raw" if request.attribute_raw in ENUMERATIONS else "value": value}
 
     def _input_terminals(self, request: Any, alive: Alive) -> Answer:
         device, _, wanted = request.physical_channel.partition("/")
@@ -108,22 +124,37 @@ class NiCalls:
         names = ", ".join(channel.name for channel in task.channels)
         return {"value": _found({0x1276: task.name, 0x1273: names, 0x230E: self._box.name}, request.attribute_raw)}
 
+    def _task_number(self, request: Any, alive: Alive) -> Answer:
+        task = self._task(request)
+        return {"value": _found({0x2181: len(task.channels), 0x230F: 1}, request.attribute_raw)}
+
+    def _is_done(self, request: Any, alive: Alive) -> Answer:
+        with self._box.condition:
+            task = self._task(request)
+            return {"is_task_done": task.state is not State.RUNNING or task.acquired() >= task.samples}
+
     def _create_channel(self, request: Any, alive: Alive) -> Answer:
         with self._box.condition:
             task = self._task(request, at_rest=True)
-            device, _, wanted = request.physical_channel.partition("/")
-            self._box.touch(device)
-            number = self._box.input_number(wanted)
-            terminal = TERMINALS.get(request.terminal_config_raw)
-            if terminal not in self._box.product.terminals(number):
-                raise NiError(NiCode.INVALID_VALUE, "Property: DAQmx_AI_TermCfg")
-            range_v = self._box.product.range_v(terminal, max(-request.min_val, request.max_val))
-            if range_v is None or not request.min_val < request.max_val:
-                raise NiError(NiCode.INVALID_VALUE, "Property: DAQmx_AI_Max")
-            name = request.name_to_assign_to_channel or request.physical_channel
-            converter = self._box.product.converter(terminal, range_v, self._box.serial_number, number)
-            task.channels.append(Channel(name, wanted, converter))
+            inputs = _inputs(request.physical_channel)
+            for index, (device, wanted) in enumerate(inputs):
+                name = request.name_to_assign_to_channel or f"{device}/{wanted}"
+                if request.name_to_assign_to_channel and len(inputs) > 1:
+                    name += str(index)
+                task.channels.append(self._channel(device, wanted, name, request))
             return {}
+
+    def _channel(self, device: str, wanted: str, name: str, request: Any) -> Channel:
+        product = self._box.product
+        self._box.touch(device)
+        number = self._box.input_number(wanted)
+        terminal = TERMINALS.get(request.terminal_config_raw)
+        if terminal not in product.terminals(number):
+            raise NiError(NiCode.INVALID_VALUE, "Property: DAQmx_AI_TermCfg")
+        range_v = product.range_v(terminal, max(-request.min_val, request.max_val))
+        if range_v is None or not request.min_val < request.max_val:
+            raise NiError(NiCode.INVALID_VALUE, "Property: DAQmx_AI_Max")
+        return Channel(name, wanted, product.converter(terminal, range_v, self._box.serial_number, number))
 
     def _channel_attribute(self, request: Any, alive: Alive) -> Answer:
         task = self._task(request)
@@ -160,9 +191,29 @@ class NiCalls:
             return {}
 
     def _timing_attribute(self, request: Any, alive: Alive) -> Answer:
-        task = self._task(request)
-        convert_hz = 1 / task.channel_delay_s if task.channel_delay_s else 0.0
-        return {"value": _found({0x1344: task.rate_hz, 0x1848: convert_hz}, request.attribute_raw)}
+        task, product = self._task(request), self._box.product
+        values = {
+            0x1344: task.rate_hz,
+            0x22C8: product.fastest_hz(len(task.channels)),
+            0x1300: FINITE,
+            0x1310: task.samples,
+        }
+        if not product.simultaneous:  # AI Convert: its rate, and the fastest
+            values |= {0x1848: 1 / task.channel_delay_s if task.channel_delay_s else 0.0, 0x22C9: product.aggregate_hz}
+        value = _found(values, request.attribute_raw)
+        return {"value_raw" if request.attribute_raw in ENUMERATIONS else "value": value}
+
+    def _read_attribute(self, request: Any, alive: Alive) -> Answer:
+        with self._box.condition:
+            task = self._task(request)
+            values = {
+                0x1823: ", ".join(channel.name for channel in task.channels),
+                0x217B: len(task.channels),
+                0x1223: task.unread,
+                0x1221: task.unread,
+                0x192A: task.acquired(),
+            }
+            return {"value": _found(values, request.attribute_raw)}
 
     def _trigger(self, request: Any, alive: Alive) -> Answer:
         with self._box.condition:
@@ -211,6 +262,8 @@ class NiCalls:
         with self._box.condition:
             task = self._task(request)
             self._box.touch(self._box.name)
+            if task.channels and not task.rate_hz:
+                return self._read_on_demand(task, request)
             if task.state is not State.RUNNING:
                 self._start(request, alive)
             asked = request.num_samps_per_chan
@@ -223,13 +276,24 @@ class NiCalls:
             volts = np.zeros((len(task.channels), asked))
             count = analog_v.shape[1]
             volts[:, :count] = task.converted(analog_v)
-        if request.fill_mode_raw != BY_CHANNEL:
-            volts = volts.T
-        return {
-            "read_array": volts.ravel().tolist(),  # twice as fast as the array itself
+        return self._delivered(volts, request) | {
             "samps_per_chan_read": count,
             "status": status if complete else NiCode.NOT_YET_AVAILABLE,
         }
+
+    def _read_on_demand(self, task: NiTask, request: Any) -> Answer:
+        """Samples of a task without a sample clock, as fast as the computer asks for them."""
+        self._box.reserve(task)
+        count = max(1, request.num_samps_per_chan)
+        delay_s = self._box.product.channel_delay_s(ON_DEMAND_HZ, len(task.channels))
+        volts = task.converted(task.sampled_now(count, ON_DEMAND_HZ, delay_s))
+        self._box.release(task)
+        return self._delivered(volts, request) | {"samps_per_chan_read": count}
+
+    @staticmethod
+    def _delivered(volts: Float64Array, request: Any) -> Answer:
+        rows = volts if request.fill_mode_raw == BY_CHANNEL else volts.T
+        return {"read_array": rows.ravel().tolist()}  # twice as fast as the array itself
 
     def _spoil(self, task: NiTask, analog_v: Float64Array, complete: bool) -> tuple[Float64Array, bool, int]:
         """Let samples meet the faults that wait for them."""
@@ -265,7 +329,9 @@ def _device_value(product: Product, name: str, serial_number: int, attribute: in
         0x0632: serial_number,
         0x231E: ", ".join(f"{name}/ai{number}" for number in range(product.inputs)),
         0x2A40: ", ".join(f"/{name}/{terminal}" for terminal in product.triggers),
-        0x06CA: False,  # simulated
+        0x22CA: False,  # simulated
+        0x29A9: PRODUCT_CATEGORY,
+        0x2326: USB_BUS,
         0x2985: True,  # digital trigger supported
         0x2984: False,  # analog trigger supported
         0x298F: product.simultaneous,  # simultaneous sampling supported
@@ -292,6 +358,21 @@ def _channel_value(channel: Channel, device: str, attribute: int) -> Any:
         0x18F5: f"{device}/{channel.input}",
     }
     return _found(values, attribute)
+
+
+def _inputs(physical: str) -> list[tuple[str, str]]:
+    """Devices and inputs of a physical channel string: ``Dev1/ai0``, ``Dev1/ai0:3``, ``Dev1/ai0, Dev1/ai2``."""
+    inputs = []
+    for part in physical.split(","):
+        device, _, name = part.strip().partition("/")
+        first, colon, last = name.partition(":")
+        numbers = re.fullmatch(r"([a-z]+)(\d+):(?:.*\D)?(\d+)", name)
+        if colon and numbers:
+            letters, low, high = numbers.group(1), int(numbers.group(2)), int(numbers.group(3))
+            inputs += [(device, f"{letters}{number}") for number in range(low, high + 1)]
+        else:
+            inputs.append((device, first if last == "" else name))
+    return inputs
 
 
 def _found(values: dict[int, Any], attribute: int) -> Any:

@@ -10,7 +10,7 @@ import pytest
 
 from tests.wire.daq_bench import RATE_HZ, TAKE, Tone, Wires, ask, check_tone, daq_bench, take_one
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
-from wavefocus.drivers.protocols import DeviceIdentity
+from wavefocus.drivers.protocols import DeviceIdentity, RecordRequest
 from wavefocus.mocks.wire.ni_products import PRODUCTS
 
 # Unlike ranges by terminal, and codes beyond the range.
@@ -161,6 +161,28 @@ def test_given_single_ended_wiring_then_the_task_has_it_and_the_response_is_samp
 )
 def test_given_a_rate_then_conversions_are_as_close_as_settling_allows(product, rate_hz, delay_s):
     assert PRODUCTS[product].channel_delay_s(rate_hz, 2) == pytest.approx(delay_s)
+
+
+@pytest.mark.parametrize(
+    ("product", "rate_hz", "delay_s"),
+    [
+        ("USB-6211", 10_000.0, 14e-6),
+        ("USB-6211", 100_000.0, 5e-6),
+        ("USB-6212", 10_000.0, 12.5e-6),
+        ("USB-6003", 10_000.0, 20e-6),
+        ("USB-6356", 10_000.0, 0.0),
+    ],
+)
+def test_given_a_product_then_its_own_conversion_clock_says_how_late_the_response_is_sampled(product, rate_hz, delay_s):
+    wires = Wires()
+    with daq_bench(wires, product=product) as bench:
+        recorder = bench.recorder()
+        assert recorder.sampling_delay_s(rate_hz) == pytest.approx(delay_s, abs=1e-9)
+        # As the record then has it; the question has left nothing behind.
+        recorder.start(RecordRequest(10, rate_hz, (10.0, 10.0), TAKE))
+        recorder.read(5.0)
+        assert wires.asked[-1][4] == pytest.approx(delay_s, abs=1e-9)
+        assert recorder.sampling_delay_s(rate_hz) == pytest.approx(delay_s, abs=1e-9)
 
 
 def test_given_a_signal_beyond_one_range_then_that_flag_alone_is_up(bench):

@@ -9,7 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.drivers.daq.ni.ni_session import REPEAT, NiSession, TlsFiles
-from wavefocus.drivers.daq.ni.ni_task import RecordTask, Timing, Wiring, check_request, check_wiring
+from wavefocus.drivers.daq.ni.ni_task import (
+    RecordTask,
+    Timing,
+    Wiring,
+    check_request,
+    check_wiring,
+    conversion_delay_s,
+)
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.protocols import DeviceIdentity, Recording, RecordRequest
 
@@ -179,6 +186,17 @@ class NiRecorder:
             cause = f"not finished after {READ_INPUT_S:g} s"
             raise TransientInstrumentError(self._instrument, doing, cause, REPEAT)
         return float(volts[0].mean())
+
+    def sampling_delay_s(self, sample_rate_hz: float) -> float | None:
+        """As of `wavefocus.drivers.protocols.StatesDelay`, by the rate of the device's conversion clock."""
+        doing = "asking for its conversion rate"
+        with self._lock:
+            session = self._connected(doing)
+            if session.limits.simultaneous:
+                return 0.0
+            timing = Timing(sample_rate_hz, INPUT_TIMING.samples, INPUT_TIMING.range_v)
+            with session.telling(doing):
+                return conversion_delay_s(session, self._wiring, timing)
 
     def abort(self) -> None:
         """Drop a record under way; harmless when there is none. A read that waits for it fails."""

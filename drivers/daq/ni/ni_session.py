@@ -139,6 +139,7 @@ class Limits:
     ranges_v: Symmetric ranges in volts, smallest first.
     slowest_hz, fastest_hz: Sample rates of a task of two channels.
     triggers: Digital inputs that can start a record: ``"PFI0"`` and so on.
+    simultaneous: Whether every input has a converter of its own.
     """
 
     inputs: tuple[str, ...]
@@ -146,6 +147,7 @@ class Limits:
     slowest_hz: float | None
     fastest_hz: float | None
     triggers: tuple[str, ...] | None
+    simultaneous: bool | None
 
 
 class NiSession:
@@ -242,6 +244,10 @@ class NiSession:
         """A new, empty `nidaqmx.Task`; the caller closes it."""
         return self._nidaqmx.Task(grpc_options=self._options)
 
+    def conversion_rate_hz(self, task: Any) -> float | None:
+        """The rate of a task's conversion clock (AI Convert), None where the device does not report it."""
+        return self._known(lambda: float(task.timing.ai_conv_rate))
+
     def coefficients_of(self, channel: Any) -> list[float] | None:
         """The calibration of a channel, None where the device does not report it."""
         return self._known(lambda: [float(coefficient) for coefficient in channel.ai_dev_scaling_coeff])
@@ -276,6 +282,7 @@ class NiSession:
             slowest_hz=self._known(lambda: float(device.ai_min_rate)),
             fastest_hz=self._known(lambda: self._fastest_hz(device)),
             triggers=triggers,
+            simultaneous=self._known(lambda: bool(device.ai_simultaneous_sampling_supported)),
         )
 
     def _fastest_hz(self, device: Any) -> float:

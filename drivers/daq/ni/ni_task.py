@@ -118,7 +118,7 @@ class RecordTask:
         self._acquired = max(FEWEST_SAMPLES, timing.samples)
         self._task = session.new_task()
         try:
-            channels = self._configure()
+            channels = _configure(self._task, session, wiring, timing, self._acquired)
             self._check(channels, operation)
             self._commit()
             self.scales = (self._scale(channels[0], timing.range_v[0]), self._scale(channels[1], timing.range_v[1]))
@@ -169,24 +169,6 @@ class RecordTask:
         """Give the device back."""
         self._task.close()
 
-    def _configure(self) -> list[Any]:
-        from nidaqmx.constants import AcquisitionType, Edge, TerminalConfiguration
-
-        terminal = TerminalConfiguration[TERMINALS[self._wiring.terminal]]
-        channels = [
-            self._task.ai_channels.add_ai_voltage_chan(
-                f"{self._session.device}/{name}", terminal_config=terminal, min_val=-range_v, max_val=range_v
-            )
-            for name, range_v in zip(self._wiring.inputs, self.timing.range_v, strict=True)
-        ]
-        self._task.timing.cfg_samp_clk_timing(
-            self.timing.rate_hz, sample_mode=AcquisitionType.FINITE, samps_per_chan=self._acquired
-        )
-        if self._wiring.trigger:
-            source = f"/{self._session.device}/{self._wiring.trigger}"
-            self._task.triggers.start_trigger.cfg_dig_edge_start_trig(source, trigger_edge=Edge.RISING)
-        return channels
-
     def _check(self, channels: list[Any], operation: str) -> None:
         """Refuse what the driver would quietly change: it takes the next rate and the next larger range."""
         rate_hz, instrument = self._task.timing.samp_clk_rate, self._session.instrument
@@ -222,6 +204,38 @@ class RecordTask:
             self._task.close()
         except Exception as second:
             failure.add_note(f"and the task could not be cleared: {second}")
+
+
+def _configure(task: Any, session: NiSession, wiring: Wiring, timing: Timing, samples: int) -> list[Any]:
+    """Give a task its two channels, its sample clock and its trigger; returns the channels."""
+    from nidaqmx.constants import AcquisitionType, Edge, TerminalConfiguration
+
+    terminal = TerminalConfiguration[TERMINALS[wiring.terminal]]
+    channels = [
+        task.ai_channels.add_ai_voltage_chan(
+            f"{session.device}/{name}", terminal_config=terminal, min_val=-range_v, max_val=range_v
+        )
+        for name, range_v in zip(wiring.inputs, timing.range_v, strict=True)
+    ]
+    task.timing.cfg_samp_clk_timing(timing.rate_hz, sample_mode=AcquisitionType.FINITE, samps_per_chan=samples)
+    if wiring.trigger:
+        source = f"/{session.device}/{wiring.trigger}"
+        task.triggers.start_trigger.cfg_dig_edge_start_trig(source, trigger_edge=Edge.RISING)
+    return channels
+
+
+def conversion_delay_s(session: NiSession, wiring: Wiring, timing: Timing) -> float | None:
+    """How much later the second input of a task is converted than the first; None where the device does not say.
+
+    The task is configured and never reserved, so nothing that runs is disturbed. Raises DaqError.
+    """
+    task = session.new_task()
+    try:
+        _configure(task, session, wiring, timing, timing.samples)
+        rate_hz = session.conversion_rate_hz(task)
+    finally:
+        task.close()
+    return 1 / rate_hz if rate_hz else None
 
 
 def check_wiring(session: NiSession, wiring: Wiring) -> None:

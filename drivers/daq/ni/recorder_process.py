@@ -127,6 +127,11 @@ class ProcessRecorder:
         """Volts at another input, see `wavefocus.drivers.daq.ni.ni_recorder.NiRecorder.read_input_v`."""
         return float(self._call(f"reading {name}", "read_input_v", name))
 
+    def sampling_delay_s(self, sample_rate_hz: float) -> float | None:
+        """As of `wavefocus.drivers.protocols.StatesDelay`."""
+        delay_s = self._call("asking for its conversion rate", "sampling_delay_s", sample_rate_hz)
+        return None if delay_s is None else float(delay_s)
+
     def abort(self) -> None:
         if self._process is not None and not self._closed:
             with suppress(InstrumentLostError):  # with the process, its record has ended too
