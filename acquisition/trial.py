@@ -10,17 +10,21 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from wavefocus.acquisition.attempt import record_play
+from wavefocus.acquisition.attempt import Attempt, PositionRecords
+from wavefocus.acquisition.engine.recovery import Recovery
+from wavefocus.acquisition.engine.session import Session, StopRequest
 from wavefocus.acquisition.plan import GROUP, Plan
 from wavefocus.acquisition.plays import Measuring, measuring_of
-from wavefocus.acquisition.setup import Setup, point_at
+from wavefocus.acquisition.setup import Setup
 from wavefocus.acquisition.wording import hours
 from wavefocus.calibration import Complex128Array, Float64Array
 from wavefocus.calibration.clock.timing import ReferenceMissingError
 from wavefocus.calibration.estimator.estimate import Estimate
 from wavefocus.calibration.estimator.schedule_error import Decay, degrees_of_freedom, measure_decay
 from wavefocus.calibration.sweeps import StaggeredSignal
-from wavefocus.drivers.protocols import Take
+from wavefocus.config.messages.campaign import Subscriber
+from wavefocus.drivers.errors import TransientInstrumentError
+from wavefocus.drivers.protocols import Recording
 from wavefocus.storage.errors import InputError
 
 # Measurements differ by more than their noise when their difference has so many times its energy.
@@ -204,21 +208,23 @@ def check_position(plan: Plan) -> int:
     return int(np.argmin(np.hypot(*(plan.position_mm - middle).T)))
 
 
-def run_trial(plan: Plan, setup: Setup, allowed_loss_db: float) -> Trial:
+def run_trial(plan: Plan, setup: Setup, allowed_loss_db: float, publish: Subscriber = lambda event: None) -> Trial:
     """Measure one position by every schedule that comes into question, and choose.
 
     plan: The staggered plan that was asked for.
     allowed_loss_db: As of `wavefocus.acquisition.trial.choose`.
+    publish: Receives every passing fault, and what is done about it, as in a campaign.
 
-    Raises InputError: the responses ring longer than the plan's taps. InstrumentError: an instrument failed.
+    Raises InputError: the responses ring longer than the plan's taps, or no attempt has a usable reference.
+    InstrumentError: an instrument failed for good; passing faults are repeated and lost instruments waited for, as in a
+    campaign.
     """
     if plan.staggered is None:
         raise InputError("the plan is sequential; only a staggered one needs a trial")
     clock = setup.instruments.clock
     began_s = clock.now_s()
     position = check_position(plan)
-    point_at(setup, *plan.position_mm[position])
-    bench = _Bench(plan, setup, position)
+    bench = _Bench(plan, setup, position, Session(clock, publish, StopRequest()))
     excitation = plan.excitation
     window_s = excitation.period_samples / excitation.sample_rate_hz
     band = Band(excitation.band_hz, excitation.sample_rate_hz, plan.taps)
@@ -268,9 +274,10 @@ class _Tried:
 class _Bench:
     """Measures the check position by one schedule after the other."""
 
-    def __init__(self, plan: Plan, setup: Setup, position: int) -> None:
+    def __init__(self, plan: Plan, setup: Setup, position: int, session: Session) -> None:
         self._plan, self._setup, self._position = plan, setup, position
-        self._attempt = 0
+        self._session, self._recovery = session, Recovery(setup, session)
+        self._number = 0
 
     def tried(self, groups: int, level_db: float) -> _Tried:
         """Measure by one schedule, staggered ones several times."""
@@ -286,19 +293,33 @@ class _Bench:
         return Candidate(_name(one), one.groups, one.level_db, campaign_s, error_db)
 
     def _measured(self, plan: Plan, measuring: Measuring) -> tuple[Estimate, bool]:
-        self._attempt += 1
-        rate_hz = plan.excitation.sample_rate_hz
-        recordings = [
-            record_play(self._setup, play, rate_hz, Take(self._position, self._attempt, play.actuator, "trial"))
-            for play in measuring.plays
-        ]
+        """One take, and whether it left the range of an input; repeated while something passing spoils it."""
+        records = PositionRecords(plan, self._setup, measuring.plays, self._session.fault)
+        for tries in range(1, plan.quality.max_attempts + 1):
+            self._number += 1
+            attempt, last = Attempt(self._position, self._number, tries), tries == plan.quality.max_attempts
+            try:
+                recordings = self._recovery.until_done(lambda: records.take(attempt, "trial"), attempt)  # noqa: B023
+            except TransientInstrumentError as fault:
+                self._session.fault(fault, attempt, retried=not last)
+                if last:
+                    raise
+                self._recovery.renew_if_repeated(fault)
+                continue
+            try:
+                estimate, left = self._estimated(measuring, recordings)
+            except ReferenceMissingError as missing:
+                if last:
+                    raise InputError(f"the trial before the campaign failed: {missing}") from missing
+                continue
+            if not left or last:
+                return estimate, left
+        raise AssertionError("the last try returns or raises")
+
+    def _estimated(self, measuring: Measuring, recordings: tuple[Recording, ...]) -> tuple[Estimate, bool]:
         reference_v, response_v = (np.stack([one.volts[row] for one in recordings]) for row in range(2))
-        try:
-            estimate = measuring.estimator.estimate(reference_v, response_v, range_v=self._setup.range_v)
-        except ReferenceMissingError as missing:
-            raise InputError(f"the trial before the campaign failed: {missing}") from missing
-        left = any(any(one.over_range) for one in recordings) or bool(np.any(estimate.clip_count))
-        return estimate, left
+        estimate = measuring.estimator.estimate(reference_v, response_v, range_v=self._setup.range_v)
+        return estimate, any(any(one.over_range) for one in recordings) or bool(np.any(estimate.clip_count))
 
 
 def _name(one: _Tried) -> str:

@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.system.conftest import write_lab
+from tests.system.conftest import with_faults, write_lab
 from wavefocus.__main__ import run
 from wavefocus.campaign.blueprint import blueprint_from_bank
 from wavefocus.commands.demo import compare_with_truth
@@ -112,6 +112,25 @@ def test_given_a_plate_that_takes_it_then_the_trial_keeps_staggered_capture_and_
     assert _wavefocus("capture", lab / "run.toml", "--bank", bank, "--json") == 0
     assert "schedule_settled" not in capsys.readouterr().out
     assert _wavefocus("resume", bank) == 0
+
+
+def test_given_passing_faults_in_the_trial_then_it_repeats_as_a_campaign_does(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _with_capture(lab, 'excitation = "staggered"')
+    trial = 'role = "recorder"\noperation = "read"\npurpose = "trial"'
+    with_faults(
+        lab,
+        'role = "mirror"\noperation = "wait_settled"\nkind = "timeout"\nat_call = 1',
+        f'{trial}\nattempt = 2\nrecord = 1\nkind = "missing_reference"',
+        f'{trial}\nattempt = 3\nrecord = 0\nkind = "unplugged"',
+        f'{trial}\nattempt = 3\nrecord = 2\nkind = "over_range"',
+    )
+    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5", "--json") == 0
+    settled = _events(capsys.readouterr().out)[0]
+    assert str(settled["chosen"]).startswith("staggered capture")
+    errors_db = [float(str(one["error_db"])) for one in settled["candidates"]]
+    assert np.isfinite(errors_db).all()
 
 
 def test_given_a_plate_that_distorts_then_the_trial_goes_back_to_sequential_capture(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from wavefocus.acquisition.wording import hours
 from wavefocus.campaign.blueprint import Blueprint, bank_configuration, blueprint_of
-from wavefocus.config.messages.campaign import ScheduleSettled
+from wavefocus.config.messages.campaign import Event, Fault, ScheduleSettled
 from wavefocus.config.run import Capture, RunConfig
 from wavefocus.console import say
 from wavefocus.rig.setup import open_setup
@@ -37,7 +37,7 @@ def choose_schedule(blueprint: Blueprint, source: str) -> tuple[Blueprint, tuple
     say("one position is measured by every schedule first, to see whether staggered capture pays")
     try:
         with open_setup(blueprint.configuration.rig, run) as setup:
-            trial = run_trial(blueprint.plan, setup, run.capture.allowed_loss_db)
+            trial = run_trial(blueprint.plan, setup, run.capture.allowed_loss_db, _say_fault)
     except InputError as error:
         raise InputError(f"{source}: capture: {error}") from None
     chosen, reason = trial.verdict.chosen, trial.verdict.reason
@@ -58,6 +58,11 @@ def choose_schedule(blueprint: Blueprint, source: str) -> tuple[Blueprint, tuple
     if advice := _advice(trial, run.capture):
         say(advice)
     return settled, (event,)
+
+
+def _say_fault(event: Event) -> None:
+    if isinstance(event, Fault):
+        say(f"{event.instrument}: {event.operation}: {event.cause}" + ("; repeated" if event.retried else ""))
 
 
 def with_chosen_schedule(blueprint: Blueprint, bank: Path) -> Blueprint:
