@@ -124,7 +124,7 @@ def test_given_passing_faults_in_the_trial_then_it_repeats_as_a_campaign_does(
         'role = "mirror"\noperation = "wait_settled"\nkind = "timeout"\nat_call = 1',
         f'{trial}\nattempt = 2\nrecord = 1\nkind = "missing_reference"',
         f'{trial}\nattempt = 3\nrecord = 0\nkind = "unplugged"',
-        f'{trial}\nattempt = 3\nrecord = 2\nkind = "over_range"',
+        f'{trial}\nattempt = 4\nrecord = 2\nkind = "over_range"',
     )
     assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5", "--json") == 0
     settled = _events(capsys.readouterr().out)[0]
