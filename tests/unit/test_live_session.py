@@ -27,7 +27,6 @@ from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.drivers.timeouts import BoundedPlayer
 from wavefocus.live_session.latency import LatencyHistogram
 from wavefocus.live_session.orders import MOST_WAITING, Inbox, UseSignal, order_of
-from wavefocus.live_session.osc import OscMessages, address_of
 from wavefocus.live_session.output import LiveOutput
 from wavefocus.live_session.pace import Pace
 from wavefocus.live_session.session import LiveSession
@@ -272,26 +271,3 @@ def test_given_latencies_then_percentiles_are_theirs_to_a_step() -> None:
     assert histogram.percentile_ms(50.0) == pytest.approx(100.0, abs=0.2)
     assert histogram.take_largest_ms() == 1e12
     assert histogram.take_largest_ms() is None
-
-
-def test_given_an_amplitude_by_osc_then_it_comes_with_the_next_position() -> None:
-    messages = OscMessages()
-    word = b"/source/a/amplitude\x00,f\x00\x00" + np.array(0.5, ">f4").tobytes()
-    assert list(messages.read(word)) == []
-    place = b"/source/a/position\x00\x00,ff\x00" + np.array([1.0, 2.0], ">f4").tobytes()
-    assert list(messages.read(place)) == [{"order": "move", "name": "a", "at_mm": [1.0, 2.0], "amplitude": 0.5}]
-    assert list(messages.read(place)) == [{"order": "move", "name": "a", "at_mm": [1.0, 2.0]}]
-
-
-def test_given_any_bytes_then_osc_refuses_or_reads_them() -> None:
-    random, messages = np.random.default_rng(1), OscMessages()
-    for size in range(400):
-        noise = random.bytes(size)
-        for datagram in (noise, b"#bundle\x00" + noise, b"/source/a/position\x00\x00,ff\x00" + noise):
-            assert all(isinstance(one, Mapping | InputError) for one in messages.read(datagram))
-
-
-@pytest.mark.parametrize("text", ["", "9000", "host:", "host:-1", "host:65536", "host:9e3", ":9000"])
-def test_given_an_address_that_is_none_then_it_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match="--osc"):
-        address_of(text)

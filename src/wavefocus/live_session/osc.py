@@ -16,18 +16,21 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 
-from pythonosc.osc_packet import OscPacket
-
 from wavefocus.exits import one_line
+from wavefocus.live_session.osc_packet import OscError, read, split
 from wavefocus.storage.errors import InputError
 
 Content = Mapping[str, object]
 
-MOST_BYTES = 1 << 16
-MOST_AT_ONCE = 8
-FLOOD_PAUSE_S = 0.002
-"""Of a flood the newest so many messages are read every 2 ms, 4000 a second: reading more would slow down computing."""
-MOST_AMPLITUDES = 64
+MAX_BYTES = 1 << 16
+MAX_AT_ONCE = 8
+MAX_WORDS = 200
+"""Of what came at once, the newest so many messages are read, without positions that a newer one replaces."""
+FLOOD_PAUSE_S, FLOOD_SHARE = 0.002, 0.25
+"""Of a flood the newest 8 datagrams, or 64 kB, are read every 2 ms, and at most a quarter of the time is spent on it:
+reading more would slow down computing."""
+MAX_AMPLITUDES = 64
+CLOSING_S = 2.0
 LOOKS_EVERY_S = 0.2
 
 
@@ -75,34 +78,39 @@ class OscInput:
         messages = OscMessages()
 
         def listen() -> None:
-            for datagram, arrived_s in self._datagrams():
-                for order in messages.read(datagram):
+            for datagrams, arrived_s in self._datagrams():
+                for order in messages.read(*datagrams):
                     receive(order, arrived_s)
 
         self._thread = threading.Thread(target=listen, name="OSC", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """Receive no more."""
+        """Receive no more; never waits long, whatever an order under way meets."""
         self._over.set()
         if self._thread is not None:
-            self._thread.join()
+            self._thread.join(CLOSING_S)
         self._socket.close()
 
-    def _datagrams(self) -> Iterator[tuple[bytes, float]]:
+    def _datagrams(self) -> Iterator[tuple[list[bytes], float]]:
+        """What came at once, oldest first, and when."""
         while not self._over.is_set():
-            select.select([self._socket], [], [], LOOKS_EVERY_S)
-            newest: deque[bytes] = deque(maxlen=MOST_AT_ONCE)
+            with suppress(OSError, ValueError):  # closed meanwhile
+                select.select([self._socket], [], [], LOOKS_EVERY_S)
+            newest: deque[bytes] = deque(maxlen=MAX_AT_ONCE)
             count, arrived_s = 0, time.monotonic()
-            # Windows reports there that an earlier answer met a closed port; it is none of ours.
-            with suppress(BlockingIOError, ConnectionResetError):
-                while count < 100 * MOST_AT_ONCE:
-                    newest.append(self._socket.recv(MOST_BYTES))
+            # Nothing more is there, or it is closed; Windows reports that an earlier answer met a closed port.
+            with suppress(OSError):
+                while count < 100 * MAX_AT_ONCE:
+                    newest.append(self._socket.recv(MAX_BYTES))
                     count += 1
-            for datagram in newest:
-                yield datagram, arrived_s
-            if count > MOST_AT_ONCE:
-                time.sleep(FLOOD_PAUSE_S)
+            while len(newest) > 1 and sum(map(len, newest)) > MAX_BYTES:
+                newest.popleft()
+            if newest:
+                yield list(newest), arrived_s
+            spent_s = time.monotonic() - arrived_s
+            if count > MAX_AT_ONCE or spent_s > FLOOD_PAUSE_S:
+                self._over.wait(max(FLOOD_PAUSE_S, spent_s / FLOOD_SHARE))
 
 
 class OscMessages:
@@ -111,18 +119,27 @@ class OscMessages:
     def __init__(self) -> None:
         self._amplitudes: dict[str, float] = {}
 
-    def read(self, datagram: bytes) -> Iterator[Content | InputError]:
-        """The orders of a datagram, and an InputError for each message that is none."""
-        try:
-            messages = [timed.message for timed in OscPacket(datagram).messages]
-        except Exception:  # the parser lets through what it did not expect, and anybody may send anything
-            yield InputError(f"{one_line(repr(datagram[:40]), 80)} is no OSC message")
-            return
-        for message in messages:
+    def read(self, *datagrams: bytes) -> Iterator[Content | InputError]:
+        """The orders of datagrams that came at once, and an InputError for each message that is not one."""
+        messages: list[bytes] = []
+        for datagram in datagrams:
             try:
-                order = self._order(str(message.address), list(message.params))
+                messages += split(datagram)
+            except OscError as wrong:
+                yield _refused(datagram, wrong)
+        messages = _newest(messages)
+        if len(messages) > MAX_WORDS:
+            yield InputError(f"OSC: {len(messages)} messages at once; only the newest {MAX_WORDS} are read")
+        for message in messages[-MAX_WORDS:]:
+            try:
+                address, values = read(message)
+            except OscError as wrong:
+                yield _refused(message, wrong)
+                continue
+            try:
+                order = self._order(address, values)
             except InputError as wrong:
-                order = InputError(one_line(f"OSC {message.address}: {wrong}", 300))
+                order = InputError(one_line(f"OSC {address}: {wrong}", 300))
             if order is not None:
                 yield order
 
@@ -141,8 +158,8 @@ class OscMessages:
             return order if amplitude is None else order | {"amplitude": amplitude}
         if word == "amplitude":
             (amplitude,) = _numbers(values, "a", 1, 1)
-            if name not in self._amplitudes and len(self._amplitudes) >= MOST_AMPLITUDES:
-                raise InputError(f"more than {MOST_AMPLITUDES} sources wait for a position")
+            if name not in self._amplitudes and len(self._amplitudes) >= MAX_AMPLITUDES:
+                raise InputError(f"more than {MAX_AMPLITUDES} sources wait for a position")
             self._amplitudes[name] = amplitude
             return None
         if word == "signal":
@@ -151,6 +168,26 @@ class OscMessages:
             self._amplitudes.pop(name, None)
             return {"order": "end_source", "name": name}
         raise InputError(f"{word!r} is not known; allowed: position, amplitude, signal, end")
+
+
+def _refused(datagram: bytes, wrong: OscError) -> InputError:
+    return InputError(one_line(f"OSC message {datagram[:40]!r}: {wrong}", 300))
+
+
+def _newest(messages: list[bytes]) -> list[bytes]:
+    """The same without positions that the same source's next message replaces by another one of the same form."""
+    kept: list[bytes | None] = []
+    latest: dict[bytes, tuple[int, bytes]] = {}
+    for message in messages:
+        address, _, rest = message.partition(b"\0")
+        name, word = address.rpartition(b"/")[::2]
+        form = address + rest.lstrip(b"\0").partition(b"\0")[0] if word == b"position" else b""
+        before = latest.get(name)
+        if form and before is not None and before[1] == form:
+            kept[before[0]] = None
+        latest[name] = (len(kept), form)
+        kept.append(message)
+    return [message for message in kept if message is not None]
 
 
 def _numbers(values: list[object], allowed: str, least: int, most: int) -> list[float]:
