@@ -175,6 +175,13 @@ _KINDS = {
         "or a contact changed meanwhile",
         Cure.REPEAT,
     ),
+    "unsteady_db": _Kind(
+        "unsteady",
+        "the sweeps of {records} differ by {unsteady_db:.0f} dB of the response, more than noise explains: gain, "
+        "temperature or a contact changed meanwhile; where it is so in every record, lower sweep.amplitude_v (coils "
+        "heat) or let the rig warm up",
+        Cure.REPEAT,
+    ),
 }
 """Defects by the figure that shows them; of one record the first is named."""
 

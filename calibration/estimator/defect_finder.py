@@ -13,7 +13,8 @@ from wavefocus.calibration import BoolArray, Complex64Array, Float32Array, Float
 from wavefocus.calibration.estimator.clipping import Levels, ThirdHarmonic
 
 _FIGURES = """
-burst_db burst_s cut_db cut_s slip_db slip_samples line_db line_hz tail_db step_db step_level_db harmonic_db dead
+burst_db burst_s cut_db cut_s slip_db slip_samples line_db line_hz tail_db step_db step_level_db unsteady_db
+harmonic_db dead
 """
 DEFECTS = np.dtype([(name, np.float32) for name in _FIGURES.split()])
 """Defects of a record; energies are in dB of the response's in band, -inf where chance explains what is there,
@@ -39,6 +40,9 @@ tail_db
 step_db, step_level_db
     Differences between the sweeps that are differences of their level, and the level of the sweep that is farthest from
     the others, in dB. NaN for a single sweep.
+unsteady_db
+    Differences between the sweeps that noise does not explain: the fit of their mean leaves less than noise of that
+    strength would. NaN for a single sweep.
 harmonic_db
     Third harmonic over the fundamental at the response's loudest moment.
 dead
@@ -94,6 +98,11 @@ DEAD_SHARE = 1e-6
 # most. Of very few records each does, for there is none to compare with.
 SUSPICIOUS = 1.25
 LEAST_RECORDS = 3
+# Sweeps that differ by so many times what the fit of their mean leaves differ by more than noise, whatever the other
+# records are like: what drifts from sweep to sweep has a mean that the fit explains. Noise alone stays below 1.3 with
+# this many free bins.
+UNSTEADY = 3.0
+LEAST_FREE = 64.0
 # A tone below this share of the residual raises it by less than 1 dB.
 LINE_SHARE = 0.1
 # Harmonics are looked for where the response is 28 dB above what its sweeps differ by.
@@ -195,7 +204,7 @@ class DefectFinder:
         differing, differing_power = spectra.differing, spectra.differing_power
         whole = np.maximum(spectra.answered_energy, FLOOR)
         defects = np.zeros(len(missed), DEFECTS)
-        for name in ("burst_db", "cut_db", "slip_db", "line_db", "tail_db", "step_db", "harmonic_db"):
+        for name in ("burst_db", "cut_db", "slip_db", "line_db", "tail_db", "step_db", "unsteady_db", "harmonic_db"):
             defects[name] = -np.inf
         defects["dead"] = spectra.answered_energy <= DEAD_SHARE * np.square(spectra.levels.response_v, dtype=np.float64)
         unexplained = energy(missed) * spectra.reference_power
@@ -208,8 +217,8 @@ class DefectFinder:
         look = np.flatnonzero(self._suspicious(unexplained, differing_power, whole))
         if not look.size:
             return defects
-        beyond = self._hum_beyond(spectra.outside, spectra.first_outside, power, whole, defects)
-        look = look[~beyond[look]]
+        hums = self._hum_beyond(spectra.outside, spectra.first_outside, power, whole, defects)
+        look = look[~hums[look]]
         if not look.size:
             return defects
         closer = defects[look]
@@ -219,11 +228,13 @@ class DefectFinder:
             self._slips(differing[look], reference[look], transfer[look], whole[look], closer)
             self._steps(differing[look], reference[look], transfer[look], whole[look], closer)
         else:
-            closer["slip_db"] = closer["cut_db"] = closer["step_db"] = np.nan
+            closer["slip_db"] = closer["cut_db"] = closer["step_db"] = closer["unsteady_db"] = np.nan
         self._bursts(residual, whole[look], closer)
         noise = None
         if differing_power is not None:
             noise = differing_power[look].sum(axis=1, dtype=np.float64) / (self._averages - 1)
+            beyond = self._beyond_noise(unexplained[look].sum(axis=1, dtype=np.float64), noise)
+            closer["unsteady_db"] = np.where(beyond > 0, _db(self._averages * beyond, whole[look]), -np.inf)
         self._tails(spectra.whitened[look], unexplained[look], noise, whole[look], closer)
         defects[look] = closer
         return defects
@@ -245,9 +256,22 @@ class DefectFinder:
         if len(whole) < LEAST_RECORDS:
             return np.asarray(matters)
         noise = differing / (self._averages - 1)
+        unsteady = self._beyond_noise(left, noise) > 0
         measurable = noise[noise > FLOOR]
         quietest = measurable.min() if measurable.size else 0.0
-        return np.asarray(matters & ((left > SUSPICIOUS * self._freedom * noise) | (noise > SUSPICIOUS * quietest)))
+        return np.asarray(
+            matters & (unsteady | (left > SUSPICIOUS * self._freedom * noise) | (noise > SUSPICIOUS * quietest))
+        )
+
+    def _beyond_noise(self, left: Float64Array, differing: Float64Array) -> Float64Array:
+        """Energy per sweep that differs and is no noise; 0 where noise explains it.
+
+        left, differing, float64 (records,): What the fit leaves of the mean, and what the sweeps differ by, per sweep.
+        """
+        if 2 * self._omega.size * self._freedom < LEAST_FREE:
+            return np.zeros_like(differing)
+        noise = left / self._freedom
+        return np.where(differing > UNSTEADY * noise, differing - noise, 0.0)
 
     def _bursts(self, residual: Complex64Array, whole: Float64Array, defects: NDArray[np.void]) -> None:
         """Where in time the residual stands out, in one sweep or in all of them alike."""

@@ -156,6 +156,44 @@ def test_given_clean_records_then_valid_and_nothing_is_named(averages: int, snr_
     assert judgement.good, judgement.reason
 
 
+SECONDS = np.arange(36_000) / RATE_HZ
+
+
+def louder(gain_db: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    return lambda response: response * 10 ** (np.interp(np.arange(response.shape[1]), np.arange(36_000), gain_db) / 20)
+
+
+def later_each_sweep(response: np.ndarray) -> np.ndarray:
+    """Each sweep 0.3 samples later than the one before, as where a plate gets warmer."""
+    turns = np.fft.rfftfreq(12_000)[:, None] * 0.3 * np.arange(3)
+    sweeps = np.fft.rfft(response[:, :36_000].reshape(-1, 3, 12_000)) * np.exp(-2j * np.pi * turns.T)
+    return np.concatenate([np.fft.irfft(sweeps).reshape(len(response), -1), response[:, 36_000:]], axis=1)
+
+
+@pytest.mark.parametrize(
+    ("drifting", "named"),
+    [
+        (louder(np.repeat([-1.0, 0.0, 1.0], 12_000)), "level step"),
+        (louder(np.repeat([0.0, 0.1, 0.0], 12_000)), "level step"),
+        (louder(3.0 * SECONDS / 3.6), "level step"),
+        (louder(-0.5 * SECONDS / 3.6), "level step"),
+        (louder(-1.0 * (1 - np.exp(-SECONDS / 0.8))), "level step"),
+        (later_each_sweep, "unsteady"),
+    ],
+    ids=["steps of 1 dB", "one step of 0.1 dB", "ramp of 3 dB", "ramp of 0.5 dB", "warming up", "ever later"],
+)
+def test_given_a_drift_common_to_all_records_then_none_is_taken_for_the_quiet_one(
+    drifting: Callable[[np.ndarray], np.ndarray], named: str
+) -> None:
+    reference, response = quiet_records(3)
+    noise = 1e-3 * response.std(axis=1, keepdims=True) * np.random.default_rng(1).normal(size=response.shape)
+    spoilt = (drifting(response) + noise).astype(np.float32)
+    judgement = judge(estimator(3, 2000).estimate(reference, spoilt, range_v=RANGE_V), False, QualityLimits())
+    assert judgement.status == Status.POOR_SIGNAL
+    assert named in {defect.name for defect in judgement.defects}
+    assert sorted(actuator for defect in judgement.defects for actuator in defect.actuators) == [0, 1, 2, 3]
+
+
 @pytest.mark.parametrize(("spoil", "name"), [(early(dropped_out), "dropout"), (humming(50.0), "hum")])
 def test_given_a_single_sweep_then_what_needs_no_comparison_is_still_seen(spoil: Spoil, name: str) -> None:
     judgement = judged(spoil, STRONG, averages=1)
