@@ -8,6 +8,7 @@ import re
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -15,6 +16,9 @@ from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, Missi
 
 NETWORK = "socket://"
 BY_SERIAL_NUMBER = "serial-number:"
+# udev rules of this package for all devices that it knows; installed under the same name.
+RULES = Path(__file__).with_name("70-wavefocus.rules")
+RULES_FOLDER = "/etc/udev/rules.d/"
 # Windows shows an FTDI adapter's serial number with the letter of its port behind it.
 LETTERS = ("A", "B", "C", "D")
 # The interface behind a serial number: ":1", ":B", ":Enhanced", or "-if01-port0" as in Linux' /dev/serial/by-id.
@@ -195,7 +199,8 @@ def open_failure(address: str, failure: Exception) -> tuple[str, str]:
     if number in FORBIDDEN:
         return (
             "this user may not open the port",
-            "join the group that owns it (often dialout: sudo usermod -aG dialout NAME) and log in again",
+            "join the group that owns it (often dialout: sudo usermod -aG dialout NAME) and log in again, or permit it "
+            f"to whoever is logged in: sudo cp {RULES} {RULES_FOLDER}, and plug the device in again",
         )
     if number in NO_SERIAL_PORT or "configure port" in text or "IsADirectory" in text:
         return f"that is no serial port ({text})", "correct the rig file, port or baud"

@@ -14,9 +14,7 @@ from typing import Any
 
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, MissingPackageError
 from wavefocus.drivers.protocols import Clock, WallClock
-from wavefocus.drivers.serial_line import LETTERS
-
-RULES_FILE = "/etc/udev/rules.d/70-wavefocus.rules"
+from wavefocus.drivers.serial_line import LETTERS, RULES, RULES_FOLDER
 
 
 def install_libusb(platform: str = sys.platform) -> str:
@@ -32,7 +30,7 @@ def install_libusb(platform: str = sys.platform) -> str:
 
 
 def udev_rule(vendor_id: int, product_id: int) -> str:
-    """The line that lets the logged-in user open a device, for a file such as `RULES_FILE`."""
+    """The line that lets the logged-in user open a device, for a file such as `RULES`."""
     return (
         f'SUBSYSTEM=="usb", ATTR{{idVendor}}=="{vendor_id:04x}", ATTR{{idProduct}}=="{product_id:04x}", '
         'MODE="0660", TAG+="uaccess"'
@@ -52,16 +50,19 @@ def permit(vendor_id: int, product_id: int, platform: str = sys.platform) -> str
         )
     if platform == "darwin":
         return "leave serial_number out of its [[usb]] table; macOS lets its own driver alone open it"
-    return (
-        f"write the line {udev_rule(vendor_id, product_id)} into {RULES_FILE}, run "
-        "sudo udevadm control --reload-rules && sudo udevadm trigger, and plug the device in again"
-    )
+    if vendor_id == NI_VENDOR or (vendor_id, product_id) in SERIAL_ADAPTERS:
+        first = f"sudo cp {RULES} {RULES_FOLDER}"
+    else:
+        first = f"write the line {udev_rule(vendor_id, product_id)} into {RULES_FOLDER}{RULES.name}"
+    return f"{first}; then sudo udevadm control --reload-rules && sudo udevadm trigger, and plug the device in again"
 
 
 NI_VENDOR = 0x3923
 FTDI_VENDOR = 0x0403
 SERIAL_ADAPTERS = {
     (0x0403, 0x6001),  # FTDI FT232
+    (0x0403, 0x6010),  # FTDI FT2232, two ports
+    (0x0403, 0x6015),  # FTDI FT-X
     (0x10C4, 0xEA60),  # Silicon Labs CP2102, CP2104: in ASI's Tiger, among others
     (0x10C4, 0xEA70),  # Silicon Labs CP2105, two ports
     (0x10C4, 0xEA71),  # Silicon Labs CP2108, four ports

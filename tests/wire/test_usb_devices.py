@@ -3,12 +3,26 @@
 from __future__ import annotations
 
 import errno
+import re
+from pathlib import Path
 
 import pytest
 import usb.core
 
 from wavefocus.drivers.errors import InstrumentError
-from wavefocus.drivers.usb import ExpectedUsbDevice, Finding, Kind, Problem, Verdict, list_devices, match_devices
+from wavefocus.drivers.serial_line import RULES
+from wavefocus.drivers.usb import (
+    SERIAL_ADAPTERS,
+    ExpectedUsbDevice,
+    Finding,
+    Kind,
+    Problem,
+    Verdict,
+    list_devices,
+    match_devices,
+    permit,
+    udev_rule,
+)
 from wavefocus.mocks.wire.faults import WireFault
 from wavefocus.mocks.wire.usb_backend import VirtualUsb, VirtualUsbDevice
 
@@ -104,9 +118,39 @@ def test_given_no_permission_then_pyusb_says_langid_and_we_say_which_rule_helps(
     (denied,) = found(bus, expect(DAQ, "01A2B3C4"))
     assert denied.verdict is Verdict.NO_PERMISSION
     assert "no permission" in denied.sentence
-    rule = 'SUBSYSTEM=="usb", ATTR{idVendor}=="3923", ATTR{idProduct}=="7179", MODE="0660", TAG+="uaccess"'
-    assert rule in denied.remedy
+    file = Path(re.search(r"sudo cp (\S+) /etc/udev/rules.d/", denied.remedy).group(1))
+    assert 'ATTR{idVendor}=="3923"' in file.read_text(encoding="utf-8")
     assert "udevadm" in denied.remedy
+
+
+@pytest.mark.parametrize(
+    ("device", "number", "verdict"),
+    [
+        (ADAPTER, "a50285bi", Verdict.FOUND),
+        (ADAPTER, "A50285BIA", Verdict.FOUND),  # with the letter of its port, as Windows shows it
+        (ADAPTER, "A50285BIX", Verdict.OTHER_SERIAL),
+        (DAQ, "01A2B3C4A", Verdict.OTHER_SERIAL),  # only FTDI's have that
+    ],
+)
+def test_given_a_serial_number_as_people_copy_it_then_the_device_is_matched(device, number, verdict):
+    (one,) = found(VirtualUsb([device]), expect(device, number))
+    assert one.verdict is verdict
+
+
+def test_given_the_file_of_rules_then_it_has_every_device_that_is_known_and_each_rule_is_one_of_udev():
+    rules = [line for line in RULES.read_text(encoding="utf-8").splitlines() if line and not line.startswith("#")]
+    for rule in rules:
+        assert re.fullmatch(r'(?:[A-Z]+(?:\{\w+\})?(?:==|\+?=)"[^"]+"(?:, )?)+', rule)
+        assert rule.endswith('MODE="0660", TAG+="uaccess"')
+    assert int(RULES.name.split("-")[0]) < 73  # where systemd applies the tag
+    for vendor_id, product_id in SERIAL_ADAPTERS:
+        assert udev_rule(vendor_id, product_id) in rules
+        ports = [rule for rule in rules if rule.startswith('SUBSYSTEM=="tty"') and f"{vendor_id:04x}" in rule]
+        assert any(f"{product_id:04x}" in rule for rule in ports)
+
+
+def test_given_a_device_that_the_file_does_not_have_then_its_own_line_is_told():
+    assert udev_rule(0x1234, 0x5678) in permit(0x1234, 0x5678, "linux")
 
 
 @pytest.mark.parametrize(("platform", "words"), [("win32", "Zadig"), ("darwin", "macOS")])
