@@ -1,10 +1,11 @@
-"""Universal files: functions (58, ASCII and binary), nodes (15, 2411) and units (164), read in one pass."""
+"""Universal files: functions (58, ASCII and binary), nodes and their coordinate systems, and units, in one pass."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +23,11 @@ from wavefocus.storage.exchange.reading.measured import (
 )
 from wavefocus.storage.exchange.reading.places import coordinates, read_places
 from wavefocus.storage.exchange.reading.uff_sets import Contents, Function, contents
+from wavefocus.storage.exchange.reading.uff_systems import SPHERICAL, aligned, resolve
 
-FREQUENCY, TIMES = (4, 5, 12), (25, 1, 0)
-"""Function types: frequency response, transmissibility, spectrum; FIR filter, time response, unknown."""
+FREQUENCY, TIMES = (4, 5), (25, 1, 0)
+"""Function types: frequency response, transmissibility; FIR filter, time response, unknown. Spectra (2, 3, 9, 12) are
+not divided by a drive and are no responses."""
 _MOTION = {8: "{0}", 11: "{0}/s", 12: "{0}/s^2", 13: "{1}", 9: "{1}", 15: "Pa"}
 _AXIS_NAMES = {0: "scalar", 1: "x", 2: "y", 3: "z", 4: "rx", 5: "ry", 6: "rz"}
 
@@ -32,8 +35,8 @@ _AXIS_NAMES = {0: "scalar", 1: "x", 2: "y", 3: "z", 4: "rx", 5: "ry", 6: "rz"}
 def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
     """Read frequency responses where there are any, else time responses to an impulse.
 
-    Positions are response nodes, actuators are reference nodes with their direction; a response along a negative
-    direction changes its sign.
+    Positions are response nodes, actuators are reference nodes with their direction. Directions are those of the file;
+    a response along a negative one changes its sign, and a node's own (its displacement system) are turned to them.
     """
     with path.open("rb", buffering=1 << 20) as file:
         held = contents(file, path)
@@ -41,10 +44,12 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
     kind = next((one for one in (*FREQUENCY, *TIMES) if one in kinds), None)
     if kind is None:
         raise InputError(
-            f"{path} holds no frequency or time responses (58); it holds functions of the types {kinds[:10]} and the"
-            f" sets {sorted(held.skipped)[:20]}"
+            f"{path} holds no frequency responses (function types 4 and 5 of set 58) and no time responses (25, 1, 0);"
+            f" it holds functions of the types {kinds[:10]} and the sets {sorted(held.skipped)[:20]}"
         )
     chosen = [one for one in held.functions if one.kind == kind]
+    places = {node: resolve(held.systems, one.definition, path).place(one.own) for node, one in held.nodes.items()}
+    chosen, turned = _in_directions_of_the_file(chosen, held, places, options.direction.strip().lower(), path)
     axes = sorted({abs(one.response[1]) for one in chosen})
     names = [_AXIS_NAMES.get(axis, str(axis)) for axis in axes]
     axis = axes[chosen_direction(options, names, path)]
@@ -64,7 +69,7 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
         sign = (-1 if one.response[1] < 0 else 1) * (-1 if one.reference[1] < 0 else 1)
         flipped += sign < 0
         pairs[pair] = one.values if sign > 0 else -one.values
-    position_m, actuator_m = _node_places(held, list(rows), list(columns), path, options)
+    position_m, actuator_m = _node_places(held, places, list(rows), list(columns), path, options)
     first = chosen[0]
     start, step = first.axis
     samples = len(first.values)
@@ -94,10 +99,82 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
             f"{len(chosen)} functions of type {kind}, direction {_AXIS_NAMES.get(axis, axis)}, of {len(rows)} response"
             f" nodes (positions) and {len(columns)} reference nodes (actuators)",
             *([f"{flipped} functions along negative directions changed their sign"] if flipped else []),
+            *([turned] if turned else []),
         ),
         assumed=() if is_spectrum else ("time responses are responses to an impulse of one sample",),
         left_out=(*others, *sets, *([f"{missing} pairs of nodes without a function"] if missing else [])),
     )
+
+
+def _in_directions_of_the_file(
+    functions: list[Function], held: Contents, places: dict[int, Float64Array], wanted: str, path: Path
+) -> tuple[list[Function], str]:
+    """Functions along the axes of the file instead of those of their nodes' displacement systems, and a sentence.
+
+    Where a node's directions are turned by other than right angles, its responses in all three are combined. Where all
+    nodes' are turned alike, as on a plate that stands obliquely, they stay. References keep directions of their own
+    then.
+
+    wanted: Name of the one direction that is needed, or empty.
+
+    Raises InputError: a node is turned, others are turned otherwise, and not all three directions are there.
+    """
+    directions: dict[int, Float64Array] = {}
+    for node in {one.response[0] for one in functions} | {one.reference[0] for one in functions}:
+        if node in held.nodes:
+            system = resolve(held.systems, held.nodes[node].displacement, path)
+            if system.kind == SPHERICAL:
+                raise InputError(f"{path}: node {node} has directions of a spherical system, which are not read")
+            directions[node] = system.directions(places[node])
+    unturned = np.eye(3)
+    responding = [directions.get(node, unturned) for node in {one.response[0] for one in functions}]
+    alike = all(np.abs(one - responding[0]).max() < 1e-3 for one in responding)
+    used = [axis for axis in {abs(one.response[1]) for one in functions} if 1 <= axis <= 6]
+    if all(np.abs(one - unturned).max() < 1e-3 for one in directions.values()):
+        return functions, ""
+    if alike and any(aligned(responding[0][(axis - 1) % 3]) is None for axis in used):
+        turned = [replace(one, reference=_along(directions, one.reference) or one.reference) for one in functions]
+        return turned, "directions are those of the nodes' own displacement system, which is turned alike for all"
+    found: list[Function] = []
+    oblique: dict[tuple[int, tuple[int, int], bool], dict[int, Function]] = {}
+    for function in functions:
+        one = replace(function, reference=_along(directions, function.reference) or function.reference)
+        if (response := _along(directions, one.response)) is not None:
+            found.append(replace(one, response=response))
+            continue
+        node, axis = one.response
+        among = oblique.setdefault((node, one.reference, abs(axis) > 3), {})
+        if abs(axis) in among:
+            raise InputError(f"{path}: node {node} has two functions of one direction; one of each is needed")
+        among[abs(axis)] = replace(one, values=one.values if axis > 0 else -one.values)
+    for (node, _, turning), among in oblique.items():
+        first = 4 if turning else 1
+        if len(among) < 3:
+            shares = np.abs(directions[node][[own - first for own in among]]).max(axis=0)
+            axes = [first + axis for axis in range(3) if shares[axis] > 1e-3]
+            if wanted and wanted not in {_AXIS_NAMES[axis] for axis in axes}:
+                continue
+            raise InputError(
+                f"{path}: node {node} has responses in {len(among)} directions of its displacement system"
+                f" {held.nodes[node].displacement}, which is turned against the file; all three are needed"
+            )
+        own = np.stack([among[first + axis].values for axis in range(3)])
+        for axis, values in enumerate(directions[node].T @ own):
+            found.append(replace(among[first], response=(node, first + axis), values=values.astype(own.dtype)))
+    return found, "directions of nodes (displacement systems) were turned to those of the file"
+
+
+def _along(directions: dict[int, Float64Array], end: tuple[int, int]) -> tuple[int, int] | None:
+    """A node and its direction as one along an axis of the file; None where it is none."""
+    node, direction = end
+    if node not in directions or not 1 <= abs(direction) <= 6:
+        return end
+    axis = aligned(directions[node][(abs(direction) - 1) % 3])
+    if axis is None:
+        return None
+    turning = 3 if abs(direction) > 3 else 0
+    sign = (1 if direction > 0 else -1) * (1 if axis > 0 else -1)
+    return node, sign * (abs(axis) + turning)
 
 
 def _rows(pairs: dict[tuple[int, int], NDArray[Any]], shape: tuple[int, int, int]) -> Iterator[NDArray[Any]]:
@@ -140,18 +217,23 @@ def _require_alike(functions: list[Function], path: Path) -> None:
 
 
 def _node_places(
-    held: Contents, rows: list[int], columns: list[tuple[int, int]], path: Path, options: ImportOptions
+    held: Contents,
+    places: dict[int, Float64Array],
+    rows: list[int],
+    columns: list[tuple[int, int]],
+    path: Path,
+    options: ImportOptions,
 ) -> tuple[Float64Array, Float64Array]:
     """Places of response and reference nodes in metres: of the table's column ``node``, else of the file."""
     known: dict[int, Any] = {}
     if options.places is not None:
-        places = read_places(options.places, options)
-        if any(not one.words.get("node", "").isdigit() for one in places):
+        listed = read_places(options.places, options)
+        if any(not one.words.get("node", "").isdigit() for one in listed):
             raise InputError(f"{options.places}: a column 'node' with the number of each place's node is needed")
-        known = dict(zip((int(one.words["node"]) for one in places), coordinates(places), strict=True))
+        known = dict(zip((int(one.words["node"]) for one in listed), coordinates(listed), strict=True))
     elif held.nodes:
         metres = 1.0 / held.per_metre if held.per_metre else length_unit(options, path)
-        known = {node: np.array(place) * metres for node, place in held.nodes.items()}
+        known = {node: place * metres for node, place in places.items()}
     for node in rows:
         if node not in known:
             raise InputError(

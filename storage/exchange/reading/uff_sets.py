@@ -1,4 +1,7 @@
-"""Sets of a universal file in one pass: functions (58, text and binary), nodes (15, 2411), units (164)."""
+"""Sets of a universal file in one pass.
+
+Functions (58, text and binary), nodes (15, 781, 2411), their coordinate systems (18, 2420), units (164).
+"""
 
 from __future__ import annotations
 
@@ -16,6 +19,7 @@ from numpy.typing import NDArray
 
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.reading.measured import Float64Array, require_plain, uniform_step
+from wavefocus.storage.exchange.reading.uff_systems import Node, SystemRecord
 from wavefocus.storage.units import green_unit, split_unit
 
 _LINE = 1 << 12
@@ -39,10 +43,16 @@ class Function:
 
 @dataclass(slots=True)
 class Contents:
-    """Functions, nodes in the file's unit of length, metres and newtons of a unit, sets that are not read."""
+    """What a file holds.
+
+    nodes, systems: By their numbers, in the file's unit of length.
+    per_metre, per_newton: The file's units of length in a metre, and of force in a newton.
+    skipped: Number of sets of each kind that is not read.
+    """
 
     functions: list[Function] = field(default_factory=list)
-    nodes: dict[int, tuple[float, float, float]] = field(default_factory=dict)
+    nodes: dict[int, Node] = field(default_factory=dict)
+    systems: dict[int, SystemRecord] = field(default_factory=dict)
     per_metre: float | None = None
     per_newton: float = 1.0
     skipped: dict[int, int] = field(default_factory=dict)
@@ -63,8 +73,10 @@ def contents(file: IO[bytes], path: Path) -> Contents:
         match number:
             case b"58":
                 held.functions.append(_function(file, title, path))
-            case b"15" | b"2411":
-                _nodes(file, held, double=number == b"2411")
+            case b"15" | b"781" | b"2411":
+                _nodes(file, held, double=number != b"15")
+            case b"18" | b"2420":
+                _systems(list(_lines(file)), held, matrices=number == b"2420")
             case b"164":
                 lines = list(_lines(file))
                 values = [_float(word) for line in lines[1:3] for word in (line[at : at + 25] for at in (0, 25, 50))]
@@ -92,8 +104,20 @@ def _nodes(file: IO[bytes], held: Contents, *, double: bool) -> None:
     for line in lines:
         words = (line + b" " + next(lines, b"")).split() if double else line.split()
         if len(words) >= 7:
-            place = tuple(_float(word) for word in words[4:7])
-            held.nodes[int(words[0])] = (place[0], place[1], place[2])
+            x, y, z = (_float(word) for word in words[4:7])
+            held.nodes[int(words[0])] = Node((x, y, z), int(words[1]), int(words[2]))
+
+
+def _systems(lines: list[bytes], held: Contents, *, matrices: bool) -> None:
+    """Read coordinate systems: after each header and name, numbers on two lines (18) or four (2420)."""
+    at, count, widths = (2, 4, (25,) * 3) if matrices else (0, 2, (13,) * 6)
+    while at + 2 + count <= len(lines):
+        head = [int(word) for word in lines[at].split()]
+        numbers = [word for line in lines[at + 2 : at + 2 + count] for word in _words(line, widths)]
+        if len(numbers) != (12 if matrices else 9):
+            raise ValueError(f"coordinate system {head[0]} has {len(numbers)} numbers")
+        held.systems[head[0]] = SystemRecord(head[1], 0 if matrices else head[2], tuple(numbers))
+        at += 2 + count
 
 
 def _float(word: bytes) -> float:
@@ -211,9 +235,7 @@ def _ascii(file: IO[bytes], numbers: int, path: Path, widths: tuple[int, ...]) -
             last = file.readline(_LINE)
             tail = [last[at : at + widths[0]] for at in range(0, len(last.rstrip()), widths[0])]
             flat = np.concatenate([found, [_float(word) for word in tail if word.strip()]])
-            if len(flat) != numbers:
-                raise InputError(f"{path}: a function (58) declares {numbers} numbers and holds {len(flat)}")
-            return flat
+            return _without_padding(flat, numbers, len(widths), path)
     words: list[float] = []
     ends = -1
     for line in text.splitlines():
@@ -223,9 +245,14 @@ def _ascii(file: IO[bytes], numbers: int, path: Path, widths: tuple[int, ...]) -
         words += _words(line, widths)
     while ends < 0 and len(words) < numbers and (line := file.readline(_LINE)) != b"" and line.strip() != b"-1":
         words += _words(line.rstrip(b"\r\n"), widths)
-    if len(words) != numbers:
-        raise InputError(f"{path}: a function (58) declares {numbers} numbers and holds {len(words)}")
-    return np.array(words)
+    return _without_padding(np.array(words), numbers, len(widths), path)
+
+
+def _without_padding(found: Float64Array, numbers: int, a_line: int, path: Path) -> Float64Array:
+    """Numbers without the zeros that some programs fill the last line with."""
+    if not numbers <= len(found) < numbers + a_line or found[numbers:].any():
+        raise InputError(f"{path}: a function (58) declares {numbers} numbers and holds {len(found)}")
+    return found[:numbers]
 
 
 def _words(line: bytes, widths: tuple[int, ...]) -> list[float]:

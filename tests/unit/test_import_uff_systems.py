@@ -1,0 +1,212 @@
+"""Coordinate systems, padded lines and function types of universal files that pyuff writes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import pyuff
+from scipy.spatial.transform import Rotation
+
+import wavefocus as wf
+from wavefocus.storage.errors import InputError
+
+# pyuff leaves binary files open.
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
+    pytest.mark.filterwarnings("ignore::ResourceWarning"),
+]
+NODES = (3, 7, 12, 20)
+DRIVEN = 101
+BINS, STEP_HZ = 33, 10.0
+TURN = Rotation.from_euler("zyx", [30, -20, 50], degrees=True)
+SHIFT_M = np.array([0.02, -0.01, 0.005])
+PLACES_M = np.array([[0.0, 0.0, 0.0], [0.011, 0.0, 0.0], [0.0, 0.012, 0.0], [0.013, 0.014, 0.0]])
+RESPONSES = np.fft.rfft(
+    np.random.default_rng(2).standard_normal((len(NODES), 3, 2 * BINS - 2)) * np.exp(-np.arange(2 * BINS - 2) / 6)
+)
+"""Responses of each node in the file's x, y and z."""
+
+
+def text_18(number: int, kind: int, reference: int, turn: Rotation, shift_m: np.ndarray) -> str:
+    """Set 18 by its three points (SDRL, dataset 18): origin, on +x, in the plane of +x and +z."""
+    x, _, z = turn.as_matrix().T
+    points = np.concatenate([shift_m, shift_m + 0.5 * x, shift_m + 0.3 * x + 0.4 * z])
+    lines = ["".join(f"{one:13.5E}" for one in part) for part in (points[:6], points[6:])]
+    head = "".join(f"{one:10d}" for one in (number, kind, reference, 8, 1))
+    return f"    -1\n    18\n{head}\nsystem\n{lines[0]}\n{lines[1]}\n    -1\n"
+
+
+def add_2420(path: Path, number: int, kind: int, turn: Rotation, shift_m: np.ndarray) -> None:
+    matrix = np.vstack([turn.as_matrix().T, shift_m])  # rows: unit vectors of x, y and z, then the origin
+    pyuff.UFF(str(path)).write_sets(
+        pyuff.prepare_2420(Part_UID=1, Part_Name="p", CS_sys_labels=[number], CS_types=[kind], CS_colors=[8],
+                           CS_names=["system"], CS_matrices=[matrix], return_full_dict=True), "add")  # fmt: skip
+
+
+def add_nodes(path: Path, own: np.ndarray, definition: int = 0, displacement: int = 0, kind: int = 2411) -> None:
+    """Nodes with their own coordinates; the driven one stands at (50, 0, 0) mm of the file."""
+    count = len(own)
+    numbers = {"node_nums": [*NODES[:count], DRIVEN], "x": [*own[:, 0], 0.05], "y": [*own[:, 1], 0.0],
+               "z": [*own[:, 2], 0.0], "def_cs": [definition] * count + [0], "disp_cs": [displacement] * count + [0],
+               "color": [0] * (count + 1)}  # fmt: skip
+    prepared = (pyuff.prepare_15 if kind == 15 else pyuff.prepare_2411)(**numbers, return_full_dict=True)
+    pyuff.UFF(str(path)).write_sets(prepared, "add")
+
+
+def add_functions(path: Path, values: np.ndarray, axes: tuple[int, ...] = (3,), *, binary: bool = False) -> None:
+    for node, row in zip(NODES, values, strict=False):
+        for axis in axes:
+            one: dict[str, Any] = {
+                "type": 58, "binary": int(binary), "func_type": 4, "rsp_node": node, "rsp_dir": axis,
+                "ref_node": DRIVEN, "ref_dir": 3, "data": row[abs(axis) - 1] * np.sign(axis),
+                "x": STEP_HZ * np.arange(BINS), "abscissa_spacing": 1, "abscissa_spec_data_type": 18,
+                "ordinate_spec_data_type": 11, "orddenom_spec_data_type": 13,
+            }  # fmt: skip
+            pyuff.UFF(str(path)).write_sets(one, "add")
+
+
+def units(path: Path) -> None:
+    pyuff.UFF(str(path)).write_sets(
+        pyuff.prepare_164(units_code=1, units_description="SI", temp_mode=1, length=1.0, force=1.0, temp=1.0,
+                          temp_offset=0.0, return_full_dict=True), "overwrite")  # fmt: skip
+
+
+def imported(path: Path, **options: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Places in millimetres and the responses' spectra."""
+    with wf.import_bank(path, path.with_suffix(".h5"), "uff", columns="x,y", **options) as bank:
+        green = np.stack([bank.green(row)[0] for row in range(bank.positions)])
+        return bank.position_mm, np.fft.rfft(green)
+
+
+def own_coordinates(kind: int, turn: Rotation, shift_m: np.ndarray) -> np.ndarray:
+    """Coordinates of the places in a system, by its definition."""
+    x, y, z = turn.inv().apply(PLACES_M - shift_m).T
+    if kind == 0:
+        return np.column_stack([x, y, z])
+    angle = np.degrees(np.arctan2(y, x))
+    if kind == 1:
+        return np.column_stack([np.hypot(x, y), angle, z])
+    radius = np.sqrt(x**2 + y**2 + z**2)
+    return np.column_stack([radius, np.degrees(np.arccos(z / radius)), angle])
+
+
+@pytest.mark.parametrize("binary", [False, True])
+@pytest.mark.parametrize("nodes", [15, 2411])
+@pytest.mark.parametrize("kind", [0, 1, 2])
+@pytest.mark.parametrize("number", [18, 2420])
+def test_places_in_a_system_of_their_own_then_are_those_of_the_file(
+    tmp_path: Path, number: int, kind: int, nodes: int, binary: bool
+) -> None:
+    path = tmp_path / "a.uff"
+    units(path)
+    if number == 2420:
+        add_2420(path, 5, kind, TURN, SHIFT_M)
+    else:
+        with path.open("a") as file:
+            file.write(text_18(5, kind, 0, TURN, SHIFT_M))
+    add_nodes(path, own_coordinates(kind, TURN, SHIFT_M), definition=5, kind=nodes)
+    add_functions(path, RESPONSES, binary=binary)
+    places_mm, spectra = imported(path)
+    assert np.abs(places_mm - PLACES_M[:, :2] * 1e3).max() < 2e-3
+    assert np.abs(spectra - RESPONSES[:, 2]).max() < 1e-4
+
+
+def test_a_system_in_another_system_then_is_turned_by_both(tmp_path: Path) -> None:
+    path = tmp_path / "a.uff"
+    units(path)
+    inner, inner_shift = Rotation.from_euler("zyx", [-70, 10, 5], degrees=True), np.array([0.1, 0.2, 0.0])
+    with path.open("a") as file:
+        file.write(text_18(6, 1, 5, inner, inner_shift) + text_18(5, 0, 0, TURN, SHIFT_M))
+    whole, shift = TURN * inner, SHIFT_M + TURN.apply(inner_shift)
+    add_nodes(path, own_coordinates(1, whole, shift), definition=6)
+    add_functions(path, RESPONSES)
+    assert np.abs(imported(path)[0] - PLACES_M[:, :2] * 1e3).max() < 5e-3
+
+
+@pytest.mark.parametrize("kind", [0, 1])
+def test_responses_in_directions_of_their_nodes_then_are_turned_to_those_of_the_file(tmp_path: Path, kind: int) -> None:
+    path = tmp_path / "a.uff"
+    units(path)
+    add_2420(path, 5, kind, TURN, SHIFT_M)
+
+    add_nodes(path, PLACES_M, displacement=5)
+    own = []
+    for place, response in zip(PLACES_M, RESPONSES, strict=True):
+        x, y, _ = TURN.inv().apply(place - SHIFT_M)
+        at_node = TURN * Rotation.from_euler("z", np.arctan2(y, x) if kind == 1 else 0.0)
+        own.append(at_node.inv().as_matrix() @ response)
+    add_functions(path, np.array(own), axes=(1, -2, 3))
+    for axis in range(3):
+        if kind == 1:
+            assert np.abs(imported(path, direction="xyz"[axis])[1] - RESPONSES[:, axis]).max() < 1e-4
+        path.with_suffix(".h5").unlink(missing_ok=True)
+    if kind == 0:  # all are turned alike: they stay as measured
+        assert np.abs(imported(path, direction="z")[1] - np.array(own)[:, 2]).max() < 1e-4
+
+
+def test_a_node_whose_normal_points_down_then_has_its_sign_changed(tmp_path: Path) -> None:
+    path = tmp_path / "a.uff"
+    units(path)
+    add_2420(path, 5, 0, Rotation.from_euler("x", 180, degrees=True), np.zeros(3))
+    add_nodes(path, PLACES_M, displacement=5)
+    add_functions(path, RESPONSES)
+    assert np.abs(imported(path)[1] + RESPONSES[:, 2]).max() < 1e-4
+
+
+def test_what_cannot_be_turned_then_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.uff"
+    units(path)
+    add_2420(path, 5, 1, TURN, SHIFT_M)
+    add_nodes(path, PLACES_M, displacement=5)
+    add_functions(path, RESPONSES, axes=(1,))
+    with pytest.raises(InputError, match="displacement system 5"):
+        imported(path)
+    units(path)
+    add_nodes(path, PLACES_M, definition=9)
+    add_functions(path, RESPONSES)
+    with pytest.raises(InputError, match="coordinate system 9"):
+        imported(path)
+
+
+@pytest.mark.parametrize("kind", [2, 3, 9, 12])
+def test_spectra_then_are_no_frequency_responses(tmp_path: Path, kind: int) -> None:
+    path = tmp_path / "a.uff"
+    units(path)
+    add_nodes(path, PLACES_M)
+    add_functions(path, RESPONSES)
+    path.write_bytes(path.read_bytes().replace(b"\n    4  ", b"\n%5d  " % kind))
+    with pytest.raises(InputError, match=rf"types \[{kind}\]"):
+        imported(path)
+    add_functions(path, RESPONSES)
+    assert np.abs(imported(path)[1] - RESPONSES[:, 2]).max() < 1e-4
+
+
+@pytest.mark.parametrize("uneven", [False, True])
+def test_a_last_line_that_is_filled_up_with_zeros_then_is_read(tmp_path: Path, uneven: bool) -> None:
+    per_line, width = (6, 13) if uneven else (4, 20)
+    lines = []
+    for row in RESPONSES:
+        values = row[2].view(np.float64)
+        if uneven:  # single precision, with its own axis
+            values = np.column_stack([STEP_HZ * np.arange(BINS), row[2].real, row[2].imag]).reshape(-1)
+        filled = np.append(values, np.zeros(-len(values) % per_line))
+        lines.append(
+            "\n".join("".join(f"{one:{width}.{width - 8}E}" for one in part) for part in filled.reshape(-1, per_line))
+        )
+    assert (len(values) % per_line) != 0
+    path = tmp_path / "a.uff"
+    units(path)
+    add_nodes(path, PLACES_M)
+    with path.open("a") as file:
+        for node, text in zip(NODES, lines, strict=True):
+            file.write("    -1\n    58\nid" + 4 * "\nNONE")
+            file.write(f"\n{4:5d}{0:10d}{1:5d}{0:10d} {'r':<10}{node:10d}{3:4d}"
+                       f" {'f':<10}{DRIVEN:10d}{3:4d}\n{5 if uneven else 6:10d}{BINS:10d}{0 if uneven else 1:10d}"
+                       f"{0:13.5E}{STEP_HZ:13.5E}{0:13.5E}\n")  # fmt: skip
+            for quantity, unit in ((18, "Hz"), (11, "m/s"), (13, "N"), (0, "NONE")):
+                file.write(f"{quantity:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20} {unit:<20}\n")
+            file.write(f"{text}\n    -1\n")
+    assert np.abs(imported(path)[1] - RESPONSES[:, 2]).max() < 1e-3
