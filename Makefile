@@ -21,7 +21,7 @@ TEST_PACKAGES := libportaudio2 libasound2 libasound2-plugins jackd2 libusb-1.0-0
 # Octave reads a bank in a long test; what it recommends (Java, for one) is not needed.
 OCTAVE := octave octave-netcdf
 
-.PHONY: help demo docs test coverage test-long lint bench bench-pages stiff-cases soak screenshots window-figures clean
+.PHONY: help demo docs test test-all coverage test-long lint bench bench-pages stiff-cases soak screenshots window-figures clean
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
 
@@ -36,7 +36,12 @@ docs: ## Build the documentation's site in site/, warnings being errors; open si
 	@tools/set-up.sh docs
 	$(PY) -m sphinx -W -E --keep-going -q docs site
 
-test: ## Run the tests; some minutes
+test: ## Run unit, contract and wire tests, and one test of each command and tab; two or three minutes
+	@tools/system-packages.sh $(TEST_PACKAGES)
+	@tools/set-up.sh test
+	$(PY) -m pytest -m "not long and not whole" $(ARGS)
+
+test-all: ## Run all tests but the long ones; six minutes or more
 	@tools/system-packages.sh $(TEST_PACKAGES)
 	@tools/set-up.sh test
 	$(PY) -m pytest $(ARGS)

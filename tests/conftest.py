@@ -61,8 +61,13 @@ def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest
     return report
 
 
+WHOLE = tuple(Path(__file__).parent / folder for folder in ("system", "gui"))
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
+        if any(folder in item.path.parents for folder in WHOLE) and item.get_closest_marker("smoke") is None:
+            item.add_marker(pytest.mark.whole)
         marker = item.get_closest_marker("may_skip")
         if marker is not None and not (marker.args and marker.args[0]):
             raise pytest.UsageError(f"{item.nodeid}: may_skip needs a reason")

@@ -55,6 +55,7 @@ def in_hands(qtbot: QtBot, window: Window) -> RigTab:
     return tab
 
 
+@pytest.mark.smoke
 def test_given_a_rig_then_it_is_examined_and_a_remedy_leads_to_what_it_names(
     qtbot: QtBot, open_window: Opens, rig: Path
 ) -> None:

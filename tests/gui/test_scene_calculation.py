@@ -62,6 +62,7 @@ class Listener:
         return self.one(PredictedField).field
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize(("saturation", "limit_v", "emission"), [(0.0, 100.0, "continuous"), (0.5, 0.01, "per_point")])
 def test_given_a_scene_then_drives_and_field_are_those_of_render_and_predict(
     finished: Path, saturation: float, limit_v: float, emission: str

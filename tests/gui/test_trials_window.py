@@ -169,6 +169,7 @@ def test_given_it_is_closed_in_a_trial_then_a_second_window_resumes_there_and_sh
     assert again.process.failure in again.notice.text.text()
 
 
+@pytest.mark.smoke
 def test_given_a_wrong_file_then_no_window_is_shown(start: Opens, qtbot: QtBot) -> None:
     window = start(TRIALS.replace("question =", "ask ="))
     qtbot.waitUntil(lambda: not window.process.running, timeout=SOON_MS)

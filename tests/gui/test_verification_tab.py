@@ -94,6 +94,7 @@ def cells(tab: VerificationTab, row: int) -> list[str]:
     return [table.item(row, column).text() for column in range(table.columnCount())]
 
 
+@pytest.mark.smoke
 def test_given_an_earlier_verification_then_its_fields_stand_side_by_side(
     qtbot: QtBot, open_window: Opens, verified: Path
 ) -> None:

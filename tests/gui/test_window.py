@@ -171,6 +171,7 @@ def test_given_size_theme_text_run_and_bank_then_the_next_window_has_them_again(
     again.close_at_once()
 
 
+@pytest.mark.smoke
 def test_given_an_empty_window_then_names_tooltips_keys_and_units_are_complete(open_window: Opens) -> None:
     window = open_window()
     with_tip = (QAbstractButton, QAbstractSpinBox, QComboBox)
@@ -224,6 +225,7 @@ def test_given_a_check_box_then_its_outline_and_its_tick_are_visible(qtbot: QtBo
     assert share(tick, inside) > 0.04
 
 
+@pytest.mark.smoke
 def test_opening_a_window_loads_nothing_that_only_calculations_need(tmp_path: Path) -> None:
     loaded = loaded_by(OPEN_WINDOW, tmp_path)
     assert "wavefocus.gui.verification.tab" in loaded

@@ -98,6 +98,7 @@ def test_given_a_simulated_participant_then_the_command_s_answers_are_analysed_i
     assert "Traceback" not in capsys.readouterr().err
 
 
+@pytest.mark.smoke
 def test_given_some_simulated_people_then_the_intervals_hold_the_truth_in_most(tmp_path: Path) -> None:
     people = 5
     found = coverage(designs(tmp_path)[CONSTANT], people, 0.02, tmp_path)

@@ -39,6 +39,7 @@ def move_until_heard(running: Lines, *names: str, x_mm: float = 4.0) -> dict:
     raise AssertionError("they do not sound")
 
 
+@pytest.mark.smoke
 def test_given_positions_on_standard_input_then_sources_sound_there_until_the_order_to_end(bank: Path) -> None:
     scene = bank.parent / "scene.toml"
     text = scene.read_text(encoding="utf-8").replace("limit_v = 1.0", "limit_v = 1e-6")

@@ -128,6 +128,7 @@ def test_given_wrong_input_then_a_sentence_comes_before_anything_sounds(
     assert not list((lab / "out").glob("*.owner"))
 
 
+@pytest.mark.smoke
 def test_given_a_preparation_then_the_stimuli_are_there_and_a_window_is_not_needed(
     lab: Path, experiment: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,0 +1,81 @@
+"""Every command once, on a small campaign: what `make test` runs of the command line."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from wavefocus.__main__ import run
+from wavefocus.cli import COMMANDS
+
+pytestmark = pytest.mark.smoke
+
+BANK, DRIVE, FIELD, RIG = "plate.h5", "drive.h5", "field.h5", "rig.toml"
+RENDER = ["render", "scene.toml", "--bank", BANK, "--out", DRIVE]
+PREDICT = ["predict", DRIVE, "--bank", BANK, "--out", FIELD]
+# Of each command: what must have run before, its arguments, and what it writes. In the folder of a measured lab.
+STEPS: dict[str, tuple[list[list[str]], list[str], list[str]]] = {
+    "init": ([], ["init", "new"], ["new/rig.toml", "new/run.toml", "new/scene.toml", "new/trials.toml"]),
+    "doctor": ([], ["doctor", RIG], []),
+    "calibrate": ([], ["calibrate", RIG, "--only", "actuators"], []),
+    "plan": ([], ["plan", "run.toml"], []),
+    "capture": ([], ["capture", "run.toml", "--bank", "again.h5"], ["again.h5"]),
+    "resume": ([], ["resume", BANK], []),
+    "remeasure": ([], ["remeasure", BANK, "--positions", "0"], []),
+    "status": ([], ["status", BANK], []),
+    "check": ([], ["check", BANK], []),
+    "render": ([], RENDER, [DRIVE]),
+    "predict": ([RENDER], PREDICT, [FIELD]),
+    "movie": ([RENDER, PREDICT], ["movie", FIELD, "--bank", BANK, "--drive", DRIVE, "--snapshots", "s.png"], ["s.png"]),
+    "play": ([RENDER], ["play", DRIVE, "--rig", RIG], []),
+    "verify": ([], ["verify", "scene.toml", "--bank", BANK, "--rig", RIG, "--out", "verify"], ["verify/verify.json"]),
+    "export": ([], ["export", BANK, "plate.npz", "--to", "npz"], ["plate.npz"]),
+    "import": ([["export", BANK, "plate.npz", "--to", "npz"]], ["import", "plate.npz", "--bank", "new.h5"], ["new.h5"]),
+    "publish": ([], ["publish", BANK, "--out", "published"], ["published/ro-crate-metadata.json"]),
+}  # fmt: skip
+# Commands whose smoke test is elsewhere: they need standard input, another process, or minutes.
+ELSEWHERE = {
+    "operate", "emulate", "pause", "go-on", "stop", "estimate", "live", "trials", "analyse", "bench", "gui", "demo",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("command", STEPS)
+def test_given_a_measured_lab_then_the_command_does_its_work(
+    command: str, bank: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(bank.parent)
+    before, arguments, written = STEPS[command]
+    for step in before:
+        assert run(step) == 0
+    assert run(arguments) == 0
+    assert all(Path(name).exists() for name in written)
+
+
+def test_every_command_has_a_smoke_test_here_or_elsewhere() -> None:
+    assert {command.name for command in COMMANDS} == set(STEPS) | ELSEWHERE
+
+
+@pytest.mark.parametrize("order", ["pause", "go-on", "stop"])
+def test_given_no_campaign_is_running_then_an_order_is_refused(order: str, bank: Path) -> None:
+    assert run([order, str(bank)]) == 2
+
+
+def test_given_kept_recordings_then_estimate_makes_their_bank_again(lab: Path) -> None:
+    text = (lab / "run.toml").read_text(encoding="utf-8")
+    (lab / "run.toml").write_text(text.replace("[capture]", "[capture]\nkeep_raw = true"), encoding="utf-8")
+    assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / BANK)]) == 0
+    assert run(["estimate", str(lab / "plate.raw.h5"), "--bank", str(lab / "again.h5")]) == 0
+    assert (lab / "again.h5").is_file()
+
+
+def test_given_orders_on_standard_input_then_operate_answers_and_ends(
+    lab: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = b'{"order": "jog", "x_mm": 4, "y_mm": 0}\n{"order": "end"}\n'
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(lines)))
+    assert run(["operate", str(lab / RIG)]) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["event"] == "ended"
