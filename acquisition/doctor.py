@@ -12,6 +12,7 @@ import numpy as np
 
 from wavefocus.acquisition.setup import MAX_DELAY_DIFFERENCE_S, Setup, point_at, record_silence, take_record
 from wavefocus.calibration.clock.timing import ReferenceMissingError, fit_clock
+from wavefocus.calibration.crosstalk import REMEDY, Crosstalk, crosstalk_of_record
 from wavefocus.calibration.sweeps import Excitation
 from wavefocus.config.messages.rig_checks import Act, Finding, Verdict
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
@@ -397,7 +398,39 @@ def check_loopback(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> l
             found.residual_db <= GOOD_RESIDUAL_DB,
             "look for hum, a loose cable or a range much too wide",
         ),
+        crosstalk_finding(measured_crosstalk(setup, recording, sample_rate_hz)),
     ]
+
+
+def measured_crosstalk(setup: Setup, recording: Recording, sample_rate_hz: float) -> Crosstalk:
+    """The leak in a record of the loopback alone, which no actuator answers."""
+    return crosstalk_of_record(
+        recording.volts[0],
+        recording.volts[1],
+        sample_rate_hz,
+        BAND_HZ,
+        reference_gain=setup.reference_gain,
+        inter_channel_delay_s=setup.inter_channel_delay_s,
+    )
+
+
+def measure_crosstalk(setup: Setup, place_mm: Sequence[float], amplitude_v: float, sample_rate_hz: float) -> Finding:
+    """Play on the loopback alone, the beam on a place where light comes back; raises InstrumentError."""
+    point_at(setup, float(place_mm[0]), float(place_mm[1]))
+    signals_v = setup.signals_v(_sweep(amplitude_v, sample_rate_hz).signal_v())
+    recording = take_record(setup, signals_v, sample_rate_hz, Take(0, 1, 1, "calibration"))
+    return crosstalk_finding(measured_crosstalk(setup, recording, sample_rate_hz))
+
+
+def crosstalk_finding(found: Crosstalk) -> Finding:
+    """What of the loopback leaks into the response input, and what to do about it."""
+    if found.is_named:
+        return Finding("recorder", "crosstalk", "fail", f"the loopback leaks into the response input: {found}", REMEDY)
+    if not found.is_resolved:
+        what = f"the response input is too loud to see a leak of the loopback below {found.visible_db:.0f} dB"
+        return Finding("recorder", "crosstalk", "warn", what, "point the beam where light comes back, or play louder")
+    below_db = max(found.level_db, found.visible_db)
+    return Finding("recorder", "crosstalk", "ok", f"below {below_db:.0f} dB re the loopback")
 
 
 def check_response(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> list[Finding]:

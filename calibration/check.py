@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from wavefocus.calibration import BoolArray, Float64Array
 from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.calibration.crosstalk import REMEDY, crosstalk_of_bank
 from wavefocus.calibration.neighbour_judge import NeighbourJudge, RowSpectra
 from wavefocus.storage.bank.ledger import VALID
 from wavefocus.storage.bank.reading import Bank, BankRows, open_bank
@@ -23,6 +24,7 @@ from wavefocus.storage.field_file import FieldRowReader
 from wavefocus.storage.hdf5_digest import format_of
 from wavefocus.storage.ledger.owner import bank_owner, owner_path
 from wavefocus.storage.ledger.reader import LedgerReader
+from wavefocus.storage.point_status import usable
 from wavefocus.storage.raw.header import RAW
 from wavefocus.storage.raw.writer import RawRows, open_raw
 
@@ -67,6 +69,7 @@ def check_bank(path: str | Path) -> list[Finding]:
         findings += _check_positions(bank)
         findings += _check_moved(bank)
         findings += _check_rows(bank)
+        findings += _check_crosstalk(bank)
     return sorted(findings, key=lambda finding: -1 if finding.position is None else finding.position)
 
 
@@ -146,6 +149,24 @@ def _check_rows(bank: Bank) -> Iterator[Finding]:
     yield from _check_tails(tail_db)
     yield from _check_levels(rms, certain=status is not None)
     yield from _check_neighbours(bank, spectra, np.isfinite(rms).all(axis=1))
+
+
+def _check_crosstalk(bank: Bank) -> Iterator[Finding]:
+    """One error for the whole bank where the loopback leaks into its rows; a note where that cannot be seen."""
+    status = _status_or_none(bank)
+    rows = np.arange(bank.positions) if status is None else np.flatnonzero(usable(status))
+    if len(rows) < _NEIGHBOURHOOD or bank.band_hz is None:
+        return
+    found = crosstalk_of_bank(bank, rows)
+    if found is None:
+        message = (
+            "crosstalk was not looked for: it shows in rows far from actuators whose places are known, and there are "
+            "too few"
+        )
+        yield Finding(None, None, message, "note")
+    elif found.is_named:
+        message = f"crosstalk: the loopback leaks into {found.rows}: {found} ({found.sigmas:.0f} sigma): {REMEDY}"
+        yield Finding(None, None, message)
 
 
 def _status_or_none(bank: Bank) -> NDArray[np.uint8] | None:

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 
+from wavefocus.calibration.check import check_bank
+from wavefocus.calibration.crosstalk import Crosstalk, crosstalk_of_record, crosstalk_of_rows
 from wavefocus.drivers.protocols import RecordRequest, Take
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
+from wavefocus.storage.bank.reading import Bank
+from wavefocus.virtual import virtual_rig
 
 RATE_HZ = 10_000.0
+PER_VOLT = 0.125
+NO_SENTINEL = {"every_positions": 10_000}
 QUIET = VirtualSettings(
     noise_v=0.0, reference_noise_v=0.0, clock_ppm=0.0, inter_channel_delay_s=0.0, dropout_probability=0.0,
     lost_signal_v=0.0,
@@ -32,3 +40,100 @@ def test_share_of_the_loopback_comes_late_at_the_response_input() -> None:
     lagged = np.array([reference_v[: 5900 - lag] @ response_v[lag:5900] for lag in range(10)])
     assert int(np.argmax(lagged)) == 3
     assert lagged[3] / (reference_v @ reference_v) == pytest.approx(0.05, rel=1e-3)
+
+
+def silent_record(share: float, delay_s: float, noise_v: float, seed: int = 0) -> Crosstalk:
+    """A sweep on the loopback, noise and a leak on the response, measured."""
+    draw = np.random.default_rng(seed)
+    time_s = np.arange(6000) / RATE_HZ
+    sweep = np.where(time_s < 0.5, np.sin(2 * np.pi * (40 + 360 * time_s) * time_s), 0.0)
+    spectrum = np.fft.rfft(sweep) * np.exp(-2j * np.pi * np.fft.rfftfreq(6000, 1 / RATE_HZ) * delay_s)
+    response = share * np.fft.irfft(spectrum, 6000) + noise_v * draw.standard_normal(6000)
+    return crosstalk_of_record(sweep, response, RATE_HZ, (40.0, 400.0))
+
+
+@pytest.mark.parametrize(("share", "delay_s"), [(1e-4, 0.0), (-1e-3, 2.3e-4), (1e-2, 4e-3)])
+def test_leak_in_a_record_without_a_response_is_measured_with_its_delay(share: float, delay_s: float) -> None:
+    found = silent_record(share, delay_s, 1.5e-4)
+    assert found.is_named
+    assert found.share == pytest.approx(share, abs=4 * found.error)
+    assert found.delay_s == pytest.approx(delay_s, abs=3e-5)
+
+
+def test_records_without_a_leak_name_none_and_loud_ones_resolve_none() -> None:
+    assert not any(silent_record(0.0, 0.0, 1.5e-4, seed).is_named for seed in range(100))
+    quiet, loud = silent_record(0.0, 0.0, 1.5e-4), silent_record(1e-4, 0.0, 1.0)
+    assert quiet.is_resolved
+    assert not loud.is_resolved
+    assert not loud.is_named
+
+
+PLATES = {"gel": {}, "glass": {"plate": "thin", "edge": "infinite"}}
+
+
+@pytest.fixture(scope="module")
+def banks(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, float], Bank]:
+    """Banks of 42 positions and 4 actuators, each measured once."""
+
+    @cache
+    def measured(plate: str, share: float) -> Bank:
+        keys = {**PLATES[plate], "crosstalk": share}
+        run = {"virtual": keys, "capture": {"averages": 1}, "quality": {"remeasure_pass": 0}, "drift": NO_SENTINEL}
+        rig = virtual_rig(actuators=4, spacing_mm=24.0, run=run)
+        return rig.measure(tmp_path_factory.mktemp("bank") / "plate.h5")
+
+    return measured
+
+
+def found_in(bank: Bank, added: float = 0.0) -> Crosstalk | None:
+    """What the rows of a bank show, once another pulse is in them."""
+    green = np.stack([bank.green(position) for position in range(bank.positions)]).astype(np.float64)
+    green[:, :, 0] += added * PER_VOLT
+    return crosstalk_of_rows(green, bank.position_mm, bank.actuator_mm, RATE_HZ, (20.0, 500.0), PER_VOLT)
+
+
+@pytest.mark.parametrize("plate", list(PLATES))
+def test_leak_in_rows_is_named_on_every_plate(banks: Callable[[str, float], Bank], plate: str) -> None:
+    found = found_in(banks(plate, 1e-4))
+    assert found is not None
+    assert found.is_named
+    assert found.share == pytest.approx(1e-4, rel=0.2)
+    assert found.delay_s == pytest.approx(0.0, abs=2.5e-4)
+    assert found.actuators == ()
+
+
+@pytest.mark.parametrize("plate", list(PLATES))
+def test_rows_without_a_leak_name_none(banks: Callable[[str, float], Bank], plate: str) -> None:
+    found = found_in(banks(plate, 0.0))
+    assert found is not None
+    assert not found.is_named
+
+
+def test_check_calls_a_bank_with_a_leak_wrong_and_one_without_it_right(banks: Callable[[str, float], Bank]) -> None:
+    named = [one for one in check_bank(banks("gel", 1e-4).path) if one.severity == "error"]
+    assert [one.message.split(":")[0] for one in named] == ["crosstalk"]
+    assert [one for one in check_bank(banks("gel", 0.0).path) if one.severity == "error"] == []
+
+
+def test_pulse_of_one_sample_in_another_programs_rows_is_named(banks: Callable[[str, float], Bank]) -> None:
+    found = found_in(banks("gel", 0.0), 1e-3)
+    assert found is not None
+    assert found.is_named
+
+
+def test_leak_in_the_rows_of_one_actuator_is_named_with_it_as_that_of_a_staggered_campaign() -> None:
+    draw = np.random.default_rng(4)
+    places = draw.uniform(-50.0, 50.0, (200, 2))
+    corners = np.array([[-90.0, -50.0], [90.0, -50.0], [90.0, 50.0], [-90.0, 50.0]])
+    rows = 1e-4 * draw.standard_normal((200, 4, 1000))
+    rows[:, 1, 0] += 1e-3
+    found = crosstalk_of_rows(rows, places, corners, RATE_HZ, (20.0, 500.0), 1.0)
+    assert found is not None
+    assert found.is_named
+    assert found.actuators == (1,)
+
+
+def test_rows_of_actuators_at_unknown_places_are_not_judged() -> None:
+    places = np.zeros((100, 2))
+    rows = np.ones((100, 4, 1000))
+    assert crosstalk_of_rows(rows, places, np.full((4, 2), np.nan), RATE_HZ, (20.0, 500.0), 1.0) is None
