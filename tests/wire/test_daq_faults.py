@@ -10,7 +10,7 @@ import grpc
 import numpy as np
 import pytest
 from nidaqmx.error_codes import DAQmxErrors
-from nidaqmx.errors import DaqError
+from nidaqmx.errors import DaqError, DaqWarning, RpcError
 
 from tests.wire.daq_bench import RANGE_V, RATE_HZ, TAKE, Tone, ask, check_tone, daq_bench, take_one
 from wavefocus.calibration.clock.timing import ReferenceMissingError, fit_clock
@@ -134,6 +134,14 @@ def test_given_any_code_in_mid_campaign_then_it_is_tried_again_at_least_once():
         for code in DAQmxErrors
     }
     assert kinds == {PASSING, LOST, UNKNOWN}
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_given_what_no_code_explains_then_it_is_tried_again_only_from_a_device_that_has_recorded(known):
+    rpc = RpcError(grpc.StatusCode.DATA_LOSS, "data loss")
+    for failure in (rpc, ValueError("Cannot invoke RPC on closed channel!"), DaqWarning("", 200015)):
+        explained = explain(failure, "recorder Dev1", "recording", known=known, owned=known)
+        assert type(explained) is (UNKNOWN if known else FOR_GOOD)
 
 
 @pytest.mark.parametrize(

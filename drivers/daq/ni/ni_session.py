@@ -508,19 +508,22 @@ def explain(
 
 
 def _meaning(failure: BaseException, known: bool, owned: bool) -> Meaning:
+    # A device that has recorded before was set up properly, so what nobody foresaw may pass; of a first task, the
+    # settings may be wrong, and a repeat does not help.
+    unforeseen = UnknownFaultError if known and owned else InstrumentError
     if isinstance(failure, ServerSilentError):
         remedy = "check that the computer with the device and the server on it are alive, then connect again"
         return Meaning(InstrumentLostError, f"the server does not answer ({failure})", remedy)
     if hasattr(failure, "rpc_code"):
-        return _meaning_of_rpc(failure)
+        return _meaning_of_rpc(failure, unforeseen)
     code = getattr(failure, "error_code", None)
     if isinstance(failure, Warning):
         cause = f"NI-DAQmx warns: {_one_line(failure)}"
         if code in PASSING_WARNINGS:
             return Meaning(TransientInstrumentError, cause, "try again; if it stays, lower the signal or the rate")
-        return Meaning(InstrumentError, cause, "put right what it warns of: the device, or its settings in [recorder]")
+        return Meaning(unforeseen, cause, "put right what it warns of: the device, or its settings in [recorder]")
     if code is None:
-        return Meaning(InstrumentError, _one_line(failure), "close and open the rig again")
+        return Meaning(unforeseen, _one_line(failure), "close and open the rig again")
     if code == NO_SUCH_DEVICE:
         return _with_code(GONE if known else WRONG_NAME, code)
     if code in RESERVED:
@@ -529,13 +532,10 @@ def _meaning(failure: BaseException, known: bool, owned: bool) -> Meaning:
         meaning = _with_code(MEANINGS[code], code)
         count = getattr(failure, "samps_per_chan_read", None)
         return meaning._replace(cause=f"{meaning.cause}; {count} came") if count else meaning
-    # A device that has recorded before was set up properly, so the fault may pass; of a first task, the settings may be
-    # wrong, and a repeat does not help.
-    kind = UnknownFaultError if known and owned else InstrumentError
-    return Meaning(kind, f"NI-DAQmx says: {_one_line(failure)}", "follow what it says, or look the code up")
+    return Meaning(unforeseen, f"NI-DAQmx says: {_one_line(failure)}", "follow what it says, or look the code up")
 
 
-def _meaning_of_rpc(failure: Any) -> Meaning:
+def _meaning_of_rpc(failure: Any, unforeseen: type[InstrumentError]) -> Meaning:
     import grpc
 
     if failure.rpc_code == grpc.StatusCode.UNAVAILABLE:
@@ -556,7 +556,7 @@ def _meaning_of_rpc(failure: Any) -> Meaning:
         )
     if failure.rpc_code == grpc.StatusCode.UNIMPLEMENTED:
         return Meaning(InstrumentError, _one_line(failure), "install a newer NI gRPC Device Server")
-    return Meaning(InstrumentError, f"the server says: {_one_line(failure)}", "look into the server's own log")
+    return Meaning(unforeseen, f"the server says: {_one_line(failure)}", "look into the server's own log")
 
 
 def _with_code(meaning: Meaning, code: int) -> Meaning:
