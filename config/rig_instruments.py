@@ -115,7 +115,8 @@ class RecorderSection(DriverTable):
         default=1.0, description="Volts at the reference input per volt of drive"
     )
     inter_channel_delay_s: Annotated[Finite, Field(ge=-0.001, le=0.001), ALWAYS] = Field(
-        default=5e-6, description="Delay of the response's sampling after the reference's; from calibrate, or the device"
+        default=5e-6,
+        description="Delay of the response's sampling after the reference's; from calibrate, or the device",
     )
     pre_roll_s: Annotated[NonNegative, Field(le=10), ALWAYS] = Field(
         default=0.02, description="Recorded before the player starts"
