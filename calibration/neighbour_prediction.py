@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
+from scipy.spatial import KDTree
 
 from wavefocus.calibration import BoolArray, Complex128Array, Float64Array, Int64Array
 from wavefocus.calibration.blas import one_blas_thread
@@ -123,8 +124,8 @@ SAME_SPACINGS = 1e-3
 THIN = 1e-3
 """Neighbours whose extent across is this part of that along lie on a line."""
 FIT_PATCHES, FIT_SHAPES, FIT_FREQUENCIES = 12, 2, 11
-CHUNK = 256
-"""Rows of the table of distances that are made at once."""
+TIES = 12
+"""Positions of a lattice that may be equally far; of those at the edge the first rows are taken."""
 
 
 class RowsPredicted:
@@ -248,16 +249,12 @@ def _patches(position_mm: Float64Array, usable: BoolArray) -> tuple[dict[int, Pa
 
 def _nearest(place_mm: Float64Array, count: int) -> tuple[Float64Array, Int64Array]:
     """Distances and rows of the `count` nearest of places (n, 2) to each of them, itself first, (n, count)."""
-    distance_mm, index = np.empty((len(place_mm), count)), np.empty((len(place_mm), count), dtype=np.int64)
-    for low in range(0, len(place_mm), CHUNK):
-        some = slice(low, low + CHUNK)
-        across, along = (place_mm[some, axis, None] - place_mm[:, axis] for axis in (0, 1))
-        table = np.sqrt(across**2 + along**2)
-        near = np.sort(np.argpartition(table, count - 1, axis=1)[:, :count], axis=1)
-        apart = np.take_along_axis(table, near, 1)
-        order = np.argsort(apart, axis=1, kind="stable")
-        distance_mm[some], index[some] = np.take_along_axis(apart, order, 1), np.take_along_axis(near, order, 1)
-    return distance_mm, index
+    _, found = KDTree(place_mm).query(place_mm, min(count + TIES, len(place_mm)))
+    near = np.sort(found, axis=1)
+    across, along = (place_mm[:, None, axis] - place_mm[near, axis] for axis in (0, 1))
+    apart_mm = np.sqrt(across**2 + along**2)
+    order = np.argsort(apart_mm, axis=1, kind="stable")[:, :count]
+    return np.take_along_axis(apart_mm, order, 1), np.take_along_axis(near, order, 1).astype(np.int64)
 
 
 def _shapes(

@@ -22,6 +22,12 @@ from wavefocus.storage.text_file import read_text
 Model = TypeVar("Model", bound=BaseModel)
 
 
+MAX_KEY_PARTS = 16
+"""Parts of a dotted key; no key of any file has more than four."""
+_PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
+_DEEP_KEY = re.compile(rf"(?m)(?:^|[\[{{,])[ \t]*+(?:{_PART}[ \t]*+\.[ \t]*+){{{MAX_KEY_PARTS}}}")
+
+
 def read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file into plain tables.
 
@@ -39,6 +45,9 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
 
     Raises InputError: it is not TOML; the message names the line.
     """
+    if (deep := _DEEP_KEY.search(text)) is not None:  # the parser's time grows with the square of a key's parts
+        line = text.count("\n", 0, deep.start()) + 1
+        raise InputError(printable(f"{source}: not TOML: line {line}: a key of more than {MAX_KEY_PARTS} parts"))
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

@@ -163,7 +163,7 @@ def is_virtual(rig: Mapping[str, object]) -> bool:
 def _is_virtual(rig_json: str | None) -> bool:
     try:
         rig = json.loads(rig_json or "")
-    except ValueError:
+    except (ValueError, RecursionError):
         return False
     return isinstance(rig, dict) and "mirror" in rig and is_virtual(rig)
 
@@ -174,5 +174,5 @@ def _outline_mm(rig_json: str | None) -> Float64Array | None:
 
     try:
         return SurfaceTable.model_validate(json.loads(rig_json or "")["surface"]).outline.line(_OUTLINE_POINTS)
-    except (ValueError, TypeError, KeyError):
+    except (ValueError, TypeError, KeyError, RecursionError):
         return None

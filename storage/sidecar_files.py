@@ -20,6 +20,7 @@ from pathlib import Path
 
 from wavefocus.storage import durable
 from wavefocus.storage.durable import PositionedFile
+from wavefocus.storage.text_file import open_regular
 
 # What only POSIX has; Windows opens no links unasked.
 _NOT_THROUGH_LINKS = getattr(os, "O_NOFOLLOW", 0)
@@ -87,7 +88,7 @@ class Log:
 
 def _begins_as_ours(path: Path) -> bool:
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             begin = file.read(_SECTOR_BYTES + 1)
         if begin[:1] in (b"", b"{", b"\0"):
             return True

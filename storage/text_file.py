@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import stat
 from pathlib import Path
+from typing import BinaryIO
 
 from wavefocus.storage.errors import InputError
 
@@ -39,3 +43,22 @@ def read_text(path: Path) -> str:
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
         raise InputError(f"{path}: line {line}: not UTF-8 text; save the file as UTF-8") from None
+
+
+def open_regular(path: Path) -> BinaryIO:
+    """Open a regular file for reading; a pipe or a device, which could block for ever, is not waited for.
+
+    Raises OSError: it is missing, cannot be read or is not a regular file.
+    """
+    # O_NONBLOCK and O_BINARY: each exists only where it is needed. A pipe without a writer opens at once, then.
+    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise OSError(errno.EINVAL, "is not a regular file", str(path))
+    return os.fdopen(descriptor, "rb")
+
+
+def read_regular(path: Path) -> bytes:
+    """A regular file's whole content; raises OSError as `open_regular`."""
+    with open_regular(path) as file:
+        return file.read()

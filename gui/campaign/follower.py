@@ -18,6 +18,7 @@ from wavefocus.gui.campaign.quality import DAMAGED, per_position
 from wavefocus.gui.front_door import FrontDoor
 from wavefocus.gui.surface import surface_of
 from wavefocus.storage.errors import WavefocusError
+from wavefocus.storage.text_file import open_regular
 
 if TYPE_CHECKING:
     from wavefocus.storage.bank.reading import Bank
@@ -60,7 +61,7 @@ class LogTail:
         if found.st_size == self._offset:
             return [], anew
         try:
-            with self._path.open("rb") as file:
+            with open_regular(self._path) as file:
                 file.seek(self._offset)
                 block = file.read(_BLOCK_BYTES)
         except OSError:

@@ -117,7 +117,7 @@ class VerificationRun:
         if self.running or not log.is_file():
             return
         with suppress(OSError):
-            if time.time() - log.stat().st_mtime < _SILENT_AFTER_S:
+            if abs(time.time() - log.stat().st_mtime) < _SILENT_AFTER_S:  # a clock may have been set back
                 self._follow_log(out)
                 self.is_virtual = False  # its rig is unknown
                 self._read_log()
@@ -145,7 +145,7 @@ class VerificationRun:
                 self._report_end(own.exit_code, own.failure)
         elif self._ended is not None:
             self._report_end(self._ended.code, "")
-        elif time.time() - self._last_s > _SILENT_AFTER_S:
+        elif abs(time.time() - self._last_s) > _SILENT_AFTER_S:
             self._reset()
             self._context.messages.warn("the verification of another process has written nothing for five minutes")
 

@@ -15,6 +15,7 @@ import numpy as np
 from wavefocus.rendering.arrays import Complex128Array, Float64Array
 from wavefocus.rendering.scene.paths import DrawnPath, PointMm, check_point
 from wavefocus.storage.errors import InputError
+from wavefocus.storage.text_file import read_regular
 
 _ARGUMENTS = {"M": 2, "L": 2, "H": 1, "V": 1, "C": 6, "S": 4, "Q": 4, "T": 2, "A": 7, "Z": 0}
 _NUMBER = re.compile(r"[\s,]*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)")
@@ -254,7 +255,7 @@ def _find_path(file: Path, path_id: str) -> _Found:
 
 def _paths_of(file: Path) -> list[_Found]:
     try:
-        content = Path(file).read_bytes()
+        content = read_regular(Path(file))
     except OSError as error:
         raise InputError(f"{file} cannot be read: {error.strerror or error}") from error
     if len(content) > MOST_BYTES:

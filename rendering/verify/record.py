@@ -19,6 +19,7 @@ from wavefocus.rendering.verify.results import ActuatorFigures, Changes, Drift, 
 from wavefocus.rendering.verify.symptom_words import with_words
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import write_whole
+from wavefocus.storage.text_file import read_regular
 
 if TYPE_CHECKING:
     from wavefocus.rendering.greens.source import GreenSource
@@ -256,7 +257,7 @@ def path_line_mm(source: Source, points: int) -> Float64Array:
 def read_record(path: Path) -> VerificationRecord:
     """Read ``verify.json``; raises InputError where it is missing, damaged or of another format or version."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(read_regular(path))
     except FileNotFoundError:
         raise InputError(f"{path} does not exist; wavefocus verify writes it when a verification is done") from None
     except OSError as error:

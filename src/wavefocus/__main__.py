@@ -64,10 +64,13 @@ def open_closed_streams() -> None:
         os.set_inheritable(descriptor, True)
         opened.append(descriptor)
     os.close(descriptor)
+    from wavefocus.exits import STAND_IN
+
     for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
         if getattr(sys, name) is None:
             # Another file may have its number already, and must not be written to.
             source = os.fdopen(os.dup(number) if number in opened else os.open(os.devnull, os.O_RDWR), mode)
+            vars(source)[STAND_IN] = True
             setattr(sys, name, source)
 
 

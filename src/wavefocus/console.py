@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from functools import cache
 from typing import IO, TYPE_CHECKING, Protocol, cast
 
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 # Without a terminal (a log file, a service) a line this often shows progress.
 LINE_EVERY_S = 30.0
+# Further than any campaign goes, and well within the range of dates.
+MAX_AHEAD_S = 1000 * 365.25 * 86_400
 
 
 class _StandardError(io.TextIOBase):
@@ -80,9 +82,15 @@ def answer(line: str) -> None:
 
 def finish_clock(remaining_s: float) -> str:
     """The wall's clock time in `remaining_s` seconds, with the day when it is not today."""
-    now = datetime.now().astimezone()
-    finish = now + timedelta(seconds=remaining_s)
-    return finish.strftime("%H:%M:%S" if finish.date() == now.date() else "%a %d %b %H:%M")
+    now = datetime.now(UTC)
+    finish = finish_time(remaining_s, now)
+    return finish.strftime("%H:%M:%S" if finish.date() == now.astimezone().date() else "%a %d %b %H:%M")
+
+
+def finish_time(remaining_s: float, now: datetime) -> datetime:
+    """The local time `remaining_s` seconds after an instant, also where clocks change between the two."""
+    # Added in UTC and converted last: a local time keeps its offset when something is added to it.
+    return (now.astimezone(UTC) + timedelta(seconds=min(remaining_s, MAX_AHEAD_S))).astimezone()
 
 
 class Report(Protocol):

@@ -16,6 +16,7 @@ from urllib.parse import quote
 from wavefocus.campaign.provenance import SessionRecord
 from wavefocus.config.run import Publication
 from wavefocus.drivers.protocols import DeviceIdentity
+from wavefocus.storage.text_file import read_regular
 
 METADATA_NAME, README_NAME, SUMS_NAME = "ro-crate-metadata.json", "README.md", "SHA256SUMS"
 _CRATE = "https://w3id.org/ro/crate/1.2"
@@ -205,7 +206,7 @@ def licence_id(licence: str) -> str:
 def published_files(folder: Path) -> set[str]:
     """Names of all files that the checksums in a folder list, and of the list; empty where there is none."""
     try:
-        lines = (folder / SUMS_NAME).read_text(encoding="utf-8").splitlines()
+        lines = read_regular(folder / SUMS_NAME).decode().splitlines()
     except (OSError, ValueError):
         return set()
     return {SUMS_NAME, *(line.partition("  ")[2] for line in lines)}

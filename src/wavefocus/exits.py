@@ -8,6 +8,9 @@ from enum import IntEnum
 from wavefocus.drivers.errors import InstrumentError, MissingPackageError
 from wavefocus.storage.errors import BankBusyError, InputError, WavefocusError
 
+STAND_IN = "wavefocus_stand_in"
+"""Attribute of a standard stream that was closed when the process began, and has the null device in its place."""
+
 
 class Exit(IntEnum):
     """Exit codes, as the public contract states them."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
+from wavefocus.config.loading import parse_toml
 from wavefocus.console import say
 from wavefocus.storage.errors import InputError
+from wavefocus.storage.text_file import read_text
 
 
 def input_files(*files: Path | None) -> list[Path]:
@@ -27,7 +28,7 @@ def input_files(*files: Path | None) -> list[Path]:
 
 def _named_by(file: Path) -> list[Path]:
     try:
-        content = tomllib.loads(file.read_text(encoding="utf-8"))
+        content = parse_toml(read_text(file), str(file))
         return [path for text in _texts(content) if (path := file.parent / text).is_file()]
     except (OSError, ValueError, RecursionError):
         return []

@@ -7,6 +7,7 @@ import json
 import math
 import os
 import queue
+import select
 import sys
 import threading
 import time
@@ -16,7 +17,7 @@ from typing import NoReturn
 
 from wavefocus.config.messages.codec import AnyMessage, Message, MessageError, from_record, to_line
 from wavefocus.console import print_line
-from wavefocus.exits import one_line
+from wavefocus.exits import STAND_IN, one_line
 from wavefocus.storage.errors import InputError, WavefocusError
 
 # No order is longer; a line without an end must not fill the memory.
@@ -24,11 +25,17 @@ _MOST_BYTES = 1 << 16
 
 
 class LinesOut:
-    """Writes messages to standard output, from any thread; `gone` once nobody reads them any more."""
+    """Writes messages to standard output, from any thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self.gone = False
+        self._gone = False
+
+    @property
+    def gone(self) -> bool:
+        """Whether nobody reads them any more, also where nothing was written since."""
+        self._gone = self._gone or _nobody_reads()
+        return self._gone
 
     def __call__(self, message: Message) -> None:
         """Write a message."""
@@ -37,7 +44,24 @@ class LinesOut:
             try:
                 print_line(line)
             except (OSError, ValueError):
-                self.gone = True
+                self._gone = True
+
+
+def _nobody_reads() -> bool:
+    """Whether standard output was closed from the start, or is a pipe whose other end is closed.
+
+    Windows reports the latter only when something is written.
+    """
+    if getattr(sys.stdout, STAND_IN, False):
+        return True
+    if not hasattr(select, "poll"):
+        return False
+    try:
+        asked = select.poll()
+        asked.register(sys.stdout.fileno(), 0)
+        return any(event & (select.POLLERR | select.POLLHUP) for _, event in asked.poll(0))
+    except (OSError, ValueError):  # it is not a file
+        return False
 
 
 class ReadingFailedError(WavefocusError):

@@ -18,6 +18,7 @@ from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.bank_rows import BankRows, OnProgress
 from wavefocus.storage.exchange.places import table
 from wavefocus.storage.output_files import replaced_folder, require_room
+from wavefocus.storage.text_file import read_regular
 
 MOST_CHANNELS = 1024
 """More than that is not a sound file for the library that writes them."""
@@ -94,7 +95,7 @@ def file_names(rows: BankRows) -> list[str]:
 def older_files(folder: Path) -> set[str]:
     """Names of files in a folder that an earlier export wrote; empty where ``bank.json`` is not one of an export."""
     try:
-        facts = json.loads((folder / TABLE_NAME).read_bytes())
+        facts = json.loads(read_regular(folder / TABLE_NAME))
     except (OSError, ValueError, RecursionError):
         return set()
     if not isinstance(facts, dict) or facts.get("format") != FORMAT:

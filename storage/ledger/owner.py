@@ -14,6 +14,7 @@ from pathlib import Path
 from wavefocus.storage.durable import PositionedFile, open_file
 from wavefocus.storage.errors import BankBusyError, InputError
 from wavefocus.storage.sidecar_files import create, is_replaceable
+from wavefocus.storage.text_file import read_regular
 
 # Asking for the owner holds a shared lock for microseconds; a writer that meets it tries again.
 _TRIES = 5
@@ -101,8 +102,8 @@ def remove_owner(path: Path) -> None:
 
 def _named_owner(path: Path) -> Owner:
     try:
-        entry = json.loads(owner_path(path).read_text(encoding="utf-8"))
+        entry = json.loads(read_regular(owner_path(path)))
         return Owner(str(entry["host"]), int(entry["pid"]), str(entry.get("started", "")))
-    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
         # The lock alone decides; the name is for people and may be missing for a moment.
         return Owner("unknown host", 0)

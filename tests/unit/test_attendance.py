@@ -53,6 +53,20 @@ def test_given_a_beat_then_it_is_read_as_it_was_written(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("ahead_s", "silent"), [(-1.0, False), (-40.0, True), (0.5, False), (40.0, True), (3600.0, True), (-3e8, True)]
+)
+def test_given_a_clock_that_was_set_back_then_an_old_heartbeat_is_silent_all_the_same(
+    ahead_s: float, silent: bool
+) -> None:
+    now = datetime.now(UTC)
+    assert Heartbeat(now + timedelta(seconds=ahead_s), 12, "here").is_silent(now) is silent
+
+
+def test_given_a_heartbeat_with_any_number_then_its_finish_is_a_date() -> None:
+    assert Heartbeat(datetime.now(UTC), 12, "here", remaining_s=1e300).finish_at is not None
+
+
+@pytest.mark.parametrize(
     "text", ["", "{", "[1]", '{"at": 1}', '{"at": "2026-01-01T00:00:00", "pid": 1, "host": "h"}', '{"at": "x"}',
              '{"at": "2026-01-01T00:00:00+00:00", "pid": 1, "host": "h", "state": "dancing"}']
 )  # fmt: skip

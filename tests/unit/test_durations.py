@@ -1,8 +1,12 @@
-"""Durations for people."""
+"""Durations and times of day for people."""
+
+import time
+from datetime import UTC, datetime
 
 import pytest
 
 from wavefocus.acquisition.wording import hours
+from wavefocus.console import finish_clock, finish_time
 
 
 @pytest.mark.parametrize(
@@ -21,3 +25,33 @@ from wavefocus.acquisition.wording import hours
 )
 def test_given_seconds_then_words(seconds: float, words: str) -> None:
     assert hours(seconds) == words
+
+
+@pytest.mark.may_skip("Windows has no tzset")
+@pytest.mark.skipif(not hasattr(time, "tzset"), reason="Windows has no tzset")
+@pytest.mark.parametrize(
+    ("zone", "start", "seconds", "finish"),
+    [  # as the zones' own rules have it: POSIX TZ, no other library's arithmetic
+        ("CET-1CEST,M3.5.0,M10.5.0/3", "2026-10-24T20:00", 36_000, "2026-10-25T07:00:00+01:00"),
+        ("CET-1CEST,M3.5.0,M10.5.0/3", "2026-03-28T20:00", 36_000, "2026-03-29T08:00:00+02:00"),
+        ("EST5EDT,M3.2.0,M11.1.0", "2026-11-01T02:00", 36_000, "2026-11-01T07:00:00-05:00"),
+        ("AEST-10AEDT,M10.1.0,M4.1.0/3", "2026-10-03T10:00", 36_000, "2026-10-04T07:00:00+11:00"),
+        ("UTC0", "2026-10-24T20:00", 36_000, "2026-10-25T06:00:00+00:00"),
+    ],
+)
+def test_given_a_change_of_summer_time_then_the_finish_is_by_the_clock_of_then(
+    monkeypatch: pytest.MonkeyPatch, zone: str, start: str, seconds: float, finish: str
+) -> None:
+    monkeypatch.setenv("TZ", zone)
+    time.tzset()
+    try:
+        now = datetime.fromisoformat(start).replace(tzinfo=UTC)
+        assert finish_time(seconds, now).isoformat() == finish
+        assert finish_time(seconds, now.astimezone()).isoformat() == finish
+    finally:
+        monkeypatch.undo()
+        time.tzset()
+
+
+def test_given_a_finish_beyond_all_dates_then_there_is_a_time_all_the_same() -> None:
+    assert finish_clock(1e300)

@@ -31,6 +31,7 @@ from wavefocus.config.messages.campaign import (
 from wavefocus.config.messages.codec import Message, from_record
 from wavefocus.console import say
 from wavefocus.storage.sidecar_files import Log, create, is_replaceable
+from wavefocus.storage.text_file import open_regular, read_regular
 
 # A file that somebody reads just now cannot be replaced on Windows; the reader is done at once.
 _TRIES = 5
@@ -79,7 +80,7 @@ def write_whole(path: Path, content: Mapping[str, object], *, by_many: bool = Fa
 def read_whole(path: Path) -> dict[str, object] | None:
     """The JSON object in a file; None where there is no such file or none in it."""
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             content = json.loads(file.read(_MOST_BYTES))
     except (OSError, ValueError, RecursionError):
         return None
@@ -160,7 +161,7 @@ def _lines_backwards(path: Path) -> Iterator[bytes]:
     """The lines of a file from the last to the first, as it was when asked first."""
     if not path.is_file():
         return
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         start = file.seek(0, os.SEEK_END)
         rest = b""
         while start > 0:
@@ -179,8 +180,8 @@ def drift_path(bank: Path) -> Path:
 def read_drift(bank: Path) -> list[DriftPoint]:
     """The drift history of a bank, oldest first; empty where there is none. Torn lines are passed over."""
     points = []
-    for line in drift_path(bank).read_bytes().splitlines() if drift_path(bank).is_file() else ():
-        with suppress(ValueError, TypeError):
+    for line in read_regular(drift_path(bank)).splitlines() if drift_path(bank).is_file() else ():
+        with suppress(ValueError, TypeError, RecursionError):
             points.append(from_record(DriftPoint, json.loads(line)))
     return points
 

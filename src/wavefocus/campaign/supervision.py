@@ -13,12 +13,13 @@ import uuid
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal
 
 from wavefocus.acquisition.engine.session import StopRequest
+from wavefocus.acquisition.wording import hours
 from wavefocus.campaign.sidecar_files import read_whole, write_whole
 from wavefocus.config.messages.campaign import (
     Event,
@@ -31,7 +32,7 @@ from wavefocus.config.messages.campaign import (
     StateChanged,
 )
 from wavefocus.config.messages.codec import Message, MessageError, from_record, to_record
-from wavefocus.console import say
+from wavefocus.console import finish_time, say
 
 Word = Literal["pause", "go-on", "stop"]
 
@@ -131,11 +132,23 @@ class Heartbeat(Message):
     @property
     def finish_at(self) -> datetime | None:
         """When it will have finished, if nothing holds it up."""
-        return None if self.remaining_s is None else self.at + timedelta(seconds=self.remaining_s)
+        return None if self.remaining_s is None else finish_time(self.remaining_s, self.at).astimezone(UTC)
 
     def age_s(self, now: datetime | None = None) -> float:
-        """Seconds since then."""
+        """Seconds since then; below 0 where the clock was set back since, or is another machine's."""
         return ((now or datetime.now(UTC)) - self.at).total_seconds()
+
+    def is_silent(self, now: datetime | None = None) -> bool:
+        """Whether a process that lives would have written another one since.
+
+        One that lives writes the time of now: a heartbeat from far ahead was written before the clock was set back.
+        """
+        return abs(self.age_s(now)) > SILENT_AFTER_S
+
+    def age_words(self, now: datetime | None = None) -> str:
+        """Its age for people: ``12 s ago``, or that its time is still to come."""
+        age_s = self.age_s(now)
+        return f"{hours(age_s)} ago" if age_s > -1 else f"{hours(-age_s)} ahead of this computer's clock"
 
 
 class Pulse:

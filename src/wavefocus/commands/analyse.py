@@ -10,6 +10,7 @@ from wavefocus.config.trials import AdaptiveTable, TrialsTable
 from wavefocus.console import say
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import replaced_folder, require_replaceable_folder
+from wavefocus.storage.text_file import read_regular
 from wavefocus.trials.analysis.bids import write_bids
 from wavefocus.trials.analysis.report import build_report, percent
 from wavefocus.trials.analysis.results import FORMAT, analysis_of
@@ -65,7 +66,7 @@ def analyse(folder: Path, out: Path | None, *, mixed_model: bool, force: bool, a
 def _written(out: Path) -> set[str]:
     """Files that an earlier analysis wrote into a folder."""
     try:
-        document = json.loads((out / RESULT).read_bytes())
+        document = json.loads(read_regular(out / RESULT))
         return {str(one) for one in document["files"]} if document["format"] == FORMAT else set()
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return set()

@@ -11,6 +11,7 @@ from typing import Any
 from wavefocus.benchmarks import BENCHMARKS
 from wavefocus.console import people, say
 from wavefocus.storage.output_files import require_output_folder, write_whole
+from wavefocus.storage.text_file import read_text
 
 PAGE = "index.html"
 
@@ -43,4 +44,4 @@ def bench(what: str, out: Path, *, quick: bool, force: bool = False) -> None:
 def _measured(folder: Path) -> dict[str, dict[str, Any]]:
     """Contents of the JSON files in a folder, by benchmark."""
     paths = {name: folder / f"{name}.json" for name in BENCHMARKS}
-    return {name: json.loads(path.read_text(encoding="utf-8")) for name, path in paths.items() if path.exists()}
+    return {name: json.loads(read_text(path)) for name, path in paths.items() if path.exists()}

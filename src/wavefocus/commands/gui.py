@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from wavefocus.campaign.sidecar_files import log_path, raw_path, session_failure
-from wavefocus.campaign.supervision import SILENT_AFTER_S, read_heartbeat
+from wavefocus.campaign.supervision import read_heartbeat
 from wavefocus.gui.front_door import FrontDoor, Pulse, RigLimits, open_window
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def _pulse(bank: Path) -> Pulse | None:
     beat = read_heartbeat(bank)
     if beat is None:
         return None
-    return Pulse(beat.at, beat.pid, beat.state, beat.reason, beat.position, beat.age_s() > SILENT_AFTER_S)
+    return Pulse(beat.at, beat.pid, beat.state, beat.reason, beat.position, beat.is_silent())
 
 
 def _rig_limits(path: Path) -> RigLimits:

@@ -6,7 +6,7 @@ import json
 import shutil
 from collections.abc import Collection, Sequence
 from dataclasses import asdict, replace
-from datetime import datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,7 @@ from wavefocus.acquisition.wording import hours
 from wavefocus.campaign.blueprint import Blueprint, blueprint_from_files, blueprint_of, ringing_of
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import RunConfig
-from wavefocus.console import answer
+from wavefocus.console import answer, finish_time
 from wavefocus.rig.setup import open_setup
 from wavefocus.storage.errors import InputError
 
@@ -45,7 +45,7 @@ def plan(
     size = blueprint.bank_header().file_bytes
     schedules = compared(blueprint)
     free = shutil.disk_usage(run_file.resolve().parent).free
-    finish = datetime.now().astimezone() + timedelta(seconds=duration_s)
+    finish = finish_time(duration_s, datetime.now(UTC))
     facts = {
         "positions": the_plan.positions,
         "positions_needed": len(needed),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wavefocus.acquisition.wording import a_while, hours, row_ranges
+from wavefocus.acquisition.wording import a_while, row_ranges
 from wavefocus.campaign.campaign_view import remaining
 from wavefocus.campaign.sidecar_files import (
     CampaignState,
@@ -23,7 +23,6 @@ from wavefocus.campaign.sidecar_files import (
     suspect_rows,
 )
 from wavefocus.campaign.supervision import (
-    SILENT_AFTER_S,
     Heartbeat,
     Word,
     give_order,
@@ -141,7 +140,7 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
     if owner is None:
         if beat is not None and beat.state not in ("finished", "idle"):
             # The heartbeat of a process that was killed keeps its last state.
-            answer(f"last sign of life {hours(beat.age_s())} ago: {beat.state}: {beat.reason}")
+            answer(f"last sign of life {beat.age_words()}: {beat.state}: {beat.reason}")
         if imported:
             return
         left = f"; go on with: {resume_line(bank, None)}" if done < total else ""
@@ -222,8 +221,8 @@ def _print_running(owner: Owner, stands: CampaignState, beat: Heartbeat | None, 
     who = f"process {owner.pid} on {owner.host}"
     if _is_silent(beat) and beat is not None:
         answer(
-            f"{who} owns the bank but has been silent for {hours(beat.age_s())}: it is held, or its machine is asleep "
-            f"or hung; it last said {beat.state}: {beat.reason}"
+            f"{who} owns the bank but is silent, last sign of life {beat.age_words()}: it is held, or its machine is "
+            f"asleep or hung; it last said {beat.state}: {beat.reason}"
         )
         return
     if stands.state is State.RECOVERING:
@@ -241,14 +240,14 @@ def _print_running(owner: Owner, stands: CampaignState, beat: Heartbeat | None, 
         at = "" if beat.position is None else f", at position {beat.position}"
         if pace.record is not None and beat.position == pace.record.position:
             at += f", record {pace.record.record} of {pace.record.records}"
-        answer(f"last sign of life {hours(beat.age_s())} ago{at}")
+        answer(f"last sign of life {beat.age_words()}{at}")
         if beat.fault:
             answer(f"last fault: {beat.fault}")
     _print_pace(pace, stands.state, to_go)
 
 
 def _is_silent(beat: Heartbeat | None) -> bool:
-    return beat is not None and beat.age_s() > SILENT_AFTER_S
+    return beat is not None and beat.is_silent()
 
 
 def _life_facts(beat: Heartbeat | None) -> dict[str, object] | None:
@@ -329,7 +328,7 @@ def _line(bank: Path, owner: Owner, received: Heartbeat | None, wait_s: float, *
     who = f"process {owner.pid} on {owner.host}"
     if received is None:
         beat = read_heartbeat(bank)
-        silent = "" if beat is None else f"; its last sign of life is {hours(beat.age_s())} old"
+        silent = "" if beat is None else f"; its last sign of life: {beat.age_words()}"
         return f"{bank}: {who} does not answer within {wait_s:g} s{silent}; the order is withdrawn"
     if carried_out:
         return f"{bank}: {who}: {received.state}: {received.reason}"

@@ -55,6 +55,9 @@ def calibration_warnings(
         if age_days > stale_days:
             reason = f"{file}: {name} measured {age_days:.0f} days ago, trusted for {stale_days:g}"
             warnings.append(CalibrationWarning(name, reason))
+        if age_days < -1:
+            reason = f"{file}: {name} dated {-age_days:.0f} days ahead of this computer's clock: its age is unknown"
+            warnings.append(CalibrationWarning(name, reason))
         if part.identity is None and ROLE_OF[name] in identities:
             reason = f"{file}: {name} not comparable: the file names its device only in words ({part.device})"
             warnings.append(CalibrationWarning(name, reason))

@@ -118,7 +118,10 @@ def read(folder: Path, options: ImportOptions, stack: ExitStack) -> Measured:
 def _exported(folder: Path) -> _Sounds:
     """The description that our own export writes."""
     table = folder / TABLE_NAME
-    facts = json.loads(read_text(table))
+    try:
+        facts = json.loads(read_text(table))
+    except (json.JSONDecodeError, RecursionError):
+        facts = None
     if not isinstance(facts, dict) or facts.get("format") != FORMAT:
         raise InputError(f"{table} is no description of exported sound files; name a CSV table with --places")
     per_position = facts["channels"] == "actuators"
@@ -157,18 +160,21 @@ def _listed(folder: Path, options: ImportOptions) -> _Sounds:
     position_of, position_m = distinct(coordinates(lines))
     named = {place.words.get("actuator", ""): place.m for place in places if place.is_actuator}
     names = list(dict.fromkeys([*named, *(line.words.get("actuator", "") for line in lines)]))
+    number_of = {name: number for number, name in enumerate(names)}
+    channels_of: dict[str, int] = {}
     channels: list[tuple[str, int | None, int, int]] = []
     for line, position in zip(lines, position_of.tolist(), strict=True):
         name, word = line.words.get("file", ""), line.words.get("channel", "")
         if not name:
             raise InputError(f"{options.places}: line {line.line}: column 'file' is empty; a sound file is needed")
         if line.words.get("actuator"):
-            channels.append((name, _channel(line, options), position, names.index(line.words["actuator"])))
+            channels.append((name, _channel(line, options), position, number_of[line.words["actuator"]]))
         elif word:
             channels.append((name, _channel(line, options), position, 0))
         else:
-            count = soundfile.info(str(_inside(folder, name))).channels
-            channels += [(name, channel, position, channel) for channel in range(count)]
+            if name not in channels_of:
+                channels_of[name] = soundfile.info(str(_inside(folder, name))).channels
+            channels += [(name, channel, position, channel) for channel in range(channels_of[name])]
     count = max(one[3] for one in channels) + 1
     unknown = np.full(3, np.nan)
     known = [named.get(name, unknown) for name in names] if any(names) else list(named.values())
