@@ -29,6 +29,7 @@ BENCHMARKS = {
     "interpolation": Benchmark("the bank between its positions"),
     "focusing": Benchmark("focusing methods on one scene"),
     "commands": Benchmark("commands from the shell"),
+    "symptoms": Benchmark("causes of a failed verification, one by one on four plates", on_request=True),
     "trials": Benchmark("analysis of trials against simulated participants", on_request=True),
     "paper": Benchmark(
         "the paper's figures on the virtual rig",

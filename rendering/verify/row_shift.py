@@ -1,4 +1,4 @@
-"""Grid rows, or whole scans, whose positions show the field of neighbouring places."""
+"""Grid rows whose positions show the field of neighbouring places."""
 
 from __future__ import annotations
 
@@ -24,22 +24,15 @@ LEFT = 0.2
 """Share of the sum of squares that may be left when a shift is taken off."""
 LEAST_LINE, MOST_LOOKED_AT = 3, 64
 SAME_LINE, SAME_PLACE = 0.1, 0.1  # grid spacings
-FRACTIONS = tuple(np.linspace(-1.0, 1.0, 9).tolist())
 STEPS = tuple((x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y)
 
 
 @dataclass(frozen=True, slots=True)
 class Shifts:
-    """Shifts found; `row_at` gives, for a shifted bank row, the row whose response the scan shows, -1 for none.
-
-    whole: All positions are shifted alike.
-    between: And by less than a step of the grid, so that no row has their responses.
-    """
+    """Shifts found; `row_at` gives, for a shifted bank row, the row whose response the scan shows, -1 for none."""
 
     symptoms: tuple[Symptom, ...] = ()
     row_at: dict[int, int] = field(default_factory=dict)
-    whole: bool = False
-    between: bool = False
 
     def bank_rows(self, rows: Int64Array) -> Int64Array:
         """The bank rows whose responses positions show."""
@@ -91,50 +84,18 @@ class _Neighbours:
             best = min(best, (left, step))
         return best
 
-    def best_fraction(self, members: Int64Array) -> tuple[float, tuple[float, float] | None]:
-        """The same for parts of a step in x and y; fields between positions are quadratic."""
-        looked_at = members[evenly(len(members), MOST_LOOKED_AT)]
-        steps = [(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)]
-        rows = np.stack([self.shifted_rows(step, self.rows[looked_at]) for step in steps])
-        inner = (rows >= 0).all(axis=0)
-        if np.count_nonzero(inner) < LEAST_LINE:
-            return LEFT, None
-        around = np.stack([self.predicted(of_step) for of_step in rows[:, inner]])
-        scanned = self._spectra.scanned[looked_at[inner]]
-        own = np.square(np.abs(scanned - around[len(steps) // 2])).sum()
-        best: tuple[float, tuple[float, float] | None] = (LEFT, None)
-        for x in FRACTIONS:
-            for y in FRACTIONS:
-                field_there = np.tensordot(np.outer(_quadratic(x), _quadratic(y)).ravel(), around, axes=1)
-                best = min(best, (float(np.square(np.abs(scanned - field_there)).sum() / own), (x, y)))
-        return best
-
-
-def _quadratic(place: float) -> Float64Array:
-    """Weights of the values at -1, 0 and 1 for the value at a place between."""
-    return np.array([0.5 * place * (place - 1.0), 1.0 - place**2, 0.5 * place * (place + 1.0)])
-
 
 def find_shifts(fields: FieldComparison, bank: GreenSource, predict: Callable[[int], Complex128Array]) -> Shifts:
-    """Find grid rows that are shifted by one step of the grid, or a whole scan that is.
+    """Find grid rows that are shifted by one step of the grid; a whole scan that is, is the mirror's error.
 
     predict: The predicted spectrum (K,) of a bank row, at the frequencies of ``fields.spectra``.
     """
     if len(bank.position_mm) < 2:
         return Shifts()
     neighbours = _Neighbours(fields, bank, predict)
-    everything = np.arange(len(neighbours.rows))
     wrong = fields.position_error > LEAST_ERROR
     if np.mean(wrong) > 0.5:
-        left, step = neighbours.best_step(everything)
-        if step is not None:
-            return _shift(neighbours, everything, step, left, whole=True)
-        left, part = neighbours.best_fraction(everything)
-        if part is None:
-            return Shifts()
-        x_mm, y_mm = (float(one) for one in np.array(part) * neighbours.pitch_mm)
-        symptom = Symptom("shifted", (), float(np.hypot(x_mm, y_mm)), 1.0 - left, shift_mm=(x_mm, y_mm))
-        return Shifts((symptom,), {}, between=True)
+        return Shifts()
     found = Shifts()
     for axis in (1, 0):
         along = neighbours.place_mm[neighbours.rows, axis] / neighbours.pitch_mm[axis]
@@ -143,19 +104,17 @@ def find_shifts(fields: FieldComparison, bank: GreenSource, predict: Callable[[i
             if len(members) >= LEAST_LINE and np.mean(wrong[members]) > 0.5:
                 left, step = neighbours.best_step(members)
                 if step is not None:
-                    one = _shift(neighbours, members, step, left, whole=False)
+                    one = _shift(neighbours, members, step, left)
                     found = Shifts((*found.symptoms, *one.symptoms), found.row_at | one.row_at)
         if found.symptoms:
             break
     return found
 
 
-def _shift(neighbours: _Neighbours, members: Int64Array, step: tuple[int, int], left: float, *, whole: bool) -> Shifts:
+def _shift(neighbours: _Neighbours, members: Int64Array, step: tuple[int, int], left: float) -> Shifts:
     rows = neighbours.rows[members]
     x_mm, y_mm = (float(one) for one in np.array(step) * neighbours.pitch_mm)
     shown = neighbours.shifted_rows(step, rows)
-    positions = () if whole else tuple(rows.tolist())
-    symptom = Symptom(
-        "shifted", (), float(np.hypot(x_mm, y_mm)), 1.0 - left, positions=positions, shift_mm=(x_mm, y_mm)
-    )
-    return Shifts((symptom,), dict(zip(rows.tolist(), shown.tolist(), strict=True)), whole)
+    distance_mm, positions = float(np.hypot(x_mm, y_mm)), tuple(rows.tolist())
+    symptom = Symptom("shifted", (), distance_mm, 1.0 - left, positions=positions, shift_mm=(x_mm, y_mm))
+    return Shifts((symptom,), dict(zip(rows.tolist(), shown.tolist(), strict=True)))

@@ -16,6 +16,8 @@ from wavefocus.rendering.verify.results import Sentinel
 if TYPE_CHECKING:
     from wavefocus.rendering.greens.source import GreenSource
 
+MAX_GROWTH = 20.0
+"""Nepers by which a vibration may be made to decay less; beyond, noise is all that is left."""
 ALLOWED = 0.01
 """Error of a sound bank, relative to the response."""
 
@@ -25,6 +27,7 @@ class Block:
     """Responses (rows, K) and what they are made of, each row over what is allowed of it: ``sum_i green_i drive_i``.
 
     rows, float32 (r, A, L): Green's functions; `row_of` (rows,) says which of them belongs to a response.
+    noise: Sum of squares that the noise makes, in units of what is allowed.
     """
 
     frequency_hz: Float64Array
@@ -35,11 +38,23 @@ class Block:
     green: Complex128Array
     drive: Complex128Array
     response: Complex128Array
+    noise: float = 0.0
 
-    def stretched(self, speed: float) -> Block:
-        """The same with waves so much faster: all that depends on time over distance comes earlier."""
-        green = transforms(self.rows, self.frequency_hz / (1.0 + speed), self.rate_hz)
+    def at(self, frequency_hz: Float64Array | Complex128Array) -> Block:
+        """The same with Green's functions at other frequencies (K,), complex ones too: there, vibrations decay faster.
+
+        Waves that are faster by a factor c have the Green's functions of ``frequency_hz / c``; vibrations that decay
+        by ``exp(-d t)`` more have those of ``frequency_hz - j d / (2 pi)``.
+        """
+        return self.with_green(transforms(self.rows, frequency_hz, self.rate_hz))
+
+    def with_green(self, green: Complex128Array) -> Block:
+        """The same with other Green's functions (r, A, K)."""
         return replace(self, green=green[self.row_of] * self.weight[:, None, None])
+
+    def with_response(self, response: Complex128Array) -> Block:
+        """The same with other responses."""
+        return replace(self, response=response)
 
     def driven(self, factor: Complex128Array | Float64Array) -> Block:
         """The same with drives multiplied by (A,) or (A, K)."""
@@ -51,15 +66,22 @@ class Block:
         order[[one, other]] = other, one
         return replace(self, drive=self.drive[:, order])
 
-    def some(self, most: int) -> Block:
-        """The same with some of the responses, or all where they share their rows."""
+    def some(self, most: int, frequencies: int | None = None) -> Block:
+        """The same with some of the responses, or all where they share their rows, at some of the frequencies."""
+        block = self
+        if frequencies is not None:
+            at = evenly(len(self.frequency_hz), frequencies)
+            block = replace(
+                self, frequency_hz=self.frequency_hz[at], green=self.green[..., at], drive=self.drive[..., at],
+                response=self.response[..., at],
+            )  # fmt: skip
         if len(self.rows) <= most:
-            return self
+            return block
         chosen = evenly(len(self.rows), most)
-        drive = self.drive if len(self.drive) == 1 else self.drive[chosen]
+        drive = block.drive if len(block.drive) == 1 else block.drive[chosen]
         return replace(
-            self, rows=self.rows[chosen], row_of=np.arange(len(chosen)), weight=self.weight[chosen],
-            green=self.green[chosen], drive=drive, response=self.response[chosen],
+            block, rows=block.rows[chosen], row_of=np.arange(len(chosen)), weight=block.weight[chosen],
+            green=block.green[chosen], drive=drive, response=block.response[chosen],
         )  # fmt: skip
 
     @property
@@ -76,10 +98,11 @@ class Block:
 Blocks = tuple[Block, ...]
 
 
-def transforms(rows: NDArray[Any], frequency_hz: Float64Array, rate_hz: float) -> Complex128Array:
-    """Fourier transforms (..., K) of real rows (..., taps) at any frequencies."""
-    turns = np.remainder(np.outer(np.arange(rows.shape[-1]), frequency_hz / rate_hz), 1.0)
-    matrix = np.exp(-2j * np.pi * turns).astype(np.complex64).view(np.float32)
+def transforms(rows: NDArray[Any], frequency_hz: Float64Array | Complex128Array, rate_hz: float) -> Complex128Array:
+    """Fourier transforms (..., K) of real rows (..., taps) at any frequencies, complex ones too."""
+    turns = np.outer(np.arange(rows.shape[-1]), frequency_hz / rate_hz)
+    growth = np.exp(np.minimum(2.0 * np.pi * turns.imag, MAX_GROWTH)) if np.iscomplexobj(turns) else 1.0
+    matrix = (growth * np.exp(-2j * np.pi * np.remainder(turns.real, 1.0))).astype(np.complex64).view(np.float32)
     values = np.ascontiguousarray(rows, np.float32).reshape(-1, rows.shape[-1]) @ matrix
     return np.asarray(values.view(np.complex64).reshape(*rows.shape[:-1], -1), np.complex128)
 
@@ -104,8 +127,9 @@ def block_of(
     allowed = np.nan_to_num(noise) + ALLOWED**2 * level
     weight = 1.0 / np.sqrt(np.where(allowed > 0.0, allowed, np.inf))
     return Block(
-        frequency_hz, rate_hz, rows, row_of, weight, green * weight[:, None, None], drive, response * weight[:, None]
-    )
+        frequency_hz, rate_hz, rows, row_of, weight, green * weight[:, None, None], drive, response * weight[:, None],
+        float(np.nan_to_num(noise) @ weight**2),
+    )  # fmt: skip
 
 
 def sentinel_block(sentinel: Sentinel, green: Float32Array, bank: GreenSource) -> Block:
@@ -117,6 +141,11 @@ def sentinel_block(sentinel: Sentinel, green: Float32Array, bank: GreenSource) -
     noise = 2.0 * energies(response) * 10.0 ** (-np.asarray(sentinel.snr_db, np.float64) / 10.0)  # of both measurements
     row_of = np.zeros(actuators, np.int64)
     return block_of(green[None], row_of, frequency_hz, bank.sample_rate_hz, alone, response, noise)
+
+
+def with_total(parts: Complex128Array) -> Complex128Array:
+    """Contributions (rows, A, K) and behind them their sum, (rows, A + 1, K)."""
+    return np.concatenate([parts, parts.sum(axis=1, keepdims=True)], axis=1)
 
 
 def energies(values: NDArray[Any]) -> Float64Array:

@@ -139,18 +139,23 @@ def test_given_a_grid_row_at_other_places_than_when_measured_then_the_row_is_nam
     assert (symptom.code, symptom.positions, symptom.shift_mm) == ("shifted", (5, 6, 7, 8, 9), (4.0, 0.0))
 
 
-@pytest.mark.parametrize("other", ["levels", "plate"])
-def test_given_the_bank_of_another_rig_or_plate_then_the_bank_is_called_wrong(
-    sound: Bank, tmp_path: Path, other: str
-) -> None:
+def test_given_a_bank_of_other_levels_then_the_actuators_are_named_together(sound: Bank, tmp_path: Path) -> None:
     def change(held: dict[str, np.ndarray]) -> None:
-        if other == "levels":
-            held["green"] *= np.array([1.3, 0.75, 1.4, 0.8], np.float32)[:, None]
-        else:
-            held["green"] = np.roll(held["green"][:, :, ::-1], 300, axis=2)
+        held["green"] *= np.array([1.3, 0.75, 1.4, 0.8], np.float32)[:, None]
 
     with other_bank(sound, tmp_path, change) as wrong:
-        assert [symptom.code for symptom in verified(wrong, "").symptoms] == ["wrong_bank"]
+        (symptom,) = verified(wrong, "").symptoms
+    assert (symptom.code, symptom.actuators, symptom.certain) == ("level", (0, 1, 2, 3), True)
+
+
+def test_given_the_bank_of_another_plate_then_the_bank_is_called_wrong(sound: Bank, tmp_path: Path) -> None:
+    def change(held: dict[str, np.ndarray]) -> None:
+        held["green"] = np.roll(held["green"][:, :, ::-1], 300, axis=2)
+
+    with other_bank(sound, tmp_path, change) as wrong:
+        (symptom,) = verified(wrong, "").symptoms
+    assert (symptom.code, symptom.certain) == ("wrong_bank", True)
+    assert symptom.explained >= 0.8
 
 
 @pytest.mark.parametrize(("rows", "again"), [(None, True), ([0, 4, 12, 13, 20], True), ([6, 7, 11, 12], False)])
