@@ -10,7 +10,7 @@ PY := .venv/bin/python
 ARGS :=
 # What a window needs on a bare system: Qt's own libraries and a font; and, for a test with a real X server, the rest.
 WINDOW_PACKAGES := libgl1 libglib2.0-0 libfontconfig1 fonts-dejavu-core
-X_PACKAGES := xvfb libdbus-1-3 libxcb-icccm4 libxcb-image0 libxcb-keysyms1 libxcb-render-util0 libxcb-shape0 \
+X_PACKAGES := xvfb xauth libdbus-1-3 libxcb-icccm4 libxcb-image0 libxcb-keysyms1 libxcb-render-util0 libxcb-shape0 \
 	libxcb-xinerama0 libxcb-xkb1 libxkbcommon-x11-0
 # What compiles the stand-in of NI's driver library.
 COMPILER := gcc libc6-dev
@@ -88,7 +88,7 @@ soak: ## Kill, cut the power, fill disks and flip bytes by the thousand; half an
 	$(PY) -m tests.system.crash.soak --out soak-out
 
 screenshots: ## Take pictures of the window, light, dark and scaled; writes docs/pictures/window-*.png
-	@tools/system-packages.sh $(WINDOW_PACKAGES)
+	@tools/system-packages.sh $(WINDOW_PACKAGES) $(X_PACKAGES)
 	@tools/set-up.sh window
 	$(PY) tools/screenshots.py docs/pictures $(ARGS)
 

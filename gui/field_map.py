@@ -132,6 +132,10 @@ def scaled_unit(unit: str, largest: float) -> tuple[float, str]:
     return factor, prefix + unit
 
 
+# An AxisItem draws its caption so far below its own edge.
+_CAPTION_BELOW_PX = 5
+
+
 class ColourBar(Themed, pyqtgraph.GraphicsView):
     """A horizontal `pyqtgraph.ColorBarItem` with a title."""
 
@@ -152,7 +156,8 @@ class ColourBar(Themed, pyqtgraph.GraphicsView):
         self.redraw()
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        return QSize(300, _BAR_PX + int(2.3 * self.fontMetrics().height()))
+        needed = self._bar.effectiveSizeHint(Qt.SizeHint.MinimumSize).height()
+        return QSize(300, math.ceil(needed) + _CAPTION_BELOW_PX)
 
     def minimumSizeHint(self) -> QSize:  # noqa: N802
         return QSize(160, self.sizeHint().height())
@@ -168,6 +173,7 @@ class ColourBar(Themed, pyqtgraph.GraphicsView):
         )
         self._bar.setLevels(levels)
         self._bar.axis.setLabel(title)
+        self.updateGeometry()
         self.setAccessibleName(f"Colour bar: {title} from {low} to {high}")
         self.setToolTip(f"{title}: {low} at the left end, {high} at the right end")
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Collection, Sequence
-from enum import Enum, auto
+from enum import Enum, StrEnum, auto
 from pathlib import Path
 
 from PyQt5.QtCore import QByteArray, QSettings, Qt, QUrl, pyqtSignal
@@ -39,6 +40,19 @@ class Settings:
         """A remembered geometry; empty when there is none."""
         value = self._settings.value(key)
         return value if isinstance(value, QByteArray) else QByteArray()
+
+    @property
+    def place(self) -> str:
+        """Where settings are kept: a file, or a key of the registry."""
+        return self._settings.fileName()
+
+    def can_save(self) -> bool:
+        """Return whether what is kept reaches the disk; a full disk or a folder without rights prevents it."""
+        self._settings.sync()
+        fresh = QSettings(self._settings.fileName(), self._settings.format())  # the status of the other one is of old
+        fresh.setValue("checked", str(time.time()))
+        fresh.sync()
+        return fresh.status() == QSettings.Status.NoError
 
     def keep(self, key: str, value: str | int | QByteArray) -> None:
         self._settings.setValue(key, str(value) if isinstance(value, int) else value)
@@ -146,7 +160,11 @@ class PathField(QWidget):
     also: Other endings.
     """
 
+    #: Another path is about to be reported: messages about the former one no longer hold.
+    changing = pyqtSignal()
     chosen = pyqtSignal(object)
+    #: A sentence: the file is of another kind, and the former one stays.
+    refused = pyqtSignal(str)
 
     def __init__(
         self,
@@ -160,6 +178,7 @@ class PathField(QWidget):
         also: Sequence[str] = (),
     ) -> None:
         super().__init__()
+        self._wanted = _WANTED.get(kind)
         self._words, self._also = words, also
         self._ending, self._kind, self._settings, self._saves = ending, kind, settings, saves
         self._last: Path | None = None
@@ -198,8 +217,7 @@ class PathField(QWidget):
         if path is None:
             self._last = None
         elif path != self._last:
-            self.show_path(path)
-            self.chosen.emit(path)
+            self._choose(path)
 
     def open_dialog(self) -> None:
         """Choose a file in a dialog that does not block."""
@@ -222,8 +240,17 @@ class PathField(QWidget):
 
     def _selected(self, name: str) -> None:
         self._settings.keep(f"folder/{self._ending}", str(Path(name).parent))
-        self.show_path(Path(name))
-        self.chosen.emit(Path(name))
+        self._choose(Path(name))
+
+    def _choose(self, path: Path) -> None:
+        self.changing.emit()
+        refusal = "" if self._wanted is None else misplaced(path, self._wanted)
+        if refusal:
+            self.show_text("" if self._last is None else str(self._last))
+            self.refused.emit(refusal)
+            return
+        self.show_path(path)
+        self.chosen.emit(path)
 
 
 def _short(path: Path) -> str:
@@ -240,6 +267,7 @@ class TomlKind(Enum):
     SCENE = auto()
     RIG = auto()
     RUN = auto()
+    TRIALS = auto()
     OTHER = auto()
     UNREADABLE = auto()
 
@@ -254,8 +282,47 @@ def toml_kind(path: Path) -> TomlKind:
         return TomlKind.SCENE
     if isinstance(tables.get("rig"), dict) or ("mirror" in tables and "player" in tables):
         return TomlKind.RIG
+    if "trials" in tables:
+        return TomlKind.TRIALS
     # What a calibration measured has tables of instruments, too.
     return TomlKind.OTHER if {"mirror", "player"} & tables.keys() else TomlKind.RUN
+
+
+class FileKind(StrEnum):
+    """What a field of the window takes, in words."""
+
+    BANK = "bank"
+    RUN = "run file"
+    RIG = "rig file"
+    SCENE = "scene file"
+
+
+# Kinds of path fields for which a file of another kind is refused at once.
+_WANTED = {
+    "bank file": FileKind.BANK, "bank to verify": FileKind.BANK, "run file": FileKind.RUN, "rig file": FileKind.RIG,
+    "scene file": FileKind.SCENE,
+}  # fmt: skip
+_TOML_WORDS = {
+    TomlKind.SCENE: "scene file", TomlKind.RIG: "rig file", TomlKind.RUN: "run file",
+    TomlKind.TRIALS: "file of perception trials", TomlKind.OTHER: "calibration file",
+}  # fmt: skip
+
+
+def misplaced(path: Path, wanted: FileKind) -> str:
+    """Return the sentence that refuses a file of another kind than the wanted one; empty where it may be of it.
+
+    A file that does not exist, or cannot be read, is reported by what reads it.
+    """
+    name = path.name.lower()
+    if name.endswith(".raw.h5"):
+        kind = "file of recordings"
+    elif name.endswith((".h5", ".hdf5")):
+        kind = str(FileKind.BANK)
+    elif name.endswith(".toml"):
+        kind = _TOML_WORDS.get(toml_kind(path), str(wanted))
+    else:
+        return ""
+    return "" if kind == wanted else f"{path}: this is a {kind}; a {wanted} is needed here"
 
 
 def names_virtual_rig(rig: str | Path) -> bool:

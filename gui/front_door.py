@@ -14,6 +14,7 @@ from wavefocus.storage.errors import InputError
 
 if TYPE_CHECKING:
     from wavefocus.acquisition.limits import DriftPoint
+    from wavefocus.rendering.arrays import Float64Array
     from wavefocus.rendering.drive.coil_limits import DriveLimits
 
 
@@ -38,6 +39,21 @@ class RigLimits:
     coil_resistance_ohm: float | None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PlannedCampaign:
+    """A campaign before it has a bank.
+
+    position_mm, float64 (positions, 2); actuator_mm, float64 (actuators, 2); outline_mm, float64 (points, 2): What is
+        measured, in mm on the surface.
+    duration_s: Seconds that it takes, repeats of the sentinel included.
+    """
+
+    position_mm: Float64Array
+    actuator_mm: Float64Array
+    outline_mm: Float64Array
+    duration_s: float
+
+
 @dataclass(frozen=True, slots=True)
 class FrontDoor:
     """Services of the command line.
@@ -50,6 +66,7 @@ class FrontDoor:
         empty where none has ended since.
     read_pulse: From a bank to its latest heartbeat; None where there is none.
     read_rig_limits: From a rig file, or ``virtual``, to its limits.
+    read_plan: From a run file to the campaign that it describes.
     """
 
     command: Sequence[str]
@@ -60,6 +77,7 @@ class FrontDoor:
     session_failure: Callable[[Path, datetime], str]
     read_pulse: Callable[[Path], Pulse | None]
     read_rig_limits: Callable[[Path], RigLimits]
+    read_plan: Callable[[Path], PlannedCampaign]
 
 
 _LIBRARIES = "libgl1 libglib2.0-0 libfontconfig1 libdbus-1-3 libxkbcommon-x11-0 libxcb-icccm4 libxcb-keysyms1"

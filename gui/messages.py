@@ -15,6 +15,7 @@ from PyQt5.QtGui import QColor, QPalette, QResizeEvent
 from PyQt5.QtWidgets import QApplication, QFrame, QPushButton, QSizePolicy, QStyle, QToolButton
 
 from wavefocus.gui import widgets as ui
+from wavefocus.gui.advice import in_window
 from wavefocus.gui.theme import Themed
 from wavefocus.storage.errors import WavefocusError
 
@@ -74,7 +75,7 @@ _MOST_WAITING = 5
 
 
 class MessageBar(Themed, QFrame):
-    """Shows the latest message above the tabs, with buttons for answers.
+    """Shows the latest message below the tabs, with buttons for answers; without one, a faint text.
 
     A question stays until it is answered; messages that arrive meanwhile are shown after it. The bar keeps its height
     when it is empty, so that no message moves a button below the mouse. A text that is too long for two lines is cut;
@@ -87,7 +88,7 @@ class MessageBar(Themed, QFrame):
         self.setAutoFillBackground(True)
         self.setFrameShape(QFrame.Shape.Box)
         self._waiting: list[tuple[str, str, Sequence[Answer]]] = []
-        self._kind = self.sentence = ""
+        self._kind = self.sentence = self._idle = ""
         """The message that is shown; empty when there is none."""
         self._buttons: list[QPushButton] = []
         self.label = ui.label(wraps=True)
@@ -137,6 +138,7 @@ class MessageBar(Themed, QFrame):
 
     def withdraw(self, sentence: str) -> None:
         """Remove a message that no longer holds."""
+        sentence = in_window(sentence)
         self._waiting = [one for one in self._waiting if one[1] != sentence]
         if sentence and sentence == self.sentence:
             self.dismiss_old()
@@ -150,7 +152,14 @@ class MessageBar(Themed, QFrame):
         if event is not None and event.type() == QEvent.Type.FontChange:
             self._set_height()
 
+    def show_idle(self, text: str) -> None:
+        """Set what is shown, faintly, while there is no message."""
+        if text != self._idle:
+            self._idle = text
+            self._fit()
+
     def _enqueue(self, kind: str, sentence: str, answers: Sequence[Answer]) -> None:
+        sentence = in_window(sentence)
         if self._kind == "question":
             others = [one for one in self._waiting if one[1] != sentence]
             self._waiting = [*others, (kind, sentence, answers)][-_MOST_WAITING:]
@@ -187,9 +196,9 @@ class MessageBar(Themed, QFrame):
     def _fit(self) -> None:
         """Show as much of the text as two lines hold; a path may break after each slash."""
         metrics, width = self.label.fontMetrics(), self.label.width()
-        text = metrics.elidedText(self.sentence, Qt.TextElideMode.ElideRight, int((_LINES - 0.3) * width))
+        text = metrics.elidedText(self.sentence or self._idle, Qt.TextElideMode.ElideRight, int((_LINES - 0.3) * width))
         self.label.setText(text.replace("/", "/\u200b"))
-        self.label.setToolTip(self.sentence if text != self.sentence else "")
+        self.label.setToolTip(self.sentence if self.sentence and text != self.sentence else "")
 
     def redraw(self) -> None:
         theme, palette = self.theme, QPalette()
@@ -197,6 +206,6 @@ class MessageBar(Themed, QFrame):
         palette.setColor(QPalette.ColorRole.Window, QColor(theme.base if self.sentence else theme.window))
         palette.setColor(QPalette.ColorRole.WindowText, QColor(colours.get(self._kind, theme.accent)))
         self.setPalette(palette)
-        palette.setColor(QPalette.ColorRole.WindowText, QColor(theme.text))
+        palette.setColor(QPalette.ColorRole.WindowText, QColor(theme.text if self.sentence else theme.faint))
         self.label.setPalette(palette)
         self.setLineWidth(2)

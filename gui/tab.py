@@ -12,7 +12,7 @@ from PyQt5.QtCore import QObject, QUrl
 from PyQt5.QtGui import QDesktopServices
 from PyQt5.QtWidgets import QAction, QWidget
 
-from wavefocus.gui.files import Settings
+from wavefocus.gui.files import FileKind, Settings
 from wavefocus.gui.front_door import FrontDoor
 from wavefocus.gui.messages import MessageBar, error_text
 from wavefocus.gui.process import Background, CommandProcess, Message
@@ -38,6 +38,15 @@ class Selection:
 
 
 @dataclass(frozen=True, slots=True)
+class Drawing:
+    """The scene that is drawn in a tab: its text with full names of files, and its file where that is up to date."""
+
+    toml: str
+    path: Path | None
+    allow_large: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class Question:
     """A question before the window closes; answers are texts of buttons with their actions."""
 
@@ -55,7 +64,11 @@ class TabContext:
     settings: Settings
     owner: QObject
     selection: Selection = field(default_factory=Selection)
+    shared: dict[FileKind, Path] = field(default_factory=dict)
+    """The run file, rig file and bank that were opened last in any tab."""
     tabs: list[Tab] = field(default_factory=list)
+    troubles: dict[str, str] = field(default_factory=dict)
+    """Sentences about what failed, by topic."""
 
     def run(
         self,
@@ -79,6 +92,19 @@ class TabContext:
         """Run file that is open in a tab."""
         return next((run for tab in self.tabs if (run := tab.run_file()) is not None), None)
 
+    def share(self, opened_in: QWidget, kind: FileKind, path: Path) -> None:
+        """Show a run file, rig file or bank that was opened in one tab in all others that are not busy with another."""
+        if not path.is_file() or self.shared.get(kind) == path:
+            return
+        self.shared[kind] = path
+        for tab in self.tabs:
+            if tab is not opened_in and not tab.isAncestorOf(opened_in):
+                tab.use_shared(kind, path)
+
+    def drawing(self) -> Drawing | None:
+        """The scene that is drawn in a tab; None where there is none."""
+        return next((drawn for tab in self.tabs if (drawn := tab.drawing()) is not None), None)
+
     def claim_instruments(self, asks: QWidget, word: str, act: Callable[[], object], *, virtual: bool) -> None:
         """Call `act`, which uses the rig's instruments, unless another tab has them; then offer "`word` anyway".
 
@@ -95,11 +121,22 @@ class TabContext:
             self.messages.dismiss_old()
             act()
 
-    def report_failure(self, failure: Exception) -> None:
-        """Show an error that a person can act on; raise any other again, for it is a defect."""
+    def report_failure(self, failure: Exception, topic: str = "") -> None:
+        """Show an error that a person can act on; raise any other again, for it is a defect.
+
+        topic: What failed; `settle` of the same topic withdraws the message.
+        """
         if not isinstance(failure, WavefocusError | OSError):
             raise failure
-        self.messages.fault(error_text(failure))
+        self.settle(topic)
+        sentence = error_text(failure)
+        if topic:
+            self.troubles[topic] = sentence
+        self.messages.fault(sentence)
+
+    def settle(self, topic: str) -> None:
+        """Withdraw the message about what failed earlier and works now, or is not wanted any more."""
+        self.messages.withdraw(self.troubles.pop(topic, ""))
 
     def open_outside(self, path: Path) -> None:
         """Open a file or a folder with the desktop's program for it."""
@@ -144,6 +181,13 @@ class Tab(QWidget):
 
     def run_file(self) -> Path | None:
         """Run file that is open in it."""
+        return None
+
+    def use_shared(self, kind: FileKind, path: Path) -> None:
+        """Take a file that was opened in another tab; a tab that is busy with another one keeps it."""
+
+    def drawing(self) -> Drawing | None:
+        """The scene that is drawn in it."""
         return None
 
     def instruments_held(self) -> str:

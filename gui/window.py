@@ -12,10 +12,11 @@ from PyQt5.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QFontDatabase,
 from PyQt5.QtWidgets import QAction, QActionGroup, QApplication, QFileDialog, QMainWindow, QMenu, QWidget
 
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.files import Settings, dropped_files, make_dialog
+from wavefocus.gui.files import FileKind, PathField, Settings, dropped_files, make_dialog
 from wavefocus.gui.front_door import FrontDoor
 from wavefocus.gui.messages import ErrorHook, MessageBar
-from wavefocus.gui.process import Background
+from wavefocus.gui.process import Background, CommandProcess
+from wavefocus.gui.surface import VIRTUAL
 from wavefocus.gui.tab import Act, Question, Tab, TabContext, make_tabs
 from wavefocus.gui.theme import CHOICES, BoxStyle, redraw_all, resized_text, set_theme, theme_named
 from wavefocus.storage.errors import InputError
@@ -23,6 +24,7 @@ from wavefocus.storage.errors import InputError
 _REFRESH_EVERY_MS = 50
 _SIZE, _LEAST, _FRAME = QSize(1240, 720), QSize(800, 560), QSize(16, 48)
 _ERRORS_KEPT = 20
+_LAB = "lab"
 
 
 class Window(QMainWindow):
@@ -51,8 +53,12 @@ class Window(QMainWindow):
         scrolled = ui.scrolling(self._pages)  # with large text or a small screen: the window never outgrows its screen
         scrolled.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         centre = QWidget()
-        ui.column(self.messages, (scrolled, 1), owner=centre, margins=(6, 6, 6, 6))
+        # Messages stand below: no strip above the tabs is blank while there is none, and no control moves.
+        ui.column((scrolled, 1), self.messages, owner=centre, margins=(6, 2, 6, 4), spacing=4)
         self.setCentralWidget(centre)
+        for field in self.findChildren(PathField):
+            field.changing.connect(self.messages.dismiss_old)
+            field.refused.connect(self.messages.fault)
         self._recent = QMenu("Open &recent", self)
         self._make_menus()
         self._resize_text(settings.whole("text_pt", application.font().pointSize()) - application.font().pointSize())
@@ -68,6 +74,9 @@ class Window(QMainWindow):
     def refresh(self) -> None:
         for tab in self.tabs:
             tab.poll()
+        shared = self.context.shared
+        files = "   ·   ".join(f"{kind}: {shared[kind]}" for kind in FileKind if kind in shared)
+        self.messages.show_idle(files or "File > New lab writes the files to begin with; File > Open opens yours")
         shown = self._pages.currentWidget()
         if isinstance(shown, Tab) and self.isVisible() and not self.isMinimized():
             shown.draw()
@@ -165,6 +174,7 @@ class Window(QMainWindow):
         bar = self.menuBar()
         assert bar is not None
         files = QMenu("&File", self)
+        _add(files, "New &lab…", self._choose_lab, "Ctrl+Shift+N")
         _add(files, "&Open…", self._choose_file, QKeySequence.StandardKey.Open)
         files.addMenu(self._recent)
         self._recent.aboutToShow.connect(self._list_recent)
@@ -196,6 +206,45 @@ class Window(QMainWindow):
         dialog.setFileMode(QFileDialog.FileMode.ExistingFiles)
         dialog.filesSelected.connect(self._open_named)
         dialog.show()
+
+    def _choose_lab(self) -> None:
+        """Choose a new folder for the files of a lab."""
+        folder = self.settings.folder(_LAB)
+        dialog = make_dialog(self, "New lab: name a new folder", folder, "Folders", [""])
+        dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
+        dialog.setLabelText(QFileDialog.DialogLabel.FileName, "New &folder:")
+        dialog.setLabelText(QFileDialog.DialogLabel.Accept, "Create")
+        dialog.selectFile("lab")
+        dialog.fileSelected.connect(lambda name: self._ask_for_rig(Path(name)))
+        dialog.show()
+
+    def _ask_for_rig(self, folder: Path) -> None:
+        self.messages.ask(
+            f"New lab in {folder}: with the virtual rig, to try everything without instruments, or with your own?",
+            ("Virtual rig", partial(self._make_lab, folder, "virtual")),
+            ("Own instruments", partial(self._make_lab, folder, "template")),
+            ("Cancel", lambda: None),
+        )
+
+    def _make_lab(self, folder: Path, rig: str) -> None:
+        """Write the files of a lab, as ``wavefocus init`` does, and open them."""
+
+        def written(process: CommandProcess) -> None:
+            if process.exit_code != 0:
+                self.messages.fault(process.failure)
+                return
+            self.settings.keep(f"folder/{_LAB}", str(folder.parent))
+            names = ("scene.toml", "rig.toml", "run.toml") if rig == VIRTUAL else ("scene.toml", "run.toml", "rig.toml")
+            for name in names:
+                self.open_file(folder / name)
+            nexts = (
+                "Start measures it"
+                if rig == VIRTUAL
+                else "fill in rig.toml, save it, then Examine asks each instrument"
+            )
+            self.messages.note(f"the lab is in {folder}; {nexts}")
+
+        self.context.run(["init", str(folder), "--rig", rig], written)
 
     def _open_named(self, names: Sequence[str]) -> None:
         for name in names:

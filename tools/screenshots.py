@@ -1,6 +1,6 @@
-"""Pictures of the window for the documentation: light and dark, at 1280 x 800 and at 200 %.
+"""Pictures of the window for the documentation: light and dark, at 1280 x 800 and at 200 %, under an X server.
 
-Run it with: make screenshots. A campaign on the virtual rig, with planned faults, is measured; the pictures are of it
+Run it with: make screenshots; with ARGS=rig,trials only of some parts. A campaign on the virtual rig, with planned faults, is measured; the pictures are of it
 while it runs and when it is over, of a scene and a verification over its bank, and of an emulated rig.
 """
 
@@ -93,6 +93,8 @@ OVER = (
     ("recordings", "dark", 0, 3, 0),
     ("drift", "light", 5, 4, 0),
 )
+_SCREEN = "-screen 0 2560x1600x24"
+"""The X server's screen: pictures are taken where a person would see the faults of a real window, not offscreen."""
 PARTS = {"running": 1, "over": 1, "scaled": 2, "rig": 1, "trials": 1}
 """Scaling of each part; that of a process is fixed at its start, so each has one of its own."""
 
@@ -121,12 +123,13 @@ def main() -> None:
             file.write_text(content, encoding="utf-8")
         for part, scale in PARTS.items():
             environment = {
-                **os.environ, "QT_QPA_PLATFORM": "offscreen", "QT_FONT_DPI": "96", "QT_SCALE_FACTOR": str(scale),
+                **os.environ, "QT_QPA_PLATFORM": "xcb", "QT_FONT_DPI": "96", "QT_SCALE_FACTOR": str(scale),
                 "QT_SCALE_FACTOR_ROUNDING_POLICY": "Round", "XDG_RUNTIME_DIR": folder, "HOME": folder,
             }  # fmt: skip
             file = {"rig": bench / "rig.toml", "trials": lab / "trials.toml"}.get(part, lab / "run.toml")
-            command = [sys.executable, __file__, str(out), str(file), part]
-            subprocess.run(command, env=environment, check=True, stderr=subprocess.DEVNULL)
+            command = ["xvfb-run", "-a", "-s", _SCREEN, sys.executable, __file__, str(out), str(file), part]
+            if len(sys.argv) <= 2 or part in sys.argv[2].split(","):
+                subprocess.run(command, env=environment, check=True, stderr=subprocess.DEVNULL)
 
 
 class Pictures:

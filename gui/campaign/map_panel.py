@@ -203,6 +203,8 @@ class MapPanel(Themed, QWidget):
         super().__init__()
         self._campaign = campaign
         self._drawn = {"surface": -1, "map": -1}
+        self.planned: Surface | None = None
+        """What the run file describes; drawn while there is no bank."""
         self.map = SurfaceMap()
         self.bar = ColourBar(self.map.colour_map)
         self.counts = ui.label("Statuses of the positions", any_width=True)
@@ -214,6 +216,23 @@ class MapPanel(Themed, QWidget):
         ui.column(controls, (self.map, 1), self.counts, self.bar, owner=self)
         self.bar.hide()
         self.colour_by.currentIndexChanged.connect(self._redraw)
+
+    def show_plan(self, planned: Surface | None) -> None:
+        """Show another plan while there is no bank."""
+        self.planned = planned
+        if self._campaign.surface is None:
+            self.forget()
+
+    def forget(self) -> None:
+        """Show the plan, or nothing: another bank will be followed."""
+        self._drawn = {"surface": -1, "map": -1}
+        self.map.show_surface(self.planned)
+        if self.planned is not None:
+            self.map.show_status(np.zeros(self.planned.positions, np.uint8))
+        counted = "" if self.planned is None else _counts_text(np.zeros(self.planned.positions, np.uint8))
+        self.counts.setText(counted)
+        self.counts.show()
+        self.bar.hide()
 
     def draw(self) -> None:
         campaign, revision = self._campaign, self._campaign.revision
@@ -232,6 +251,7 @@ class MapPanel(Themed, QWidget):
     def _redraw(self) -> None:
         campaign, index = self._campaign, self.colour_by.currentIndex() - 1
         if campaign.surface is None:
+            self.forget()
             return
         values = campaign.figures.get(FIGURES[index].key) if index >= 0 else None
         if values is None or len(values) != len(campaign.status):

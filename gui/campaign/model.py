@@ -35,6 +35,7 @@ from wavefocus.config.messages.campaign import (
     StateChanged,
     event_of,
 )
+from wavefocus.gui.advice import in_window
 from wavefocus.gui.campaign.quality import DAMAGED, status_text
 from wavefocus.gui.front_door import Pulse
 from wavefocus.gui.surface import Surface
@@ -91,7 +92,8 @@ def line_of(logged: Logged) -> Line | None:
     if isinstance(logged.event, Progress | RecordTaken):
         return None
     position: int | None = getattr(logged.event, "position", None)
-    return Line(logged.at.timestamp(), *_sentence(logged.event), position=-1 if position is None else position)
+    weight, sentence = _sentence(logged.event)
+    return Line(logged.at.timestamp(), weight, in_window(sentence), -1 if position is None else position)
 
 
 def _sentence(event: Event) -> tuple[Weight, str]:
@@ -110,10 +112,10 @@ def _sentence(event: Event) -> tuple[Weight, str]:
             again = f", attempt {event.attempt}" if event.attempt > 1 else ""
             return Weight.DETAIL, f"position {event.position} at ({event.x_mm:.1f}, {event.y_mm:.1f}) mm begins{again}"
         case PositionCommitted():
-            return Weight.DETAIL if event.status == VALID else Weight.WARNING, (
-                f"position {event.position} is measured: {status_text(event.status)}, signal-to-noise ratio "
-                f"{event.snr_db:.1f} dB, residual {event.residual_db:.1f} dB"
-            )
+            parts = [status_text(event.status), *_quality_parts(event)]
+            reason = f": {event.reason}" if event.reason else ""
+            sentence = f"position {event.position} is measured: {', '.join(parts)}{reason}"
+            return Weight.DETAIL if event.status == VALID else Weight.WARNING, sentence
         case PositionRepeated():
             return Weight.WARNING, f"position {event.position} is measured again: {event.reason}"
         case PositionKept():
@@ -145,6 +147,12 @@ def _sentence(event: Event) -> tuple[Weight, str]:
                 f"{hours(event.time_s)} on the rig's clock"
             )
     return Weight.DETAIL, event.tag["event"]
+
+
+def _quality_parts(event: PositionCommitted) -> list[str]:
+    """Quality of a position in words; NaN, where nothing could be estimated, is left out."""
+    parts = (("signal-to-noise ratio", event.snr_db), ("residual", event.residual_db))
+    return [f"{words} {value:.1f} dB" for words, value in parts if math.isfinite(value)]
 
 
 # A week of a night's events; older ones are in the log. Lines are dropped in blocks.
@@ -204,6 +212,11 @@ class CampaignState:
         """Whether a process owns the bank, in whatever state."""
         return self.word in _ORDERS
 
+    @property
+    def going_on(self) -> bool:
+        """Whether positions are measured now, so that a remaining time holds."""
+        return self.word is State.RUNNING
+
 
 def possible_orders(state: CampaignState, *, has_run: bool, has_bank: bool, left: int) -> frozenset[Order]:
     """Orders that make sense: `has_run` with a run file and a bank name, `left` positions not measured."""
@@ -223,6 +236,7 @@ class Attempt:
     status: int = 0
     snr_db: float = math.nan
     residual_db: float = math.nan
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -388,7 +402,8 @@ class Campaign:
             self.status = self.status.copy()
             self.status[position] = status
         self._changed("map")
-        self._note(position, Attempt(at_s, event.attempts, "committed", status, event.snr_db, event.residual_db))
+        quality = status, event.snr_db, event.residual_db
+        self._note(position, Attempt(at_s, event.attempts, "committed", *quality, reason=event.reason))
 
     def _note(self, position: int, attempt: Attempt) -> None:
         self.history.setdefault(position, []).append(attempt)

@@ -10,8 +10,10 @@ from PyQt5.QtCore import QAbstractTableModel, QModelIndex, Qt, pyqtSignal
 from PyQt5.QtGui import QColor
 from PyQt5.QtWidgets import QAbstractItemView, QAction, QHeaderView, QLineEdit, QTableView, QToolButton, QWidget
 
+from wavefocus.acquisition.wording import hours
 from wavefocus.config.messages.campaign import State
 from wavefocus.gui import widgets as ui
+from wavefocus.gui.advice import in_window
 from wavefocus.gui.campaign.model import GOING, Campaign, CampaignState, Extra, Line, Order, Pace, Weight, clock
 from wavefocus.gui.theme import Themed
 
@@ -84,19 +86,31 @@ class ProgressRow(Themed, QWidget):
             else theme.faint
         )  # fmt: skip
         self.state.show_word(str(word), colour)
-        ui.put(self.reason, report or state.reason)
-        self.reason.setToolTip(f"{report or state.reason}\n{owner}".strip())
+        reason = in_window(report or state.reason)
+        ui.put(self.reason, reason)
+        self.reason.setToolTip(f"{reason}\n{owner}".strip())
 
-    def show_progress(self, measured: int, total: int, pace: Pace | None) -> None:
+    def show_progress(self, measured: int, total: int, pace: Pace | None, *, going_on: bool) -> None:
         """Show the progress of the bank, or of the session while it runs and has a pace."""
         done, of = (measured, total) if pace is None else (pace.done, pace.total)
+        self.bar.setTextVisible(of > 0)  # without a bank and a plan there is nothing to count
         if (self.bar.value(), self.bar.maximum()) != (done, max(of, 1)):
             self.bar.setMaximum(max(of, 1))
             self.bar.setValue(done)
-        text = "" if pace is None or math.isnan(pace.per_hour) else f"{pace.per_hour:.0f} positions an hour"
-        if pace is not None and not math.isnan(pace.finish_s):
-            text += f"  ·  {ui.finish_text(pace.finish_s)}"
-        ui.put(self.figures, text)
+        ui.put(self.figures, "" if pace is None else pace_text(pace, going_on=going_on))
+
+    def show_plan(self, positions: int, duration_s: float) -> None:
+        """Show what the run file plans; nothing is measured yet."""
+        self.show_progress(0, positions, None, going_on=False)
+        ui.put(self.figures, f"planned: {positions} positions, {hours(duration_s)}")
+
+
+def pace_text(pace: Pace, *, going_on: bool) -> str:
+    """Rate and finish of a session; the finish only while it is going on, for a pause may last."""
+    parts = [] if math.isnan(pace.per_hour) else [f"{pace.per_hour:.0f} positions an hour"]
+    if going_on and not math.isnan(pace.finish_s):
+        parts.append(ui.finish_text(pace.finish_s))
+    return "  ·  ".join(parts)
 
 
 _TITLES = ("time", "weight", "event")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -241,9 +242,10 @@ class PositionPanel(Themed, QTabWidget):
         surface = self._campaign.surface
         if surface is None or not 0 <= position < surface.positions:
             self.greens = None
+            self._context.settle("position")
             self._clear()
             return
-        path, failed = surface.bank, self._context.report_failure
+        path, failed = surface.bank, partial(self._context.report_failure, topic="position")
         self._context.background.ask("position", lambda: _read(path, position), self._show, failed)
         self._read_recordings()
         self._fill_attempts()
@@ -269,6 +271,7 @@ class PositionPanel(Themed, QTabWidget):
         self._draw_recording()
 
     def _show(self, details: Details) -> None:
+        self._context.settle("position")
         self.greens, quality = details
         self._draw_plots()
         count = self.greens.green.shape[0]
@@ -327,7 +330,7 @@ class PositionPanel(Themed, QTabWidget):
         for line, attempt in enumerate(history):
             status = f": {status_text(attempt.status)}" if attempt.status else ""
             numbers = _text(attempt.snr_db, 1), _text(attempt.residual_db, 1)
-            outcome = f"{attempt.outcome}{status}"
+            outcome = f"{attempt.outcome}{status}" + (f": {attempt.reason}" if attempt.reason else "")
             ui.fill_row(self.attempts, line, (clock(attempt.at_s), str(attempt.number), outcome, *numbers))
 
     def _clear(self) -> None:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from PyQt5.QtCore import Qt
+from PyQt5.QtGui import QShowEvent
 from PyQt5.QtWidgets import QAction, QWidget
 
 from wavefocus.acquisition.wording import hours
@@ -20,10 +23,13 @@ from wavefocus.gui.campaign.model import Campaign, Extra, Order, possible_orders
 from wavefocus.gui.campaign.panels import Controls, EventList, InstrumentList, ProgressRow
 from wavefocus.gui.campaign.position_panel import PositionPanel
 from wavefocus.gui.campaign.quality import NOT_GOOD
-from wavefocus.gui.files import PathField, TomlKind, runs_on_virtual_rig, toml_kind
+from wavefocus.gui.files import FileKind, PathField, TomlKind, rig_of_run, runs_on_virtual_rig, toml_kind
+from wavefocus.gui.front_door import FrontDoor
 from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess
+from wavefocus.gui.surface import Surface, raster_of
 from wavefocus.gui.tab import Question, Tab, TabContext
 from wavefocus.rendering.verify.record import FIELD_NAMES, RECORD_NAME
+from wavefocus.storage.errors import InputError
 
 _REREAD_EVERY_S = 0.5
 
@@ -180,6 +186,8 @@ class CampaignTab(Tab):
         self._trouble = ""
         self._paused = False
         self._run_file: Path | None = None
+        self._plan_of: tuple[Path, int] | None = None
+        self._planned_s = math.nan
         self._drawn: tuple[int, ...] = ()
         self._draw_due_s = 0.0
         self.run_field = PathField("&Run", ".toml", "run file", context.settings)
@@ -237,12 +245,16 @@ class CampaignTab(Tab):
             self.follower.end()
         self._show_trouble("")
         self.campaign.forget()
-        self.map_panel.map.show_surface(None)
+        self.map_panel.forget()
         self.follower = Follower(bank, self.context.front)
+        self.context.share(self, FileKind.BANK, bank)
 
     def poll(self) -> None:
         if self.follower is not None:
             self.follower.change(self.campaign, _FINDINGS_PER_TICK)
+        surface = self.campaign.surface
+        if surface is not None:
+            self.context.share(self, FileKind.BANK, surface.bank)  # that of a capture, once it is there
         if self.campaign.trouble[0] != self._trouble:
             self._show_trouble(*self.campaign.trouble)
 
@@ -258,7 +270,11 @@ class CampaignTab(Tab):
         who = f"process {owner.pid} on {owner.host} owns the bank" if owner else ""
         self.progress.show_state(state, report, who)
         measured, total = campaign.measured, campaign.surface.positions if campaign.surface else 0
-        self.progress.show_progress(measured, total, campaign.pace if state.measuring else None)
+        self.progress.show_progress(
+            measured, total, campaign.pace if state.measuring else None, going_on=state.going_on
+        )
+        if campaign.surface is None and self.map_panel.planned is not None:
+            self.progress.show_plan(self.map_panel.planned.positions, self._planned_s)
         orders = possible_orders(
             state, has_run=has_run and bank is not None, has_bank=campaign.surface is not None, left=total - measured
         )
@@ -270,6 +286,15 @@ class CampaignTab(Tab):
 
     def run_file(self) -> Path | None:
         return self.run_field.path
+
+    def use_shared(self, kind: FileKind, path: Path) -> None:
+        if kind is FileKind.BANK and self.run.own is None and self.campaign.owner is None:
+            self.follow(path)
+
+    def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802
+        """Read the run file again where it was edited."""
+        super().showEvent(event)
+        self._read_plan()
 
     def instruments_held(self) -> str:
         owner, surface = self.campaign.owner, self.campaign.surface
@@ -290,6 +315,7 @@ class CampaignTab(Tab):
         if run and Path(run).is_file():
             self.run_field.show_path(Path(run))
             self._run_file = Path(run)
+            self._share_run(Path(run))
         if bank and (Path(bank).is_file() or self.run_field.path is not None):
             self.follow(Path(bank))
 
@@ -309,15 +335,49 @@ class CampaignTab(Tab):
     def _run_chosen(self, path: Path) -> None:
         """Use a run; a chosen bank stays, unless it belongs to another run."""
         self.context.settings.opened(path)
+        self._share_run(path)
         former, self._run_file = self._run_file, path
         another = former is not None and not same_file(former, path)
         bank = self.bank_field.path
         if another or bank is None or not bank.exists():
             self.follow(path.parent / _DEFAULT_BANK)
 
+    def _share_run(self, path: Path) -> None:
+        """Show a run and its rig in all tabs, and read its plan."""
+        self.context.share(self, FileKind.RUN, path)
+        with suppress(InputError):  # reported by what reads the plan
+            rig = rig_of_run(path)
+            if rig is not None:
+                self.context.share(self, FileKind.RIG, rig)
+        self._read_plan()
+
     def _bank_chosen(self, path: Path) -> None:
         self.context.settings.opened(path)
         self.follow(path)
+
+    def _read_plan(self) -> None:
+        """Read the campaign that the run file describes, for the map and the hours; once for each state of the file."""
+        run = self.run_field.path
+        if run is None:
+            return
+        try:
+            state = run, run.stat().st_mtime_ns
+        except OSError:
+            state = run, 0
+        if state != self._plan_of:
+            self._plan_of = state
+            work = partial(_planned, self.context.front, run)
+            self.context.background.ask("plan", work, self._show_plan, self._no_plan)
+
+    def _show_plan(self, planned: tuple[Surface, float]) -> None:
+        self.context.settle("plan")
+        surface, self._planned_s = planned
+        self.map_panel.show_plan(surface)
+        self._draw_due_s = 0.0
+
+    def _no_plan(self, failure: Exception) -> None:
+        self.map_panel.show_plan(None)
+        self.context.report_failure(failure, "plan")
 
     def _plan(self) -> None:
         if self.run_field.path is not None:
@@ -360,3 +420,10 @@ class CampaignTab(Tab):
         rows = ",".join(str(row) for row in sorted(self.map_panel.map.selected))
         if rows:
             self._start("Remeasure", "remeasure", "--positions", rows)
+
+
+def _planned(front: FrontDoor, run: Path) -> tuple[Surface, float]:
+    """Surface of a run file's campaign, and its duration, s."""
+    planned = front.read_plan(run)
+    surface = Surface(planned.position_mm, planned.actuator_mm, planned.outline_mm, raster_of(planned.position_mm))
+    return surface, planned.duration_s

@@ -170,7 +170,7 @@ class SoundPanel(Themed, QWidget):
             return
         self.figures.setText(_sweep_text(sweep))
         defects = [] if sweep.figures is None else [defect.sentence for defect in sweep.figures.defects]
-        defects = [sweep.trouble, *defects] if sweep.trouble else defects
+        defects = [trouble for trouble in (self._session.swept_off, sweep.trouble) if trouble] + defects
         self.verdict.setText("▲ " + "; ".join(defects) if defects else "✔ no defects")
         self.verdict.setStyleSheet(f"color: {self.theme.fault if defects else self.theme.good};")
         self._draw_waveform(sweep)
@@ -278,8 +278,9 @@ def _sweep_text(sweep: SweepTaken) -> str:
         f"response {_volts(sweep.level.response.peak_v)} peak",
     ]
     if sweep.figures is not None:
+        heard = "signal {:.0f} dB above noise" if sweep.figures.snr_db > 0 else "no signal above the noise"
         for value, template in (
-            (sweep.figures.snr_db, "signal {:.0f} dB above noise"),
+            (sweep.figures.snr_db, heard),
             (sweep.figures.residual_db, "{:.0f} dB unexplained"),
             (1e3 * sweep.figures.latency_s, "latency {:.1f} ms"),
             (sweep.figures.clock_ppm, "clocks {:+.0f} ppm apart"),

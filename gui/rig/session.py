@@ -80,7 +80,7 @@ class ManualSession(RigProcess):
     facts: The rig, once it is open.
     beam: Place of the beam.
     listening, sweeping: Whether levels arrive; whether a sweep is under way.
-    sweep: The last one.
+    sweep, swept_off: The last one, and why the beam was not on the surface when it was asked for.
     """
 
     state_changed = pyqtSignal()
@@ -99,6 +99,7 @@ class ManualSession(RigProcess):
         self.levels = None
         self.listening = self.sweeping = False
         self.sweep: SweepTaken | None = None
+        self.swept_off = ""
         self._moving_to: Numbers | None = None
         self._next: Numbers | None = None
 
@@ -107,6 +108,16 @@ class ManualSession(RigProcess):
         """Place of the beam on the surface; None where it is parked or off the surface."""
         x_mm, y_mm = self.beam.x_mm, self.beam.y_mm
         return None if self.beam.parked or x_mm is None or y_mm is None else (x_mm, y_mm)
+
+    @property
+    def off_surface(self) -> str:
+        """Why the beam is not on the surface, in a sentence; empty where it is."""
+        beam = self.beam
+        if beam.parked:
+            return "the beam is parked: what is recorded is not of the surface"
+        if beam.x_mrad is None or beam.y_mrad is None:
+            return "the beam was not moved since the instruments were opened: it may not be on the surface"
+        return "" if self.place_mm is not None else "the beam is outside the surface"
 
     def take(self, rig: Path) -> None:
         if self._process is None:
@@ -157,6 +168,7 @@ class ManualSession(RigProcess):
 
     def take_sweep(self, actuator: int, level_v: float, start_hz: float, stop_hz: float, duration_s: float) -> None:
         self.sweeping = True
+        self.swept_off = self.off_surface
         self._order(
             order="sweep", actuator=actuator, level_v=level_v, start_hz=start_hz, stop_hz=stop_hz, duration_s=duration_s
         )

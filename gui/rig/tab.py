@@ -17,7 +17,8 @@ from wavefocus.config.messages.operate import Numbers
 from wavefocus.config.messages.rig_checks import Action, Finding, FindingMade
 from wavefocus.config.rig import Surface
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.files import PathField, TomlKind, rig_of_run, toml_kind
+from wavefocus.gui.advice import in_window
+from wavefocus.gui.files import FileKind, PathField, TomlKind, rig_of_run, toml_kind
 from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess, Message
 from wavefocus.gui.rig.calibration_page import CalibrationPage
 from wavefocus.gui.rig.manual_page import ManualPage
@@ -177,7 +178,7 @@ class ExaminationPage(Themed, QWidget):
         if (wanted := button_of(finding)) is not None:
             action, text = wanted
             on = "" if finding.act is None else finding.act.on
-            tip, name = finding.remedy or finding.what, f"{text}: {finding.instrument}, {finding.check}"
+            tip, name = in_window(finding.remedy) or finding.what, f"{text}: {finding.instrument}, {finding.check}"
             act = partial(self.wanted.emit, action, on)
             button = self.buttons[number] = ui.tool_button(text, tip, act, name)
             self.table.setCellWidget(number, len(_HEADINGS) - 1, button)
@@ -188,7 +189,13 @@ class ExaminationPage(Themed, QWidget):
     def _fill(self, number: int) -> None:
         theme, finding = self.theme, self.findings[number]
         colours = {"ok": theme.good, "warn": theme.warning, "fail": theme.fault}
-        texts = (_VERDICTS[finding.verdict][0], finding.instrument, finding.check, finding.what, finding.remedy)
+        texts = (
+            _VERDICTS[finding.verdict][0],
+            finding.instrument,
+            finding.check,
+            finding.what,
+            in_window(finding.remedy),
+        )
         ui.fill_row(self.table, number, texts, {0: colours.get(finding.verdict, theme.faint)})
 
     def _ended(self, process: CommandProcess) -> None:
@@ -264,6 +271,13 @@ class RigTab(Tab):
         self.context.settings.opened(path)
         self.context.settings.keep("rig/file", str(path.absolute()))
         self._show_rig(path)
+        self.context.share(self, FileKind.RIG, path)
+
+    def use_shared(self, kind: FileKind, path: Path) -> None:
+        busy = self.session.running or self.examination.running or self.calibration.running
+        if kind is FileKind.RIG and not busy:
+            self.context.settings.keep("rig/file", str(path.absolute()))
+            self._show_rig(path)
 
     def examine(self, *options: str) -> None:
         self._with_free_instruments("Examine", lambda rig: self.examination.start(rig.path, options))

@@ -65,6 +65,8 @@ NEW_SIGNALS: dict[str, SignalTable] = {
     )
 }
 _SPEED_MM_S, _STEP_MM = 80.0, 4.0
+NEW_AMPLITUDE = 0.01
+"""Amplitude of a new source, in the bank's response unit: 10 mm/s is felt, and a rig of this kind can play it."""
 # A drive that no actuator could play is of no use: new scenes keep to the limit of the scenes of `init`.
 NEW_SCENE = SceneConfig.model_construct(source=(), output=Output(limit_v=1.0))
 
@@ -82,7 +84,9 @@ def with_source(scene: SceneConfig, index: int, source: SourceTable) -> SceneCon
 def new_source(path: PathTable, model: SourceTable | None = None) -> SourceTable:
     """Return a source on a path; all else is as in `model`."""
     if model is None:
-        source = SourceTable.model_construct(path=path, signal=NEW_SIGNALS["noise"], emission="per_point")
+        source = SourceTable.model_construct(
+            path=path, signal=NEW_SIGNALS["noise"], emission="per_point", amplitude=NEW_AMPLITUDE
+        )
     else:
         source = changed(model, path=path)
     if path.kind == "point":

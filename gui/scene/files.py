@@ -15,7 +15,7 @@ from PyQt5.QtWidgets import QWidget
 
 from wavefocus.gui.files import choose_file, choose_place
 from wavefocus.gui.scene.document import SceneDocument
-from wavefocus.gui.tab import Question, TabContext
+from wavefocus.gui.tab import Act, Question, TabContext
 from wavefocus.storage.errors import WavefocusError
 from wavefocus.storage.output_files import replacement
 
@@ -79,14 +79,15 @@ class SceneFiles(QObject):
         """What to ask before the window closes."""
         if self._nothing_to_lose:
             return None
-        return Question(
-            f"{self.name} has unsaved changes. Save them?",
-            (
-                ("Save and close", self.save),
-                ("Close without saving", self._drop),
-                ("Close and keep for next time", lambda close: close()),
-            ),
+        answers: list[tuple[str, Act]] = [("Save and close", self.save), ("Close without saving", self._drop)]
+        if self._context.settings.can_save():
+            answers.append(("Close and keep for next time", self._keep))
+            return Question(f"{self.name} has unsaved changes. Save them?", answers)
+        sentence = (
+            f"{self.name} has unsaved changes. Save them to a file? They cannot be kept for next time: "
+            f"{self._context.settings.place} cannot be written"
         )
+        return Question(sentence, answers)
 
     def save_settings(self) -> None:
         """Keep unsaved changes in the settings, for the next window."""
@@ -167,6 +168,17 @@ class SceneFiles(QObject):
         with replacement(aside, new=True) as temporary:
             shutil.copy2(path, temporary)
         return f"; the earlier file with its comments is {aside.name}"
+
+    def _keep(self, close: Then) -> None:
+        """Keep the changes for the next window, and close only when they are on the disk."""
+        self.save_settings()
+        if self._context.settings.can_save():
+            close()
+        else:
+            self._context.messages.fault(
+                f"not closed: the changes cannot be kept, {self._context.settings.place} cannot be written; save them "
+                "to a file"
+            )
 
     def _drop(self, close: Then) -> None:
         self._document.clear()

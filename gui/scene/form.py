@@ -7,7 +7,7 @@ from typing import Any, Literal, get_args, get_origin
 
 from PyQt5.QtCore import QEvent, Qt, pyqtSignal
 from PyQt5.QtGui import QKeyEvent, QKeySequence, QWheelEvent
-from PyQt5.QtWidgets import QCheckBox, QComboBox, QFormLayout, QLabel, QLineEdit, QSizePolicy, QWidget
+from PyQt5.QtWidgets import QAbstractSpinBox, QCheckBox, QComboBox, QFormLayout, QLabel, QLineEdit, QSizePolicy, QWidget
 
 from wavefocus.config.fields import Table
 from wavefocus.gui import widgets as ui
@@ -91,6 +91,8 @@ class NumberField(NumberBox):
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self.setMinimumWidth(self.fontMetrics().horizontalAdvance("-0000") + 30)
+        if not unit and decimals:
+            self.setStepType(QAbstractSpinBox.StepType.AdaptiveDecimalStepType)  # 0.01 is a usual amplitude
         self.valueChanged.connect(lambda value: self.edited.emit(value if decimals else int(value)))
 
     def show_value(self, value: float | None) -> None:

@@ -100,6 +100,10 @@ class SourceForm(QWidget):
         self.motion.show_row("emission", not isinstance(path, TrajectoryTable))
         self.motion.show_row("repeat", not isinstance(path, PointTable))
 
+    def show_unit(self, unit: str) -> None:
+        """Show the unit of amplitudes: that of the bank's response; empty without a bank."""
+        self.motion.fields["amplitude"].setSuffix(f" {unit}" if unit else "")
+
     def show_preview(self, preview: Preview) -> None:
         if 0 <= self._document.chosen < len(preview.traces):
             self.figures.setText(trace_text(preview.traces[self._document.chosen]))

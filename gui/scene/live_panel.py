@@ -16,6 +16,7 @@ from PyQt5.QtWidgets import QListWidget, QWidget
 
 from wavefocus.config.messages.live import LiveReady, LiveState
 from wavefocus.gui import widgets as ui
+from wavefocus.gui.advice import in_window
 from wavefocus.gui.field_map import Plot
 from wavefocus.gui.files import PathField, names_virtual_rig
 from wavefocus.gui.scene.document import SceneDocument
@@ -161,6 +162,9 @@ class LivePanel(Themed, QWidget):
         tip = "Delay by which sources follow their pointers, so that less of their path has to be predicted (ms)"
         self.look_ahead = ui.whole_box("Look-ahead in ms", tip, 0, _LONGEST_LOOK_AHEAD_MS, "look-ahead ", " ms")
         self.look_ahead.setValue(_LOOK_AHEAD_MS)
+        tip = "Softer (negative) or louder than the chosen source's amplitude (dB), at once; the rig's limits hold"
+        self.gain = ui.number_box("Gain of live sources in dB", tip, " dB", 1, -60.0, 60.0, prefix="gain ")
+        self.gain.valueChanged.connect(partial(setattr, run, "gain_db"))
         tip = "Save each session as a scene in a new folder, named by the time, inside this one"
         self.records = ui.check("&Record in", tip, "Record the session")
         self.folder = PathField("", "", "folder for recordings", context.settings)
@@ -180,7 +184,7 @@ class LivePanel(Themed, QWidget):
         self.stop.setIconText("Stop")
         self.buttons = {name: ui.button(action) for name, action in (("start", self.start), ("stop", self.stop))}
         ui.column(
-            ui.row(*self.buttons.values(), 6, self.state, None, self.look_ahead),
+            ui.row(*self.buttons.values(), 6, self.state, None, self.gain, self.look_ahead),
             ui.row(self.records, (self.folder, 1)),
             (self.latency, 3), (self.load, 2), self.table, self.notices,
             owner=self, margins=(4, 0, 4, 0), spacing=4,
@@ -214,7 +218,7 @@ class LivePanel(Themed, QWidget):
 
     def note(self, sentence: str) -> None:
         """Add a notice."""
-        self.notices.insertItem(0, f"{datetime.now():%H:%M:%S}  {sentence}")
+        self.notices.insertItem(0, f"{datetime.now():%H:%M:%S}  {in_window(sentence)}")
         while self.notices.count() > _NOTICES_KEPT:
             self.notices.takeItem(self.notices.count() - 1)
         self.notices.scrollToTop()

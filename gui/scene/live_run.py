@@ -28,7 +28,7 @@ from wavefocus.config.scene import ImpulseTable, SignalTable
 from wavefocus.gui.files import names_virtual_rig
 from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess
 from wavefocus.gui.process import Message as Record
-from wavefocus.gui.scene.document import SceneDocument
+from wavefocus.gui.scene.document import NEW_AMPLITUDE, SceneDocument
 from wavefocus.gui.scene.exports import SceneTask
 from wavefocus.gui.tab import TabContext
 
@@ -48,6 +48,7 @@ class LiveRun(SceneTask):
     ready: Facts of the session, from `LIVE` on.
     states: Figures of the last minute.
     places: Where pointers hold sources, by name, in mm.
+    gain_db: Gain on the amplitudes of all sources; it counts from the next position on.
     """
 
     #: A `LiveState` has arrived.
@@ -61,6 +62,7 @@ class LiveRun(SceneTask):
         self.ready: LiveReady | None = None
         self.states: deque[LiveState] = deque(maxlen=_STATES_KEPT)
         self.places: dict[str, PointMm] = {}
+        self.gain_db = 0.0
         self._rig = self._refusal = ""
         self._signal: SignalTable | None = None
         self._heard_s = 0.0
@@ -141,7 +143,8 @@ class LiveRun(SceneTask):
 
     def _move(self, name: str) -> MoveSource:
         source = self._document.source
-        return MoveSource(name, self.places[name], None if source is None else source.amplitude)
+        amplitude = NEW_AMPLITUDE if source is None else source.amplitude
+        return MoveSource(name, self.places[name], amplitude * 10 ** (self.gain_db / 20))
 
     def _set_signals(self) -> None:
         source = self._document.source

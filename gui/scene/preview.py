@@ -93,6 +93,9 @@ class Preview:
     problem: str
 
 
+_TOPIC = "bank of the scene"
+
+
 class LivePreview(QObject):
     """Draws the latest scene whenever the one before is done, so that a long drag is seen all the while."""
 
@@ -106,6 +109,7 @@ class LivePreview(QObject):
         self.ground = _bare_ground()
         self.preview = Preview(document.draft, self.ground, [], "", "")
         self._busy = self._stale = self._ended = False
+        self._lost: Path | None = None
         for signal in (document.changed, document.chosen_changed, document.file_changed):
             signal.connect(self._ask)
         document.bank_changed.connect(self.read_bank)
@@ -124,6 +128,12 @@ class LivePreview(QObject):
             self._use_ground(_bare_ground())
         else:
             self._background.ask("ground", partial(_ground_of, bank), self._use_ground, partial(self._no_bank, bank))
+
+    def poll(self) -> None:
+        """Read a bank again that could not be read, once its file is back."""
+        if self._lost is not None and self._lost == self._document.bank and self._lost.exists():
+            self._lost = None
+            self.read_bank()
 
     def shut_down(self) -> None:
         self._ended = True
@@ -162,10 +172,16 @@ class LivePreview(QObject):
 
     def _no_bank(self, bank: Path, why: Exception) -> None:
         if self._document.bank == bank:
-            self._use_ground(_bare_ground())
-        self._context.report_failure(why)
+            self._show_ground(_bare_ground())
+            self._lost = None if bank.exists() else bank
+        self._context.report_failure(why, _TOPIC)
 
     def _use_ground(self, ground: Ground) -> None:
+        self._lost = None
+        self._context.settle(_TOPIC)
+        self._show_ground(ground)
+
+    def _show_ground(self, ground: Ground) -> None:
         self.ground = ground
         self.ground_changed.emit()
         self._ask()

@@ -10,6 +10,7 @@ from PyQt5.QtCore import pyqtSignal
 from PyQt5.QtWidgets import QAction, QToolButton, QWidget
 
 from wavefocus.gui import widgets as ui
+from wavefocus.gui.advice import in_window
 from wavefocus.gui.files import PathField, choose_place, names_virtual_rig
 from wavefocus.gui.scene.calculation import (
     Answer,
@@ -87,6 +88,11 @@ class ActionsBar(Themed, QWidget):
         """The rig file, or ``virtual``, as the command line takes it; empty where there is none."""
         text = self.rig_field.line.text().strip()
         return text if text in ("", VIRTUAL) else str(self.rig_field.path)
+
+    def use_rig(self, path: Path) -> None:
+        """Use a rig file that was chosen elsewhere."""
+        self.rig_field.show_path(path)
+        self._check_rig()
 
     def show_ready(self, ready: bool) -> None:
         """Set whether there is a scene that can be rendered."""
@@ -290,6 +296,7 @@ class ResultsPanel(QWidget):
         self.progress.setVisible(busy)
         self.cancel.setVisible(busy)
         self.stage.setText(stage)
+        problem = in_window(problem)
         if problem != self.problem.text():
             self.problem.setText(problem)
             self.problem.setToolTip(problem)

@@ -11,6 +11,7 @@ from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QWidget
 
 from wavefocus.gui import widgets as ui
+from wavefocus.gui.advice import in_window
 from wavefocus.gui.field_map import ColourBar, Plot
 from wavefocus.gui.scene.canvas import SceneCanvas, span_s
 from wavefocus.gui.scene.document import EMPTY, SceneDocument
@@ -88,7 +89,7 @@ class SurfacePanel(Themed, QWidget):
         if preview.draft == self._document.draft:
             self.signal.show_signal(preview.signal, preview.ground.sample_rate_hz)
         self.colours.show_range("Focus instant", "s", span_s(preview.traces))
-        self.problem = problem_of(preview)
+        self.problem = in_window(problem_of(preview))
         self.redraw()
 
     def redraw(self) -> None:

@@ -10,8 +10,8 @@ from PyQt5.QtWidgets import QAction, QStackedWidget, QWidget
 
 from wavefocus.config.scene import SourceTable, TextTable, TrajectoryTable
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.files import PathField, TomlKind, toml_kind
-from wavefocus.gui.scene.document import SceneDocument
+from wavefocus.gui.files import FileKind, PathField, TomlKind, toml_kind
+from wavefocus.gui.scene.document import SceneDocument, scene_toml
 from wavefocus.gui.scene.exports import IDLE
 from wavefocus.gui.scene.files import SceneFiles
 from wavefocus.gui.scene.forms import SceneForm, SourceForm
@@ -22,7 +22,8 @@ from wavefocus.gui.scene.preview import LivePreview
 from wavefocus.gui.scene.results_panel import ResultsPanel
 from wavefocus.gui.scene.sources import SourceActions, SourceList
 from wavefocus.gui.scene.surface_panel import SurfacePanel
-from wavefocus.gui.tab import Question, Tab, TabContext
+from wavefocus.gui.tab import Drawing, Question, Tab, TabContext
+from wavefocus.storage.units import response_unit
 
 # Modes of the tab: key of its page, button, tooltip.
 DRAW, LIVE = "draw", "live"
@@ -64,8 +65,10 @@ class SceneTab(Tab):
         self._file = ui.label("Scene file")
         self._lay_out()
         self.bank_field.chosen.connect(self._bank_chosen)
+        bar.rig_field.chosen.connect(lambda path: context.share(self, FileKind.RIG, path))
         self.acts.added.connect(self._added)
         self.live.updated.connect(self._show_preview)
+        self.live.ground_changed.connect(self._show_unit)
         self.document.edited.connect(self._show_possible)
         self.document.chosen_changed.connect(self._show_possible)
         self.document.file_changed.connect(self._show_possible)
@@ -99,6 +102,7 @@ class SceneTab(Tab):
             self.files.open(path)
 
     def poll(self) -> None:
+        self.live.poll()
         self.results.poll()
 
     def instruments_held(self) -> str:
@@ -199,9 +203,25 @@ class SceneTab(Tab):
         top = ui.row(*buttons, 6, *self.modes.values(), 6, (self._file, 1), *fields)
         ui.column(top, (columns, 1), owner=self, margins=ui.PAGE_MARGINS)
 
+    def use_shared(self, kind: FileKind, path: Path) -> None:
+        if self.results.playing.state != IDLE or self.live_run.busy:
+            return
+        if kind is FileKind.BANK:
+            self.bank_field.show_path(path)
+            self.document.use_bank(path)
+        elif kind is FileKind.RIG:
+            self.results.bar.use_rig(path)
+
+    def drawing(self) -> Drawing | None:
+        document = self.document
+        if not document.draft.source:
+            return None
+        return Drawing(scene_toml(document.draft), document.path if document.saved else None, document.allow_large)
+
     def _bank_chosen(self, path: Path) -> None:
         self.context.settings.opened(path)
         self.document.use_bank(path)
+        self.context.share(self, FileKind.BANK, path)
 
     def _latest_bank(self) -> Path | None:
         """The bank of last time, or the one opened last in any tab."""
@@ -215,6 +235,10 @@ class SceneTab(Tab):
             field = self.source_form.paths["text"].fields["string"]
             field.setFocus(Qt.FocusReason.OtherFocusReason)
             field.selectAll()
+
+    def _show_unit(self) -> None:
+        surface = self.live.ground.surface
+        self.source_form.show_unit("" if surface is None else response_unit(surface.unit))
 
     def _show_preview(self) -> None:
         self.sources.show_traces(self.live.preview.traces)

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import itertools
 import os
+import tempfile
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 from PyQt5.QtCore import Qt
-from PyQt5.QtGui import QDragEnterEvent, QDropEvent
+from PyQt5.QtGui import QDragEnterEvent, QDropEvent, QShowEvent
 from PyQt5.QtWidgets import QAction, QComboBox, QGridLayout, QLabel, QLineEdit, QStackedWidget, QWidget
 
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.files import PathField, choose_file, dropped_files, names_virtual_rig
+from wavefocus.gui.files import FileKind, PathField, choose_file, dropped_files, names_virtual_rig
 from wavefocus.gui.messages import error_text
 from wavefocus.gui.process import Background
-from wavefocus.gui.tab import Question, Tab, TabContext
+from wavefocus.gui.tab import Drawing, Question, Tab, TabContext
 from wavefocus.gui.theme import Themed
 from wavefocus.gui.verification.panels import FiguresPanel, MapsPanel, WaveformPanel
 from wavefocus.gui.verification.run import (
@@ -55,6 +56,12 @@ class RequestForm(QWidget):
         self.out = PathField("F&older", "", "folder for the report", settings)
         tip = "Play on the virtual rig that comes with wavefocus, without a rig file"
         self.virtual = ui.check("virtual", tip, "Virtual rig")
+        tip = "Verify the scene as it is drawn in the Scene tab now, saved or not"
+        self.drawn = ui.check("as drawn", tip, "Scene as drawn")
+        self._drawing_left = ""
+        self._filled: dict[PathField, Path] = {}
+        """What was filled in by itself, and follows the bank."""
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
         self.positions = QComboBox()
         self.positions.setAccessibleName("Positions to scan")
         for key, words, _ in _CHOICES:
@@ -70,7 +77,7 @@ class RequestForm(QWidget):
         rig = ui.row((self.rig, 1), self.virtual)
         grid = QGridLayout(self)
         grid.setContentsMargins(0, 0, 0, 0)
-        grid.addWidget(self.scene, 0, 0)
+        grid.addLayout(ui.row((self.scene, 1), self.drawn), 0, 0)
         grid.addWidget(self.bank, 0, 1)
         grid.addLayout(rig, 1, 0)
         grid.addWidget(self.out, 1, 1)
@@ -85,6 +92,10 @@ class RequestForm(QWidget):
         self.bank.chosen.connect(self.take_bank)
         for field in (self.scene, self.rig):
             field.chosen.connect(settings.opened)
+        self.rig.chosen.connect(lambda path: context.share(self, FileKind.RIG, path))
+        self.scene.chosen.connect(lambda _path: self._leave_drawing())
+        self.drawn.toggled.connect(self.scene.setDisabled)
+        self.drawn.clicked.connect(lambda on: None if on else self._leave_drawing())
         self.virtual.toggled.connect(self.rig.setDisabled)
         self.positions.currentIndexChanged.connect(self._show_choice)
         self._show_choice()
@@ -93,16 +104,23 @@ class RequestForm(QWidget):
         """Verify a bank; empty fields are filled with the files next to it."""
         self.bank.show_path(bank)
         self._context.settings.opened(bank)
-        for field, name in ((self.scene, "scene.toml"), (self.rig, "rig.toml")):
-            if field.path is None and (neighbour := bank.with_name(name)).is_file():
+        self._context.share(self, FileKind.BANK, bank)
+        for field, name in ((self.scene, "scene.toml"), (self.rig, "rig.toml"), (self.out, _FOLDER)):
+            neighbour = bank.with_name(name)
+            if field.path in (None, self._filled.get(field)) and (field is self.out or neighbour.is_file()):
                 field.show_path(neighbour)
-        if self.out.path is None:
-            self.out.show_path(bank.with_name(_FOLDER))
+                self._filled[field] = neighbour
+
+    def use_rig(self, rig: Path) -> None:
+        """Play on a rig that was chosen in another tab."""
+        self.virtual.setChecked(False)
+        self.rig.show_path(rig)
 
     def missing(self) -> str:
         """What has to be chosen first; empty when a verification can be started."""
         rigs = [] if self.virtual.isChecked() else [(self.rig, "a rig file, or the virtual rig")]
-        fields = [(self.scene, "a scene file"), (self.bank, "a bank"), *rigs, (self.out, "a folder")]
+        scenes = [] if self.drawn.isChecked() else [(self.scene, "a scene file")]
+        fields = [*scenes, (self.bank, "a bank"), *rigs, (self.out, "a folder")]
         words = [word for field, word in fields if field.path is None]
         return "" if not words else f"choose {', and '.join(words)}"
 
@@ -113,19 +131,51 @@ class RequestForm(QWidget):
         """
         if missing := self.missing():
             raise InputError(f"{missing} first")
-        scene, bank, out = self.scene.path, self.bank.path, self.out.path
+        drawing = self._context.drawing() if self.drawn.isChecked() else None
+        if self.drawn.isChecked() and drawing is None:
+            raise InputError("the Scene tab has no scene: draw one there, or choose a scene file")
+        scene = self.scene.path if drawing is None else drawing.path or self._written(drawing)
+        bank, out = self.bank.path, self.out.path
         assert bank is not None
         assert out is not None
         earlier, out = out / RECORD_NAME, unused_folder(out)
         rig = "virtual" if self.virtual.isChecked() else str(self.rig.path)
         arguments = ["verify", str(scene), "--bank", str(bank), "--rig", rig, "--out", str(out), "--json"]
-        if self.large.isChecked():
+        if self.large.isChecked() or (drawing is not None and drawing.allow_large):
             arguments.append("--allow-large")
         if out != earlier.parent and earlier.is_file():
             arguments += ["--against", str(earlier)]
         if positions := self._positions(bank):
             arguments += ["--positions", positions]
         return Request(tuple(arguments), out, names_virtual_rig(rig))
+
+    def take_drawing(self) -> None:
+        """Verify the scene that is drawn in the Scene tab, unless a file was chosen since it was changed."""
+        drawing = self._context.drawing()
+        self.drawn.setEnabled(drawing is not None)
+        if drawing is None:
+            self.drawn.setChecked(False)
+        elif drawing.toml != self._drawing_left:
+            self.drawn.setChecked(True)
+
+    def shut_down(self) -> None:
+        if self._folder is not None:
+            self._folder.cleanup()
+            self._folder = None
+
+    def _leave_drawing(self) -> None:
+        """Verify the scene file; the drawing is offered again when it has changed."""
+        drawing = self._context.drawing()
+        self._drawing_left = "" if drawing is None else drawing.toml
+        self.drawn.setChecked(False)
+
+    def _written(self, drawing: Drawing) -> Path:
+        """Write a drawing that has no file of its own to a temporary one, which stays until the window closes."""
+        if self._folder is None:
+            self._folder = tempfile.TemporaryDirectory(prefix="wavefocus-verify-", ignore_cleanup_errors=True)
+        path = Path(self._folder.name) / "scene.toml"
+        path.write_text(drawing.toml, encoding="utf-8")
+        return path
 
     def _positions(self, bank: Path) -> str:
         match self.positions.currentData():
@@ -241,8 +291,9 @@ class RunRow(Themed, QWidget):
 
 
 _HINT = (
-    "Choose a scene, a bank, a rig and a folder, and press Verify: the scene is played and scanned, and compared with "
-    "what the bank predicts.\n\nOr open the verify.json of an earlier verification, or drop it here."
+    "Choose a scene (or draw one in the Scene tab), a bank, a rig and a folder, and press Verify: the scene is played "
+    "and scanned, and compared with what the bank predicts.\n\nOr open the verify.json of an earlier verification, or "
+    "drop it here."
 )
 _WAITING = "Prediction, scan and difference are shown here when the scan is done."
 
@@ -307,6 +358,18 @@ class VerificationTab(Tab):
     def poll(self) -> None:
         self.run.poll()
 
+    def use_shared(self, kind: FileKind, path: Path) -> None:
+        if self.run.running:
+            return
+        if kind is FileKind.BANK:
+            self.form.take_bank(path)
+        elif kind is FileKind.RIG:
+            self.form.use_rig(path)
+
+    def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802
+        super().showEvent(event)
+        self.form.take_drawing()
+
     def draw(self) -> None:
         self.hint.setText(_WAITING if self.run.running else _HINT)
         self.row.show_progress(
@@ -324,6 +387,7 @@ class VerificationTab(Tab):
         self._readings += 1
         self.background.end()
         self.run.detach()
+        self.form.shut_down()
 
     def dragEnterEvent(self, event: QDragEnterEvent | None) -> None:  # noqa: N802
         if event is not None and any(dropped_kind(path) is not Dropped.OTHER for path in dropped_files(event)):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from wavefocus.campaign.sidecar_files import log_path, raw_path, session_failure
 from wavefocus.campaign.supervision import read_heartbeat
-from wavefocus.gui.front_door import FrontDoor, Pulse, RigLimits, open_window
+from wavefocus.gui.front_door import FrontDoor, PlannedCampaign, Pulse, RigLimits, open_window
 
 if TYPE_CHECKING:
     from wavefocus.acquisition.limits import DriftPoint
@@ -34,6 +34,7 @@ def front_door() -> FrontDoor:
         read_drift=_drift,
         read_pulse=_pulse,
         read_rig_limits=_rig_limits,
+        read_plan=_planned,
     )
 
 
@@ -48,6 +49,16 @@ def _pulse(bank: Path) -> Pulse | None:
     if beat is None:
         return None
     return Pulse(beat.at, beat.pid, beat.state, beat.reason, beat.position, beat.is_silent())
+
+
+def _planned(run_file: Path) -> PlannedCampaign:
+    from wavefocus.campaign.blueprint import blueprint_from_files  # in a thread of the window
+
+    blueprint = blueprint_from_files(run_file)
+    rig, plan = blueprint.configuration.rig, blueprint.plan
+    return PlannedCampaign(
+        plan.position_mm, plan.actuator_mm, rig.surface.outline.line(181), plan.campaign_s(plan.order, rig.recorder)
+    )
 
 
 def _rig_limits(path: Path) -> RigLimits:

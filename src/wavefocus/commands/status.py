@@ -211,7 +211,8 @@ def _print_pace(pace: _Pace, state: State, to_go: int) -> None:
     at = pace.at.astimezone()
     if state in (State.RUNNING, State.STOPPING):
         per_hour = progress.wall_positions_per_hour or progress.positions_per_hour
-        answer(f"{per_hour:.0f} positions an hour, {remaining(progress)} (last position {at:%H:%M:%S})")
+        left = f", {time_left}" if (time_left := remaining(progress)) else ""
+        answer(f"{per_hour:.0f} positions an hour{left} (last position {at:%H:%M:%S})")
     else:
         wall = a_while(progress.wall_remaining_s)
         answer(f"{to_go} positions to go, about {wall} once it goes on (last position {at:%H:%M:%S})")

@@ -1,0 +1,289 @@
+"""The window from nothing: a new lab, files shared across tabs, files of a wrong kind, messages that no longer hold."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PyQt5.QtCore import QSettings
+from PyQt5.QtWidgets import QFileDialog
+from pytestqt.qtbot import QtBot
+
+from tests.gui.conftest import Opens, answer, campaign_of, shown_tab, tab_of, wait, write_lab
+from wavefocus.config.scene import LineTable
+from wavefocus.gui.advice import in_window
+from wavefocus.gui.field_map import ColourBar
+from wavefocus.gui.files import FileKind, PathField, Settings, misplaced
+from wavefocus.gui.rig.tab import RigTab
+from wavefocus.gui.scene.document import new_source, read_draft
+from wavefocus.gui.scene.tab import SceneTab
+from wavefocus.gui.verification.tab import VerificationTab
+from wavefocus.gui.window import Window
+
+
+def draw(window: Window, *, end_mm: float = 4.5) -> SceneTab:
+    """Draw a line in the Scene tab."""
+    tab = tab_of(window, SceneTab)
+    source = new_source(LineTable(start_mm=(0.0, 0.0), end_mm=(end_mm, 0.0)))
+    tab.document.edit("draw", tab.document.draft.model_copy(update={"source": (source,)}), chosen=0)
+    return tab
+
+
+def type_path(field: PathField, path: Path) -> None:
+    field.line.setText(str(path))
+    field.line.editingFinished.emit()
+
+
+@pytest.mark.parametrize(("word", "table"), [("Virtual rig", "[virtual]"), ("Own instruments", "[mirror]")])
+def test_given_a_new_lab_then_its_files_are_written_and_open_in_all_tabs(
+    qtbot: QtBot, open_window: Opens, tmp_path: Path, word: str, table: str
+) -> None:
+    window = open_window()
+    window._choose_lab()
+    (dialog,) = (one for one in window.findChildren(QFileDialog) if one.isVisible())
+    lab = tmp_path / "new lab"
+    dialog.fileSelected.emit(str(lab))
+    dialog.reject()
+    answer(window, word)
+    wait(qtbot, lambda: tab_of(window, RigTab).rig_field.path == lab / "rig.toml")
+    wait(qtbot, lambda: campaign_of(window).run_field.path == lab / "run.toml")
+    assert tab_of(window, SceneTab).document.path == lab / "scene.toml"
+    files = {path.name: path.read_text(encoding="utf-8") for path in lab.iterdir()}
+    assert set(files) == {"rig.toml", "run.toml", "scene.toml", "trials.toml"}
+    assert table in files["rig.toml"] + files["run.toml"]
+    if word == "Virtual rig":
+        wait(qtbot, lambda: campaign_of(window).map_panel.planned is not None)
+
+
+def test_given_a_folder_that_holds_a_lab_then_a_new_lab_touches_nothing_in_it(
+    qtbot: QtBot, open_window: Opens, tmp_path: Path
+) -> None:
+    run = write_lab(tmp_path / "lab", 4, 3)
+    before = run.read_bytes()
+    window = open_window()
+    window._make_lab(run.parent, "virtual")
+    wait(qtbot, lambda: str(run.parent) in window.messages.sentence)
+    assert run.read_bytes() == before
+    assert campaign_of(window).run_field.path is None
+
+
+def test_given_a_run_then_outline_actuators_grid_and_hours_are_shown_before_there_is_a_bank(
+    qtbot: QtBot, open_window: Opens, tmp_path: Path
+) -> None:
+    run = write_lab(tmp_path / "lab", 4, 3)
+    window = open_window(run)
+    tab = campaign_of(window)
+    wait(qtbot, lambda: tab.map_panel.map.surface is not None)
+    surface = tab.map_panel.map.surface
+    assert surface is not None
+    assert surface.outline_mm is not None
+    assert (surface.positions, surface.actuators) == (12, 3)
+    assert np.ptp(surface.outline_mm, axis=0) == pytest.approx([250.0, 150.0])
+    wait(qtbot, lambda: "12 positions" in tab.progress.figures.text())
+    assert (tab.progress.bar.value(), tab.progress.bar.maximum()) == (0, 12)
+    run.write_text(run.read_text(encoding="utf-8").replace("averages = 2", "averages = 0"), encoding="utf-8")
+    shown_tab(window, RigTab)
+    shown_tab(window, type(tab))  # it was edited: read again
+    wait(qtbot, lambda: "averages" in window.messages.sentence)
+    assert tab.map_panel.map.surface is None
+    run.write_text(run.read_text(encoding="utf-8").replace("averages = 0", "averages = 2"), encoding="utf-8")
+    shown_tab(window, RigTab)
+    shown_tab(window, type(tab))
+    wait(qtbot, lambda: tab.map_panel.map.surface is not None)
+    assert "averages" not in window.messages.sentence  # the error holds no longer
+
+
+def test_given_no_files_then_no_positions_are_counted(open_window: Opens) -> None:
+    window = open_window()
+    window.refresh()
+    assert not campaign_of(window).progress.bar.isTextVisible()
+
+
+def test_given_a_run_or_a_bank_in_one_tab_then_all_tabs_have_it(
+    qtbot: QtBot, open_window: Opens, finished: Path
+) -> None:
+    lab = finished.parent
+    window = open_window()
+    campaign, rig = campaign_of(window), tab_of(window, RigTab)
+    scene, verification = tab_of(window, SceneTab), tab_of(window, VerificationTab)
+    type_path(campaign.run_field, lab / "run.toml")
+    assert rig.rig_field.path == lab / "rig.toml"
+    assert scene.results.bar.rig_field.path == verification.form.rig.path == lab / "rig.toml"
+    assert campaign.bank_field.path == scene.document.bank == verification.form.bank.path == finished
+    other = write_lab(lab / "other", 2, 2).with_name("rig.toml")
+    for field in (rig.rig_field, scene.results.bar.rig_field, verification.form.rig):
+        for chosen in (other, lab / "rig.toml"):
+            type_path(field, chosen)
+            shown = {rig.rig_field.path, scene.results.bar.rig_field.path, verification.form.rig.path}
+            assert shown == {chosen}
+    copy = lab / "copy.h5"
+    copy.write_bytes(finished.read_bytes())
+    for field in (scene.bank_field, verification.form.bank, campaign.bank_field):
+        for chosen in (copy, finished):
+            type_path(field, chosen)
+            assert {scene.document.bank, verification.form.bank.path, campaign.bank_field.path} == {chosen}
+
+
+def test_given_an_unsaved_drawing_then_the_verification_plays_it(
+    qtbot: QtBot, open_window: Opens, finished: Path
+) -> None:
+    window = open_window(finished.with_name("run.toml"), finished)
+    drawn = draw(window)
+    tab = shown_tab(window, VerificationTab)
+    assert (tab.form.drawn.isChecked(), tab.form.missing()) == (True, "")
+    scene = Path(tab.form.request().arguments[1])
+    assert read_draft(scene.read_text(encoding="utf-8"), scene) == drawn.document.draft
+    saved = finished.with_name("mine.toml")
+    drawn.document.save(saved)
+    assert Path(tab.form.request().arguments[1]) == saved
+    type_path(tab.form.scene, saved)
+    assert not tab.form.drawn.isChecked()  # a file was chosen after it was drawn
+    draw(window, end_mm=3.0)
+    shown_tab(window, SceneTab)
+    shown_tab(window, VerificationTab)
+    assert tab.form.drawn.isChecked()  # and the drawing has changed since
+
+
+WRONG = (
+    ("rig.toml", FileKind.RUN), ("plate.h5", FileKind.RUN), ("run.toml", FileKind.RIG), ("run.toml", FileKind.BANK),
+    ("plate.raw.h5", FileKind.BANK), ("trials.toml", FileKind.RUN), ("plate.h5", FileKind.SCENE),
+    ("run.toml", FileKind.SCENE),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "wanted"), WRONG)
+def test_given_a_file_of_another_kind_then_it_is_refused_at_once_and_the_field_stays(
+    qtbot: QtBot, open_window: Opens, finished: Path, name: str, wanted: FileKind
+) -> None:
+    finished.with_name("trials.toml").write_text('[trials]\nname = "direction"\n', encoding="utf-8")
+    window = open_window()
+    fields = {
+        FileKind.RUN: campaign_of(window).run_field,
+        FileKind.RIG: tab_of(window, RigTab).rig_field,
+        FileKind.BANK: campaign_of(window).bank_field,
+        FileKind.SCENE: tab_of(window, VerificationTab).form.scene,
+    }
+    path = finished.with_name(name)
+    type_path(fields[wanted], path)
+    assert fields[wanted].path is None
+    assert window.messages.sentence == misplaced(path, wanted)
+    assert str(path) in window.messages.sentence
+    assert str(wanted) in window.messages.sentence
+    right = {FileKind.RUN: "run.toml", FileKind.RIG: "rig.toml", FileKind.BANK: "plate.h5"}.get(wanted)
+    if right is not None:
+        type_path(fields[wanted], finished.with_name(right))
+        assert window.messages.sentence == ""  # it holds no longer
+
+
+def test_given_a_bank_that_is_gone_and_comes_back_then_the_message_goes(
+    qtbot: QtBot, open_window: Opens, finished: Path
+) -> None:
+    window = open_window(finished)
+    tab = shown_tab(window, SceneTab)
+    wait(qtbot, lambda: tab.live.ground.surface is not None)
+    aside = finished.rename(finished.with_name("aside.h5"))
+    tab.live.read_bank()
+    wait(qtbot, lambda: "does not exist" in window.messages.sentence or "moved" in window.messages.sentence)
+    wait(qtbot, lambda: tab.live.ground.surface is None)
+    aside.rename(finished)
+    wait(qtbot, lambda: tab.live.ground.surface is not None and window.messages.sentence == "")
+
+
+def test_given_no_message_then_the_tabs_begin_below_the_menus_and_the_bar_is_at_the_bottom(
+    qtbot: QtBot, open_window: Opens
+) -> None:
+    window = open_window()
+    qtbot.waitExposed(window)
+    menus = window.menuBar()
+    assert menus is not None
+    top = window._pages.mapTo(window, window._pages.rect().topLeft()).y()
+    assert top - menus.geometry().bottom() < 8
+    assert window.messages.mapTo(window, window.messages.rect().topLeft()).y() > window.height() / 2
+
+
+def test_given_settings_that_cannot_be_saved_then_closing_says_so_and_loses_no_scene(
+    qtbot: QtBot, open_window: Opens, tmp_path: Path, memory: Settings
+) -> None:
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    blocked = QSettings(str(tmp_path / "file" / "memory.ini"), QSettings.Format.IniFormat)
+    memory._settings = blocked
+    window = open_window()
+    draw(window)
+    window.close()
+    words = [button.text() for button in window.messages.buttons()]
+    assert words == ["Save and close", "Close without saving", "Do not close"]
+    assert str(tmp_path / "file") in window.messages.sentence
+    assert window.isVisible()
+    (tmp_path / "file").unlink()
+    answer(window, "Do not close")
+    window.close()
+    answer(window, "Close and keep for next time")
+    assert not window.isVisible()
+    kept = QSettings(str(tmp_path / "file" / "memory.ini"), QSettings.Format.IniFormat)
+    assert "[[source]]" in kept.value("scene/unsaved")
+
+
+def test_given_a_colour_bar_then_its_caption_is_inside_it(qtbot: QtBot, open_window: Opens) -> None:
+    window = open_window()
+    shown_tab(window, SceneTab)
+    bars = window.findChildren(ColourBar)
+    assert len(bars) >= 3
+    for bar in bars:
+        bar.show_range("Focus instant", "s", (0.0, 1.5))
+        bar.resize(bar.sizeHint())
+        bar.show()
+        qtbot.wait(20)
+        label = bar._bar.axis.label
+        inside = label.mapRectToScene(label.boundingRect()).bottom() - label.document().documentMargin()
+        assert inside <= bar.height()
+
+
+def test_given_a_new_source_then_it_begins_at_a_hundredth_in_the_unit_of_the_bank(
+    qtbot: QtBot, open_window: Opens, finished: Path
+) -> None:
+    window = open_window(finished)
+    tab = draw(window)
+    shown_tab(window, SceneTab)
+    wait(qtbot, lambda: tab.live.ground.surface is not None)
+    source = tab.document.source
+    assert source is not None
+    assert source.amplitude == 0.01
+    assert tab.source_form.motion.fields["amplitude"].text() == "0.01 m/s"
+
+
+def test_given_a_gain_then_live_sources_are_so_much_louder(qtbot: QtBot, open_window: Opens) -> None:
+    window = open_window()
+    tab = draw(window)
+    tab.live_run.places["finger"] = (0.0, 0.0)
+    assert tab.live_run._move("finger").amplitude == 0.01
+    tab.live_panel.gain.setValue(-20.0)
+    assert tab.live_run._move("finger").amplitude == pytest.approx(0.001)
+
+
+@pytest.mark.parametrize(
+    ("advice", "named"),
+    [
+        ("start a new bank, or go on with --accept-drift", "Accept drift"),
+        ("more than an hour must be allowed with --allow-large", "Allow large scenes"),
+        ("2 positions; then go on with wavefocus resume", "Resume"),
+        ("muted, mirror parked; wavefocus go-on, or stop", "Continue"),
+        ("then wavefocus remeasure plate.h5 --positions 3,5-9 and resume, or go on with --accept-drift", "3,5-9"),
+        ("run wavefocus calibrate --only outputs, or correct player.full_scale_v", "Calibration"),
+    ],
+)
+def test_given_advice_of_a_command_then_the_window_names_what_it_has(
+    qtbot: QtBot, open_window: Opens, advice: str, named: str
+) -> None:
+    window = open_window()
+    window.messages.fault(advice)
+    assert window.messages.sentence == in_window(advice)
+    assert named in window.messages.sentence
+    assert "--" not in window.messages.sentence
+    assert "wavefocus " not in window.messages.sentence
+
+
+def test_given_actions_named_by_advice_then_they_exist(open_window: Opens) -> None:
+    window = open_window()
+    words = {action.text().replace("&", "") for tab in window.tabs for action in tab.menu_actions() if action}
+    assert {"Accept drift", "Accept another calibration", "Resume", "Remeasure selected"} <= words
