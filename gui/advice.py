@@ -31,7 +31,6 @@ _PHRASES: tuple[tuple[re.Pattern[str], str], ...] = tuple(
         (r"(?:run )?wavefocus calibrate(?: --only (\w+))?(?: again)?", "use the page Calibration of the Rig tab"),
         (r"(?:then )?(?:run )?wavefocus doctor(?: again)?", "Examine in the Rig tab"),
         (r"or use --gain-db", "or the gain"),
-        (r"(?:use|with) --look-ahead-ms( [\d.]+)?", r"with a look-ahead of\1 ms"),
         (r"lower --amplitude-v", "lower sweep.amplitude_v"),
         (r"wavefocus go-on, or stop", "press Continue, or Stop after this position"),
         (r"wavefocus go-on", "Continue in the Campaign tab"),

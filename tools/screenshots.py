@@ -1,7 +1,8 @@
-"""Pictures of the window for the documentation: light and dark, at 1280 x 800 and at 200 %, under an X server.
+"""Pictures of the window for the documentation, under an X server: light and dark, at 1280 x 800 and at 200 %.
 
-Run it with: make screenshots; with ARGS=rig,trials only of some parts. A campaign on the virtual rig, with planned faults, is measured; the pictures are of it
-while it runs and when it is over, of a scene and a verification over its bank, and of an emulated rig.
+Run it with: make screenshots; with ARGS=rig,trials only of some parts. A campaign on the virtual rig, with planned
+faults, is measured; the pictures are of it while it runs and when it is over, of a scene and a verification over its
+bank, and of an emulated rig.
 """
 
 from __future__ import annotations
