@@ -116,6 +116,7 @@ def test_given_instruments_in_hand_then_they_are_jogged_heard_swept_and_given_ba
     press(qtbot, sound.sweep)
     wait(qtbot, lambda: hands.sweep is not None and "▲" in sound.verdict.text())
     assert sound.figures.text().startswith("actuator 2 at ")
+    assert "parked" not in sound.verdict.text()
     assert len(sound.waveform.getPlotItem().listDataItems()) == 2
     assert len(sound.spectrum.getPlotItem().listDataItems()) == 2
     sound.actuator.setCurrentIndex(0)
@@ -125,6 +126,10 @@ def test_given_instruments_in_hand_then_they_are_jogged_heard_swept_and_given_ba
     wait(qtbot, lambda: len(sweeps) > 1 and "✔" in sound.verdict.text())
     press(qtbot, tab.manual_page.mute)
     wait(qtbot, lambda: not hands.listening and not hands.sweeping)
+    press(qtbot, jog.park)
+    wait(qtbot, lambda: hands.beam.parked)
+    press(qtbot, sound.sweep)
+    wait(qtbot, lambda: "parked" in sound.verdict.text())  # what it shows is not of the surface
     assert not sound.again.isChecked()
     press(qtbot, tab.manual_page.release)
     wait(qtbot, lambda: hands.state == "released")

@@ -1,0 +1,58 @@
+"""Sentences of the Campaign tab about positions, rates and times."""
+
+from __future__ import annotations
+
+import math
+import time
+from datetime import UTC, datetime
+
+import pytest
+
+from wavefocus.commands.status import _Pace, _print_pace
+from wavefocus.config.messages.campaign import Logged, PositionCommitted, Progress, State
+from wavefocus.gui.campaign.model import Campaign, CampaignState, Extra, Pace, line_of
+from wavefocus.gui.campaign.panels import pace_text
+from wavefocus.storage.bank.ledger import VALID
+
+POOR = 4
+
+
+def committed(status: int, snr_db: float, residual_db: float, reason: str = "") -> Logged:
+    event = PositionCommitted(0.0, 7, status, 2, snr_db, residual_db, 0.0, 0.0, reason=reason)
+    return Logged(datetime.now(UTC), event)
+
+
+def test_given_a_position_without_figures_then_its_reason_is_said_and_no_nan() -> None:
+    logged = committed(POOR, math.nan, math.nan, "no sweep found in record 3")
+    line = line_of(logged)
+    assert line is not None
+    assert line.text.endswith(": no sweep found in record 3")
+    assert "nan" not in line.text
+    campaign = Campaign()
+    campaign.add_records([logged], anew=False)
+    assert campaign.history[7][0].reason == "no sweep found in record 3"
+    good = line_of(committed(VALID, 41.25, -52.0))
+    assert good is not None
+    assert "41.2 dB" in good.text
+    assert "-52.0 dB" in good.text
+
+
+@pytest.mark.parametrize("state", [*State, *Extra])
+def test_given_a_state_then_a_remaining_time_is_shown_only_while_positions_are_measured(state: State | Extra) -> None:
+    pace = Pace(done=3, total=10, per_hour=120.0, finish_s=time.time() + 4.0)
+    text = pace_text(pace, going_on=CampaignState(state).going_on)
+    assert ("left" in text) is (state is State.RUNNING)
+    assert text.startswith("120 positions an hour")
+
+
+def test_given_a_rate_that_is_not_known_then_nothing_is_said_about_it() -> None:
+    assert pace_text(Pace(0, 10, math.nan, math.nan), going_on=True) == ""
+
+
+def test_given_the_last_position_then_the_rate_stands_without_an_empty_part(capsys: pytest.CaptureFixture[str]) -> None:
+    progress = Progress(
+        time_s=1.0, done=9, total=9, elapsed_s=1.0, remaining_s=0.0, wall_remaining_s=0.0, positions_per_hour=57_400.0
+    )
+    _print_pace(_Pace(progress, datetime.now(UTC), None, None), State.RUNNING, 0)
+    (line,) = capsys.readouterr().out.splitlines()
+    assert line.startswith("57400 positions an hour (last position ")
