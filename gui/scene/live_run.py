@@ -142,7 +142,8 @@ class LiveRun(SceneTask):
             self._send(self._move(name))
 
     def _move(self, name: str) -> MoveSource:
-        source = self._document.source
+        sources = self._document.draft.source
+        source = self._document.source or (sources[0] if sources else None)  # whose signal the session has
         amplitude = NEW_AMPLITUDE if source is None else source.amplitude
         return MoveSource(name, self.places[name], amplitude * 10 ** (self.gain_db / 20))
 
