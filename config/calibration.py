@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from datetime import datetime
@@ -12,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AwareDatetime, Field, ValidationError, model_validator
 
 from wavefocus.config.fields import Finite, NonNegative, PointMm, Positive, Table, Text, Whole, mistake
-from wavefocus.config.loading import printable, read_toml, shown, validated
+from wavefocus.config.loading import parse_toml, printable, read_toml, shown, validated
 from wavefocus.config.rig_instruments import Matrix
 from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.storage.errors import InputError
@@ -213,44 +212,29 @@ def _plain(value: object) -> object:
     return float(value) if isinstance(value, int) else value
 
 
-_TABLE = re.compile(r"^\s*\[\s*calibration\s*\]\s*(#.*)?$")
-_ANY_TABLE = re.compile(r"^\s*\[")
-_KEY = re.compile(r"^\s*file\s*=")
-
-
 def name_calibration(rig_file: Path, name: str) -> None:
     """Write ``file = "NAME"`` into the ``[calibration]`` table of a rig file; the table is made where there is none.
 
-    Raises InputError: the table is written in a way that only a person can change, or the file cannot be written.
+    All else, comments and order included, stays as it was.
+
+    Raises InputError: the file is not TOML, ``calibration`` is not a table, or the file cannot be written.
     """
+    import tomlkit  # only this command edits a file
+
     text = read_text(rig_file)
-    before = tomllib.loads(text)
-    new = _named(text, name)
-    wanted = {**before, "calibration": {**before.get("calibration", {}), "file": name}}
-    try:
-        right = tomllib.loads(new) == wanted
-    except ValueError:
-        right = False
-    if not right:
-        raise InputError(
-            f'{rig_file}: the table calibration is written in a way of its own; write file = "{name}" into it by hand'
-        )
+    wanted = parse_toml(text, str(rig_file))
+    table = wanted.setdefault("calibration", {})
+    if not isinstance(table, dict):
+        raise InputError(printable(f"{rig_file}: calibration = {shown(table)}: must be a table"))
+    table["file"] = name
+    document = tomlkit.parse(text)
+    if "calibration" not in document:
+        document["calibration"] = tomlkit.table()
+    document["calibration"]["file"] = name
+    new = tomlkit.dumps(document)
+    if tomllib.loads(new) != wanted:
+        raise InputError(f'{rig_file}: cannot be edited; write file = "{name}" into its table [calibration] by hand')
     write_whole(rig_file.resolve(), new)
-
-
-def _named(text: str, name: str) -> str:
-    line = f'file = "{name}"'
-    lines = text.splitlines()
-    start = next((number for number, one in enumerate(lines) if _TABLE.match(one)), None)
-    if start is None:
-        return "\n".join([*lines, "", "[calibration]", line, ""])
-    end = next((number for number in range(start + 1, len(lines)) if _ANY_TABLE.match(lines[number])), len(lines))
-    old = next((number for number in range(start + 1, end) if _KEY.match(lines[number])), None)
-    if old is None:
-        lines.insert(start + 1, line)
-    else:
-        lines[old] = line
-    return "\n".join([*lines, ""])
 
 
 HEAD = """\

@@ -18,38 +18,47 @@ NEW = "calibration-2026-11-21.toml"
     [
         ("[rig]\nname = 'a'  # mine\n", f"[rig]\nname = 'a'  # mine\n\n[calibration]\nfile = \"{NEW}\"\n"),
         (
-            "[calibration]  # of the rig\n# file = 'x'\nstale_after_days = 30.0\n\n[rig]\nname = 'a'\n",
-            f"[calibration]  # of the rig\nfile = \"{NEW}\"\n# file = 'x'\nstale_after_days = 30.0\n\n"
-            "[rig]\nname = 'a'\n",
+            "[calibration]  # of the rig\n# file = 'x'\nstale_after_days = 30.0  # days\n\n[rig]\nname = 'a'\n",
+            "[calibration]  # of the rig\n# file = 'x'\nstale_after_days = 30.0  # days\n"
+            f"file = \"{NEW}\"\n\n[rig]\nname = 'a'\n",
         ),
-        ("[calibration]\nfile = 'old.toml'\n[rig]\n", f'[calibration]\nfile = "{NEW}"\n[rig]\n'),
-        ("", f'\n[calibration]\nfile = "{NEW}"\n'),
+        ("[calibration]\nfile = 'old.toml' # c\n[rig]\n", f'[calibration]\nfile = "{NEW}" # c\n[rig]\n'),
+        ("", f'[calibration]\nfile = "{NEW}"\n'),
+        ('calibration = { file = "old.toml" } # c\n', f'calibration = {{ file = "{NEW}" }} # c\n'),
+        ("calibration = {}\n", f'calibration = {{file = "{NEW}"}}\n'),
+        ('calibration.file = "old.toml" # c\nx = 1\n', f'calibration.file = "{NEW}" # c\nx = 1\n'),
+        ("calibration.stale_after_days = 3.0\n", f'calibration.stale_after_days = 3.0\ncalibration.file = "{NEW}"\n'),
+        ('text = """\n[calibration]\n"""\n', f'text = """\n[calibration]\n"""\n\n[calibration]\nfile = "{NEW}"\n'),
+        ("a = 1\r\n[calibration]\r\nfile = 'x'\r\n", f'a = 1\r\n[calibration]\r\nfile = "{NEW}"\r\n'),
     ],
 )
-def test_given_a_rig_file_then_only_the_line_of_the_calibration_changes(
+def test_given_a_rig_file_then_only_the_name_of_the_calibration_changes(
     tmp_path: Path, text: str, expected: str
 ) -> None:
     file = tmp_path / "rig.toml"
-    file.write_text(text, encoding="utf-8")
+    file.write_bytes(text.encode())
     file.chmod(0o640)
     name_calibration(file, NEW)
-    assert file.read_text(encoding="utf-8") == expected
+    assert file.read_bytes().decode() == expected
     assert tomllib.loads(expected)["calibration"]["file"] == NEW
     assert file.stat().st_mode & 0o777 == 0o640
     assert list(tmp_path.iterdir()) == [file]
 
 
 @pytest.mark.parametrize(
-    "text",
-    [
-        'calibration = { file = "old.toml" }\n',
-        'calibration.file = "old.toml"\n',
-        'text = """\n[calibration]\n"""\n',
-    ],
+    "name", ["calibrations/new.toml", r"calibrations\new.toml", 'a"b.toml', "Plätte.toml", r"C:\n"]
 )
-def test_given_a_table_written_otherwise_then_it_is_left_alone_and_a_person_is_asked(tmp_path: Path, text: str) -> None:
+def test_given_a_name_with_any_letter_then_it_is_read_back(tmp_path: Path, name: str) -> None:
+    file = tmp_path / "rig.toml"
+    file.write_text("[calibration]\nfile = 'x'\n", encoding="utf-8")
+    name_calibration(file, name)
+    assert tomllib.loads(file.read_text(encoding="utf-8"))["calibration"]["file"] == name
+
+
+@pytest.mark.parametrize("text", ["calibration = 3\n", "[[calibration]]\nfile = 'x'\n", "[calibration\n"])
+def test_given_a_file_that_has_no_such_table_then_it_is_left_alone(tmp_path: Path, text: str) -> None:
     file = tmp_path / "rig.toml"
     file.write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match="by hand"):
+    with pytest.raises(InputError, match=r"rig\.toml: "):
         name_calibration(file, NEW)
     assert file.read_text(encoding="utf-8") == text

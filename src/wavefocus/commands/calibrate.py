@@ -93,11 +93,20 @@ def _operator(setup: Setup, lines: LinesOut | None) -> Operator:
 def _keep(file: Path, record: CalibrationRecord, measured: list[str], rig_file: Path, *, use: bool) -> None:
     write_calibration(file, record)
     say(f"{file}: {', '.join(measured)}")
+    name = _name_from(rig_file.parent, file)
     if not use:
-        say(f'name it in {rig_file}: [calibration] file = "{file.name}"')
+        say(f'name it in {rig_file}: [calibration] file = "{name}"')
         return
-    name_calibration(rig_file, os.path.relpath(file, rig_file.parent))
-    say(f"{rig_file}: names {file.name} as its calibration")
+    name_calibration(rig_file, name)
+    say(f"{rig_file}: names {name} as its calibration")
+
+
+def _name_from(folder: Path, file: Path) -> str:
+    """A file as a rig file names it: from its folder, with slashes, which every system reads."""
+    try:
+        return Path(os.path.relpath(file, folder)).as_posix()
+    except ValueError:  # on another drive
+        return file.absolute().as_posix()
 
 
 def parts_named(words: str) -> tuple[str, ...]:

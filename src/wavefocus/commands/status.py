@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wavefocus.acquisition.wording import a_while, row_ranges
+from wavefocus.acquisition.wording import a_while, hours, row_ranges
 from wavefocus.campaign.campaign_view import remaining
 from wavefocus.campaign.sidecar_files import (
     CampaignState,
@@ -221,9 +221,12 @@ def _print_pace(pace: _Pace, state: State, to_go: int) -> None:
 def _print_running(owner: Owner, stands: CampaignState, beat: Heartbeat | None, pace: _Pace, to_go: int) -> None:
     who = f"process {owner.pid} on {owner.host}"
     if _is_silent(beat) and beat is not None:
+        silence = hours(beat.age_s())
+        if beat.age_s() < 0:
+            silence = f"an unknown time (its last sign of life is {beat.age_words()})"
         answer(
-            f"{who} owns the bank but is silent, last sign of life {beat.age_words()}: it is held, or its machine is "
-            f"asleep or hung; it last said {beat.state}: {beat.reason}"
+            f"{who} owns the bank but has been silent for {silence}: it is held, or its machine is asleep "
+            f"or hung; it last said {beat.state}: {beat.reason}"
         )
         return
     if stands.state is State.RECOVERING:
