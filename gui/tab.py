@@ -128,8 +128,11 @@ class TabContext:
         """
         if not isinstance(failure, WavefocusError | OSError):
             raise failure
+        self.report(topic, error_text(failure))
+
+    def report(self, topic: str, sentence: str) -> None:
+        """Show why something is refused or failed, in place of an earlier sentence of the same topic."""
         self.settle(topic)
-        sentence = error_text(failure)
         if topic:
             self.troubles[topic] = sentence
         self.messages.fault(sentence)

@@ -58,7 +58,8 @@ class Window(QMainWindow):
         self.setCentralWidget(centre)
         for field in self.findChildren(PathField):
             field.changing.connect(self.messages.dismiss_old)
-            field.refused.connect(self.messages.fault)
+            field.refused.connect(partial(self.context.report, "file"))
+        self._pages.currentChanged.connect(lambda _index: self.context.settle("file"))
         self._recent = QMenu("Open &recent", self)
         self._make_menus()
         self._resize_text(settings.whole("text_pt", application.font().pointSize()) - application.font().pointSize())

@@ -170,8 +170,11 @@ def test_given_a_file_of_another_kind_then_it_is_refused_at_once_and_the_field_s
     assert window.messages.sentence == misplaced(path, wanted)
     assert str(path) in window.messages.sentence
     assert str(wanted) in window.messages.sentence
+    window._pages.setCurrentIndex((window._pages.currentIndex() + 1) % 4)
+    assert window.messages.sentence == ""  # the field is out of sight, and has its former file
     right = {FileKind.RUN: "run.toml", FileKind.RIG: "rig.toml", FileKind.BANK: "plate.h5"}.get(wanted)
     if right is not None:
+        type_path(fields[wanted], path)
         type_path(fields[wanted], finished.with_name(right))
         assert window.messages.sentence == ""  # it holds no longer
 
