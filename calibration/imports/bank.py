@@ -38,8 +38,8 @@ class Imported:
     """What an import made.
 
     facts: The report as the bank stores it: ``paragraph``, ``source``, ``format``, ``read``, ``assumed``, ``left_out``,
-        ``residual_db``, ``unsuited`` (interpolations that are refused, and why) and ``caution`` (a warning of every
-        render, or empty).
+        ``warnings``, ``residual_db``, ``unsuited`` (interpolations that are refused, and why) and ``caution`` (a
+        warning of every render, or empty).
     shape: Positions, actuators, taps.
     measured: Positions that hold responses.
     """
@@ -87,7 +87,11 @@ def import_bank(
                 taps=taps,
                 band_hz=conversion.band_hz,
                 position_mm=projection.on_surface_mm(measured.position_m),
-                actuator_mm=projection.on_surface_mm(measured.actuator_m),
+                actuator_mm=np.where(
+                    projection.near_surface(measured.actuator_m, measured.position_m)[:, None],
+                    projection.on_surface_mm(measured.actuator_m),
+                    np.nan,
+                ),
                 rig_json="",
                 run_json="",
                 plan_sha256=hashlib.sha256(report.encode()).hexdigest(),
@@ -194,6 +198,13 @@ def _facts(
         left_out.append(f"{count - rows} positions that hold no response")
     if unknown:
         left_out.append(f"places of {unknown} actuators, which are not known")
+    warnings = [*conversion.warnings]
+    if far := np.flatnonzero(~projection.near_surface(measured.actuator_m, measured.position_m)).tolist():
+        warnings.append(
+            f"{len(far)} actuators lie off the surface of the positions (the first is {far[0]}); a bank holds places on"
+            " the surface only, so theirs are left out"
+        )
+        left_out.append(f"places of {len(far)} actuators, which lie off the surface of the positions")
     unsuited = {}
     if not projection.is_flat:
         unsuited = dict.fromkeys(("kernel", "bilinear"), NOT_A_SURFACE)
@@ -209,6 +220,8 @@ def _facts(
         paragraph += f" Assumed: {'; '.join(assumed)}."
     if left_out:
         paragraph += f" Left out: {'; '.join(left_out)}."
+    if warnings:
+        paragraph += f" Warnings: {'; '.join(warnings)}."
     if unsuited:
         paragraph += f" Interpolation {', '.join(unsuited)} is refused: {next(iter(unsuited.values()))}."
     return {
@@ -218,6 +231,7 @@ def _facts(
         "read": read,
         "assumed": assumed,
         "left_out": left_out,
+        "warnings": warnings,
         "residual_db": conversion.residual_db,
         "off_plane_mm": projection.off_plane_m * 1e3,
         "unsuited": unsuited,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +22,9 @@ RIDGE = 1e-6
 """Penalty on a tap's energy relative to that of a bin, as in the estimators."""
 MOST_DENSE_TAPS = 4096
 """FIRs up to this length are solved for with a matrix, of 128 MiB."""
+EARLY, LATE = 1e-2, 10**-2.5
+"""Energy before zero, and in the last tenth of a period, relative to all of it, from which on frequency responses are
+not those of a causal system that dies away."""
 _MIRRORED = 1e-3
 """Asymmetry of a spectrum, relative to its largest value, up to which its upper half mirrors the lower one."""
 
@@ -179,6 +183,80 @@ class CausalConverter:
 
     def _left(self, values: ComplexArray, green: Float64Array) -> Float64Array:
         return _energy(np.abs(values - scipy.fft.rfft(green, self._period)[:, self._bins]))
+
+
+class TimeOfEnergy:
+    """Where in a period the energy of frequency responses lies: after zero, before it, or all over.
+
+    The frequencies are weighted by a cosine-squared (Hann) window, so that a response of a limited band does not ring
+    beyond `guard` samples around its true time. Sums are kept for each actuator.
+
+    bins, int64 (bins,): Frequencies in steps, ascending.
+    period: Samples of a period.
+    """
+
+    def __init__(self, bins: NDArray[np.int64], period: int) -> None:
+        self._bins, self._period = bins, period
+        low, high = int(bins[0]), int(bins[-1])
+        is_low_pass = low <= 1  # the window reaches over the negative frequencies, too
+        middle, half_width = (0.0, high) if is_low_pass else ((low + high) / 2, (high - low) / 2)
+        self._window = np.cos(np.pi / 2 * (bins - middle) / (half_width + 1)) ** 2
+        self._guard = math.ceil(period / half_width)  # half the width of the window's main lobe in time
+        self._energy: Float64Array | None = None
+
+    def add(self, values: ComplexArray) -> None:
+        """Add responses (actuators, bins)."""
+        ring = np.zeros((len(values), self._period // 2 + 1), np.complex128)
+        ring[:, self._bins] = values * self._window
+        energy = np.square(scipy.fft.irfft(ring, self._period))
+        self._energy = energy if self._energy is None else self._energy + energy
+
+    def words(self) -> tuple[list[str], list[str]]:
+        """Sentences about the energy, and warnings by name; none where the band is too narrow to tell."""
+        period, guard = self._period, self._guard
+        if self._energy is None or 8 * guard > period:
+            return [], []
+        actuators = np.flatnonzero(self._energy.any(axis=1))
+        if not len(actuators):
+            return [], []
+        energy = self._energy[actuators]
+        whole = energy.sum(axis=1)
+        half, quarter = period // 2, period // 4
+        middle = energy[:, half : half + quarter].sum(axis=1)
+        before = energy[:, period - quarter : period - guard].sum(axis=1)
+        last = energy[:, period - guard - period // 10 : period - guard].sum(axis=1)
+        level = [10 * math.log10(max(float(one.sum() / whole.sum()), 1e-16)) for one in (last, before)]
+        said = [f"energy in the last tenth of the period {level[0]:.1f} dB, before zero {level[1]:.1f} dB"]
+        early = (before > EARLY * whole) & (before > 2 * middle)
+        backwards = np.array([self._rises(one) for one in energy])
+        warnings = []
+        for found, share, where, words in (
+            (early & backwards, before, "before zero", "conjugated (of the time convention exp(-i omega t)) or"
+             " reversed in time; conjugate them"),
+            (early & ~backwards, before, "before zero", "leading: they begin before zero, as where the response was"
+             " recorded earlier than the drive; delay them by the lead"),
+            (~early & (last > LATE * whole), last, "in the last tenth of the period", "aliased in time: they do not die"
+             " away within a period, or are noisy; measure at a finer step of frequency"),
+        ):  # fmt: skip
+            if found.any():
+                which = "" if found.all() else (
+                    f" of {int(found.sum())} of {len(found)} actuators (the first is {actuators[np.argmax(found)]})"
+                )  # fmt: skip
+                share_db = 10 * math.log10(float(share[found].sum() / whole[found].sum()))
+                warnings.append(
+                    f"the frequency responses{which} look {words} ({share_db:.1f} dB of their energy {where})"
+                )
+        return said, warnings
+
+    def _rises(self, energy: Float64Array) -> bool:
+        """Whether the energy (period,) grows slowly and ends at once, as no response to an impulse does."""
+        guard, quarter = self._guard, self._period // 4
+        near = np.convolve(np.concatenate([energy, energy[: 2 * guard]]), np.ones(2 * guard + 1), "valid")
+        peak = (int(np.argmax(near)) + guard) % self._period
+        around = np.roll(energy, self._period // 2 - peak)
+        middle = self._period // 2
+        rise, fall = around[middle - quarter : middle - guard].sum(), around[middle + guard : middle + quarter].sum()
+        return bool(rise > 2 * fall)
 
 
 def end_window(taps: int, kind: str) -> Float64Array:

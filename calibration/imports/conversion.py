@@ -12,7 +12,13 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from wavefocus.calibration.imports.causal_response import CausalConverter, Motion, end_window, frequency_axis
+from wavefocus.calibration.imports.causal_response import (
+    CausalConverter,
+    Motion,
+    TimeOfEnergy,
+    end_window,
+    frequency_axis,
+)
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.reading.measured import ImportOptions, Measured, pair_of, require_honest
 from wavefocus.storage.units import MOTIONS, split_unit
@@ -26,6 +32,7 @@ class Conversion:
     def __init__(self, measured: Measured, options: ImportOptions, source: Path) -> None:
         self._source, self._options = source, options
         self.said: list[str] = []
+        self._energy: TimeOfEnergy | None = None
         self.assumed: list[str] = []
         self._count = measured.shape[1]
         self._measured = np.ones(measured.shape[0], bool) if measured.status is None else measured.status != 0
@@ -106,6 +113,7 @@ class Conversion:
             raise InputError(f"{self._source}: fewer than two frequencies lie in the band; name another with --band")
         self._take = lambda row: axis.one_sided(row)[:, used]
         bins = bins[used]
+        self._energy = TimeOfEnergy(bins, period)
         self.band_hz = (float(bins[0] * step), min(float(bins[-1] * step), self.rate_hz / 2))
         complete = len(bins) == period // 2 + 1
         self._fit(bins, period, period if complete else period // 2, motion)
@@ -207,6 +215,8 @@ class Conversion:
         if self._converter is not None:
             values = self._take(row)
             self._require_finite(values, position)
+            if self._energy is not None:
+                self._energy.add(values)
             green, share = self._converter.convert(values)
             residual_db = 10 * np.log10(np.maximum(share, 1e-30))
         else:
@@ -239,9 +249,14 @@ class Conversion:
             return 10 * math.log10(max(left / whole, 1e-16)) if whole > 0 else None
         return 10 * math.log10(self._cut / self._whole) if self._cut > 0 else None
 
+    @property
+    def warnings(self) -> list[str]:
+        """Warnings about frequency responses that are not causal, once all rows are converted."""
+        return [] if self._energy is None else self._energy.words()[1]
+
     def ending(self) -> list[str]:
         """Sentences about what the FIRs leave out, once all rows are converted."""
-        said = []
+        said = [] if self._energy is None else self._energy.words()[0]
         residual_db = self.residual_db
         if self._converter is not None:
             level = (

@@ -13,6 +13,8 @@ Float64Array = NDArray[np.float64]
 
 FLAT = 1e-2
 """Largest distance from a plane, relative to the extent of the places, that still counts as flat."""
+NEAR = 5e-2
+"""Largest height of an actuator over the positions' plane, relative to the extent of all, whose foot is its place."""
 _NAMES = "xyz"
 
 
@@ -34,6 +36,16 @@ class Projection:
     def on_surface_mm(self, places_m: Float64Array) -> Float64Array:
         """Places (n, 3) in metres on the surface, (n, 2) in millimetres."""
         return places_m @ self.axes.T * 1e3
+
+    def near_surface(self, places_m: Float64Array, position_m: Float64Array) -> NDArray[np.bool_]:
+        """Whether places (n, 3) lie so near to the surface of the positions that `on_surface_mm` says where; bool (n,).
+
+        That is within `NEAR` of the extent of all of them, as on the back of a plate. NaN counts as near.
+        """
+        everywhere = np.vstack([position_m, places_m[np.isfinite(places_m).all(axis=1)]])
+        extent = float(np.linalg.norm(np.ptp(everywhere, axis=0)))
+        height = np.abs((places_m - position_m.mean(axis=0)) @ np.cross(*self.axes))
+        return np.asarray(~(height > max(NEAR * extent, self.off_plane_m, 1e-9)))
 
 
 def choose_projection(places_m: Float64Array, columns: str) -> Projection:

@@ -142,7 +142,8 @@ def import_bank(
     Returns
     -------
     Bank
-        Open for reading. ``import_report`` is a JSON text: what was read, assumed and left out.
+        Open for reading. ``import_report`` is a JSON text: what was read, assumed and left out, and warnings, which
+        also go to the logger ``wavefocus``.
 
     Raises
     ------
@@ -179,7 +180,9 @@ def import_bank(
         to_velocity=to_velocity,
         end=end,
     )
-    write_bank(Path(source), Path(bank), kind, options, force=force, on_progress=on_progress)
+    made = write_bank(Path(source), Path(bank), kind, options, force=force, on_progress=on_progress)
+    for warning in made.facts["warnings"]:
+        LOG.warning("%s: %s", source, warning)
     return open_bank(bank)
 
 

@@ -24,8 +24,8 @@ def import_bank(
         made = write_bank(source, bank, kind, options, force=force, on_progress=report)
     positions, actuators, taps = made.shape
     say(f"{bank}: {made.measured} of {positions} positions, {actuators} actuators, {taps} taps")
-    if made.facts["caution"]:
-        say(f"warning: {made.facts['caution']}")
+    for warning in filter(None, (*made.facts["warnings"], made.facts["caution"])):
+        say(f"warning: {warning}")
     if as_json:
         figures = {"bank": str(bank), "positions": positions, "measured": made.measured, "actuators": actuators,
                    "taps": taps, **made.facts}  # fmt: skip

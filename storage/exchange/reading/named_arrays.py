@@ -79,7 +79,7 @@ def measured_arrays(file: NamedArrays, options: ImportOptions) -> Measured:
     values = ordered(whole, path, options)
     count, actuators, samples = values.shape
     is_complex = values.dtype.kind == "c"
-    position_m, actuator_m = (_places(numbers, role) for role in ("position", "actuator"))
+    position_m, actuator_m = (_places(path, numbers, role) for role in ("position", "actuator"))
     if options.places is not None or position_m is None:
         position_m, actuator_m = table_of(options, path, count, actuators)
     if actuator_m is None:
@@ -161,11 +161,13 @@ def frequencies_of(options: ImportOptions, path: Path, samples: int) -> Float64A
 
         found = real(mapped_array(file), file, "frequencies").reshape(-1)
     else:
-        words = read_text(file).replace(",", " ").replace(";", " ").split()
+        content = read_text(file)
+        if ";" in content or "\t" in content:  # commas are decimal ones
+            content = content.replace(",", ".").replace(";", " ")
         try:
-            found = np.array([float(word) for word in words])
+            found = np.array([float(word) for word in content.replace(",", " ").split()])
         except ValueError:
-            raise InputError(f"{file}: --frequencies needs numbers alone, in Hz") from None
+            raise InputError(f"{file}: --frequencies needs only numbers, in Hz") from None
     if len(found) != samples:
         raise InputError(
             f"{file}: holds {len(found)} frequencies and {path} responses at {samples}; as many are needed"
@@ -190,15 +192,23 @@ def _mapping(names: Iterable[str]) -> dict[str, str]:
     return theirs
 
 
-def _places(numbers: Callable[[str], Float64Array | None], role: str) -> Float64Array | None:
+def _places(path: Path, numbers: Callable[[str], Float64Array | None], role: str) -> Float64Array | None:
+    """Places in metres; where they are there in several units, all must agree."""
+    named: dict[str, Float64Array] = {}
     for unit, metres in METRES.items():
         found = numbers(f"{role}_{unit}")
         if found is not None:
             places = np.atleast_2d(found)
             if places.ndim != 2 or places.shape[1] not in (2, 3):
-                raise InputError(f"{role}_{unit} has shape {found.shape}; ({role}, 2 or 3) is needed")
-            return with_z(places * metres)
-    return None
+                raise InputError(f"{path}: {role}_{unit} has shape {found.shape}; ({role}, 2 or 3) is needed")
+            named[f"{role}_{unit}"] = with_z(places * metres)
+    if not named:
+        return None
+    first = next(iter(named.values()))
+    for places in named.values():
+        if places.shape != first.shape or not np.allclose(places, first, rtol=1e-6, atol=1e-9, equal_nan=True):
+            raise InputError(f"{path}: {' and '.join(named)} are different places; leave one out")
+    return first
 
 
 def _axis(
@@ -211,8 +221,9 @@ def _axis(
 ) -> tuple[float | None, Float64Array | None, float]:
     """Sample rate, frequencies and time of the first sample."""
     rate = numbers("sample_rate_hz")
-    rate_hz = options.sample_rate_hz or (float(rate.reshape(-1)[0]) if rate is not None and rate.size else None)
+    rate_hz = float(rate.reshape(-1)[0]) if rate is not None and rate.size else None
     if is_complex:
+        rate_hz = options.sample_rate_hz or rate_hz
         found = numbers("frequency_hz")
         if found is None or options.frequencies:
             found = frequencies_of(options, path, samples)
@@ -225,7 +236,13 @@ def _axis(
     if time_s is not None and time_s.size == samples and samples > 1:
         step = uniform_step(time_s.reshape(-1), path, "time_s", "s")
         start_s = float(time_s.reshape(-1)[0])
+        if rate_hz and abs(rate_hz * step - 1.0) > 1e-3:
+            raise InputError(
+                f"{path}: sample_rate_hz is {rate_hz:.9g}, and time_s has {1.0 / step:.9g} samples a second; they must"
+                " agree"
+            )
         rate_hz = rate_hz or 1.0 / step
+    rate_hz = rate_hz or options.sample_rate_hz
     if rate_hz is None or not (np.isfinite(rate_hz) and rate_hz > 0):
         raise InputError(f"{path} does not say its sample rate; name it with --sample-rate-hz")
     return rate_hz, None, start_s

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from wavefocus.storage.exchange.reading.measured import (
 from wavefocus.storage.text_file import read_text
 
 _SPHERICAL = ("azimuth_deg", "elevation_deg")
+_SEPARATOR = re.compile(r"\ufeff?sep=([,;\t])\s*")
 WANTED = "x_mm,y_mm[,z_mm] (or _m, _um, _in), or azimuth_deg,elevation_deg,radius_m"
 
 
@@ -46,30 +48,42 @@ def read_places(path: Path, options: ImportOptions) -> list[Place]:
     """Read a table with a header line, its columns apart by commas, semicolons or tabs.
 
     Coordinates are columns named `WANTED`; ``x``, ``y``, ``z`` are in --length-unit. Column ``role`` is ``position``
-    (or empty) or ``actuator``.
+    (or empty) or ``actuator``. Where semicolons or tabs are between the columns, numbers may have decimal commas, and
+    the first line may name the separator (``sep=;``), as spreadsheets write it.
 
-    Raises InputError: no such columns, a coordinate that is no number, a role that is neither.
+    Raises InputError: no such columns, or several that contradict each other, a line with more cells than the header,
+    a coordinate that is not a number, a role that is neither.
     """
     content = read_text(path).splitlines()
-    first = content[0] if content else ""
-    lines = csv.reader(content, delimiter=max(",;\t", key=first.count))  # as spreadsheets of several countries write it
+    skipped = 0
+    if content and (named := _SEPARATOR.fullmatch(content[0])):
+        skipped, delimiter = 1, named[1]
+    else:
+        first = content[0] if content else ""
+        delimiter = max(",;\t", key=first.count)  # as spreadsheets of several countries write it
+    lines = csv.reader(content[skipped:], delimiter=delimiter)
     try:
         header = [name.strip().lower() for name in next(lines, [])]
-        axes, metres = _columns(header, path, options)
+        number_of = _Numbers(path, has_decimal_commas=delimiter != ",")
+        columns = _columns(header, path, options)
         places = []
-        for number, cells in enumerate(lines, start=2):
+        for number, cells in enumerate(lines, start=2 + skipped):
             if not any(cell.strip() for cell in cells):
                 continue
+            if any(cell.strip() for cell in cells[len(header) :]):
+                raise InputError(
+                    f"{path}: line {number}: has {len(cells)} cells and the header {len(header)}; decimal commas need"
+                    " semicolons between the cells"
+                )
             words = {name: cell.strip() for name, cell in zip(header, cells, strict=False)}
-            found = np.array([_number(words.get(name, ""), path, number, name) if name else 0.0 for name in axes])
-            found = from_spherical((found * [1, 1, metres])[None])[0] if axes[0] in _SPHERICAL else found * metres
+            found = _place(columns, words, number_of, number)
             if words.get("role", "") not in ("", "position", "actuator"):
                 raise InputError(f"{path}: line {number}: role is {words['role']!r}; position or actuator is needed")
             for name, word in words.items():
                 require_plain(word, path, f"line {number}: {name}")
             places.append(Place(found, words, number))
     except csv.Error as error:
-        raise InputError(f"{path}: is no CSV table ({error})") from None
+        raise InputError(f"{path}: is not a CSV table ({error})") from None
     if not any(not place.is_actuator for place in places):
         raise InputError(f"{path}: holds no position; one line each is needed, with the columns {WANTED}")
     for place in places:
@@ -105,25 +119,74 @@ def table_of(options: ImportOptions, path: Path, count: int, actuators: int) -> 
     return position_m, actuator_m if len(actuator_m) else np.full((actuators, 3), np.nan)
 
 
-def _columns(header: list[str], path: Path, options: ImportOptions) -> tuple[tuple[str, ...], float]:
-    """Names of the three columns of coordinates, empty for one that is 0, and metres of a unit of length."""
+@dataclass(frozen=True, slots=True)
+class _Columns:
+    """Columns of coordinates.
+
+    named: Of each coordinate, its columns and the size of their units: in metres, or 1 for angles in degrees. Of
+        several columns all must agree. None: the coordinate is 0.
+    """
+
+    named: tuple[list[tuple[str, float]], ...]
+    is_spherical: bool
+
+
+def _columns(header: list[str], path: Path, options: ImportOptions) -> _Columns:
     if len(set(header)) < len(header):
         raise InputError(f"{path}: its header names a column twice; each may be there once")
-    for unit, metres in METRES.items():
-        if f"x_{unit}" in header and f"y_{unit}" in header:
-            return (f"x_{unit}", f"y_{unit}", f"z_{unit}" if f"z_{unit}" in header else ""), metres
-        if {*_SPHERICAL, f"radius_{unit}"} <= set(header):
-            return (*_SPHERICAL, f"radius_{unit}"), metres
+    named = {
+        axis: [(f"{axis}_{unit}", metres) for unit, metres in METRES.items() if f"{axis}_{unit}" in header]
+        for axis in ("x", "y", "z", "radius")
+    }
+    if named["x"] and named["y"]:
+        return _Columns((named["x"], named["y"], named["z"]), is_spherical=False)
+    if {*_SPHERICAL} <= set(header) and named["radius"]:
+        return _Columns((*([(name, 1.0)] for name in _SPHERICAL), named["radius"]), is_spherical=True)
     if {"x", "y"} <= set(header):
-        return ("x", "y", "z" if "z" in header else ""), length_unit(options, path)
+        metres = length_unit(options, path)
+        third = named["z"] or ([("z", metres)] if "z" in header else [])
+        return _Columns(([("x", metres)], [("y", metres)], third), is_spherical=False)
     raise InputError(f"{path}: its header is {','.join(header)[:200]!r}; columns {WANTED} are needed")
 
 
-def _number(text: str, path: Path, line: int, name: str) -> float:
-    try:
-        value = float(text) if text else np.nan
-    except ValueError:
-        value = np.inf
-    if np.isinf(value):
-        raise InputError(f"{path}: line {line}: {name} is {text[:40]!r}; a number is needed")
-    return value
+def _place(columns: _Columns, words: dict[str, str], number_of: _Numbers, line: int) -> Float64Array:
+    """Coordinates of a line in metres, (3,)."""
+    found = np.zeros(3)
+    for axis, named in enumerate(columns.named):
+        values = [number_of(words.get(name, ""), line, name) * size for name, size in named]
+        known = [value for value in values if not np.isnan(value)]
+        if known and max(known) - min(known) > 1e-6 * max(map(abs, known)) + 1e-9:
+            raise InputError(
+                f"{number_of.path}: line {line}: {' and '.join(name for name, _ in named)} are different places; leave"
+                " one of the columns out"
+            )
+        found[axis] = known[0] if known else np.nan if named else 0.0
+    return from_spherical(found[None])[0] if columns.is_spherical else found
+
+
+class _Numbers:
+    """Reads numbers of a table: with a decimal point, or a decimal comma where that is not between the cells."""
+
+    def __init__(self, path: Path, *, has_decimal_commas: bool) -> None:
+        self.path, self._may_have_commas = path, has_decimal_commas
+        self._marks = dict[str, int]()
+
+    def __call__(self, text: str, line: int, name: str) -> float:
+        """The number of a cell, NaN of an empty one."""
+        written = text
+        if mark := next((mark for mark in ",." if mark in text), ""):
+            if mark == "," and self._may_have_commas and text.count(",") == 1 and "." not in text:
+                written = text.replace(",", ".")
+            self._marks.setdefault(mark, line)
+        try:
+            value = float(written) if written else np.nan
+        except ValueError:
+            value = np.inf
+        if np.isinf(value) or "_" in text:
+            raise InputError(f"{self.path}: line {line}: {name} is {text[:40]!r}; a number is needed")
+        if len(self._marks) > 1:
+            raise InputError(
+                f"{self.path}: has decimal points (line {self._marks['.']}) and decimal commas (line"
+                f" {self._marks[',']}); write all numbers in one way"
+            )
+        return value
