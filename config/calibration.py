@@ -121,7 +121,7 @@ def load_calibration(path: Path) -> CalibrationRecord:
 
     Raises InputError: anything in the file is wrong, or it is of another format or version.
     """
-    data = read_toml(path)
+    data = read_toml(path, "calibration")
     if data.get("format") == FORMAT and data.get("format_version") != FORMAT_VERSION:
         version = shown(data.get("format_version"))
         raise InputError(f"{path}: format_version = {version}: must be {FORMAT_VERSION}; a newer wavefocus wrote it")

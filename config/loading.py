@@ -16,6 +16,7 @@ from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from wavefocus.config.file_kinds import hdf5_kind, other_kind
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.text_file import read_text
 
@@ -28,16 +29,24 @@ _PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
 _DEEP_KEY = re.compile(rf"(?m)(?:^|[\[{{,])[ \t]*+(?:{_PART}[ \t]*+\.[ \t]*+){{{MAX_KEY_PARTS}}}")
 
 
-def read_toml(path: Path) -> dict[str, Any]:
+def read_toml(path: Path, wanted: str = "TOML") -> dict[str, Any]:
     """Read a TOML file into plain tables.
+
+    wanted: Kind of file that is needed, for the message where a bank or the like is named in its place.
 
     Raises InputError: the file cannot be read or is not TOML; the message names the line.
     """
+    return parse_toml(read_toml_text(path, wanted), str(path))
+
+
+def read_toml_text(path: Path, wanted: str = "TOML") -> str:
+    """Read the text of a TOML file. Raises InputError: the file cannot be read, or is a bank or the like."""
+    if kind := hdf5_kind(path):
+        raise InputError(printable(f"{path}: this is a {kind}; a {wanted} file is needed"))
     try:
-        text = read_text(path)
+        return read_text(path)
     except InputError as error:
         raise InputError(printable(str(error))) from None
-    return parse_toml(text, str(path))
 
 
 def parse_toml(text: str, source: str) -> dict[str, Any]:
@@ -61,6 +70,8 @@ def validated(model: type[Model], data: object, source: str) -> Model:
 
     Raises InputError: one line with the first few mistakes.
     """
+    if wrong := other_kind(model.__name__, data):
+        raise InputError(printable(f"{source}: {wrong}"))
     try:
         return model.model_validate(data)
     except ValidationError as failure:

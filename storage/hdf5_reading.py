@@ -69,7 +69,10 @@ def opened(path: Path, *, cache_bytes: int = 1 << 20) -> Iterator[h5py.File]:
     except PermissionError as error:
         raise InputError(f"{path} may not be read: {error.strerror}") from error
     except (OSError, RuntimeError, KeyError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} {hdf5_complaint(error)}") from error
+        complaint = hdf5_complaint(error)
+        if path.suffix.lower() == ".toml":
+            complaint = "is a TOML file; an HDF5 file, such as a bank, is needed"
+        raise InputError(f"{path} {complaint}") from error
 
 
 @contextlib.contextmanager

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
-from wavefocus.config.loading import naming_key, parse_toml, printable, shown, validated
+from wavefocus.config.loading import naming_key, parse_toml, printable, read_toml_text, shown, validated
 from wavefocus.config.trials import Factor, TrialsConfig
 from wavefocus.rendering.scene.model import Scene, Source, build_path, build_signal
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.text_file import read_text
 
 MOST_STIMULI = 1000
 MOST_TRIALS = 10_000
@@ -101,10 +100,7 @@ def load_trials(path: str | Path) -> TrialsDesign:
     and what is allowed.
     """
     file = Path(path)
-    try:
-        text = read_text(file)
-    except InputError as error:
-        raise InputError(printable(str(error))) from None
+    text = read_toml_text(file, "trials")
     config = validated(TrialsConfig, parse_toml(text, str(file)), str(file))
     stimuli: dict[str, Stimulus] = {}
     design = TrialsDesign(file, config, hashlib.sha256(text.encode()).hexdigest(), stimuli)

@@ -131,7 +131,7 @@ def load_scene(path: str | Path, *, allow_large: bool = False) -> Scene:
     1.0
     """
     file = Path(path)
-    return build_scene(validated(SceneConfig, read_toml(file), str(file)), file, allow_large=allow_large)
+    return build_scene(validated(SceneConfig, read_toml(file, "scene"), str(file)), file, allow_large=allow_large)
 
 
 def read_scene(text: str, path: Path, *, allow_large: bool = False) -> Scene:

@@ -7,6 +7,7 @@ A command is a row of `COMMANDS`. Its arguments are passed by their names in Pyt
 from __future__ import annotations
 
 import argparse
+import difflib
 import math
 import os
 import re
@@ -581,6 +582,33 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         raise UsageError(f"{message} ({self.prog} --help shows what there is)")
 
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Name the nearest command or choice in place of all."""
+        if action.choices is None or value in action.choices:
+            return
+        known = [str(one) for one in action.choices]
+        what = f"{value!r} is not a command" if action.dest == "command" else f"{value!r} is not allowed"
+        guess = nearest(str(value), known)
+        if action.dest == "command":
+            raise UsageError(f"{what}{guess or '; wavefocus --help lists all'}")
+        raise argparse.ArgumentError(action, f"{what}{guess or '; allowed: ' + ', '.join(known)}")
+
+    def refuse(self, extra: Sequence[str], command: str) -> NoReturn:
+        """Refuse what is left over of a command line, with the option that may have been meant."""
+        under = next(one.choices[command] for one in self._actions if isinstance(one, argparse._SubParsersAction))
+        known = [name for one in under._actions for name in one.option_strings]
+        option = next((one for one in extra if one.startswith("-")), extra[0])
+        guess = nearest(option.partition("=")[0], known) if option.startswith("-") else ""
+        raise UsageError(f"{command}: {option} is not known{guess} (wavefocus {command} --help shows what there is)")
+
+
+def nearest(word: str, known: Sequence[str]) -> str:
+    """``; did you mean ...?`` with the nearest of some words; empty where none is near."""
+    found = difflib.get_close_matches(word.lower(), known, n=1, cutoff=0.6)
+    begun = [one for one in known if len(word) > 1 and one.startswith(word.lower())]
+    guesses = found or begun[:1]
+    return f"; did you mean {guesses[0]}?" if guesses else ""
+
 
 class _Version(argparse.Action):
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
@@ -590,7 +618,7 @@ class _Version(argparse.Action):
         parser.exit()
 
 
-def parser(commands: Sequence[Command] = COMMANDS) -> argparse.ArgumentParser:
+def parser(commands: Sequence[Command] = COMMANDS) -> _Parser:
     """The parser of the command line."""
     whole = _Parser(prog="wavefocus", description=DESCRIPTION)
     whole.add_argument("--version", action=_Version, nargs=0, default=argparse.SUPPRESS, help="Print the version.")
@@ -614,7 +642,11 @@ def run_command(arguments: Sequence[str]) -> int:
 
     Returns the exit code. Raises UsageError: the command line is wrong.
     """
-    given = vars(parser(COMMANDS).parse_args(arguments))
+    whole = parser(COMMANDS)
+    parsed, extra = whole.parse_known_args(arguments)
+    given = vars(parsed)
+    if extra:
+        whole.refuse(extra, given["command"])
     del given["traceback"]
     if (most_gib := given.pop("most_gib")) is not None:
         os.environ["WAVEFOCUS_MOST_GIB"] = str(most_gib)  # for the processes that it starts, too

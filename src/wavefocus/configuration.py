@@ -46,7 +46,7 @@ def load_run(path: Path) -> Configuration:
 
     Raises InputError: anything in the files is wrong, alone or against each other.
     """
-    data = read_toml(path)
+    data = read_toml(path, "run")
     if "settled" in data:
         raise InputError(
             f"{path}: settled: comes from the trial before a staggered campaign and stands in its bank alone"
@@ -92,7 +92,7 @@ def load_rig(path: Path) -> RigConfig:
 
     Raises InputError: anything in the file is wrong.
     """
-    data = read_toml(path)
+    data = read_toml(path, "rig")
     care = data.get("calibration")
     if isinstance(care, dict):
         if "measured" in care:

@@ -1,0 +1,90 @@
+"""A file of the wrong kind, and a mistyped command: named at once, with what is meant."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from wavefocus.__main__ import run
+from wavefocus.cli import COMMANDS, UsageError, nearest, run_command
+from wavefocus.config.calibration import load_calibration
+from wavefocus.configuration import load_rig, load_run
+from wavefocus.rendering.scene.model import load_scene
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.errors import InputError
+from wavefocus.trials.design import load_trials
+
+LOADS = {"run": load_run, "rig": load_rig, "scene": load_scene, "trials": load_trials, "calibration": load_calibration}
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What `wavefocus init` writes, a calibration, and HDF5 files of other kinds."""
+    folder = tmp_path_factory.mktemp("files") / "lab"
+    assert run(["init", str(folder)]) == 0
+    (folder / "calibration.toml").write_text('format = "wavefocus-calibration"\nformat_version = 1\n')
+    for kind in ("bank", "drive", "raw", "field"):
+        with h5py.File(folder / f"{kind}.h5", "w") as file:
+            file.attrs["format"] = f"wavefocus-{kind}"
+            file["green" if kind == "bank" else "values"] = np.ones((1, 1, 4))
+    return folder
+
+
+@pytest.mark.parametrize("wanted", LOADS)
+@pytest.mark.parametrize("found", LOADS)
+def test_given_another_kind_of_toml_file_then_both_kinds_are_named(lab: Path, wanted: str, found: str) -> None:
+    if wanted == found:
+        return
+    with pytest.raises(InputError, match=rf"{found}\.toml: this is a {found} file; a {wanted} file is needed"):
+        LOADS[wanted](lab / f"{found}.toml")
+
+
+@pytest.mark.parametrize("wanted", LOADS)
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [("bank", "bank"), ("drive", "drive file"), ("raw", "file of raw recordings"), ("field", "field file")],
+)
+def test_given_an_hdf5_file_in_place_of_a_toml_file_then_both_kinds_are_named(
+    lab: Path, wanted: str, name: str, found: str
+) -> None:
+    with pytest.raises(InputError, match=rf"{name}\.h5: this is a {found}; a {wanted} file is needed"):
+        LOADS[wanted](lab / f"{name}.h5")
+
+
+def test_given_a_toml_file_in_place_of_a_bank_then_a_bank_is_asked_for(lab: Path) -> None:
+    with pytest.raises(InputError, match=r"run\.toml is a TOML file; .*bank, is needed"):
+        open_bank(lab / "run.toml")
+
+
+def test_given_a_run_file_with_a_key_of_a_rig_then_the_key_is_named(lab: Path, tmp_path: Path) -> None:
+    (tmp_path / "run.toml").write_text("[grid]\nspacing_mm = 4.0\n[sweep]\nstop_hz = 400.0\n[mirror]\nsettle_s = 1.0\n")
+    with pytest.raises(InputError, match=r"mirror = .*unknown key"):
+        load_run(tmp_path / "run.toml")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "meant"),
+    [
+        (["captrue", "run.toml"], "capture"),
+        (["Capture", "run.toml"], "capture"),
+        (["verfy"], "verify"),
+        (["exprot"], "export"),
+        (["pubish"], "publish"),
+        (["cap"], "capture"),
+        (["plan", "run.toml", "--scnee", "a.toml"], "--scene"),
+        (["plan", "run.toml", "--josn"], "--json"),
+        (["render", "s.toml", "--bank", "b.h5", "--out", "o.h5", "--Force"], "--force"),
+        (["export", "b.h5", "o", "--to", "nectdf"], "netcdf"),
+    ],
+)
+def test_given_a_mistyped_word_then_the_nearest_is_named(arguments: list[str], meant: str) -> None:
+    with pytest.raises(UsageError, match=f"did you mean {meant}\\?"):
+        run_command(arguments)
+
+
+def test_given_a_word_that_is_near_to_none_then_none_is_named() -> None:
+    assert nearest("xyzzy", [one.name for one in COMMANDS]) == ""
+    assert run(["xyzzy"]) == 2
