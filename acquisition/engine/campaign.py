@@ -26,6 +26,7 @@ from wavefocus.acquisition.attempt import (
     next_attempt,
 )
 from wavefocus.acquisition.conditions import Conditions
+from wavefocus.acquisition.crosstalk_watch import CrosstalkWatch, judgement_of
 from wavefocus.acquisition.drift_watch import DriftError, DriftWatch
 from wavefocus.acquisition.engine.recovery import Recovery, Suspension
 from wavefocus.acquisition.engine.report import CampaignReport
@@ -35,7 +36,15 @@ from wavefocus.acquisition.plan import Plan
 from wavefocus.acquisition.plays import measuring_of
 from wavefocus.acquisition.setup import Setup, names_of
 from wavefocus.calibration.blas import one_blas_thread
-from wavefocus.config.messages.campaign import PositionStarted, RecordTaken, SessionEnded, State, Subscriber
+from wavefocus.calibration.crosstalk import Crosstalk
+from wavefocus.config.messages.campaign import (
+    CrosstalkMeasured,
+    PositionStarted,
+    RecordTaken,
+    SessionEnded,
+    State,
+    Subscriber,
+)
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import Recording
 from wavefocus.storage.bank.writer import BankWriter
@@ -81,6 +90,7 @@ class Campaign:
         conditions = Conditions(setup.watch, setup, plan.excitation)
         self._suspension = Suspension(setup, session, conditions, records, recovery)
         self._neighbours = NeighbourWatch(plan, bank)
+        self._crosstalk = CrosstalkWatch(plan, setup, bank)
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="estimate")
         self._queue: deque[Attempt] = deque()
         self._covered = plan.order
@@ -132,6 +142,11 @@ class Campaign:
             raise
         return self._report.end(state, reason)
 
+    @property
+    def crosstalk(self) -> Crosstalk | None:
+        """The leak that the latest positions of this session show; None where they show none."""
+        return self._crosstalk.found
+
     # -- steps --------------------------------------------------------------------------------
 
     def _walk(self) -> None:
@@ -152,6 +167,8 @@ class Campaign:
             return self._collect
         if queue and queue[0].of_session > 1:
             return self._measure
+        if not queue and self._crosstalk.due:
+            return self._look_for_crosstalk
         if not queue and not self._judged and np.all(self._bank.status[self._covered]):
             return self._mark
         if state is State.STOPPING or self._pass_is_futile() or not (queue or self._due_again()):
@@ -161,18 +178,22 @@ class Campaign:
         if not self._compared:
             return self._compare_sentinel
         if queue:
-            return self._drift.check_again if self._drift.due else self._measure
+            return self._check_again if self._drift.due else self._measure
         return self._begin_pass
 
     def _pass_is_futile(self) -> bool:
-        """Whether the latest positions of the pass have all stayed as they were."""
+        """Whether the latest positions of the pass have all stayed as they were, or a leak makes all of them poor."""
+        if self._passing and self._crosstalk.found is not None:
+            return True
         if not (self._passing and self._queue):
             return False
         before = self._queue[0].number - 1
         return is_futile(self._covered, self._bank.status, self._bank.attempts, before)
 
     def _due_again(self) -> list[Attempt]:
-        """The next pass, if there is one; the bank holds the number of each attempt."""
+        """The next pass, if there is one; the bank holds the number of each attempt. While the loopback leaks, none."""
+        if self._crosstalk.found is not None:
+            return []
         return attempts_again(self._covered, self._bank.status, self._bank.attempts, self._setup, self._plan.quality)
 
     def _measure(self) -> None:
@@ -187,6 +208,29 @@ class Campaign:
         self._suspension.pause()
         if self._compared:
             self._drift.check_again()
+
+    def _check_again(self) -> None:
+        """Look at the sentinel and at what was measured since."""
+        self._look_for_crosstalk()
+        self._drift.check_again()
+
+    def _look_for_crosstalk(self) -> None:
+        """Measure how much of the loopback leaks; no Ctrl-C lands in the worker, which marks what has it."""
+        found, marked = self._worker.submit(self._crosstalk.look).result()
+        if found is not None:
+            self._session.publish(
+                CrosstalkMeasured,
+                found.level_db,
+                found.delay_s,
+                found.share,
+                found.sigmas,
+                found.is_named,
+                found.actuators,
+                marked,
+                judgement_of(found).reason if found.is_named else "",
+            )
+            for position in marked:
+                self._report.marked(position, judgement_of(found))
 
     def _compare_sentinel(self) -> None:
         """Before this session measures anything, see whether it is still the plate that the bank holds."""
@@ -256,6 +300,7 @@ class Campaign:
         )
         if not is_final(recorded.attempt, result.judgement, limits):
             return result
+        result = self._crosstalk.judged(result)
         best = result if earlier is None else min((result, earlier), key=lambda one: one.rank)
         return commit_attempt(self._bank, best, recorded.attempt.number, self._raw, count_anyway=self._passing)
 
@@ -276,6 +321,7 @@ class Campaign:
             self._best.pop(attempt.position, None)
             if result.committed:
                 self._drift.committed(attempt.position)
+                self._crosstalk.committed(attempt.position)
             self._report.position_done(result, len(self._queue), recording=self._recording)
             self._count_failures(result)
             return

@@ -229,6 +229,25 @@ class Drift(Event):
 
 
 @dataclass(frozen=True, slots=True)
+class CrosstalkMeasured(Event):
+    """How much of the loopback voltage leaks into the response input, by the latest positions.
+
+    `level_db` is re the loopback, `share` in V per V and `sigmas` in standard errors of it. `named` says that it is
+    large and sure enough; then the `marked` positions became poor, `reason` says what to do, and what follows is poor
+    as long as it lasts. `actuators` are those whose rows show it, where not all do.
+    """
+
+    level_db: float
+    delay_s: float
+    share: float
+    sigmas: float
+    named: bool
+    actuators: tuple[int, ...] = ()
+    marked: tuple[int, ...] = ()
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class ConditionsSeen(Event):
     """Values of the watched conditions while the campaign is suspended; `back` says whether all are back."""
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from wavefocus.acquisition.wording import hours
 from wavefocus.config.messages.campaign import (
     ConditionsSeen,
+    CrosstalkMeasured,
     Drift,
     Event,
     Fault,
@@ -131,6 +132,10 @@ def _sentence(event: Event) -> tuple[Weight, str]:
                 return Weight.NOTE, f"{attempt} succeeded"
             then = "" if event.next_try_s is None else f"; next attempt in {hours(event.next_try_s)}"
             return Weight.WARNING, f"{attempt} failed: {event.outcome}{then}"
+        case CrosstalkMeasured():
+            if event.named:
+                return Weight.FAULT, event.reason
+            return Weight.NOTE, f"no crosstalk: {event.level_db:.0f} dB re the loopback"
         case Drift():
             weight = {"steady": Weight.NOTE, "warn": Weight.WARNING}.get(event.verdict, Weight.FAULT)
             return weight, (

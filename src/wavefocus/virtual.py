@@ -17,10 +17,10 @@ from wavefocus.acquisition.plays import measuring_of
 from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.campaign.blueprint import blueprint_of
-from wavefocus.campaign.sidecar_files import EventLog, log_path
+from wavefocus.campaign.sidecar_files import EventLog, drift_path, log_path
 from wavefocus.commands.capture import opened_raw, with_bank
 from wavefocus.config.loading import validated
-from wavefocus.config.messages.campaign import Event, Progress, State
+from wavefocus.config.messages.campaign import CrosstalkMeasured, Drift, Event, Progress, State
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import RunConfig
 from wavefocus.configuration import Configuration, configuration_of
@@ -173,8 +173,9 @@ class VirtualBench:
             BankWriter.open(path, plan_sha256=blueprint.plan.sha256) as writer,
             opened_raw(blueprint, self._setup, writer) as raw,
             EventLog(log_path(path)) as log,
+            EventLog(drift_path(path), Drift, CrosstalkMeasured) as drift,
         ):
-            publish = EventPublisher({"the event log": log, "on_progress": show})
+            publish = EventPublisher({"the event log": log, "the drift history": drift, "on_progress": show})
             for event in earlier:
                 publish(event)
             campaign = Campaign(blueprint.plan, self._setup, writer, publish, StopRequest(), raw=raw)

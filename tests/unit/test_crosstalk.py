@@ -5,20 +5,31 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from wavefocus.acquisition.crosstalk_watch import CrosstalkWatch
+from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.check import check_bank
 from wavefocus.calibration.crosstalk import Crosstalk, crosstalk_of_record, crosstalk_of_rows
+from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.campaign.blueprint import blueprint_of
+from wavefocus.campaign.sidecar_files import last_events, read_crosstalk
+from wavefocus.config.messages.campaign import CrosstalkMeasured
 from wavefocus.drivers.protocols import RecordRequest, Take
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
+from wavefocus.storage.bank.layout import BankHeader
+from wavefocus.storage.bank.ledger import PointRecord
 from wavefocus.storage.bank.reading import Bank
+from wavefocus.storage.bank.writer import BankWriter, create_bank
+from wavefocus.storage.point_status import Status
 from wavefocus.virtual import virtual_rig
 
 RATE_HZ = 10_000.0
 PER_VOLT = 0.125
-NO_SENTINEL = {"every_positions": 10_000}
+RUN = {"capture": {"averages": 1}, "quality": {"remeasure_pass": 0}, "drift": {"every_positions": 10_000}}
 QUIET = VirtualSettings(
     noise_v=0.0, reference_noise_v=0.0, clock_ppm=0.0, inter_channel_delay_s=0.0, dropout_probability=0.0,
     lost_signal_v=0.0,
@@ -78,8 +89,7 @@ def banks(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, float], Ba
     @cache
     def measured(plate: str, share: float) -> Bank:
         keys = {**PLATES[plate], "crosstalk": share}
-        run = {"virtual": keys, "capture": {"averages": 1}, "quality": {"remeasure_pass": 0}, "drift": NO_SENTINEL}
-        rig = virtual_rig(actuators=4, spacing_mm=24.0, run=run)
+        rig = virtual_rig(actuators=4, spacing_mm=24.0, run={**RUN, "virtual": keys})
         return rig.measure(tmp_path_factory.mktemp("bank") / "plate.h5")
 
     return measured
@@ -107,6 +117,52 @@ def test_rows_without_a_leak_name_none(banks: Callable[[str, float], Bank], plat
     found = found_in(banks(plate, 0.0))
     assert found is not None
     assert not found.is_named
+
+
+def test_campaign_marks_all_positions_of_a_leak_as_poor_and_keeps_its_level(
+    banks: Callable[[str, float], Bank],
+) -> None:
+    bank = banks("gel", 1e-4)
+    assert set(bank.status.tolist()) == {int(Status.POOR_SIGNAL)}
+    leak = read_crosstalk(bank.path)
+    assert leak is not None
+    assert leak.level_db == pytest.approx(-80.0, abs=1.5)
+    assert len(leak.marked) >= bank.positions - 2  # speckle has made the others poor
+
+
+def test_campaign_without_a_leak_stays_valid_and_says_that_it_looked(banks: Callable[[str, float], Bank]) -> None:
+    bank = banks("gel", 0.0)
+    assert np.count_nonzero(bank.status == Status.VALID) >= bank.positions - 2
+    looked = [one.event for one in last_events(bank.path) if isinstance(one.event, CrosstalkMeasured)]
+    assert [one.named for one in looked] == [False]
+    assert read_crosstalk(bank.path) is None
+
+
+def test_leak_that_begins_in_mid_campaign_marks_the_latest_positions_and_judges_the_next_while_it_lasts(
+    banks: Callable[[str, float], Bank], tmp_path: Path
+) -> None:
+    clean, leaking = banks("gel", 0.0), banks("gel", 1e-4)
+    half = clean.positions
+    places = np.concatenate([clean.position_mm, clean.position_mm + 0.5])
+    plan = blueprint_of(virtual_rig(actuators=4, position_mm=places, run=RUN).configuration).plan
+    instruments = VirtualRig().instruments
+    setup = Setup(instruments, MirrorMap.straight(1000.0), (0, 1, 2, 3), 4, (10.0, 10.0), PER_VOLT)
+    unknown, path = np.full((4, 2), np.nan), tmp_path / "plate.h5"
+    create_bank(path, BankHeader(RATE_HZ, clean.taps, (20.0, 500.0), places, unknown, "{}", "{}", "ab" * 32, "test"))
+    figures = np.ones(4, np.float32)
+    with BankWriter.open(path) as bank:
+        watch = CrosstalkWatch(plan, setup, bank)
+        seen = []
+        for source, first in ((clean, 0), (leaking, half), (clean, 0)):
+            for position in range(half):
+                row = np.asarray(source.green(position), np.float32)
+                bank.commit(first + position, row, PointRecord(1, 1, figures, figures, figures, figures))
+                watch.committed(first + position)
+            found, marked = watch.look()
+            seen.append((found is not None and found.is_named, watch.found is not None, marked[-half:]))
+    assert seen[0] == (False, False, ())
+    assert seen[1] == (True, True, tuple(range(half, 2 * half)))
+    assert seen[2][:2] == (False, False)
 
 
 def test_check_calls_a_bank_with_a_leak_wrong_and_one_without_it_right(banks: Callable[[str, float], Bank]) -> None:

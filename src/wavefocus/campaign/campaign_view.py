@@ -7,6 +7,7 @@ import math
 from wavefocus.acquisition.wording import a_while, hours, row_ranges
 from wavefocus.config.messages.campaign import (
     ConditionsSeen,
+    CrosstalkMeasured,
     Drift,
     Event,
     Fault,
@@ -82,6 +83,9 @@ class CampaignView:
                     f"delay {event.delay_samples:+.3f} samples, correlation {event.correlation:.5f}: "
                     f"{event.verdict}{f' ({event.cause})' if event.cause else ''}"
                 )
+            case CrosstalkMeasured() if event.named and event.marked:
+                rows_text = row_ranges(event.marked)
+                say(f"{event.reason}; positions {rows_text} are poor, and so are the next while it lasts")
             case SessionEnded():
                 counts = ", ".join(f"{count} {word}" for word, count in event.counts.items() if count)
                 say(

@@ -18,6 +18,7 @@ from types import TracebackType
 from wavefocus.acquisition.limits import DriftPoint
 from wavefocus.acquisition.wording import row_ranges
 from wavefocus.config.messages.campaign import (
+    CrosstalkMeasured,
     Event,
     Fault,
     Logged,
@@ -117,14 +118,14 @@ class EventLog:
     campaign.
     """
 
-    def __init__(self, path: Path, kind: type[Event] = Event) -> None:
+    def __init__(self, path: Path, *kinds: type[Event]) -> None:
         # Unbuffered: every line reaches the operating system, and closing has nothing left to fail on.
-        self._file, self._kind = Log(path), kind
+        self._file, self._kinds = Log(path), kinds or (Event,)
         self._lines = EventLines(self._file.write, str(path))
 
     def __call__(self, event: Event) -> None:
         """Write one event."""
-        if isinstance(event, self._kind):
+        if isinstance(event, self._kinds):
             self._lines(event)
 
     def __enter__(self) -> EventLog:
@@ -184,6 +185,15 @@ def read_drift(bank: Path) -> list[DriftPoint]:
         with suppress(ValueError, TypeError, RecursionError):
             points.append(from_record(DriftPoint, json.loads(line)))
     return points
+
+
+def read_crosstalk(bank: Path) -> CrosstalkMeasured | None:
+    """The leak of the loopback that was measured last, where it is to be named; it stands in the drift history."""
+    for line in reversed(drift_path(bank).read_bytes().splitlines() if drift_path(bank).is_file() else ()):
+        logged = read_event(line)
+        if logged is not None and isinstance(logged.event, CrosstalkMeasured):
+            return logged.event if logged.event.named else None
+    return None
 
 
 def suspect_rows(points: list[DriftPoint]) -> str:

@@ -14,6 +14,7 @@ from wavefocus.acquisition.engine.session import EventPublisher, StopRequest
 from wavefocus.acquisition.plays import raw_header, require_same, without_recordings
 from wavefocus.acquisition.setup import Setup
 from wavefocus.acquisition.wording import row_ranges
+from wavefocus.calibration.crosstalk import REMEDY
 from wavefocus.campaign.blueprint import (
     Blueprint,
     blueprint_from_bank,
@@ -34,6 +35,7 @@ from wavefocus.campaign.sidecar_files import (
 )
 from wavefocus.campaign.supervision import Attendance, resume_line
 from wavefocus.config.messages.campaign import (
+    CrosstalkMeasured,
     Drift,
     Event,
     State,
@@ -201,7 +203,7 @@ def _session(
         open_setup(blueprint.configuration.rig, blueprint.configuration.run) as setup,
         opened_raw(blueprint, setup, writer) as raw,
         EventLog(log_path(bank)) as log,
-        EventLog(drift_path(bank), Drift) as drift,
+        EventLog(drift_path(bank), Drift, CrosstalkMeasured) as drift,
         progress("capture", plan.positions, timed=False) as report,
     ):
         subscribers: dict[str, Subscriber] = {
@@ -224,21 +226,21 @@ def _session(
         if raw is not None and rows is None and (bare := without_recordings(writer.status, raw)):
             say(f"{raw.path} lacks the recordings of {len(bare)} measured position(s): measured again")
             rows = [*plan.to_do(writer.status).tolist(), *bare]
-        ended = Campaign(plan, setup, writer, publish, stop, raw=raw).run(
-            rows, accept_drift=options.accept_drift, replaceable=replaceable
-        )
+        campaign = Campaign(plan, setup, writer, publish, stop, raw=raw)
+        ended = campaign.run(rows, accept_drift=options.accept_drift, replaceable=replaceable)
         if ended.state is State.STOPPED:
             say(f"nothing measured is lost; go on with: {resume_line(bank, rig_file)}")
             # From in here, so that an instrument that cannot be put to rest is reported and does not hide the stop.
             raise KeyboardInterrupt
         if writer.renamed:
             say(f"warning: {bank} was renamed while it was measured; it has its name again, next to the other")
-        bad = not_valid(writer.status)
+        bad, leak = not_valid(writer.status), campaign.crosstalk
     if bad:
         rows_text = row_ranges(bad)
         say(
             f"{len(bad)} of {plan.positions} positions are not valid: {rows_text}; {log_path(bank)} says why; measure "
             f"them again with: {resume_line(bank, rig_file, word='remeasure')}"
+            + (f" once the crosstalk is gone ({leak}): {REMEDY}" if leak else "")
         )
     return Exit.DONE
 

@@ -19,6 +19,7 @@ from wavefocus.campaign.sidecar_files import (
     drift_path,
     instant,
     last_events,
+    read_crosstalk,
     read_drift,
     suspect_rows,
 )
@@ -77,7 +78,7 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
     owner, beat, drift = bank_owner(bank), read_heartbeat(bank), read_drift(bank)
     pace = _pace(bank) if owner else _Pace()
     progress = pace.progress
-    kept = _kept(bank)
+    kept, leak = _kept(bank), read_crosstalk(bank)
     stands = campaign_state(last_events(bank)) if owner else CampaignState(State.IDLE)
     if stands.state is State.IDLE and owner is not None and beat is not None and beat.pid == owner.pid:
         # The log is the quicker of the two, but a full disk may have ended it.
@@ -108,6 +109,7 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
         "last_event_at": next((instant(logged.at) for logged in last_events(bank)), None),
         "suspect_positions": suspect_rows(drift),
         "moved_positions": moved,
+        "crosstalk": None if leak is None else to_record(leak),
         "kept_positions": [{"position": position, "reason": reason} for position, reason in kept.items()],
         "plan_sha256": plan_sha256,
         "import_report": imported or None,
@@ -137,6 +139,8 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
             f"the sentinel position had changed after positions {suspect} were measured: put it right, then "
             f"wavefocus remeasure {bank} --positions {suspect}"
         )
+    if leak is not None:
+        answer(leak.reason)
     if owner is None:
         if beat is not None and beat.state not in ("finished", "idle"):
             # The heartbeat of a process that was killed keeps its last state.
