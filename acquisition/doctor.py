@@ -414,12 +414,15 @@ def measured_crosstalk(setup: Setup, recording: Recording, sample_rate_hz: float
     )
 
 
-def measure_crosstalk(setup: Setup, place_mm: Sequence[float], amplitude_v: float, sample_rate_hz: float) -> Finding:
-    """Play on the loopback alone, the beam on a place where light comes back; raises InstrumentError."""
+def crosstalk_alone(setup: Setup, place_mm: Sequence[float], amplitude_v: float, sample_rate_hz: float) -> Crosstalk:
+    """Measure the leak: play on the loopback alone, the beam on a place where light comes back.
+
+    Raises InstrumentError: of the instrument that failed.
+    """
     point_at(setup, float(place_mm[0]), float(place_mm[1]))
     signals_v = setup.signals_v(_sweep(amplitude_v, sample_rate_hz).signal_v())
-    recording = take_record(setup, signals_v, sample_rate_hz, Take(0, 1, 1, "calibration"))
-    return crosstalk_finding(measured_crosstalk(setup, recording, sample_rate_hz))
+    recording = take_record(setup, signals_v, sample_rate_hz, Take(0, 0, 0, "crosstalk"))
+    return measured_crosstalk(setup, recording, sample_rate_hz)
 
 
 def crosstalk_finding(found: Crosstalk) -> Finding:

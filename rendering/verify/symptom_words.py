@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from wavefocus.calibration.crosstalk import REMEDY
 from wavefocus.rendering.number_text import number
 from wavefocus.rendering.verify.results import Symptom, SymptomCode
 
@@ -73,10 +74,7 @@ _REMEDIES: Mapping[SymptomCode, str] = {
         " measure a new bank."
     ),
     "nonlinear": "Play quieter (limit_v or amplitude in the scene), and check amplifier, coils and vibrometer range.",
-    "crosstalk": (
-        "Separate the cables of loopback and vibrometer, leave an unused input between their channels, or lower the"
-        " loopback's voltage; then measure a new bank."
-    ),
+    "crosstalk": f"{REMEDY[0].upper()}{REMEDY[1:]}; then measure again what was measured with it.",
     "wrong_bank": "Name the bank that was measured on this surface with these actuators, or measure a new one.",
 }
 

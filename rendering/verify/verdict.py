@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from wavefocus.acquisition.limits import DriftLimits
-from wavefocus.rendering.arrays import BoolArray
+from wavefocus.calibration.crosstalk import Crosstalk
+from wavefocus.rendering.arrays import BoolArray, Float64Array
 from wavefocus.rendering.field import metrics
 from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusTable, focus_table, median_or_none
 from wavefocus.rendering.number_text import number, precise
 from wavefocus.rendering.verify.comparison import FieldComparison, compare_fields
+from wavefocus.rendering.verify.leak import crosstalk_symptom, with_crosstalk
 from wavefocus.rendering.verify.linearity import linearity_figures
 from wavefocus.rendering.verify.record import finite
 from wavefocus.rendering.verify.results import (
@@ -186,6 +188,8 @@ def compare(
     quiet: Scan | None = None,
     sentinel: Sentinel | None = None,
     drift_limits: DriftLimits | None = None,
+    leak: Crosstalk | None = None,
+    marker_v: Float64Array | None = None,
 ) -> Verification:
     """Compare a predicted with a measured field.
 
@@ -195,6 +199,8 @@ def compare(
 
     quiet: A scan of `wavefocus.rendering.verify.linearity.quieter`, at some of the positions, for the linearity.
     sentinel: The bank's sentinel position, measured again at the time of the scan; `drift_limits` judge it.
+    leak: Crosstalk that was measured by itself; `marker_v` (samples,) is what the loopback played in the scan, None
+        where the leak is in the bank alone.
 
     Raises InputError: the fields do not belong together, or no position can be compared.
     """
@@ -218,6 +224,9 @@ def compare(
         else ()
     )
     diagnosis = diagnose(fields, bank, sentinel, error_limit=limits.normalised_error, model_error=model_error)
+    if leak is not None and leak.is_named:
+        symptoms = with_crosstalk(diagnosis.symptoms, crosstalk_symptom(leak, fields, marker_v))
+        diagnosis = replace(diagnosis, symptoms=symptoms)
     drift = None if sentinel is None else drift_of(sentinel, bank, drift_limits or DriftLimits())
     figures = (
         *checks, *linear[:1], *_unlimited(fields, focus, noise_error), *linear[1:],

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +21,8 @@ from wavefocus.campaign.sidecar_files import last_events, read_crosstalk
 from wavefocus.config.messages.campaign import CrosstalkMeasured
 from wavefocus.drivers.protocols import RecordRequest, Take
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
+from wavefocus.rendering.verify.leak import crosstalk_symptom, with_crosstalk
+from wavefocus.rendering.verify.results import CERTAIN_SHARE, Symptom
 from wavefocus.storage.bank.layout import BankHeader
 from wavefocus.storage.bank.ledger import PointRecord
 from wavefocus.storage.bank.reading import Bank
@@ -193,3 +196,27 @@ def test_rows_of_actuators_at_unknown_places_are_not_judged() -> None:
     places = np.zeros((100, 2))
     rows = np.ones((100, 4, 1000))
     assert crosstalk_of_rows(rows, places, np.full((4, 2), np.nan), RATE_HZ, (20.0, 500.0), 1.0) is None
+
+
+@pytest.mark.parametrize(("noise", "certain"), [(1e-4, True), (1.0, False)])
+def test_leak_is_a_certain_symptom_only_where_it_explains_enough_of_the_excess(noise: float, certain: bool) -> None:
+    draw = np.random.default_rng(5)
+    hertz, positions = np.linspace(40.0, 400.0, 60), 20
+    marker_v = draw.standard_normal(2000)
+    leak = 1e-3 * np.exp(-2j * np.pi * np.outer(hertz, np.arange(2000) / RATE_HZ + 2e-4)) @ marker_v
+    predicted = draw.standard_normal((positions, 60)) + 0j
+    scanned = predicted + leak + noise * draw.standard_normal((positions, 60))
+    spectra = SimpleNamespace(
+        frequency_hz=hertz,
+        drive=draw.standard_normal((4, 60)) + 0j,
+        predicted=predicted,
+        scanned=scanned,
+        noise=np.full(positions, np.nan),
+    )
+    fields = SimpleNamespace(spectra=spectra, sample_rate_hz=RATE_HZ)
+    symptom = crosstalk_symptom(Crosstalk(1e-3, 2e-4, 1e-6), fields, marker_v)
+    assert (symptom.code, symptom.certain, symptom.delay_s) == ("crosstalk", certain, 2e-4)
+    assert symptom.value == pytest.approx(-60.0)
+    assert (symptom.explained >= CERTAIN_SHARE) is certain
+    guess = Symptom("unexplained", explained=0.0, certain=False)
+    assert with_crosstalk((guess,), symptom) == ((symptom,) if certain else (guess, symptom))

@@ -16,9 +16,11 @@ from types import TracebackType
 
 import numpy as np
 
+from wavefocus.acquisition.doctor import crosstalk_alone
 from wavefocus.acquisition.limits import DriftLimits
 from wavefocus.acquisition.setup import Setup
 from wavefocus.acquisition.wording import hours
+from wavefocus.calibration.crosstalk import Crosstalk, crosstalk_of_bank
 from wavefocus.campaign.blueprint import bank_configuration, blueprint_of
 from wavefocus.campaign.campaign_view import CampaignView
 from wavefocus.campaign.sidecar_files import EventLines, read_drift
@@ -29,9 +31,11 @@ from wavefocus.config.messages.rig_checks import VerifyEnded, VerifyStarted, Ver
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import Configuration, named_rig, plan_sha256, with_rig
 from wavefocus.console import Report, progress, say
+from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.ending import ended_by_file, ending_at_once
 from wavefocus.exits import Exit, exit_code, sentence
 from wavefocus.input_files import input_files, parse_positions
+from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.field.metrics import grid_spacing_mm
 from wavefocus.rendering.field.prediction import predict as predict_field
 from wavefocus.rendering.number_text import percent
@@ -59,16 +63,17 @@ from wavefocus.rendering.verify.record import (
 )
 from wavefocus.rendering.verify.results import Figure, Sentinel
 from wavefocus.rendering.verify.scan import Scan, ScanPlan, scan
+from wavefocus.rendering.verify.scan_signals import marker_v
 from wavefocus.rendering.verify.sentinel import drift_sentence, measure_sentinel
 from wavefocus.rendering.verify.verdict import Tolerances, Verification, compare
-from wavefocus.rig.limits import check_drive
+from wavefocus.rig.limits import check_drive, safe_amplitude_v
 from wavefocus.rig.setup import open_setup
 from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.drive_file import Drive, write_drive
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import Field, write_field
 from wavefocus.storage.output_files import require_output_folder, staged_folder
-from wavefocus.storage.point_status import median_snr_db
+from wavefocus.storage.point_status import median_snr_db, usable
 from wavefocus.storage.scan_journal import ScanJournal
 from wavefocus.storage.sidecar_files import create
 from wavefocus.storage.units import quantity
@@ -173,7 +178,7 @@ class _Work:
         with self._step("predict", bank.positions if rows is None else len(rows)) as report:
             prediction = predict_field(drive, bank, rows, dtype=np.float32, on_progress=report)
         write_field(out / PREDICTION_NAME, prediction)
-        measured, quiet, sentinel, scan_s = self._scanned(drive, prediction)
+        measured, quiet, sentinel, leak, marker, scan_s = self._scanned(drive, prediction)
         write_field(out / SCAN_NAME, measured.as_field())
         outline_mm = self.rig.surface.outline.line(OUTLINE_POINTS)
         with self._step("compare and report", 3) as report:
@@ -187,6 +192,8 @@ class _Work:
                 quiet=quiet,
                 sentinel=sentinel,
                 drift_limits=drift_limits,
+                leak=leak,
+                marker_v=marker,
             )
             names = {"scene_file": str(self.scene_file), "bank": str(bank.path), "rig": rig_name}
             if earlier is not None:
@@ -221,7 +228,9 @@ class _Work:
             report(3, 3)
         return verification
 
-    def _scanned(self, drive: Drive, prediction: Field) -> tuple[Scan, Scan | None, Sentinel | None, float]:
+    def _scanned(
+        self, drive: Drive, prediction: Field
+    ) -> tuple[Scan, Scan | None, Sentinel | None, Crosstalk | None, Float64Array | None, float]:
         with open_setup(self.rig, self.configuration.run) as setup:
             sentinel = self._sentinel(setup) if self.sentinel else None
             started_s = setup.instruments.clock.now_s()
@@ -232,7 +241,27 @@ class _Work:
                 rows = linearity_rows(drive, measured.position_index)
                 some = ScanPlan(rows, purpose="linearity")
                 quiet = self._scan(some, setup, quieter(drive), self.journals / QUIET_JOURNAL_NAME)
-            return measured, quiet, sentinel, setup.instruments.clock.now_s() - started_s
+            took_s = setup.instruments.clock.now_s() - started_s
+            leak = self._leak(setup, prediction)
+            marker: Float64Array | None = marker_v(setup, measured.field.shape[1], drive.sample_rate_hz)
+        if leak is None or not leak.is_named:
+            with self._step("crosstalk in the bank", 1) as report:
+                leak, marker = crosstalk_of_bank(self.bank, np.flatnonzero(usable(self.bank.status))), None
+                report(1, 1)
+        return measured, quiet, sentinel, leak, marker, took_s
+
+    def _leak(self, setup: Setup, prediction: Field) -> Crosstalk | None:
+        """How much of the loopback leaks into the response input now; None where it cannot be measured."""
+        place_mm = self.bank.position_mm[int(prediction.position_index[0])]
+        try:
+            with self._step("crosstalk", 1) as report:
+                rate_hz = self.bank.sample_rate_hz
+                found = crosstalk_alone(setup, place_mm.tolist(), safe_amplitude_v(self.rig), rate_hz)
+                report(1, 1)
+        except TransientInstrumentError as failure:
+            say(f"warning: crosstalk is not measured: {failure}")
+            return None
+        return found
 
     def _scan(self, plan: ScanPlan, setup: Setup, drive: Drive, journal: Path) -> Scan:
         with self._journal(drive, journal) as kept, self._step(plan.purpose, len(plan.position)) as report:

@@ -36,7 +36,7 @@ from wavefocus.acquisition.calibrate_mirror import (
     output,
     read_fiducials,
 )
-from wavefocus.acquisition.doctor import measure_crosstalk
+from wavefocus.acquisition.doctor import crosstalk_alone, crosstalk_finding
 from wavefocus.acquisition.setup import Setup, identities_of, names_of
 from wavefocus.calibration.mirror_map import LEAST_MARKS, MirrorMap
 from wavefocus.config.calibration import (
@@ -315,7 +315,8 @@ class CalibrationSession:
 
     def _actuators(self, setup: Setup, operator: Operator) -> Setup:
         channels = self._rig.player.channels
-        leak = measure_crosstalk(setup, self._places[0], self._amplitude_v, self._request.sample_rate_hz)
+        rate_hz = self._request.sample_rate_hz
+        leak = crosstalk_finding(crosstalk_alone(setup, self._places[0], self._amplitude_v, rate_hz))
         operator.report(f"crosstalk: {leak.what}")
         if leak.verdict != "ok":
             self.problems.append(f"crosstalk: {leak.what}: {leak.remedy}")
