@@ -8,6 +8,7 @@ jumping to another row at every path point. Errors are relative L2 errors agains
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,15 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.benchmarks.harness import Findings, Mark, Point, Timing, measure, peak_mb, relative_error
+from wavefocus.benchmarks.merging_peer import bilinear_runs, decimated, predict_merged, render_merged, sampled_runs
 from wavefocus.benchmarks.render_precision import field_points, precision_points
 from wavefocus.benchmarks.render_workloads import (
     RATE_HZ,
     Workload,
     circle,
     convolve_and_overlap_add,
-    convolve_each,
-    convolve_positions,
-    convolve_together,
     field_drive,
     floor,
     modal_bank,
@@ -37,19 +36,18 @@ from wavefocus.rendering.field.bank_spectra import BankSpectra
 from wavefocus.rendering.field.prediction import Prediction, predict
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.scene.model import Scene
+from wavefocus.storage.drive_file import Drive
 
 TOLERANCE_DB = -60.0
 WAYS = {"ours, all bins": None, f"ours, to {TOLERANCE_DB:g} dB": TOLERANCE_DB}
 EXACT, LOOSE = WAYS
-PLAIN_SEGMENTS = 250
-TOGETHER = 8
-"""Segments that torchrir convolves at a time on a GPU; on a processor, too, that is faster than one by one."""
+MERGED = "merging peer: SciPy, float64"
 DIRECT_SAMPLES = 4000
-MARKS = {("path", EXACT): 40.0, ("path", LOOSE): 60.0, ("random rows", LOOSE): 30.0}
-"""Least speed over that of gpuRIR's method, by the kind of workload."""
+MARKS = {("path", EXACT): 1.0, ("path", LOOSE): 1.5, ("random rows", LOOSE): 1.5}
+"""Least speed over the merging peer's, by CPU time, by the kind of workload."""
 LOWER_HZ = 1250.0
 FEW = 30
-NAIVE_POSITIONS = 6
+SOME = 150
 MOST_MB = 600.0
 
 
@@ -65,25 +63,24 @@ def run(out: Path, *, quick: bool = False) -> Findings:
     points += measure_exponents(bank, repeats, 100 if quick else 1000)
     points += precision_points(quick=quick)
     points += field_points(bank, quick=quick)
-    notes = ["`times` is the peer's time, by the wall or the CPU, whichever is less, over ours; the peer comes first."]
-    return Findings(points, "the method that comes first, in float64", notes)
+    notes = [
+        "`times` is the peer's time, by the wall or the CPU, whichever is less, over ours; `CPU times` the ratio of",
+        "the CPU times. The peer comes first: NumPy and SciPy in float64, adjacent segments that use the same row",
+        "merged, one convolution per run, a drive transformed once. A field at another sample rate is held against",
+        "the peer at that rate.",
+    ]
+    return Findings(points, "convolution in float64", notes)
 
 
 def compare_drives(workload: Workload, repeats: int) -> list[Point]:
     """Time the drive by each method."""
     scene, bank = workload.scene, workload.bank
-    segments = len(workload.segments()[1])
-    some = min(PLAIN_SEGMENTS, segments)
-    peer, together, plain = (
-        "gpuRIR's method (convolve + overlap-add)",
-        f"the same, {TOGETHER} segments at once",
-        ("fftconvolve per segment and actuator"),
-    )
+    samples = len(workload.segments()[2])
+    gpurir = "gpuRIR's method: each segment convolved and overlap-added"
     found = measure(
         {
-            peer: lambda: convolve_and_overlap_add(workload),
-            together: lambda: convolve_together(workload, TOGETHER),
-            plain: lambda: convolve_each(workload, some),
+            MERGED: lambda: render_merged(bank, sampled_runs(workload), samples),
+            gpurir: lambda: convolve_and_overlap_add(workload),
             **{
                 way: partial(render_with_report, scene, bank, method="sampled", tolerance_db=tolerance_db)
                 for way, tolerance_db in WAYS.items()
@@ -92,29 +89,28 @@ def compare_drives(workload: Workload, repeats: int) -> list[Point]:
             "floor, float32": lambda: floor(workload, np.float32),
         },
         repeats,
-        once=(together, plain),
+        once=(gpurir,),
     )
-    reference = found[peer].result
-    found[plain] = found[plain].times(segments / some)
-    remarks = {
-        together: "timed once",
-        plain: "" if some == segments else f"timed on {some} of {segments} segments and scaled",
-    }
+    reference = found[gpurir].result
     points = []
     for method, timing in found.items():
-        point = Point(work=workload.name, method=method, timing=timing, remark=remarks.get(method, ""))
+        point = Point(work=workload.name, method=method, timing=timing)
         figures: dict[str, float] = {}
         marks: tuple[Mark, ...] = ()
         if method in WAYS:
             drive, report = timing.result
             speed = MARKS.get((workload.kind, method))
-            marks = () if speed is None else (Mark("times", speed),)
+            marks = () if speed is None else (Mark("cpu_times", speed),)
             if WAYS[method] is not None:
                 figures = {"bound_error": drive.omitted_bound, "single": report.single}
             point = Point(
                 work=workload.name, method=method, timing=timing, figures=figures, marks=marks,
                 error=relative_error(drive.drive_v, reference),
             )  # fmt: skip
+        elif method == MERGED:
+            point = replace(point, error=relative_error(timing.result, reference))
+        elif method == gpurir:
+            point = replace(point, remark="timed once; the truth")
         elif method.startswith("floor"):
             # Rows read and transformed, drives transformed back: no method does less.
             over = found[LOOSE if method.endswith("32") else EXACT].cpu_s / timing.cpu_s
@@ -122,7 +118,7 @@ def compare_drives(workload: Workload, repeats: int) -> list[Point]:
             point = Point(
                 work=workload.name, method=method, timing=timing, figures={"ours_over_floor": over}, marks=marks
             )
-        points.append(point.against(found[peer]))
+        points.append(point.against(found[MERGED]))
     return points
 
 
@@ -163,82 +159,88 @@ def measure_exponents(bank: GreenArray, repeats: int, points: int) -> list[Point
 
 
 def compare_exact(workload: Workload, repeats: int) -> list[Point]:
-    """Time the exact moving source, bilinear in space, against direct summation over its samples."""
+    """Time the exact moving source, bilinear in space, against the merging peer; its truth is direct summation."""
     name = f"exact moving source, bilinear, {workload.name}"
     samples = len(workload.segments()[2])
     some = min(DIRECT_SAMPLES, samples)
     scene = Scene(name, (workload.source,), output=Output(interpolation="bilinear"))
-    direct = "direct summation"
     found = measure(
-        {direct: lambda: sum_directly(workload, some)}
+        {MERGED: lambda: render_merged(workload.bank, bilinear_runs(workload, samples), samples)}
         | {
             way: partial(render_with_report, scene, workload.bank, method="exact", tolerance_db=tolerance_db)
             for way, tolerance_db in WAYS.items()
         },
         repeats,
-        once=(direct,),
     )
-    peer, truth = found[direct].times(samples / some), found[direct].result
-    remark = f"timed on {some} of {samples} samples and scaled"
-    points = [Point(work=name, method=direct, timing=peer, remark=remark)]
-    for way in WAYS:
-        ours = found[way].result[0]
+    truth = sum_directly(workload, some)
+    points = []
+    for method, timing in found.items():
+        drive_v = timing.result if method == MERGED else timing.result[0].drive_v
         # Earlier samples of the drive are complete: nothing emitted after sample s reaches array index s.
-        error = relative_error(ours.drive_v[:, :some], truth[:, :some])
-        marks = (Mark("times", 100.0),) if samples > 10 * some else ()
-        figures = {"bound_error": ours.omitted_bound}
-        points.append(Point(work=name, method=way, timing=found[way], error=error, figures=figures, marks=marks))
-    return [point.against(peer) for point in points]
+        error = relative_error(drive_v[:, :some], truth[:, :some])
+        marks = (Mark("cpu_times", 1.2),) if method in WAYS and samples > 10 * some else ()
+        figures = {} if method == MERGED else {"bound_error": timing.result[0].omitted_bound}
+        points.append(Point(work=name, method=method, timing=timing, error=error, figures=figures, marks=marks))
+    return [point.against(found[MERGED]) for point in points]
 
 
 def compare_fields(bank: GreenArray, repeats: int, seconds: float) -> list[Point]:
-    """Time the field of a drive at all positions, and at 30 of them: at the full rate, and at 1.25 kHz."""
+    """Time the field of a drive at all positions, and at 30 of them: at the full rate, and at 1.25 kHz.
+
+    Each is held against the merging peer at its own rate, whose rows have been decimated beforehand where ours have.
+    """
     drive = field_drive(bank, seconds)
     every = list(range(bank.positions))
     few = np.unique(np.linspace(0, bank.positions - 1, FEW).astype(int)).tolist()
-    some = every[:: bank.positions // NAIVE_POSITIONS][:NAIVE_POSITIONS]
+    some = every[:: max(1, bank.positions // SOME)]
+    factor = round(RATE_HZ / LOWER_HZ)
     at_full, at_low = "ours, float32, spectra kept", f"ours, at {LOWER_HZ:g} Hz, spectra kept"
+    merged_low = f"{MERGED}, at {LOWER_HZ:g} Hz"
     making = {
         at_full: partial(BankSpectra, bank, every),
         at_low: partial(BankSpectra, bank, every, rate_hz=LOWER_HZ),
     }
     made = measure(making, 1)
     kept = {way: timing.result for way, timing in made.items()}
-    once = ("ours, float64", "ours, float32")
     points = []
-    for positions, marks in ((every, {at_low: 400.0}), (few, {})):
+    for positions, marks in ((every, {at_low: 1.5}), (few, {})):
         few_positions = len(positions) <= FEW
-        naive = "fftconvolve per position and actuator"
+        by_peer = positions if few_positions else some
+        lower = [factor * decimated(bank.values[row], factor) for row in by_peer]
         found = measure(
             {
-                naive: lambda: convolve_positions(bank, drive.drive_v, some),
+                MERGED: partial(predict_merged, [bank.values[row] for row in by_peer], drive.drive_v),
+                merged_low: partial(_predict_decimated, lower, drive, factor),
                 "ours, float64": partial(_field, drive, bank, positions, dtype=np.float64),
                 "ours, float32": partial(_field, drive, bank, positions, dtype=np.float32),
                 **{way: partial(_field, drive, spectra, positions) for way, spectra in kept.items()},
             },
             3 * repeats if few_positions else repeats,
-            once=() if few_positions else once,
+            once=() if few_positions else ("ours, float64", "ours, float32"),
         )
-        reference = found[naive].result
-        peer = found[naive].times(len(positions) / len(some))
+        scale = len(positions) / len(by_peer)
+        peers = {rate: found[rate].times(scale) for rate in (MERGED, merged_low)}
+        reference = found[MERGED].result
         errors = {
-            "ours, float64": _field(drive, bank, some, dtype=np.float64),
-            "ours, float32": _field(drive, bank, some, dtype=np.float32),
-            at_full: _field(drive, kept[at_full], some),
+            "ours, float64": _field(drive, bank, by_peer, dtype=np.float64),
+            "ours, float32": _field(drive, bank, by_peer, dtype=np.float32),
+            at_full: _field(drive, kept[at_full], by_peer),
         }
         for way, timing in found.items():
             remark = "bank's spectra kept" if way in kept else "bank read and transformed each time"
-            if way == naive:
-                remark = f"timed on {len(some)} positions and scaled"
+            if way in peers and not few_positions:
+                remark = f"timed on {len(by_peer)} positions and scaled"
+            if way in (merged_low, at_low):
+                remark += f"; {LOWER_HZ:g} Hz, the others {RATE_HZ:g} Hz"
             points.append(
                 Point(
                     work=f"field of {seconds:g} s at {len(positions)} positions",
                     method=way,
-                    timing=peer if way == naive else timing,
+                    timing=peers.get(way, timing),
                     error=relative_error(errors[way], reference) if way in errors else None,
-                    marks=(Mark("times", marks[way]),) if way in marks else (),
+                    marks=(Mark("cpu_times", marks[way]),) if way in marks else (),
                     remark=remark,
-                ).against(peer)
+                ).against(peers[merged_low if way in (merged_low, at_low) else MERGED])
             )
     for way, timing in made.items():
         size_mb = kept[way].size_bytes / 1e6
@@ -255,6 +257,10 @@ def compare_fields(bank: GreenArray, repeats: int, seconds: float) -> list[Point
         )
     )
     return points
+
+
+def _predict_decimated(greens: list[NDArray[np.float64]], drive: Drive, factor: int) -> NDArray[np.float64]:
+    return predict_merged(greens, decimated(drive.drive_v, factor))
 
 
 def _field(drive: Any, bank: GreenArray | BankSpectra, positions: list[int], **options: Any) -> Any:

@@ -8,15 +8,16 @@ from typing import Any, Literal
 
 import numpy as np
 import scipy.special
+from numpy.typing import NDArray
 from scipy.signal import oaconvolve
 
 from wavefocus.benchmarks.harness import Point, measure, relative_error
+from wavefocus.benchmarks.merging_peer import bilinear_runs, predict_merged, render_merged, sampled_runs
 from wavefocus.benchmarks.render_workloads import (
     ACTUATORS,
     RATE_HZ,
     TAPS,
     Workload,
-    convolve_and_overlap_add,
     convolve_positions,
     field_drive,
     noise,
@@ -35,12 +36,14 @@ TOLERANCES_DB = (-20.0, -40.0, -60.0, -80.0)
 SAMPLED_TOLERANCE_DB = -60.0
 FEW_ROWS = 100
 WAVE_SPEED_MM_S = 5000.0
+MERGED = "merging peer: a drive transformed once"
 DIRECT = "direct summation of eq. (9), the reference"
 EXACT = "exact, all bins"
 LOOSE = "exact, left out by a proved bound"
 SAMPLED = "sampled path (the paper's)"
 SAMPLED_LOOSE = "sampled path, to -60 dB"
-PEER = "gpuRIR's method, nearest row"
+PEER = "merging peer, nearest row"
+PEER_EXACT = "merging peer, exact, bilinear"
 
 
 def smooth_bank(columns: int, rows: int) -> GreenArray:
@@ -67,7 +70,7 @@ def precision_points(*, quick: bool) -> list[Point]:
     """Measure all methods against direct summation of eq. (9).
 
     All of them take the bank at any place by bilinear interpolation, so that the error is that of the path's
-    sampling and of the parts left out alone; gpuRIR's method has the nearest row only.
+    sampling and of the parts left out only; the merging peer has the nearest row, and bilinear interpolation.
     """
     bank = smooth_bank(16, 16) if quick else smooth_bank(24, 24)
     seconds, repeats = (0.5, 1) if quick else (4.0, 3)
@@ -81,6 +84,9 @@ def precision_points(*, quick: bool) -> list[Point]:
         scene = Scene("precision", (load(step_mm).source,), output=Output(interpolation="bilinear"))
         return partial(render_with_report, scene, bank, method=method, tolerance_db=db)
 
+    def merged(workload: Workload) -> NDArray[np.float64]:
+        return render_merged(bank, sampled_runs(workload), len(workload.segments()[2]))
+
     work = f"one moving source, {seconds:g} s at {SPEED_MM_S / 10:g} cm/s"
     actions: list[tuple[str, dict[str, float], Callable[[], Any]]] = [
         (DIRECT, {}, lambda: sum_directly(load(0.1), samples)),
@@ -88,7 +94,8 @@ def precision_points(*, quick: bool) -> list[Point]:
         *((LOOSE, {"tolerance_db": db}, ours("exact", 0.1, db)) for db in TOLERANCES_DB),
         *((SAMPLED, {"step_mm": step}, ours("sampled", step)) for step in STEPS_MM),
         *((SAMPLED_LOOSE, {"step_mm": step}, ours("sampled", step, SAMPLED_TOLERANCE_DB)) for step in STEPS_MM),
-        *((PEER, {"step_mm": step}, partial(convolve_and_overlap_add, load(step))) for step in STEPS_MM),
+        (PEER_EXACT, {}, lambda: render_merged(bank, bilinear_runs(load(0.1), samples), samples)),
+        *((PEER, {"step_mm": step}, partial(merged, load(step))) for step in STEPS_MM),
     ]
     named = {str(number): action for number, (_, _, action) in enumerate(actions)}
     found = measure(named, repeats, once=("0",), memory=True)
@@ -118,6 +125,7 @@ def field_points(bank: GreenArray, *, quick: bool) -> list[Point]:
     ways: list[tuple[str, dict[str, float], Callable[[], Any]]] = [
         (truth_by, {}, lambda: convolve_positions(bank, drive.drive_v, rows)),
         (together, {}, lambda: np.stack([oaconvolve(drive.drive_v, bank.values[row], axes=1).sum(0) for row in rows])),
+        (MERGED, {}, lambda: predict_merged([bank.values[row] for row in rows], drive.drive_v)),
         ("ours, float64", {}, lambda: predict(drive, bank, rows).field),
         ("ours, float32", {}, lambda: predict(drive, bank, rows, dtype=np.float32).field),
     ]  # fmt: skip

@@ -118,41 +118,6 @@ def convolve_and_overlap_add(workload: Workload) -> Float64Array:
     return drive
 
 
-def convolve_together(workload: Workload, at_once: int) -> Float64Array:
-    """Render likewise, so many segments at a time; of one at a time it would make more steps than that one does."""
-    instants, rows, signal = workload.segments()
-    drive = np.zeros((ACTUATORS, len(signal) + TAPS - 1))
-    lengths = np.diff(instants)
-    size = scipy.fft.next_fast_len(int(lengths.max()) + TAPS - 1, real=True)
-    for first in range(0, len(rows), at_once):
-        some = rows[first : first + at_once].tolist()
-        segments = np.zeros((len(some), 1, int(lengths[first : first + at_once].max())))
-        greens = np.empty((len(some), ACTUATORS, TAPS))
-        for place, row in enumerate(some):
-            green, gain = normalised_green(workload.bank, row)
-            greens[place] = green[:, ::-1]
-            emitted = signal[instants[first + place] : instants[first + place + 1]]
-            segments[place, 0, : len(emitted)] = gain * emitted
-        spectra = scipy.fft.rfft(segments, size) * scipy.fft.rfft(greens, size, workers=2)
-        for place, made in enumerate(scipy.fft.irfft(spectra, size, workers=2), first):
-            length = int(lengths[place]) + TAPS - 1
-            drive[:, instants[place] : instants[place] + length] += made[:, :length]
-    return drive
-
-
-def convolve_each(workload: Workload, segments: int) -> Float64Array:
-    """Render with one call of fftconvolve per segment and actuator."""
-    instants, rows, signal = workload.segments()
-    drive = np.zeros((ACTUATORS, len(signal) + TAPS - 1))
-    for m, row in enumerate(rows[:segments].tolist()):
-        green, gain = normalised_green(workload.bank, row)
-        segment = gain * signal[instants[m] : instants[m + 1]]
-        for actuator in range(ACTUATORS):
-            part = scipy.signal.fftconvolve(segment, green[actuator, ::-1])
-            drive[actuator, instants[m] : instants[m] + len(part)] += part
-    return drive
-
-
 def floor(workload: Workload, dtype: type[np.float32] | type[np.float64] = np.float64) -> None:
     """Do what no method can do without: read and transform the rows, transform the drives back."""
     _, rows, signal = workload.segments()

@@ -1,7 +1,8 @@
 """The answers of an experiment: ``trials.csv``, one row per answer, and ``trials.json``, its facts and columns.
 
 A row is on the disk before its answer counts as stored. What a power cut left of a row that was not is cut off when the
-file is opened again; the rows before it stay as they are.
+file is opened again; the rows before it stay as they are. Line 1 names the columns: a file may have more than are known
+here, and lack those that have a default, in any order.
 """
 
 from __future__ import annotations
@@ -11,9 +12,9 @@ import io
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -27,6 +28,7 @@ from wavefocus.storage.text_file import read_text
 
 ANSWERS, FACTS = "trials.csv", "trials.json"
 FORMAT = "wavefocus-trials"
+FORMAT_VERSION = 1
 _LINE_END = "\r\n"  # RFC 4180
 _CODE = re.compile(r"[A-Za-z0-9-]{1,20}")
 _SHA256 = re.compile(r"[0-9a-f]{64}")
@@ -114,7 +116,14 @@ COLUMNS: Mapping[str, Mapping[str, Any]] = {
 }
 """Description of every column, in their order, with the keys of BIDS sidecar files."""
 
+DEFAULTS: Mapping[str, Any] = {
+    "track": "", "speed_mm_s": None, "plays": 1, "correct": None, "onset_error_ms": None, "replays": 0, "attempts": 1
+}  # fmt: skip
+"""Values of columns that a file may lack. A column that a later version adds has its default here."""
+
 _HEADER = ",".join(COLUMNS) + _LINE_END
+_SECTOR = 512  # bytes that a disk writes as a whole, at least
+_BYTE_ORDER_MARK = "\ufeff".encode()
 _TYPES = get_type_hints(Row)
 _NUMBERS = {"block": 1, "trial": 1, "plays": 1, "replays": 0, "attempts": 1}
 
@@ -151,7 +160,7 @@ class AnswersFile(Closing):
             take_ownership(self.path, self._file, "answers file")
             content = bytearray(self._file.size())
             self._file.read_into(0, memoryview(content))
-            self.rows, whole = _rows_of(bytes(content), self.path)
+            self.rows, self._columns, whole = _rows_of(bytes(content), self.path)
             self._cut_off(whole)
             write_owner(self.path)
         except BaseException:
@@ -163,7 +172,7 @@ class AnswersFile(Closing):
 
         Raises InputError: it cannot be written; the answers before it are intact.
         """
-        line = _line(row)
+        line = _line(row, self._columns)
         try:
             self._file.write(self._end, line)
             self._file.sync()
@@ -213,7 +222,7 @@ def write_facts(folder: Path, facts: Mapping[str, object]) -> None:
     Raises InputError: it cannot be written, or is a link.
     """
     _require_no_link(folder / FACTS)
-    content = {"format": FORMAT, "format_version": 1, **facts, "columns": COLUMNS}
+    content = {"format": FORMAT, "format_version": FORMAT_VERSION, **facts, "columns": COLUMNS}
     write_whole(folder / FACTS, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
 
 
@@ -228,39 +237,73 @@ def read_facts(folder: Path) -> dict[str, Any]:
         raise InputError(f"{path} is no JSON: it was changed by another program") from None
     if not isinstance(facts, dict) or facts.get("format") != FORMAT:
         raise InputError(f'{path} is not what `wavefocus trials` wrote: "format" must be "{FORMAT}"')
+    if facts.get("format_version", 1) not in range(1, FORMAT_VERSION + 1):
+        raise InputError(
+            f"{path}: format_version is {facts['format_version']!r}; this version of wavefocus reads up to"
+            f" {FORMAT_VERSION}"
+        )
     return facts
 
 
-def _rows_of(content: bytes, path: Path) -> tuple[tuple[Row, ...], bytes]:
-    """The rows of a file, and the part of it that is whole, its header completed."""
+def _rows_of(content: bytes, path: Path) -> tuple[tuple[Row, ...], tuple[str, ...], bytes]:
+    """The rows of a file, its columns, and the part of it that is whole, its header completed."""
     header = _HEADER.encode()
     if header.startswith(content):  # new, or a power cut while it was made
-        return (), header
-    if not content.startswith(header):
-        raise InputError(
-            f"{path}: line 1 is not the header that `wavefocus trials` writes; it was changed by another program: put"
-            " the original back, or name another folder"
-        )
-    *lines, rest = content.removeprefix(header).split(b"\n")
+        return (), tuple(COLUMNS), header
+    first, _, body = content.partition(b"\n")
+    columns = _columns_of(first.removeprefix(_BYTE_ORDER_MARK), path)
+    *lines, rest = body.split(b"\n")
+    whole = content[: len(content) - len(rest)]
+    # Only the last row can be torn: those before it were on the disk before it was written.
+    if lines and _is_torn(lines[-1] + b"\n", len(whole)):
+        whole = whole[: -len(lines.pop()) - 1]
+        rest = b""
     rows = []
     for number, line in enumerate(lines, 2):
         try:
-            rows.append(_row(line + b"\n"))
+            rows.append(_row(line + b"\n", columns))
         except ValueError as error:
             raise InputError(f"{path}: line {number}: {error}; put the original file back") from None
-    whole = content[: len(content) - len(rest)]
     # Of a row that lacks no more than its line end nothing is lost; any other was never acknowledged.
     with suppress(ValueError):
         end = rest.removesuffix(b"\r") + _LINE_END.encode()
-        rows.append(_row(end))
+        rows.append(_row(end, columns))
         whole += end
-    return tuple(rows), whole
+    return tuple(rows), columns, whole
 
 
-def _line(row: Row) -> bytes:
-    """A row as a line. Raises ValueError: a text holds a line end or the like, a number is not finite."""
+def _is_torn(line: bytes, end: int) -> bool:
+    """Whether a line that ends at a byte of the file was written in part: sectors of the disk are whole, or zeros."""
+    first = (end - len(line)) % _SECTOR
+    sectors = [line[max(0, start - first) : start - first + _SECTOR] for start in range(0, first + len(line), _SECTOR)]
+    return any(not any(part) for part in sectors) and all(0 not in part for part in sectors if any(part))
+
+
+def _columns_of(line: bytes, path: Path) -> tuple[str, ...]:
+    """The columns of a file by its first line. Raises InputError: one is missing that has no default, or is twice."""
+    try:
+        columns = tuple(_cells(line + b"\n"))
+    except ValueError:
+        columns = ()
+    missing = [name for name in COLUMNS if name not in columns and name not in DEFAULTS]
+    twice = [name for name in COLUMNS if columns.count(name) > 1]
+    if missing or twice:
+        of = f"lacks {', '.join(missing)}" if missing else f"has {', '.join(twice)} more than once"
+        raise InputError(
+            f"{path}: line 1 {of}; columns are separated by commas, and may be more or fewer only where the page on "
+            "trials says so: put the original file back, or name another folder"
+        )
+    return columns
+
+
+def _line(row: Row, columns: Sequence[str]) -> bytes:
+    """A row as a line of a file with these columns. Raises ValueError: a text holds a line end, a number is not finite.
+
+    A column that is not known here stays empty.
+    """
     cells = []
-    for value in astuple(row):
+    for name in columns:
+        value = getattr(row, name, "")
         if isinstance(value, bool):
             cells.append("true" if value else "false")
         elif isinstance(value, float):
@@ -272,28 +315,34 @@ def _line(row: Row) -> bytes:
     text = io.StringIO()
     csv.writer(text, lineterminator=_LINE_END).writerow(cells)
     line = text.getvalue().encode()
-    if _row(line) != row:
+    kept = replace(row, **{name: default for name, default in DEFAULTS.items() if name not in columns})
+    if _row(line, columns) != kept:
         raise ValueError("a row would not be read as it is")
     return line
 
 
-def _row(line: bytes) -> Row:
+def _row(line: bytes, columns: Sequence[str]) -> Row:
     """A line as a row. Raises ValueError."""
+    cells = _cells(line)
+    if len(cells) != len(columns):
+        raise ValueError(f"{len(cells)} columns; {len(columns)} are needed")
+    values = {name: _value(name, cell) for name, cell in zip(columns, cells, strict=True) if name in COLUMNS}
+    return Row(**{**{name: default for name, default in DEFAULTS.items() if name not in values}, **values})
+
+
+def _cells(line: bytes) -> list[str]:
+    """The cells of a line with its end. Raises ValueError."""
     try:
         text = line.decode()
     except UnicodeDecodeError:
         raise ValueError("not UTF-8 text") from None
-    body = text.removesuffix(_LINE_END)
+    body = text.removesuffix("\n").removesuffix("\r")
     if body == text or not body.isprintable():
         raise ValueError("not a line that `wavefocus trials` writes")
     try:
-        cells = next(csv.reader([body], strict=True))
+        return next(csv.reader([body], strict=True))
     except (csv.Error, StopIteration):
         raise ValueError("not a line that `wavefocus trials` writes") from None
-    if len(cells) != len(COLUMNS):
-        raise ValueError(f"{len(cells)} columns; {len(COLUMNS)} are needed")
-    values = {name: _value(name, cell) for name, cell in zip(COLUMNS, cells, strict=True)}
-    return Row(**values)
 
 
 def _value(name: str, cell: str) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
+from collections.abc import Callable
 from dataclasses import astuple, fields, replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from wavefocus.storage.errors import BankBusyError, InputError
 from wavefocus.trials.answers import (
     ANSWERS,
     COLUMNS,
+    DEFAULTS,
     AnswersFile,
     Row,
     check_participant,
@@ -66,6 +68,69 @@ def test_given_a_power_cut_at_every_byte_of_an_answer_then_those_before_it_stay_
             assert read_answers(tmp_path) == (*kept, later)
 
 
+@pytest.mark.parametrize("padding", [0, 200, 700])
+def test_given_a_power_cut_that_kept_any_sectors_of_the_last_row_then_it_is_cut_off_and_the_next_follows(
+    tmp_path: Path, padding: int
+) -> None:
+    before = stored(tmp_path, ROW, replace(ROW, trial=2, path="p" * padding))
+    whole = stored(tmp_path, replace(ROW, trial=3, path="q" * padding))
+    first, last = len(before) // 512, (len(whole) - 1) // 512
+    assert last > first
+    for lost in range(1, 2 ** (last - first + 1)):
+        content = bytearray(whole)
+        for sector in range(first, last + 1):
+            if lost >> (sector - first) & 1:
+                start, end = max(512 * sector, len(before)), min(512 * (sector + 1), len(whole))
+                content[start:end] = bytes(end - start)
+        (tmp_path / ANSWERS).write_bytes(content)
+        assert [row.trial for row in read_answers(tmp_path)] == [1, 2]
+        assert stored(tmp_path, replace(ROW, trial=4)).startswith(before + b"P01,1,4,")
+        assert [row.trial for row in read_answers(tmp_path)] == [1, 2, 4]
+
+
+def test_given_a_last_row_with_a_zero_inside_a_sector_then_it_is_damage_and_not_a_power_cut(tmp_path: Path) -> None:
+    content = bytearray(stored(tmp_path, ROW, NEXT))
+    content[-20] = 0
+    (tmp_path / ANSWERS).write_bytes(content)
+    with pytest.raises(InputError, match="line 3"):
+        read_answers(tmp_path)
+
+
+def resaved(folder: Path, change: Callable[[dict[str, str]], dict[str, str]], **options: str) -> None:
+    """Write the table anew, as another program does."""
+    path = folder / ANSWERS
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        rows = [change(row) for row in csv.DictReader(file)]
+    with path.open("w", newline="", encoding=options.pop("encoding", "utf-8")) as file:
+        table = csv.DictWriter(file, list(rows[0]), **options)  # type: ignore[arg-type]
+        table.writeheader()
+        table.writerows(rows)
+
+
+def test_given_a_column_more_then_answers_are_read_and_new_ones_leave_it_empty(tmp_path: Path) -> None:
+    stored(tmp_path, ROW, NEXT)
+    resaved(tmp_path, lambda row: {"remark": "tired, late", **row, "room": "3"}, lineterminator="\n")
+    assert read_answers(tmp_path) == (ROW, NEXT)
+    later = replace(ROW, trial=3)
+    stored(tmp_path, later)
+    assert read_answers(tmp_path) == (ROW, NEXT, later)
+    with (tmp_path / ANSWERS).open(newline="", encoding="utf-8") as file:
+        table = list(csv.DictReader(file))
+    assert [row["room"] for row in table] == ["3", "3", ""]
+    assert [row["remark"] for row in table] == ["tired, late", "tired, late", ""]
+
+
+def test_given_columns_with_a_default_that_are_missing_then_answers_have_it(tmp_path: Path) -> None:
+    stored(tmp_path, ROW, NEXT)
+    resaved(
+        tmp_path, lambda row: {name: row[name] for name in reversed(row) if name not in DEFAULTS}, encoding="utf-8-sig"
+    )
+    expected = tuple(replace(row, **DEFAULTS) for row in (ROW, NEXT))
+    assert read_answers(tmp_path) == expected
+    stored(tmp_path, replace(ROW, trial=3))
+    assert read_answers(tmp_path)[2] == replace(ROW, trial=3, **DEFAULTS)
+
+
 def test_given_a_power_cut_while_the_file_was_made_then_it_is_made(tmp_path: Path) -> None:
     header = stored(tmp_path)
     for length in range(len(header)):
@@ -77,8 +142,9 @@ def test_given_a_power_cut_while_the_file_was_made_then_it_is_made(tmp_path: Pat
 @pytest.mark.parametrize(
     ("find", "put"),
     [
-        (b"\r\n", b"\n"),  # resaved
-        (b"participant", b"\xef\xbb\xbfparticipant"),
+        (b",reaction_s,", b",reaction,"),  # a column that is needed
+        (b",replays,", b",block,"),  # a column that is there already
+        (b",", b";"),
         (b"P01,1,1", b"P01,1,0"),
         (b"P01,1,1", b"P01,1"),
         (b"P01,1,1", b"Ann Smith,1,1"),
@@ -143,9 +209,10 @@ def test_given_facts_then_they_come_back_with_every_column(tmp_path: Path) -> No
     write_facts(tmp_path, {"name": "paper"})
     assert read_facts(tmp_path)["name"] == "paper"
     assert set(read_facts(tmp_path)["columns"]) == set(Row.__slots__)
-    (tmp_path / "trials.json").write_text("{}")
-    with pytest.raises(InputError):
-        read_facts(tmp_path)
+    for content in ("{}", '{"format": "wavefocus-trials", "format_version": 2}'):
+        (tmp_path / "trials.json").write_text(content)
+        with pytest.raises(InputError):
+            read_facts(tmp_path)
 
 
 def test_given_the_reference_page_then_it_names_every_column_order_and_event() -> None:

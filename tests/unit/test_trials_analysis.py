@@ -164,6 +164,33 @@ def test_given_answers_without_a_maximum_of_the_likelihood_then_estimates_are_fi
         assert (low or 0.0) <= (math.inf if high is None else high)
 
 
+def truth_held(slope, lapse, levels, trials, people=20):
+    """How many of some simulated participants have the true slope in its interval, and in how many it is unresolved."""
+    rng = np.random.default_rng(3)
+    x = np.linspace(-1.0, 0.0, levels)
+    held = unresolved = 0
+    for _ in range(people):
+        share = share_right(x, rng.uniform(-0.7, -0.4), slope, 0.5, lapse)
+        fit = fit_psychometric(
+            list(10**x), list(rng.binomial(trials, share)), [trials] * levels, guess=0.5, replicates=199
+        )
+        low, high = fit.slope_interval
+        held += (low or 0.0) <= slope and (high is None or slope <= high)
+        unresolved += not fit.slope_resolved
+        assert fit.slope_resolved or high is None
+    return held, unresolved
+
+
+@pytest.mark.parametrize(
+    ("slope", "lapse", "levels", "trials"),
+    [(45, 0, 8, 40), (60, 0, 8, 40), (9, 0, 5, 6), (9, 0.1, 8, 40), (9, 0, 8, 40)],
+)
+def test_given_steep_slopes_few_trials_or_many_lapses_then_intervals_hold_the_slope(slope, lapse, levels, trials):
+    held, unresolved = truth_held(slope, lapse, levels, trials)
+    assert held >= binom.ppf(1e-3, 20, 0.95)
+    assert (unresolved > 15) == (slope > 40 or trials < 10)
+
+
 def test_given_one_level_then_no_function_is_fitted():
     with pytest.raises(ValueError, match="two or more"):
         fit_psychometric([0.5], [3], [5], guess=0.5)
@@ -210,6 +237,7 @@ def test_given_answers_then_the_report_shows_them_with_names_escaped_and_holds_a
     html, pictures = build_report(analysis, [("answers", "trials.csv")])
     assert NASTY not in html
     assert "713 of 720" in html
+    assert f"chance, 1 of {len(analysis.answers)} answers" in html
     assert {one.name for one in pictures} == {"right-speed-mm-s-path", "reaction-times"}
     assert "://" not in html
     json.dumps(analysis.document(), allow_nan=False)

@@ -25,8 +25,11 @@ _COLUMNS = 4
 
 
 @drawn_in_style
-def share_bars(name: str, shares: Sequence[Share], what: str) -> Picture:
-    """Shares by one or two factors with their intervals, as the paper's figure 5B."""
+def share_bars(name: str, shares: Sequence[Share], what: str, chance: float | None = None) -> Picture:
+    """Shares by one or two factors with their intervals, as the paper's figure 5B.
+
+    chance: Share of right answers of a participant who guesses; None where no answer is right.
+    """
     first, *others = shares[0].factors
     groups = list(dict.fromkeys(one.factors[first] for one in shares))
     series = list(dict.fromkeys(_series(one, others) for one in shares))
@@ -44,6 +47,8 @@ def share_bars(name: str, shares: Sequence[Share], what: str) -> Picture:
         axes.errorbar(
             places, values, yerr=abs(ends - values), fmt="none", ecolor=INK, elinewidth=1.1, capsize=3, zorder=3
         )
+    if chance is not None:
+        axes.axhline(100.0 * chance, color=INK, lw=1.0, ls="--", zorder=2.5, gid="chance")
     axes.set_xticks(range(len(groups)), groups)
     axes.grid(axis="y", color=FAINT, alpha=0.25, lw=0.6, zorder=0)
     if others:

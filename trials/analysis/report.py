@@ -98,8 +98,11 @@ def _shares(analysis: Analysis) -> Iterator[Section]:
         what = "right answers" if outcome == RIGHT else f"answers “{outcome}”"
         pictures, caption = [], ""
         if (factors, outcome) in drawn:
-            pictures = [share_bars(_name(factors, outcome), shares, what)]
+            chance = 1.0 / len(analysis.answers) if outcome == RIGHT else None
+            pictures = [share_bars(_name(factors, outcome), shares, what, chance)]
             caption = f"Share of {what}, all participants together, with 95 % intervals."
+            if chance is not None:
+                caption += f" Dashed: chance, 1 of {len(analysis.answers)} answers."
         rows = [[*one.factors.values(), str(one.count), str(one.of), percent(one.share), _ends(one)] for one in shares]
         head = [*(NAMES[factor] for factor in factors), "right" if right else "answers", "of", "share", "95 % interval"]
         title = f"{what[0].upper()}{what[1:]} by {' and '.join(NAMES[factor] for factor in factors)}"
@@ -156,7 +159,8 @@ def _psychometric(analysis: Analysis) -> Iterator[Section]:
     staircase = any(one.reversals_threshold is not None for one in analysis.psychometric)
     rows = [
         [one.participant, one.track or _levels(one.factors) or "all", number(one.fit.threshold),
-         _interval(one.fit.threshold_interval), number(one.fit.slope), _interval(one.fit.slope_interval),
+         _interval(one.fit.threshold_interval), number(one.fit.slope) + ("" if one.fit.slope_resolved else " *"),
+         _interval(one.fit.slope_interval),
          percent(one.fit.guess), percent(one.fit.lapse), f"{one.fit.deviance:.1f} ({one.fit.deviance_p:.3f})",
          *([number(one.reversals_threshold)] if staircase else [])]
         for one in analysis.psychometric
@@ -180,6 +184,12 @@ def _psychometric(analysis: Analysis) -> Iterator[Section]:
         f" {percent(MOST_LAPSES)}. Intervals: profile likelihood, its limit from a parametric bootstrap. p of the"
         " deviance: share of bootstrap replicates that lie as far from their function; below 0.05 the function does not"
         " describe the answers."
+        + (
+            ""
+            if all(one.fit.slope_resolved for one in analysis.psychometric)
+            else " * steeper than the levels can resolve: the answers do not exclude a step between two levels,"
+            " and the slope is a lower bound; use levels that are closer together, or more trials."
+        )
         + (" By reversals: geometric mean of the levels at the last reversals." if staircase else ""),
         [PageTable(head, rows, 2)],
         [psychometric_curves("psychometric", analysis.psychometric)],
