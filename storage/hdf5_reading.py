@@ -168,7 +168,7 @@ def packing_of(dataset: h5py.Dataset, path: Path, *, written: bool = False) -> P
 
     written: Whether all of it was written, so that the fill value of netCDF's library is a value as any other.
     """
-    attributes = {key: dataset.attrs[key] for key in KEYS if key in dataset.attrs}
+    attributes = {key: dataset.attrs[key] for key in KEYS if holds_attribute(dataset, key)}
     fill = None if written else DEFAULT_FILL.get(dataset.dtype.str[1:])
     if fill is not None and dataset.fillvalue != fill:
         fill = None
@@ -238,16 +238,21 @@ def read_integers(file: h5py.File, name: str, path: Path, shape: tuple[int, ...]
     return np.asarray(read_whole(dataset, path), np.int64)
 
 
+def holds_attribute(item: h5py.File | h5py.Dataset, name: str) -> bool:
+    """Whether an attribute is there and not empty; netCDF writes an empty text as an attribute without an extent."""
+    return name in item.attrs and item.attrs.get_id(name).get_space().get_simple_extent_type() != h5py.h5s.NULL
+
+
 def number(file: h5py.File, name: str, path: Path, default: float | None = None) -> float:
     """Read a finite number from a root attribute."""
-    if default is not None and name not in file.attrs:
+    if default is not None and not holds_attribute(file, name):
         return default
     return numbers(file, name, path, 1)[0]
 
 
 def numbers(file: h5py.File, name: str, path: Path, count: int) -> tuple[float, ...]:
     """Read ``count`` finite numbers from a root attribute."""
-    if name not in file.attrs:
+    if not holds_attribute(file, name):
         raise InputError(f"{path} has no attribute {name}")
     value = _plain_attribute(file, name, path)
     if value.dtype.kind not in "fiu" or value.size != count or not np.isfinite(value).all():
@@ -258,7 +263,7 @@ def numbers(file: h5py.File, name: str, path: Path, count: int) -> tuple[float, 
 
 def pair(file: h5py.File, name: str, path: Path) -> tuple[float, float] | None:
     """Read two finite numbers from a root attribute; None when it is absent."""
-    if name not in file.attrs:
+    if not holds_attribute(file, name):
         return None
     first, second = numbers(file, name, path, 2)
     return first, second
@@ -266,7 +271,7 @@ def pair(file: h5py.File, name: str, path: Path) -> tuple[float, float] | None:
 
 def text(file: h5py.File, name: str, path: Path) -> str | None:
     """Read a text from a root attribute; None when it is absent."""
-    if name not in file.attrs:
+    if not holds_attribute(file, name):
         return None
     value = _plain_attribute(file, name, path)
     item = value.reshape(-1)[0] if value.size == 1 else None

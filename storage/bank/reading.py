@@ -130,7 +130,7 @@ def _units(file: h5py.File, path: Path) -> dict[str, str]:
 
 
 def _band(file: h5py.File, path: Path, rate: float) -> tuple[float, float] | None:
-    if "band_hz" not in file.attrs:
+    if not hdf5_reading.holds_attribute(file, "band_hz"):
         return None
     low, high = hdf5_reading.numbers(file, "band_hz", path, 2)
     if not 0 <= low < high <= rate / 2:

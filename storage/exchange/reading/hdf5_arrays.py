@@ -37,7 +37,7 @@ def numbers(file: h5py.File, name: str, path: Path) -> h5py.Dataset | None:
 
 def text_attribute(item: Any, name: str) -> str:
     """A text from an attribute of a group or dataset; empty where there is none."""
-    if name not in item.attrs or item.attrs.get_id(name).get_storage_size() > 1 << 16:
+    if not hdf5_reading.holds_attribute(item, name) or item.attrs.get_id(name).get_storage_size() > 1 << 16:
         return ""
     value = item.attrs[name]
     value = value.reshape(-1)[0] if isinstance(value, np.ndarray) and value.size == 1 else value
@@ -53,6 +53,7 @@ def read_arrays(
     """
     file = open_hdf5(path, stack)
     names = sorted(name for name in file if not name.startswith("#"))
+    listed = [full for name in names for full in _members(file, name)]
     group = ""
     if "green" not in names and not options.names:
         hard = [name for name in names if isinstance(file.get(name, getlink=True), h5py.HardLink)]
@@ -60,6 +61,8 @@ def read_arrays(
         group = next((f"{one}/" for one in groups if hdf5_reading.has(file, f"{one}/green")), "")
 
     def get(name: str) -> Any:
+        if "." in name and name not in names:
+            name = name.replace(".", "/")  # as MATLAB writes a field of a struct
         place = name if "/" in name else group + name.replace("quality_", "quality/", 1)
         if (place != name and not hdf5_reading.has(file, place)) or place.startswith("#"):
             place = group + name
@@ -70,11 +73,18 @@ def read_arrays(
             return text_attribute(file, name) or (
                 text_attribute(file["green"], "units") if name == "response_unit" and "green" in names else None
             )
-        if name in ("sample_rate_hz", "band_hz") and name in file.attrs:
+        if name in ("sample_rate_hz", "band_hz") and hdf5_reading.holds_attribute(file, name):
             return np.array(hdf5_reading.numbers(file, name, path, 1 if name == "sample_rate_hz" else 2))
         return None
 
-    return measured_arrays(NamedArrays(path, get, names), options)
+    return measured_arrays(NamedArrays(path, get, listed), options)
+
+
+def _members(file: h5py.File, name: str) -> list[str]:
+    """A dataset's name, or those of the members of a group."""
+    if not isinstance(file.get(name, getlink=True), h5py.HardLink) or file.get(name, getclass=True) is not h5py.Group:
+        return [name]
+    return [f"{name}.{member}" for member in sorted(file[name])[:64]]
 
 
 def compound_complex(values: NDArray[Any]) -> NDArray[Any]:

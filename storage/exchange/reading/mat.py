@@ -6,6 +6,7 @@ import struct
 import zlib
 from collections.abc import Iterator
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,14 +21,27 @@ from wavefocus.storage.exchange.reading.measured import SPARE_BYTES, UNFOLDS, Im
 from wavefocus.storage.exchange.reading.named_arrays import NamedArrays, measured_arrays
 
 _HEADER_BYTES, _MATRIX, _COMPRESSED = 128, 14, 15
-_STRUCT, _CHAR, _NUMBERS = 2, 4, range(6, 16)
+_STRUCT, _CHAR, _NUMBERS, _OPAQUE = 2, 4, range(6, 16), 17
+_KINDS = {1: "a cell array", 2: "an array of structs", 3: "an object", 5: "a sparse matrix", 16: "a function handle",
+          17: "an object, such as a string or a table"}  # fmt: skip
+_OTHER_PROGRAMS = {b"Octave-1-": "Octave's own binary format", b"# Created by Octave": "Octave's own text format",
+                   b"PK": "an archive (ZIP)"}  # fmt: skip
 _TYPES = {
     1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8", 16: "u1", 17: "u2",
 }  # fmt: skip
 
 
+@dataclass(frozen=True, slots=True)
+class _Unread:
+    """A variable that is not read, and the kind that it is."""
+
+    kind: str
+
+
 def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
-    """Read variables by name, or the fields of the one struct that holds `green`; objects are never made.
+    """Read variables by name, fields of structs as ``struct.field``, or by their own names where there is one struct.
+
+    Objects are never made. Variables that are not asked for may be of any kind.
 
     Level 5 is read here and not by SciPy, which a damaged file can crash (MAT-File Format, MathWorks, chapter 1).
     """
@@ -37,7 +51,13 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
         return read_arrays(path, options, stack, _understand)
     if head.startswith(b"\x89HDF"):
         raise InputError(f"{path} is HDF5 without MATLAB's header; import it with --from netcdf")
-    order = "<" if head[126:128] == b"IM" else ">"
+    order = {b"IM": "<", b"MI": ">"}.get(head[126:128], "")
+    if not order:
+        known = next((words for begin, words in _OTHER_PROGRAMS.items() if head.startswith(begin)), "")
+        raise InputError(
+            f"{path} is {known or 'a MATLAB file of level 4, or of another kind'}; files of level 5 and version 7.3 are"
+            " read: save it with -v7"
+        )
     variables: dict[str, Any] = {}
     for kind, content in _elements(np.memmap(path, np.uint8, "r").data[_HEADER_BYTES:], order):
         element = (kind, content)
@@ -51,14 +71,25 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
             name, value = _matrix(element[1], order)
             variables[name] = value
     structs = [value for value in variables.values() if isinstance(value, dict)]
-    if "green" not in variables and len(structs) == 1 and not options.names:
-        variables = structs[0]
+    fields = dict(_fields(variables, ""))
+    by_own_name = structs[0] if len(structs) == 1 and "green" not in variables else {}
 
     def get(name: str) -> Any:
-        value = variables.get(name)
+        value = fields[name] if name in fields else by_own_name.get(name)
+        if isinstance(value, _Unread):
+            raise InputError(f"{path}: variable {name!r} is {value.kind}; an array of numbers is needed")
         return None if isinstance(value, dict) else _squeezed(name, value)
 
-    return measured_arrays(NamedArrays(path, get, variables), options)
+    return measured_arrays(NamedArrays(path, get, [name for name, value in fields.items() if name]), options)
+
+
+def _fields(variables: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+    """Variables and fields of structs by their full names."""
+    for name, value in variables.items():
+        if isinstance(value, dict):
+            yield from _fields(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
 
 
 def _elements(content: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
@@ -76,25 +107,27 @@ def _elements(content: memoryview, order: str) -> Iterator[tuple[int, memoryview
 
 
 def _matrix(content: memoryview, order: str) -> tuple[str, Any]:
-    """Name and value of an array: numbers, a text, a struct as a dictionary; None for what is neither."""
+    """Name and value of an array: numbers, a text, a struct as a dictionary; `_Unread` for what is none of these."""
     parts = _elements(content, order)
     if not len(content):
         return "", None
-    (_, flags), (_, extents), (_, name) = next(parts), next(parts), next(parts)
-    kind, shape = int(np.frombuffer(flags, f"{order}u4")[0]), np.frombuffer(extents, f"{order}i4").tolist()
-    label = bytes(name).decode("latin-1")
+    _, flags = next(parts)
+    kind = int(np.frombuffer(flags, f"{order}u4")[0])
+    if kind & 0xFF == _OPAQUE:  # without extents; what follows is undocumented
+        return bytes(next(parts)[1]).decode("latin-1"), _Unread(_KINDS[_OPAQUE])
+    (_, extents), (_, name) = next(parts), next(parts)
+    shape, label = np.frombuffer(extents, f"{order}i4").tolist(), bytes(name).decode("latin-1")
     if kind & 0xFF == _CHAR:
         code, text = next(parts, (1, memoryview(b"")))
-        return label, bytes(text).decode(
-            {17: "utf-16-le" if order == "<" else "utf-16-be", 4: "utf-16-le"}.get(code, "utf-8")
-        )
+        wide = "utf-16-le" if order == "<" else "utf-16-be"
+        return label, bytes(text).decode({17: wide, 4: wide}.get(code, "utf-8"), "replace")
     if kind & 0xFF == _STRUCT and shape == [1, 1]:
         width = int(np.frombuffer(next(parts)[1], f"{order}i4")[0])
         names = bytes(next(parts)[1])
         keys = [names[at : at + width].split(b"\0")[0].decode("latin-1") for at in range(0, len(names), max(width, 1))]
         return label, {key: _matrix(part, order)[1] for key, (_, part) in zip(keys, parts, strict=False)}
     if kind & 0xFF not in _NUMBERS:
-        return label, None
+        return label, _Unread(_KINDS.get(kind & 0xFF, f"of class {kind & 0xFF}"))
     values = _numbers(next(parts), order)
     if kind & 0x0800:
         values = values + 1j * _numbers(next(parts), order)

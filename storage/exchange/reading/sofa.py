@@ -155,6 +155,8 @@ def _coordinates(file: h5py.File, name: str, path: Path) -> tuple[Float64Array, 
     """Places in metres: (rows, 3), or (count, 3, rows) of receivers and emitters; whether they are places at all."""
     values = hdf5_reading.read_floats(file, f"/{name}", path)
     kind, units = text_attribute(file[name], "Type"), text_attribute(file[name], "Units")
+    if not kind and units.strip().lower().startswith("deg"):
+        kind = "spherical"
     is_part = name.startswith(("Receiver", "Emitter"))
     if is_part and values.ndim == 2:
         values = values[:, :, None]

@@ -1,0 +1,171 @@
+"""Real files with parts that nobody needs, and kinds that are not read: the one is read, the other is named."""
+
+from __future__ import annotations
+
+import io
+import struct
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+import scipy.io
+import scipy.sparse
+import sofar
+import soundfile
+
+import wavefocus as wf
+from wavefocus.storage.errors import InputError
+
+GREEN = np.random.default_rng(0).standard_normal((4, 2, 16))
+PLACES_MM = np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 4.0], [4.0, 4.0]])
+NEEDED = {"green": GREEN, "position_mm": PLACES_MM, "sample_rate_hz": 1000.0}
+
+
+def element(kind: int, content: bytes) -> bytes:
+    return struct.pack("<II", kind, len(content)) + content + b"\0" * (-len(content) % 8)
+
+
+def string_object(name: str) -> bytes:
+    """A MATLAB string object: an array of class 17 without extents, as MATLAB writes it."""
+    numbers = np.array([0xDD000000, 2, 1, 1, 1, 1], "<u4").tobytes()
+    meta = element(14, element(6, struct.pack("<II", 13, 0)) + element(5, struct.pack("<ii", 6, 1)) + element(1, b"")
+                   + element(6, numbers))  # fmt: skip
+    flags = element(6, struct.pack("<II", 17, 0))
+    return element(14, flags + element(1, name.encode()) + element(1, b"MCOS") + element(1, b"string") + meta)
+
+
+def imported(source: Path, **options: Any) -> np.ndarray:
+    with wf.import_bank(source, source.with_suffix(".bank.h5"), unit="m/s/V", **options) as bank:
+        return np.stack([bank.green(row) for row in range(bank.positions)])
+
+
+def matlab(path: Path, variables: dict[str, Any], after: bytes = b"", *, compressed: bool = False) -> Path:
+    file = io.BytesIO()
+    scipy.io.savemat(file, variables, do_compression=compressed)
+    path.write_bytes(file.getvalue() + after)
+    return path
+
+
+@pytest.mark.parametrize("name", ["who", "note", "comment", "operator", "description_of_the_test"])
+def test_a_string_object_that_nobody_needs_then_is_passed_over(tmp_path: Path, name: str) -> None:
+    assert np.allclose(imported(matlab(tmp_path / "a.mat", NEEDED, string_object(name))), GREEN)
+
+
+def test_other_variables_that_nobody_needs_then_are_passed_over(tmp_path: Path) -> None:
+    others = {"notes": np.array(["a", 1.0, [2.0]], object), "mask": scipy.sparse.eye(3), "emoji": "speaker \U0001f50a",
+              "runs": np.array([(1.0,), (2.0,)], [("gain", "O")]), "on": True}  # fmt: skip
+    assert np.allclose(imported(matlab(tmp_path / "a.mat", others | NEEDED, compressed=True)), GREEN)
+
+
+@pytest.mark.parametrize(
+    ("value", "kind"),
+    [
+        (np.array([1.0, "a"], object), "a cell array"),
+        (scipy.sparse.eye(3), "a sparse matrix"),
+        (np.array([(1.0,), (2.0,)], [("gain", "O")]), "an array of structs"),
+    ],
+)
+def test_a_variable_that_is_needed_and_of_another_kind_then_is_named(tmp_path: Path, value: Any, kind: str) -> None:
+    with pytest.raises(InputError, match=f"'green' is {kind}"):
+        imported(matlab(tmp_path / "a.mat", NEEDED | {"green": value}))
+    with pytest.raises(InputError, match="'green' is an object"):
+        imported(matlab(tmp_path / "b.mat", {"position_mm": PLACES_MM}, string_object("green")))
+
+
+@pytest.mark.parametrize("version", ["5", "7.3"])
+def test_fields_of_a_struct_then_are_named_with_dots(tmp_path: Path, version: str) -> None:
+    path = tmp_path / "a.mat"
+    inner = {"h": GREEN, "xyz": PLACES_MM}
+    if version == "5":
+        matlab(path, {"meas": inner | {"setup": {"fs": 1000.0}}, "more": {"h": 1.0}})
+    else:
+        with h5py.File(path, "w", userblock_size=512) as file:
+            for name, value in (inner | {"setup/fs": np.array([[1000.0]])}).items():
+                file[f"meas/{name}"] = np.asarray(value).T
+        with path.open("r+b") as raw:
+            raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\0\2IM")
+    names = {"green": "meas.h", "position_mm": "meas.xyz", "sample_rate_hz": "meas.setup.fs"}
+    assert np.allclose(imported(path, names=names), GREEN)
+    path.with_suffix(".bank.h5").unlink()
+    with pytest.raises(InputError, match=r"'meas\.h'"):
+        imported(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (struct.pack("<5i", 0, 1, 1, 0, 2) + b"a\0" + bytes(200), "level 4"),
+        (b"Octave-1-L" + bytes(200), "Octave's own binary format"),
+        (b"# Created by Octave 8.4.0\n# name: x\n" + bytes(200), "Octave's own text format"),
+    ],
+)
+def test_a_mat_file_of_another_kind_then_is_named(tmp_path: Path, content: bytes, words: str) -> None:
+    (tmp_path / "a.mat").write_bytes(content)
+    with pytest.raises(InputError, match=words):
+        imported(tmp_path / "a.mat")
+
+
+@pytest.mark.parametrize(
+    "where",
+    ["/Comment", "/Title", "/Organization", "SourcePosition/Units", "ReceiverPosition/Units", "ListenerView/Type"],
+)
+def test_a_sofa_file_with_an_empty_attribute_then_is_read(tmp_path: Path, where: str) -> None:
+    path = tmp_path / "a.sofa"
+    sofa = sofar.Sofa("SimpleFreeFieldHRIR")
+    sofa.Data_IR, sofa.Data_SamplingRate = GREEN, 48_000.0
+    sofa.ReceiverPosition = np.array([[0, 0.09, 0], [0, -0.09, 0]])
+    sofa.SourcePosition = np.array([[90.0 * row, 0, 1.4] for row in range(4)])
+    sofar.write_sofa(str(path), sofa)
+    with h5py.File(path, "r+") as file:
+        variable, _, name = where.partition("/")
+        holder = file[variable or "/"]
+        if name in holder.attrs:
+            del holder.attrs[name]
+        holder.attrs[name] = h5py.Empty("S1")  # as netCDF writes an empty text
+    assert np.allclose(imported(path), GREEN.transpose(1, 0, 2))
+
+
+def test_a_bank_with_empty_attributes_then_has_defaults(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["green"], file["position_mm"] = GREEN, PLACES_MM
+        file.attrs["sample_rate_hz"] = 1000.0
+        for name in ("response_unit", "drive_unit", "band_hz", "software"):
+            file.attrs[name] = h5py.Empty("S1")
+        file["green"].attrs["_FillValue"] = h5py.Empty("f8")
+    with wf.open_bank(tmp_path / "a.h5") as bank:
+        assert (bank.response_unit, bank.drive_unit, bank.band_hz) == ("m/s/V", "V", None)
+
+
+def wav(tag: int, bits: int, *, extensible: bool = False) -> bytes:
+    form = struct.pack("<HHIIHH", 0xFFFE if extensible else tag, 1, 8000, 16_000, 2, bits)
+    if extensible:
+        form += struct.pack("<HHIH", 22, bits, 4, tag) + bytes.fromhex("000000001000800000aa00389b71")
+    chunks = b"fmt " + struct.pack("<I", len(form)) + form + b"data" + struct.pack("<I", 64) + bytes(64)
+    return b"RIFF" + struct.pack("<I", 4 + len(chunks)) + b"WAVE" + chunks
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (wav(0x161, 16), "WMA sound"), (wav(0xFF, 16), "AAC sound"), (wav(0x1234, 16), "format 0x1234, 16 bits"),
+        (wav(0x2000, 0, extensible=True), "AC-3"), (b"wvpk" + bytes(60), "WavPack"), (b"hello", "not a WAV file"),
+        (b"", "not a WAV file"),
+    ],
+)  # fmt: skip
+def test_a_sound_file_that_is_not_read_then_says_its_kind(tmp_path: Path, content: bytes, words: str) -> None:
+    (tmp_path / "sounds").mkdir()
+    (tmp_path / "sounds" / "a.wav").write_bytes(content)
+    (tmp_path / "places.csv").write_text("file,x_mm,y_mm\na.wav,0,0\n")
+    with pytest.raises(InputError, match=words):
+        wf.import_bank(tmp_path / "sounds", tmp_path / "b.h5", places=tmp_path / "places.csv", unit="Pa/V")
+
+
+@pytest.mark.parametrize("kind", ["PCM_U8", "PCM_24", "FLOAT", "ULAW", "IMA_ADPCM"])
+def test_a_sound_file_that_is_read_then_says_how_its_samples_are_stored(tmp_path: Path, kind: str) -> None:
+    (tmp_path / "sounds").mkdir()
+    soundfile.write(tmp_path / "sounds" / "a.wav", 0.5 * np.sin(np.arange(600) / 9), 8000, subtype=kind)
+    (tmp_path / "places.csv").write_text("file,x_mm,y_mm\na.wav,0,0\n")
+    with wf.import_bank(tmp_path / "sounds", tmp_path / "b.h5", places=tmp_path / "places.csv", unit="Pa/V") as bank:
+        assert soundfile.available_subtypes("WAV")[kind] in bank.import_facts["read"][0]
