@@ -87,11 +87,11 @@ class Crate:
 
     def _readme_parts(self) -> Iterator[str]:
         about = self.publication
-        yield f"# {self.title}"
-        yield self.description
+        yield f"# {as_markdown(self.title)}"
+        yield "\n\n".join(as_markdown(part) for part in re.split(r"\n\s*\n", self.description))
         people = ", ".join(person.name for person in about.people)
         yield "\n".join(
-            f"- {name}: {text}"
+            f"- {name}: {as_markdown(text)}"
             for name, text in (
                 ("Authors", people),
                 ("Publisher", about.organisation),
@@ -103,27 +103,34 @@ class Crate:
             if text
         )
         yield "## Files"
-        files = (*self.parts, Part(METADATA_NAME, "this description for programs (RO-Crate)"),
-                 Part(SUMS_NAME, "checksums of all files; `sha256sum -c SHA256SUMS` verifies them"))  # fmt: skip
-        yield "| file | holds |\n|---|---|\n" + "\n".join(f"| `{part.name}` | {part.holds} |" for part in files)
+        files = (*self.parts, Part(METADATA_NAME, "this description for programs (RO-Crate)"))
+        sums = f"| `{SUMS_NAME}` | checksums of all files; `sha256sum -c SHA256SUMS` verifies them |"
+        rows = [f"| `{part.name}` | {as_markdown(part.holds)} |" for part in files]
+        yield "\n".join(["| file | holds |", "|---|---|", *rows, sums])
         for name in (part.name for part in self.parts if part.name.endswith(".nc")):
             yield f'```python\nimport xarray\n\nbank = xarray.open_dataset("{name}", engine="h5netcdf")\n```'
         yield "## Measurement"
-        rows = (f"| {name} | {_shown(value)} {unit}".rstrip() + " |" for name, value, unit in self.facts)
-        yield "| figure | value |\n|---|---|\n" + "\n".join(rows)
+        figures = (
+            (as_markdown(name), f"{_shown(value)} {as_markdown(unit)}".rstrip()) for name, value, unit in self.facts
+        )
+        yield "\n".join(["| figure | value |", "|---|---|", *(f"| {name} | {value} |" for name, value in figures)])
         yield CONVENTIONS
         for part in self.parts:
             if part.name.endswith(".png"):
-                yield f"![{part.holds}]({part.name})\n\n*{part.holds[0].upper()}{part.holds[1:]}.*"
+                words = as_markdown(part.holds)
+                yield f"![{words}]({part.name})\n\n*{words[0].upper()}{words[1:]}.*"
         if self.origin:
-            yield f"## Origin\n\n{self.origin}"
+            yield f"## Origin\n\n{as_markdown(self.origin)}"
         if self.devices:
             yield "## Instruments"
-            yield "\n".join(f"- {role}: {str(identity) or 'not stated'}" for role, identity in self.devices.items())
+            devices = [(role, as_markdown(str(identity)) or "not stated") for role, identity in self.devices.items()]
+            yield "\n".join(f"- {as_markdown(role)}: {words}" for role, words in devices)
         if self.sessions:
             yield "## Sessions"
-            yield "\n".join(f"- {one.started:%Y-%m-%d %H:%M} to {one.ended:%Y-%m-%d %H:%M} UTC: {one.summary}"
-                            for one in self.sessions)  # fmt: skip
+            yield "\n".join(
+                f"- {one.started:%Y-%m-%d %H:%M} to {one.ended:%Y-%m-%d %H:%M} UTC: {as_markdown(one.summary)}"
+                for one in self.sessions
+            )
 
     def _entities(self, folder: Path, sums: Mapping[str, str]) -> Iterator[Entity]:
         about = self.publication
@@ -194,6 +201,32 @@ CONVENTIONS = (
 )
 
 
+_ADDRESS = re.compile(r"https?://[^\s<>()\[\]\"'`\\\\|]+")
+_SCRIPT = re.compile(r"(?i)\b(javascript|vbscript|data):(?=\S)")
+
+
+def as_markdown(text: str) -> str:
+    """A text of others as one line of Markdown that shows it: no HTML, links, headings, emphasis or tables.
+
+    Addresses that begin with http stay as they are.
+    """
+    words = " ".join(text.split())
+    shown, end = [], 0
+    for address in _ADDRESS.finditer(words):
+        shown += [_escaped(words[end : address.start()]), address[0]]
+        end = address.end()
+    line = "".join([*shown, _escaped(words[end:])])
+    return re.sub(
+        r"^(\d{1,9})([.)])(?=\s|$)|^([-+=#])", lambda found: (found[1] or "") + "\\" + (found[2] or found[3]), line
+    )
+
+
+def _escaped(text: str) -> str:
+    text = re.sub(r"&(?=#?\w+;)", "&amp;", text).replace("<", "&lt;").replace(">", "&gt;")
+    text = re.sub(r"[\\`*\[\]|~]|(?<!\w)_|_(?!\w)", r"\\\g<0>", text)
+    return _SCRIPT.sub(r"\1&#58;", text)
+
+
 def licence_id(licence: str) -> str:
     """An address for a licence: its own, that of SPDX for an identifier such as ``CC-BY-4.0``, or one of the crate."""
     if re.fullmatch(r"https?://\S+", licence):
@@ -256,4 +289,4 @@ def _known(entity: Entity) -> Entity:
 
 
 def _shown(value: float | str) -> str:
-    return value.replace("|", "\\|") if isinstance(value, str) else f"{value:.6g}"
+    return as_markdown(value) if isinstance(value, str) else f"{value:.6g}"
