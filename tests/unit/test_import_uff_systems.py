@@ -210,3 +210,20 @@ def test_a_last_line_that_is_filled_up_with_zeros_then_is_read(tmp_path: Path, u
                 file.write(f"{quantity:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20} {unit:<20}\n")
             file.write(f"{text}\n    -1\n")
     assert np.abs(imported(path)[1] - RESPONSES[:, 2]).max() < 1e-3
+
+
+@pytest.mark.parametrize("kind", [15, 2411])
+def test_coordinates_whose_signs_take_the_space_between_them_then_are_read(tmp_path: Path, kind: int) -> None:
+    path = tmp_path / "a.uff"
+    places = PLACES_M - [0.1, 0.2, 0.0]
+    units(path)
+    add_functions(path, RESPONSES)
+    with path.open("a") as file:
+        file.write(f"    -1\n{kind:6d}\n")
+        for node, place in zip(NODES, places, strict=True):
+            head = f"{node:10d}{0:10d}{0:10d}{0:10d}"
+            # A field as wide as a program that writes more digits than the standard has fills it.
+            file.write(head + "".join(f"{one:13.6E}" for one in place) + "\n" if kind == 15 else
+                       head + "\n" + "".join(f"{one:25.18E}" for one in place) + "\n")  # fmt: skip
+        file.write("    -1\n")
+    assert np.abs(imported(path)[0] - places[:, :2] * 1e3).max() < 1e-3

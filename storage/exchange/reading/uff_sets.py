@@ -102,10 +102,14 @@ def _lines(file: IO[bytes]) -> Iterator[bytes]:
 def _nodes(file: IO[bytes], held: Contents, *, double: bool) -> None:
     lines = _lines(file)
     for line in lines:
-        words = (line + b" " + next(lines, b"")).split() if double else line.split()
-        if len(words) >= 7:
-            x, y, z = (_float(word) for word in words[4:7])
-            held.nodes[int(words[0])] = Node((x, y, z), int(words[1]), int(words[2]))
+        head, rest = (line.split(), next(lines, b"")) if double else (line[:40].split(), line[40:])
+        words = _words(rest, (25,) * 3 if double else (13,) * 3)
+        if len(head) != 4 or len(words) != 3:  # of other widths than the standard's
+            loose = (head + rest.split()) if double else line.split()
+            if len(loose) < 7:
+                continue
+            head, words = loose[:4], [_float(word) for word in loose[4:7]]
+        held.nodes[int(head[0])] = Node((words[0], words[1], words[2]), int(head[1]), int(head[2]))
 
 
 def _systems(lines: list[bytes], held: Contents, *, matrices: bool) -> None:
