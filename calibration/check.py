@@ -15,7 +15,7 @@ from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.crosstalk import REMEDY, crosstalk_of_bank
 from wavefocus.calibration.neighbour_judge import NeighbourJudge, RowSpectra
 from wavefocus.storage.bank.ledger import VALID
-from wavefocus.storage.bank.reading import Bank, BankRows, open_bank
+from wavefocus.storage.bank.reading import Bank, BankRows, CopiedRows, open_bank
 from wavefocus.storage.drive_file import FORMAT as DRIVE
 from wavefocus.storage.drive_file import read_drive
 from wavefocus.storage.errors import InputError
@@ -66,6 +66,7 @@ def check_bank(path: str | Path) -> list[Finding]:
     path = Path(path)
     with open_bank(path, contents=True) as bank, one_blas_thread():
         findings = list(check_ledger(bank.rows, path)) if isinstance(bank.rows, BankRows) else []
+        findings += _check_file(bank)
         findings += _check_positions(bank)
         findings += _check_moved(bank)
         findings += _check_rows(bank)
@@ -104,6 +105,21 @@ def check_ledger(rows: LedgerReader, path: Path) -> Iterator[Finding]:
                 " opening the bank to resume rebuilds them"
             )
             yield Finding(position, None, message, cut_off)
+
+
+def _check_file(bank: Bank) -> Iterator[Finding]:
+    if isinstance(bank.rows, CopiedRows):
+        message = (
+            "the bank was copied object by object, or repacked: header and rows are verified, all else is not; it can "
+            "be read, and not measured into"
+        )
+        yield Finding(None, None, message, "warning")
+    if bank.unknown_attributes:
+        named = ", ".join(bank.unknown_attributes[:MAX_NAMES])
+        yield Finding(None, None, f"attributes that somebody has added are not looked at: {named}", "note")
+
+
+MAX_NAMES = 10
 
 
 def _check_positions(bank: Bank) -> Iterator[Finding]:

@@ -88,6 +88,14 @@ class Drive:
         if len(shapes) != 1 or self.focus_sample.ndim != 1:
             raise InputError(f"/focus datasets have shapes {sorted(shapes)}; one common length is needed")
 
+    def __repr__(self) -> str:
+        """Its size and how it was made, in one line."""
+        actuators, samples = self.drive_v.shape
+        return (
+            f"Drive({actuators} actuators, {samples} samples at {self.sample_rate_hz:g} Hz from {self.start_s:g} s, "
+            f"{len(self.focus_sample)} foci, {self.method}, {self.drive_unit})"
+        )
+
     def to_xarray(self) -> Dataset:
         """The drive as an `xarray.Dataset`: ``drive`` (actuator, time_s), and each focus.
 
@@ -191,7 +199,7 @@ def read_drive(path: str | Path) -> Drive:
     Parameters
     ----------
     path
-        A drive file, contract section 5.
+        A drive file.
 
     Returns
     -------

@@ -9,6 +9,10 @@ class InputError(WavefocusError, ValueError):
     """The input is wrong: the message names file, key, value and what is allowed."""
 
 
+class OtherLayoutError(InputError):
+    """A bank is sound and lies otherwise in its file, as after a copy object by object: it is read, never written."""
+
+
 class ExistsError(InputError):
     """The file that was to be made is there already; it is untouched."""
 

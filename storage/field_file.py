@@ -89,6 +89,14 @@ class Field:
             _require_finite(values, self.position_index)
         _require_times(self.sample_rate_hz, self.start_s)
 
+    def __repr__(self) -> str:
+        """Its size, in one line."""
+        positions, samples = self.field.shape
+        return (
+            f"Field({positions} positions, {samples} samples at {self.sample_rate_hz:g} Hz from {self.start_s:g} s, "
+            f"{self.response_unit})"
+        )
+
     def to_xarray(self) -> Dataset:
         """The field as an `xarray.Dataset`: ``field`` (position, time_s), each position by its row of the bank.
 
@@ -201,7 +209,7 @@ def write_field(path: str | Path, field: Field, *, dtype: DTypeLike = np.float32
     field
         Responses, (positions, samples), and what is said of them.
     dtype
-        float32 as the contract has it; float64 keeps more digits.
+        float32, as other programs expect; float64 keeps more digits.
     force
         Whether an older file of that name may be replaced; a bank, raw recordings or a link never is.
 
@@ -314,7 +322,7 @@ def read_field(path: str | Path) -> Field:
     Parameters
     ----------
     path
-        A field file, contract section 5.
+        A field file, predicted or scanned.
 
     Returns
     -------

@@ -23,6 +23,16 @@ from wavefocus.storage.errors import InputError
 
 VALUES = "sha256"
 CONTENTS = "contents_sha256"
+NOTES = "notes"
+"""Root attribute of notes that people add to a bank later."""
+_ROOT = frozenset({
+    "format", "format_version", "sample_rate_hz", "response_unit", "drive_unit", "band_hz", "rig", "run", "plan_sha256",
+    "software", "directions_deg", "import_report", "header_crc32", "layout_crc32", "layout_later_crc32", "taps",
+    "period_s", "averages", "sweep_s", "decay_s", "same_clock", "sweep_law", "response_per_volt", "reference_gain",
+    "inter_channel_delay_s", "start_s", "scale", "omitted_bound", "method", "decimated_by", "volts_per_count",
+    "contents_sha256", "heap_offsets", "sha256", NOTES,
+})  # fmt: skip
+"""Root attributes of files of this program; a person may add others, which change nothing."""
 # Written last of all; `heap_offsets` says where older versions keep texts.
 _APART = frozenset({CONTENTS, "heap_offsets"})
 _AT_ONCE_BYTES = 32 << 20
@@ -83,7 +93,13 @@ def seal_contents(file: h5py.File, later: Collection[str] = ()) -> None:
     file.attrs[CONTENTS] = _contents_sha256(file, later)
 
 
-def _contents_sha256(file: h5py.File, later: Collection[str]) -> str:
+def unknown_attributes(file: h5py.File) -> tuple[str, ...]:
+    """Names of root attributes that this program does not write, such as those that a person has added."""
+    return tuple(sorted(set(file.attrs) - _ROOT))
+
+
+def _contents_sha256(file: h5py.File, later: Collection[str], without: Collection[str] = ()) -> str:
+    """SHA-256 of everything but some root attributes."""
     digest = hashlib.sha256()
     for name, found in _objects(file):
         facts: list[object] = [name, "group" if isinstance(found, h5py.Group) else type(found).__name__]
@@ -92,7 +108,8 @@ def _contents_sha256(file: h5py.File, later: Collection[str]) -> str:
             if name not in later and VALUES not in found.attrs and found.id.get_storage_size():
                 facts.append(_plain(hdf5_reading.read_whole(found, Path(file.filename)), file))
         if isinstance(found, h5py.Group | h5py.Dataset):
-            facts += [[key, _plain(found.attrs[key], file)] for key in sorted(found.attrs) if key not in _APART]
+            apart = {*_APART, *without} if name == "/" else _APART
+            facts += [[key, _plain(found.attrs[key], file)] for key in sorted(found.attrs) if key not in apart]
         digest.update(json.dumps(facts).encode() + b"\n")
     return digest.hexdigest()
 
@@ -102,12 +119,15 @@ def require_contents(file: h5py.File, path: Path, later: Collection[str] = ()) -
     if CONTENTS not in file.attrs:
         return
     try:
-        found = _contents_sha256(file, later)
+        sealed = hdf5_reading.text(file, CONTENTS, path)
+        added = {NOTES, *unknown_attributes(file)} & set(file.attrs)
+        # A later version may have sealed attributes that this one does not know.
+        same = any(sealed == _contents_sha256(file, later, without) for without in dict.fromkeys([tuple(added), ()]))
     except InputError:
         raise
     except (TypeError, ValueError, AttributeError) as error:  # h5py, of types and references that are none
         raise InputError(f"{path} {hdf5_reading.hdf5_complaint(error)}") from error
-    if hdf5_reading.text(file, CONTENTS, path) != found:
+    if not same:
         raise InputError(
             f"{path} is damaged: the checksum of its contents does not hold; make it anew or restore a copy"
         )

@@ -121,6 +121,10 @@ class GreenArray:
         if not (np.isfinite(self.sample_rate_hz) and self.sample_rate_hz > 0):
             raise InputError(f"sample_rate_hz is {self.sample_rate_hz}; it must be a finite number above 0")
 
+    def __repr__(self) -> str:
+        size = f"{self.positions} positions, {self.actuators} actuators, {self.taps} taps"
+        return f"GreenArray({size} at {self.sample_rate_hz:g} Hz, {self.response_unit})"
+
     @property
     def positions(self) -> int:
         return int(self.values.shape[0])

@@ -106,7 +106,7 @@ def load_scene(path: str | Path, *, allow_large: bool = False) -> Scene:
     Parameters
     ----------
     path
-        A scene file, contract section 4.
+        A scene file (docs/reference/scene-file.md).
     allow_large
         Whether the scene may be larger than the limits against slips of the decimal point.
 

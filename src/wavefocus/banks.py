@@ -33,7 +33,7 @@ def estimate(
     Parameters
     ----------
     raw
-        Open recordings, or the path of a raw file: of this program, or of any other that follows the contract.
+        Open recordings, or the path of a raw file: of this program, or of any other (docs/reference/raw-file.md).
     bank
         Path of the bank. One that is there must be of the same recordings; what it lacks is estimated.
     workers

@@ -319,6 +319,10 @@ COMMANDS = (
         (file("file", metavar="FILE.h5", help="A bank, raw recordings, a drive or a field."), JSON),
     ),
     Command(
+        "note", "note:note", "Add a dated note to a bank; `status` shows it, exports carry it.",
+        (BANK, argument("text", metavar="TEXT", help="The note, in quotes."), JSON),
+    ),
+    Command(
         "estimate", "estimate:estimate",
         "Estimate Green's functions from kept recordings.\n\nGoes on where a stopped estimate left off.",
         (
@@ -651,5 +655,15 @@ def run_command(arguments: Sequence[str]) -> int:
     if (most_gib := given.pop("most_gib")) is not None:
         os.environ["WAVEFOCUS_MOST_GIB"] = str(most_gib)  # for the processes that it starts, too
     name = given.pop("command")
-    run = next(one.run for one in COMMANDS if one.name == name)
-    return int((_found(run) if isinstance(run, str) else run)(**given) or 0)
+    command = next(one for one in COMMANDS if one.name == name)
+    from wavefocus.console import named_while_silent
+
+    # What a command imports is part of its silence.
+    with named_while_silent(f"{name}: {_first_sentence(command.help)}"):
+        run = _found(command.run) if isinstance(command.run, str) else command.run
+        return int(run(**given) or 0)
+
+
+def _first_sentence(text: str) -> str:
+    first = text.partition("\n\n")[0].rstrip(".")
+    return first[:1].lower() + first[1:]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
 
 # Without a terminal (a log file, a service) a line this often shows progress.
 LINE_EVERY_S = 30.0
+MIN_BAR = 10
+# A command that has said nothing for so long is named, so that nobody takes it for hung.
+SILENT_S = 1.5
 # Further than any campaign goes, and well within the range of dates.
 MAX_AHEAD_S = 1000 * 365.25 * 86_400
 
@@ -66,8 +70,34 @@ def people() -> Console:
     return Console(file=cast(IO[str], _StandardError()), highlight=False, soft_wrap=True)
 
 
+_spoken = threading.Event()
+
+
+@contextmanager
+def named_while_silent(what: str) -> Iterator[None]:
+    """Name a command on a terminal that has said nothing for `SILENT_S`; a pipe or a log file gets no such line."""
+    _spoken.clear()
+    if not _StandardError().isatty():
+        yield
+        return
+    over = threading.Event()
+
+    def name() -> None:
+        if not over.wait(SILENT_S) and not _spoken.is_set():
+            say(f"{what} ...")
+
+    watcher = threading.Thread(target=name, name="named while silent", daemon=True)
+    watcher.start()
+    try:
+        yield
+    finally:
+        over.set()
+        watcher.join()
+
+
 def say(line: str) -> None:
     """Write one line to standard error; dropped where the terminal is gone."""
+    _spoken.set()
     with suppress(OSError, ValueError):  # ValueError: it was closed
         print(escaped(line), file=sys.stderr, flush=True)
 
@@ -77,6 +107,7 @@ def answer(line: str) -> None:
 
     Raises OSError: standard output cannot be written.
     """
+    _spoken.set()
     print(escaped(line), flush=True)
 
 
@@ -120,23 +151,27 @@ def progress(what: str, total: int, *, done: int = 0, timed: bool = True) -> Ite
     callable
         ``report(done, total, note="")``, to be called as items are done.
     """
+    _spoken.set()
     if not sys.stderr.isatty():
         yield _line_reporter(what, done, timed=timed)
         return
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, SpinnerColumn, TextColumn
+    from rich.table import Column
     from rich.text import Text
 
     class RateColumn(ProgressColumn):
         def render(self, task: Task) -> Text:
             return Text(_rate(task))
 
+    # On a narrow terminal the note is cut, and rate and time left; bar and count stay.
+    rest = {"no_wrap": True, "overflow": "ellipsis"}
     columns = (
         SpinnerColumn(),
-        TextColumn("{task.description}", markup=False),
-        BarColumn(bar_width=None),
-        MofNCompleteColumn(),
-        *([RateColumn()] if timed else []),
-        TextColumn("{task.fields[note]}", markup=False),
+        TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True)),
+        BarColumn(bar_width=None, table_column=Column(min_width=MIN_BAR, ratio=1)),
+        MofNCompleteColumn(table_column=Column(no_wrap=True, min_width=2 * len(str(total)) + 1)),
+        *([RateColumn(table_column=Column(ratio=3, **rest))] if timed else []),  # type: ignore[arg-type]
+        TextColumn("{task.fields[note]}", markup=False, table_column=Column(ratio=3, **rest)),  # type: ignore[arg-type]
     )
     with Progress(*columns, console=people(), expand=True) as bar:
         task = bar.add_task(what, total=total, completed=done, note="")
@@ -169,5 +204,6 @@ def _line_reporter(what: str, first: int, *, timed: bool) -> Report:
 
 def print_line(line: str) -> None:
     """Write a line on standard output at once."""
+    _spoken.set()
     sys.stdout.write(line)
     sys.stdout.flush()

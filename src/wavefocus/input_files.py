@@ -67,4 +67,4 @@ def parse_positions(text: str, count: int) -> list[int]:
 def name_unverified(path: Path, *, verified: bool) -> None:
     """Warn of a drive or field file that does not carry checksums of all its values."""
     if not verified:
-        say(f"warning: {path} carries no checksums (contract 1.1): its values are unverified")
+        say(f"warning: {path} carries no checksums: its values are unverified")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from wavefocus.storage import durable, hdf5_digest, hdf5_reading
 from wavefocus.storage.bank.ledger import BANK, FIRST_QUALITY_NAMES, LATER_QUALITY_NAMES, QUALITY_NAMES, bank_rows
-from wavefocus.storage.errors import InputError
+from wavefocus.storage.errors import InputError, OtherLayoutError
 from wavefocus.storage.hdf5_writing import METADATA_BLOCK, attach, bare_dimension, filled, reserved, sample_times, scale
 from wavefocus.storage.ledger.layout import (
     LedgerLayout,
@@ -138,13 +138,16 @@ def read_layout(file: h5py.File, path: Path, *, contents: bool = True) -> Ledger
     damaged.
     """
     require_ledger(file, path, BANK)
-    header = _read_header(file, path)
+    header = read_header(file, path)
     layout = _find_layout(file, header, path)
-    require_checksum(file, path, "header_crc32", header.checksum(), "its header's")
     layout.require_sound(path)
-    require_checksum(file, path, "layout_crc32", layout.checksum(_FIRST_FIGURES), "its address table's")
+    require_checksum(
+        file, path, "layout_crc32", layout.checksum(_FIRST_FIGURES), "its address table's", OtherLayoutError
+    )
     if "layout_later_crc32" in file.attrs:  # not in banks of the first edition
-        require_checksum(file, path, "layout_later_crc32", _later_checksum(layout), "its address table's")
+        require_checksum(
+            file, path, "layout_later_crc32", _later_checksum(layout), "its address table's", OtherLayoutError
+        )
     if contents:
         hdf5_digest.require_contents(file, path, later_datasets(layout))
     return layout
@@ -212,6 +215,13 @@ def _find_layout(file: h5py.File, header: BankHeader, path: Path) -> LedgerLayou
 
 def _later_checksum(layout: LedgerLayout) -> int:
     return offsets_crc([offset for name, (offset, _) in layout.figures.items() if name not in _FIRST_FIGURES])
+
+
+def read_header(file: h5py.File, path: Path) -> BankHeader:
+    """Read and verify what a bank of this program says about itself. Raises InputError: it is damaged."""
+    header = _read_header(file, path)
+    require_checksum(file, path, "header_crc32", header.checksum(), "its header's")
+    return header
 
 
 def _read_header(file: h5py.File, path: Path) -> BankHeader:

@@ -12,15 +12,16 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.storage import hdf5_reading
+from wavefocus.storage import hdf5_digest, hdf5_reading
 from wavefocus.storage.argument_types import Positions, bank_row, bank_rows, checked
-from wavefocus.storage.bank.layout import quality_shape, read_layout
+from wavefocus.storage.bank.layout import BankHeader, quality_shape, read_header, read_layout
 from wavefocus.storage.bank.ledger import BANK, QUALITY_NAMES, Figures, figures_of
+from wavefocus.storage.bank.notes import Note, read_notes
 from wavefocus.storage.durable import Closing
-from wavefocus.storage.errors import InputError
+from wavefocus.storage.errors import InputError, OtherLayoutError
 from wavefocus.storage.hdf5_writing import sample_times
-from wavefocus.storage.ledger.layout import LedgerLayout, has_ledger
-from wavefocus.storage.ledger.reader import LedgerReader, damage_of
+from wavefocus.storage.ledger.layout import JOURNAL, LEDGER, LedgerLayout, has_ledger
+from wavefocus.storage.ledger.reader import DamagedError, LedgerReader, damage_of
 from wavefocus.storage.units import drive_of
 
 if TYPE_CHECKING:
@@ -192,6 +193,8 @@ class Bank(Closing):
     software: Program and version that made the bank.
     directions_deg: Directions of force and oscillation in the plane, from x towards y.
     rows: Where the rows come from.
+    notes: Dated notes that people have added, oldest first.
+    unknown_attributes: Names of root attributes of a bank of this program that it does not write.
     """
 
     path: Path
@@ -211,7 +214,18 @@ class Bank(Closing):
     software: str | None
     directions_deg: tuple[float, float] | None
     import_report: str | None
-    rows: BankRows | ForeignRows = field(repr=False)
+    rows: BankRows | CopiedRows | ForeignRows = field(repr=False)
+    notes: tuple[Note, ...] = ()
+    unknown_attributes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        """Its size and the state of its positions, in three lines at most."""
+        band = "" if self.band_hz is None else f", {self.band_hz[0]:g} to {self.band_hz[1]:g} Hz"
+        return (
+            f"Bank({str(self.path)!r}:\n"
+            f"  {self.positions} positions, {self.actuators} actuators, {self.taps} taps\n"
+            f"  at {self.sample_rate_hz:g} Hz{band}, {self.response_unit}; by {self.software or 'another program'})"
+        )
 
     @property
     def positions(self) -> int:
@@ -315,7 +329,7 @@ def open_bank(path: str | Path, *, contents: bool = False) -> Bank:
     Raises
     ------
     InputError
-        The file is missing, damaged, of another format or version, or holds what contract section 2 does not allow.
+        The file is missing, damaged, of another format or version, or holds what the format does not allow.
 
     Examples
     --------
@@ -330,9 +344,16 @@ def open_bank(path: str | Path, *, contents: bool = False) -> Bank:
         content = stack.enter_context(hdf5_reading.opened(path, cache_bytes=_FOREIGN_CACHE_BYTES))
         if not has_ledger(content):
             facts, foreign = read_foreign(content, path, stack)
-            return Bank(path=path, rows=foreign, **facts)
-        layout = read_layout(content, path, contents=contents)
-    header, rows = layout.header, BankRows(path, layout)
+            return Bank(path=path, rows=foreign, notes=read_notes(content, path), **facts)
+        notes, unknown = read_notes(content, path), hdf5_digest.unknown_attributes(content)
+        rows: BankRows | CopiedRows
+        try:
+            layout = read_layout(content, path, contents=contents)
+            header, rows = layout.header, BankRows(path, layout)
+        except OtherLayoutError:
+            # Copied object by object, or repacked: nothing lies where it did, and every row still has its checksum.
+            header = read_header(content, path)
+            rows = CopiedRows(content, path, header, stack)
     return Bank(
         path=path,
         sample_rate_hz=header.sample_rate_hz,
@@ -352,7 +373,81 @@ def open_bank(path: str | Path, *, contents: bool = False) -> Bank:
         directions_deg=header.directions_deg,
         import_report=header.import_report or None,
         rows=rows,
+        notes=notes,
+        unknown_attributes=unknown,
     )
+
+
+class CopiedRows:
+    """Rows of a bank of this program that lies otherwise in its file, read by HDF5 and checked against its ledger."""
+
+    dtype = np.dtype(np.float32)
+
+    def __init__(self, content: h5py.File, path: Path, header: BankHeader, stack: ExitStack) -> None:
+        self._path, self._shape = path, header.rows
+        rows = _bytes_of(content, path, LEDGER, (header.positions, self._shape.row_bytes))
+        journal = _bytes_of(content, path, JOURNAL, (self._shape.journal_bytes,))
+        self._replacing = self._shape.decode_journal(journal)
+        if self._replacing is not None and self._replacing.position < header.positions:
+            at = self._replacing.position * self._shape.row_bytes
+            rows[at : at + self._shape.row_bytes] = self._replacing.row
+        self.ledger = self._shape.decode(rows)
+        self.figures: Figures = figures_of(self.ledger.rows, self.ledger.holds, header.actuators)
+        measured = hdf5_reading.has(content, "/status")
+        noted = _bytes_of(content, path, "/status", (header.positions,)) if measured else bytes(header.positions)
+        self._erased = self.ledger.empty & (np.frombuffer(noted, np.uint8) != 0)
+        self._green = hdf5_reading.plain_dataset(
+            content, "/green", path, shape=(header.positions, *self._shape.dimensions)
+        )
+        if self._green.dtype != np.float32:
+            raise InputError(f"{path}: /green is of type {self._green.dtype}; float32 is needed")
+        hdf5_reading.require_rows(self._green, path)
+        self._open = stack.pop_all()
+
+    def status(self) -> NDArray[np.uint8]:
+        """Status bits (P,) that the ledger holds."""
+        return self.figures.status.copy()
+
+    def read(self, position: int) -> Float32Array:
+        """Green's functions of a position; zeros where the ledger holds nothing for it."""
+        if self.ledger.empty[position] and not self._erased[position]:
+            return np.zeros(self._shape.dimensions, np.float32)
+        if self._replacing is not None and self._replacing.position == position:
+            values = self._replacing.chunks[0][: self._shape.data_bytes]
+        else:
+            try:
+                values = np.ascontiguousarray(self._green[position], "<f4").tobytes()
+            except (OSError, RuntimeError) as error:
+                complaint = hdf5_reading.hdf5_complaint(error)
+                raise InputError(f"{self._path}: /green at position {position} {complaint}") from error
+        crcs = self.ledger.crcs[position].tolist()
+        if not self.ledger.holds[position] or not self._shape.holds(crcs, [values]):
+            raise DamagedError(damage_of(self._path, BANK, position))
+        return np.frombuffer(values, "<f4").reshape(self._shape.dimensions).astype(np.float32, copy=False)
+
+    def damaged(self) -> tuple[int, ...]:
+        """Positions whose checksums do not hold."""
+        return tuple(row for row in np.flatnonzero(~self.ledger.empty | self._erased).tolist() if not self._holds(row))
+
+    def broken(self) -> NDArray[np.bool_]:
+        """Positions (P,) that were measured and whose ledger row does not hold or is zeros."""
+        return np.asarray(self.ledger.damaged | self._erased)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._open.close()
+
+    def _holds(self, position: int) -> bool:
+        try:
+            self.read(position)
+        except InputError:
+            return False
+        return True
+
+
+def _bytes_of(content: h5py.File, path: Path, name: str, shape: tuple[int, ...]) -> bytearray:
+    dataset = hdf5_reading.plain_dataset(content, name, path, shape=shape)
+    return bytearray(np.ascontiguousarray(hdf5_reading.read_whole(dataset, path), np.uint8).tobytes())
 
 
 class BankRows(LedgerReader):

@@ -88,6 +88,6 @@ def _attributes(rows: BankRows) -> dict[str, object]:
         attributes["directions_deg"] = np.array(bank.directions_deg)
     names = {
         "comment": "description", "creator_name": "people", "institution": "organisation", "license": "licence",
-        "keywords": "keywords", "references": "references",
+        "keywords": "keywords", "references": "references", "notes": "notes",
     }  # fmt: skip
     return attributes | {name: about[key] for name, key in names.items() if key in about}

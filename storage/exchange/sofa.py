@@ -73,7 +73,8 @@ def _attributes(rows: BankRows) -> dict[str, str]:
         "ApplicationName": "wavefocus",
         "ApplicationVersion": version("wavefocus"),
         "Comment": f"Data.IR is in {rows.units[0]}, tap 0 at the drive sample; band {band}; coordinates on the"
-        " surface, origin at its centre, x right, y up, seen from the laser",
+        " surface, origin at its centre, x right, y up, seen from the laser"
+        + (f"; notes: {about['notes']}" if "notes" in about else ""),
     }
     optional = {"RoomDescription": "room", "DatabaseName": "database", "References": "references"}
     return attributes | {name: about[key] for name, key in optional.items() if key in about}

@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 
 from wavefocus.storage import durable, hdf5_digest, hdf5_reading
 from wavefocus.storage.durable import PAGE
-from wavefocus.storage.errors import ExistsError, InputError
+from wavefocus.storage.errors import ExistsError, InputError, OtherLayoutError
 from wavefocus.storage.hdf5_writing import attach, created, reserved
 from wavefocus.storage.ledger.pages import LedgerFormat, RowShape
 from wavefocus.storage.sidecar_files import clear_leftovers, staging_dir
 
 LEDGER = "/durability/ledger"
 JOURNAL = "/durability/journal"
+NOT_WRITTEN = "it cannot be written into, restore it from a whole copy"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +75,10 @@ class LedgerLayout:
         extents = self.extents()
         starts, ends = np.sort(extents[:, 0]), np.sort(extents.sum(axis=1))
         if (starts % PAGE).any() or starts[0] < PAGE or (starts[1:] < ends[:-1]).any():
-            raise InputError(f"{path} is damaged: its datasets overlap or do not start on a page; restore a copy")
+            raise OtherLayoutError(
+                f"{path}: its datasets overlap or do not start on a page: it is damaged, or was copied object by"
+                f" object; " + NOT_WRITTEN
+            )
         if path.stat().st_size < self.file_bytes:
             raise InputError(f"{path} is truncated: {path.stat().st_size} of {self.file_bytes} bytes; restore a copy")
 
@@ -84,10 +88,12 @@ def offsets_crc(offsets: Sequence[int], before: int = 0) -> int:
     return zlib.crc32(np.array(offsets, "<i8").tobytes(), before)
 
 
-def require_checksum(file: h5py.File, path: Path, name: str, found: int, what: str) -> None:
+def require_checksum(
+    file: h5py.File, path: Path, name: str, found: int, what: str, error: type[InputError] = InputError
+) -> None:
     """Refuse a file whose attribute `name` is another checksum of `what`."""
     if found != hdf5_reading.number(file, name, path):
-        raise InputError(f"{path} is damaged: {what} checksum does not hold; restore it from a copy")
+        raise error(f"{path} is damaged: {what} checksum does not hold; restore it from a copy")
 
 
 def lay_out_data(file: h5py.File, shape: RowShape, count: int, units: Sequence[str]) -> tuple[h5py.Dataset, ...]:
@@ -143,7 +149,7 @@ def find_layout(
         dataset = hdf5_reading.plain_dataset(file, name, path, shape=expected)
         found = dataset.id.get_offset()
         if dataset.dtype != np.dtype(dtype) or dataset.chunks or found is None:
-            raise InputError(f"{path}: {name} is not laid out as this program lays it out; restore it from a copy")
+            raise OtherLayoutError(f"{path}: {name} is not laid out as this program lays it out; {NOT_WRITTEN}")
         return int(found)
 
     return LedgerLayout(
@@ -163,7 +169,7 @@ def _row_offsets(file: h5py.File, path: Path, name: str, shape: RowShape, count:
     """Where each position of a dataset lies that has a chunk for each."""
     dataset = hdf5_reading.plain_dataset(file, name, path, shape=(count, *shape.dimensions))
     if dataset.dtype != np.dtype(shape.format.dtype) or dataset.chunks != (1, *shape.dimensions):
-        raise InputError(f"{path}: {name} is not laid out as this program lays it out; it cannot be written into")
+        raise OtherLayoutError(f"{path}: {name} is not laid out as this program lays it out; {NOT_WRITTEN}")
     chunks = np.full(count, -1, np.int64)
 
     def note(chunk: h5py.h5d.StoreInfo) -> None:
@@ -172,7 +178,7 @@ def _row_offsets(file: h5py.File, path: Path, name: str, shape: RowShape, count:
 
     dataset.id.chunk_iter(note)
     if dataset.id.get_create_plist().get_nfilters() or (chunks < 0).any():
-        raise InputError(f"{path} is damaged: {name} lacks rows or is compressed; restore it from a copy")
+        raise OtherLayoutError(f"{path} is damaged: {name} lacks rows or is compressed; {NOT_WRITTEN}")
     return chunks
 
 

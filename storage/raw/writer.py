@@ -92,7 +92,7 @@ def open_raw(path: str | Path) -> RawFile:
     Parameters
     ----------
     path
-        An HDF5 file after contract section 3, made by this program or any other.
+        A file of raw recordings, made by this program or any other (docs/reference/raw-file.md).
 
     Returns
     -------
@@ -102,7 +102,7 @@ def open_raw(path: str | Path) -> RawFile:
     Raises
     ------
     InputError
-        The file is missing, damaged, of another format or version, or holds what the contract does not allow.
+        The file is missing, damaged, of another format or version, or holds what the format does not allow.
 
     Examples
     --------

@@ -289,7 +289,7 @@ def test_given_rows_then_those_alone_are_exported_in_their_order(
         (["nowhere/bank.npz", "--to", "npz"], "there is no folder"),
         (["foreign.h5", "--to", "npz"], "is an input"),
         (["foreign.h5", "--to", "wav"], "is a file"),
-        (["bank.doc", "--to", "doc"], "is not allowed: 'doc'"),
+        (["bank.doc", "--to", "doc"], "'doc' is not allowed"),
         (["bank.npz", "--to", "npz", "--binary"], "--binary"),
         (["bank.npz", "--to", "npz", "--publication", "nowhere.toml"], "nowhere.toml: no such file"),
     ],

@@ -28,6 +28,8 @@ from wavefocus.console import Report, finish_clock, say
 # What a person at the terminal asked for, or must see; recovery and the end have lines of their own.
 _TOLD = frozenset({State.PAUSING, State.PAUSED, State.SUSPENDED, State.STOPPING})
 
+_WAITING = frozenset({State.PAUSED, State.SUSPENDED, State.RECOVERING})
+
 # A rig on a virtual clock lives through hours in seconds; then both clocks are shown.
 _SAME_CLOCK = 0.2
 
@@ -96,6 +98,11 @@ class CampaignView:
                 pass
 
     def _state(self, event: StateChanged) -> None:
+        """Report a state; while nothing is measured, no time is left that could be told."""
+        if event.state in _WAITING:
+            self._report(self._done, self._total, str(event.state))
+        elif self._former in _WAITING and event.state is State.RUNNING:
+            self._report(self._done, self._total, self._left)
         if event.state in _TOLD or (event.state is State.RUNNING and self._former in _TOLD):
             say(f"{event.state}: {event.reason}")
         self._former = event.state

@@ -84,6 +84,8 @@ def write_export(
         require_outputs((out,), inputs, force=force or only_list)
     view.require_sound(positions)
     texts = publication_of(view, publication).texts
+    if view.notes:
+        texts["notes"] = "\n".join(map(str, view.notes))
     rows = choose_rows(
         view, positions, missing_as_nan=missing_as_nan, per=per, binary=binary, publication=texts
     )  # fmt: skip

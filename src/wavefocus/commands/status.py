@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -54,6 +54,7 @@ if TYPE_CHECKING:
 
 # So many positions that stayed as they were are listed one by one.
 MOST_LINES = 5
+MAX_NOTES = 10
 
 
 def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool = False) -> None:
@@ -74,6 +75,7 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
         run_json = view.run_json
         imported = view.import_facts
         moved_mm = view.quality["moved_mm"]
+        notes, unknown = view.notes, view.unknown_attributes
     moved = row_ranges(np.flatnonzero(moved_mm > 0).tolist())
     owner, beat, drift = bank_owner(bank), read_heartbeat(bank), read_drift(bank)
     pace = _pace(bank) if owner else _Pace()
@@ -113,6 +115,8 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
         "kept_positions": [{"position": position, "reason": reason} for position, reason in kept.items()],
         "plan_sha256": plan_sha256,
         "import_report": imported or None,
+        "notes": [asdict(note) for note in notes],
+        "unknown_attributes": list(unknown),
     }
     if as_json:
         print(json.dumps(facts))
@@ -121,6 +125,12 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
     answer(f"{bank}: {done} of {total} positions measured ({words})")
     if imported:
         answer(str(imported.get("paragraph", "")))
+    for note in notes[-MAX_NOTES:]:
+        answer(f"note {note.at[:16].replace('T', ' ')}: {note.text}")
+    if len(notes) > MAX_NOTES:
+        answer(f"and {len(notes) - MAX_NOTES} earlier notes; --json has all")
+    if unknown:
+        answer(f"attributes that somebody has added: {', '.join(unknown)}")
     if broken:
         answer(
             f"the checksums of positions {row_ranges(broken)} do not hold; measure them again with: "

@@ -1,0 +1,99 @@
+"""Dated notes that people add to a bank, kept in it: which finger, which bolt, what was odd that night."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import unicodedata
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import h5py
+
+from wavefocus.storage import durable, hdf5_digest, hdf5_reading
+from wavefocus.storage.argument_types import checked
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.ledger import owner
+from wavefocus.storage.sidecar_files import clear_leftovers, staging_dir
+
+MAX_LETTERS = 4000
+"""Of one note."""
+MAX_NOTES = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """A note: when it was added, as ISO 8601 text with its offset from UTC, and its text."""
+
+    at: str
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.at}: {self.text}"
+
+
+def read_notes(file: h5py.File, path: Path) -> tuple[Note, ...]:
+    """Notes of an open bank, oldest first; those of another program, which cannot be read, are passed over."""
+    try:
+        text = hdf5_reading.text(file, hdf5_digest.NOTES, path) or "[]"
+        return tuple(Note(str(one["at"]), str(one["text"])) for one in json.loads(text))
+    except (InputError, ValueError, TypeError, KeyError, RecursionError):
+        return ()
+
+
+@checked
+def add_note(path: str | Path, text: str) -> Note:
+    """Add a note with the time of now to a bank, as ``wavefocus note``.
+
+    The bank is copied, the copy gets the note, and takes the bank's name when it is whole and on the disk: whatever
+    happens meanwhile, the bank is there as before or with its note.
+
+    Parameters
+    ----------
+    path
+        A bank, measured here or elsewhere, that no process is measuring into.
+    text
+        One line or more, up to 4000 letters.
+
+    Raises
+    ------
+    InputError
+        The file is not a bank, the text is empty or too long, or the disk is too small for a copy.
+    BankBusyError
+        A process owns the bank.
+    """
+    path, text = Path(path), text.strip()
+    if not text or len(text) > MAX_LETTERS:
+        raise InputError(f"the note has {len(text)} letters; 1 to {MAX_LETTERS} are needed")
+    if any(unicodedata.category(letter) in ("Cc", "Cs") and letter not in "\n\t" for letter in text):
+        raise InputError("the note holds control characters; plain text is needed")
+    owner.require_regular(path)
+    if path.is_symlink():
+        raise InputError(f"{path} is a symbolic link to {path.readlink()}; name the bank itself")
+    clear_leftovers(path.parent, path.name)
+    with hdf5_reading.opened(path) as content:
+        hdf5_reading.require_sound_texts(content, path)
+        if "green" not in content:
+            raise InputError(f"{path} is not a bank: it has no dataset /green")
+        notes = read_notes(content, path)
+    if len(notes) >= MAX_NOTES:
+        raise InputError(f"{path} has {len(notes)} notes; more are not kept")
+    note = Note(datetime.now(UTC).astimezone().isoformat(timespec="seconds"), text)
+    try:
+        file = durable.open_file(path, write=True)
+    except OSError as error:
+        raise InputError(f"{path} may not be written: {error.strerror}") from error
+    try:
+        owner.take_ownership(path, file, "bank")
+        with staging_dir(path) as place:
+            shutil.copy2(path, place.temporary)
+            with h5py.File(place.temporary, "r+") as copy:
+                copy.attrs[hdf5_digest.NOTES] = json.dumps([*map(asdict, notes), asdict(note)], ensure_ascii=False)
+            durable.sync_path(place.temporary)
+            place.publish()
+    except OSError as error:
+        raise InputError(f"{path}: the note cannot be added: {error.strerror or error}") from error
+    finally:
+        file.close()
+    return note

@@ -1,0 +1,196 @@
+"""Banks that people have touched: attributes added, notes, copies object by object, repacked."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+import wavefocus as wf
+from tests.unit.test_bank_writer import header
+from wavefocus.__main__ import run
+from wavefocus.calibration.check import check_bank
+from wavefocus.storage.bank.ledger import PointRecord
+from wavefocus.storage.bank.notes import add_note
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.bank.writer import BankWriter, create_bank
+from wavefocus.storage.errors import BankBusyError, InputError
+
+
+@pytest.fixture
+def bank(tmp_path: Path) -> Path:
+    path = tmp_path / "plate.h5"
+    create_bank(path, header())
+    rng = np.random.default_rng(4)
+    with BankWriter.open(path) as writer:
+        positions, actuators, taps = writer.header.positions, writer.header.actuators, writer.header.taps
+        figures = np.ones(actuators, np.float32)
+        for position in range(positions - 1):
+            green = rng.normal(size=(actuators, taps)).astype(np.float32)
+            writer.commit(position, green, PointRecord(1, 1, figures, figures, figures, figures))
+    return path
+
+
+def by_objects(source: h5py.File, target: h5py.File, **options: object) -> None:
+    for name in source:
+        source.copy(name, target, **options)
+    for name, value in source.attrs.items():
+        target.attrs[name] = value
+
+
+def by_values(source: h5py.File, target: h5py.File) -> None:
+    def copy(name: str, found: object) -> None:
+        if isinstance(found, h5py.Dataset):
+            packed = {"compression": "gzip"} if name == "green" else {}
+            target.create_dataset(name, data=found[...], **packed)
+
+    source.visititems(copy)
+    for name, value in source.attrs.items():
+        target.attrs[name] = value
+
+
+def by_references(source: h5py.File, target: h5py.File) -> None:
+    by_objects(source, target, expand_refs=True)
+
+
+@pytest.mark.parametrize("copy", [by_objects, by_values, by_references])
+@pytest.mark.parametrize("libver", ["earliest", "latest"])
+def test_given_a_copy_object_by_object_then_it_reads_as_the_bank(
+    bank: Path, copy: Callable[[h5py.File, h5py.File], None], libver: str
+) -> None:
+    other = bank.with_name("copy.h5")
+    with h5py.File(bank) as source, h5py.File(other, "w", libver=libver) as target:
+        copy(source, target)
+    with open_bank(bank) as own, open_bank(other) as copied:
+        for position in range(own.positions):
+            assert np.array_equal(own.green(position), copied.green(position))
+        assert np.array_equal(own.status, copied.status)
+        assert all(np.array_equal(own.quality[name], copied.quality[name], equal_nan=True) for name in own.quality)
+        assert (own.plan_sha256, own.run_json) == (copied.plan_sha256, copied.run_json)
+        assert copied.verify() == ()
+    assert not [one for one in check_bank(other) if one.severity == "error"]
+    with pytest.raises(InputError, match="cannot be written into"):
+        BankWriter.open(other)
+
+
+def test_given_a_copy_with_a_changed_value_then_its_row_is_damaged(bank: Path) -> None:
+    other = bank.with_name("copy.h5")
+    with h5py.File(bank) as source, h5py.File(other, "w") as target:
+        by_objects(source, target)
+        target["green"][1, 0, 0] += 1
+    with open_bank(other) as copied:
+        assert copied.verify() == (1,)
+        with pytest.raises(InputError, match="position 1 is damaged"):
+            copied.green(1)
+    assert {one.position for one in check_bank(other) if one.severity == "error"} == {1}
+
+
+@pytest.mark.parametrize(
+    "value", ["made by me", 3, np.arange(4), h5py.Empty("f4"), b"\xff", np.array(["a", "b"], dtype="S1")], ids=repr
+)
+def test_given_an_attribute_that_a_person_added_then_the_bank_is_sound_and_it_is_named(
+    bank: Path, value: object
+) -> None:
+    with h5py.File(bank, "r+") as file:
+        file.attrs["my remark"] = value
+    with open_bank(bank, contents=True) as view:
+        assert view.unknown_attributes == ("my remark",)
+    findings = check_bank(bank)
+    assert not [one for one in findings if one.severity == "error"]
+    assert any("my remark" in one.message for one in findings)
+    with BankWriter.open(bank) as writer:  # and it can be measured into
+        assert writer.status.any()
+
+
+def test_given_an_own_attribute_changed_then_the_bank_is_damaged_all_the_same(bank: Path) -> None:
+    with h5py.File(bank, "r+") as file:
+        file.attrs["my remark"] = "x"
+        file["status"].attrs["flag_meanings"] = "valid"
+    with pytest.raises(InputError, match="contents does not hold"):
+        open_bank(bank, contents=True)
+
+
+def test_given_notes_then_status_shows_them_and_the_bank_is_as_it_was(
+    bank: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with open_bank(bank) as before:
+        rows = [before.green(row).copy() for row in range(before.positions)]
+    assert run(["note", str(bank), "bolt 3 was loose"]) == 0
+    assert run(["note", str(bank), 'new coil, "B" \u00fc']) == 0
+    capsys.readouterr()
+    assert run(["status", str(bank), "--json"]) == 0
+    notes = json.loads(capsys.readouterr().out)["notes"]
+    assert [note["text"] for note in notes] == ["bolt 3 was loose", 'new coil, "B" \u00fc']
+    with open_bank(bank, contents=True) as view:
+        assert [note.text for note in view.notes] == [note["text"] for note in notes]
+        assert view.unknown_attributes == ()
+        assert all(np.array_equal(view.green(row), green) for row, green in enumerate(rows))
+    assert not [one for one in check_bank(bank) if one.severity == "error"]
+    with BankWriter.open(bank) as writer:
+        writer.set_status(0, 16)
+    assert sorted(path.name for path in bank.parent.iterdir()) == ["plate.h5"]
+
+
+@pytest.mark.parametrize(
+    ("to", "read"),
+    [
+        ("npz", lambda path: str(np.load(path)["publication_notes"])),
+        ("wav", lambda path: json.loads((path / "bank.json").read_text())["publication"]["notes"]),
+        ("netcdf", lambda path: str(h5py.File(path).attrs["notes"])),
+        ("sofa", lambda path: h5py.File(path).attrs["Comment"].decode()),
+    ],
+)
+def test_given_a_note_then_exports_carry_it(bank: Path, to: str, read: Callable[[Path], str]) -> None:
+    add_note(bank, "bolt 3 was loose")
+    out = bank.with_name("out")
+    wf.export_bank(bank, out, to)
+    assert "bolt 3 was loose" in read(out)
+
+
+@pytest.mark.parametrize("text", ["", "  ", "a" * 4001, "bell\x07", "\x1b[31mred"])
+def test_given_a_text_that_is_no_note_then_it_is_refused(bank: Path, text: str) -> None:
+    before = bank.read_bytes()
+    with pytest.raises(InputError):
+        add_note(bank, text)
+    assert bank.read_bytes() == before
+
+
+def test_given_a_bank_that_a_process_owns_then_no_note_is_added(bank: Path) -> None:
+    code = "import sys; from wavefocus.storage.bank.writer import BankWriter\n"
+    code += "with BankWriter.open(sys.argv[1]): print(flush=True); sys.stdin.read()"
+    with subprocess.Popen(
+        [sys.executable, "-c", code, str(bank)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as owner:
+        assert owner.stdout is not None
+        owner.stdout.readline()
+        with pytest.raises(BankBusyError):
+            add_note(bank, "too early")
+        owner.communicate()
+    add_note(bank, "now")
+
+
+@pytest.mark.may_skip("links need a privilege on Windows")
+@pytest.mark.skipif(os.name == "nt", reason="links need a privilege on Windows")
+def test_given_a_link_or_another_file_then_no_note_is_added(bank: Path) -> None:
+    link, text = bank.with_name("link.h5"), bank.with_name("text.h5")
+    link.symlink_to(bank.name)
+    text.write_text("no bank")
+    for path in (link, text, bank.with_name("none.h5")):
+        with pytest.raises(InputError):
+            add_note(path, "x")
+
+
+def test_given_objects_with_arrays_then_their_text_is_three_lines_at_most(bank: Path) -> None:
+    green = wf.GreenArray(np.exp(-np.arange(50)) * np.ones((4, 2, 1)), np.arange(8.0).reshape(4, 2) * 4, 1000.0)
+    drive = wf.render(wf.Scene("tap", [wf.Source(wf.Point((0.0, 4.0)), wf.Impulse())]), green)
+    with open_bank(bank) as view:
+        for made in (view, green, drive, wf.predict(drive, green)):
+            assert len(repr(made).splitlines()) <= 3
+            assert len(repr(made)) < 400
