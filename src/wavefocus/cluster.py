@@ -8,9 +8,10 @@ from __future__ import annotations
 import logging
 import os
 import socket
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
@@ -40,6 +41,9 @@ Result = TypeVar("Result")
 LOCAL = "local"
 MOST_PROCESSES = 256
 CONNECTING_S = 20.0
+LOOKS_EVERY_S = 2.0
+GIVES_UP_S = 60.0
+"""Without a worker or a scheduler: another worker may join, a scheduler be slow."""
 DASHBOARD = "127.0.0.1:0"
 """Any free port that this machine alone can reach."""
 PARTS_PER_THREAD = 2
@@ -67,6 +71,10 @@ def cluster_client(address: str, workers: int | None = None) -> Iterator[Any]:
     except ImportError as error:
         raise InputError(f"--cluster needs dask ({error}): pip install 'dask[distributed]'") from None
     with ExitStack() as opened:
+        # What a lost connection makes dask log is another program's account; ours is one sentence.
+        for name in logging.root.manager.loggerDict:
+            if name.partition(".")[0] == "distributed":
+                logging.getLogger(name).setLevel(logging.CRITICAL)
         try:
             if local:
                 where = opened.enter_context(
@@ -110,12 +118,13 @@ def spread(
         for part in parts:
             under_way.append(client.submit(function, part, pure=False))
             if len(under_way) >= most:
-                yield _result(under_way.popleft(), stopped)
+                yield _result(client, under_way.popleft(), stopped)
         while under_way:
-            yield _result(under_way.popleft(), stopped)
+            yield _result(client, under_way.popleft(), stopped)
     finally:
         if under_way:
-            client.cancel(list(under_way), force=True)
+            with suppress(Exception):  # of a scheduler that is gone
+                client.cancel(list(under_way), force=True)
 
 
 def estimate_on_cluster(
@@ -154,17 +163,56 @@ def field_on_cluster(
         yield from fields
 
 
-def _result(future: Any, stopped: str) -> Any:
+def _result(client: Any, future: Any, stopped: str) -> Any:
+    """A task's result, waited for as long as there is somebody to make it."""
     import distributed
+    from distributed.comm.core import CommClosedError
 
+    alone_since_s: float | None = None
+    while True:
+        try:
+            return future.result(timeout=LOOKS_EVERY_S)
+        except WavefocusError:
+            raise
+        except distributed.KilledWorker:
+            raise WavefocusError(
+                f"{stopped}: workers of the cluster were lost, again and again; look at their logs, and start it again"
+            ) from None
+        except (distributed.client.FutureCancelledError, CommClosedError):
+            raise _scheduler_lost(stopped) from None
+        except (TimeoutError, distributed.TimeoutError):
+            if client.status not in ("running", "connecting"):
+                raise _scheduler_lost(stopped) from None
+        workers = _workers_left(client)
+        if workers:
+            alone_since_s = None
+            continue
+        now_s = time.monotonic()
+        if alone_since_s is None:
+            alone_since_s = now_s
+            what = "no worker is left" if workers == 0 else "the scheduler does not answer"
+            say(f"cluster: {what}; waiting for {GIVES_UP_S:g} s")
+        elif now_s - alone_since_s > GIVES_UP_S:
+            if workers is None:
+                raise _scheduler_lost(stopped)
+            raise WavefocusError(
+                f"{stopped}: no worker of the cluster is left; look at their logs, start some with: dask worker, and "
+                "start it again"
+            )
+
+
+def _workers_left(client: Any) -> int | None:
+    """Number of workers; None where the scheduler does not answer."""
+    if client.status != "running":
+        return None
     try:
-        return future.result()
-    except WavefocusError:
-        raise
-    except (distributed.KilledWorker, distributed.client.FutureCancelledError) as error:
-        raise WavefocusError(
-            f"{stopped}: workers of the cluster were lost: {error}; look at their logs, and start it again"
-        ) from None
+        return len(client.sync(client.scheduler.identity, callback_timeout=CONNECTING_S)["workers"])
+    except Exception:  # whatever a broken connection raises: it is asked again
+        return None
+
+
+def _scheduler_lost(stopped: str) -> WavefocusError:
+    return WavefocusError(f"{stopped}: the scheduler of the cluster is gone; look at its log, and start it again")
 
 
 Identity = tuple[str, int, int]

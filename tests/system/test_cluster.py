@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,13 +13,15 @@ import numpy as np
 import pytest
 
 from tests.system.raw_script import RATE_HZ, Script, sweep
+from wavefocus import cluster
 from wavefocus.__main__ import run
 from wavefocus.cluster import field_parts, identity_of
 from wavefocus.storage.drive_file import Drive, write_drive
-from wavefocus.storage.errors import InputError
+from wavefocus.storage.errors import InputError, WavefocusError
 
 SCHEDULER = """
 import sys
+import time
 from distributed import LocalCluster
 if __name__ == "__main__":
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster:
@@ -124,3 +127,38 @@ def test_given_a_worker_without_the_files_or_with_others_then_it_says_which(lab:
     (lab / "drive.h5").unlink()
     with pytest.raises(InputError, match="does not exist there"):
         field_parts(drive, bank, None, [[3]])
+
+
+LONE_SCHEDULER = SCHEDULER.replace("n_workers=2, threads_per_worker=1", "n_workers=0")
+
+
+@pytest.mark.parametrize("lost", ["scheduler", "worker"])
+def test_given_a_cluster_that_dies_then_one_sentence_says_so(
+    tmp_path: Path, lost: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cluster, "GIVES_UP_S", 1.0)  # a constant, so that the test need not wait for a minute
+    script = tmp_path / "cluster.py"
+    script.write_text(LONE_SCHEDULER, encoding="utf-8")
+    quiet = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen([sys.executable, str(script)], text=True, **quiet) as scheduler:
+        address = scheduler.stdout.readline().strip()
+        words = ["-m", "distributed.cli.dask_worker", address, "--no-nanny", "--nthreads", "1", "--no-dashboard"]
+        with subprocess.Popen([sys.executable, *words], **quiet) as worker:
+            client = None
+            for _ in range(120):
+                try:
+                    with cluster.cluster_client(address) as client:
+                        results = cluster.spread(client, time.sleep, [0.2] * 1000, stopped="estimating plate")
+                        next(results)
+                        (scheduler if lost == "scheduler" else worker).kill()
+                        with pytest.raises(WavefocusError, match=f"estimating plate: .*{lost} of the cluster is"):
+                            list(results)
+                    break
+                except InputError:  # the worker is not there yet
+                    time.sleep(0.5)
+            assert client is not None
+            worker.kill()
+            scheduler.kill()
+    said = capfd.readouterr().err
+    assert "Traceback" not in said
+    assert "object at 0x" not in said
