@@ -1,0 +1,104 @@
+"""What people see while a command works: the progress line on a narrow terminal, commands that start slowly, pauses."""
+
+from __future__ import annotations
+
+import inspect
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+
+import wavefocus as wf
+from wavefocus import cli
+from wavefocus.campaign.campaign_view import CampaignView
+from wavefocus.config.messages.campaign import Progress, State, StateChanged
+
+pty = pytest.importorskip("pty") if sys.platform != "win32" else None
+posix = pytest.mark.skipif(sys.platform == "win32", reason="a pseudo-terminal is POSIX")
+
+PROGRESS = """
+from wavefocus.console import progress
+with progress("capture", 1500, timed={timed}) as report:
+    report(700, 1500, "position 700: record 3 of 20; about 2 h 05 min left, finished at Thu 26 Nov 23:11")
+"""
+SILENT = """
+import time, sys
+from wavefocus import console
+console.SILENT_S = 0.05
+with console.named_while_silent("check: verify checksums"):
+    {first}
+    time.sleep(1)
+"""
+
+
+def on_a_terminal(code: str, columns: int = 80) -> str:
+    """What a Python program writes to standard error on a terminal of so many columns, without its control codes."""
+    assert pty is not None
+    own, its = pty.openpty()
+    env = {**os.environ, "COLUMNS": str(columns), "TERM": "xterm"}
+    with subprocess.Popen([sys.executable, "-c", code], stdin=its, stdout=its, stderr=its, env=env) as child:
+        os.close(its)
+        said = b""
+        while True:
+            try:
+                block = os.read(own, 4096)
+            except OSError:  # Linux, when the other end is closed
+                break
+            if not block:
+                break
+            said += block
+        child.wait()
+    os.close(own)
+    return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", said.decode())
+
+
+@pytest.mark.may_skip("a pseudo-terminal is POSIX")
+@posix
+@pytest.mark.parametrize("timed", [True, False])
+@pytest.mark.parametrize(("columns", "bar"), [(60, 4), (80, 8), (120, 8)])
+def test_given_a_narrow_terminal_then_the_progress_line_keeps_count_and_bar(
+    columns: int, bar: int, timed: bool
+) -> None:
+    lines = re.split(r"[\r\n]+", on_a_terminal(PROGRESS.format(timed=timed), columns))
+    lines = [line for line in lines if "capture" in line and "700" in line]
+    assert lines
+    for line in lines:
+        assert len(line) <= columns
+        assert "700/1500" in line
+        assert line.count("\u2501") + line.count("\u2578") + line.count("\u257a") >= bar
+
+
+@pytest.mark.may_skip("a pseudo-terminal is POSIX")
+@posix
+@pytest.mark.parametrize(("first", "named"), [("pass", True), ("console.say('found')", False)])
+def test_given_a_command_that_says_nothing_then_it_is_named(first: str, named: bool) -> None:
+    assert ("check: verify checksums ..." in on_a_terminal(SILENT.format(first=first))) is named
+
+
+def test_given_no_terminal_then_a_silent_command_stays_silent() -> None:
+    code = SILENT.format(first="pass")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("", "")
+
+
+def test_given_a_pause_then_the_progress_line_has_no_time_left() -> None:
+    notes: list[str] = []
+    view = CampaignView(lambda done, total, note="": notes.append(note))
+    view(StateChanged(0.0, State.RUNNING, "7 positions to do"))
+    view(Progress(2.0, 3, 9, 2.0, 120.0, 60.0, 100.0))
+    assert "left" in notes[-1]
+    for state in (State.PAUSED, State.SUSPENDED, State.RECOVERING):
+        view(StateChanged(3.0, state, "as asked"))
+        assert notes[-1] == state
+        view(StateChanged(4.0, State.RUNNING, "it goes on"))
+        assert "left" in notes[-1]
+
+
+def test_given_any_help_then_it_does_not_send_people_to_a_section_of_the_contract() -> None:
+    texts = [cli.DESCRIPTION]
+    for command in cli.COMMANDS:
+        texts += [command.help, *(str(one.settings.get("help", "")) for one in command.arguments)]
+    texts += [inspect.getdoc(getattr(wf, name)) or "" for name in wf.__all__]
+    assert not [text for text in texts if re.search(r"contract", text, re.IGNORECASE)]
