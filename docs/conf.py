@@ -6,6 +6,7 @@ import re
 import shutil
 from collections.abc import Iterator
 from importlib.metadata import version as version_of
+from pathlib import Path
 
 from pygments.lexers.special import TextLexer
 from sphinx.application import Sphinx
@@ -25,6 +26,7 @@ smartquotes = False  # keys and values are shown as they are typed
 html_theme = "furo"
 html_static_path = ["site.css"]
 html_css_files = ["site.css"]
+html_search_scorer = str(Path(__file__).parent / "search-scorer.js")
 html_copy_source = False
 html_show_copyright = False
 html_show_sphinx = False

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefocus.acquisition.limits import DriftLimits
 from wavefocus.rendering.arrays import Float64Array
 
 if TYPE_CHECKING:
@@ -69,6 +70,7 @@ class Surface:
     bank: The bank's file; ``Path()`` without a bank.
     sample_rate_hz, taps, band_hz, unit: Of the Green's functions.
     is_virtual: Whether the bank was measured on a virtual rig.
+    drift_limits: Of its run; the default ones where the bank does not state them.
     """
 
     position_mm: Float64Array
@@ -82,6 +84,7 @@ class Surface:
     band_hz: tuple[float, float] | None = None
     unit: str = ""
     is_virtual: bool = False
+    drift_limits: DriftLimits = field(default_factory=DriftLimits)
 
     @property
     def positions(self) -> int:
@@ -111,6 +114,7 @@ def surface_of(bank: Bank) -> Surface:
         band_hz=bank.band_hz,
         unit=bank.response_unit,
         is_virtual=_is_virtual(bank.rig_json),
+        drift_limits=_drift_limits(bank.run_json),
     )
 
 
@@ -166,6 +170,14 @@ def _is_virtual(rig_json: str | None) -> bool:
     except (ValueError, RecursionError):
         return False
     return isinstance(rig, dict) and "mirror" in rig and is_virtual(rig)
+
+
+def _drift_limits(run_json: str | None) -> DriftLimits:
+    """The limits by the run's configuration; a bank made by another program may hold any text there."""
+    try:
+        return DriftLimits(**json.loads(run_json or "")["drift"])
+    except (ValueError, TypeError, KeyError, RecursionError):
+        return DriftLimits()
 
 
 def _outline_mm(rig_json: str | None) -> Float64Array | None:

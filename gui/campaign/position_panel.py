@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pyqtgraph
-from PyQt5.QtCore import QRectF
+from PyQt5.QtCore import QRectF, Qt
 from PyQt5.QtWidgets import QSizePolicy, QTabWidget, QWidget
 
+from wavefocus.acquisition.limits import DriftLimits
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.campaign.model import Campaign, clock
 from wavefocus.gui.campaign.quality import status_text
@@ -150,7 +151,8 @@ class DriftPlot(QWidget):
                 plot.getPlotItem().hideAxis("bottom")
         ui.column(*self.plots, owner=self, spacing=8)
 
-    def show_drift(self, points: Sequence[DriftPoint]) -> None:
+    def show_drift(self, points: Sequence[DriftPoint], limits: DriftLimits) -> None:
+        """Draw the points and the limits for a warning; those for a stop once a value is beyond the former."""
         at_s = np.array([point.at.timestamp() for point in points])
         rows = (
             [point.level_db for point in points],
@@ -160,9 +162,21 @@ class DriftPlot(QWidget):
         theme = self.plots[0].theme
         known = {"steady": ("o", theme.good), "warn": ("t", theme.warning)}
         looks = [known.get(point.verdict, ("x", theme.fault)) for point in points]
-        for plot, values in zip(self.plots, rows, strict=True):
+        warn_and_stop = (
+            (limits.warn_level_db, limits.stop_level_db),
+            (limits.warn_delay_samples, limits.stop_delay_samples),
+            (1 - limits.warn_correlation, 1 - limits.stop_correlation),
+        )
+        for plot, values, ends in zip(self.plots, rows, warn_and_stop, strict=True):
             item = plot.getPlotItem()
             item.clear()
+            largest = max((abs(value) for value in values if math.isfinite(value)), default=0.0)
+            span = 1.15 * max(ends[0] if largest <= ends[0] else ends[1], largest)
+            for end, colour in zip(ends, (theme.warning, theme.fault), strict=True):
+                for limit in (end, -end) if plot is not self.plots[-1] else (end,):
+                    if end <= span:
+                        item.addLine(y=limit, pen=pyqtgraph.mkPen(colour, style=Qt.PenStyle.DashLine))
+            plot.setYRange(-span if plot is not self.plots[-1] else -0.04 * span, span, padding=0)
             item.addLine(y=0.0, pen=pyqtgraph.mkPen(theme.grid))
             item.plot(at_s, np.array(values, dtype=float), pen=pyqtgraph.mkPen(theme.faint))
             marks = [
@@ -172,7 +186,7 @@ class DriftPlot(QWidget):
             ]
             item.addItem(pyqtgraph.ScatterPlotItem(spots=marks, pen=None, size=8))
         self.plots[0].title(
-            "circle: steady, triangle: warn, cross: stop"
+            "circle: steady, triangle: warn, cross: stop; dashed: the limits"
             if points else "the sentinel position has not been measured again yet"
         )  # fmt: skip
         if points:
@@ -262,11 +276,15 @@ class PositionPanel(Themed, QTabWidget):
         attempts = self._campaign.history.get(self.position, [])
         if self.position >= 0 and len(attempts) != self.attempts.rowCount():
             self.show_position(self.position)
-        if before.get("drift") != revision["drift"]:
-            self.drift_plot.show_drift(self._campaign.drift)
+        if before.get("drift") != revision["drift"] or before.get("surface") != revision["surface"]:
+            self._draw_drift()
+
+    def _draw_drift(self) -> None:
+        surface = self._campaign.surface
+        self.drift_plot.show_drift(self._campaign.drift, surface.drift_limits if surface else DriftLimits())
 
     def redraw(self) -> None:
-        self.drift_plot.show_drift(self._campaign.drift)
+        self._draw_drift()
         self._draw_plots()
         self._draw_recording()
 
