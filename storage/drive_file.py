@@ -17,6 +17,7 @@ from wavefocus.storage.argument_types import check_fields, checked, real_array, 
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.hdf5_writing import attach, created, filled, reserved, sample_times, scale, set_long_names
 from wavefocus.storage.output_files import replacement, require_outputs
+from wavefocus.storage.units import drive_of
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -228,7 +229,7 @@ def read_drive(path: str | Path) -> Drive:
         method = hdf5_reading.text(file, "method", path) or "unknown"
         factor = hdf5_reading.number(file, "scale", path, default=1.0)
         omitted_bound = hdf5_reading.number(file, "omitted_bound", path, default=0.0)
-        drive_unit = hdf5_reading.text(file, "drive_unit", path) or "V"
+        drive_unit = _drive_unit(file, dataset, path)
         try:
             drive = Drive(
                 np.asarray(values, np.float64), rate, start_s, method, factor, omitted_bound, sample, position, source,
@@ -242,6 +243,17 @@ def read_drive(path: str | Path) -> Drive:
         if (expected := hdf5_digest.expected_sha256(dataset, path)) is not None:
             hdf5_digest.require_values(hdf5_digest.values_sha256(values), expected, "/drive", path)
     return drive if verified else replace(drive, verified=False, known_finite=True)
+
+
+def _drive_unit(file: h5py.File, dataset: h5py.Dataset, path: Path) -> str:
+    """Unit of the drive: of the attribute ``drive_unit``, else of the dataset's ``units``, else volts."""
+    stated, units = (
+        None if (word := hdf5_reading.text(item, name, path)) is None else drive_of("", word)
+        for item, name in ((file, "drive_unit"), (dataset, "units"))
+    )
+    if stated and units and stated != units:
+        raise InputError(f"{path}: attribute drive_unit is {stated!r}, and /drive is in {units!r}; both must agree")
+    return stated or units or "V"
 
 
 def _focus(file: h5py.File, path: Path, name: str) -> Int64Array:

@@ -269,8 +269,8 @@ def pair(file: h5py.File, name: str, path: Path) -> tuple[float, float] | None:
     return first, second
 
 
-def text(file: h5py.File, name: str, path: Path) -> str | None:
-    """Read a text from a root attribute; None when it is absent."""
+def text(file: h5py.File | h5py.Dataset, name: str, path: Path) -> str | None:
+    """Read a text from an attribute of the file or of a dataset; None when it is absent."""
     if not holds_attribute(file, name):
         return None
     value = _plain_attribute(file, name, path)
@@ -285,7 +285,7 @@ def text(file: h5py.File, name: str, path: Path) -> str | None:
     raise InputError(f"{path}: attribute {name} holds no text; a string is needed")
 
 
-def _plain_attribute(file: h5py.File, name: str, path: Path) -> NDArray[np.generic]:
+def _plain_attribute(file: h5py.File | h5py.Dataset, name: str, path: Path) -> NDArray[np.generic]:
     try:
         dtype = file.attrs.get_id(name).dtype
     except TypeError:

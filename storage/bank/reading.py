@@ -110,7 +110,7 @@ def read_foreign(file: h5py.File, path: Path, stack: ExitStack) -> tuple[dict[st
         "band_hz": _band(file, path, rate),
         "quality": {name: _quality(file, path, name, positions, actuators) for name in QUALITY_NAMES},
         "rms": np.full((positions, actuators), np.nan),
-        **_units(file, path),
+        **_units(file, green, path),
         "rig_json": hdf5_reading.text(file, "rig", path),
         "run_json": hdf5_reading.text(file, "run", path),
         "plan_sha256": hdf5_reading.text(file, "plan_sha256", path),
@@ -122,8 +122,8 @@ def read_foreign(file: h5py.File, path: Path, stack: ExitStack) -> tuple[dict[st
     return facts, ForeignRows(path, green, status, stack.pop_all())
 
 
-def _units(file: h5py.File, path: Path) -> dict[str, str]:
-    unit = hdf5_reading.text(file, "response_unit", path) or "m/s/V"
+def _units(file: h5py.File, green: h5py.Dataset, path: Path) -> dict[str, str]:
+    unit = hdf5_reading.text(file, "response_unit", path) or hdf5_reading.text(green, "units", path) or "m/s/V"
     try:
         return {"response_unit": unit, "drive_unit": drive_of(unit, hdf5_reading.text(file, "drive_unit", path))}
     except InputError as error:

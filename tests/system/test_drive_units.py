@@ -123,3 +123,21 @@ def test_a_universal_export_then_divides_by_the_drive_once(
     found: dict[str, Any] = next(one for one in pyuff.UFF(str(out)).read_sets() if one["type"] == 58)
     assert (found["ordinate_axis_units_lab"].strip(), found["orddenom_axis_units_lab"].strip()) == (over, under)
     assert (found["ordinate_spec_data_type"], found["orddenom_spec_data_type"]) == codes
+
+
+def test_a_drive_and_a_bank_that_state_units_at_their_values_then_keep_them(tmp_path: Path) -> None:
+    path = foreign(tmp_path / "b.h5")
+    with h5py.File(path, "r+") as file:
+        file["green"].attrs["units"] = "Pa/N"
+    with wf.open_bank(path) as bank:
+        assert (bank.response_unit, bank.drive_unit) == ("Pa/N", "N")
+    drive = tmp_path / "drive.h5"
+    with h5py.File(drive, "w") as file:
+        file["drive"] = np.zeros((ACTUATORS, 40))
+        file["drive"].attrs["units"] = "N"
+        file.attrs.update(format="wavefocus-drive", format_version=1, sample_rate_hz=2000.0, start_s=0.0)
+    assert wf.read_drive(drive).drive_unit == "N"
+    with h5py.File(drive, "r+") as file:
+        file.attrs["drive_unit"] = "V"
+    with pytest.raises(wf.InputError, match="both must agree"):
+        wf.read_drive(drive)
