@@ -49,6 +49,8 @@ class BankHeader:
         these are.
     import_report: JSON text about the file that the bank was made from, as `wavefocus.calibration.imports.bank` writes
         it; empty where the bank was measured here.
+    inter_channel_delay_s: How much later the response was sampled than the reference, as the recorder stated it when
+        the bank was begun; None where the configuration says so.
     """
 
     sample_rate_hz: float
@@ -64,6 +66,7 @@ class BankHeader:
     drive_unit: str = "V"
     directions_deg: tuple[float, float] | None = None
     import_report: str = ""
+    inter_channel_delay_s: float | None = None
 
     def __post_init__(self) -> None:
         require_header(self)
@@ -171,6 +174,8 @@ def _lay_out(file: h5py.File, header: BankHeader) -> LedgerLayout:
         file.attrs["directions_deg"] = np.array(header.directions_deg, np.float64)
     if header.import_report:
         file.attrs["import_report"] = header.import_report
+    if header.inter_channel_delay_s is not None:
+        file.attrs["inter_channel_delay_s"] = np.float64(header.inter_channel_delay_s)
     count, actuators, taps = header.positions, header.actuators, header.taps
     position = scale(file, "position", np.arange(count, dtype="<i4"))
     actuator = scale(file, "actuator", np.arange(actuators, dtype="<i4"))
@@ -252,4 +257,9 @@ def _read_header(file: h5py.File, path: Path) -> BankHeader:
             **words,
             directions_deg=hdf5_reading.pair(file, "directions_deg", path),
             import_report=hdf5_reading.text(file, "import_report", path) or "",
+            inter_channel_delay_s=(
+                hdf5_reading.number(file, "inter_channel_delay_s", path)
+                if "inter_channel_delay_s" in file.attrs
+                else None
+            ),
         )

@@ -195,6 +195,8 @@ class Bank(Closing):
     rows: Where the rows come from.
     notes: Dated notes that people have added, oldest first.
     unknown_attributes: Names of root attributes of a bank of this program that it does not write.
+    inter_channel_delay_s: How much later the response was sampled than the reference, in s, as the recorder stated it
+        when the bank was begun; None where the configuration says so.
     """
 
     path: Path
@@ -217,6 +219,7 @@ class Bank(Closing):
     rows: BankRows | CopiedRows | ForeignRows = field(repr=False)
     notes: tuple[Note, ...] = ()
     unknown_attributes: tuple[str, ...] = ()
+    inter_channel_delay_s: float | None = None
 
     def __repr__(self) -> str:
         """Its size and the state of its positions, in three lines at most."""
@@ -375,6 +378,7 @@ def open_bank(path: str | Path, *, contents: bool = False) -> Bank:
         rows=rows,
         notes=notes,
         unknown_attributes=unknown,
+        inter_channel_delay_s=header.inter_channel_delay_s,
     )
 
 

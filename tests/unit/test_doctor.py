@@ -9,17 +9,13 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from tests.unit.test_config_calibration import AT, measured
 from wavefocus.acquisition.doctor import Findings, RigUnderTest, examine
 from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.mirror_map import MirrorMap
-from wavefocus.config.calibration import InputsMeasured
 from wavefocus.config.messages.rig_checks import Finding
-from wavefocus.config.rig import RigConfig
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
-from wavefocus.rig.instruments import OpenedRig, Vibrometer
-from wavefocus.rig.setup import setup_of
+from wavefocus.rig.instruments import Vibrometer
 
 CORNERS = ((90.0, 50.0), (-90.0, 50.0), (-90.0, -50.0), (90.0, -50.0))
 
@@ -120,26 +116,6 @@ def test_given_a_stated_delay_then_it_is_compared_with_the_devices_own(device_s:
         assert finding.act is not None
         assert finding.act.on == "recorder.inter_channel_delay_s"
         assert f"{device_s:.4g}" in finding.remedy
-
-
-@pytest.mark.parametrize(
-    ("device_s", "calibrated_s", "used_s"),
-    [(14e-6, None, 14e-6), (5.2e-6, None, 5e-6), (None, None, 5e-6), (14e-6, 13e-6, 13e-6), (0.0, None, 0.0)],
-)
-def test_given_a_rig_that_is_opened_then_the_calibrated_delay_counts_else_the_devices_own(
-    device_s: float | None, calibrated_s: float | None, used_s: float, capsys: pytest.CaptureFixture[str]
-) -> None:
-    section: dict[str, object] = {"actuators": {"position_mm": [[0, 0], [10, 0]]}}
-    if calibrated_s is not None:
-        inputs = InputsMeasured(at=AT, device="r", identity=None, inter_channel_delay_s=calibrated_s)
-        record = measured().model_copy(update={"inputs": inputs}).model_dump()
-        section["calibration"] = {"file": "cal.toml", "measured": record}
-        section["recorder"] = {"inter_channel_delay_s": calibrated_s}
-    virtual = VirtualRig(SOUND).instruments
-    roles = replace(virtual, recorder=KnowsItsConverter(virtual.recorder, device_s))
-    setup = setup_of(RigConfig.model_validate(section), OpenedRig(roles, 0.1, 0.0, None), 10_000.0)
-    assert setup.inter_channel_delay_s == pytest.approx(used_s)
-    assert bool(capsys.readouterr().err) == (device_s is not None and abs(device_s - (calibrated_s or 5e-6)) > 0.5e-6)
 
 
 def test_given_nothing_may_be_played_then_nothing_is_and_the_rest_is_looked_at() -> None:

@@ -24,7 +24,7 @@ from wavefocus.rig.calibration_session import CalibrationSession, Request, marks
 from wavefocus.rig.instruments import open_rig, openers
 from wavefocus.rig.operation import SAMPLE_RATE_HZ, faulted
 from wavefocus.rig.operators import LinesOperator, TerminalOperator, forget_typed
-from wavefocus.rig.setup import put_to_rest, setup_of
+from wavefocus.rig.setup import setup_in_use
 from wavefocus.storage.errors import InputError
 
 
@@ -45,10 +45,8 @@ def calibrate(
     with ending_at_once():
         try:
             opened = open_rig(openers(rig))
-            setup = setup_of(rig, opened)
-            operator = _operator(setup, lines)
-            with put_to_rest(setup):
-                session.carry_out(setup, operator, opened.patch_bay)
+            with setup_in_use(rig, opened, request.sample_rate_hz) as setup:
+                session.carry_out(setup, _operator(setup, lines), opened.patch_bay)
         except InstrumentError as failure:
             if lines is not None:
                 lines(faulted(failure))

@@ -47,6 +47,7 @@ from wavefocus.ending import stop_on_signals
 from wavefocus.exits import Exit
 from wavefocus.input_files import parse_positions
 from wavefocus.rig.calibration_validity import refuse_other_devices, with_one_calibration
+from wavefocus.rig.input_delay import note_delay_in_new_bank
 from wavefocus.rig.messages import messenger_for
 from wavefocus.rig.setup import open_setup
 from wavefocus.storage.bank.reading import open_bank
@@ -193,6 +194,7 @@ def _session(
     """Carry out one session with log, progress and signals around it; `earlier` happened before it."""
     stop, rig_file = StopRequest(), options.rig_file
     plan = blueprint.plan
+    note_delay_in_new_bank(bank, blueprint.configuration.rig)
     with (
         _naming_resume_command(bank, rig_file),
         messenger_for(bank, blueprint.configuration.rig.messages, resume_line(bank, rig_file)) as messenger,
@@ -200,7 +202,7 @@ def _session(
         # Outside of the instruments, so that no second Ctrl-C keeps them from being put to rest.
         stop_on_signals(stop),
         Attendance(bank, stop) as attendance,
-        open_setup(blueprint.configuration.rig, blueprint.configuration.run) as setup,
+        open_setup(blueprint.configuration.rig, blueprint.configuration.run, bank=writer) as setup,
         opened_raw(blueprint, setup, writer) as raw,
         EventLog(log_path(bank)) as log,
         EventLog(drift_path(bank), Drift, CrosstalkMeasured) as drift,

@@ -18,8 +18,8 @@ from wavefocus.ending import ending_at_once
 from wavefocus.exits import Exit
 from wavefocus.json_lines import LinesIn, LinesOut, ReadingFailedError
 from wavefocus.rig.instruments import OpenedRig, in_time, open_rig, openers
-from wavefocus.rig.operation import Operation, faulted, order_of
-from wavefocus.rig.setup import BoundedSensor, LightSensor, put_to_rest, setup_of
+from wavefocus.rig.operation import SAMPLE_RATE_HZ, Operation, faulted, order_of
+from wavefocus.rig.setup import BoundedSensor, LightSensor, setup_in_use
 from wavefocus.storage.errors import InputError
 
 # So often it is looked whether anybody still reads, while no order comes.
@@ -57,9 +57,8 @@ def operate(rig_file: Path) -> Exit:
 def _operate(rig: RigConfig, publish: LinesOut) -> None:
     """Open the rig, obey, and put it to rest however that ends."""
     opened = open_rig(in_time(openers(rig), RECONNECTING * rig.recovery.hung_after_s))
-    setup = setup_of(rig, opened)
-    player = setup.instruments.player
-    with put_to_rest(setup):
+    with setup_in_use(rig, opened, SAMPLE_RATE_HZ) as setup:
+        player = setup.instruments.player
         assert isinstance(player, BoundedPlayer)  # as every player of a set-up
         operation = Operation(rig, setup, player, _light(rig, opened), publish)
         operation.introduce()

@@ -76,6 +76,7 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
         imported = view.import_facts
         moved_mm = view.quality["moved_mm"]
         notes, unknown = view.notes, view.unknown_attributes
+        delay_s = view.inter_channel_delay_s
     moved = row_ranges(np.flatnonzero(moved_mm > 0).tolist())
     owner, beat, drift = bank_owner(bank), read_heartbeat(bank), read_drift(bank)
     pace = _pace(bank) if owner else _Pace()
@@ -114,6 +115,7 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
         "crosstalk": None if leak is None else to_record(leak),
         "kept_positions": [{"position": position, "reason": reason} for position, reason in kept.items()],
         "plan_sha256": plan_sha256,
+        "inter_channel_delay_s": delay_s,
         "import_report": imported or None,
         "notes": [asdict(note) for note in notes],
         "unknown_attributes": list(unknown),
@@ -131,6 +133,8 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
         answer(f"and {len(notes) - MAX_NOTES} earlier notes; --json has all")
     if unknown:
         answer(f"attributes that somebody has added: {', '.join(unknown)}")
+    if delay_s is not None:
+        answer(f"the response is sampled {1e6 * delay_s:.2f} us after the reference, as the recorder stated")
     if broken:
         answer(
             f"the checksums of positions {row_ranges(broken)} do not hold; measure them again with: "

@@ -8,34 +8,45 @@ from contextlib import contextmanager
 from typing import Protocol
 
 from wavefocus.acquisition.conditions import Band, Sensor, Watch
-from wavefocus.acquisition.setup import MAX_DELAY_DIFFERENCE_S, Setup, identities_of
+from wavefocus.acquisition.setup import Setup, identities_of
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.config.calibration import calibrated
 from wavefocus.config.rig import BandSection, RigConfig, RoomSection
 from wavefocus.config.rig_instruments import VibrometerSection
 from wavefocus.config.run import RunConfig
 from wavefocus.console import say
-from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
-from wavefocus.drivers.protocols import OffersRanges, Recorder, StatesDelay
+from wavefocus.drivers.errors import InstrumentError
+from wavefocus.drivers.protocols import OffersRanges
 from wavefocus.drivers.timeouts import RECONNECTING, CallThread, HungError, bounded
 from wavefocus.rig.calibration_validity import calibration_warnings
+from wavefocus.rig.input_delay import with_input_delay
 from wavefocus.rig.instruments import OpenedRig, in_time, open_rig, openers, read_vibrometer
+from wavefocus.storage.bank.writer import BankWriter
 
 
 @contextmanager
-def open_setup(rig: RigConfig, run: RunConfig | None, *, realtime: bool = False, outputs: int = 0) -> Iterator[Setup]:
+def open_setup(
+    rig: RigConfig,
+    run: RunConfig | None,
+    *,
+    realtime: bool = False,
+    outputs: int = 0,
+    bank: BankWriter | None = None,
+) -> Iterator[Setup]:
     """Open the instruments of a rig; on the way out they are muted, parked and released.
 
     run: Says what a virtual rig is like; None for a flawless one.
-    realtime, outputs: As of `wavefocus.rig.instruments.openers`.
+    realtime, outputs: See `wavefocus.rig.instruments.openers`.
+    bank: The bank that is measured into, which decides on the delay between the inputs.
 
-    Raises InstrumentError: an instrument cannot be opened, or could not be put to rest.
+    Raises InstrumentError: an instrument cannot be opened, or could not be put to rest. Raises InputError: the recorder
+    does not fit the bank.
     """
     virtual = None if run is None else run.virtual
     ways = openers(rig, virtual, realtime=realtime, outputs=outputs)
     ways = in_time(ways, RECONNECTING * rig.recovery.hung_after_s)
-    setup = setup_of(rig, open_rig(ways), None if run is None else run.capture.sample_rate_hz)
-    with put_to_rest(setup):
+    rate_hz = None if run is None else run.capture.sample_rate_hz
+    with setup_in_use(rig, open_rig(ways), rate_hz, bank) as setup:
         if rig.calibration.measured is not None:
             say(f"{rig.calibration.file}: {calibrated(rig.calibration.measured)}, in place of the rig file's")
             for warning in calibration_warnings(rig, identities_of(setup.instruments)):
@@ -43,13 +54,24 @@ def open_setup(rig: RigConfig, run: RunConfig | None, *, realtime: bool = False,
         yield setup
 
 
-def setup_of(rig: RigConfig, opened: OpenedRig, sample_rate_hz: float | None = None) -> Setup:
-    """Open instruments with the wiring and the calibration of their rig.
+@contextmanager
+def setup_in_use(
+    rig: RigConfig, opened: OpenedRig, sample_rate_hz: float | None, bank: BankWriter | None = None
+) -> Iterator[Setup]:
+    """Use instruments that are open; on the way out they are muted, parked and released.
 
-    sample_rate_hz: Of the records to come; with it, the recorder is asked how far apart its inputs are sampled.
+    sample_rate_hz: Of the records to come; with it, the delay between the inputs is asked of the recorder.
+    bank: See `open_setup`.
 
-    Raises InstrumentLostError.
+    Raises InstrumentError, InputError: see `open_setup`.
     """
+    setup = setup_of(rig, opened)
+    with put_to_rest(setup):
+        yield setup if sample_rate_hz is None else with_input_delay(setup, rig, sample_rate_hz, bank)
+
+
+def setup_of(rig: RigConfig, opened: OpenedRig) -> Setup:
+    """Open instruments with the wiring and the calibration of their rig."""
     instruments = bounded(opened.instruments, rig.recovery.hung_after_s)
     return Setup(
         instruments=instruments,
@@ -59,7 +81,7 @@ def setup_of(rig: RigConfig, opened: OpenedRig, sample_rate_hz: float | None = N
         range_v=(rig.recorder.reference_range_v, rig.recorder.response_range_v),
         response_per_volt=opened.sensitivity_m_s_per_v,
         reference_gain=rig.recorder.reference_gain,
-        inter_channel_delay_s=_inter_channel_delay_s(rig, instruments.recorder, sample_rate_hz),
+        inter_channel_delay_s=rig.recorder.inter_channel_delay_s,
         vibrometer_latency_s=opened.vibrometer_latency_s,
         pre_roll_s=rig.recorder.pre_roll_s,
         post_roll_s=rig.recorder.post_roll_s,
@@ -67,34 +89,6 @@ def setup_of(rig: RigConfig, opened: OpenedRig, sample_rate_hz: float | None = N
         watch=watch_of(rig, opened),
         response_ranges_v=_response_ranges_v(rig, opened),
     )
-
-
-def _inter_channel_delay_s(rig: RigConfig, recorder: Recorder, sample_rate_hz: float | None) -> float:
-    """How much later the response is sampled than the reference: calibrated, else the device's own, else as stated.
-
-    Raises InstrumentLostError.
-    """
-    stated_s = rig.recorder.inter_channel_delay_s
-    if sample_rate_hz is None or not isinstance(recorder, StatesDelay):
-        return stated_s
-    try:
-        device_s = recorder.sampling_delay_s(sample_rate_hz)
-    except InstrumentLostError:
-        raise
-    except InstrumentError as failure:
-        say(f"warning: {failure}")
-        return stated_s
-    if device_s is None or abs(device_s - stated_s) <= MAX_DELAY_DIFFERENCE_S:
-        return stated_s
-    device = f"recorder: the device samples the response {1e6 * device_s:.2f} us after the reference"
-    measured = rig.calibration.measured
-    if measured is not None and measured.inputs is not None:
-        say(
-            f"warning: {device}, calibrated were {1e6 * stated_s:.2f} us, which are used; calibrate --only inputs again"
-        )
-        return stated_s
-    say(f"{device}, which is used in place of the {1e6 * stated_s:.2f} us of recorder.inter_channel_delay_s")
-    return device_s
 
 
 def _response_ranges_v(rig: RigConfig, opened: OpenedRig) -> tuple[float, ...]:

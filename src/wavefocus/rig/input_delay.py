@@ -1,0 +1,136 @@
+"""How much later the response input is sampled than the reference: which value counts, and one for a whole bank."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+from wavefocus.acquisition.setup import MAX_DELAY_DIFFERENCE_S, Setup
+from wavefocus.config.rig import RigConfig
+from wavefocus.console import say
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
+from wavefocus.drivers.protocols import Recorder, StatesDelay
+from wavefocus.drivers.timeouts import RECONNECTING, BoundedRecorder
+from wavefocus.rig.instruments import in_time, openers
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.bank.writer import BankWriter, create_bank
+from wavefocus.storage.errors import InputError
+
+
+def with_input_delay(setup: Setup, rig: RigConfig, sample_rate_hz: float, bank: BankWriter | None = None) -> Setup:
+    """A set-up with the delay of its response input: the calibrated one, else the device's own, else as stated.
+
+    sample_rate_hz: Of the records to come.
+    bank: The bank that is measured into: all its rows are corrected by the delay that it was begun with.
+
+    Raises InstrumentLostError. Raises InputError: the recorder's delay is not the one that the bank was begun with.
+    """
+    recorder = setup.instruments.recorder
+    delay_s = _delay_s(rig, recorder, sample_rate_hz) if bank is None else _bank_delay_s(rig, recorder, bank)
+    return replace(setup, inter_channel_delay_s=delay_s)
+
+
+def note_delay_in_new_bank(bank: Path, rig: RigConfig) -> None:
+    """Write the delay that the recorder states into a bank that holds no rows yet; else leave the bank as it is.
+
+    A recorder that does not answer now is reported when the rig is opened.
+
+    Raises InputError: the bank is not one that can be measured into. Raises BankBusyError: it has another owner.
+    """
+    if rig.is_virtual or _is_calibrated(rig):
+        return
+    with open_bank(bank) as view:
+        if view.rig_json is None or view.inter_channel_delay_s is not None or view.status.any():
+            return
+        if view.notes or view.unknown_attributes:  # what people have added stays
+            return
+        rate_hz = view.sample_rate_hz
+    delay_s = None
+    with suppress(InstrumentError):
+        delay_s = _ask_recorder(rig, rate_hz)
+    if delay_s is None:
+        return
+    with BankWriter.open(bank) as writer:
+        header, is_begun = writer.header, writer.status.any()
+    if not is_begun:
+        bank.unlink()  # made anew, not beside it: the disk may have room for one
+        create_bank(bank, replace(header, inter_channel_delay_s=delay_s))
+
+
+def _ask_recorder(rig: RigConfig, sample_rate_hz: float) -> float | None:
+    """The delay that a recorder states, or the rig file's where they are alike; None where it states none."""
+    limit_s = rig.recovery.hung_after_s
+    recorder = BoundedRecorder(in_time(openers(rig), RECONNECTING * limit_s).recorder(), limit_s)
+    try:
+        device_s, stated_s = recorder.sampling_delay_s(sample_rate_hz), rig.recorder.inter_channel_delay_s
+    finally:
+        recorder.close()
+    return stated_s if device_s is not None and _alike(device_s, stated_s) else device_s
+
+
+def _delay_s(rig: RigConfig, recorder: Recorder, sample_rate_hz: float) -> float:
+    stated_s, device_s = rig.recorder.inter_channel_delay_s, _device_delay_s(recorder, sample_rate_hz)
+    if device_s is None or _alike(device_s, stated_s):
+        return stated_s
+    if _is_calibrated(rig):
+        say(
+            f"warning: {_device(device_s)}, calibrated were {_us(stated_s)}, which are used; "
+            "calibrate --only inputs again"
+        )
+        return stated_s
+    say(f"{_device(device_s)}, which is used in place of the {_us(stated_s)} of recorder.inter_channel_delay_s")
+    return device_s
+
+
+def _bank_delay_s(rig: RigConfig, recorder: Recorder, bank: BankWriter) -> float:
+    """The delay that a bank was begun with, held against what the device states now."""
+    header = bank.header
+    if _is_calibrated(rig):
+        return _delay_s(rig, recorder, header.sample_rate_hz)
+    begun_s, stated_s = header.inter_channel_delay_s, rig.recorder.inter_channel_delay_s
+    bank_s = stated_s if begun_s is None else begun_s
+    device_s = _device_delay_s(recorder, header.sample_rate_hz)
+    if device_s is not None and not _alike(device_s, bank_s):
+        if begun_s is not None:
+            raise InputError(
+                f"{bank.path}: was begun with a recorder that samples the response {_us(bank_s)} after the reference; "
+                f"this one does so after {_us(device_s)}: connect the recorder that it was begun with, or start a "
+                "new bank"
+            )
+        say(
+            f"warning: {_device(device_s)}; {bank.path} was begun with {_us(bank_s)}, which are used for its rest too, "
+            "so that its rows are alike; a new bank takes the device's"
+        )
+    elif not _alike(bank_s, stated_s):
+        say(f"{_device(bank_s)}, which is used in place of the {_us(stated_s)} of recorder.inter_channel_delay_s")
+    return bank_s
+
+
+def _device_delay_s(recorder: Recorder, sample_rate_hz: float) -> float | None:
+    """What the recorder states; None where it does not."""
+    if not isinstance(recorder, StatesDelay):
+        return None
+    try:
+        return recorder.sampling_delay_s(sample_rate_hz)
+    except InstrumentLostError:
+        raise
+    except InstrumentError as failure:
+        say(f"warning: {failure}")
+        return None
+
+
+def _is_calibrated(rig: RigConfig) -> bool:
+    return rig.calibration.measured is not None and rig.calibration.measured.inputs is not None
+
+
+def _alike(delay_s: float, other_s: float) -> bool:
+    return abs(delay_s - other_s) <= MAX_DELAY_DIFFERENCE_S
+
+
+def _device(delay_s: float) -> str:
+    return f"recorder: the device samples the response {_us(delay_s)} after the reference"
+
+
+def _us(seconds: float) -> str:
+    return f"{1e6 * seconds:.2f} us"
