@@ -200,7 +200,7 @@ class PathField(QWidget):
     def show_path(self, path: Path) -> None:
         """Show a path without emitting `chosen`."""
         self._last = path
-        self.line.setText(_short(path))
+        self.line.setText(short_path(path))
         self.line.setToolTip(str(path))
         self.line.setCursorPosition(len(self.line.text()))
 
@@ -253,7 +253,7 @@ class PathField(QWidget):
         self.chosen.emit(path)
 
 
-def _short(path: Path) -> str:
+def short_path(path: Path) -> str:
     """A path as people write it: from their own folder, where it lies in it."""
     try:
         return str(Path("~") / path.relative_to(Path.home()))
@@ -291,9 +291,9 @@ def toml_kind(path: Path) -> TomlKind:
 class FileKind(StrEnum):
     """What a field of the window takes, in words."""
 
-    BANK = "bank"
     RUN = "run file"
     RIG = "rig file"
+    BANK = "bank"
     SCENE = "scene file"
 
 

@@ -12,7 +12,7 @@ from PyQt5.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QFontDatabase,
 from PyQt5.QtWidgets import QAction, QActionGroup, QApplication, QFileDialog, QMainWindow, QMenu, QWidget
 
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.files import FileKind, PathField, Settings, dropped_files, make_dialog
+from wavefocus.gui.files import FileKind, PathField, Settings, dropped_files, make_dialog, short_path
 from wavefocus.gui.front_door import FrontDoor
 from wavefocus.gui.messages import ErrorHook, MessageBar
 from wavefocus.gui.process import Background, CommandProcess
@@ -76,7 +76,7 @@ class Window(QMainWindow):
         for tab in self.tabs:
             tab.poll()
         shared = self.context.shared
-        files = "   ·   ".join(f"{kind}: {shared[kind]}" for kind in FileKind if kind in shared)
+        files = "   ·   ".join(f"{kind}: {short_path(shared[kind])}" for kind in FileKind if kind in shared)
         self.messages.show_idle(files or "File > New lab writes the files to begin with; File > Open opens yours")
         shown = self._pages.currentWidget()
         if isinstance(shown, Tab) and self.isVisible() and not self.isMinimized():
