@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PyQt5.QtCore import QObject, pyqtSignal
 
+from wavefocus.config.loading import read_toml
 from wavefocus.config.scene import FileTable, PolylineTable, SceneConfig, SourceTable, TextTable
 from wavefocus.gui.process import Background
 from wavefocus.gui.scene.document import SceneDocument, source_toml
@@ -110,6 +112,7 @@ class LivePreview(QObject):
         self.preview = Preview(document.draft, self.ground, [], "", "")
         self._busy = self._stale = self._ended = False
         self._lost: Path | None = None
+        self._rig: Path | None = None
         for signal in (document.changed, document.chosen_changed, document.file_changed):
             signal.connect(self._ask)
         document.bank_changed.connect(self.read_bank)
@@ -125,9 +128,16 @@ class LivePreview(QObject):
         if self._ended:
             return
         if bank is None:
-            self._use_ground(_bare_ground())
+            self._use_ground(_bare_ground(self._rig))
         else:
             self._background.ask("ground", partial(_ground_of, bank), self._use_ground, partial(self._no_bank, bank))
+
+    def use_rig(self, rig: Path | None) -> None:
+        """Draw on the surface of a rig while there is no bank."""
+        if rig != self._rig:
+            self._rig = rig
+            if self._document.bank is None:
+                self.read_bank()
 
     def poll(self) -> None:
         """Read a bank again that could not be read, once its file is back."""
@@ -172,7 +182,7 @@ class LivePreview(QObject):
 
     def _no_bank(self, bank: Path, why: Exception) -> None:
         if self._document.bank == bank:
-            self._show_ground(_bare_ground())
+            self._show_ground(_bare_ground(self._rig))
             self._lost = None if bank.exists() else bank
         self._context.report_failure(why, _TOPIC)
 
@@ -237,8 +247,13 @@ def _duration(seconds: float) -> str:
     return f"{seconds * 1e3:.4g} ms" if 0 < seconds < 1 else f"{seconds:.4g} s"
 
 
-def _bare_ground() -> Ground:
-    return Ground(surface_from({}).outline.line(180))
+def _bare_ground(rig: Path | None = None) -> Ground:
+    """The outline of a rig file's surface; the default one without a file that can be read."""
+    table: object = {}
+    if rig is not None:
+        with suppress(InputError):  # reported by what plays on it
+            table = read_toml(rig).get("surface", {})
+    return Ground(surface_from(table).outline.line(180))
 
 
 def _ground_of(path: Path) -> Ground:

@@ -74,6 +74,8 @@ class SceneTab(Tab):
         self.document.file_changed.connect(self._show_possible)
         self._show_possible()
         bar.rig_changed.connect(self.live_panel.show_run)
+        bar.rig_changed.connect(lambda: self.live.use_rig(bar.rig_field.path))
+        self.live.use_rig(bar.rig_field.path)
         self.files.restore_unsaved()
 
     def menu_actions(self) -> list[QAction | None]:

@@ -94,6 +94,16 @@ def test_given_a_run_then_outline_actuators_grid_and_hours_are_shown_before_ther
     assert "averages" not in window.messages.sentence  # the error holds no longer
 
 
+def test_given_a_rig_without_a_bank_then_scenes_are_drawn_on_its_surface(
+    qtbot: QtBot, open_window: Opens, tmp_path: Path
+) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_text('[rig]\nname = "disc"\n[surface]\nlength_mm = 180.0\nwidth_mm = 120.0\n', encoding="utf-8")
+    window = open_window(rig)
+    outline_mm = tab_of(window, SceneTab).live.ground.outline_mm
+    assert np.ptp(outline_mm, axis=0) == pytest.approx([180.0, 120.0], abs=0.1)
+
+
 def test_given_no_files_then_no_positions_are_counted(open_window: Opens) -> None:
     window = open_window()
     window.refresh()
