@@ -156,7 +156,7 @@ class Follower:
         try:
             found = self.bank.stat()
         except FileNotFoundError:
-            if self._identity is not None:
+            if self._identity is not None or self._trouble:  # it was there: it may have gone while it was read
                 self._report(f"{self.bank} has been deleted or moved; put it back, or open another bank")
             self._identity = None
             self._put_life(None)
