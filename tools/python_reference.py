@@ -42,7 +42,7 @@ green = bank.to_xarray()["green"].sel(actuator=0, time_s=slice(0, 0.02))
 <!-- Written by tools/python_reference.py from the docstrings: change those. -->
 """
 FUNCTIONS = {
-    "Banks": ("open_bank", "virtual_rig", "import_bank", "export_bank"),
+    "Banks": ("open_bank", "virtual_rig", "import_bank", "export_bank", "add_note"),
     "Scenes, drives and fields": ("load_scene", "render", "predict", "focus_figures"),
     "Live sources": ("live",),
     "Files": ("read_drive", "write_drive", "read_field", "write_field"),

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from wavefocus.rendering.scene.paths import Circle, Line, Point, Polyline
     from wavefocus.rendering.scene.signals import Impulse, Noise, Sine, SoundFile
     from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
+    from wavefocus.storage.bank.notes import add_note
     from wavefocus.storage.bank.reading import Bank, open_bank
     from wavefocus.storage.drive_file import Drive, read_drive, write_drive
     from wavefocus.storage.errors import InputError
@@ -53,6 +54,7 @@ _MODULES = {
     "Source": "wavefocus.rendering.scene.model",
     "TrajectoryPath": "wavefocus.rendering.scene.trajectory_path",
     "VirtualBench": "wavefocus.virtual",
+    "add_note": "wavefocus.storage.bank.notes",
     "estimate": "wavefocus.banks",
     "estimate_positions": "wavefocus.calibration.estimator.raw_estimation",
     "estimator": "wavefocus.calibration.estimator.raw_estimation:estimator_of",
@@ -93,6 +95,7 @@ __all__ = [
     "Source",
     "TrajectoryPath",
     "VirtualBench",
+    "add_note",
     "estimate",
     "estimate_positions",
     "estimator",

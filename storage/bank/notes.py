@@ -56,12 +56,23 @@ def add_note(path: str | Path, text: str) -> Note:
     text
         One line or more, up to 4000 letters.
 
+    Returns
+    -------
+    Note
+        ``at``, the time of now as ISO 8601 text, and ``text``. `Bank.notes` has all notes of a bank.
+
     Raises
     ------
     InputError
         The file is not a bank, the text is empty or too long, or the disk is too small for a copy.
     BankBusyError
         A process owns the bank.
+
+    Examples
+    --------
+    >>> import wavefocus as wf
+    >>> wf.add_note("plate.h5", "bolt 3 was loose").text
+    'bolt 3 was loose'
     """
     path, text = Path(path), text.strip()
     if not text or len(text) > MAX_LETTERS:

@@ -51,6 +51,7 @@ VALID: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "LiveSources.set_signal": (
         lambda **given: wf.LiveSources.set_signal(None, **given), {"name": "a", "signal": wf.Impulse()},
     ),
+    "add_note": (wf.add_note, {"path": "none.h5", "text": "x"}),
     "estimate": (wf.estimate, {"raw": "none.raw.h5", "bank": "new.h5"}),
     "estimate_positions": (wf.estimate_positions, {"raw": None, "estimator": None, "positions": [0], "workers": 1}),
     "estimator": (wf.estimator, {"raw": None}),
