@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from wavefocus.acquisition.crosstalk_watch import CrosstalkWatch
+from wavefocus.acquisition.doctor import crosstalk_alone
 from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.check import check_bank
 from wavefocus.calibration.crosstalk import Crosstalk, crosstalk_of_record, crosstalk_of_rows
@@ -20,7 +21,9 @@ from wavefocus.campaign.blueprint import blueprint_of
 from wavefocus.campaign.sidecar_files import last_events, read_crosstalk
 from wavefocus.config.messages.campaign import CrosstalkMeasured
 from wavefocus.drivers.protocols import RecordRequest, Take
+from wavefocus.mocks.virtual.mirror import MirrorMotion
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
+from wavefocus.mocks.wire.emulated_rig import WireBench
 from wavefocus.rendering.verify.leak import crosstalk_symptom, with_crosstalk
 from wavefocus.rendering.verify.results import CERTAIN_SHARE, Symptom
 from wavefocus.storage.bank.layout import BankHeader
@@ -220,3 +223,45 @@ def test_leak_is_a_certain_symptom_only_where_it_explains_enough_of_the_excess(n
     assert (symptom.explained >= CERTAIN_SHARE) is certain
     guess = Symptom("unexplained", explained=0.0, certain=False)
     assert with_crosstalk((guess,), symptom) == ((symptom,) if certain else (guess, symptom))
+
+
+class LoopbackAudio:
+    """An audio interface whose loopback output plays noise for 0.4 s from frame 0 on, and nothing else."""
+
+    rate_hz = 48_000
+
+    def __init__(self, channels: int) -> None:
+        self._frames = np.zeros((channels, 19_200), dtype=np.float32)
+        self._frames[-1] = 0.2 * np.random.default_rng(6).standard_normal(19_200).clip(-2, 2)
+
+    def frame_at(self, instant_ns: int) -> float:
+        return (instant_ns - 1e9) * self.rate_hz / 1e9
+
+    def read(self, first: int, stop: int) -> np.ndarray:
+        found = np.zeros((len(self._frames), stop - first), dtype=np.float32)
+        inside = np.arange(max(first, 0), min(stop, self._frames.shape[1]))
+        found[:, inside - first] = self._frames[:, inside]
+        return found
+
+
+def test_emulated_wires_leak_as_the_virtual_rig_does() -> None:
+    settings = replace(QUIET, crosstalk=1e-3, crosstalk_delay_s=3e-4, actuator_mm=((0.0, 50.0),))
+    motion = MirrorMotion(settings.park_mrad, settings.settle_s, settings.slew_mrad_s, settings.limit_mrad)
+    bench = WireBench(settings, LoopbackAudio(2), motion, full_scale_v=(5.0, 5.0))
+    reference_v, response_v = bench.record(900_000_000, 6000, RATE_HZ, ("ai0", "ai1"), 7e-6)
+    found = crosstalk_of_record(reference_v, response_v, RATE_HZ, (40.0, 400.0), inter_channel_delay_s=7e-6)
+    assert found.share == pytest.approx(1e-3, rel=0.01)
+    assert found.delay_s == pytest.approx(3e-4, abs=2e-6)
+
+
+def test_leak_is_measured_with_the_loopback_alone_whatever_the_wiring() -> None:
+    settings = VirtualSettings(crosstalk=2e-4, crosstalk_delay_s=1e-4, inter_channel_delay_s=2e-5)
+    rig = VirtualRig(settings)
+    setup = Setup(
+        rig.instruments, MirrorMap.straight(1000.0), settings.channel_of_actuator, settings.channel_of_loopback,
+        (10.0, 10.0), PER_VOLT, inter_channel_delay_s=2e-5,
+    )  # fmt: skip
+    found = crosstalk_alone(setup, (0.0, 0.0), 1.0, RATE_HZ)
+    assert found.is_named
+    assert found.share == pytest.approx(2e-4, abs=4 * found.error)
+    assert found.delay_s == pytest.approx(1e-4, abs=5e-5)
