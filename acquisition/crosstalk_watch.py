@@ -19,6 +19,7 @@ from wavefocus.storage.point_status import Status, usable
 
 # So many positions show a leak of -80 dB on every virtual plate; the sentinel is due after as many, by default.
 TOGETHER = 50
+MORE_TOGETHER = 4 * TOGETHER
 DEFECT = "crosstalk"
 
 
@@ -66,8 +67,12 @@ class CrosstalkWatch:
                 earlier = found if found is not None and found.is_named else earlier
             self._earlier = None
         latest = np.array(self._rows[-max(TOGETHER, self._unseen) :], dtype=np.int64)
-        self._unseen = 0
         seen = self._measure(latest)
+        if seen is not None and not (seen.is_named or seen.is_resolved):
+            # On glass without an edge it takes some hundred positions to be sure.
+            latest = np.array(self._rows[-max(MORE_TOGETHER, self._unseen) :], dtype=np.int64)
+            seen = self._measure(latest)
+        self._unseen = 0
         if seen is not None:
             self.found = seen if seen.is_named else None
             marked += list(self._mark(latest, seen))

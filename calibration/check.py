@@ -183,6 +183,9 @@ def _check_crosstalk(bank: Bank) -> Iterator[Finding]:
     elif found.is_named:
         message = f"crosstalk: the loopback leaks into {found.rows}: {found} ({found.sigmas:.0f} sigma): {REMEDY}"
         yield Finding(None, None, message)
+    elif not found.is_resolved:
+        message = f"crosstalk below {found.in_words(found.visible_db)} would not show in these rows"
+        yield Finding(None, None, message, "note")
 
 
 def _status_or_none(bank: Bank) -> NDArray[np.uint8] | None:

@@ -16,14 +16,16 @@ import json
 import math
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.fft
 from numpy.typing import ArrayLike, NDArray
 
 from wavefocus.calibration import BoolArray, Float64Array, Int64Array
-from wavefocus.storage.bank.reading import Bank
 from wavefocus.storage.errors import InputError
+
+if TYPE_CHECKING:
+    from wavefocus.storage.bank.reading import Bank  # texts of the remedy need no files
 
 NAMED_SHARE = 0.6e-4
 """A leak from here on is named: below the -80 dB that must be, by what rows on glass can be off."""
@@ -47,6 +49,10 @@ WHOLE_PERIODS = 50.0
 """Taps that are transformed, in periods of the band's upper end."""
 ROW_DELAYS = (0.0, 0.05, 0.1, 0.2, 0.3, 0.5)
 """Delays looked for in rows, in those periods: later, a leak cannot be distinguished from a wave."""
+RELATIVE = 50.0
+"""Where the response input's sensitivity is unknown, 1e-4 stands for -46 dB of the median row."""
+MAX_ROW = 1e9
+"""Values beyond, in V per V, are no rows."""
 SHARES = np.geomspace(1e-6, 1.0, 31)
 """Magnitudes tried first."""
 
@@ -100,10 +106,13 @@ class Crosstalk:
         return f"the rows of actuators {named}" if self.actuators else "all rows"
 
     def __str__(self) -> str:
-        re = f"{self.level_db:.1f} dB re the loopback"
+        return f"{self.in_words(self.level_db)}, {1e6 * self.delay_s:.0f} us late"
+
+    def in_words(self, level_db: float) -> str:
+        """A level with its reference."""
         if self.is_relative:
-            re = f"{self.level_db + 20 * math.log10(50.0):.0f} dB of the median row"
-        return f"{re}, {1e6 * self.delay_s:.0f} us late"
+            return f"{level_db + 20 * math.log10(RELATIVE):.0f} dB of the median row"
+        return f"{level_db:.1f} dB re the loopback"
 
 
 def crosstalk_of_record(
@@ -123,10 +132,10 @@ def crosstalk_of_record(
     inter_channel_delay_s: How much later the response input is sampled.
     """
     reference, response = (np.asarray(one, dtype=np.float64) for one in (reference_v, response_v))
-    size = scipy.fft.next_fast_len(reference.size + round(MAX_DELAY_S * sample_rate_hz), real=True)
-    hertz = scipy.fft.rfftfreq(size, 1 / sample_rate_hz)
+    size = 1 << math.ceil(math.log2(reference.size + MAX_DELAY_S * sample_rate_hz))
+    hertz = np.fft.rfftfreq(size, 1 / sample_rate_hz)
     inside = (hertz >= band_hz[0]) & (hertz <= band_hz[1])
-    known, heard = (scipy.fft.rfft(one, size)[inside] for one in (reference, response))
+    known, heard = (np.fft.rfft(one, size)[inside] for one in (reference, response))
     energy = float(np.sum(np.abs(known) ** 2))
     if energy == 0.0:
         return Crosstalk(0.0, 0.0, math.inf)
@@ -182,13 +191,15 @@ def crosstalk_of_rows(
     if green.shape[2] < 2 * bench.period or band_hz[1] > 0.45 * sample_rate_hz:
         return None
     far = far_pairs(position_mm, actuator_mm) & np.any(green != 0, axis=2)
-    if np.count_nonzero(far) < MIN_PAIRS:
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        green = np.asarray(green, dtype=np.float64) / response_per_volt
+    if np.count_nonzero(far) < MIN_PAIRS or not np.all(np.abs(green) < MAX_ROW):
         return None
-    joint = bench.measure(green[far] / response_per_volt, ROW_DELAYS)
+    joint = bench.measure(green[far], ROW_DELAYS)
     if joint.is_named or len(actuator_mm) == 1:
         return joint
     single = [
-        (actuator, bench.measure(green[far[:, actuator], actuator] / response_per_volt, ROW_DELAYS[:1]))
+        (actuator, bench.measure(green[far[:, actuator], actuator], ROW_DELAYS[:1]))
         for actuator in np.flatnonzero(far.sum(axis=0) >= MIN_PAIRS).tolist()
     ]
     shown = [(actuator, one) for actuator, one in single if one.is_named]
@@ -210,7 +221,7 @@ def crosstalk_of_bank(bank: Bank, positions: Int64Array) -> Crosstalk | None:
     rows, kept = [], []
     for position in spread_positions(positions).tolist():
         with suppress(InputError):
-            rows.append(bank.green(position)[:, :taps].astype(np.float32))
+            rows.append(np.asarray(bank.green(position)[:, :taps], dtype=np.float64))
             kept.append(position)
     if not rows:
         return None
@@ -218,7 +229,8 @@ def crosstalk_of_bank(bank: Bank, positions: Int64Array) -> Crosstalk | None:
     if known := per_volt is not None:
         scale = per_volt
     else:
-        scale = 50.0 * float(np.median(np.linalg.norm(green, axis=2))) or 1.0
+        peak = float(np.max(np.abs(green))) or 1.0  # a norm of huge values would not be finite
+        scale = RELATIVE * peak * float(np.median(np.linalg.norm(green / peak, axis=2)))
     found = crosstalk_of_rows(
         green, bank.position_mm[kept], bank.actuator_mm, bank.sample_rate_hz, bank.band_hz, scale or 1.0
     )
