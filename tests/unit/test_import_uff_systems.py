@@ -169,6 +169,9 @@ def test_what_cannot_be_turned_then_is_refused(tmp_path: Path) -> None:
     add_functions(path, RESPONSES)
     with pytest.raises(InputError, match="coordinate system 9"):
         imported(path)
+    table = tmp_path / "places.csv"
+    table.write_text("node,x_mm,y_mm\n" + "".join(f"{node},{4 * node},0\n" for node in NODES))
+    assert imported(path, places=table)[0][:, 0].tolist() == [4.0 * node for node in NODES]
 
 
 @pytest.mark.parametrize("kind", [2, 3, 9, 12])

@@ -23,7 +23,7 @@ from wavefocus.storage.exchange.reading.measured import (
 )
 from wavefocus.storage.exchange.reading.places import coordinates, read_places
 from wavefocus.storage.exchange.reading.uff_sets import Contents, Function, contents
-from wavefocus.storage.exchange.reading.uff_systems import SPHERICAL, aligned, resolve
+from wavefocus.storage.exchange.reading.uff_systems import CARTESIAN, SPHERICAL, aligned, resolve
 
 FREQUENCY, TIMES = (4, 5), (25, 1, 0)
 """Function types: frequency response, transmissibility; FIR filter, time response, unknown. Spectra (2, 3, 9, 12) are
@@ -48,7 +48,10 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
             f" it holds functions of the types {kinds[:10]} and the sets {sorted(held.skipped)[:20]}"
         )
     chosen = [one for one in held.functions if one.kind == kind]
-    places = {node: resolve(held.systems, one.definition, path).place(one.own) for node, one in held.nodes.items()}
+    used = {node for one in chosen for node in (one.response[0], one.reference[0])} & held.nodes.keys()
+    places = {} if options.places else {
+        node: resolve(held.systems, held.nodes[node].definition, path).place(held.nodes[node].own) for node in used
+    }  # fmt: skip
     chosen, turned = _in_directions_of_the_file(chosen, held, places, options.direction.strip().lower(), path)
     axes = sorted({abs(one.response[1]) for one in chosen})
     names = [_AXIS_NAMES.get(axis, str(axis)) for axis in axes]
@@ -125,7 +128,10 @@ def _in_directions_of_the_file(
             system = resolve(held.systems, held.nodes[node].displacement, path)
             if system.kind == SPHERICAL:
                 raise InputError(f"{path}: node {node} has directions of a spherical system, which are not read")
-            directions[node] = system.directions(places[node])
+            if system.kind != CARTESIAN and node not in places:
+                placed = resolve(held.systems, held.nodes[node].definition, path)
+                places[node] = placed.place(held.nodes[node].own)
+            directions[node] = system.directions(places.get(node, np.zeros(3)))
     unturned = np.eye(3)
     responding = [directions.get(node, unturned) for node in {one.response[0] for one in functions}]
     alike = all(np.abs(one - responding[0]).max() < 1e-3 for one in responding)
