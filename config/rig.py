@@ -48,7 +48,7 @@ class RecoverySection(Table):
 
 
 class UsbDevice(Table):
-    """A device that should be plugged in."""
+    """The USB device of a role."""
 
     role: Literal["mirror", "recorder", "player", "vibrometer"] = Field(description="Role of the device")
     vendor_id: Annotated[Whole, Field(ge=0, le=0xFFFF)] = Field(description="Vendor")

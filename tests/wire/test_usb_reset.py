@@ -7,14 +7,14 @@ import dataclasses
 import pytest
 
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
-from wavefocus.drivers.usb import ExpectedUsbDevice, list_devices, reset_device
+from wavefocus.drivers.usb import list_devices, reset_device
 from wavefocus.mocks.virtual.laboratory import VirtualClock
 from wavefocus.mocks.wire.faults import WireFault
 from wavefocus.mocks.wire.usb_backend import VirtualUsb, VirtualUsbDevice
 
 DAQ = VirtualUsbDevice(0x3923, 0x7179, "01A2B3C4", "National Instruments", "USB-6211", port_path=(1, 2))
 OTHER = VirtualUsbDevice(0x0403, 0x6001, "A50285BI", "FTDI", "FT232R USB UART", port_path=(1, 3))
-EXPECTED = (ExpectedUsbDevice("recorder", 0x3923, 0x7179), ExpectedUsbDevice("mirror", 0x0403, 0x6001))
+RECORDER = ("recorder", 0x3923, 0x7179)
 
 
 def bus_with(**changes: object) -> VirtualUsb:
@@ -24,7 +24,7 @@ def bus_with(**changes: object) -> VirtualUsb:
 def test_given_a_device_that_keeps_its_address_then_it_is_reset_and_found():
     bus = bus_with(after_reset="stays")
     before = list_devices(bus)
-    assert reset_device("recorder", EXPECTED, backend=bus) == before[0]
+    assert reset_device(*RECORDER, backend=bus) == before[0]
     assert bus.open_handles == 0
 
 
@@ -32,7 +32,7 @@ def test_given_a_device_that_keeps_its_address_then_it_is_reset_and_found():
 def test_given_a_device_that_re_enumerates_then_it_is_found_under_its_new_address(away_s):
     bus = bus_with(after_reset="re-enumerates", away_s=away_s)
     before, other = list_devices(bus)
-    after = reset_device("recorder", EXPECTED, backend=bus, comes_back_s=60.0)
+    after = reset_device(*RECORDER, backend=bus)
     assert after.address > before.address
     assert dataclasses.replace(after, address=before.address) == before
     assert other in list_devices(bus)
@@ -41,13 +41,13 @@ def test_given_a_device_that_re_enumerates_then_it_is_found_under_its_new_addres
 
 def test_given_a_device_without_a_serial_number_then_its_socket_tells_that_it_is_the_same():
     bus = VirtualUsb([dataclasses.replace(DAQ, serial_number="")])
-    assert reset_device("recorder", EXPECTED, backend=bus, comes_back_s=60.0).port_path == (1, 2)
+    assert reset_device(*RECORDER, backend=bus).port_path == (1, 2)
 
 
 def test_given_a_device_that_does_not_come_back_then_the_waiting_ends_with_what_to_do():
     bus, clock = bus_with(after_reset="stays away"), VirtualClock()
     with pytest.raises(InstrumentLostError, match="not back after 15 s") as caught:
-        reset_device("recorder", EXPECTED, backend=bus, clock=clock)
+        reset_device(*RECORDER, backend=bus, clock=clock)
     assert "recorder (USB 3923:7179)" in caught.value.instrument
     assert "plug it in again" in caught.value.remedy
     assert clock.now_s() == pytest.approx(15.0, abs=0.2)
@@ -75,7 +75,7 @@ NO_PERMISSION = WireFault("usb", "no_permission", "open", at_call=1, count=1000)
 def test_given_a_reset_that_cannot_be_then_it_says_why_and_what_to_do_and_nothing_stays_open(bus, cause, remedy):
     bus = bus()
     with pytest.raises(InstrumentError, match=cause) as caught:
-        reset_device("recorder", EXPECTED, backend=bus)
+        reset_device(*RECORDER, backend=bus)
     assert caught.value.remedy
     assert remedy in caught.value.remedy
     assert bus.open_handles == 0
@@ -83,10 +83,5 @@ def test_given_a_reset_that_cannot_be_then_it_says_why_and_what_to_do_and_nothin
 
 def test_given_a_device_unplugged_in_the_reset_then_it_is_waited_for():
     bus = VirtualUsb([DAQ], (WireFault("usb", "unplugged", "reset", at_call=1, seconds=0.2),))
-    back = reset_device("recorder", EXPECTED, backend=bus, comes_back_s=60.0)
+    back = reset_device(*RECORDER, backend=bus)
     assert (back.serial_number, back.address) == ("01A2B3C4", 2)
-
-
-def test_given_a_role_that_the_rig_does_not_know_by_usb_then_it_is_told_what_to_write():
-    with pytest.raises(InstrumentError, match=r"\[\[usb\]\] table"):
-        reset_device("player", EXPECTED, backend=VirtualUsb([DAQ]))

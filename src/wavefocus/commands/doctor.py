@@ -21,6 +21,7 @@ from wavefocus.config.messages.rig_checks import Act, Examination, Finding, Find
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import load_rig
 from wavefocus.console import answer, people, print_line, say
+from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.drivers.registry import MIRRORS, PLAYERS, RECORDERS, VIBROMETERS
 from wavefocus.ending import ending_at_once
@@ -89,13 +90,13 @@ def doctor(
 
 
 def _reset(rig: RigConfig, rig_file: Path, role: str) -> None:
-    from wavefocus.drivers.usb import ExpectedUsbDevice, reset_device
+    from wavefocus.drivers.usb import reset_device
 
-    expected = [ExpectedUsbDevice(**one.model_dump()) for one in rig.usb]
-    roles = ", ".join(sorted({one.role for one in expected})) or "none: give it a [[usb]] table"
-    if role not in {one.role for one in expected}:
-        raise InputError(f"--reset-usb {role}: {rig_file} expects no USB device of that role; it expects {roles}")
-    say(f"{role}: reset; it is now {reset_device(role, expected)}")
+    device = next((device for device in rig.usb if device.role == role), None)
+    if device is None:
+        roles = ", ".join(sorted({device.role for device in rig.usb})) or "none"
+        raise InputError(f"--reset-usb {role}: {rig_file} has no [[usb]] table of that role; it has {roles}")
+    say(f"{role}: reset; it is now {reset_device(**device.model_dump())}")
 
 
 def _patient(rig: RigConfig) -> RigUnderTest:
@@ -219,18 +220,18 @@ def _check_disk(folder: Path, findings: Findings) -> None:
 def _check_usb(rig: RigConfig, findings: Findings) -> None:
     if not rig.usb:
         return
-    from wavefocus.drivers.usb import ExpectedUsbDevice, Verdict, list_devices, match_devices
+    from wavefocus.drivers.usb import find_device, list_devices
 
     plugged_in = findings.ask("usb", "devices", list_devices, USB_S)
     if plugged_in is None:
         return
-    expected = [ExpectedUsbDevice(**one.model_dump()) for one in rig.usb]
-    for found in match_devices(expected, plugged_in):
-        good = found.verdict is Verdict.FOUND
-        act = Act("reset-usb", found.expected.role) if found.verdict is Verdict.UNREADABLE else None
-        if found.verdict in (Verdict.SEVERAL, Verdict.OTHER_SERIAL, Verdict.MISSING):
-            act = Act("edit-rig", "usb")
-        findings.add("usb", found.expected.role, "ok" if good else "fail", found.sentence, found.remedy, act)
+    for device in rig.usb:
+        try:
+            found = find_device(plugged_in, **device.model_dump())
+        except InstrumentError as failure:
+            findings.add("usb", device.role, "fail", failure.cause, failure.remedy, Act("edit-rig", "usb"))
+        else:
+            findings.add("usb", device.role, "ok", str(found))
 
 
 def _check_calibration(rig: RigConfig, identities: Mapping[str, DeviceIdentity], findings: Findings) -> None:
