@@ -108,7 +108,7 @@ def compare_drives(workload: Workload, repeats: int) -> list[Point]:
                 error=relative_error(drive.drive_v, reference),
             )  # fmt: skip
         elif method == MERGED:
-            point = replace(point, error=relative_error(timing.result, reference))
+            point = replace(point, remark=f"error {relative_error(timing.result, reference):.1e}")
         elif method == gpurir:
             point = replace(point, remark="timed once; the truth")
         elif method.startswith("floor"):
@@ -178,8 +178,11 @@ def compare_exact(workload: Workload, repeats: int) -> list[Point]:
         drive_v = timing.result if method == MERGED else timing.result[0].drive_v
         # Earlier samples of the drive are complete: nothing emitted after sample s reaches array index s.
         error = relative_error(drive_v[:, :some], truth[:, :some])
-        marks = (Mark("cpu_times", 1.2),) if method in WAYS and samples > 10 * some else ()
-        figures = {} if method == MERGED else {"bound_error": timing.result[0].omitted_bound}
+        if method == MERGED:
+            points.append(Point(work=name, method=method, timing=timing, remark=f"error {error:.1e}"))
+            continue
+        marks = (Mark("cpu_times", 1.2),) if samples > 10 * some else ()
+        figures = {"bound_error": timing.result[0].omitted_bound}
         points.append(Point(work=name, method=method, timing=timing, error=error, figures=figures, marks=marks))
     return [point.against(found[MERGED]) for point in points]
 
