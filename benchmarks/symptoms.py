@@ -46,7 +46,7 @@ STADIUM = Outline.stadium(160.0, 110.0)
 PLATES = ("soft", "stadium", "thin", "solid")
 KEYS: dict[str, dict[str, Any]] = {"thin": {"quality": 30.0}}
 FINGER = {"mass_kg": 0.0, "damping_n_s_m": 0.0, "stiffness_n_m": 0.0}
-CASES, QUICK_CASES = 100, 14
+CASES, QUICK_CASES = 36, 18
 
 
 def places_mm(plate: str) -> Float64Array:

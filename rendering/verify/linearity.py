@@ -18,6 +18,7 @@ from wavefocus.storage.point_status import Status
 
 if TYPE_CHECKING:
     from wavefocus.storage.drive_file import Drive
+    from wavefocus.storage.field_file import Field
 
 QUIETER_DB = 12.0
 MOST_POSITIONS = 24
@@ -77,6 +78,30 @@ def linearity_figures(
         Figure("compression", "dB", f"by how much the scan is quieter than in proportion, by the best gain{what}",
                difference=compressed_db, value=compressed_db),
     )  # fmt: skip
+
+
+def nonlinear_share(prediction: Field, loud: Scan, quiet: Scan, band_hz: tuple[float, float] | None) -> float | None:
+    """Share of the squared difference of scan and prediction that is not there when the scene is played quieter.
+
+    prediction, loud: Prediction and scan; quiet: The scan of `quieter`.
+
+    Noise is taken off both. Returns None where no position has a sound record in both scans, or nothing but noise.
+    """
+    sound = [one.position_index[one.status == Status.VALID] for one in (loud, quiet)]
+    rows = np.intersect1d(np.intersect1d(*sound), prediction.position_index)
+    if not rows.size:
+        return None
+    band = BandLimit(loud.field.shape[1], loud.sample_rate_hz, band_hz)
+    in_prediction = [int(np.flatnonzero(prediction.position_index == row)[0]) for row in rows]
+    predicted = band.spectrum(prediction.field[in_prediction].astype(np.float32))
+    beyond_noise = []
+    for played, factor in ((loud, 1.0), (quiet, _factor())):
+        at = np.searchsorted(played.position_index, rows)
+        difference = band.signals(band.spectrum(factor * played.field[at]) - predicted).astype(np.float64)
+        noise = np.nansum((factor * played.noise_rms[at]) ** 2) * loud.field.shape[1] * band.white_share
+        beyond_noise.append(float(np.sum(difference**2) - noise))
+    at_loud, at_quiet = beyond_noise
+    return float(np.clip(1.0 - at_quiet / at_loud, 0.0, 1.0)) if at_loud > 0.0 else None
 
 
 def _factor() -> float:

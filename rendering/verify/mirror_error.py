@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wavefocus.calibration.wave_model import Patch, PatchKernel, WaveModel, fit_waves
+from wavefocus.calibration.wave_model import (
+    DISK_RADIUS,
+    FEWEST_DIRECTIONS,
+    LARGEST_GROWTH,
+    Patch,
+    PatchKernel,
+    WaveModel,
+    disk_kernel,
+    fit_waves,
+)
 from wavefocus.rendering.arrays import Complex128Array, Float64Array, Int64Array
 from wavefocus.rendering.field.focus_figures import evenly
 from wavefocus.rendering.verify.superposition import Block, energy, transforms
@@ -116,57 +125,83 @@ class Surface:
 
 
 class DisplacedBlock:
-    """The responses of a block at places beside its positions.
+    """Green's functions and responses of a block at places beside its positions.
 
     rows: Bank rows of the block's own rows.
     """
 
     def __init__(self, surface: Surface, block: Block, rows: Int64Array) -> None:
-        self.block, self._surface, self._rows = block, surface, rows
+        self.block, self._surface = block, surface
         self.place_mm = surface.place_mm[rows]
-        self._patches = [surface.patch(int(row)) for row in rows]
-        self._used = np.unique(np.concatenate([patch.rows for patch in self._patches]))
-        green = [np.asarray(surface.bank.green(int(row)), np.float32) for row in self._used]
+        self.patches = [surface.patch(int(row)) for row in rows]
+        used = np.unique(np.concatenate([patch.rows for patch in self.patches]))
+        green = [np.asarray(surface.bank.green(int(row)), np.float32) for row in used]
         self._green = np.stack([transforms(one, block.frequency_hz, block.rate_hz) for one in green])
+        self._at = np.stack([np.searchsorted(used, patch.rows) for patch in self.patches])
 
-    def kernels(self, frequencies: Int64Array) -> Kernels:
-        """The kernels of all patches at some of the frequencies."""
+    def green(self) -> Expansion:
+        """Expansion of the Green's functions, (r, A, K)."""
+        waves = self._surface.waves.at(self.block.frequency_hz)
+        return Expansion(waves, self.patches, np.moveaxis(self._green, 1, -1), self._at)
+
+    def responses(self, frequencies: Int64Array) -> Expansion:
+        """Expansion of the responses (r, 1, K) to the block's drives at some of the frequencies."""
         waves = self._surface.waves.at(self.block.frequency_hz[frequencies])
-        by_key: dict[bytes, list[int]] = {}
-        for index, patch in enumerate(self._patches):
-            by_key.setdefault(patch.key, []).append(index)
-        groups = [
-            (np.array(members), PatchKernel(waves, self._patches[members[0]].offset_mm)) for members in by_key.values()
-        ]
-        at = [np.searchsorted(self._used, patch.rows) for patch in self._patches]
-        return Kernels(groups, at, frequencies)
+        drive = self.block.drive[0][:, frequencies]
+        values = np.einsum("uak,ak->uk", self._green[..., frequencies], drive)
+        return Expansion(waves, self.patches, values[..., None], self._at)
 
-    def green_at(self, kernels: Kernels, displacement_mm: Float64Array) -> Complex128Array:
-        """Green's functions (r, A, K) at displaced places."""
-        return kernels.interpolated(self._green[..., kernels.frequencies], displacement_mm)
 
-    def driven(self, kernels: Kernels) -> Complex128Array:
-        """Responses (used rows, 1, K) to the block's drives, where all positions have the same."""
-        drive = self.block.drive[0][:, kernels.frequencies]
-        return np.asarray(np.einsum("uak,ak->uk", self._green[..., kernels.frequencies], drive))[:, None]
+class Expansion:
+    """Fields around some positions as waves from all directions, and the rest of the kernel's regression.
+
+    waves: At the frequencies (K,).
+    patches: Of the positions.
+    values, complex128 (used rows, K, columns): Values of the patches' rows; `at` (patches, n) says where.
+    """
+
+    def __init__(self, waves: WaveModel, patches: Sequence[Patch], values: Complex128Array, at: Int64Array) -> None:
+        inverse: dict[bytes, Complex128Array] = {}
+        for patch in patches:
+            if patch.key not in inverse:
+                inverse[patch.key] = PatchKernel(waves, patch.offset_mm).inverse
+        self._offset_mm = np.stack([patch.offset_mm for patch in patches])
+        around = np.moveaxis(values[at], 2, 1)
+        self._regression = np.stack([
+            inverse[patch.key] @ part for patch, part in zip(patches, around, strict=True)
+        ])  # fmt: skip
+        reach_mm = float(np.hypot(*np.moveaxis(self._offset_mm, -1, 0)).max())
+        growth = np.maximum(waves.wavenumber_rad_mm.imag, -LARGEST_GROWTH / max(reach_mm, 1e-9))
+        self._wavenumber, self._share = waves.wavenumber_rad_mm.real + 1j * growth, waves.disk_share
+        count = 2 * int(np.ceil(np.abs(self._wavenumber).max() * 1.5 * reach_mm)) + FEWEST_DIRECTIONS
+        angle = 2.0 * np.pi * (np.arange(count) + 0.5) / count
+        self._directions = np.stack([np.cos(angle), np.sin(angle)])
+        waves_there = self._waves(self._offset_mm)
+        self._by_direction = np.einsum("pknd,pknc->pkdc", waves_there.conj(), self._regression, optimize=True)
+        self._by_direction *= (1.0 - self._share[:, None, None]) / count
+
+    def _waves(self, offset_mm: Float64Array) -> Complex128Array:
+        """Waves (patches, K, n, directions) at offsets (patches, n, 2)."""
+        along_mm = offset_mm @ self._directions
+        return np.asarray(np.exp(-1j * self._wavenumber[:, None, None] * along_mm[:, None]))
+
+    def at(self, displacement_mm: Float64Array) -> Complex128Array:
+        """Values (patches, columns, K) at a displaced place of each patch, float64 (patches, 2)."""
+        waves = self._waves(displacement_mm[:, None])[:, :, 0]
+        apart_mm = np.hypot(*np.moveaxis(displacement_mm[:, None] - self._offset_mm, -1, 0))
+        disk = disk_kernel(DISK_RADIUS * np.abs(self._wavenumber)[:, None] * apart_mm[:, None])
+        found = np.einsum("pkd,pkdc->pck", waves, self._by_direction, optimize=True)
+        return np.asarray(
+            found + np.einsum("pkn,pknc->pck", self._share[:, None] * disk, self._regression, optimize=True)
+        )
 
 
 @dataclass(frozen=True, slots=True)
-class Kernels:
-    """Kernels of patches: members and kernel of each shape, and where each patch's rows are among those used."""
+class _Part:
+    """Expected responses at some of the frequencies."""
 
-    groups: Sequence[tuple[Int64Array, PatchKernel]]
-    at: Sequence[Int64Array]
+    responses: Expansion
     frequencies: Int64Array
-
-    def interpolated(self, values: Complex128Array, displacement_mm: Float64Array) -> Complex128Array:
-        """Values (used rows, columns, K) at a displaced place of each patch: (patches, columns, K)."""
-        found = np.zeros((len(self.at), *values.shape[1:]), np.complex128)
-        for members, kernel in self.groups:
-            weights = kernel.weights(displacement_mm[members])
-            around = np.stack([values[self.at[member]] for member in members])
-            found[members] = np.einsum("kmn,mnck->mck", weights, around, optimize=True)
-        return found
 
 
 class MirrorFit:
@@ -175,9 +210,11 @@ class MirrorFit:
     def __init__(self, surface: Surface, scan: Block, rows: Int64Array) -> None:
         self._surface, self._displaced, self._scan = surface, DisplacedBlock(surface, scan, rows), scan
         chosen = evenly(len(scan.frequency_hz), FIT_FREQUENCIES)
-        self._fine = self._displaced.kernels(chosen)
         low = chosen[scan.frequency_hz[chosen] <= np.median(scan.frequency_hz[chosen])][::2]
-        self._coarse = self._displaced.kernels(low)
+        self._fine, self._coarse = self._part(chosen), self._part(low)
+
+    def _part(self, frequencies: Int64Array) -> _Part:
+        return _Part(self._displaced.responses(frequencies), frequencies)
 
     def best(self, free: tuple[int, ...]) -> tuple[MirrorError, float]:
         """The error in which some numbers of `MirrorError.of` are free, and the share of the squares it leaves."""
@@ -190,8 +227,8 @@ class MirrorFit:
         if free in (SCALE, ALL):
             starts += [np.log1p(size) * np.eye(6)[3] for size in COARSE_SCALES]
         numbers = min(starts, key=lambda start: self._left(self._coarse, start))
-        for kernels in (self._coarse, self._fine):
-            numbers = self._refined(kernels, numbers, free)
+        for part in (self._coarse, self._fine):
+            numbers = self._refined(part, numbers, free)
         return MirrorError.of(numbers), self._left(self._fine, numbers)
 
     def left(self, error: MirrorError) -> float:
@@ -202,40 +239,39 @@ class MirrorFit:
         """A block with the Green's functions of displaced places; those beyond the measured ones stay."""
         displaced = self._displaced if block is self._scan else DisplacedBlock(self._surface, block, rows)
         by_mm = error.displacement_mm(displaced.place_mm)
-        green = displaced.green_at(displaced.kernels(np.arange(len(block.frequency_hz))), by_mm)
-        return block.with_green(green)
+        return block.with_green(displaced.green().at(by_mm))
 
-    def _left(self, kernels: Kernels, numbers: Float64Array) -> float:
-        return self._left_of(kernels, MirrorError.of(numbers))
+    def _left(self, part: _Part, numbers: Float64Array) -> float:
+        return self._left_of(part, MirrorError.of(numbers))
 
-    def _left_of(self, kernels: Kernels, error: MirrorError) -> float:
+    def _left_of(self, part: _Part, error: MirrorError) -> float:
         place_mm = self._displaced.place_mm
         by_mm = error.displacement_mm(place_mm)
         inside = self._inside(place_mm + by_mm)
         if np.mean(inside) < LEAST_INSIDE:
             return np.inf
-        own = self._scan.difference[:, kernels.frequencies][inside]
-        left = self._difference(kernels, by_mm)[inside]
+        own = self._scan.difference[:, part.frequencies][inside]
+        left = self._difference(part, by_mm)[inside]
         return energy(left) / max(energy(own), 1e-300)
 
     def _inside(self, place_mm: Float64Array) -> Float64Array:
         return np.asarray(self._surface.outside(place_mm) <= MAX_OUTSIDE)
 
-    def _difference(self, kernels: Kernels, by_mm: Float64Array) -> Complex128Array:
-        predicted = kernels.interpolated(self._displaced.driven(kernels), by_mm)[:, 0]
-        return np.asarray(self._scan.response[:, kernels.frequencies] - predicted * self._scan.weight[:, None])
+    def _difference(self, part: _Part, by_mm: Float64Array) -> Complex128Array:
+        predicted = part.responses.at(by_mm)[:, 0]
+        return np.asarray(self._scan.response[:, part.frequencies] - predicted * self._scan.weight[:, None])
 
-    def _refined(self, kernels: Kernels, numbers: Float64Array, free: tuple[int, ...]) -> Float64Array:
+    def _refined(self, part: _Part, numbers: Float64Array, free: tuple[int, ...]) -> Float64Array:
         """Gauss-Newton steps, halved where they do not help."""
         place_mm = self._displaced.place_mm
         reach_mm = float(np.hypot(*place_mm.T).max()) + self._surface.spacing_mm
         unit = np.array([1.0, 1.0, *(4 * [1.0 / reach_mm])])
-        left = self._left(kernels, numbers)
+        left = self._left(part, numbers)
         for _ in range(ITERATIONS):
             by_mm = MirrorError.of(numbers).displacement_mm(place_mm)
-            at = self._difference(kernels, by_mm)
+            at = self._difference(part, by_mm)
             slope = np.stack([
-                (self._difference(kernels, by_mm + STEP_MM * axis) - at) / STEP_MM for axis in np.eye(2)
+                (self._difference(part, by_mm + STEP_MM * axis) - at) / STEP_MM for axis in np.eye(2)
             ])  # fmt: skip
             inside = self._inside(place_mm + by_mm)
             columns = []
@@ -250,7 +286,7 @@ class MirrorFit:
                 rcond=1e-6,
             )[0]
             for _half in range(4):
-                tried = self._left(kernels, numbers + step * unit)
+                tried = self._left(part, numbers + step * unit)
                 if tried < left:
                     break
                 step = 0.5 * step

@@ -75,7 +75,10 @@ _REMEDIES: Mapping[SymptomCode, str] = {
     ),
     "nonlinear": "Play quieter (limit_v or amplitude in the scene), and check amplifier, coils and vibrometer range.",
     "crosstalk": f"{REMEDY[0].upper()}{REMEDY[1:]}; then measure again what was measured with it.",
-    "wrong_bank": "Name the bank that was measured on this surface with these actuators, or measure a new one.",
+    "wrong_bank": (
+        "Name the bank that was measured on this surface with these actuators, look for what touches the surface, or"
+        " measure a new bank."
+    ),
 }
 
 
@@ -126,7 +129,7 @@ def _cause(symptom: Symptom) -> str:
             return f"The loopback voltage leaks into the response input at {number(value, 'dB')} of its level{late}."
         case "wrong_bank":
             alike = "" if symptom.value is None else f" (median correlation {number(value)})"
-            return f"Wrong bank: the scan does not resemble the prediction{alike}."
+            return f"The scan does not resemble the prediction{alike}; best guess: wrong bank."
         case "unexplained":
             return "The error is unexplained: not by noise, nor by one of the causes that are looked for."
 

@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 MAX_ROWS, MIN_ROWS, MIRROR_ROWS = 48, 4, 36
 MEDIUM_ROWS, MEDIUM_FREQUENCIES = 8, 64
 ROWS_BYTES = 64 << 20
+MEDIUM_FACTORS = (0.8, 1.25)
+"""A softer surface moves more: the change of all levels that a change of speed or damping may bring with it."""
 MAX_SENTINEL_ACTUATORS = 128
 """The sentinel's equations grow with the square of the number of actuators."""
 MIN_REDUCTION = 6.0
@@ -47,8 +49,10 @@ MIN_SHARE = 0.1
 """And this share of the whole: what is smaller is found when the larger cause is put right."""
 TOGETHER_SHARE = 0.95
 """Several causes, or one with a number for each actuator, must explain more: enough numbers fit anything."""
-TIE, MIN_TIE = 0.01, 0.5
-"""Two causes tie if their reductions differ by less than this share or number of units."""
+TIE, MIN_TIE, TIE_LEFT = 0.02, 0.5, 1.3
+"""Two causes tie if their reductions differ by less than this share or number of units, and what they leave by less
+than this factor."""
+NEXT_TO_NOTHING = 0.003
 MAX_CAUSES = 3
 MIN_DB, MIN_DELAY_S, MIN_SPEED = 0.5, 1e-4, 0.01
 """Smaller causes are not named while the error is within its limit: 1 dB, 0.2 ms and 2 % are, whatever the noise."""
@@ -124,6 +128,7 @@ def diagnose(
     *,
     error_limit: float,
     model_error: float,
+    nonlinear_share: float | None = None,
 ) -> Diagnosis:
     """Name the causes of a difference between scan and prediction.
 
@@ -133,19 +138,26 @@ def diagnose(
         scene hardly shows.
     error_limit: Largest error that passes; beyond it causes of any size are named, and what remains unexplained.
     model_error: Error without the noise's part.
+    nonlinear_share: Share of the squared difference that is not there when the scene is played quieter; None where it
+        was not.
     """
-    search = _Search(fields, bank, sentinel)
+    search = _Search(fields, bank, sentinel, nonlinear_share)
     state = search.state
     excess = max(state.left - state.noise, 1e-12)
+    # Where the prediction is far louder than the scan, to take it away explains nothing of the scan.
+    whole = min(excess, sum(energy(block.response) for block in state.blocks))
+    remaining = excess
     within = fields.error <= error_limit
     found = [_Found(search.shifts.symptoms, 1.0, CERTAIN_SHARE)] if search.shifts.symptoms else []
     for _ in range(2 * MAX_CAUSES):
-        cause = _best(list(search.causes(state)))
+        cause = _best(list(search.causes(state)), state.left)
         if cause is None or cause.reduction < max(MIN_REDUCTION, MIN_SHARE * excess) or len(found) == MAX_CAUSES:
             break
         if cause.named or not within:
             symptoms = tuple(search.in_speeds(symptom) for symptom in cause.symptoms)
-            found.append(_Found(symptoms, cause.reduction / excess, cause.enough))
+            share = (min(remaining, whole) - min(max(remaining - cause.reduction, 0.0), whole)) / whole
+            found.append(_Found(symptoms, share, cause.enough))
+        remaining -= cause.reduction
         state = cause.apply()
     if certain := _certain(found):
         return Diagnosis(certain, _actuator_figures(state))
@@ -153,7 +165,8 @@ def diagnose(
         return Diagnosis((), _actuator_figures(state))
     unlike = _clipped(state.left / sum(energy(block.response) for block in search.state.blocks))
     if unlike >= CERTAIN_SHARE:
-        return Diagnosis((Symptom("wrong_bank", (), fields.correlation_median, unlike),), ())
+        # Something heavy on a stiff plate looks the same.
+        return Diagnosis((Symptom("wrong_bank", (), fields.correlation_median, unlike, certain=False),), ())
     guesses = [
         replace(symptom, explained=_clipped(first.share), certain=False)
         for first in found[:1]
@@ -200,8 +213,10 @@ def _clipped(share: float) -> float:
 class _Search:
     """What all causes are looked for in: some of the compared positions, and the sentinel position."""
 
-    def __init__(self, fields: FieldComparison, bank: GreenSource, sentinel: Sentinel | None) -> None:
-        self._spectra, self._bank = fields.spectra, bank
+    def __init__(
+        self, fields: FieldComparison, bank: GreenSource, sentinel: Sentinel | None, nonlinear_share: float | None
+    ) -> None:
+        self._spectra, self._bank, self._nonlinear_share = fields.spectra, bank, nonlinear_share
         self.shifts = find_shifts(fields, bank, self._predicted)
         rows = self.shifts.bank_rows(fields.position_index)
         usable = np.flatnonzero(rows >= 0)
@@ -239,7 +254,7 @@ class _Search:
         if state.left <= max(state.responses, 2.0 * state.noise):
             return  # nothing of the size of what follows is left
         # What leaves next to nothing cannot be bettered.
-        excess = (1.0 - TIE) * (state.left - state.noise)
+        excess = (1.0 - NEXT_TO_NOTHING) * (state.left - state.noise)
         if not any(cause.reduction > excess for cause in (*plain, *joint) if cause.plain):
             yield from medium_causes(state)
             yield from self._mirror_causes(state)
@@ -277,7 +292,18 @@ class _Search:
         return _Cause(reduction, _mirror_symptoms(fit, error, left), apply)
 
     def _distortion_causes(self, state: _State) -> Iterator[_Cause]:
-        spectra, block = self._spectra, state.blocks[0]
+        spectra, block, measured = self._spectra, state.blocks[0], self._nonlinear_share
+        if measured is not None and measured < CERTAIN_SHARE:
+            return  # played quieter, the difference stays
+        if measured is not None and state is self.state:
+            left = block.with_response(block.response - measured * block.difference)
+            value = 100.0 * float(np.sqrt(measured * energy(block.difference) / energy(block.response)))
+            measured_blocks = (left, *state.blocks[1:])
+            yield _Cause(
+                measured * energy(block.difference),
+                (Symptom("nonlinear", (), value),),
+                lambda: replace(state, blocks=measured_blocks),
+            )
         for powers in (
             response_powers(block, spectra.predicted_powers[:, self._chosen]),
             driven_powers(block, spectra.drive_powers),
@@ -316,18 +342,19 @@ def wave_speed(sentinel: Sentinel, bank: GreenSource) -> float | None:
         return None
     block = sentinel_block(sentinel, np.asarray(bank.green(sentinel.position), np.float32), bank)
     state = _State((block,), np.ones(bank.actuators), np.zeros(bank.actuators))
-    cause = _best([*actuator_causes(state), *medium_causes(state)])
+    cause = _best([*actuator_causes(state), *medium_causes(state)], state.left)
     if cause is None or cause.symptoms[0].code != "speed" or cause.reduction < CERTAIN_SHARE * state.left:
         return None
     return cause.symptoms[0].value
 
 
-def _best(causes: list[_Cause]) -> _Cause | None:
-    """The cause that takes off most; of kinds that do about as well, the first, which is the plainest."""
+def _best(causes: list[_Cause], whole: float) -> _Cause | None:
+    """The cause that takes off most of the whole; of kinds that do about as well, the first, which is the plainest."""
     if not causes:
         return None
     most = max(cause.reduction for cause in causes)
-    first = next(cause for cause in causes if cause.reduction >= most - max(TIE * abs(most), MIN_TIE))
+    least = max(most - max(TIE * abs(most), MIN_TIE), whole - TIE_LEFT * max(whole - most, 0.0) - MIN_TIE)
+    first = next(cause for cause in causes if cause.reduction >= least)
     kind = _kind(first)
     return max((cause for cause in causes if _kind(cause) == kind), key=lambda cause: cause.reduction)
 
@@ -469,8 +496,8 @@ def _fitted(state: _State, changes: tuple[float, ...], mapped: Mapping_) -> tupl
         matched = sum(
             float((values.conj() * block.response).sum().real) for values, block in zip(predicted, changed, strict=True)
         )
-        factor = matched / own if own > 0.0 else 1.0
-        return sum(energy(block.response) for block in changed) - factor * matched, factor
+        factor = float(np.clip(matched / own, *MEDIUM_FACTORS)) if own > 0.0 else 1.0
+        return sum(energy(block.response) for block in changed) - factor * (2.0 * matched - factor * own), factor
 
     some = tuple(block.some(MEDIUM_ROWS, MEDIUM_FREQUENCIES) for block in state.blocks)
     left = [at(some, change)[0] for change in changes]
@@ -510,6 +537,7 @@ def _actuator_symptoms(errors: ActuatorErrors) -> tuple[Symptom, ...]:
     for code, values in (("factor", errors.factor), ("delay", errors.late_s)):
         for value in np.unique(values[values != (code == "factor")]):
             members = tuple(np.flatnonzero(values == value).tolist())
+            members = () if len(members) == len(values) else members
             symptom = (
                 _level_symptom(members, value) if code == "factor" else Symptom("delay", members, 1e3 * float(value))
             )

@@ -17,7 +17,7 @@ from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusTable,
 from wavefocus.rendering.number_text import number, precise
 from wavefocus.rendering.verify.comparison import FieldComparison, compare_fields
 from wavefocus.rendering.verify.leak import crosstalk_symptom, with_crosstalk
-from wavefocus.rendering.verify.linearity import linearity_figures
+from wavefocus.rendering.verify.linearity import linearity_figures, nonlinear_share
 from wavefocus.rendering.verify.record import finite
 from wavefocus.rendering.verify.results import (
     ActuatorFigures,
@@ -218,12 +218,19 @@ def compare(
     noise_error, limits = _noise_error(fields), tolerances or Tolerances()
     model_error = _model_error(fields.error, noise_error)
     checks = _checks(fields, focus, spacing_mm, limits)
-    linear = (
-        linearity_figures(scan, quiet, bank.band_hz, limits.normalised_error)
-        if quiet and isinstance(scan, Scan)
-        else ()
+    linear: tuple[Figure, ...] = ()
+    share = None
+    if quiet is not None and isinstance(scan, Scan):
+        linear = linearity_figures(scan, quiet, bank.band_hz, limits.normalised_error)
+        share = nonlinear_share(prediction, scan, quiet, bank.band_hz)
+    diagnosis = diagnose(
+        fields,
+        bank,
+        sentinel,
+        error_limit=limits.normalised_error,
+        model_error=model_error,
+        nonlinear_share=share,
     )
-    diagnosis = diagnose(fields, bank, sentinel, error_limit=limits.normalised_error, model_error=model_error)
     if leak is not None and leak.is_named:
         symptoms = with_crosstalk(diagnosis.symptoms, crosstalk_symptom(leak, fields, marker_v))
         diagnosis = replace(diagnosis, symptoms=symptoms)

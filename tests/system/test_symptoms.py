@@ -154,7 +154,7 @@ def test_given_the_bank_of_another_plate_then_the_bank_is_called_wrong(sound: Ba
 
     with other_bank(sound, tmp_path, change) as wrong:
         (symptom,) = verified(wrong, "").symptoms
-    assert (symptom.code, symptom.certain) == ("wrong_bank", True)
+    assert (symptom.code, symptom.certain) == ("wrong_bank", False)
     assert symptom.explained >= 0.8
 
 
