@@ -12,6 +12,7 @@ from PyQt5.QtWidgets import QLabel, QWidget
 
 from wavefocus.config.messages.operate import ChannelLevel, LevelMeasured, SweepTaken
 from wavefocus.gui import widgets as ui
+from wavefocus.gui.advice import in_window
 from wavefocus.gui.field_map import Plot
 from wavefocus.gui.rig.jog import JogPanel
 from wavefocus.gui.rig.session import ManualSession
@@ -171,7 +172,7 @@ class SoundPanel(Themed, QWidget):
         self.figures.setText(_sweep_text(sweep))
         defects = [] if sweep.figures is None else [defect.sentence for defect in sweep.figures.defects]
         defects = [trouble for trouble in (self._session.swept_off, sweep.trouble) if trouble] + defects
-        self.verdict.setText("▲ " + "; ".join(defects) if defects else "✔ no defects")
+        self.verdict.setText("▲ " + in_window("; ".join(defects)) if defects else "✔ no defects")
         self.verdict.setStyleSheet(f"color: {self.theme.fault if defects else self.theme.good};")
         self._draw_waveform(sweep)
         self._draw_spectrum(sweep)
