@@ -217,6 +217,7 @@ class Pictures:
         tab = self.tab(VerificationTab)
         self.window._pages.setCurrentWidget(tab)
         tab.form.take_bank(self.file.with_name("plate.h5"))
+        tab.form.drawn.setChecked(False)
         self.until(tab.row.start.isEnabled)
         tab.row.start.trigger()
         self.until(lambda: tab.results is not None)

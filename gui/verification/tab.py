@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import os
-import tempfile
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -32,6 +31,7 @@ from wavefocus.gui.verification.run import (
 )
 from wavefocus.rendering.verify.record import FIELD_NAMES, PICTURE_NAMES, RECORD_NAME, REPORT_NAME
 from wavefocus.storage.errors import InputError
+from wavefocus.storage.output_files import replacement
 
 _CHOICES = (
     ("all", "all positions", "Every position of the bank"),
@@ -61,7 +61,6 @@ class RequestForm(QWidget):
         self._drawing_left = ""
         self._filled: dict[PathField, Path] = {}
         """What was filled in by itself, and follows the bank."""
-        self._folder: tempfile.TemporaryDirectory[str] | None = None
         self.positions = QComboBox()
         self.positions.setAccessibleName("Positions to scan")
         for key, words, _ in _CHOICES:
@@ -134,11 +133,11 @@ class RequestForm(QWidget):
         drawing = self._context.drawing() if self.drawn.isChecked() else None
         if self.drawn.isChecked() and drawing is None:
             raise InputError("the Scene tab has no scene: draw one there, or choose a scene file")
-        scene = self.scene.path if drawing is None else drawing.path or self._written(drawing)
         bank, out = self.bank.path, self.out.path
         assert bank is not None
         assert out is not None
         earlier, out = out / RECORD_NAME, unused_folder(out)
+        scene = self.scene.path if drawing is None else drawing.path or _written(drawing, out)
         rig = "virtual" if self.virtual.isChecked() else str(self.rig.path)
         arguments = ["verify", str(scene), "--bank", str(bank), "--rig", rig, "--out", str(out), "--json"]
         if self.large.isChecked() or (drawing is not None and drawing.allow_large):
@@ -158,24 +157,11 @@ class RequestForm(QWidget):
         elif drawing.toml != self._drawing_left:
             self.drawn.setChecked(True)
 
-    def shut_down(self) -> None:
-        if self._folder is not None:
-            self._folder.cleanup()
-            self._folder = None
-
     def _leave_drawing(self) -> None:
         """Verify the scene file; the drawing is offered again when it has changed."""
         drawing = self._context.drawing()
         self._drawing_left = "" if drawing is None else drawing.toml
         self.drawn.setChecked(False)
-
-    def _written(self, drawing: Drawing) -> Path:
-        """Write a drawing that has no file of its own to a temporary one, which stays until the window closes."""
-        if self._folder is None:
-            self._folder = tempfile.TemporaryDirectory(prefix="wavefocus-verify-", ignore_cleanup_errors=True)
-        path = Path(self._folder.name) / "scene.toml"
-        path.write_text(drawing.toml, encoding="utf-8")
-        return path
 
     def _positions(self, bank: Path) -> str:
         match self.positions.currentData():
@@ -208,6 +194,23 @@ class RequestForm(QWidget):
         self.positions.setToolTip(next(tip for one, _, tip in _CHOICES if one == key))
         self.step.setVisible(key == "every")
         self.rows.setVisible(key == "rows")
+
+
+def _written(drawing: Drawing, out: Path) -> Path:
+    """Write a drawing that has no file of its own next to the results, ``NAME-scene.toml``; other files stay.
+
+    Raises InputError: It cannot be written.
+    """
+    content = drawing.toml.encode()
+    names = (out.with_name(f"{out.name}-scene{count or ''}.toml") for count in itertools.count())
+    path = next(one for one in names if not os.path.lexists(one) or (one.is_file() and one.read_bytes() == content))
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacement(path) as temporary:
+            temporary.write_bytes(content)
+    except OSError as failure:
+        raise InputError(f"{path} cannot be written: {error_text(failure)}") from None
+    return path
 
 
 def unused_folder(folder: Path) -> Path:
@@ -387,7 +390,6 @@ class VerificationTab(Tab):
         self._readings += 1
         self.background.end()
         self.run.detach()
-        self.form.shut_down()
 
     def dragEnterEvent(self, event: QDragEnterEvent | None) -> None:  # noqa: N802
         if event is not None and any(dropped_kind(path) is not Dropped.OTHER for path in dropped_files(event)):

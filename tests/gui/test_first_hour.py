@@ -143,6 +143,7 @@ def test_given_an_unsaved_drawing_then_the_verification_plays_it(
     tab = shown_tab(window, VerificationTab)
     assert (tab.form.drawn.isChecked(), tab.form.missing()) == (True, "")
     scene = Path(tab.form.request().arguments[1])
+    assert scene == finished.with_name("verify-scene.toml")  # it stays with the results
     assert read_draft(scene.read_text(encoding="utf-8"), scene) == drawn.document.draft
     saved = finished.with_name("mine.toml")
     drawn.document.save(saved)
