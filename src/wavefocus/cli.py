@@ -665,5 +665,5 @@ def run_command(arguments: Sequence[str]) -> int:
 
 
 def _first_sentence(text: str) -> str:
-    first = text.partition("\n\n")[0].rstrip(".")
+    first = re.split(r"\n\n|; |\. ", text)[0].rstrip(".")
     return first[:1].lower() + first[1:]
