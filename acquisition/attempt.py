@@ -20,7 +20,7 @@ from wavefocus.calibration.clock.timing import ReferenceMissingError
 from wavefocus.calibration.estimator.estimate import Estimate, PositionEstimator
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import Recording, Take
-from wavefocus.storage.bank.ledger import PointRecord
+from wavefocus.storage.bank.ledger import SUSPECT, PointRecord
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.point_status import Status
 from wavefocus.storage.raw.writer import RawWriter
@@ -235,7 +235,7 @@ def commit_attempt(
         },
         moved_mm=math.hypot(*result.attempt.moved_mm),
         reference_db=float("nan") if estimate is None else float(np.median(estimate.reference_db)),
-        judged=bank.record(position).judged if held else 0,
+        judged=bank.record(position).judged & ~SUSPECT if held else 0,
     )
     green = np.zeros((actuators, taps), np.float32) if estimate is None else estimate.green
     if raw is not None and result.recordings:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from wavefocus.acquisition.attempt import Attempt, AttemptResult, PositionRecords, Recorded
 from wavefocus.acquisition.defects import REFERENCE_LEVEL
@@ -26,7 +26,8 @@ class DriftWatch:
     """Measures the sentinel position and compares it with what the bank holds.
 
     evaluate: From recordings to a judged estimate.
-    accept_drift: Continue although it has changed; the change is reported.
+    mark: Marks positions as suspect in the bank, for a reason.
+    accept_drift: Continue although it has changed; the change is reported, and nothing is marked.
     """
 
     def __init__(
@@ -38,10 +39,13 @@ class DriftWatch:
         records: PositionRecords,
         recovery: Recovery,
         evaluate: Callable[[Recorded], AttemptResult],
+        mark: Callable[[Sequence[int], str], None],
     ) -> None:
+        self._mark = mark
         self._plan, self._bank, self._session, self._report = plan, bank, session, report
         self._records, self._recovery, self._evaluate = records, recovery, evaluate
         self._since: list[int] = []
+        self._off: DriftFigures | None = None
         self._recorded = 0
         self._looked_s = session.time_s()
         self.accept_drift = False
@@ -61,6 +65,26 @@ class DriftWatch:
         late = self._session.time_s() - self._looked_s >= limits.every_s
         return self._recorded > 0 and (self._recorded >= limits.every_positions or late)
 
+    @property
+    def is_off(self) -> bool:
+        """Whether what is measured now has another scale than the bank, so that to repeat anything is of no use."""
+        return self._off is not None and not self.accept_drift
+
+    @property
+    def owes_a_look(self) -> bool:
+        """Whether positions were committed that no measurement of the sentinel vouches for yet."""
+        return bool(self._recorded and self._suspects(sentinel_of(self._plan, self._bank.status)))
+
+    def end(self) -> None:
+        """Where the sentinel was off when it was last measured, mark what was committed since."""
+        if self._off is not None and not self.accept_drift:
+            position = sentinel_of(self._plan, self._bank.status)
+            self._mark(self._suspects(position), _suspicion(position, self._off))
+
+    def _suspects(self, sentinel: int | None) -> tuple[int, ...]:
+        """What was committed since the sentinel was last steady; the sentinel is what the others are compared with."""
+        return tuple(dict.fromkeys(one for one in self._since if one != sentinel))
+
     def check(self) -> None:
         """Measure the sentinel again before a session adds anything, if there is one.
 
@@ -72,6 +96,7 @@ class DriftWatch:
             return
         figures = self._figures(Attempt(position, 1, 1))
         self._publish(position, figures, "resume")
+        self._off = figures if figures.speaks_against(self._plan.drift) else None
         if figures.verdict(self._plan.drift) == "stop" and not self.accept_drift:
             raise DriftError(
                 f"sentinel position {position} is not what the bank holds ({figures.cause(self._plan.drift)}): "
@@ -81,31 +106,39 @@ class DriftWatch:
     def check_again(self) -> None:
         """Measure the sentinel again during a session, and once more before it is believed that it has changed.
 
-        Raises DriftError: it has; the positions measured since it was last as it should be are named. InstrumentError:
-        an instrument failed for good.
+        Where it has, by more than the limit of a warning for the level, the positions measured since it was last as it
+        should be are marked as suspect: their scale may be another one.
+
+        Raises DriftError: it has changed too much to go on. InstrumentError: an instrument failed for good.
         """
         position = sentinel_of(self._plan, self._bank.status)
         if position is None:
             self._begin_anew()
             return
-        limits, first = self._plan.drift, Attempt(position, 1, 1)
-        figures = self._figures(first)
-        stops = figures.verdict(limits) == "stop"
-        if stops and not self.accept_drift:
-            self._publish(position, figures, "run")
-            figures = self._figures(Attempt(position, 2, 1))
-            stops = figures.verdict(limits) == "stop"
-            suspect = tuple(self._since) if stops else ()
-            self._publish(position, figures, "repeat", suspect)
-        else:
-            self._publish(position, figures, "run")
-        if stops and not self.accept_drift:
-            rows = row_ranges(self._since)
+        limits = self._plan.drift
+        figures = self._figures(Attempt(position, 1, 1))
+        suspects: tuple[int, ...] = ()
+        occasion = "run"
+        if figures.speaks_against(limits) and not self.accept_drift:
+            self._publish(position, figures, occasion)
+            figures, occasion = self._figures(Attempt(position, 2, 1)), "repeat"
+            if figures.speaks_against(limits):
+                suspects = self._suspects(position)
+        self._publish(position, figures, occasion, suspects)
+        self._off = figures if figures.speaks_against(limits) else None
+        if suspects:
+            self._mark(suspects, _suspicion(position, figures))
+        if figures.verdict(limits) == "stop" and not self.accept_drift:
+            rows = row_ranges(suspects)
+            measured = (
+                f"positions {rows}, measured since it was last steady, are marked as suspect; put it right, then "
+                f"wavefocus remeasure {self._bank.path} --positions {rows} and resume"
+                if rows
+                else "put it right and resume"
+            )
             raise DriftError(
                 f"sentinel position {position} has changed during the run ({figures.cause(limits)}): {figures}; "
-                f"positions {rows}, measured since it was last steady, are in the bank but suspect; put it right, "
-                f"then wavefocus remeasure {self._bank.path} --positions {rows} and resume, or go on with "
-                "--accept-drift"
+                f"{measured}, or go on with --accept-drift"
             )
         self._begin_anew()
 
@@ -129,7 +162,17 @@ class DriftWatch:
                 f"sentinel position {attempt.position} could not be measured: {result.judgement.reason}; "
                 "check cables and laser, then resume"
             )
-        return compare_sentinel(self._bank.green(attempt.position), result.estimate.green)
+        then = self._bank.record(attempt.position)
+        return compare_sentinel(
+            self._bank.green(attempt.position), result.estimate.green, then.snr_db, result.estimate.snr_db
+        )
+
+
+def _suspicion(sentinel: int | None, figures: DriftFigures) -> str:
+    return (
+        f"sentinel position {sentinel} had changed by {figures.level_db:+.2f} dB when it was measured next: the "
+        "vibrometer's range, a gain or the plate changed at some time before; put it right, then wavefocus remeasure"
+    )
 
 
 def measure_again(

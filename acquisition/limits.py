@@ -86,11 +86,13 @@ class DriftFigures:
     delay_samples: Lag of the largest cross-correlation, refined by a parabola; positive when the response comes later
         now.
     correlation: Cross-correlation at that lag over the root of both energies, 0 to 1.
+    noise_db: How far noise alone may move the level, in dB.
     """
 
     level_db: float
     delay_samples: float
     correlation: float
+    noise_db: float = 0.0
 
     def verdict(self, limits: DriftLimits) -> str:
         """``"steady"``, ``"warn"`` or ``"stop"``."""
@@ -98,10 +100,14 @@ class DriftFigures:
             ("stop", limits.stop_level_db, limits.stop_delay_samples, limits.stop_correlation),
             ("warn", limits.warn_level_db, limits.warn_delay_samples, limits.warn_correlation),
         ):
-            beyond = abs(self.level_db) > level_db or abs(self.delay_samples) > delay_samples
+            beyond = abs(self.level_db) > level_db + self.noise_db or abs(self.delay_samples) > delay_samples
             if beyond or self.correlation < correlation:
                 return word
         return "steady"
+
+    def speaks_against(self, limits: DriftLimits) -> bool:
+        """Whether what was measured since the last steady measurement has another scale, or is of another plate."""
+        return self.verdict(limits) == "stop" or abs(self.level_db) > limits.warn_level_db + self.noise_db
 
     def cause(self, limits: DriftLimits) -> str:
         """What such figures come from; empty where they are steady.
@@ -126,15 +132,38 @@ class DriftFigures:
         )
 
 
-def compare_sentinel(then: Float32Array, now: Float32Array) -> DriftFigures:
+# Responses with less signal-to-noise ratio say nothing of a drift, unless none has more.
+CLEAR_DB = 10.0
+
+
+def compare_sentinel(
+    then: Float32Array,
+    now: Float32Array,
+    snr_then_db: Float32Array | None = None,
+    snr_now_db: Float32Array | None = None,
+) -> DriftFigures:
     """Compare two measurements of one position.
 
     then, now, float32 (actuators, taps): Green's functions of the first and of the new measurement.
+    snr_then_db, snr_now_db, float32 (actuators,): Their signal-to-noise ratios, NaN where unknown; by default, and
+        where unknown, without noise. The share that noise has in energies and correlation is taken out of them.
 
-    Returns figures pooled over all actuators, so that the strong responses, which carry the information, decide.
+    Returns figures pooled over the clear responses, so that the strong ones, which carry the information, decide.
     """
     first, second = then.astype(np.float64), now.astype(np.float64)
-    energy_then, energy_now = float(np.sum(first**2)), float(np.sum(second**2))
+    snr_db = [
+        np.full(len(first), np.inf) if one is None else np.nan_to_num(one.astype(np.float64), nan=np.inf)
+        for one in (snr_then_db, snr_now_db)
+    ]
+    # A response that has vanished since is no noise: what was clear then decides.
+    clear = snr_db[0] >= min(CLEAR_DB, float(np.max(snr_db[0], initial=-np.inf)))
+    first, second = first[clear], second[clear]
+    energies, noise = [], []
+    for green, ratio_db in zip((first, second), snr_db, strict=True):
+        each = np.sum(green**2, axis=1)
+        energies.append(float(each.sum()))
+        noise.append(float(np.sum(each / (1.0 + 10.0 ** (0.1 * ratio_db[clear])))) / max(energies[-1], 1e-300))
+    energy_then, energy_now = energies
     if energy_then == 0.0 or energy_now == 0.0:
         return DriftFigures(-np.inf if energy_now == 0.0 else np.inf, 0.0, 0.0)
     length = 2 * first.shape[1]
@@ -145,10 +174,14 @@ def compare_sentinel(then: Float32Array, now: Float32Array) -> DriftFigures:
     curvature = before - 2.0 * centre + after
     offset = 0.0 if curvature == 0.0 else 0.5 * (before - after) / curvature
     delay = peak + offset if peak < length // 2 else peak + offset - length
+    signal_then, signal_now = (
+        energy * (1.0 - share) for energy, share in zip(energies, np.minimum(noise, 0.9).tolist(), strict=True)
+    )
     return DriftFigures(
-        level_db=10.0 * np.log10(energy_now / energy_then),
+        level_db=10.0 * np.log10(signal_now / signal_then),
         delay_samples=float(delay),
-        correlation=float(centre / np.sqrt(energy_then * energy_now)),
+        correlation=min(float(centre / np.sqrt(signal_then * signal_now)), 1.0),
+        noise_db=10.0 * np.log10(1.0 + sum(noise)),
     )
 
 

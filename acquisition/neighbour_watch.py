@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,11 +16,14 @@ from wavefocus.acquisition.plays import MEASURED
 from wavefocus.calibration import BoolArray, Float32Array, Int64Array
 from wavefocus.calibration.neighbour_difference import Difference
 from wavefocus.calibration.neighbour_judge import NeighbourJudge, RowSpectra
+from wavefocus.storage.bank.ledger import SUSPECT
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.point_status import Status
 
 ALONE = 1 << 23
 """Added to `PointRecord.judged` where neighbours could not judge."""
+COUNT = SUSPECT - 1
+"""The part of `PointRecord.judged` that is a number of positions."""
 STRONG_DB, AROUND = 6.0, 13
 """Rows of less signal-to-noise ratio, where those around have no more either, are noise and need no judging."""
 TRUSTED = 0.7
@@ -55,7 +58,7 @@ class NeighbourWatch:
         if not len(covered):
             return True
         last = int(covered[-1])
-        return bool(self._bank.status[last]) and self._bank.record(last).judged & ~ALONE == len(covered)
+        return bool(self._bank.status[last]) and self._bank.record(last).judged & COUNT == len(covered)
 
     def mark(self, covered: Int64Array) -> Iterator[tuple[int, Judgement]]:
         """Mark as poor what neighbours contradict, and, where the plan wants second looks, what they cannot judge.
@@ -86,7 +89,9 @@ class NeighbourWatch:
                 yield position, judgement
         # Sessions for some scenes alone leave no note: the rest of the campaign is judged with theirs.
         if len(covered) == self._plan.positions and not self.is_done(covered):
-            self._bank.set_status(int(covered[-1]), int(self._bank.status[covered[-1]]), len(covered))
+            last = int(covered[-1])
+            suspect = self._bank.record(last).judged & SUSPECT
+            self._bank.set_status(last, int(self._bank.status[last]), len(covered) | suspect)
 
     def confirmed(
         self, result: AttemptResult, earlier: AttemptResult | None, *, repeat: bool, replaceable: bool
@@ -211,6 +216,18 @@ class NeighbourWatch:
         if not self._bank.status[row]:
             return np.full(self._plan.actuators, np.nan, np.float32)
         return self._bank.record(row).snr_db
+
+
+def mark_suspects(bank: BankWriter, positions: Sequence[int], reason: str) -> Iterator[tuple[int, Judgement]]:
+    """Mark as poor, and as suspect, what was measured while the rig had another scale than the bank.
+
+    Yields each position as it is marked; those that are not valid stay as they are.
+    """
+    judgement = Judgement(Status.POOR_SIGNAL, reason, 0.0, (Defect("suspect", (), reason, Cure.NOTHING),))
+    for position in positions:
+        if bank.status[position] == Status.VALID:
+            bank.set_status(position, int(judgement.status), bank.record(position).judged & COUNT | SUSPECT)
+            yield position, judgement
 
 
 def _judgement(differences: tuple[Difference, ...]) -> Judgement:

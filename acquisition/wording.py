@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+
+from wavefocus.storage.point_status import row_ranges
+
+__all__ = ["a_while", "hours", "row_ranges"]
 
 _LONGEST_S = 100 * 365.25 * 86400
 
@@ -25,14 +28,3 @@ def hours(seconds: float) -> str:
     if whole >= 60:
         return f"{whole // 60} min {whole % 60:02d} s"
     return f"{whole} s"
-
-
-def row_ranges(rows: Sequence[int]) -> str:
-    """Bank rows as ``--positions`` takes them: ``"3,5-9"``."""
-    ranges: list[list[int]] = []
-    for row in sorted(set(rows)):
-        if ranges and row == ranges[-1][1] + 1:
-            ranges[-1][1] = row
-        else:
-            ranges.append([row, row])
-    return ",".join(f"{first}-{last}" if last > first else f"{first}" for first, last in ranges)

@@ -14,7 +14,7 @@ from wavefocus.calibration import BoolArray, Float64Array
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.crosstalk import REMEDY, crosstalk_of_bank
 from wavefocus.calibration.neighbour_judge import NeighbourJudge, RowSpectra
-from wavefocus.storage.bank.ledger import VALID
+from wavefocus.storage.bank.ledger import SUSPECT, VALID
 from wavefocus.storage.bank.reading import Bank, BankRows, CopiedRows, open_bank
 from wavefocus.storage.drive_file import FORMAT as DRIVE
 from wavefocus.storage.drive_file import read_drive
@@ -24,7 +24,7 @@ from wavefocus.storage.field_file import FieldRowReader
 from wavefocus.storage.hdf5_digest import format_of
 from wavefocus.storage.ledger.owner import bank_owner, owner_path
 from wavefocus.storage.ledger.reader import LedgerReader
-from wavefocus.storage.point_status import usable
+from wavefocus.storage.point_status import row_ranges, usable
 from wavefocus.storage.raw.header import RAW
 from wavefocus.storage.raw.writer import RawRows, open_raw
 
@@ -69,6 +69,7 @@ def check_bank(path: str | Path) -> list[Finding]:
         findings += _check_file(bank)
         findings += _check_positions(bank)
         findings += _check_moved(bank)
+        findings += _check_suspects(bank)
         findings += _check_rows(bank)
         findings += _check_crosstalk(bank)
     return sorted(findings, key=lambda finding: -1 if finding.position is None else finding.position)
@@ -142,6 +143,23 @@ def _check_moved(bank: Bank) -> Iterator[Finding]:
             f"{moved_mm[farthest]:.2g} mm; /quality/moved_mm has all of them"
         )
         yield Finding(farthest, None, message, "warning")
+
+
+def suspect_positions(rows: BankRows) -> list[int]:
+    """Positions that were measured when the sentinel position had changed, and not again since."""
+    marked = (rows.figures.judged & SUSPECT > 0) & (rows.figures.status & VALID == 0)
+    return [int(position) for position in np.flatnonzero(marked)]
+
+
+def _check_suspects(bank: Bank) -> Iterator[Finding]:
+    """One finding for all rows whose scale may be another one than the sentinel's."""
+    suspects = suspect_positions(bank.rows) if isinstance(bank.rows, BankRows) else []
+    if suspects:
+        message = (
+            f"positions {row_ranges(suspects)} are suspect: the sentinel position had changed when it was measured"
+            " after them (the vibrometer's range, a gain or the plate); put it right, then wavefocus remeasure"
+        )
+        yield Finding(suspects[0], None, message)
 
 
 def _check_rows(bank: Bank) -> Iterator[Finding]:

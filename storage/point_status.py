@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import IntFlag
 
 import numpy as np
@@ -65,3 +66,14 @@ def median_snr_db(snr_db: NDArray[np.float32] | None, status: NDArray[np.uint8])
         return None
     ordered = np.sort(known)  # np.median would load numpy.ma, which `wavefocus status` has no other use for
     return float(np.mean(ordered[[(known.size - 1) // 2, known.size // 2]]))
+
+
+def row_ranges(rows: Sequence[int]) -> str:
+    """Bank rows as ``--positions`` takes them: ``"3,5-9"``."""
+    ranges: list[list[int]] = []
+    for row in sorted(set(rows)):
+        if ranges and row == ranges[-1][1] + 1:
+            ranges[-1][1] = row
+        else:
+            ranges.append([row, row])
+    return ",".join(f"{first}-{last}" if last > first else f"{first}" for first, last in ranges)

@@ -31,7 +31,7 @@ from wavefocus.acquisition.drift_watch import DriftError, DriftWatch
 from wavefocus.acquisition.engine.recovery import Recovery, Suspension
 from wavefocus.acquisition.engine.report import CampaignReport
 from wavefocus.acquisition.engine.session import Session, StoppedWhileWaitingError, StopRequest
-from wavefocus.acquisition.neighbour_watch import NeighbourWatch
+from wavefocus.acquisition.neighbour_watch import NeighbourWatch, mark_suspects
 from wavefocus.acquisition.plan import Plan
 from wavefocus.acquisition.plays import measuring_of
 from wavefocus.acquisition.setup import Setup, names_of
@@ -86,7 +86,9 @@ class Campaign:
         measuring = measuring_of(plan, setup)
         self._estimator = measuring.estimator
         self._records = records = PositionRecords(plan, setup, measuring.plays, session.fault)
-        self._drift = DriftWatch(plan, bank, session, self._report, records, recovery, self._evaluate)
+        self._drift = DriftWatch(
+            plan, bank, session, self._report, records, recovery, self._evaluate, self._mark_suspects
+        )
         conditions = Conditions(setup.watch, setup, plan.excitation)
         self._suspension = Suspension(setup, session, conditions, records, recovery)
         self._neighbours = NeighbourWatch(plan, bank)
@@ -158,6 +160,7 @@ class Campaign:
                 self._session.follow_requests()
         finally:
             self._collect()
+            self._drift.end()
 
     def _next_step(self) -> Callable[[], None] | None:
         """Pauses, stops and the sentinel come between two positions: a position's repeats are finished first."""
@@ -169,6 +172,8 @@ class Campaign:
             return self._measure
         if not queue and self._crosstalk.due:
             return self._look_for_crosstalk
+        if not queue and self._drift.owes_a_look and state is State.RUNNING:
+            return self._drift.check_again
         if not queue and not self._judged and np.all(self._bank.status[self._covered]):
             return self._mark
         if state is State.STOPPING or self._pass_is_futile() or not (queue or self._due_again()):
@@ -191,8 +196,11 @@ class Campaign:
         return is_futile(self._covered, self._bank.status, self._bank.attempts, before)
 
     def _due_again(self) -> list[Attempt]:
-        """The next pass, if there is one; the bank holds the number of each attempt. While the loopback leaks, none."""
-        if self._crosstalk.found is not None:
+        """The next pass, if there is one; the bank holds the number of each attempt.
+
+        While the loopback leaks, or the sentinel is not as the bank holds it, there is none.
+        """
+        if self._crosstalk.found is not None or self._drift.is_off:
             return []
         return attempts_again(self._covered, self._bank.status, self._bank.attempts, self._setup, self._plan.quality)
 
@@ -241,6 +249,12 @@ class Campaign:
         """After the first round, what neighbours contradict or cannot judge is poor; no Ctrl-C lands in the worker."""
         self._judged = True
         for position, judgement in self._worker.submit(lambda: list(self._neighbours.mark(self._covered))).result():
+            self._report.marked(position, judgement)
+
+    def _mark_suspects(self, positions: Sequence[int], reason: str) -> None:
+        """Mark what was measured at another scale than the bank's; no Ctrl-C lands in the worker."""
+        marks = self._worker.submit(lambda: list(mark_suspects(self._bank, positions, reason))).result()
+        for position, judgement in marks:
             self._report.marked(position, judgement)
 
     def _begin_pass(self) -> None:

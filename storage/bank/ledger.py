@@ -20,6 +20,8 @@ QUALITY_NAMES = FIRST_QUALITY_NAMES + LATER_QUALITY_NAMES
 _PER_ACTUATOR = FIRST_QUALITY_NAMES[:-1]
 VALID, OVER_RANGE, POOR_SIGNAL, FAILED, DISABLED = 1, 2, 4, 8, 16
 _ALL_BITS = 31
+SUSPECT = 1 << 22
+"""Added to `PointRecord.judged` where the sentinel position had changed when it was measured next."""
 # The ledger's status field holds `PointRecord.judged` above its lowest byte.
 _STATUS_BITS, _STATUS_MASK = 8, 255
 
@@ -50,7 +52,7 @@ class PointRecord:
     moved_mm: Distance of the laser from the position, 0 to 65 mm; NaN where unknown.
     reference_db: Level of the reference in dB of its calibration, median over the records; NaN where unknown.
     judged: Number of positions that were judged against their neighbours together, on those that were marked for it and
-        on the last of them, with 2**23 added where neighbours could not judge; 0 elsewhere.
+        on the last of them, with 2**23 added where neighbours could not judge; 0 elsewhere. `SUSPECT` is added to it.
     """
 
     status: int

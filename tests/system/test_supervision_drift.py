@@ -44,8 +44,8 @@ def test_given_a_run_then_the_sentinel_is_measured_every_so_often_and_the_bank_d
     capsys.readouterr()
     assert _capture(lab, bank) == 0
     drift = events_of(capsys.readouterr().out, "drift")
-    assert [(one["position"], one["occasion"], one["verdict"]) for one in drift] == [(0, "run", "steady")] * 2
-    assert [one.verdict for one in read_drift(bank)] == ["steady"] * 2
+    assert [(one["position"], one["occasion"], one["verdict"]) for one in drift] == [(0, "run", "steady")] * 3
+    assert [one.verdict for one in read_drift(bank)] == ["steady"] * 3
     assert np.array_equal(_green(bank), _green(lab / "without.h5"))
 
 
@@ -66,7 +66,7 @@ def test_given_drift_that_a_repeat_does_not_confirm_then_the_campaign_goes_on(
     with_faults(lab, LOUDER)
     assert _capture(lab, lab / "plate.h5") == 0
     drift = events_of(capsys.readouterr().out, "drift")
-    assert [(one["occasion"], one["verdict"]) for one in drift] == [("run", "stop"), ("repeat", "steady")] * 2
+    assert [(one["occasion"], one["verdict"]) for one in drift] == [("run", "stop"), ("repeat", "steady")] * 3
 
 
 def test_given_drift_during_a_run_then_exit_3_names_the_positions_that_are_suspect(
@@ -81,17 +81,17 @@ def test_given_drift_during_a_run_then_exit_3_names_the_positions_that_are_suspe
     told = capsys.readouterr()
     last = told.err.splitlines()[-1]
     assert "sentinel position 0 has changed during the run (level changed)" in last
-    assert f"wavefocus remeasure {bank} --positions 0-1 and resume" in last
+    assert f"wavefocus remeasure {bank} --positions 1 and resume" in last
     assert "--accept-drift" in last
-    assert events_of(told.out, "drift")[-1]["suspect"] == [0, 1]
+    assert events_of(told.out, "drift")[-1]["suspect"] == [1]
     assert events_of(told.out, "session_ended")[-1]["failure"] == "drift"
     assert session_failure(bank, datetime.now(UTC) - timedelta(minutes=5)) == "drift"
     assert session_failure(bank, datetime.now(UTC) + timedelta(minutes=5)) == ""
-    assert held(bank) == [1, 1, 0, 0, 0, 0]
+    assert held(bank) == [1, 4, 0, 0, 0, 0]
     assert run(["status", str(bank)]) == 0
-    assert "--positions 0-1" in capsys.readouterr().out
+    assert "--positions 1" in capsys.readouterr().out
     assert run(["status", str(bank), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["suspect_positions"] == "0-1"
+    assert json.loads(capsys.readouterr().out)["suspect_positions"] == "1"
     # Accepted on purpose, it is told and goes on.
     assert _capture(lab, bank, "--accept-drift") == 0
     assert "stop" in [one["verdict"] for one in events_of(capsys.readouterr().out, "drift")]
@@ -103,11 +103,13 @@ def test_given_drift_during_a_run_then_exit_3_names_the_positions_that_are_suspe
 def test_given_a_drift_history_then_status_draws_it_and_where_there_is_none_it_says_so(
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    bank = lab / "plate.h5"
-    assert _capture(lab, bank) == 0
+    bank, sound = lab / "plate.h5", (lab / "run.toml").read_text(encoding="utf-8")
+    with_faults(lab, 'role = "recorder"\noperation = "read"\nkind = "lost"\nposition = 3\npurpose = "capture"')
+    assert _capture(lab, bank) == 3
     assert run(["status", str(bank), "--plot", str(lab / "drift.png")]) == 2
     assert "holds no drift to draw" in capsys.readouterr().err
-    assert run(["remeasure", str(bank), "--positions", "3"]) == 0
+    (lab / "run.toml").write_text(sound, encoding="utf-8")
+    assert _capture(lab, bank) == 0
     assert run(["status", str(bank), "--plot", str(lab / "drift.png")]) == 0
     assert (lab / "drift.png").read_bytes().startswith(b"\x89PNG")
 
@@ -176,3 +178,31 @@ def test_given_a_calibration_of_another_device_then_resume_refuses_it_and_says_h
     assert "--accept-calibration" in told
     assert bank.read_bytes() == before
     assert run(["remeasure", str(bank), "--positions", "1", "--accept-calibration"]) == 0
+
+
+LASTING = 'role = "recorder"\noperation = "read"\nkind = "drift"\nlevel_db = {level_db}\ncount = 1000\n'
+
+
+@pytest.mark.parametrize("level_db", [1.0, -2.0])
+def test_given_another_gain_from_some_position_on_then_what_was_measured_with_it_is_suspect_until_measured_again(
+    lab: Path, capsys: pytest.CaptureFixture[str], level_db: float
+) -> None:
+    sound = (lab / "run.toml").read_text(encoding="utf-8")
+    fault = LASTING.format(level_db=level_db)
+    with_faults(lab, f'{fault}purpose = "sentinel"', *(f"{fault}position = {one}" for one in (3, 4, 5)))
+    bank = lab / "plate.h5"
+    assert _capture(lab, bank) == 0
+    told = capsys.readouterr()
+    # The change came after the last measurement of the sentinel, so that all since then are suspect.
+    assert held(bank) == [1, 4, 4, 4, 4, 4]
+    assert events_of(told.out, "drift")[-1]["suspect"] == [1, 2, 3, 4, 5]
+    assert "suspect" in told.err.splitlines()[-1]
+    assert ": 1-5;" in told.err.splitlines()[-1]
+    assert run(["check", str(bank)]) == 1
+    assert "positions 1-5 are suspect" in capsys.readouterr().out
+    # Nothing is called valid as long as the gain is another one.
+    assert run(["remeasure", str(bank)]) == 0
+    assert held(bank) == [1, 4, 4, 4, 4, 4]
+    (lab / "run.toml").write_text(sound, encoding="utf-8")
+    assert _capture(lab, bank) == 0
+    assert held(bank) == [1] * 6

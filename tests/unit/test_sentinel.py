@@ -82,3 +82,22 @@ def test_given_a_campaign_then_the_sentinels_measurements_are_counted(
     positions: int, position_s: float, passes: int
 ) -> None:
     assert DriftLimits().passes(positions, position_s) == passes
+
+
+# One clear actuator as of the campaign that stopped at +3.15 dB, the others mostly noise; all of them clear.
+@pytest.mark.parametrize("snr_db", [(14.7, 3.0, 0.0, -3.0), (20.0, 15.0, 12.0, 11.0), (12.0, 2.0, 0.0, -6.0)])
+def test_given_known_noise_then_it_is_no_drift_and_a_gain_is_still_seen(snr_db: tuple[float, ...]) -> None:
+    chance, limits = np.random.default_rng(4), DriftLimits()
+    ratios_db = np.array(snr_db, np.float32)
+    response = _responses() / np.linalg.norm(_responses(), axis=1, keepdims=True)
+    response[1:] *= 0.3  # far actuators: their noise is as loud as the clear one's, and little of it is response
+    scale = np.linalg.norm(response, axis=1, keepdims=True) * 10 ** (-ratios_db[:, None] / 20) / np.sqrt(400)
+
+    def measured(gain: float) -> np.ndarray:
+        return (gain * response + scale * chance.standard_normal(response.shape)).astype(np.float32)
+
+    steady = [compare_sentinel(measured(1.0), measured(1.0), ratios_db, ratios_db) for _ in range(200)]
+    assert not any(one.speaks_against(limits) for one in steady)
+    assert {one.verdict(limits) for one in steady} == {"steady"}
+    louder = [compare_sentinel(measured(1.0), measured(10 ** (2.2 / 20)), ratios_db, ratios_db) for _ in range(50)]
+    assert all(one.speaks_against(limits) for one in louder)

@@ -9,11 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.wire.serial_bench import LOCAL, WIRES, ImpatientClock, wire
+from wavefocus.config.rig_instruments import VibrometerSection
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.vibrometer.polytec import Polytec
 from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
 from wavefocus.mocks.wire.serial_far_side import SerialFarSide
 from wavefocus.mocks.wire.vibrometer import PolytecDevice
+from wavefocus.rig.setup import LightSensor, RangeSensor, range_band
 
 ANSWER_S = 0.3
 
@@ -172,3 +174,22 @@ def test_given_a_controller_unplugged_meanwhile_then_it_is_lost_until_it_is_back
 def test_given_arbitrary_text_for_a_range_then_it_is_an_error(tmp_path_factory, text):
     with controller(LOCAL, tmp_path_factory.mktemp("port"), range_text=text) as far, pytest.raises(InstrumentError):
         read(far, answer_s=0.1)
+
+
+@pytest.mark.parametrize("with_light", [False, True])
+def test_given_a_range_that_is_changed_meanwhile_then_the_condition_is_left_until_it_is_set_back(with_light, tmp_path):
+    device = PolytecDevice()
+    with SerialFarSide(device, wire(LOCAL, tmp_path), WireFaultPlan("vibrometer", ())) as far:
+        section = VibrometerSection(driver="polytec-ofv5000", port=far.address)
+        light = LightSensor(section)
+        band, sensor = range_band(read(far).sensitivity_m_s_per_v), RangeSensor(section, light if with_light else None)
+
+        def left():
+            light.read()
+            return band.left(sensor.read())
+
+        assert left() == ""
+        for text, words in (("25mm/s/V", "is below"), ("1m/s/V", "is above"), ("125mm/s/V", "")):
+            device.answer(f"Set,VeloDec,1,Range,{text}")
+            assert words in left()
+            assert bool(left()) == bool(words)

@@ -50,6 +50,7 @@ from wavefocus.rig.calibration_validity import refuse_other_devices, with_one_ca
 from wavefocus.rig.input_delay import note_delay_in_new_bank
 from wavefocus.rig.messages import messenger_for
 from wavefocus.rig.setup import open_setup
+from wavefocus.storage.bank.ledger import SUSPECT
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter, create_bank
 from wavefocus.storage.durable import is_network_mount
@@ -237,12 +238,18 @@ def _session(
         if writer.renamed:
             say(f"warning: {bank} was renamed while it was measured; it has its name again, next to the other")
         bad, leak = not_valid(writer.status), campaign.crosstalk
+        suspects = [row for row in bad if writer.status[row] and writer.record(row).judged & SUSPECT]
     if bad:
         rows_text = row_ranges(bad)
         say(
             f"{len(bad)} of {plan.positions} positions are not valid: {rows_text}; {log_path(bank)} says why; measure "
             f"them again with: {resume_line(bank, rig_file, word='remeasure')}"
             + (f" once the crosstalk is gone ({leak}): {REMEDY}" if leak else "")
+        )
+    if suspects:
+        say(
+            f"{len(suspects)} of them are suspect, for the sentinel position had changed after they were measured (the "
+            f"vibrometer's range, a gain or the plate): {row_ranges(suspects)}; put it right before that"
         )
     return Exit.DONE
 

@@ -17,10 +17,11 @@ from wavefocus.config.run import RunConfig
 from wavefocus.console import say
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.protocols import OffersRanges
+from wavefocus.drivers.registry import VibrometerReading
 from wavefocus.drivers.timeouts import RECONNECTING, CallThread, HungError, bounded
 from wavefocus.rig.calibration_validity import calibration_warnings
 from wavefocus.rig.input_delay import with_input_delay
-from wavefocus.rig.instruments import OpenedRig, in_time, open_rig, openers, read_vibrometer
+from wavefocus.rig.instruments import SAME_SENSITIVITY, OpenedRig, in_time, open_rig, openers, read_vibrometer
 from wavefocus.storage.bank.writer import BankWriter
 
 
@@ -148,15 +149,36 @@ class LightSensor:
 
     def __init__(self, section: VibrometerSection) -> None:
         self._section = section
+        self.reading: VibrometerReading | None = None
 
     def read(self) -> float:
         """Share of full signal level."""
-        reading = read_vibrometer(self._section, any_level=True)
+        self.reading = None
+        self.reading = reading = read_vibrometer(self._section, any_level=True)
         if reading.signal_level is None:
             raise InstrumentError(
                 reading.identity, "asking the signal level", "it has none", "leave watch.light out of the rig file"
             )
         return reading.signal_level
+
+
+class RangeSensor:
+    """The sensitivity that a vibrometer is set to; of one that is asked for its light, from the same answers."""
+
+    def __init__(self, section: VibrometerSection, light: LightSensor | None) -> None:
+        self._section, self._light = section, light
+
+    def read(self) -> float:
+        """Metres per second per volt."""
+        reading = None if self._light is None else self._light.reading
+        return (reading or read_vibrometer(self._section, any_level=True)).sensitivity_m_s_per_v
+
+
+def range_band(sensitivity_m_s_per_v: float) -> Band:
+    """The range that a session began with, and no other."""
+    least, most = ((1 + off) * sensitivity_m_s_per_v for off in (-SAME_SENSITIVITY, SAME_SENSITIVITY))
+    words = f"vibrometer range (set to {sensitivity_m_s_per_v:g} m/s per V at the start)"
+    return Band(words, "m/s per V", least, most, least, most)
 
 
 class BoundedSensor:
@@ -203,12 +225,16 @@ def watch_of(rig: RigConfig, opened: OpenedRig) -> Watch:
     ):
         if of_name is not None:
             bands[name] = band_of(of_name, words, unit)
-    for name in bands.keys() & {"light", "room"}:
+    for name in sorted(bands.keys() & {"light", "room"}):
         if rig.is_virtual:
             sensors[name] = opened.virtual_sensors[name]
         elif name == "light":
             sensors[name] = LightSensor(rig.vibrometer)
         elif section.room is not None:
             sensors[name] = RoomSensor(opened.instruments.recorder, section.room)  # type: ignore[arg-type]
+    if rig.vibrometer.port is not None and not rig.is_virtual:
+        light = sensors.get("light")
+        bands["range"] = range_band(opened.sensitivity_m_s_per_v)
+        sensors["range"] = RangeSensor(rig.vibrometer, light if isinstance(light, LightSensor) else None)
     bounded = {name: BoundedSensor(name, one, rig.recovery.hung_after_s) for name, one in sensors.items()}
     return Watch(bands, bounded, section.probe_every_s, section.give_up_after_s)
