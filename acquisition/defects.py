@@ -82,8 +82,18 @@ def named_defects(estimate: Estimate, limits: QualityLimits, distance_mm: Float6
         beyond = np.flatnonzero(unnamed & (figures[figure] > limit_db + kind.above_limit_db))
         if beyond.size:
             worst = beyond[np.argsort(-figures[figure][beyond])]
-            found.append(_line(estimate, worst) if figure == "line_db" else kind.of(estimate, worst))
+            if figure == "line_db":
+                found.append(_line(estimate, worst))
+            elif kind.over_range:
+                found += _clipped(estimate, worst, kind)
+            else:
+                found.append(kind.of(estimate, worst))
             unnamed[beyond] = False
+    # Far actuators may be faint; where the loudest record has few steps the range is too wide for all of them.
+    coarse = np.flatnonzero(unnamed & (figures["steps"] > 0) & (estimate.residual_db > limits.poor_residual_db))
+    if coarse.size and int(np.argmax(estimate.peak_v)) in coarse:
+        found.append(_COARSE.of(estimate, coarse[np.argsort(figures["steps"][coarse])]))
+        unnamed[coarse] = False
     silent = np.flatnonzero(unnamed & _silent(estimate, distance_mm))
     if silent.size:
         found.append(_SILENT.of(estimate, silent))
@@ -131,6 +141,19 @@ _HUM = _Kind(
     "hum",
     "hum at {hum_hz:g} Hz{harmonic}, {line_db:.1f} dB of the response in {records}: check the ground loop of the "
     "vibrometer's output cable",
+    Cure.NOTHING,
+)
+_COARSE = _Kind(
+    "coarse steps",
+    "the response reaches only {steps:.0f} steps of the converter in {records}: choose a narrower input range or a "
+    "narrower range at the vibrometer, or raise sweep.amplitude_v",
+    Cure.NOTHING,
+)
+_EVEN = _Kind(
+    "distortion",
+    "distorted, but not cut: every sweep leaves the same {cut_db:.0f} dB at {cut_s:.3f} s in {records}, and hardly any "
+    "third harmonic: lower sweep.amplitude_v; where that changes nothing, look for an offset or a defect in amplifier, "
+    "coil or vibrometer",
     Cure.NOTHING,
 )
 _DISTORTED = "lower sweep.amplitude_v or choose a wider range at the vibrometer"
@@ -184,6 +207,21 @@ _KINDS = {
     ),
 }
 """Defects by the figure that shows them; of one record the first is named."""
+
+
+def _clipped(estimate: Estimate, worst: NDArray[np.intp], kind: _Kind) -> list[Defect]:
+    """What looks like clipping, by its cause: too few steps, a curved characteristic, or a cut one.
+
+    What is cut has a third harmonic at its loudest moment that is stronger than the same residual of all sweeps; a
+    square term has none.
+    """
+    figures = estimate.defects[worst]
+    coarse = figures["steps"] > 0
+    # The worst record shows it best.
+    curved = bool(figures["harmonic_db"][0] <= figures["cut_db"][0])
+    even = ~coarse & curved & (estimate.clip_count[worst] == 0)
+    parts = ((_COARSE, coarse), (_EVEN, even), (kind, ~coarse & ~even))
+    return [one.of(estimate, worst[which]) for one, which in parts if np.any(which)]
 
 
 def _line(estimate: Estimate, worst: NDArray[np.intp]) -> Defect:

@@ -19,6 +19,8 @@ LEAST_FLAT = 8
 # Where a sweep is cut off, it is cut off many times running: this much on both sides of the peak shows it.
 AROUND_SAMPLES = 4096
 BELOW_SHARE = 0.97
+# Of a recording with fewer converter steps up to its peak, every top is flat.
+MIN_STEPS = 500
 # Smaller recordings have too few converter steps to distinguish a flat top from a coarse one.
 LEAST_PEAK_SHARE = 0.05
 
@@ -76,8 +78,18 @@ def _count_clipped(channel: Float32Array, peak_v: Float32Array, place: Int64Arra
             top = _beyond(around, CLIP_SHARE * level)
             if top < LEAST_FLAT or 4 * top <= _beyond(around, BELOW_SHARE * level):
                 continue
+            if converter_steps(around) < MIN_STEPS:
+                continue
         count[record] = _beyond(channel[record], CLIP_SHARE * level)
     return count
+
+
+def converter_steps(recording: Float32Array) -> float:
+    """How many steps of its converter a recording in volts reaches; 0 for silence, infinite where it has no steps."""
+    levels = np.unique(recording)
+    if levels.size < 2:
+        return 0.0
+    return float(np.abs(levels).max() / np.diff(levels).min())
 
 
 def _beyond(recording: Float32Array, level_v: float) -> int:

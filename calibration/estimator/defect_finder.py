@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from scipy.special import gammainccinv
 
 from wavefocus.calibration import BoolArray, Complex64Array, Float32Array, Float64Array
-from wavefocus.calibration.estimator.clipping import Levels, ThirdHarmonic
+from wavefocus.calibration.estimator.clipping import AROUND_SAMPLES, MIN_STEPS, Levels, ThirdHarmonic, converter_steps
 
 _FIGURES = """
 burst_db burst_s cut_db cut_s slip_db slip_samples line_db line_hz tail_db step_db step_level_db unsteady_db
-harmonic_db dead
+harmonic_db steps dead
 """
 DEFECTS = np.dtype([(name, np.float32) for name in _FIGURES.split()])
 """Defects of a record; energies are in dB of the response's in band, -inf where chance explains what is there,
@@ -45,6 +45,8 @@ unsteady_db
     strength would. NaN for a single sweep.
 harmonic_db
     Third harmonic over the fundamental at the response's loudest moment.
+steps
+    Converter steps up to the peak, where there are few and the response's noise is too low to blur them; NaN elsewhere.
 dead
     1 where the response channel is constant, else 0.
 """
@@ -109,6 +111,11 @@ LINE_SHARE = 0.1
 LOUD = 10**2.8
 # A tone beyond the band that is so many times all that is left in it is what leaks into it.
 LEAKS = 3.0
+# Steps of a converter are blurred by noise of more than this share of one. Rounding alone has 0.29 of one, and where
+# nothing blurs it, it is the same in all sweeps, so that it counts for more in their mean.
+BLURS = 0.36
+# With 500 steps rounding is at -64 dB of the response.
+STEPS_MATTER_DB = -64.0
 # Residuals below -75 dB of the response are left alone.
 MATTERS = 10**-7.5
 FLOOR = 1e-30
@@ -204,6 +211,7 @@ class DefectFinder:
         differing, differing_power = spectra.differing, spectra.differing_power
         whole = np.maximum(spectra.answered_energy, FLOOR)
         defects = np.zeros(len(missed), DEFECTS)
+        defects["steps"] = np.nan
         for name in ("burst_db", "cut_db", "slip_db", "line_db", "tail_db", "step_db", "unsteady_db", "harmonic_db"):
             defects[name] = -np.inf
         defects["dead"] = spectra.answered_energy <= DEAD_SHARE * np.square(spectra.levels.response_v, dtype=np.float64)
@@ -213,6 +221,7 @@ class DefectFinder:
         # What is cut where the response stays loud for long bends the fit and leaves nothing.
         left = unexplained if differing_power is None else differing_power
         loud = np.flatnonzero(whole > LOUD * left.sum(axis=1, dtype=np.float64))
+        defects["harmonic_db"] = np.nan
         defects["harmonic_db"][loud] = self._harmonic(spectra.response_v, spectra.levels.loudest, loud)
         look = np.flatnonzero(self._suspicious(unexplained, differing_power, whole))
         if not look.size:
@@ -403,6 +412,24 @@ class DefectFinder:
             # A passing event also spreads over all delays, but differs from sweep to sweep as much.
             found &= unexplained.sum(axis=1, dtype=np.float64) > TAIL_OVER_NOISE * self._freedom * noise
         defects["tail_db"] = np.where(found, _db(share * unexplained.sum(axis=1, dtype=np.float64), whole), -np.inf)
+
+
+def few_steps(
+    response_v: Float32Array, levels: Levels, noise_v: Float64Array, residual_db: Float32Array, averages: int
+) -> Float32Array:
+    """Converter steps of records that reach few and whose noise does not blur them, (records,); NaN elsewhere.
+
+    noise_v, residual_db, (records,): As of an `Estimate`.
+    """
+    steps, blurs = np.full(len(response_v), np.nan, np.float32), BLURS * np.sqrt(averages)
+    for record in np.flatnonzero(residual_db > STEPS_MATTER_DB).tolist():
+        around = slice(
+            max(0, int(levels.loudest[record]) - AROUND_SAMPLES), int(levels.loudest[record]) + AROUND_SAMPLES
+        )
+        found = converter_steps(response_v[record, around])
+        if 0 < found < MIN_STEPS and noise_v[record] * found < blurs * levels.response_v[record]:
+            steps[record] = found
+    return steps
 
 
 def _chance_limit(terms: int) -> float:

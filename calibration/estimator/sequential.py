@@ -10,7 +10,7 @@ from wavefocus.calibration import Float32Array, Float64Array
 from wavefocus.calibration.clock.repeats import RepeatFinder
 from wavefocus.calibration.estimator.causal_fit import CausalFit, ToeplitzFit
 from wavefocus.calibration.estimator.clipping import measure_levels
-from wavefocus.calibration.estimator.defect_finder import DefectFinder, Residuals, energy
+from wavefocus.calibration.estimator.defect_finder import DefectFinder, Residuals, energy, few_steps
 from wavefocus.calibration.estimator.estimate import DIRECT, EDGE, FLOOR, MAX_PPM, Channels, Estimate, decibel
 from wavefocus.calibration.sweeps import Sweeps
 from wavefocus.storage.errors import InputError
@@ -147,33 +147,37 @@ class SequentialEstimator:
         variance = left / max(self._share * (self._fit.elements - self._fit.rank), 1.0)
         noise = variance * self._share * self._fit.elements
         gain = reference_power.sum(axis=1, dtype=np.float64) / self._finder.power.sum()
+        residual_db = decibel(left, whole)
+        noise_v = np.sqrt(variance * gain * self._finder.median_power)
+        defects = self._defects.find(
+            Residuals(
+                response_v=response,
+                levels=levels,
+                reference=x[..., here],
+                reference_power=reference_power[:, here],
+                answered_energy=answered,
+                differing=differing,
+                differing_power=differing_power,
+                transfer=transfer[:, here],
+                missed=missed[:, here],
+                whitened=found.whitened[:, here],
+                outside=outside,
+                first_outside=self._finder.bins.start,
+            )
+        )
+        defects["steps"] = few_steps(response, levels, noise_v, residual_db, self.excitation.averages)
         return Estimate(
             green=found.green * np.float32(self._scale),
             snr_db=decibel(np.maximum(whole - noise, 0), noise),
-            residual_db=decibel(left, whole),
+            residual_db=residual_db,
             coherence=coherence,
             peak_v=levels.response_v,
             repeat_db=repeat_db,
-            noise_v=np.sqrt(variance * gain * self._finder.median_power).astype(np.float32),
+            noise_v=noise_v.astype(np.float32),
             clip_count=levels.clip_count,
             offset_samples=repeats.offset_samples,
             clock_ratio=repeats.ratio,
-            defects=self._defects.find(
-                Residuals(
-                    response_v=response,
-                    levels=levels,
-                    reference=x[..., here],
-                    reference_power=reference_power[:, here],
-                    answered_energy=answered,
-                    differing=differing,
-                    differing_power=differing_power,
-                    transfer=transfer[:, here],
-                    missed=missed[:, here],
-                    whitened=found.whitened[:, here],
-                    outside=outside,
-                    first_outside=self._finder.bins.start,
-                )
-            ),
+            defects=defects,
             reference_db=decibel(gain, self._reference_power),
         )
 

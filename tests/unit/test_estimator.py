@@ -12,11 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from wavefocus.acquisition.judgement import judge
+from wavefocus.acquisition.limits import QualityLimits
 from wavefocus.calibration.clock.timing import ReferenceMissingError
 from wavefocus.calibration.estimator.estimate import Channels, Estimate
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.sweeps import Excitation, RecordedSweeps, Sweeps
 from wavefocus.storage.errors import InputError
+from wavefocus.storage.point_status import Status
 
 # A quarter of the default in every length, for quick tests; one below runs the default itself.
 SMALL = Excitation(10_000.0, 40.0, 800.0, 0.3, 0.06, 1.0, 3)
@@ -355,6 +358,15 @@ def test_any_repeated_excitation_of_the_band_is_estimated(name: str, ppm: float)
     estimate = records_of(truth, excitation, ppm=ppm, snr_db=None).estimate(SequentialEstimator(excitation, TAPS))
     assert 1e6 * (estimate.clock_ratio - 1) == pytest.approx([ppm, ppm], abs=2)
     assert error_db(estimate.green, truth).max() < -60
+
+
+@pytest.mark.parametrize("square", [0.01, -0.02])
+def test_a_square_term_is_a_distortion_and_leaves_no_range(square: float) -> None:
+    records = records_of(damped_modes(12, TAPS, SMALL), snr_db=70.0)
+    records.response += square * records.response**2 / np.abs(records.response).max(axis=1, keepdims=True)
+    judgement = judge(records.estimate(), False, QualityLimits())
+    assert judgement.status == Status.POOR_SIGNAL
+    assert "distortion" in {defect.name for defect in judgement.defects}
 
 
 @pytest.mark.parametrize("options", [{"taps": 0}, {"taps": 601}, {"ridge": 0.0}])

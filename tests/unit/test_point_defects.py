@@ -159,6 +159,37 @@ def test_given_clean_records_then_valid_and_nothing_is_named(averages: int, snr_
 SECONDS = np.arange(36_000) / RATE_HZ
 
 
+def all_judged(spoil: Callable[[np.ndarray], np.ndarray]) -> Judgement:
+    """All records spoilt alike, at 70 dB signal-to-noise ratio before that."""
+    reference, response = quiet_records(3)
+    noise = 3e-4 * response.std(axis=1, keepdims=True) * np.random.default_rng(1).normal(size=response.shape)
+    spoilt = np.stack([spoil(row) for row in response + noise]).astype(np.float32)
+    return judge(estimator(3, 2000).estimate(reference, spoilt, range_v=RANGE_V), False, QualityLimits())
+
+
+def peak(response: np.ndarray) -> float:
+    return float(np.abs(response).max())
+
+
+@pytest.mark.parametrize(
+    ("spoil", "name", "over_range"),
+    [
+        (lambda y: np.round(y / peak(y) * 20) * peak(y) / 20, "coarse steps", False),
+        (lambda y: np.round(y / peak(y) * 12) * peak(y) / 12, "coarse steps", False),
+        (lambda y: np.clip(y, -0.9 * peak(y), 0.9 * peak(y)), "clipping", True),
+        (lambda y: np.clip(y, -peak(y), 0.9 * peak(y)), "clipping", True),
+    ],
+    ids=["20 steps", "12 steps", "cut", "cut on one side"],
+)
+def test_given_what_looks_cut_then_only_what_is_cut_is_over_range(
+    spoil: Callable[[np.ndarray], np.ndarray], name: str, over_range: bool
+) -> None:
+    judgement = all_judged(spoil)
+    assert name in {defect.name for defect in judgement.defects}
+    assert bool(judgement.status & Status.OVER_RANGE) == over_range
+    assert not judgement.good
+
+
 def louder(gain_db: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     return lambda response: response * 10 ** (np.interp(np.arange(response.shape[1]), np.arange(36_000), gain_db) / 20)
 
