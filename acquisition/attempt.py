@@ -16,7 +16,7 @@ from wavefocus.acquisition.plan import Plan
 from wavefocus.acquisition.plays import Play, keep_recordings
 from wavefocus.acquisition.setup import Setup, point_at, start_move, take_record
 from wavefocus.calibration import Float64Array, Int64Array
-from wavefocus.calibration.clock.timing import ReferenceMissingError
+from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.estimator.estimate import Estimate, PositionEstimator
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import Recording, Take

@@ -13,7 +13,7 @@ from wavefocus.acquisition.calibrate_mirror import BOTH, SUM, NotMeasuredError, 
 from wavefocus.acquisition.plays import Play, channels_of
 from wavefocus.acquisition.setup import Setup, point_at, take_record
 from wavefocus.calibration import Float64Array
-from wavefocus.calibration.clock.timing import ReferenceMissingError
+from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.comparison import (
     DEAD_SNR_DB,
     ActuatorComparison,
@@ -128,7 +128,7 @@ class Probe:
 
 def check_loopback(missing: ReferenceMissingError) -> NotMeasuredError:
     """What to say when there is no signal from the loopback itself: nothing can be calibrated without it."""
-    return NotMeasuredError(f"no signal from the loopback at the reference input ({missing})")
+    return NotMeasuredError(f"no usable signal from the loopback at the reference input ({missing})")
 
 
 # One cable into two inputs: what differs by more is another signal, or a broken input.
@@ -376,4 +376,4 @@ def _once(setup: Setup, excitation: Excitation, estimator: SequentialEstimator, 
     try:
         return estimator.estimate(recording.volts[:1], recording.volts[1:], range_v=setup.range_v)
     except ReferenceMissingError as missing:
-        raise NotMeasuredError(f"no signal from the loopback at the reference input ({missing})") from None
+        raise check_loopback(missing) from None

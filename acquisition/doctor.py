@@ -11,7 +11,8 @@ from typing import Protocol, TypeVar, cast, runtime_checkable
 import numpy as np
 
 from wavefocus.acquisition.setup import MAX_DELAY_DIFFERENCE_S, Setup, point_at, record_silence, take_record
-from wavefocus.calibration.clock.timing import ReferenceMissingError, fit_clock
+from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
+from wavefocus.calibration.clock.timing import fit_clock
 from wavefocus.calibration.crosstalk import REMEDY, Crosstalk, crosstalk_of_record
 from wavefocus.calibration.sweeps import Excitation
 from wavefocus.config.messages.rig_checks import Act, Finding, Verdict
@@ -374,8 +375,11 @@ def check_loopback(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> l
     try:
         found = fit_clock(recording.volts[0], signal_v)
     except ReferenceMissingError as missing:
-        remedy = f"check the cable from output {channel} of the player to the recorder's reference input"
-        return [Finding("player", "loopback level", "fail", str(missing), remedy)]
+        remedy = missing.remedy
+        if missing.cause == "silence":
+            remedy = f"check the cable from output {channel} of the player to the recorder's reference input"
+        check = "clock ratio" if missing.cause == "rate" else "loopback level"
+        return [Finding("player", check, "fail", str(missing), remedy)]
     latency_s = found.offset_samples / sample_rate_hz - setup.pre_roll_s
     return [
         _level(found.gain / setup.reference_gain, amplitude_v, channel),

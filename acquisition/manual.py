@@ -13,7 +13,7 @@ from wavefocus.acquisition.plays import channels_of
 from wavefocus.acquisition.setup import Setup, record_samples, record_silence, take_record
 from wavefocus.calibration import Float32Array, Float64Array
 from wavefocus.calibration.blas import one_blas_thread
-from wavefocus.calibration.clock.timing import ReferenceMissingError
+from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.sweeps import Excitation
 from wavefocus.config.messages.operate import ChannelLevel, Defect, InputLevels, SweepFigures, SweepTaken, TakeSweep

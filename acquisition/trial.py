@@ -18,7 +18,7 @@ from wavefocus.acquisition.plays import Measuring, measuring_of
 from wavefocus.acquisition.setup import Setup
 from wavefocus.acquisition.wording import hours
 from wavefocus.calibration import Complex128Array, Float64Array
-from wavefocus.calibration.clock.timing import ReferenceMissingError
+from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.estimator.estimate import Estimate
 from wavefocus.calibration.estimator.schedule_error import Decay, degrees_of_freedom, measure_decay
 from wavefocus.calibration.sweeps import StaggeredSignal

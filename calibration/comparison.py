@@ -10,7 +10,8 @@ import scipy.fft
 from numpy.typing import ArrayLike, NDArray
 
 from wavefocus.calibration import Float64Array
-from wavefocus.calibration.clock.timing import ClockFit, ClockFitter, ReferenceMissingError
+from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
+from wavefocus.calibration.clock.timing import ClockFit, ClockFitter
 
 Verdict = Literal["good", "weak", "dead", "reversed", "unlike"]
 

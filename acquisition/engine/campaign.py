@@ -368,7 +368,7 @@ class Campaign:
                 fault.instrument if fault else "recorder",
                 fault.operation if fault else "recording the reference",
                 cause,
-                fault.remedy if fault else "check the loopback cable from the player to the reference input",
+                fault.remedy if fault else "put right what the reason names",
             )
 
 

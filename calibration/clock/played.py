@@ -11,6 +11,7 @@ import scipy.fft
 
 from wavefocus.calibration import Complex128Array, Float32Array, Float64Array
 from wavefocus.calibration.clock.czt import require_coverage, ring_spectrum
+from wavefocus.calibration.clock.missing_reference import CARRIED, playing_ratio
 from wavefocus.calibration.clock.periodic_clock import RingClock, RingFit, fit_repeats
 from wavefocus.calibration.clock.resampling import Thinned, resampled, thin
 from wavefocus.calibration.clock.sweep_laws import fit_sweep_law, roundest
@@ -227,11 +228,27 @@ def find_sweeps(reference: Float32Array, header: RawHeader, sweep_samples: int |
         found = _clock(rows, thinned, header, shape, sweep_samples)
         if found is not None:
             return found
+    if sweep_samples is not None and (skew_ppm := _skew_beyond(reference, header, sweep_samples)) is not None:
+        raise InputError(
+            f"the reference carries the sweep on a clock that differs by {skew_ppm:.0f} ppm, allowed {MAX_PPM:g} ppm: "
+            "the interface ran at another rate than it was asked for, or sample_rate_hz is wrong"
+        )
     more = "state averages, sweep_s and decay_s" if given is None else "check averages, sweep_s, decay_s and band_hz"
     raise InputError(
         "the reference shows no clock ratio: no linear or exponential sweep from one end of band_hz to the other and "
         f"no repeats were found in it; {more}, or same_clock = true where one clock played and recorded"
     )
+
+
+def _skew_beyond(reference: Float32Array, header: RawHeader, sweep_samples: int) -> float | None:
+    """Clock skew in ppm at which a reference carries a linear or exponential sweep, where it is beyond the allowed."""
+    time = np.arange(sweep_samples) / sweep_samples
+    low, high = (one / header.sample_rate_hz * sweep_samples for one in header.band_hz)
+    turns = (low * time + 0.5 * (high - low) * time**2, low * (high / low) ** time / math.log(high / low))
+    found = [playing_ratio(reference.astype(np.float64), np.sin(2 * np.pi * one)) for one in turns]
+    ratio, share, sure_to = max(found, key=lambda one: one[1])
+    skew_ppm = 1e6 * (ratio - 1)
+    return skew_ppm if share > CARRIED and abs(skew_ppm) > max(MAX_PPM, 1e6 * sure_to) else None
 
 
 def learn_sweeps(found: FoundSweeps, reference: Float32Array, header: RawHeader) -> RecordedSweeps:

@@ -10,7 +10,8 @@ import scipy.fft
 
 from wavefocus.calibration import Complex64Array, Float32Array, Float64Array, Int64Array
 from wavefocus.calibration.clock.czt import BandSpectrum, fourier_sum
-from wavefocus.calibration.clock.timing import CORNERS, ReferenceMissingError, check_inside
+from wavefocus.calibration.clock.missing_reference import missing_reference
+from wavefocus.calibration.clock.timing import CORNERS, check_inside
 from wavefocus.calibration.sweeps import Sweeps
 from wavefocus.storage.errors import InputError
 
@@ -173,13 +174,11 @@ class RepeatFinder:
         offset, ratio = self._clock(starts + delay, stretch)
         for record in range(records):
             if not explained[record] > 1 - REFERENCE_LIMIT or abs(ratio[record] - 1) > 1.01e-6 * self.max_ppm:
-                raise ReferenceMissingError(
-                    f"the reference of record {first_record + record} does not carry the sweep (explained "
-                    f"{100 * explained[record]:.0f} % in band, allowed "
-                    f"{100 - 100 * REFERENCE_LIMIT:.0f} % or more; "
-                    f"clock skew {1e6 * (ratio[record] - 1):.1f} ppm, allowed {self.max_ppm:g} ppm); "
-                    "check the loopback"
+                found = (
+                    f"explained {100 * explained[record]:.0f} % in band, allowed {100 - 100 * REFERENCE_LIMIT:.0f} %"
                 )
+                name = f"the reference of record {first_record + record}"
+                raise missing_reference(reference[record], self._base, name, found, self.max_ppm)
             check_inside(
                 offset[record],
                 ratio[record],

@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from wavefocus.calibration import Complex64Array, Complex128Array, Float32Array, Float64Array
 from wavefocus.calibration.clock.czt import fourier_sum
+from wavefocus.calibration.clock.missing_reference import ReferenceMissingError, missing_reference
 from wavefocus.calibration.clock.resampling import resampled
-from wavefocus.storage.errors import InputError, WavefocusError
+from wavefocus.storage.errors import InputError
 
 # Reference not explained by the known signal, above which a fit would be a guess.
 REFERENCE_LIMIT_DB = -10.0
@@ -28,10 +29,6 @@ BAND_SHARE = 1e-9
 GUARD_SAMPLES = 64
 # Spacing of the clock ratios for which models are made, for the first step and for the others, in ppm.
 COARSE_PPM, FINE_PPM = 20.0, 1.0
-
-
-class ReferenceMissingError(WavefocusError):
-    """The reference channel does not hold the whole known signal, clearly enough to fit the clock."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,7 +220,7 @@ class ClockFitter:
         if not np.isfinite(recorded).all():
             raise InputError("the reference holds values that are not finite; allowed are volts")
         if not recorded.any():
-            raise ReferenceMissingError("the reference channel is silent; check the loopback cable and its channel")
+            raise ReferenceMissingError("the reference channel is silent", "silence")
         offset, ratio = self._search.first_guess(recorded)
         cut, first = self._cut(recorded, offset)
         spectrum = scipy.fft.rfft(cut)[self._bins]
@@ -248,11 +245,9 @@ class ClockFitter:
         explained = float(gain**2 * self._energy)
         residual_db = 10 * math.log10((max(float(left), 0.0) + 1e-300) / (explained + 1e-300))
         if not residual_db <= REFERENCE_LIMIT_DB or abs(ratio - 1) > 1.01e-6 * self._max_ppm:
-            raise ReferenceMissingError(
-                f"the reference channel does not carry the known signal (unexplained {residual_db:.1f} dB, "
-                f"allowed {REFERENCE_LIMIT_DB:g} dB; clock skew {1e6 * (ratio - 1):.1f} ppm, allowed "
-                f"{self._max_ppm:g} ppm); check the loopback"
-            )
+            found = f"unexplained {residual_db:.1f} dB, allowed {REFERENCE_LIMIT_DB:g} dB"
+            name = "the reference channel"
+            raise missing_reference(recorded, self._known, name, found, self._max_ppm)
         check_inside(offset, ratio, self._known.size, recorded.size, "the reference")
         return ClockFit(float(offset), float(ratio), float(gain), float(residual_db))
 
@@ -346,6 +341,6 @@ def check_inside(offset: float, ratio: float, known: int, recorded: int, what: s
     last = offset + (known - 1) * ratio
     if offset < -0.5 or last > recorded - 0.5:
         raise ReferenceMissingError(
-            f"{what} holds only a part of the signal, which spans samples {offset:.1f} to {last:.1f} of "
-            f"{recorded}; make pre-roll and post-roll longer"
+            f"{what} holds only a part of the signal, which spans samples {offset:.1f} to {last:.1f} of {recorded}",
+            "cut",
         )

@@ -7,9 +7,9 @@ import scipy.fft
 
 from wavefocus.calibration import Complex64Array, Complex128Array, Float32Array, Float64Array
 from wavefocus.calibration.clock.czt import require_coverage, ring_signal, ring_spectrum
+from wavefocus.calibration.clock.missing_reference import missing_reference
 from wavefocus.calibration.clock.periodic_clock import RingClock, RingFit
 from wavefocus.calibration.clock.resampling import Thinned, thin
-from wavefocus.calibration.clock.timing import ReferenceMissingError
 from wavefocus.calibration.estimator.clipping import measure_levels
 from wavefocus.calibration.estimator.defect_finder import LEAKS, not_looked_at
 from wavefocus.calibration.estimator.estimate import EDGE, FLOOR, MAX_PPM, Estimate, Records, decibel
@@ -52,7 +52,7 @@ class StaggeredEstimator:
     def __init__(self, base_v: Float64Array, records: Records, *, expected_ratio: float = 1.0) -> None:
         self._records, self._expected_ratio = records, expected_ratio
         self._runs_on = records.schedule.period_s > 0
-        self._rate_hz, self._period = records.sample_rate_hz, base_v.size
+        self._rate_hz, self._period, self._base_v = records.sample_rate_hz, base_v.size, base_v
         nominal = scipy.fft.rfft(base_v)
         power = np.abs(nominal) ** 2
         hertz = np.arange(nominal.size) * self._rate_hz / base_v.size
@@ -120,7 +120,7 @@ class StaggeredEstimator:
         if self._runs_on:
             require_coverage(samples, self._period, self._highest, name)
         thinned = thin(channels, self._highest)
-        clock = self._found_clock(thinned, name)
+        clock = self._found_clock(thinned, channels[0], name)
         turn = 2 * np.pi / (self._period * clock.ratio)
         sums = thinned.spectrum(turn, 0, self._bins.stop)
         reference, answered = ring_spectrum(sums, turn, samples) if self._runs_on else sums * (2 / self._period)
@@ -194,14 +194,12 @@ class StaggeredEstimator:
         hertz = (self._bins.start + highest) * self._rate_hz / self._period
         return float(decibel(energy / visible, whole)), hertz
 
-    def _found_clock(self, thinned: Thinned, name: str) -> RingFit:
+    def _found_clock(self, thinned: Thinned, reference_v: Float32Array, name: str) -> RingFit:
         clock = self._clock.fit(thinned, self._expected_ratio)
         if not clock.explained > 1 - REFERENCE_LIMIT or abs(clock.ratio - 1) > 1.01e-6 * MAX_PPM:
-            raise ReferenceMissingError(
-                f"the reference of {name} does not carry the base signal (explained {100 * clock.explained:.0f} % in "
-                f"band, allowed {100 - 100 * REFERENCE_LIMIT:.0f} % or more; clock skew "
-                f"{1e6 * (clock.ratio - 1):.1f} ppm, allowed {MAX_PPM:g} ppm); check the loopback"
-            )
+            found = f"explained {100 * clock.explained:.0f} % in band, allowed {100 - 100 * REFERENCE_LIMIT:.0f} %"
+            named = f"the reference of {name}"
+            raise missing_reference(reference_v, self._base_v, named, found, MAX_PPM)
         return clock
 
     def _cleaned(self, reference: Complex128Array, clock: RingFit) -> Complex128Array:

@@ -9,8 +9,8 @@ import numpy as np
 import scipy.fft
 
 from wavefocus.calibration import Complex128Array, Float32Array, Float64Array
+from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.clock.resampling import resampled
-from wavefocus.calibration.clock.timing import ReferenceMissingError
 from wavefocus.calibration.estimator.causal_fit import MOST_RIDGE, circulant_inverse, conjugate_gradients
 from wavefocus.calibration.estimator.clipping import measure_levels
 from wavefocus.calibration.estimator.estimate import FLOOR, Estimate, Records, decibel
@@ -66,7 +66,7 @@ class WholeRecordEstimator:
         levels = measure_levels(reference_v, response_v, range_v)
         for record, peak_v in zip(group, levels.reference_v, strict=True):
             if peak_v == 0:
-                raise ReferenceMissingError(f"the reference of record {record} is silent; check its cable and channel")
+                raise ReferenceMissingError(f"the reference of record {record} is silent", "silence")
         clocks = [(1.0, 0.0)] * len(group) if self._clock_ratio is None else list(map(self._clock_ratio, reference_v))
         references, responses = (
             [self._played(row, ratio) for row, (ratio, _) in zip(channel, clocks, strict=True)]
@@ -132,7 +132,7 @@ class _Fit:
         power = sum(np.square(np.abs(one)) for one in self._spectra) * np.square(gain).mean()
         self._median = float(np.median(power[self._in_band])) if self._in_band.any() else 0.0
         if not self._median > 0:
-            raise ReferenceMissingError("the reference is silent in band_hz; check its cable and channel")
+            raise ReferenceMissingError("the reference is silent in band_hz", "silence")
         kernel = scipy.fft.irfft(power, self._length)[:taps]
         self._ring = scipy.fft.next_fast_len(2 * taps, real=True)
         ring = scipy.fft.rfftfreq(self._ring, 1 / rate_hz)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from wavefocus.calibration.clock.timing import ReferenceMissingError
+from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.comparison import ChannelComparer, ResponseMissingError
 from wavefocus.calibration.sweeps import Excitation
 from wavefocus.mocks.virtual.signals import PlayedSignal

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from wavefocus.acquisition.judgement import judge
 from wavefocus.acquisition.limits import QualityLimits
-from wavefocus.calibration.clock.timing import ReferenceMissingError
+from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.estimator.estimate import Channels, Estimate
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.sweeps import Excitation, RecordedSweeps, Sweeps

@@ -10,8 +10,8 @@ import scipy.fft
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.clock.resampling import thin
-from wavefocus.calibration.clock.timing import ReferenceMissingError
 from wavefocus.calibration.estimator.estimate import Channels, Estimate, Records
 from wavefocus.calibration.estimator.staggered import StaggeredEstimator
 from wavefocus.calibration.sweeps import Excitation, StaggeredSignal
@@ -133,7 +133,7 @@ def test_given_a_moment_without_light_then_the_residual_names_it() -> None:
 
 def test_given_a_silent_reference_then_it_is_missing() -> None:
     noise = np.random.default_rng(0).standard_normal(SIGNAL.used_samples).astype(np.float32)
-    with pytest.raises(ReferenceMissingError, match="check the loopback"):
+    with pytest.raises(ReferenceMissingError, match="does not carry"):
         estimated(noise, noise)
 
 

@@ -9,13 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from wavefocus.calibration.clock.timing import (
-    ClockFit,
-    ClockFitter,
-    ReferenceMissingError,
-    fit_clock,
-    to_playback_clock,
-)
+from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
+from wavefocus.calibration.clock.timing import ClockFit, ClockFitter, fit_clock, to_playback_clock
 from wavefocus.calibration.sweeps import Excitation
 from wavefocus.storage.errors import InputError, WavefocusError
 
@@ -66,6 +61,24 @@ def test_one_burst_of_noise_is_enough_to_tell_the_time() -> None:
 def test_noise_alone_is_a_missing_reference() -> None:
     with pytest.raises(ReferenceMissingError, match="does not carry"):
         fit_clock(np.random.default_rng(1).standard_normal(SAMPLES), KNOWN)
+
+
+@pytest.mark.parametrize("factor", [44_100 / 48_000, 48_000 / 44_100, 1.0007, 1 - 900e-6, 1.02, 2.0])
+def test_a_signal_at_another_rate_is_called_so_with_that_rate(factor: float) -> None:
+    recorded = played(KNOWN, SAMPLES + KNOWN.size, 300.0, 1 / factor)
+    recorded += 1e-3 * np.random.default_rng(1).standard_normal(recorded.size)
+    with pytest.raises(ReferenceMissingError) as missing:
+        fit_clock(recorded, KNOWN)
+    assert missing.value.cause == "rate"
+    assert 1 / missing.value.ratio == pytest.approx(factor, rel=1e-4)
+
+
+@pytest.mark.parametrize(("level", "cause"), [(1.0, "other"), (1e-4, "silence")])
+def test_what_is_not_the_signal_is_called_by_its_level(level: float, cause: str) -> None:
+    recorded = level * np.abs(KNOWN).max() * np.random.default_rng(1).standard_normal(SAMPLES)
+    with pytest.raises(ReferenceMissingError) as missing:
+        fit_clock(recorded, KNOWN)
+    assert missing.value.cause == cause
 
 
 def test_silence_is_a_missing_reference_and_told_in_one_line() -> None:

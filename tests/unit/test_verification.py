@@ -11,7 +11,7 @@ import pytest
 
 from tests.unit.line_verification import scan_of
 from wavefocus.acquisition.setup import Setup
-from wavefocus.calibration.clock.timing import ReferenceMissingError
+from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.drivers.errors import InstrumentLostError
 from wavefocus.mocks.virtual.rig import Fault, VirtualRig, VirtualSettings

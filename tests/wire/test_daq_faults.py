@@ -13,7 +13,8 @@ from nidaqmx.error_codes import DAQmxErrors
 from nidaqmx.errors import DaqError, DaqWarning, RpcError
 
 from tests.wire.daq_bench import RANGE_V, RATE_HZ, TAKE, Tone, ask, check_tone, daq_bench, take_one
-from wavefocus.calibration.clock.timing import ReferenceMissingError, fit_clock
+from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
+from wavefocus.calibration.clock.timing import fit_clock
 from wavefocus.drivers.daq.ni.ni_session import TlsFiles, explain
 from wavefocus.drivers.errors import (
     InstrumentError,
