@@ -140,7 +140,8 @@ class ChannelComparer:
         try:
             response = self._fitter.fit(response_v)
         except ReferenceMissingError as missing:
-            raise ResponseMissingError(str(missing).replace("reference channel", "response channel")) from None
+            words = str(missing).replace("reference channel", "response channel")
+            raise ResponseMissingError(words.replace("reference input", "response input"), advised=True) from None
         late = (response.offset_samples + response.ratio * self._centre) - (
             reference.offset_samples + reference.ratio * self._centre
         )

@@ -40,12 +40,12 @@ class ReferenceMissingError(WavefocusError):
     """The reference channel does not hold the whole known signal, clearly enough to fit the clock.
 
     cause: ``"rate"``, ``"silence"``, ``"noise"``, ``"other"`` (signal), or ``"cut"`` (only a part of it was recorded).
-    remedy: What to do about it; the message ends with it.
+    remedy: What to do about it; the message ends with it unless it has advice of its own (`advised`).
     ratio: DAQ rate over playback rate where the cause is the rate, else 1.
     """
 
-    def __init__(self, message: str, cause: Cause = "other", ratio: float = 1.0) -> None:
-        super().__init__(f"{message}; {REMEDIES[cause]}")
+    def __init__(self, message: str, cause: Cause = "other", ratio: float = 1.0, *, advised: bool = False) -> None:
+        super().__init__(message if advised else f"{message}; {REMEDIES[cause]}")
         self.cause, self.remedy, self.ratio = cause, REMEDIES[cause], ratio
 
 

@@ -215,7 +215,7 @@ def _with_silence(
         try:
             here = find_sweeps(reference_v, header, shape.sweep_samples)
         except InputError as error:
-            raise ReferenceMissingError(str(error)) from error
+            raise ReferenceMissingError(str(error), advised=True) from error
         return here.ratio, here.offset
 
     return WholeRecordEstimator(records, clock_ratio=clock)

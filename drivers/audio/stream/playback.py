@@ -18,6 +18,9 @@ FADE_S = 0.002
 SLOWEST = 5e-4
 """How much slower than its nominal rate a sound clock may run; crystals keep to a fifth of this."""
 
+MEASURED_S = 5.0
+"""Time after which the rate of the callbacks is known to a part in a thousand or so."""
+
 STANDSTILL_S = 0.05
 """Beyond what is buffered, a callback that comes so late has left the outputs without sound."""
 
@@ -164,8 +167,16 @@ class Playback:
         self._called_s = -np.inf
         self._burst_frames = 0
         self._host_frames = 0
+        self._first_s = np.inf
+        self._frames = self._before = 0
         self.events: queue.SimpleQueue[Ended | Taken] = queue.SimpleQueue()
         self.callbacks = 0
+
+    @property
+    def measured_rate_hz(self) -> float:
+        """Frames per second that the interface asks for, by the computer's clock; NaN while that is not known yet."""
+        seconds = self._called_s - self._first_s
+        return self._before / seconds if seconds >= MEASURED_S else float("nan")
 
     def start(self, play: Play) -> None:
         """Let a play begin with the next period."""
@@ -183,6 +194,9 @@ class Playback:
         flagged: Whether the stream says that it ran dry since the last callback.
         """
         out.fill(0)
+        self._first_s = min(self._first_s, now_s)
+        self._before = self._frames
+        self._frames += len(out)
         # Some hosts ask for their period in several callbacks at once (PortAudio over JACK: 1024 frames each).
         at_once = now_s - self._called_s < 0.5 * len(out) / self._rate_hz
         self._burst_frames = len(out) + (self._burst_frames if at_once else 0)

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from wavefocus.drivers.audio.stream.playback import UNDERFLOW, Ended, Taken
-from wavefocus.drivers.audio.stream.player_process import Begin, EndPieces, Mute, Opened, Piece, Refused, Start
+from wavefocus.drivers.audio.stream.player_process import Begin, Clocked, EndPieces, Mute, Opened, Piece, Refused, Start
 from wavefocus.drivers.audio.stream.portaudio import StreamRequest
 from wavefocus.drivers.audio.stream.signals import PlayOrders
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
@@ -102,10 +102,10 @@ class StreamPlayer:
         except ProcessGoneError as gone:
             raise self._lost("identifying", gone) from None
         device = self._opened.device
+        rate = f"{self._request.rate_hz} Hz{_measured(self._request.rate_hz, stream.rate_hz)}"
         return (
-            f"player {device.name}, {device.host_api}, {self.channels} of {device.channels} channels at"
-            f" {self._request.rate_hz} Hz, latency {1e3 * self.latency_s:.0f} ms,"
-            f" full scale {self.full_scale_v:g} V, {self._opened.library}"
+            f"player {device.name}, {device.host_api}, {self.channels} of {device.channels} channels at {rate},"
+            f" latency {1e3 * self.latency_s:.0f} ms, full scale {self.full_scale_v:g} V, {self._opened.library}"
         )
 
     def play(self, signals_v: Mapping[int, Float64Array], sample_rate_hz: float) -> None:
@@ -325,6 +325,7 @@ class _Stream:
         self.answer: Opened | Refused | None = None
         self.play: _Play | None = None
         self.alive_s = -math.inf
+        self.rate_hz = math.nan
         self.process = DriverProcess(
             "wavefocus.drivers.audio.stream.player_process",
             "the process that owns its stream",
@@ -339,12 +340,25 @@ class _Stream:
         match message:
             case Opened() | Refused():
                 self.answer = message
+            case Clocked(rate_hz):
+                self.rate_hz = rate_hz
             case Alive():
                 self.alive_s = time.monotonic()
             case Ended(number, outcome, notice) if play is not None and number == play.number:
                 play.notice, play.outcome = notice, outcome
             case Taken(number, frames) if isinstance(play, _Pieces) and number == play.number:
                 play.taken_frames = frames
+
+
+OTHER_RATE = 0.01
+"""Callbacks that differ by this share from the rate that was asked for are those of another rate."""
+
+
+def _measured(asked_hz: int, measured_hz: float) -> str:
+    """The rate at which the interface asks for samples, where it is another one."""
+    if math.isnan(measured_hz) or abs(measured_hz / asked_hz - 1) < OTHER_RATE:
+        return ""
+    return f" (it asks for {measured_hz:.0f} a second: set its own panel and player.interface_rate_hz to one rate)"
 
 
 def _playing(signals_v: Mapping[int, Float64Array]) -> str:

@@ -34,6 +34,13 @@ class Opened:
 
 
 @dataclass(frozen=True, slots=True)
+class Clocked:
+    """Rate of the callbacks by the computer's clock in Hz; NaN while it is not known yet."""
+
+    rate_hz: float
+
+
+@dataclass(frozen=True, slots=True)
 class Refused:
     """The stream cannot be opened; `absent` as of `DeviceChoiceError`."""
 
@@ -154,6 +161,7 @@ def _obey(pipe: MessagePipe, stream: WatchedStream) -> None:
                 pieces.start()
                 stream.playback.mute()
             case Ask():
+                pipe.send(Clocked(stream.playback.measured_rate_hz))
                 pipe.send(Alive())
             case Close():
                 return

@@ -117,6 +117,13 @@ MOST_LATENCY_S = 5.0
 AHEAD_S = 0.5
 """An output without a clock, such as ALSA's file and null, is held to real time, so far ahead of it at most."""
 
+CLOCKLESS, CLOCKLESS_S = 5.0, 0.2
+"""An output has no clock when it asks for its frames so many times as fast as it should, for so much sound more than a
+buffer holds. No interface that is set to another rate is as fast: 192 kHz for 44.1 kHz are 4.4 times."""
+
+HELD_S = 0.1
+"""A callback is held no longer than this at a time."""
+
 
 @dataclass(frozen=True, slots=True)
 class StreamRequest:
@@ -190,7 +197,7 @@ class WatchedStream:
             settings["extra_settings"] = sounddevice.CoreAudioSettings(
                 change_device_parameters=True, fail_if_conversion_required=True
             )
-        self._hold = _Hold(request.rate_hz)
+        self._hold = Hold(request.rate_hz)
         self._period_s = 0.0
         # Some interfaces open only with all their channels.
         for channels in sorted({request.channels, self.device.channels}):
@@ -253,22 +260,30 @@ class WatchedStream:
         self._period_s = frames / self._hold.rate_hz
         out[:, self._used :] = 0
         self.playback.fill(out[:, : self._used], now_s, flagged=bool(status.output_underflow))
-        self._hold.frames(frames, now_s)
+        if wait_s := self._hold.wait_s(frames, now_s):
+            time.sleep(wait_s)
 
 
-class _Hold:
-    """Keeps an output without a clock from running away; one with a clock never gets so far ahead."""
+class Hold:
+    """Keeps an output without a clock from running away; one that has a clock is never held, however fast that is.
+
+    rate_hz: Rate that was asked for.
+    allow_s: How far ahead of real time an output without a clock may be.
+    """
 
     def __init__(self, rate_hz: int) -> None:
         self.rate_hz = rate_hz
         self.allow_s = AHEAD_S
-        self._due_s = 0.0
+        self._due_s = self._fast_s = 0.0
+        self._clockless = False
 
-    def frames(self, frames: int, now_s: float) -> None:
-        # A share less than 1, or an interface whose clock is fast would be held up after hours.
-        self._due_s = max(self._due_s, now_s) + 0.99 * frames / self.rate_hz
-        if self._due_s - now_s > self.allow_s:
-            time.sleep(self._due_s - now_s - self.allow_s)
+    def wait_s(self, frames: int, now_s: float) -> float:
+        """How long a callback that has filled so many frames is to wait, in s."""
+        self._due_s = max(self._due_s, now_s) + frames / self.rate_hz
+        self._fast_s = max(self._fast_s, now_s) + frames / self.rate_hz / CLOCKLESS
+        self._clockless |= self._fast_s - now_s > CLOCKLESS_S
+        ahead_s = self._due_s - now_s - self.allow_s
+        return min(max(ahead_s, 0.0), HELD_S) if self._clockless else 0.0
 
 
 def _code(error: Exception) -> Any:
