@@ -128,7 +128,8 @@ class Probe:
 
 def check_loopback(missing: ReferenceMissingError) -> NotMeasuredError:
     """What to say when there is no signal from the loopback itself: nothing can be calibrated without it."""
-    return NotMeasuredError(f"no usable signal from the loopback at the reference input ({missing})")
+    usable = "" if missing.cause == "silence" else "usable "
+    return NotMeasuredError(f"no {usable}signal from the loopback at the reference input ({missing})")
 
 
 # One cable into two inputs: what differs by more is another signal, or a broken input.

@@ -12,7 +12,7 @@ from wavefocus.acquisition.engine.session import Session
 from wavefocus.acquisition.limits import DriftFigures, compare_sentinel
 from wavefocus.acquisition.plan import Plan, sentinel_of
 from wavefocus.acquisition.wording import row_ranges
-from wavefocus.config.messages.campaign import Drift
+from wavefocus.config.messages.campaign import Drift, Fault
 from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.errors import WavefocusError
@@ -20,6 +20,10 @@ from wavefocus.storage.errors import WavefocusError
 
 class DriftError(WavefocusError):
     """The plate measured now is not the plate that is in the bank."""
+
+
+class SentinelUnusableError(DriftError):
+    """The sentinel position cannot be measured."""
 
 
 class DriftWatch:
@@ -142,6 +146,20 @@ class DriftWatch:
             )
         self._begin_anew()
 
+    def check_last(self) -> None:
+        """Measure the sentinel once more when all positions are done; where that cannot be, say so and let it be.
+
+        Raises DriftError, InstrumentError: as `check_again`.
+        """
+        try:
+            self.check_again()
+        except SentinelUnusableError as unusable:
+            position = sentinel_of(self._plan, self._bank.status)
+            remedy = "the positions measured since it was last steady are unconfirmed"
+            doing = "measuring the sentinel position"
+            self._session.publish(Fault, "recorder", doing, str(unusable), remedy, position, 1, retried=False)
+            self._begin_anew()
+
     def _publish(self, position: int, figures: DriftFigures, occasion: str, suspect: tuple[int, ...] = ()) -> None:
         limits, found = self._plan.drift, (figures.level_db, figures.delay_samples, figures.correlation)
         words = figures.verdict(limits), occasion, figures.cause(limits)
@@ -158,7 +176,7 @@ class DriftWatch:
         )
         self._report.sentinel_done()
         if result.estimate is None or _useless(result):
-            raise DriftError(
+            raise SentinelUnusableError(
                 f"sentinel position {attempt.position} could not be measured: {result.judgement.reason}; "
                 "check cables and laser, then resume"
             )

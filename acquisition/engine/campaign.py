@@ -173,7 +173,7 @@ class Campaign:
         if not queue and self._crosstalk.due:
             return self._look_for_crosstalk
         if not queue and self._drift.owes_a_look and state is State.RUNNING:
-            return self._drift.check_again
+            return self._drift.check_last
         if not queue and not self._judged and np.all(self._bank.status[self._covered]):
             return self._mark
         if state is State.STOPPING or self._pass_is_futile() or not (queue or self._due_again()):
