@@ -19,7 +19,7 @@ from wavefocus.calibration import Float64Array, Int64Array
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.estimator.estimate import Estimate, PositionEstimator
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
-from wavefocus.drivers.protocols import Recording, Take
+from wavefocus.drivers.protocols import Recording, RecordLabel
 from wavefocus.storage.bank.ledger import SUSPECT, PointRecord
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.point_status import Status
@@ -50,8 +50,8 @@ class PositionRecords:
         point_at(self._setup, *self._place_mm(attempt))
         recordings: list[Recording] = []
         for number, play in enumerate(self.plays, 1):
-            take = Take(attempt.position, attempt.number, play.actuator, purpose)
-            recordings.append(self._record(play, take, attempt))
+            label = RecordLabel(attempt.position, attempt.number, play.actuator, purpose)
+            recordings.append(self._record(play, label, attempt))
             taken(number)
         return tuple(recordings)
 
@@ -62,7 +62,7 @@ class PositionRecords:
         """
         point_at(self._setup, *self._place_mm(attempt))
         play = self.plays[0]
-        return self._record(play, Take(attempt.position, attempt.number, play.actuator, "probe"), attempt)
+        return self._record(play, RecordLabel(attempt.position, attempt.number, play.actuator, "probe"), attempt)
 
     def set_out_for(self, attempt: Attempt) -> None:
         """Let the mirror set out for a position; when it fails, pointing there will meet that again."""
@@ -76,24 +76,28 @@ class PositionRecords:
         x_mm, y_mm = self._plan.position_mm[attempt.position]
         return float(x_mm) + attempt.moved_mm[0], float(y_mm) + attempt.moved_mm[1]
 
-    def _record(self, play: Play, take: Take, attempt: Attempt) -> Recording:
+    def _record(self, play: Play, label: RecordLabel, attempt: Attempt) -> Recording:
         setup = self._setup
         if attempt.response_range_v is not None:
             setup = replace(setup, range_v=(setup.range_v[0], attempt.response_range_v))
         rate_hz = self._plan.excitation.sample_rate_hz
-        return record_play(setup, play, rate_hz, take, lambda fault: self._report_fault(fault, attempt, retried=True))
+        return record_play(setup, play, rate_hz, label, lambda fault: self._report_fault(fault, attempt, retried=True))
 
 
 def record_play(
-    setup: Setup, play: Play, rate_hz: float, take: Take, passed: Callable[[InstrumentError], None] = lambda fault: None
+    setup: Setup,
+    play: Play,
+    rate_hz: float,
+    label: RecordLabel,
+    passed: Callable[[InstrumentError], None] = lambda fault: None,
 ) -> Recording:
     """Take one record, and take it again after a passing fault: an underflow voids a record, not a position."""
     for _ in range(RECORD_REPEATS):
         try:
-            return play.cut(take_record(setup, play.signals_v, rate_hz, take, play.samples))
+            return play.cut(take_record(setup, play.signals_v, rate_hz, label, play.samples))
         except TransientInstrumentError as fault:
             passed(fault)
-    return play.cut(take_record(setup, play.signals_v, rate_hz, take, play.samples))
+    return play.cut(take_record(setup, play.signals_v, rate_hz, label, play.samples))
 
 
 @dataclass(frozen=True, slots=True)

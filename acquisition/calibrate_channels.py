@@ -27,7 +27,7 @@ from wavefocus.calibration.estimator.estimate import Estimate
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.sweeps import Excitation
 from wavefocus.drivers.errors import TransientInstrumentError
-from wavefocus.drivers.protocols import Recording, Take
+from wavefocus.drivers.protocols import Recording, RecordLabel
 
 # Above what coupling capacitors turn, and below what converters begin to fold back.
 LOWEST_HZ = 200.0
@@ -122,8 +122,8 @@ class Probe:
     def _played(self, output: int | None, record: int) -> Recording:
         number = self._setup.loopback_channel if output is None else output
         signals_v = dict.fromkeys(sorted({self._setup.loopback_channel, number}), self._signal_v)
-        take = Take(number, 1, record, "calibration")
-        return record_play(self._setup, Play(number, signals_v), self._rate_hz, take)
+        label = RecordLabel(number, 1, record, "calibration")
+        return record_play(self._setup, Play(number, signals_v), self._rate_hz, label)
 
 
 def check_loopback(missing: ReferenceMissingError) -> NotMeasuredError:
@@ -353,7 +353,7 @@ def _best_of(setup: Setup, excitation: Excitation, estimator: SequentialEstimato
     best: Estimate | None = None
     for attempt in range(1, TRIES + 1):
         try:
-            estimate = _once(setup, excitation, estimator, Take(actuator, attempt, 0, "calibration"))
+            estimate = _once(setup, excitation, estimator, RecordLabel(actuator, attempt, 0, "calibration"))
         except TransientInstrumentError:
             if attempt == TRIES and best is None:
                 raise
@@ -366,12 +366,12 @@ def _best_of(setup: Setup, excitation: Excitation, estimator: SequentialEstimato
     return best
 
 
-def _once(setup: Setup, excitation: Excitation, estimator: SequentialEstimator, take: Take) -> Estimate:
-    signals_v = setup.signals_v(excitation.signal_v(), take.position)
-    recording = take_record(setup, signals_v, excitation.sample_rate_hz, take)
+def _once(setup: Setup, excitation: Excitation, estimator: SequentialEstimator, label: RecordLabel) -> Estimate:
+    signals_v = setup.signals_v(excitation.signal_v(), label.position)
+    recording = take_record(setup, signals_v, excitation.sample_rate_hz, label)
     if any(recording.over_range):
         raise NotMeasuredError(
-            f"actuator {take.position} at {excitation.amplitude_v:g} V reaches the end of an input's range: lower "
+            f"actuator {label.position} at {excitation.amplitude_v:g} V reaches the end of an input's range: lower "
             "--amplitude-v, or raise the ranges in the rig file"
         )
     try:

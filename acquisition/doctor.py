@@ -25,8 +25,8 @@ from wavefocus.drivers.protocols import (
     Player,
     Recorder,
     Recording,
+    RecordLabel,
     StatesDelay,
-    Take,
 )
 from wavefocus.drivers.timeouts import CallThread, HungError
 
@@ -336,7 +336,7 @@ ACTUATORS_HEARD = 3
 
 def check_silence(recorder: Recorder, sample_rate_hz: float, range_v: tuple[float, float]) -> list[Finding]:
     """Record while nothing plays: whether a record comes, and what it holds; raises InstrumentError of the recorder."""
-    recording = record_silence(recorder, SILENCE_S, sample_rate_hz, range_v, Take(0, 1, 0, "doctor"))
+    recording = record_silence(recorder, SILENCE_S, sample_rate_hz, range_v, RecordLabel(0, 1, 0, "doctor"))
     count = f"{recording.volts.shape[1]} samples of 2 channels"
     findings: list[Finding] = [Finding("recorder", "record", "ok", count)]
     for channel, name in enumerate(("reference", "response")):
@@ -365,7 +365,7 @@ def check_loopback(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> l
     Raises InstrumentError: of the player or the recorder.
     """
     signal_v = _sweep(amplitude_v, sample_rate_hz).signal_v()
-    recording = take_record(setup, setup.signals_v(signal_v), sample_rate_hz, Take(0, 1, 1, "doctor"))
+    recording = take_record(setup, setup.signals_v(signal_v), sample_rate_hz, RecordLabel(0, 1, 1, "doctor"))
     channel = setup.loopback_channel
     if recording.over_range[0]:
         what = f"{amplitude_v:g} V reaches the end of the reference input"
@@ -425,7 +425,7 @@ def crosstalk_alone(setup: Setup, place_mm: Sequence[float], amplitude_v: float,
     """
     point_at(setup, float(place_mm[0]), float(place_mm[1]))
     signals_v = setup.signals_v(_sweep(amplitude_v, sample_rate_hz).signal_v())
-    recording = take_record(setup, signals_v, sample_rate_hz, Take(0, 0, 0, "crosstalk"))
+    recording = take_record(setup, signals_v, sample_rate_hz, RecordLabel(0, 0, 0, "crosstalk"))
     return measured_crosstalk(setup, recording, sample_rate_hz)
 
 
@@ -448,14 +448,14 @@ def check_response(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> l
     signal_v = _sweep(amplitude_v, sample_rate_hz).signal_v()
     point_at(setup, 0.0, 0.0)
     silence_v = setup.signals_v(np.zeros_like(signal_v))
-    quiet = take_record(setup, silence_v, sample_rate_hz, Take(0, 1, 1, "doctor"))
+    quiet = take_record(setup, silence_v, sample_rate_hz, RecordLabel(0, 1, 1, "doctor"))
     noise_v = _in_band_v(quiet, sample_rate_hz)
     count = len(setup.actuator_channels)
     chosen = sorted({round(index * count / ACTUATORS_HEARD) % count for index in range(ACTUATORS_HEARD)})
     snr_db: dict[int, float] = {}
     for actuator in chosen:
         signals_v = {setup.actuator_channels[actuator]: signal_v}
-        recording = take_record(setup, signals_v, sample_rate_hz, Take(0, 1, 2 + actuator, "doctor"))
+        recording = take_record(setup, signals_v, sample_rate_hz, RecordLabel(0, 1, 2 + actuator, "doctor"))
         if recording.over_range[1]:
             what = f"actuator {actuator} reaches the end of the response input"
             remedy = "raise recorder.response_range_v, choose a wider range at the vibrometer, or lower what is played"

@@ -17,7 +17,7 @@ from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.sweeps import Excitation
 from wavefocus.config.messages.operate import ChannelLevel, Defect, InputLevels, SweepFigures, SweepTaken, TakeSweep
-from wavefocus.drivers.protocols import Recording, Take
+from wavefocus.drivers.protocols import Recording, RecordLabel
 from wavefocus.storage.errors import InputError
 
 LISTENS_S = 0.1
@@ -97,12 +97,12 @@ class ManualMeasurements:
         )
 
     def _silence(self, seconds: float) -> Recording:
-        setup, take = self._setup, Take(0, 1, self._number, "listening")
-        return record_silence(setup.instruments.recorder, seconds, self._rate_hz, setup.range_v, take)
+        setup, label = self._setup, RecordLabel(0, 1, self._number, "listening")
+        return record_silence(setup.instruments.recorder, seconds, self._rate_hz, setup.range_v, label)
 
     def _record(self, actuator: int, signal_v: Float64Array, purpose: str) -> Recording:
-        take = Take(0, 1, self._number, purpose)
-        return take_record(self._setup, self._setup.signals_v(signal_v, actuator), self._rate_hz, take)
+        label = RecordLabel(0, 1, self._number, purpose)
+        return take_record(self._setup, self._setup.signals_v(signal_v, actuator), self._rate_hz, label)
 
     def _figures(self, actuator: int, excitation: Excitation, record: Recording) -> SweepFigures:
         setup = self._setup

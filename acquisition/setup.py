@@ -11,7 +11,7 @@ from wavefocus.acquisition.conditions import NOTHING_WATCHED, Watch
 from wavefocus.calibration import Float64Array
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from wavefocus.drivers.protocols import DeviceIdentity, Instruments, Recorder, Recording, RecordRequest, Take
+from wavefocus.drivers.protocols import DeviceIdentity, Instruments, Recorder, Recording, RecordLabel, RecordRequest
 from wavefocus.drivers.timeouts import Role
 
 # Larger differences between the stated delay of the response input and the device's are reported: 0.5 us are an error
@@ -184,7 +184,7 @@ def take_record(
     setup: Setup,
     signals_v: Mapping[int, Float64Array],
     sample_rate_hz: float,
-    take: Take,
+    label: RecordLabel,
     samples: int | None = None,
     reached: Callable[[Step], object] = lambda step: None,
 ) -> Recording:
@@ -196,7 +196,7 @@ def take_record(
 
     signals_v, mapping from player channel to float64 (samples,): Output volts, all of one length.
     sample_rate_hz: Rate of the signals and of the record.
-    take: What the record is for.
+    label: What the record is for.
     samples: Samples of the record; by default ``record_samples(...)``, so that it outlasts the signal.
     reached: Called when a step is reached, so that its instant can be noted.
 
@@ -209,7 +209,7 @@ def take_record(
         samples=record_samples(setup, signal_samples, sample_rate_hz) if samples is None else samples,
         sample_rate_hz=sample_rate_hz,
         range_v=setup.range_v,
-        take=take,
+        label=label,
     )
     timeout_s = max(request.duration_s, record_samples(setup, signal_samples, sample_rate_hz) / sample_rate_hz)
     timeout_s += ANSWER_MARGIN_S
@@ -235,10 +235,10 @@ def take_record(
 
 
 def record_silence(
-    recorder: Recorder, seconds: float, sample_rate_hz: float, range_v: tuple[float, float], take: Take
+    recorder: Recorder, seconds: float, sample_rate_hz: float, range_v: tuple[float, float], label: RecordLabel
 ) -> Recording:
     """Record for a while, > 0 s, while nothing plays; raises InstrumentError of the recorder, which was stopped."""
-    request = RecordRequest(max(1, round(seconds * sample_rate_hz)), sample_rate_hz, range_v, take)
+    request = RecordRequest(max(1, round(seconds * sample_rate_hz)), sample_rate_hz, range_v, label)
     with asking("recorder"):
         try:
             recorder.start(request)

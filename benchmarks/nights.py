@@ -34,7 +34,7 @@ from wavefocus.acquisition.trial import check_position, run_trial
 from wavefocus.benchmarks.harness import Mark, Point, Timing, band_error_db
 from wavefocus.benchmarks.machine import run_command
 from wavefocus.benchmarks.rig_bank import BAND_HZ, RATE_HZ, TAPS, default_grid, measure, rig_setup, sweep_plan
-from wavefocus.drivers.protocols import Recording, Take
+from wavefocus.drivers.protocols import Recording, RecordLabel
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.raw.header import RawHeader, sequential
@@ -196,7 +196,9 @@ def record_sample(path: Path, positions: int, *, staggered: bool) -> None:
         point_at(setup, *position_mm[position])
         taken.append(
             [
-                play.cut(take_record(setup, play.signals_v, RATE_HZ, Take(position, 1, play.actuator), play.samples))
+                play.cut(
+                    take_record(setup, play.signals_v, RATE_HZ, RecordLabel(position, 1, play.actuator), play.samples)
+                )
                 for play in measuring.plays
             ]
         )

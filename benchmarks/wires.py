@@ -34,7 +34,7 @@ from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
 from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.drivers.mirror.asi_tiger import AsiTiger
 from wavefocus.drivers.mirror.serial_mirror import SerialMirror
-from wavefocus.drivers.protocols import Float64Array, Instruments, Take, WallClock
+from wavefocus.drivers.protocols import Float64Array, Instruments, RecordLabel, WallClock
 from wavefocus.mocks.virtual.settings import VirtualSettings
 
 MARK_OVERHEAD_S = 0.150
@@ -187,7 +187,7 @@ def clock_errors(setup: Setup, sides: FarSides, records: int, sweep: Excitation)
     while len(offset) < records:
         signals_v = {setup.actuator_channels[0]: signal_v, setup.loopback_channel: signal_v}
         try:
-            recording = take_record(setup, signals_v, RATE_HZ, Take(0, 1, len(offset)))
+            recording = take_record(setup, signals_v, RATE_HZ, RecordLabel(0, 1, len(offset)))
         except TransientInstrumentError:
             sides.received()
             continue

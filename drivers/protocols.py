@@ -16,7 +16,7 @@ Float64Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Take:
+class RecordLabel:
     """Which measurement a record belongs to, for messages and logs.
 
     position: Row of the bank, from 0; number of the trial, from 1, where a stimulus is presented.
@@ -43,13 +43,13 @@ class RecordRequest:
     samples: Samples per channel, pre-roll and post-roll included, > 0.
     sample_rate_hz: Rate of each channel in Hz, > 0.
     range_v: Largest input magnitude in volts on (reference, response), each > 0.
-    take: What the record is for.
+    label: What the record is for.
     """
 
     samples: int
     sample_rate_hz: float
     range_v: tuple[float, float]
-    take: Take
+    label: RecordLabel
 
     @property
     def duration_s(self) -> float:

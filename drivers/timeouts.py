@@ -231,8 +231,8 @@ class BoundedRecorder(_Bounded[Recorder]):
     _recording = "reading"
 
     def start(self, request: RecordRequest) -> None:
-        self._recording = f"recording {request.take}"
-        self._work(f"starting {request.take}", lambda: self._device.start(request))
+        self._recording = f"recording {request.label}"
+        self._work(f"starting {request.label}", lambda: self._device.start(request))
 
     def read(self, timeout_s: float) -> Recording:
         return self._work(self._recording, lambda: self._device.read(timeout_s), timeout_s)

@@ -20,7 +20,7 @@ from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.clock.timing import ClockFitter
 from wavefocus.config.messages.campaign import Event, Fault, ReconnectTried, State
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
-from wavefocus.drivers.protocols import Take
+from wavefocus.drivers.protocols import RecordLabel
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.verify.scan_signals import marker_v
 
@@ -145,7 +145,7 @@ class RigPresenter:
         def once() -> Onset:
             nonlocal attempts
             attempts += 1
-            return self._once(sound, Take(trial, attempts, 0, "presentation"))
+            return self._once(sound, RecordLabel(trial, attempts, 0, "presentation"))
 
         for void in range(1, MOST_VOID + 1):
             try:
@@ -166,7 +166,7 @@ class RigPresenter:
         """Silence all outputs, and drop a record under way."""
         silence(self._setup.instruments)
 
-    def signals_v(self, sound: Sound, take: Take) -> tuple[Mapping[int, Float64Array], int]:
+    def signals_v(self, sound: Sound, label: RecordLabel) -> tuple[Mapping[int, Float64Array], int]:
         """Volts of all channels that sound, and the sample of the onset."""
         setup, rate_hz = self._setup, self._rate_hz
         drive_v = presented_v(sound, self._pause_s, rate_hz)
@@ -181,16 +181,16 @@ class RigPresenter:
         signals[setup.loopback_channel] = np.zeros(samples)
         signals[setup.loopback_channel][onset : onset + self._marker_v.size] = self._marker_v
         if (masking := self._masking) is not None:
-            seed = f"{masking.seed}/{take.position}/{take.attempt}".encode()
+            seed = f"{masking.seed}/{label.position}/{label.attempt}".encode()
             signals[masking.output] = pink_noise(samples, rate_hz, masking.rms_v, seed)
         return signals, onset
 
-    def _once(self, sound: Sound, take: Take) -> Onset:
+    def _once(self, sound: Sound, label: RecordLabel) -> Onset:
         clock, rate_hz = self._setup.instruments.clock, self._rate_hz
-        signals_v, onset = self.signals_v(sound, take)
+        signals_v, onset = self.signals_v(sound, label)
         at_s: dict[Step, float] = {}
         recording = take_record(
-            self._setup, signals_v, rate_hz, take, reached=lambda step: at_s.__setitem__(step, clock.now_s())
+            self._setup, signals_v, rate_hz, label, reached=lambda step: at_s.__setitem__(step, clock.now_s())
         )
         fit = self._clock_fit.fit(recording.volts[0])
         within_s = (at_s["started"] - at_s["starting"]) / 2

@@ -7,7 +7,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from wavefocus.drivers.protocols import DeviceIdentity, Take
+from wavefocus.drivers.protocols import DeviceIdentity, RecordLabel
 
 OPERATIONS = {
     "mirror": ("identify", "move_to", "wait_settled", "park", "reconnect"),
@@ -24,21 +24,21 @@ CORRUPTING = (
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One entry of a fault plan: at the given call, or at the given take. Raises ValueError.
+    """One entry of a fault plan: at the given call, or at the given record. Raises ValueError.
 
     role: ``"mirror"``, ``"recorder"`` or ``"player"``.
     operation: Method that fails, such as ``"read"``.
     kind: ``"timeout"`` (any), ``"lost"`` (any; it stays lost), ``"unplugged"`` (any but reconnect; once, and then gone
-        until it is plugged in again), ``"hang"`` (any; the call never returns, for a take only the first),
+        until it is plugged in again), ``"hang"`` (any; the call never returns, for a record only the first),
         ``"underflow"`` (player wait), ``"short_read"``, ``"missing_reference"``, ``"over_range"``, ``"dropout"``,
         ``"drift"``, ``"dark"`` (no light comes back to the vibrometer in the whole record), ``"faint_reference"``,
         ``"clipped"`` (the response's peaks are cut off before the converter), ``"lost_sample"`` (one sample of the
         response is missing in the middle), ``"hum"`` (50 Hz on the response) or ``"dead_response"`` (the response
         channel is constant; recorder read).
     at_call: The first call of the method that fails, from 1; `count` calls fail in a row.
-    position, record, attempt: The take that fails, where no call is given: this position (any, if absent), this record
-        of each attempt (every, if absent), from this attempt on (1, if absent) for `count` attempts. A mirror has no
-        takes.
+    position, record, attempt: The record that fails, where no call is given: this position (any, if absent), this
+        record of each attempt (every, if absent), from this attempt on (1, if absent) for `count` attempts. A mirror
+        has no records.
     purpose: Only takes of this purpose; any, if absent.
     count: How often, > 0.
     level_db: What ``"drift"`` does to the response, and ``"faint_reference"`` to the reference; where ``"clipped"``
@@ -88,18 +88,18 @@ class Fault:
                 "takes 0 or more tries to come back"
             )
 
-    def strikes(self, call: int, take: Take | None) -> bool:
-        """Whether this call for this take fails."""
+    def strikes(self, call: int, label: RecordLabel | None) -> bool:
+        """Whether this call for this record fails."""
         if self.at_call is not None:
             return self.at_call <= call < self.at_call + self.count
-        if take is None:
+        if label is None:
             return False
         first = 1 if self.attempt is None else self.attempt
         return (
-            self.position in (None, take.position)
-            and self.record in (None, take.record)
-            and self.purpose in (None, take.purpose)
-            and first <= take.attempt < first + self.count
+            self.position in (None, label.position)
+            and self.record in (None, label.record)
+            and self.purpose in (None, label.purpose)
+            and first <= label.attempt < first + self.count
         )
 
 
@@ -121,7 +121,7 @@ class FaultPlan:
         self._hung_before: set[Fault] = set()
         self._lock = threading.Lock()
 
-    def meet(self, operation: str, doing: str, take: Take | None = None) -> tuple[Fault, ...]:
+    def meet(self, operation: str, doing: str, label: RecordLabel | None = None) -> tuple[Fault, ...]:
         """Count a call, raise the fault that it meets, or return those that corrupt its record.
 
         An unplugged instrument is plugged in again by a ``reconnect`` after the fault's failing ones.
@@ -130,14 +130,14 @@ class FaultPlan:
 
         operation: Name of the method.
         doing: What it does, for the message.
-        take: What the call is for.
+        label: What the call is for.
         """
         with self._lock:
             self._calls[operation] += 1
             due = tuple(
                 fault
                 for fault in self._faults
-                if fault.operation == operation and fault.strikes(self._calls[operation], take)
+                if fault.operation == operation and fault.strikes(self._calls[operation], label)
             )
             self._lost = self._lost or any(fault.kind == "lost" for fault in due)
             if self._lost or self._unplugged(operation, due):
@@ -154,13 +154,13 @@ class FaultPlan:
         return due
 
     def _hangs(self, due: tuple[Fault, ...]) -> bool:
-        """Whether this call never returns; a take that is tried again does."""
+        """Whether this call never returns; a record that is tried again does."""
         first = [one for one in due if one.kind == "hang" and (one.at_call or one not in self._hung_before)]
         self._hung_before.update(first)
         return bool(first)
 
     def _unplugged(self, operation: str, due: tuple[Fault, ...]) -> bool:
-        """Whether the instrument is unplugged at this call; a take that is tried again finds it plugged in."""
+        """Whether the instrument is unplugged at this call; a record that is tried again finds it plugged in."""
         for fault in due:
             if fault.kind == "unplugged" and fault not in self._unplugged_before:
                 self._unplugged_before.add(fault)

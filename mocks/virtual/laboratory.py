@@ -12,7 +12,7 @@ from functools import cache
 
 import numpy as np
 
-from wavefocus.drivers.protocols import Float32Array, Take
+from wavefocus.drivers.protocols import Float32Array, RecordLabel
 
 NANOSECONDS = 1_000_000_000
 
@@ -129,8 +129,8 @@ class PatchBay:
         raise ValueError(f"patch is {word!r}; allowed: vibrometer, sum, both, or output K with K one of {wired}")
 
 
-# Randomness depends on the seed and the take, and on nothing that happened before.
-LATENCY, NOISE, DROPOUT, GROWING = range(4)  # what is drawn for a take, each from a stream of its own
+# Randomness depends on the seed and the label, and on nothing that happened before.
+LATENCY, NOISE, DROPOUT, GROWING = range(4)  # what is drawn for a label, each from a stream of its own
 EVERY_RECORD = 0xFFFF_FFFF  # in place of a record: one stream for the whole attempt
 
 
@@ -145,31 +145,31 @@ def normal_values() -> Float32Array:
     return np.asarray((quantiles / quantiles.std()).astype(np.float32))
 
 
-def take_generator(seed: int, take: Take, stream: int, *, whole_attempt: bool = False) -> np.random.Generator:
-    """The generator of one stream of one take.
+def label_generator(seed: int, label: RecordLabel, stream: int, *, whole_attempt: bool = False) -> np.random.Generator:
+    """The generator of one stream of one label.
 
     seed: Seed of the rig, >= 0.
-    take: The measurement.
+    label: The measurement.
     stream: ``LATENCY``, ``NOISE``, ``DROPOUT`` or ``GROWING``.
     whole_attempt: One stream for all records of the attempt.
     """
-    record = EVERY_RECORD if whole_attempt else take.record
-    return np.random.Generator(np.random.SFC64(_digest(seed, take, record, stream, 16)))
+    record = EVERY_RECORD if whole_attempt else label.record
+    return np.random.Generator(np.random.SFC64(_digest(seed, label, record, stream, 16)))
 
 
-def take_share(seed: int, take: Take) -> float:
-    """A number from 0 to below 1, drawn once for the take: how late its player starts.
+def label_share(seed: int, label: RecordLabel) -> float:
+    """A number from 0 to below 1, drawn once for a label: how late its player starts.
 
     seed: Seed of the rig, >= 0.
-    take: The measurement.
+    label: The measurement.
     """
-    return (_digest(seed, take, take.record, LATENCY, 8) >> 11) / 2**53
+    return (_digest(seed, label, label.record, LATENCY, 8) >> 11) / 2**53
 
 
-def _digest(seed: int, take: Take, record: int, stream: int, size: int) -> int:
+def _digest(seed: int, label: RecordLabel, record: int, stream: int, size: int) -> int:
     """A hash of everything a stream depends on."""
-    words = struct.pack("<qqqqq", take.position, take.attempt, record, stream, seed)
-    digest = hashlib.blake2b(words + take.purpose.encode(), digest_size=size).digest()
+    words = struct.pack("<qqqqq", label.position, label.attempt, record, stream, seed)
+    digest = hashlib.blake2b(words + label.purpose.encode(), digest_size=size).digest()
     return int.from_bytes(digest, "little")
 
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from wavefocus.drivers.errors import TransientInstrumentError
-from wavefocus.drivers.protocols import Float64Array, Take
+from wavefocus.drivers.protocols import Float64Array, RecordLabel
 from wavefocus.mocks.virtual.faults import VirtualDevice
-from wavefocus.mocks.virtual.laboratory import NANOSECONDS, VirtualClock, take_share
+from wavefocus.mocks.virtual.laboratory import NANOSECONDS, VirtualClock, label_share
 from wavefocus.mocks.virtual.settings import VirtualSettings
 from wavefocus.mocks.virtual.signals import PlayedSignal, SignalStore
 from wavefocus.mocks.virtual.synthesis import Play
@@ -42,7 +42,7 @@ class VirtualPlayer(VirtualDevice):
         self._pieces: _Pieces | None = None
         self.written_s = -math.inf
         self._lock = threading.RLock()
-        self._take_under_way: Callable[[], Take | None] = lambda: None
+        self._label_under_way: Callable[[], RecordLabel | None] = lambda: None
 
     @property
     def channels(self) -> int:
@@ -65,10 +65,10 @@ class VirtualPlayer(VirtualDevice):
             now_ns = self._clock.now_ns()
             if self._plays and self._end_ns(self._plays[-1]) > now_ns:
                 raise self._refusal(doing, "it is still playing", "wait for its end or mute it first")
-            take = self._take_under_way()
-            self._faults.meet("play", doing, take)
+            label = self._label_under_way()
+            self._faults.meet("play", doing, label)
             play = Play(now_ns, float(sample_rate_hz), signals, lengths.pop())
-            play.latency_s = None if take is None else self._latency_s(take)
+            play.latency_s = None if label is None else self._latency_s(label)
             self._plays.append(play)
 
     @property
@@ -88,7 +88,7 @@ class VirtualPlayer(VirtualDevice):
             now_ns = self._clock.now_ns()
             if self._plays and self._end_ns(self._plays[-1]) > now_ns:
                 raise self._refusal(doing, "it is still playing", "wait for its end or mute it first")
-            self._faults.meet("play", doing, self._take_under_way())
+            self._faults.meet("play", doing, self._label_under_way())
             self._pieces = _Pieces(len(channels), Play(now_ns, float(sample_rate_hz), {}, 0), ahead_s)
 
     def add_piece(self, volts: Float64Array) -> float:
@@ -128,7 +128,7 @@ class VirtualPlayer(VirtualDevice):
             now_ns = self._clock.now_ns()
             end_ns = self._end_ns(self._plays[-1]) if self._plays else now_ns
         try:
-            self._faults.meet("wait", "playing", self._take_under_way())
+            self._faults.meet("wait", "playing", self._label_under_way())
         except TransientInstrumentError:
             self._cut((now_ns + end_ns) // 2)  # it ran dry half-way
             raise
@@ -154,18 +154,18 @@ class VirtualPlayer(VirtualDevice):
             self._cut(self._clock.now_ns())
         super().close()
 
-    def follow(self, take_under_way: Callable[[], Take | None]) -> None:
-        """Let latencies be drawn for the take that this function names.
+    def follow(self, label_under_way: Callable[[], RecordLabel | None]) -> None:
+        """Let latencies be drawn for the label that this function names.
 
-        take_under_way: Gives the take of the record under way, None if there is none.
+        label_under_way: Gives the label of the record under way, None if there is none.
         """
-        self._take_under_way = take_under_way
+        self._label_under_way = label_under_way
 
-    def settle_latency(self, take: Take) -> None:
-        """Draw the latency of a play that began before its record, for that record's take."""
+    def settle_latency(self, label: RecordLabel) -> None:
+        """Draw the latency of a play that began before its record, for that record's label."""
         with self._lock:
             if self._plays and self._plays[-1].latency_s is None:
-                self._plays[-1].latency_s = self._latency_s(take)
+                self._plays[-1].latency_s = self._latency_s(label)
 
     def plays_between(self, start_ns: int, stop_ns: int) -> list[Play]:
         """What sounded between two instants.
@@ -180,9 +180,9 @@ class VirtualPlayer(VirtualDevice):
                 if play.samples > 0 and play.requested_ns < stop_ns and self._end_ns(play) > start_ns
             ]
 
-    def _latency_s(self, take: Take) -> float:
+    def _latency_s(self, label: RecordLabel) -> float:
         low_s, high_s = self._settings.latency_s
-        return low_s + (high_s - low_s) * take_share(self._settings.seed, take)
+        return low_s + (high_s - low_s) * label_share(self._settings.seed, label)
 
     def _end_ns(self, play: Play) -> int:
         return play.requested_ns + round((self._longest_latency_s(play) + play.duration_s) * NANOSECONDS)

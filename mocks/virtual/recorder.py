@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from wavefocus.drivers.errors import TransientInstrumentError
-from wavefocus.drivers.protocols import Float32Array, Recording, RecordRequest, Take
+from wavefocus.drivers.protocols import Float32Array, Recording, RecordLabel, RecordRequest
 from wavefocus.mocks.virtual.faults import Fault, VirtualDevice
 from wavefocus.mocks.virtual.laboratory import (
     DROPOUT,
@@ -18,8 +18,8 @@ from wavefocus.mocks.virtual.laboratory import (
     NOISE,
     PatchBay,
     VirtualClock,
+    label_generator,
     normal,
-    take_generator,
 )
 from wavefocus.mocks.virtual.mirror import VirtualMirror
 from wavefocus.mocks.virtual.player import VirtualPlayer
@@ -73,7 +73,7 @@ class VirtualRecorder(VirtualDevice):
         return tuple(sorted(one for one in self._settings.input_ranges_v if one <= self._settings.largest_range_v))
 
     def start(self, request: RecordRequest) -> None:
-        doing = f"starting {request.take}"
+        doing = f"starting {request.label}"
         self._check_open(doing)
         largest = self._settings.largest_range_v
         if not all(0 < range_v <= largest for range_v in request.range_v):
@@ -84,9 +84,9 @@ class VirtualRecorder(VirtualDevice):
         with self._lock:
             if self._under_way is not None:
                 raise self._refusal(doing, "a record is under way", "read or abort it first")
-            self._faults.meet("start", doing, request.take)
+            self._faults.meet("start", doing, request.label)
             self._under_way = (request, self._clock.now_ns())
-        self._player.settle_latency(request.take)
+        self._player.settle_latency(request.label)
 
     def read(self, timeout_s: float) -> Recording:
         self._check_open("reading")
@@ -94,7 +94,7 @@ class VirtualRecorder(VirtualDevice):
             if self._under_way is None:
                 raise self._refusal("reading", "no record was started", "start one first")
             request, start_ns = self._under_way
-        doing = f"recording {request.take}"
+        doing = f"recording {request.label}"
         true_rate_hz = request.sample_rate_hz * self._settings.clock_ratio
         end_ns = start_ns + round(request.samples / true_rate_hz * NANOSECONDS)
         latest_ns = self._clock.now_ns() + round(timeout_s * NANOSECONDS)
@@ -104,7 +104,7 @@ class VirtualRecorder(VirtualDevice):
                 self._name, doing, f"not finished after {timeout_s:g} s", "allow the length of the record"
             )
         try:
-            faults = self._faults.meet("read", doing, request.take)
+            faults = self._faults.meet("read", doing, request.label)
             return self._recording(request, start_ns, end_ns, true_rate_hz, faults)
         finally:
             with self._lock:
@@ -123,10 +123,10 @@ class VirtualRecorder(VirtualDevice):
         self.abort()
         super().close()
 
-    def take_under_way(self) -> Take | None:
-        """The take of the record under way, None if there is none."""
+    def label_under_way(self) -> RecordLabel | None:
+        """The label of the record under way, None if there is none."""
         under_way = self._under_way
-        return None if under_way is None else under_way[0].take
+        return None if under_way is None else under_way[0].label
 
     def _recording(
         self, request: RecordRequest, start_ns: int, end_ns: int, rate_hz: float, faults: tuple[Fault, ...]
@@ -137,7 +137,7 @@ class VirtualRecorder(VirtualDevice):
         patched = self._patch_bay.outputs
         clean = self._synthesis.voltages(request.samples, request.sample_rate_hz, start_ns, plays, spots, patched)
         reference_v, response_v = self._corrupted(clean, request.range_v, faults, request.sample_rate_hz)
-        generator = take_generator(self._settings.seed, request.take, NOISE)
+        generator = label_generator(self._settings.seed, request.label, NOISE)
         noise = [normal(generator, request.samples) for _ in range(2)]
         if patched is None:
             self._make_imperfect(response_v, request)
@@ -171,25 +171,25 @@ class VirtualRecorder(VirtualDevice):
         if cubic:
             response_v += np.float32(cubic) * response_v**3
         if growing:
-            share = normal(take_generator(self._settings.seed, request.take, GROWING), response_v.size)
+            share = normal(label_generator(self._settings.seed, request.label, GROWING), response_v.size)
             response_v *= 1 + np.float32(growing) * share
 
     def _dropout(self, request: RecordRequest, *, always: bool) -> list[tuple[int, int]]:
         """The samples, if any, that speckle hides in this record."""
-        take = request.take
-        speckle = self._speckle(replace(take, record=0))
+        label = request.label
+        speckle = self._speckle(replace(label, record=0))
         duration_s, place = speckle.duration_s, speckle.place
         if always:
             # One on order is the longest there is, and never in the silence before or after the signal.
             duration_s, place = DROPOUT_S[1], 0.25 + 0.5 * place
-        elif take.record != speckle.record:
+        elif label.record != speckle.record:
             return []
         samples = round(duration_s * request.sample_rate_hz)
         first = round(place * max(0, request.samples - samples))
         return [(first, min(request.samples, first + samples))]
 
-    def _draw_speckle(self, take: Take) -> _Speckle:
-        chance = take_generator(self._settings.seed, take, DROPOUT, whole_attempt=True)
+    def _draw_speckle(self, label: RecordLabel) -> _Speckle:
+        chance = label_generator(self._settings.seed, label, DROPOUT, whole_attempt=True)
         happens = chance.random() < self._settings.dropout_probability
         record = int(chance.integers(self._settings.actuators))
         return _Speckle(record if happens else None, chance.uniform(*DROPOUT_S), chance.random())

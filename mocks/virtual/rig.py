@@ -21,7 +21,7 @@ class VirtualRig:
     """Mirror, recorder and player before one soft plate; only voltages come out of them.
 
     A signal sample k of the player appears in the record at sample offset + k * clock_ratio (rates
-    being equal), the offset not known. Everything random depends on the seed and the take alone, so
+    being equal), the offset not known. Everything random depends on the seed and the record's label, so
     neither the order of takes nor what happened before them changes a byte.
 
     settings: The rig; the default rig, if absent.
@@ -39,7 +39,7 @@ class VirtualRig:
         mirror = VirtualMirror(self.settings, clock)
         player = VirtualPlayer(self.settings, clock)
         recorder = VirtualRecorder(self.settings, clock, mirror, player, self._synthesis, self.patch_bay)
-        player.follow(recorder.take_under_way)
+        player.follow(recorder.label_under_way)
         self.sensors = {
             "room": VirtualSensor(clock, self.settings.room_c),
             "light": VirtualSensor(clock, self.settings.light),

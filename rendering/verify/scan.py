@@ -19,7 +19,7 @@ from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.config.messages.campaign import State, Subscriber
 from wavefocus.drivers.errors import TransientInstrumentError
-from wavefocus.drivers.protocols import Recording, Take
+from wavefocus.drivers.protocols import Recording, RecordLabel
 from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
 from wavefocus.rendering.field.prediction import field_unit, predict
 from wavefocus.rendering.greens.source import usable
@@ -216,8 +216,8 @@ class _ScanRun:
     def _record(self, visit: _Visit) -> Recording:
         x_mm, y_mm = (float(value) for value in self._bank.position_mm[visit.row])
         point_at(self._setup, x_mm, y_mm)
-        take = Take(position=visit.row, attempt=visit.attempt, record=0, purpose=self._plan.purpose)
-        return take_record(self._setup, self._signals_v, self._scan.sample_rate_hz, take)
+        label = RecordLabel(position=visit.row, attempt=visit.attempt, record=0, purpose=self._plan.purpose)
+        return take_record(self._setup, self._signals_v, self._scan.sample_rate_hz, label)
 
     def _collect(self, pending: _Pending) -> None:
         try:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wavefocus.drivers.errors import InstrumentError
-from wavefocus.drivers.protocols import Player, RecordRequest, Take
+from wavefocus.drivers.protocols import Player, RecordLabel, RecordRequest
 
 
 def tone(bench, seconds=0.2, volts=0.5):
@@ -16,7 +16,7 @@ def tone(bench, seconds=0.2, volts=0.5):
 
 def asked_for(bench, seconds):
     samples = round(seconds * bench.sample_rate_hz)
-    return RecordRequest(samples, bench.sample_rate_hz, bench.range_v, Take(0, 1, 0))
+    return RecordRequest(samples, bench.sample_rate_hz, bench.range_v, RecordLabel(0, 1, 0))
 
 
 def recorded_reference(bench, signals_v, *, mute_after_s=None):

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from wavefocus.drivers.errors import InstrumentError
-from wavefocus.drivers.protocols import Recorder, RecordRequest, Take
+from wavefocus.drivers.protocols import Recorder, RecordLabel, RecordRequest
 
-TAKE = Take(3, 1, 2)
+TAKE = RecordLabel(3, 1, 2)
 
 
 def ask(bench, samples=2000, range_v=None):

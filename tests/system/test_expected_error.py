@@ -15,7 +15,7 @@ from wavefocus.acquisition.trial import Band, decibel_of_median, relative, sched
 from wavefocus.calibration.estimator.schedule_error import expected_error_db
 from wavefocus.campaign.blueprint import blueprint_from_files
 from wavefocus.config.rig import Emulation
-from wavefocus.drivers.protocols import Take
+from wavefocus.drivers.protocols import RecordLabel
 from wavefocus.rig.setup import open_setup
 from wavefocus.rig.virtual_bench import virtual_rig
 
@@ -32,7 +32,7 @@ def _measured_db(plan: Plan, setup: Setup, true: np.ndarray) -> float:
     for position in POSITIONS:
         point_at(setup, *plan.position_mm[position])
         for attempt in (1, 2):
-            takes = [Take(position, attempt, play.actuator, "trial") for play in measuring.plays]
+            takes = [RecordLabel(position, attempt, play.actuator, "trial") for play in measuring.plays]
             recordings = [
                 play.cut(take_record(setup, play.signals_v, plan.excitation.sample_rate_hz, take, play.samples))
                 for play, take in zip(measuring.plays, takes, strict=True)

@@ -20,7 +20,7 @@ from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.campaign.blueprint import blueprint_of
 from wavefocus.campaign.sidecar_files import last_events, read_crosstalk
 from wavefocus.config.messages.campaign import CrosstalkMeasured
-from wavefocus.drivers.protocols import RecordRequest, Take
+from wavefocus.drivers.protocols import RecordLabel, RecordRequest
 from wavefocus.mocks.virtual.mirror import MirrorMotion
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
 from wavefocus.mocks.wire.emulated_rig import WireBench
@@ -46,7 +46,7 @@ def recorded(settings: VirtualSettings) -> np.ndarray:
     """Both inputs while the loopback alone plays noise, the beam parked."""
     rig = VirtualRig(settings).instruments
     signal_v = 0.5 * np.random.default_rng(1).standard_normal(4000).clip(-2, 2)
-    rig.recorder.start(RecordRequest(6000, RATE_HZ, (5.0, 0.2), Take(0, 1, 0, "test")))
+    rig.recorder.start(RecordRequest(6000, RATE_HZ, (5.0, 0.2), RecordLabel(0, 1, 0, "test")))
     rig.player.play({settings.channel_of_loopback: signal_v}, RATE_HZ)
     rig.player.wait(5.0)
     return rig.recorder.read(5.0).volts

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from wavefocus.drivers.protocols import Recording, RecordRequest, Take
+from wavefocus.drivers.protocols import Recording, RecordLabel, RecordRequest
 from wavefocus.mocks.virtual.laboratory import PatchBay
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
 from wavefocus.mocks.virtual.synthesis import output_errors
@@ -21,7 +21,7 @@ SIGNAL_V = np.sin(2 * np.pi * 500 * np.arange(800) / RATE_HZ) * np.hanning(800)
 
 def record(rig: VirtualRig, *channels: int) -> Recording:
     roles = rig.instruments
-    roles.recorder.start(RecordRequest(2000, RATE_HZ, (10.0, 10.0), Take(0, 1, 0)))
+    roles.recorder.start(RecordRequest(2000, RATE_HZ, (10.0, 10.0), RecordLabel(0, 1, 0)))
     roles.player.play(dict.fromkeys(channels, SIGNAL_V), RATE_HZ)
     roles.player.wait(10.0)
     return roles.recorder.read(10.0)

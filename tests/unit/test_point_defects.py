@@ -16,7 +16,7 @@ from wavefocus.calibration.estimator.estimate import Channels
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.calibration.sweeps import Excitation
-from wavefocus.drivers.protocols import Take
+from wavefocus.drivers.protocols import RecordLabel
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
 from wavefocus.storage.point_status import Status
 
@@ -58,7 +58,7 @@ def quiet_records(averages: int) -> Volts:
         )
         point_at(setup, *POSITION_MM)
         signals_v = {actuator: signal_v, settings.channel_of_loopback: signal_v}
-        taken.append(take_record(setup, signals_v, RATE_HZ, Take(0, 1, actuator)).volts)
+        taken.append(take_record(setup, signals_v, RATE_HZ, RecordLabel(0, 1, actuator)).volts)
     volts = np.stack(taken)
     return volts[:, 0], volts[:, 1]
 

@@ -12,8 +12,8 @@ from scipy.signal import welch
 from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
-from wavefocus.drivers.protocols import Take
-from wavefocus.mocks.virtual.laboratory import take_share
+from wavefocus.drivers.protocols import RecordLabel
+from wavefocus.mocks.virtual.laboratory import label_share
 from wavefocus.mocks.virtual.player import VirtualPlayer
 from wavefocus.mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
 from wavefocus.trials.presentation import MASKING_CREST, Masking, RigPresenter, Sound, pink_noise, presented_v
@@ -40,10 +40,10 @@ def presenter_on(rig: VirtualRig, masking: Masking | None = None) -> RigPresente
     return RigPresenter(setup, lambda name: STIMULUS, RATE_HZ, 0.3, masking)
 
 
-def true_error_ms(take: Take) -> float:
+def true_error_ms(label: RecordLabel) -> float:
     """How much earlier than by the longest latency, which the virtual player states, it began."""
     shortest_s, longest_s = SETTINGS.latency_s
-    return 1e3 * (shortest_s - longest_s) * (1 - take_share(SETTINGS.seed, take))
+    return 1e3 * (shortest_s - longest_s) * (1 - label_share(SETTINGS.seed, label))
 
 
 @pytest.mark.parametrize("masking", [None, MASKING], ids=["alone", "masked"])
@@ -55,7 +55,7 @@ def test_given_stimuli_then_their_onsets_are_those_of_the_rig_to_a_tenth_of_a_mi
         began_s = time.monotonic()
         onset = rig.present("any", trial, pytest.fail)
         # The clock of the recorder is 30 ppm off.
-        assert onset.error_ms == pytest.approx(true_error_ms(Take(trial, 1, 0, "presentation")), abs=0.1)
+        assert onset.error_ms == pytest.approx(true_error_ms(RecordLabel(trial, 1, 0, "presentation")), abs=0.1)
         # Two plays of 0.4 s had sounded; the rig's seconds take no time.
         assert onset.at_s < began_s - 0.5
         assert (onset.within_ms, onset.attempts) == (0.0, 1)
@@ -83,7 +83,7 @@ def test_given_plays_then_the_onset_of_each_comes_a_pause_after_the_end_of_the_o
 
 def test_given_masking_then_it_sounds_on_its_output_alone_around_the_stimulus_and_the_marker_at_the_onset() -> None:
     rig = presenter(masking=MASKING)
-    signals_v, onset = rig.signals_v(STIMULUS, Take(1, 1, 0, "presentation"))
+    signals_v, onset = rig.signals_v(STIMULUS, RecordLabel(1, 1, 0, "presentation"))
     assert sorted(signals_v) == [0, 2, 3, 5]  # the second actuator has nothing to do
     around = round(MASKING.around_s * RATE_HZ)
     drive_v = presented_v(STIMULUS, 0.3, RATE_HZ)
@@ -99,8 +99,8 @@ def test_given_masking_then_it_sounds_on_its_output_alone_around_the_stimulus_an
     noise_v = signals_v[MASKING.output]
     assert np.abs(noise_v).max() <= MASKING_CREST * MASKING.rms_v
     assert np.abs(noise_v[[0, -1]]).max() < 1e-3 * MASKING.rms_v
-    again = presenter(masking=MASKING).signals_v(STIMULUS, Take(1, 1, 0, "presentation"))[0][MASKING.output]
-    other = rig.signals_v(STIMULUS, Take(2, 1, 0, "presentation"))[0][MASKING.output]
+    again = presenter(masking=MASKING).signals_v(STIMULUS, RecordLabel(1, 1, 0, "presentation"))[0][MASKING.output]
+    other = rig.signals_v(STIMULUS, RecordLabel(2, 1, 0, "presentation"))[0][MASKING.output]
     assert np.array_equal(noise_v, again)
     assert not np.array_equal(noise_v, other)
 

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from wavefocus.drivers.protocols import PiecewisePlayer, Recording, RecordRequest, Take
+from wavefocus.drivers.protocols import PiecewisePlayer, Recording, RecordLabel, RecordRequest
 from wavefocus.mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
 
 RATE_HZ = 10_000.0
 PRE_ROLL_S = 0.02
 PLACE_MM = (60.0, 40.0)
 ACTUATOR = 2
-TAKE = Take(0, 1, 0)
+TAKE = RecordLabel(0, 1, 0)
 
 QUIET = VirtualSettings(
     noise_v=0.0,
@@ -38,7 +38,7 @@ def point(rig: VirtualRig, place_mm=PLACE_MM) -> None:
 def record(
     rig: VirtualRig,
     drive_v,
-    take: Take = TAKE,
+    label: RecordLabel = TAKE,
     *,
     channels=(ACTUATOR,),
     place_mm=PLACE_MM,
@@ -47,7 +47,7 @@ def record(
 ) -> Recording:
     point(rig, place_mm)
     instruments = rig.instruments
-    instruments.recorder.start(RecordRequest(samples, RATE_HZ, range_v, take))
+    instruments.recorder.start(RecordRequest(samples, RATE_HZ, range_v, label))
     instruments.clock.sleep(PRE_ROLL_S)
     signals = dict.fromkeys((*channels, rig.settings.channel_of_loopback), drive_v)
     instruments.player.play(signals, RATE_HZ)
@@ -129,7 +129,7 @@ def test_given_a_player_at_48_khz_then_the_response_is_that_of_the_same_waveform
     point(rig)
     heard = []
     for volts, rate_hz in ((tone, 48_000.0), (slow, RATE_HZ)):
-        rig.instruments.recorder.start(RecordRequest(3000, RATE_HZ, (2.0, 1.0), Take(0, 1, 0)))
+        rig.instruments.recorder.start(RecordRequest(3000, RATE_HZ, (2.0, 1.0), RecordLabel(0, 1, 0)))
         rig.instruments.player.play({ACTUATOR: volts}, rate_hz)
         rig.instruments.player.wait(1.0)
         heard.append(rig.instruments.recorder.read(1.0).volts[1])
@@ -163,7 +163,7 @@ def test_given_the_default_rig_then_a_sweep_peaks_between_5_and_7_volts():
 
 def test_given_the_same_take_then_the_bytes_are_the_same_whatever_came_before():
     first, second = VirtualRig(), VirtualRig()
-    takes = [Take(7, 1, 3), Take(7, 2, 3), Take(8, 1, 0)]
+    takes = [RecordLabel(7, 1, 3), RecordLabel(7, 2, 3), RecordLabel(8, 1, 0)]
     forward = {take: record(first, drive(), take).volts.tobytes() for take in takes}
     second.instruments.clock.sleep(12_345.678)
     backward = {take: record(second, drive(), take).volts.tobytes() for take in reversed(takes)}
@@ -171,7 +171,11 @@ def test_given_the_same_take_then_the_bytes_are_the_same_whatever_came_before():
     assert len(set(forward.values())) == 3
 
 
-@pytest.mark.parametrize("other", [Take(1, 1, 0), Take(0, 2, 0), Take(0, 1, 1), Take(0, 1, 0, "sentinel")], ids=str)
+@pytest.mark.parametrize(
+    "other",
+    [RecordLabel(1, 1, 0), RecordLabel(0, 2, 0), RecordLabel(0, 1, 1), RecordLabel(0, 1, 0, "sentinel")],
+    ids=str,
+)
 def test_given_another_take_then_noise_and_latency_are_others(other):
     rig = VirtualRig(changed(VirtualSettings(), dropout_probability=0.0))
     one, two = record(rig, drive()), record(rig, drive(), other)
@@ -190,7 +194,7 @@ def test_given_another_seed_then_gains_and_noise_are_others():
 def test_given_nothing_played_then_the_record_is_noise_of_the_stated_strength():
     rig = VirtualRig(changed(noise_v=2e-3, reference_noise_v=1e-3))
     point(rig)
-    rig.instruments.recorder.start(RecordRequest(40_000, RATE_HZ, (1.0, 1.0), Take(0, 1, 0)))
+    rig.instruments.recorder.start(RecordRequest(40_000, RATE_HZ, (1.0, 1.0), RecordLabel(0, 1, 0)))
     volts = rig.instruments.recorder.read(10.0).volts.astype(np.float64)
     assert volts.std(axis=1) == pytest.approx([1e-3, 2e-3], rel=0.03)
     assert abs(np.mean(volts[1] ** 4) / np.mean(volts[1] ** 2) ** 2 - 3) < 0.15
@@ -203,7 +207,7 @@ def test_given_a_play_that_began_before_then_its_rest_is_recorded():
     point(rig)
     rig.instruments.player.play({ACTUATOR: drive_v, 20: drive_v}, RATE_HZ)
     rig.instruments.clock.sleep(0.11)
-    rig.instruments.recorder.start(RecordRequest(1500, RATE_HZ, (2.0, 1.0), Take(0, 1, 0)))
+    rig.instruments.recorder.start(RecordRequest(1500, RATE_HZ, (2.0, 1.0), RecordLabel(0, 1, 0)))
     heard = rig.instruments.recorder.read(1.0)
     assert np.abs(heard.volts[0] - drive_v[1000:2500]).max() < 0.6 * heard.volts_per_count[0]
     expected = response_volts(rig, drive_v)[1000:2500]
@@ -213,7 +217,7 @@ def test_given_a_play_that_began_before_then_its_rest_is_recorded():
 def test_given_a_mute_half_way_then_the_rest_is_silent():
     rig, drive_v = VirtualRig(QUIET), drive(3000)
     point(rig)
-    rig.instruments.recorder.start(RecordRequest(3000, RATE_HZ, (2.0, 1.0), Take(0, 1, 0)))
+    rig.instruments.recorder.start(RecordRequest(3000, RATE_HZ, (2.0, 1.0), RecordLabel(0, 1, 0)))
     rig.instruments.player.play({20: drive_v}, RATE_HZ)
     rig.instruments.clock.sleep(0.11)
     rig.instruments.player.mute()
@@ -225,7 +229,7 @@ def test_given_a_mute_half_way_then_the_rest_is_silent():
 def test_given_a_mirror_that_moves_during_the_record_then_the_signal_is_lost_meanwhile():
     rig = VirtualRig(QUIET)
     point(rig)
-    rig.instruments.recorder.start(RecordRequest(3000, RATE_HZ, (1.0, 10.0), Take(0, 1, 0)))
+    rig.instruments.recorder.start(RecordRequest(3000, RATE_HZ, (1.0, 10.0), RecordLabel(0, 1, 0)))
     rig.instruments.clock.sleep(0.1)
     rig.instruments.mirror.move_to(0.0, 0.0)
     response = rig.instruments.recorder.read(1.0).volts[1]
@@ -238,7 +242,7 @@ def test_given_a_parked_mirror_then_there_is_no_signal_but_noise():
     rig = VirtualRig(QUIET)
     rig.instruments.mirror.park()
     rig.instruments.mirror.wait_settled(1.0)
-    rig.instruments.recorder.start(RecordRequest(3000, RATE_HZ, (1.0, 10.0), Take(0, 1, 0)))
+    rig.instruments.recorder.start(RecordRequest(3000, RATE_HZ, (1.0, 10.0), RecordLabel(0, 1, 0)))
     assert rig.instruments.recorder.read(1.0).volts[1].std() > 0.5
 
 
@@ -256,7 +260,7 @@ def test_given_certain_dropouts_then_one_record_of_the_attempt_has_one():
     rig = VirtualRig(changed(dropout_probability=1.0))
     lost = []
     for index in range(rig.settings.actuators):
-        volts = record(rig, 0 * drive(), Take(4, 1, index), range_v=(2.0, 10.0)).volts[1]
+        volts = record(rig, 0 * drive(), RecordLabel(4, 1, index), range_v=(2.0, 10.0)).volts[1]
         lost.append(np.count_nonzero(volts))
     assert sorted(lost)[:-1] == [0] * 19
     assert 18 <= max(lost) <= 100
@@ -274,8 +278,8 @@ def test_given_a_planned_underflow_then_the_player_says_so_and_the_record_breaks
     rig = VirtualRig(changed(fault_plan=(Fault("player", "wait", "underflow", position=5),)))
     point(rig)
     drive_v = drive(2000)
-    for take, complete in ((Take(5, 1, 0), False), (Take(5, 2, 0), True)):
-        rig.instruments.recorder.start(RecordRequest(3000, RATE_HZ, (2.0, 1.0), take))
+    for label, complete in ((RecordLabel(5, 1, 0), False), (RecordLabel(5, 2, 0), True)):
+        rig.instruments.recorder.start(RecordRequest(3000, RATE_HZ, (2.0, 1.0), label))
         rig.instruments.player.play({20: drive_v}, RATE_HZ)
         if complete:
             rig.instruments.player.wait(1.0)
@@ -314,9 +318,9 @@ def test_given_a_missing_reference_then_its_channel_is_empty():
 
 def test_given_a_planned_over_range_then_the_flag_is_up():
     rig = VirtualRig(changed(fault_plan=(Fault("recorder", "read", "over_range", position=0, record=1),)))
-    assert record(rig, drive(), Take(0, 1, 0)).over_range == (False, False)
-    assert record(rig, drive(), Take(0, 1, 1)).over_range == (False, True)
-    assert record(rig, drive(), Take(0, 2, 1)).over_range == (False, False)
+    assert record(rig, drive(), RecordLabel(0, 1, 0)).over_range == (False, False)
+    assert record(rig, drive(), RecordLabel(0, 1, 1)).over_range == (False, True)
+    assert record(rig, drive(), RecordLabel(0, 2, 1)).over_range == (False, False)
 
 
 def test_given_a_planned_dropout_then_some_samples_are_lost():

@@ -10,12 +10,12 @@ from contextlib import ExitStack, contextmanager
 import numpy as np
 
 from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
-from wavefocus.drivers.protocols import RecordRequest, Take
+from wavefocus.drivers.protocols import RecordLabel, RecordRequest
 from wavefocus.mocks.wire.ni_server import NiServer
 
 RATE_HZ = 10_000.0
 RANGE_V = (1.0, 10.0)
-TAKE = Take(12, 1, 3)
+TAKE = RecordLabel(12, 1, 3)
 SAMPLES = 500
 
 

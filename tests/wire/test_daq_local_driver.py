@@ -23,7 +23,7 @@ warnings.simplefilter("error")
 from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
 from wavefocus.drivers.daq.ni.recorder_process import ProcessRecorder
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from wavefocus.drivers.protocols import RecordRequest, Take
+from wavefocus.drivers.protocols import RecordRequest, RecordLabel
 
 WIRING = dict(reference_input="ai0", response_input="ai1", terminal="differential", trigger=None)
 
@@ -34,7 +34,7 @@ def in_a_process():
     return ProcessRecorder("Dev1", **WIRING)
 
 def request(samples=1000):
-    return RecordRequest(samples, 10_000.0, (10.0, 10.0), Take(7, 1, 0))
+    return RecordRequest(samples, 10_000.0, (10.0, 10.0), RecordLabel(7, 1, 0))
 
 def taken(recorder, samples=1000):
     recorder.start(request(samples))

@@ -109,7 +109,7 @@ class NiRecorder:
             return () if known is None else tuple(sorted(known))
 
     def start(self, request: RecordRequest) -> None:
-        doing = f"starting {request.take}"
+        doing = f"starting {request.label}"
         with self._lock:
             session = self._connected(doing)
             if self._under_way is not None:
@@ -132,7 +132,7 @@ class NiRecorder:
             request, task = self._under_way, self._task
         if request is None or task is None:
             raise InstrumentError(self._instrument, "reading", "no record was started", "start one first")
-        doing = f"recording {request.take}"
+        doing = f"recording {request.label}"
         try:
             # Without the lock: another thread may abort.
             with session.telling(doing):

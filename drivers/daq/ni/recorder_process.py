@@ -116,7 +116,7 @@ class ProcessRecorder:
         return str(self._call("identifying", "identify"))
 
     def start(self, request: RecordRequest) -> None:
-        self._call(f"starting {request.take}", "start", request)
+        self._call(f"starting {request.label}", "start", request)
 
     def read(self, timeout_s: float) -> Recording:
         recording = self._call("reading", "read", timeout_s, limit_s=CALL_S + timeout_s)
