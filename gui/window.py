@@ -139,6 +139,8 @@ class Window(QMainWindow):
         self._timer.stop()
         for tab in self.tabs:
             tab.shut_down()
+        for process in self.findChildren(CommandProcess):  # a dry run, for one, ends by itself
+            process.detach()
         self.background.end()
         self._error_hook.remove()
 
