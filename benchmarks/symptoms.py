@@ -41,7 +41,7 @@ ACTUATORS = 10
 STEPS = np.arange(6) - 2.5
 PITCH_MM = {"thin": 10.0}
 """Of the grid, where it is not 4 mm: waves on glass are long."""
-OUTLINES = {"thin": Outline.rectangle(160.0, 110.0)}
+OUTLINES = {"thin": Outline.rectangle(250.0, 170.0)}
 STADIUM = Outline.stadium(160.0, 110.0)
 PLATES = ("soft", "stadium", "thin", "solid")
 KEYS: dict[str, dict[str, Any]] = {"thin": {"quality": 30.0}}
@@ -78,7 +78,7 @@ class Rig:
 @cache
 def _rig(rig: Rig) -> VirtualRig:
     outline = OUTLINES.get(rig.plate, STADIUM)
-    inner = Outline.stadium(140.0, 90.0)
+    inner = Outline.stadium(220.0, 145.0) if rig.plate == "thin" else Outline.stadium(140.0, 90.0)
     actuator_mm = inner.at((np.arange(ACTUATORS) + 0.4) * inner.perimeter_mm / ACTUATORS)
     keys = KEYS.get(rig.plate, {}) | {"speed_per_k": 0.0, "loss_per_k": 0.0} | dict(rig.keys)
     return VirtualRig(

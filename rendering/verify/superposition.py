@@ -16,6 +16,8 @@ from wavefocus.rendering.verify.results import Sentinel
 if TYPE_CHECKING:
     from wavefocus.rendering.greens.source import GreenSource
 
+LOUD = 3.0
+"""Power over that of the noise from which a Green's function is more than noise."""
 MAX_GROWTH = 20.0
 """Nepers by which a vibration may be made to decay less; beyond, noise is all that is left."""
 ALLOWED = 0.01
@@ -46,7 +48,18 @@ class Block:
         Waves that are faster by a factor c have the Green's functions of ``frequency_hz / c``; vibrations that decay
         by ``exp(-d t)`` more have those of ``frequency_hz - j d / (2 pi)``.
         """
-        return self.with_green(transforms(self.rows, frequency_hz, self.rate_hz))
+        # Where vibrations are made to decay less, the noise behind them must not grow.
+        rows = self.rows[..., : self._loud_taps] if np.any(np.imag(frequency_hz) > 0.0) else self.rows
+        return self.with_green(transforms(rows, frequency_hz, self.rate_hz))
+
+    @property
+    def _loud_taps(self) -> int:
+        """Taps until the Green's functions end in their noise, as the last tenth of the taps shows it."""
+        power = np.einsum("rat,rat->t", self.rows, self.rows, dtype=np.float64)
+        length = max(power.size // 50, 1)
+        smooth = np.convolve(power, np.full(length, 1.0 / length), mode="same")
+        loud = np.flatnonzero(smooth > LOUD * np.mean(power[-max(power.size // 10, 1) :]))
+        return int(loud[-1]) + 1 if loud.size else power.size
 
     def with_green(self, green: Complex128Array) -> Block:
         """The same with other Green's functions (r, A, K)."""

@@ -47,8 +47,9 @@ MIN_REDUCTION = 6.0
 """A cause takes off so much of the sum of squares, in units of what is allowed at one position."""
 MIN_SHARE = 0.1
 """And this share of the whole: what is smaller is found when the larger cause is put right."""
-TOGETHER_SHARE = 0.95
-"""Several causes, or one with a number for each actuator, must explain more: enough numbers fit anything."""
+TOGETHER_SHARE, MANY_SHARE = 0.95, 0.98
+"""Several causes, or one change of any actuators, must explain more, different changes of actuators even more: enough
+numbers fit anything. Real ones explain 0.99 and more (``wavefocus bench symptoms``)."""
 TIE, MIN_TIE, TIE_LEFT = 0.02, 0.5, 1.3
 """Two causes tie if their reductions differ by less than this share or number of units, and what they leave by less
 than this factor."""
@@ -197,7 +198,8 @@ def _certain(found: list[_Found]) -> tuple[Symptom, ...]:
             kept = [*kept, cause]
     total = sum(cause.share for cause in kept)
     shares = [cause.share / max(1.0 - total + cause.share, 1e-12) for cause in kept]
-    if not kept or min(shares) < CERTAIN_SHARE or not (alone or total >= TOGETHER_SHARE):
+    needed = max((TOGETHER_SHARE, *(cause.enough for cause in kept)))
+    if not kept or min(shares) < CERTAIN_SHARE or not (alone or total >= needed):
         return ()
     return tuple(
         replace(symptom, explained=_clipped(share if symptom.explained is None else symptom.explained))
@@ -528,7 +530,8 @@ def _joint_causes(state: _State) -> Iterator[_Cause]:
     corrected = state.driven(errors.factor, errors.late_s)
     plain = len(np.unique(errors.changes, axis=0)) == 1
     reduction = state.left - corrected.left
-    yield _Cause(reduction, _actuator_symptoms(errors), lambda: corrected, enough=TOGETHER_SHARE, plain=plain)
+    enough = TOGETHER_SHARE if plain else MANY_SHARE
+    yield _Cause(reduction, _actuator_symptoms(errors), lambda: corrected, enough=enough, plain=plain)
 
 
 def _actuator_symptoms(errors: ActuatorErrors) -> tuple[Symptom, ...]:

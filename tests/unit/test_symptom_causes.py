@@ -7,8 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tests.unit.line_verification import rendered, scan_of
 from wavefocus.benchmarks import symptoms as simulated
 from wavefocus.benchmarks.symptoms import Case, lab, outcome
+from wavefocus.rendering.verify.linearity import QUIETER_DB, nonlinear_share
+from wavefocus.rendering.verify.scan import Scan
 
 ACTUATORS = simulated.ACTUATORS
 
@@ -70,3 +73,19 @@ def test_given_a_sound_rig_then_nothing_is_named() -> None:
     found = lab("soft").verified(Case("none", None, None, lab("soft").truth), chance())
     assert found.symptoms == ()
     assert found.passed
+
+
+@pytest.mark.parametrize(("exponent", "share"), [(3, 1.0), (1, 0.0)])
+def test_given_the_scene_played_quieter_then_it_shows_how_much_of_the_difference_is_distortion(
+    exponent: int, share: float
+) -> None:
+    _, prediction = rendered()
+    loudest = float(np.abs(prediction.field).max())
+
+    def played(factor: float) -> Scan:
+        field = prediction.field / factor
+        field = field + 0.5 * loudest * (field / loudest) ** exponent
+        return scan_of(field, prediction.start_s, prediction.sample_rate_hz, 0.0)
+
+    found = nonlinear_share(prediction, played(1.0), played(10 ** (QUIETER_DB / 20.0)), (50.0, 500.0))
+    assert found == pytest.approx(share, abs=0.02)
