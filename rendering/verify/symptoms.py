@@ -53,6 +53,9 @@ numbers fit anything. Real ones explain 0.99 and more (``wavefocus bench symptom
 TIE, MIN_TIE, TIE_LEFT = 0.02, 0.5, 1.3
 """Two causes tie if their reductions differ by less than this share or number of units, and what they leave by less
 than this factor."""
+EXACT = ("level", "polarity", "silent", "delay", "swapped", "speed")
+EXACT_SHARE = 0.97
+"""Causes whose effect follows exactly from the bank must explain this share, or all but what is allowed."""
 NEXT_TO_NOTHING = 0.003
 MAX_CAUSES = 3
 MIN_DB, MIN_DELAY_S, MIN_SPEED = 0.5, 1e-4, 0.01
@@ -157,7 +160,9 @@ def diagnose(
         if cause.named or not within:
             symptoms = tuple(search.in_speeds(symptom) for symptom in cause.symptoms)
             share = (min(remaining, whole) - min(max(remaining - cause.reduction, 0.0), whole)) / whole
-            found.append(_Found(symptoms, share, cause.enough))
+            exact = all(symptom.code in EXACT for symptom in symptoms)
+            enough = min(EXACT_SHARE, 1.0 - search.state.responses / whole) if exact else CERTAIN_SHARE
+            found.append(_Found(symptoms, share, max(cause.enough, enough)))
         remaining -= cause.reduction
         state = cause.apply()
     if certain := _certain(found):
