@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, JsonValue, model_validator
 
 from wavefocus.config.fields import ALWAYS, Finite, NonNegative, PointMm, Positive, Table, mistake
 
-PLATES_OF_KEY = {
-    "loss": ("soft",),
-    "rim_admittance": ("stadium",),
-    "quality": ("thin",),
-    "edge": ("thin",),
-    "mode_tolerance": ("thin",),
-    "shear_speed_m_s": ("solid",),
-    "pressure_speed_m_s": ("solid",),
-    "damping_per_s": ("solid",),
-    "force_deg": ("solid",),
-    "oscillation_deg": ("solid",),
-}
-"""Keys that only some plates have, and which."""
 FINGER_MM = 3.0
 """Half the width of a finger, and a little."""
 _OF_ANY_PLATE = ("speed_per_k", "loss_per_k", "finger")
+
+
+def of_plate(plate: str, description: str) -> Any:
+    """A key that only one plate has: its declaration is all that a new key needs."""
+    about: dict[str, JsonValue] = {"plate": plate}
+    return Field(default=None, description=f'Of the plate "{plate}": {description}', json_schema_extra=about)
 
 
 class Finger(Table):
@@ -43,36 +37,20 @@ class PlateKeys(Table):
         description="A gel without a rim, a gel whose rim reflects waves (pip install 'wavefocus[plates]'), glass, "
         "or a gel without a rim that moves in its plane",
     )
-    loss: Literal["damped", "springpot"] | None = Field(
-        default=None,
-        description='Of the plate "soft": the same at all frequencies, nearly, or a springpot\'s, growing with them',
+    loss: Literal["damped", "springpot"] | None = of_plate(
+        "soft", "the same at all frequencies, nearly, or a springpot's, growing with them"
     )
-    rim_admittance: NonNegative | None = Field(
-        default=None, description='Of the plate "stadium": 0 is a free edge, 1 absorbs waves at a right angle'
+    rim_admittance: NonNegative | None = of_plate("stadium", "0 is a free edge, 1 absorbs waves at a right angle")
+    quality: Annotated[Positive, Field(le=1e5)] | None = of_plate("thin", "quality factor of its modes and waves")
+    edge: Literal["supported", "infinite"] | None = of_plate("thin", "a rectangle that is simply supported, or none")
+    mode_tolerance: Annotated[NonNegative, Field(le=1)] | None = of_plate(
+        "thin", "modes may be left out up to this error, relative to the strongest response"
     )
-    quality: Annotated[Positive, Field(le=1e5)] | None = Field(
-        default=None, description='Of the plate "thin": quality factor of its modes and waves'
-    )
-    edge: Literal["supported", "infinite"] | None = Field(
-        default=None, description='Of the plate "thin": a rectangle that is simply supported, or none'
-    )
-    mode_tolerance: Annotated[NonNegative, Field(le=1)] | None = Field(
-        default=None,
-        description='Of the plate "thin": modes may be left out up to this error, relative to the strongest response',
-    )
-    shear_speed_m_s: Positive | None = Field(default=None, description='Of the plate "solid": speed of shear waves')
-    pressure_speed_m_s: Positive | None = Field(
-        default=None, description='Of the plate "solid": speed of pressure waves, above 1.155 shear_speed_m_s'
-    )
-    damping_per_s: NonNegative | None = Field(
-        default=None, description='Of the plate "solid": rate of relaxation of its moduli, in 1/s'
-    )
-    force_deg: Finite | None = Field(
-        default=None, description='Of the plate "solid": direction in which actuators push, from x towards y'
-    )
-    oscillation_deg: Finite | None = Field(
-        default=None, description='Of the plate "solid": direction of the velocity that is measured'
-    )
+    shear_speed_m_s: Positive | None = of_plate("solid", "speed of shear waves")
+    pressure_speed_m_s: Positive | None = of_plate("solid", "speed of pressure waves, above 1.155 shear_speed_m_s")
+    damping_per_s: NonNegative | None = of_plate("solid", "rate of relaxation of its moduli, in 1/s")
+    force_deg: Finite | None = of_plate("solid", "direction in which actuators push, from x towards y")
+    oscillation_deg: Finite | None = of_plate("solid", "direction of the velocity that is measured")
 
     finger: Finger | None = Field(
         default=None,
@@ -82,7 +60,7 @@ class PlateKeys(Table):
     @property
     def plate_keys(self) -> dict[str, Any]:
         """The keys of the plate that are given."""
-        return self.model_dump(include={*PLATES_OF_KEY, *_OF_ANY_PLATE}, exclude_none=True)
+        return self.model_dump(include={*_plate_of_key(), *_OF_ANY_PLATE}, exclude_none=True)
 
     @property
     def directions_deg(self) -> tuple[float, float] | None:
@@ -92,10 +70,16 @@ class PlateKeys(Table):
     @model_validator(mode="after")
     def _keys_of_this_plate(self) -> PlateKeys:
         for key, value in self.plate_keys.items():
-            if self.plate not in PLATES_OF_KEY.get(key, (self.plate,)):
-                plates = " or ".join(f'"{name}"' for name in PLATES_OF_KEY[key])
-                raise mistake(key, value, f"belongs to plate = {plates}")
+            if (plate := _plate_of_key().get(key, self.plate)) != self.plate:
+                raise mistake(key, value, f'belongs to plate = "{plate}"')
         return self
+
+
+@cache
+def _plate_of_key() -> dict[str, str]:
+    """Keys that only one plate has, and which."""
+    extra = {name: field.json_schema_extra for name, field in PlateKeys.model_fields.items()}
+    return {name: str(about["plate"]) for name, about in extra.items() if isinstance(about, dict) and "plate" in about}
 
 
 def plate_of(virtual: PlateKeys | None, emulation: PlateKeys) -> PlateKeys:

@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+from inspect import signature
+from typing import get_args
+
 import numpy as np
 import pytest
 import scipy.signal
@@ -7,6 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import hankel2
 
+from wavefocus.config.plate import PlateKeys
+from wavefocus.mocks.plates import PLATES
 from wavefocus.mocks.plates.infinite import PlateTable
 from wavefocus.mocks.plates.soft import (
     SOFT_PLATE,
@@ -205,3 +210,11 @@ def test_given_the_chain_then_its_filters_are_the_textbook_s():
         for pole in poles:
             expected = expected / (laplace - pole)
     assert np.allclose(chain_response(frequency_hz), expected, rtol=1e-10, atol=0)
+
+
+def test_given_the_plates_that_are_registered_then_the_files_name_the_same_and_each_key_is_one_of_its_plate():
+    names = {name for name in PLATES.all() if "," not in name}
+    assert set(get_args(PlateKeys.model_fields["plate"].annotation)) == names
+    for key, field in PlateKeys.model_fields.items():
+        if isinstance(field.json_schema_extra, dict) and key != "edge":  # which of two plates of glass it is
+            assert key in signature(PLATES.all()[field.json_schema_extra["plate"]].__init__).parameters
