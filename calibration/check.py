@@ -15,7 +15,7 @@ from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.crosstalk import REMEDY, crosstalk_of_bank
 from wavefocus.calibration.neighbour_judge import NeighbourJudge, RowSpectra
 from wavefocus.storage.bank.ledger import SUSPECT, VALID
-from wavefocus.storage.bank.reading import Bank, BankRows, CopiedRows, open_bank
+from wavefocus.storage.bank.reading import Bank, CopiedRows, VerifiedRows, open_bank
 from wavefocus.storage.drive_file import FORMAT as DRIVE
 from wavefocus.storage.drive_file import read_drive
 from wavefocus.storage.errors import InputError
@@ -65,7 +65,7 @@ def check_bank(path: str | Path) -> list[Finding]:
     """
     path = Path(path)
     with open_bank(path, contents=True) as bank, one_blas_thread():
-        findings = list(check_ledger(bank.rows, path)) if isinstance(bank.rows, BankRows) else []
+        findings = list(check_ledger(bank.rows, path)) if isinstance(bank.rows, VerifiedRows) else []
         findings += _check_file(bank)
         findings += _check_positions(bank)
         findings += _check_moved(bank)
@@ -99,7 +99,7 @@ def check_ledger(rows: LedgerReader, path: Path) -> Iterator[Finding]:
             " resume measures it again"
         )
         yield Finding(position, None, message, cut_off)
-    if isinstance(rows, BankRows):
+    if isinstance(rows, VerifiedRows):
         for position in np.flatnonzero(rows.differing() & ~rows.ledger.damaged).tolist():
             message = (
                 f"/status or /quality of position {position} differ from the ledger;"
@@ -145,7 +145,7 @@ def _check_moved(bank: Bank) -> Iterator[Finding]:
         yield Finding(farthest, None, message, "warning")
 
 
-def suspect_positions(rows: BankRows) -> list[int]:
+def suspect_positions(rows: VerifiedRows) -> list[int]:
     """Positions that were measured when the sentinel position had changed, and not again since."""
     marked = (rows.figures.judged & SUSPECT > 0) & (rows.figures.status & VALID == 0)
     return [int(position) for position in np.flatnonzero(marked)]
@@ -153,7 +153,7 @@ def suspect_positions(rows: BankRows) -> list[int]:
 
 def _check_suspects(bank: Bank) -> Iterator[Finding]:
     """One finding for all rows whose scale may be another one than the sentinel's."""
-    suspects = suspect_positions(bank.rows) if isinstance(bank.rows, BankRows) else []
+    suspects = suspect_positions(bank.rows) if isinstance(bank.rows, VerifiedRows) else []
     if suspects:
         message = (
             f"positions {row_ranges(suspects)} are suspect: the sentinel position had changed when it was measured"

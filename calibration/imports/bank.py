@@ -22,8 +22,8 @@ from wavefocus.storage.bank.layout import BankHeader
 from wavefocus.storage.bank.ledger import PointRecord
 from wavefocus.storage.bank.writer import write_bank
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.exchange.reading.measured import ImportOptions, Measured
-from wavefocus.storage.exchange.reading.opening import opened, recognised
+from wavefocus.storage.exchange.measured import ImportOptions, Measured
+from wavefocus.storage.exchange.opening import opened, recognised
 from wavefocus.storage.point_status import Status
 
 Float64Array = NDArray[np.float64]

@@ -20,7 +20,7 @@ from wavefocus.calibration.imports.causal_response import (
     frequency_axis,
 )
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.exchange.reading.measured import ImportOptions, Measured, pair_of, require_honest
+from wavefocus.storage.exchange.measured import ImportOptions, Measured, pair_of, require_honest
 from wavefocus.storage.units import MOTIONS, split_unit
 
 Float64Array = NDArray[np.float64]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.storage import durable, hdf5_digest, hdf5_reading
-from wavefocus.storage.bank.ledger import BANK, FIRST_QUALITY_NAMES, LATER_QUALITY_NAMES, QUALITY_NAMES, bank_rows
+from wavefocus.storage.bank.ledger import BANK, FIRST_QUALITY_NAMES, LATER_QUALITY_NAMES, QUALITY_NAMES, bank_row_shape
 from wavefocus.storage.errors import InputError, OtherLayoutError
 from wavefocus.storage.hdf5_writing import METADATA_BLOCK, attach, bare_dimension, filled, reserved, sample_times, scale
 from wavefocus.storage.ledger.layout import (
@@ -86,7 +86,7 @@ class BankHeader:
     @property
     def rows(self) -> RowShape:
         """Sizes of a position's Green's functions and of its ledger row."""
-        return bank_rows(self.actuators, self.taps)
+        return bank_row_shape(self.actuators, self.taps)
 
     @property
     def file_bytes(self) -> int:
@@ -215,7 +215,7 @@ def _find_layout(file: h5py.File, header: BankHeader, path: Path) -> LedgerLayou
     for name in QUALITY_NAMES:
         if name in FIRST_QUALITY_NAMES or hdf5_reading.has(file, f"/quality/{name}"):
             figures[f"/quality/{name}"] = (quality_shape(name, count, actuators), "<f4")
-    return find_layout(file, path, header, bank_rows(actuators, header.taps), count, figures)
+    return find_layout(file, path, header, bank_row_shape(actuators, header.taps), count, figures)
 
 
 def _later_checksum(layout: LedgerLayout) -> int:

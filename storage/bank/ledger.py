@@ -90,7 +90,7 @@ class Figures:
     rms: NDArray[np.float64]
 
 
-def bank_rows(actuators: int, taps: int) -> RowShape:
+def bank_row_shape(actuators: int, taps: int) -> RowShape:
     """Sizes of a bank's rows: a ledger row is a page, or more where the quality of many actuators needs it."""
     return RowShape(BANK, (actuators, taps), round_to_page(_QUALITY_AT + 16 * actuators))
 
@@ -124,7 +124,7 @@ def encode_row(position: int, record: PointRecord, green: Float32Array) -> bytes
         row["quality"][index] = getattr(record, name)
     row["rms"] = np.sqrt(np.square(green, dtype=np.float64).mean(axis=1))[: row["rms"].size]
     content = bytearray(row.tobytes())
-    head = bank_rows(actuators, taps).row_head(position)
+    head = bank_row_shape(actuators, taps).row_head(position)
     content[: len(head)] = head
     return sealed(content)
 

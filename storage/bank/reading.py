@@ -216,7 +216,7 @@ class Bank(Closing):
     software: str | None
     directions_deg: tuple[float, float] | None
     import_report: str | None
-    rows: BankRows | CopiedRows | ForeignRows = field(repr=False)
+    rows: VerifiedRows | CopiedRows | ForeignRows = field(repr=False)
     notes: tuple[Note, ...] = ()
     unknown_attributes: tuple[str, ...] = ()
     inter_channel_delay_s: float | None = None
@@ -349,10 +349,10 @@ def open_bank(path: str | Path, *, contents: bool = False) -> Bank:
             facts, foreign = read_foreign(content, path, stack)
             return Bank(path=path, rows=foreign, notes=read_notes(content, path), **facts)
         notes, unknown = read_notes(content, path), hdf5_digest.unknown_attributes(content)
-        rows: BankRows | CopiedRows
+        rows: VerifiedRows | CopiedRows
         try:
             layout = read_layout(content, path, contents=contents)
-            header, rows = layout.header, BankRows(path, layout)
+            header, rows = layout.header, VerifiedRows(path, layout)
         except OtherLayoutError:
             # Copied object by object, or repacked: nothing lies where it did, and every row still has its checksum.
             header = read_header(content, path)
@@ -454,7 +454,7 @@ def _bytes_of(content: h5py.File, path: Path, name: str, shape: tuple[int, ...])
     return bytearray(np.ascontiguousarray(hdf5_reading.read_whole(dataset, path), np.uint8).tobytes())
 
 
-class BankRows(LedgerReader):
+class VerifiedRows(LedgerReader):
     """Rows of a bank of this program, checked against its ledger."""
 
     dtype = np.dtype(np.float32)

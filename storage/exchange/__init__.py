@@ -1,7 +1,7 @@
 """Banks in the formats of other fields: acoustics, modal analysis, sound, numerical tools.
 
-A new export is a module here with `write`, an entry of `EXPORTS`, and a line in tests/system/test_export.py. A new
-import is a module in `reading` with `read`, an entry of `IMPORTS`, and a line in tests/system/test_import.py.
+A format is a module here. With `write` it has an entry of `EXPORTS` and a line in tests/system/test_export.py, with
+`read` an entry of `IMPORTS` and a line in tests/system/test_import.py.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ EXPORTS = {
 class Import:
     """A format that ``wavefocus import --from`` reads.
 
-    reader: ``"module:function"``, called with path, options and an `ExitStack` that closes what stays open; returns
+    module: Module with ``read(path, options, stack)``, of which the `ExitStack` closes what stays open; returns
         `wavefocus.storage.exchange.measured.Measured`.
     title: The format's name in the command's help and in messages.
     options: Options of the command that concern some formats, and this one.
@@ -53,7 +53,7 @@ class Import:
     endings: How its name ends, where its content does not decide.
     """
 
-    reader: str
+    module: str
     title: str
     options: tuple[str, ...] = ()
     starts: tuple[bytes, ...] = ()
@@ -63,35 +63,23 @@ class Import:
 _ARRAYS = ("direction", "axes", "names", "frequencies")
 
 IMPORTS = {
-    "sofa": Import(
-        "wavefocus.storage.exchange.reading.sofa:read", "a SOFA file", ("direction", "measurements"), endings=(".sofa",)
-    ),
+    "sofa": Import("wavefocus.storage.exchange.sofa", "a SOFA file", ("direction", "measurements"), endings=(".sofa",)),
     "uff": Import(
-        "wavefocus.storage.exchange.reading.uff:read",
+        "wavefocus.storage.exchange.uff",
         "a universal file",
         ("direction",),
         (b"    -1\n", b"    -1\r\n"),
         (".uff", ".unv", ".uf"),
     ),
     "mat": Import(
-        "wavefocus.storage.exchange.reading.mat:read",
-        "a MATLAB file",
-        _ARRAYS,
-        (b"MATLAB 5.0", b"MATLAB 7.3"),
-        (".mat",),
+        "wavefocus.storage.exchange.mat", "a MATLAB file", _ARRAYS, (b"MATLAB 5.0", b"MATLAB 7.3"), (".mat",)
     ),
-    "npz": Import("wavefocus.storage.exchange.reading.npz:read", "a NumPy archive", _ARRAYS, (b"PK",), (".npz",)),
-    "npy": Import(
-        "wavefocus.storage.exchange.reading.npz:read_array", "a NumPy array", _ARRAYS, (b"\x93NUMPY",), (".npy",)
-    ),
+    "npz": Import("wavefocus.storage.exchange.npz", "a NumPy archive", _ARRAYS, (b"PK",), (".npz",)),
+    "npy": Import("wavefocus.storage.exchange.npz", "a NumPy array", _ARRAYS, (b"\x93NUMPY",), (".npy",)),
     "netcdf": Import(
-        "wavefocus.storage.exchange.reading.netcdf:read",
-        "a netCDF file",
-        _ARRAYS,
-        (b"CDF", b"\x89HDF"),
-        (".nc", ".nc4", ".cdf"),
+        "wavefocus.storage.exchange.netcdf", "a netCDF file", _ARRAYS, (b"CDF", b"\x89HDF"), (".nc", ".nc4", ".cdf")
     ),
-    "wav": Import("wavefocus.storage.exchange.reading.wav:read", "a folder of WAV files"),
+    "wav": Import("wavefocus.storage.exchange.wav", "a folder of WAV files"),
 }
-SOME_FORMATS = frozenset(option for one in IMPORTS.values() for option in one.options)
-"""Options that concern some formats alone."""
+SOME_FORMATS = frozenset(option for form in IMPORTS.values() for option in form.options)
+"""Options that concern only some formats."""

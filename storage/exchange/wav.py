@@ -1,4 +1,4 @@
-"""A bank as sound files: one multichannel WAV per position, or per actuator."""
+"""A bank as sound files, one multichannel WAV per position or actuator; exports and folders with a table are read."""
 
 from __future__ import annotations
 
@@ -6,19 +6,31 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import soundfile
+from numpy.typing import NDArray
 
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.exchange.bank_rows import BankRows, OnProgress
-from wavefocus.storage.exchange.places import table
+from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress
+from wavefocus.storage.exchange.measured import (
+    Float64Array,
+    ImportOptions,
+    Measured,
+    distinct,
+    require_honest,
+    require_plain,
+    stated_unit,
+    with_z,
+)
+from wavefocus.storage.exchange.places import Place, coordinates, read_places, table
 from wavefocus.storage.output_files import replaced_folder, require_room
-from wavefocus.storage.text_file import read_regular
+from wavefocus.storage.text_file import read_regular, read_text
 
 MOST_CHANNELS = 1024
 """More than that is not a sound file for the library that writes them."""
@@ -28,7 +40,7 @@ FORMAT = "wavefocus-wav-export"
 _OURS = re.compile(r"(position|actuator)-\d+\.wav|places\.csv|bank\.json")
 
 
-def write(folder: Path, rows: BankRows, on_progress: OnProgress | None = None) -> None:
+def write(folder: Path, rows: ExportedRows, on_progress: OnProgress | None = None) -> None:
     """Write a folder of WAV files (float32), with ``bank.json`` and ``places.csv`` that describe them.
 
     An older folder of that name is replaced as a whole. ``bank.json`` has the SHA-256 of each file.
@@ -83,7 +95,7 @@ def write(folder: Path, rows: BankRows, on_progress: OnProgress | None = None) -
         (staged / TABLE_NAME).write_text(json.dumps({**facts, "files": files}, indent=1), encoding="utf-8")
 
 
-def file_names(rows: BankRows) -> list[str]:
+def file_names(rows: ExportedRows) -> list[str]:
     """Names of the files: sound files in their order, then the tables."""
     if rows.per == "position":
         width = len(str(rows.bank.positions - 1))
@@ -103,7 +115,7 @@ def older_files(folder: Path) -> set[str]:
     return {file.name for file in folder.iterdir() if _OURS.fullmatch(file.name)}
 
 
-def _scale(rows: BankRows) -> float:
+def _scale(rows: ExportedRows) -> float:
     """A power of two that nothing exceeds."""
     peak = max(float(np.abs(green).max()) for _, green in rows.each())
     return float(2.0 ** math.ceil(math.log2(peak))) if peak > 0 else 1.0
@@ -133,3 +145,216 @@ def checksum_of(path: Path) -> str:
 
 def _known(place_mm: Any) -> list[float] | None:
     return [float(one) for one in place_mm] if np.isfinite(place_mm).all() else None
+
+
+@dataclass(frozen=True, slots=True)
+class _Sounds:
+    """Channels of files and the pair (position, actuator) that each one holds.
+
+    channels: (file, channel from 0, or None of a file with one, position, actuator).
+    checksums: SHA-256 of files by name, where the folder states them.
+    """
+
+    channels: list[tuple[str, int | None, int, int]]
+    position_m: Float64Array
+    actuator_m: Float64Array
+    unit: str = ""
+    scale: float = 1.0
+    band_hz: tuple[float, float] | None = None
+    status: NDArray[np.uint8] | None = None
+    checksums: Mapping[str, str] = field(default_factory=dict)
+
+
+def read(folder: Path, options: ImportOptions, stack: ExitStack) -> Measured:
+    """Read a folder that our own export wrote, or one with a table of places, --places.
+
+    The table has a line per file, or per channel (column ``channel``, from 1): ``file``, coordinates of the position,
+    and ``actuator``, the actuator's name. Without that column the channels of a file are the actuators. Lines with the
+    role ``actuator`` give their places.
+    """
+    exported = _exported(folder) if (folder / TABLE_NAME).is_file() else None
+    sounds = exported if exported and options.places is None else _listed(folder, options)
+    if exported:
+        sounds = replace(
+            sounds, unit=exported.unit, scale=exported.scale, band_hz=exported.band_hz, checksums=exported.checksums
+        )
+    files: dict[str, list[tuple[int | None, int, int]]] = {}
+    for file, channel, position, actuator in sounds.channels:
+        files.setdefault(file, []).append((channel, position, actuator))
+    shape = (len(sounds.position_m), len(sounds.actuator_m))
+    paths = {name: _inside(folder, name) for name in files}
+    for name in paths.keys() & sounds.checksums.keys():
+        if checksum_of(paths[name]) != sounds.checksums[name]:
+            raise InputError(
+                f"{paths[name]} is not the file that {TABLE_NAME} describes (sha256); export the bank again, or restore"
+                " the folder"
+            )
+    infos = {name: _info(path) for name, path in paths.items()}
+    rates = sorted({info.samplerate for info in infos.values()})
+    if len(rates) > 1:
+        raise InputError(f"{folder}: the files have rates from {rates[0]} to {rates[-1]} Hz; one rate is needed")
+    kinds = sorted({info.subtype_info for info in infos.values()})
+    samples = max(info.frames for info in infos.values())
+    held = sum(path.stat().st_size for path in paths.values())
+    require_honest(folder, "its sound", 4 * shape[0] * shape[1] * samples, held)
+    green = np.full((*shape, samples), np.nan, np.float32)
+    for name, held_by in files.items():
+        info = infos[name]
+        require_honest(paths[name], "its sound", 4 * info.frames * info.channels, paths[name].stat().st_size)
+        sound, _ = soundfile.read(str(paths[name]), dtype="float32", always_2d=True)
+        for channel, position, actuator in held_by:
+            if channel is None and info.channels > 1:
+                raise InputError(
+                    f"{paths[name]} has {info.channels} channels; name one in the column 'channel', from 1"
+                )
+            if not 0 <= (channel or 0) < info.channels:
+                raise InputError(f"{paths[name]} has {info.channels} channels, and {(channel or 0) + 1} is asked for")
+            if not np.isnan(green[position, actuator, 0]):
+                raise InputError(f"{paths[name]}: a second response of position {position} to actuator {actuator}")
+            green[position, actuator, : len(sound)] = sound[:, channel or 0] * np.float32(sounds.scale)
+            green[position, actuator, len(sound) :] = 0.0
+    unverified: tuple[str, ...] = ()
+    if exported and (count := len(paths.keys() - sounds.checksums.keys())):
+        unverified = (f"{count} sound files without a checksum are those that {TABLE_NAME} describes",)
+    missing = np.isnan(green[:, :, 0])
+    partly = missing.any(axis=1)
+    green[partly] = np.nan
+    return Measured(
+        rows=green,
+        shape=(*shape, samples),
+        position_m=sounds.position_m,
+        actuator_m=sounds.actuator_m,
+        unit=sounds.unit,
+        sample_rate_hz=float(rates[0]),
+        band_hz=sounds.band_hz,
+        status=sounds.status,
+        read=(f"{len(files)} sound files of up to {samples} samples ({', '.join(kinds)})",),
+        assumed=unverified,
+        left_out=(f"{int(partly.sum())} positions without a response to every actuator",) if partly.any() else (),
+    )
+
+
+def _info(path: Path) -> Any:
+    """What a sound file holds; raises InputError, with its kind, where it cannot be read."""
+    try:
+        return soundfile.info(str(path))
+    except soundfile.LibsndfileError as error:
+        raise InputError(
+            f"{path} is {_kind(path)}, which is not read ({error.error_string.rstrip('.')}); convert it to a WAV file"
+            " of PCM or 32-bit float samples"
+        ) from None
+
+
+def _kind(path: Path) -> str:
+    """The kind of a sound file by its first chunks (Multimedia Programming Interface and Data Specifications 1.0)."""
+    with path.open("rb") as file:
+        head = file.read(12)
+        if head[:4] not in (b"RIFF", b"RF64", b"BW64") or head[8:12] != b"WAVE":
+            return next((words for begin, words in _BEGINNINGS.items() if head.startswith(begin)), "not a WAV file")
+        while len(chunk := file.read(8)) == 8:
+            size = int.from_bytes(chunk[4:], "little")
+            if chunk[:4] == b"fmt ":
+                form = file.read(min(size, 40)).ljust(40, b"\0")
+                tag, bits = (int.from_bytes(form[at : at + 2], "little") for at in (0, 14))
+                if tag == 0xFFFE:  # the kind stands in the extension
+                    tag = int.from_bytes(form[24:26], "little")
+                return f"a WAV file of {_TAGS.get(tag, 'samples of another kind')} (format {tag:#06x}, {bits} bits)"
+            file.seek(size + size % 2, 1)
+    return "a WAV file without a description of its samples"
+
+
+_BEGINNINGS = {
+    b"ID3": "an MP3 file", b"\xff\xfb": "an MP3 file", b"wvpk": "a WavPack file", b"MAC ": "a Monkey's Audio file",
+    b"\x30\x26\xb2\x75": "a WMA file", b"\0\0\0": "an MP4 or M4A file",
+}  # fmt: skip
+_TAGS = {
+    1: "PCM samples", 2: "MS ADPCM samples", 3: "float samples", 6: "A-law samples", 7: "mu-law samples",
+    0x11: "IMA ADPCM samples", 0x31: "GSM samples", 0x50: "MPEG sound", 0x55: "MP3 sound", 0x92: "Dolby AC-3 sound",
+    0xFF: "AAC sound", 0x160: "WMA sound", 0x161: "WMA sound", 0x162: "WMA sound", 0x163: "WMA sound",
+    0x2000: "Dolby AC-3 sound", 0x2001: "DTS sound",
+}  # fmt: skip
+"""Format tags of WAV files (mmreg.h)."""
+
+
+def _exported(folder: Path) -> _Sounds:
+    """The description that our own export writes."""
+    table = folder / TABLE_NAME
+    try:
+        facts = json.loads(read_text(table))
+    except (json.JSONDecodeError, RecursionError):
+        facts = None
+    if not isinstance(facts, dict) or facts.get("format") != FORMAT:
+        raise InputError(f"{table} is no description of exported sound files; name a CSV table with --places")
+    per_position = facts["channels"] == "actuators"
+    position_mm = np.array(facts["position_mm"], np.float64).reshape(-1, 2)
+    actuator_mm = np.array([one or [np.nan, np.nan] for one in facts["actuator_mm"]], np.float64).reshape(-1, 2)
+    channels: list[tuple[str, int | None, int, int]] = []
+    for number, one in enumerate(facts["files"]):
+        for channel in range(len(actuator_mm) if per_position else len(position_mm)):
+            pair = (number, channel) if per_position else (channel, number)
+            channels.append((str(one["file"]), channel, *pair))
+    band = facts.get("band_hz")
+    scale, status = float(facts["scale"]), np.array(facts["status"], np.int64)
+    if not (math.isfinite(scale) and len(status) == len(position_mm) and np.isin(status, np.arange(32)).all()):
+        raise InputError(f"{table} is damaged: its scale or status is none")
+    return _Sounds(
+        channels,
+        with_z(position_mm / 1e3),
+        with_z(actuator_mm / 1e3),
+        stated_unit(str(facts["unit"]), str(facts.get("drive_unit", "")), table),
+        scale,
+        None if band is None else (float(band[0]), float(band[1])),
+        status.astype(np.uint8),
+        {str(one["file"]): str(one["sha256"]) for one in facts["files"] if "sha256" in one},
+    )
+
+
+def _listed(folder: Path, options: ImportOptions) -> _Sounds:
+    """The files that a table of places names."""
+    if options.places is None:
+        raise InputError(
+            f"{folder} needs a CSV table with --places: a line per sound file with the columns file,x_m,y_m[,z_m] and,"
+            " of several actuators, actuator"
+        )
+    places = read_places(options.places, options)
+    lines = [place for place in places if not place.is_actuator]
+    position_of, position_m = distinct(coordinates(lines))
+    named = {place.words.get("actuator", ""): place.m for place in places if place.is_actuator}
+    names = list(dict.fromkeys([*named, *(line.words.get("actuator", "") for line in lines)]))
+    number_of = {name: number for number, name in enumerate(names)}
+    channels_of: dict[str, int] = {}
+    channels: list[tuple[str, int | None, int, int]] = []
+    for line, position in zip(lines, position_of.tolist(), strict=True):
+        name, word = line.words.get("file", ""), line.words.get("channel", "")
+        if not name:
+            raise InputError(f"{options.places}: line {line.line}: column 'file' is empty; a sound file is needed")
+        if line.words.get("actuator"):
+            channels.append((name, _channel(line, options), position, number_of[line.words["actuator"]]))
+        elif word:
+            channels.append((name, _channel(line, options), position, 0))
+        else:
+            if name not in channels_of:
+                channels_of[name] = _info(_inside(folder, name)).channels
+            channels += [(name, channel, position, channel) for channel in range(channels_of[name])]
+    count = max(one[3] for one in channels) + 1
+    unknown = np.full(3, np.nan)
+    known = [named.get(name, unknown) for name in names] if any(names) else list(named.values())
+    return _Sounds(channels, position_m, np.array([*known, *[unknown] * count][: max(count, len(named))]))
+
+
+def _channel(line: Place, options: ImportOptions) -> int | None:
+    word = line.words.get("channel", "")
+    if word and not (word.isdigit() and 1 <= int(word) <= MOST_CHANNELS):
+        raise InputError(f"{options.places}: line {line.line}: channel is {word!r}; 1 to {MOST_CHANNELS} is needed")
+    return int(word) - 1 if word else None
+
+
+def _inside(folder: Path, name: str) -> Path:
+    """A file of the folder, named without leaving it."""
+    require_plain(name, folder, "a file name")
+    path = folder / name
+    if Path(name).is_absolute() or ".." in Path(name).parts or not path.resolve().is_relative_to(folder.resolve()):
+        raise InputError(f"{folder}: file {name!r} lies outside the folder; only files inside it are read")
+    if not path.is_file():
+        raise InputError(f"{folder}: there is no file {name!r}")
+    return path

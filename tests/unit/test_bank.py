@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from wavefocus.storage.bank.layout import BankHeader
-from wavefocus.storage.bank.ledger import PointRecord, bank_rows, encode_row
+from wavefocus.storage.bank.ledger import PointRecord, bank_row_shape, encode_row
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter, create_bank
 from wavefocus.storage.errors import InputError
@@ -99,7 +99,7 @@ def test_a_replacement_that_a_crash_cut_off_then_is_read_from_the_journal(tmp_pa
     with h5py.File(path, "r") as file:
         journal = file["durability/journal"].id.get_offset()
         chunk = file["green"].id.get_chunk_info(1).byte_offset
-    rows = bank_rows(2, 16)
+    rows = bank_row_shape(2, 16)
     content = green_of(1, 2).tobytes().ljust(rows.chunk_bytes, b"\0")
     half_way = Replacement(1, (content,), encode_row(1, record_of(2), green_of(1, 2)))
     overwrite(path, journal, rows.encode_journal(half_way))

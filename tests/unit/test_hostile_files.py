@@ -20,8 +20,8 @@ from wavefocus.config.loading import MAX_KEY_PARTS, parse_toml
 from wavefocus.input_files import input_files
 from wavefocus.rendering.verify.record import read_record
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.exchange.reading import wav
-from wavefocus.storage.exchange.reading.measured import ImportOptions
+from wavefocus.storage.exchange import wav
+from wavefocus.storage.exchange.measured import ImportOptions
 from wavefocus.storage.ledger.owner import owner_path
 
 posix = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes are POSIX")

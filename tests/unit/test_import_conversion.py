@@ -15,7 +15,7 @@ from wavefocus.calibration.imports.bank import Imported, import_bank
 from wavefocus.calibration.imports.projection import choose_projection
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.exchange.reading.measured import ImportOptions, from_spherical
+from wavefocus.storage.exchange.measured import ImportOptions, from_spherical
 
 RATE_HZ, TAPS, PERIOD = 2000.0, 300, 800
 POSITIONS, ACTUATORS = 6, 2

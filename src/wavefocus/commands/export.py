@@ -18,7 +18,7 @@ from wavefocus.storage.argument_types import Positions
 from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange import EXPORTS
-from wavefocus.storage.exchange.bank_rows import BankRows, OnProgress, choose_rows
+from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress, choose_rows
 from wavefocus.storage.output_files import require_outputs, require_replaceable_folder
 
 
@@ -62,7 +62,7 @@ def write_export(
     only_list: bool = False,
     force: bool,
     watch: Callable[..., AbstractContextManager[OnProgress]],
-) -> tuple[BankRows, Sequence[str]]:
+) -> tuple[ExportedRows, Sequence[str]]:
     """Write rows of an open bank, by default all; returns them and the names of the files.
 
     watch: Shows progress, as `wavefocus.console.progress` does.
@@ -100,13 +100,13 @@ def write_export(
     return rows, names
 
 
-def expected_bytes(rows: BankRows, to: str) -> int:
+def expected_bytes(rows: ExportedRows, to: str) -> int:
     """About how many bytes an export takes."""
     per_value = 4 if rows.binary else EXPORTS[to].value_bytes
     return len(rows.row) * (rows.bank.actuators * rows.bank.taps * per_value + 100)
 
 
-def _report(rows: BankRows, out: Path, to: str, names: Sequence[str], *, only_list: bool, as_json: bool) -> None:
+def _report(rows: ExportedRows, out: Path, to: str, names: Sequence[str], *, only_list: bool, as_json: bool) -> None:
     size = expected_bytes(rows, to)
     view = rows.bank
     nan_rows = int(np.count_nonzero(~rows.known))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from wavefocus.calibration.imports import bank as imports
 from wavefocus.console import answer, progress, say
-from wavefocus.storage.exchange.reading.measured import ImportOptions
+from wavefocus.storage.exchange.measured import ImportOptions
 from wavefocus.storage.output_files import require_outputs
 
 __all__ = ["ImportOptions", "import_bank"]

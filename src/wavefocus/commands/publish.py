@@ -22,7 +22,7 @@ from wavefocus.rendering.report.canvas import Picture, Surface
 from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange import EXPORTS
-from wavefocus.storage.exchange.bank_rows import choose_rows
+from wavefocus.storage.exchange.exported_rows import choose_rows
 from wavefocus.storage.output_files import replaced_folder, require_replaceable_folder
 from wavefocus.storage.point_status import status_counts, usable
 

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.exchange.reading.measured import Float64Array, require_plain, uniform_step
-from wavefocus.storage.exchange.reading.uff_systems import Node, SystemRecord
+from wavefocus.storage.exchange.measured import Float64Array, require_plain, uniform_step
+from wavefocus.storage.exchange.uff_systems import Node, SystemRecord
 from wavefocus.storage.units import green_unit, split_unit
 
 _LINE = 1 << 12

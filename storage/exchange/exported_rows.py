@@ -25,7 +25,7 @@ MOST_BYTES = 4 * 2**30
 
 
 @dataclass(frozen=True, slots=True)
-class BankRows:
+class ExportedRows:
     """The rows of a bank that are exported.
 
     row, int64 (rows,): Their numbers in the bank.
@@ -99,11 +99,11 @@ def printable(text: str) -> str:
     return "".join(one if one.isprintable() else "?" for one in text)
 
 
-def choose_rows(bank: Bank, positions: Positions | None, *, missing_as_nan: bool, **options: Any) -> BankRows:
+def choose_rows(bank: Bank, positions: Positions | None, *, missing_as_nan: bool, **options: Any) -> ExportedRows:
     """Choose the rows of an export: those asked for, by default all.
 
-    Rows that are not measured, failed or disabled are exported as NaN or left out. `options` are fields of `BankRows`.
-    Raises InputError where no measured row is left.
+    Rows that are not measured, failed or disabled are exported as NaN or left out. `options` are fields of
+    `ExportedRows`. Raises InputError where no measured row is left.
     """
     wanted = np.arange(bank.positions) if positions is None else bank_rows(positions, bank.positions)
     known = usable(np.asarray(bank.status))[wanted]
@@ -111,4 +111,4 @@ def choose_rows(bank: Bank, positions: Positions | None, *, missing_as_nan: bool
         raise InputError(f"{bank.path}: none of these positions holds a measurement; there is nothing to export")
     kept = np.ones(len(wanted), bool) if missing_as_nan else known
     left_out = int(np.count_nonzero(~kept))
-    return BankRows(bank, wanted[kept].astype(np.int64), known[kept], left_out, **options)
+    return ExportedRows(bank, wanted[kept].astype(np.int64), known[kept], left_out, **options)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.exchange.reading.measured import Float64Array
+from wavefocus.storage.exchange.measured import Float64Array
 
 CARTESIAN, CYLINDRICAL, SPHERICAL = 0, 1, 2
 _GLOBAL = (0, 1)

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from wavefocus.storage.bank.layout import quality_shape
 from wavefocus.storage.bank.ledger import QUALITY_NAMES
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.exchange.reading.measured import (
+from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress
+from wavefocus.storage.exchange.measured import (
     METRES,
     Float64Array,
     ImportOptions,
@@ -24,7 +25,8 @@ from wavefocus.storage.exchange.reading.measured import (
     uniform_step,
     with_z,
 )
-from wavefocus.storage.exchange.reading.places import table_of
+from wavefocus.storage.exchange.npy import mapped_array
+from wavefocus.storage.exchange.places import table_of
 from wavefocus.storage.hdf5_reading import most_bytes
 from wavefocus.storage.text_file import read_text
 
@@ -34,6 +36,24 @@ _OURS = (
     "drive_unit", "status", *(f"position_{unit}" for unit in METRES), *(f"actuator_{unit}" for unit in METRES),
     *(f"quality_{name}" for name in QUALITY_NAMES),
 )  # fmt: skip
+
+
+def bank_arrays(rows: ExportedRows, on_progress: OnProgress | None) -> dict[str, Any]:
+    """Rows of an export by name, with all that describes them; their numbers in the bank begin at 0."""
+    bank = rows.bank
+    arrays: dict[str, Any] = {
+        "green": rows.green(np.float32, on_progress),
+        "position": rows.row,
+        "position_mm": rows.position_mm,
+        "actuator_mm": bank.actuator_mm,
+        "time_s": bank.time_s,
+        "sample_rate_hz": np.float64(bank.sample_rate_hz),
+        "band_hz": np.array([np.nan, np.nan] if bank.band_hz is None else bank.band_hz),
+        "status": rows.status,
+        "response_unit": rows.units[0],
+        "drive_unit": bank.drive_unit,
+    }
+    return arrays | {f"quality_{name}": figures[rows.row] for name, figures in bank.quality.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,8 +177,6 @@ def frequencies_of(options: ImportOptions, path: Path, samples: int) -> Float64A
         pass
     file = Path(text)
     if file.suffix == ".npy":
-        from wavefocus.storage.exchange.reading.npz import mapped_array
-
         found = real(mapped_array(file), file, "frequencies").reshape(-1)
     else:
         content = read_text(file)

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.storage import hdf5_reading
-from wavefocus.storage.exchange.reading.measured import ImportOptions, Measured, require_honest
-from wavefocus.storage.exchange.reading.named_arrays import NamedArrays, measured_arrays
+from wavefocus.storage.exchange.measured import ImportOptions, Measured, require_honest
+from wavefocus.storage.exchange.named_arrays import NamedArrays, measured_arrays
 
 
 def open_hdf5(path: Path, stack: ExitStack) -> h5py.File:

@@ -11,7 +11,7 @@ from pathlib import Path
 from wavefocus.storage import hdf5_reading
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange import IMPORTS, SOME_FORMATS
-from wavefocus.storage.exchange.reading.measured import ImportOptions, Measured, guarded, readable
+from wavefocus.storage.exchange.measured import ImportOptions, Measured, guarded, readable
 from wavefocus.storage.ledger.owner import require_regular
 
 _HEAD_BYTES = 16
@@ -54,8 +54,7 @@ def opened(path: Path, kind: str, options: ImportOptions) -> Iterator[Measured]:
         require_regular(path)
     elif not path.is_dir():
         raise InputError(f"{path} is no folder; --from wav needs a folder of WAV files")
-    module, _, function = form.reader.partition(":")
     with ExitStack() as stack:
         with readable(path, form.title):
-            measured: Measured = getattr(import_module(module), function)(path, options, stack)
+            measured: Measured = import_module(form.module).read(path, options, stack)
         yield replace(measured, rows=guarded(measured, path, form.title))
