@@ -33,7 +33,8 @@ class Registry(Generic[Entry]):
     """Classes by name, registered in the modules of a package, which are imported when they are first asked for.
 
     A subfolder holds what only one driver needs; it is not searched. Entry points of other distributions come after
-    them. One that cannot be used is left out, so that it harms no rig but its own; `failures` says why.
+    them. One that cannot be used, for a package that is not installed or another reason, is left out, so that it harms
+    no rig but its own; `failures` says why.
 
     package: Where the modules are.
     group: Name of the group of entry points; each is a class, and its name that of the driver.
@@ -59,7 +60,7 @@ class Registry(Generic[Entry]):
         if not self._complete:
             for module in iter_modules(import_module(self._package).__path__):
                 if not module.ispkg:
-                    import_module(f"{self._package}.{module.name}")
+                    self._load(f"{self._package}.{module.name}")
             self._complete = True  # before other distributions' modules run, which may ask
             for point in _all_entry_points().select(group=self._group) if self._group else ():
                 self._add(point)
@@ -69,6 +70,16 @@ class Registry(Generic[Entry]):
         """Remove a driver that cannot be used; `failures` has the reason."""
         self._found.pop(name, None)
         self.failures[name] = f"{self._sources.get(name, self._package)} {why}"
+
+    def _load(self, module: str) -> None:
+        """Import a module; a driver whose maker's package is missing harms no rig but its own."""
+        try:
+            import_module(module)
+        except ImportError as missing:
+            if (missing.name or "").partition(".")[0] == "wavefocus":
+                raise
+            name = module.rpartition(".")[2].replace("_", "-")
+            self.failures[name] = f"{module} cannot be loaded: {type(missing).__name__}: {missing}"
 
     def _add(self, point: EntryPoint) -> None:
         """Load another distribution's driver, or say why it cannot be used."""
