@@ -1,5 +1,8 @@
 """A driver in a process of its own: every wait for it has an end, and a process that hangs is killed.
 
+`wavefocus.drivers.timeouts` bounds each call to an instrument, and can only abandon a thread that hangs. A process is
+asked for a sign of life and killed within seconds, which silences its outputs and frees its device.
+
 Messages are frozen data classes, pickled: both ends are this package, started by one another.
 """
 

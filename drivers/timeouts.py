@@ -106,6 +106,25 @@ def _carry_out(calls: _Calls) -> None:
         del one, call, ask  # what it returned may be large, and the next call may be long in coming
 
 
+def in_time(instrument: str, operation: str, ask: Callable[[], Answer], limit_s: float) -> Answer:
+    """Carry out one call in a thread of its own, for `limit_s` (> 0, on the wall's clock) and no longer.
+
+    Raises InstrumentLostError: it did not come back in that time.
+    """
+    thread = CallThread(f"{operation} {instrument}")
+    try:
+        return thread.call(ask, limit_s)
+    except HungError:
+        raise InstrumentLostError(instrument, operation, hung_cause(limit_s), REMEDY) from None
+    finally:
+        thread.abandon()
+
+
+def hung_cause(limit_s: float) -> str:
+    """What happened to a call that hangs, in words."""
+    return f"the call did not come back within {limit_s:.3g} s"
+
+
 def _over(call: Future[Any], limit_s: float) -> bool:
     """Whether a call came to its end within `limit_s`."""
     until_s = time.monotonic() + limit_s
@@ -195,7 +214,7 @@ class _Bounded(Generic[Device]):
         try:
             return self._thread.call(ask, limit_s, yields_s=yields_s, anyhow=anyhow)
         except HungError:
-            cause = f"the call did not come back within {limit_s:.3g} s"
+            cause = hung_cause(limit_s)
             self._hung = f"{operation} hangs: {cause}"
             raise self._lost(operation, cause) from None
         except InstrumentError as failure:

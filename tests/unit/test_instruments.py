@@ -12,7 +12,7 @@ from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.protocols import Mirror, Recorder
 from wavefocus.mocks.virtual.mirror import VirtualMirror
-from wavefocus.rig.instruments import Openers, in_time, open_rig, openers
+from wavefocus.rig.instruments import Openers, open_rig, openers
 
 REAL = {
     "mirror": {"driver": "generic", "port": "/nowhere/at/all"},
@@ -81,12 +81,7 @@ def test_given_a_driver_that_hangs_while_it_is_opened_then_it_is_named_and_nothi
         opened.append("recorder")
         raise AssertionError
 
-    ways = replace(openers(default_rig()), mirror=lambda: threading.Event().wait(), recorder=note)
+    ways = replace(openers(default_rig()), mirror=lambda: threading.Event().wait(), recorder=note, limit_s=0.05)
     with pytest.raises(InstrumentLostError, match=r"mirror: opening: the call did not come back within 0\.05 s"):
-        open_rig(in_time(ways, 0.05))
+        open_rig(ways)
     assert opened == []
-
-
-def test_given_drivers_that_open_in_time_then_the_rig_is_open() -> None:
-    opened = open_rig(in_time(openers(default_rig()), 30.0))
-    assert "virtual mirror" in opened.instruments.mirror.identify()

@@ -41,5 +41,5 @@ def test_given_a_driver_whose_makers_package_is_missing_then_it_is_left_out_and_
 
 def test_given_a_module_of_the_program_that_is_missing_then_that_is_not_hidden(tmp_path, monkeypatch):
     registry = registry_of(tmp_path, monkeypatch, "drivers_with_a_defect", "import wavefocus.missing_module")
-    with pytest.raises(ModuleNotFoundError, match="wavefocus.missing_module"):
+    with pytest.raises(ModuleNotFoundError, match=r"wavefocus\.missing_module"):
         registry.all()

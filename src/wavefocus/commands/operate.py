@@ -13,11 +13,11 @@ from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import named_rig
 from wavefocus.console import say
 from wavefocus.drivers.errors import InstrumentError
-from wavefocus.drivers.timeouts import RECONNECTING, BoundedPlayer, CallThread, HungError
+from wavefocus.drivers.timeouts import BoundedPlayer, CallThread, HungError
 from wavefocus.ending import ending_at_once
 from wavefocus.exits import Exit
 from wavefocus.json_lines import LinesIn, LinesOut, ReadingFailedError
-from wavefocus.rig.instruments import OpenedRig, in_time, open_rig, openers
+from wavefocus.rig.instruments import OpenedRig, open_rig, openers
 from wavefocus.rig.operation import SAMPLE_RATE_HZ, Operation, faulted, order_of
 from wavefocus.rig.setup import BoundedSensor, LightSensor, setup_in_use
 from wavefocus.storage.errors import InputError
@@ -56,7 +56,7 @@ def operate(rig_file: Path) -> Exit:
 
 def _operate(rig: RigConfig, publish: LinesOut) -> None:
     """Open the rig, obey, and put it to rest however that ends."""
-    opened = open_rig(in_time(openers(rig), RECONNECTING * rig.recovery.hung_after_s))
+    opened = open_rig(openers(rig))
     with setup_in_use(rig, opened, SAMPLE_RATE_HZ) as setup:
         player = setup.instruments.player
         assert isinstance(player, BoundedPlayer)  # as every player of a set-up

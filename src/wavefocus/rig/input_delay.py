@@ -11,8 +11,8 @@ from wavefocus.config.rig import RigConfig
 from wavefocus.console import say
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.protocols import Recorder, StatesDelay
-from wavefocus.drivers.timeouts import RECONNECTING, BoundedRecorder
-from wavefocus.rig.instruments import in_time, openers
+from wavefocus.drivers.timeouts import BoundedRecorder, in_time
+from wavefocus.rig.instruments import openers
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter, create_bank
 from wavefocus.storage.errors import InputError
@@ -60,8 +60,8 @@ def note_delay_in_new_bank(bank: Path, rig: RigConfig) -> None:
 
 def _ask_recorder(rig: RigConfig, sample_rate_hz: float) -> float | None:
     """The delay that a recorder states, or the rig file's where they are alike; None where it states none."""
-    limit_s = rig.recovery.hung_after_s
-    recorder = BoundedRecorder(in_time(openers(rig), RECONNECTING * limit_s).recorder(), limit_s)
+    ways = openers(rig)
+    recorder = BoundedRecorder(in_time("recorder", "opening", ways.recorder, ways.limit_s), rig.recovery.hung_after_s)
     try:
         device_s, stated_s = recorder.sampling_delay_s(sample_rate_hz), rig.recorder.inter_channel_delay_s
     finally:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -14,7 +14,7 @@ from wavefocus.config.rig import RigConfig
 from wavefocus.config.rig_instruments import VibrometerSection
 from wavefocus.config.run import Virtual
 from wavefocus.console import say
-from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, MissingPackageError
+from wavefocus.drivers.errors import InstrumentError, MissingPackageError
 from wavefocus.drivers.protocols import Clock, Instruments, Mirror, Player, Recorder, WallClock
 from wavefocus.drivers.registry import (
     MirrorDriver,
@@ -25,7 +25,7 @@ from wavefocus.drivers.registry import (
     VibrometerDriver,
     VibrometerReading,
 )
-from wavefocus.drivers.timeouts import REMEDY, BoundedPlayer, CallThread, HungError
+from wavefocus.drivers.timeouts import RECONNECTING, BoundedPlayer, in_time
 from wavefocus.storage.errors import InputError
 
 if TYPE_CHECKING:
@@ -52,7 +52,8 @@ class Vibrometer:
 class Openers:
     """Functions that open each instrument of a rig, independent of the others, or raise InstrumentError.
 
-    `patch_bay` is where the virtual rig's cables are plugged, `virtual_sensors` are those of its room.
+    `limit_s` is the longest that each may take, `patch_bay` is where the virtual rig's cables are plugged,
+    `virtual_sensors` are those of its room.
     """
 
     clock: Clock
@@ -60,6 +61,7 @@ class Openers:
     recorder: Callable[[], Recorder]
     player: Callable[[], Player]
     vibrometer: Callable[[], Vibrometer]
+    limit_s: float
     patch_bay: PatchBay | None = None
     virtual_sensors: Mapping[str, Sensor] = field(default_factory=dict)
 
@@ -81,6 +83,7 @@ def openers(rig: RigConfig, virtual: Virtual | None = None, *, realtime: bool = 
     realtime: A virtual rig's seconds last as long as the wall's; by default they take no time.
     outputs: Outputs of the player to open, where more are needed than the rig file wires.
     """
+    limit_s = RECONNECTING * rig.recovery.hung_after_s
     if rig.is_virtual:
         from wavefocus.rig.virtual_bench import virtual_rig  # a real rig needs none of what stands in for one
 
@@ -92,6 +95,7 @@ def openers(rig: RigConfig, virtual: Virtual | None = None, *, realtime: bool = 
             lambda: roles.recorder,
             lambda: roles.player,
             lambda: _vibrometer(rig),
+            limit_s,
             bench.patch_bay,
             bench.sensors,
         )
@@ -102,49 +106,25 @@ def openers(rig: RigConfig, virtual: Virtual | None = None, *, realtime: bool = 
         lambda: _recorder(rig),
         lambda: _player(rig, outputs),
         lambda: _vibrometer(rig),
-    )
-
-
-def in_time(ways: Openers, limit_s: float) -> Openers:
-    """The same ways, each with an end: an instrument whose driver hangs while it is opened is reported as lost."""
-
-    def bounded(role: str, opens: Callable[[], Opened]) -> Callable[[], Opened]:
-        def call() -> Opened:
-            calls = CallThread(f"opening {role}")
-            try:
-                return calls.call(opens, limit_s)
-            except HungError:
-                cause = f"the call did not come back within {limit_s:.3g} s"
-                raise InstrumentLostError(role, "opening", cause, REMEDY) from None
-            finally:
-                calls.abandon()
-
-        return call
-
-    return replace(
-        ways,
-        mirror=bounded("mirror", ways.mirror),
-        recorder=bounded("recorder", ways.recorder),
-        player=bounded("player", ways.player),
-        vibrometer=bounded("vibrometer", ways.vibrometer),
+        limit_s,
     )
 
 
 def open_rig(ways: Openers) -> OpenedRig:
     """Open every instrument, one after the other; when one fails, those before it are put to rest.
 
-    Raises InstrumentError: an instrument cannot be opened. Raises InputError: the process's address space is limited to
-    less than measuring needs.
+    Raises InstrumentError: an instrument cannot be opened, or its driver hangs meanwhile. Raises InputError: the
+    process's address space is limited to less than measuring needs.
     """
     require_address_space()
     with ExitStack() as opened:
-        vibrometer = ways.vibrometer()
-        mirror = ways.mirror()
+        vibrometer = in_time("vibrometer", "opening", ways.vibrometer, ways.limit_s)
+        mirror = in_time("mirror", "opening", ways.mirror, ways.limit_s)
         opened.callback(mirror.close)
         opened.callback(mirror.park)
-        recorder = ways.recorder()
+        recorder = in_time("recorder", "opening", ways.recorder, ways.limit_s)
         opened.callback(recorder.close)
-        player = ways.player()
+        player = in_time("player", "opening", ways.player, ways.limit_s)
         opened.pop_all()  # from here on the caller who opened the rig puts them to rest
     instruments = Instruments(mirror, recorder, player, ways.clock)
     return OpenedRig(
@@ -261,7 +241,7 @@ def require_address_space() -> None:
 def open_player(rig: RigConfig, *, realtime: bool = False) -> Iterator[tuple[BoundedPlayer, Clock]]:
     """Open the interface alone, `realtime` as of `openers`; whatever happens, its outputs are muted and released."""
     ways = openers(rig, realtime=realtime)
-    player = BoundedPlayer(ways.player(), rig.recovery.hung_after_s)
+    player = BoundedPlayer(in_time("player", "opening", ways.player, ways.limit_s), rig.recovery.hung_after_s)
     try:
         yield player, ways.clock
     except BaseException:

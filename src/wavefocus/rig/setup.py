@@ -18,10 +18,10 @@ from wavefocus.console import say
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.protocols import OffersRanges
 from wavefocus.drivers.registry import VibrometerReading
-from wavefocus.drivers.timeouts import RECONNECTING, CallThread, HungError, bounded
+from wavefocus.drivers.timeouts import bounded, in_time
 from wavefocus.rig.calibration_validity import calibration_warnings
 from wavefocus.rig.input_delay import with_input_delay
-from wavefocus.rig.instruments import SAME_SENSITIVITY, OpenedRig, in_time, open_rig, openers, read_vibrometer
+from wavefocus.rig.instruments import SAME_SENSITIVITY, OpenedRig, open_rig, openers, read_vibrometer
 from wavefocus.storage.bank.writer import BankWriter
 
 
@@ -45,7 +45,6 @@ def open_setup(
     """
     virtual = None if run is None else run.virtual
     ways = openers(rig, virtual, realtime=realtime, outputs=outputs)
-    ways = in_time(ways, RECONNECTING * rig.recovery.hung_after_s)
     rate_hz = None if run is None else run.capture.sample_rate_hz
     with setup_in_use(rig, open_rig(ways), rate_hz, bank) as setup:
         if rig.calibration.measured is not None:
@@ -188,15 +187,10 @@ class BoundedSensor:
         self._name = name
         self._sensor = sensor
         self._limit_s = limit_s
-        self._calls = CallThread(f"sensor {name}")
 
     def read(self) -> float:
         """The value now."""
-        try:
-            return self._calls.call(self._sensor.read, self._limit_s)
-        except HungError:
-            cause = f"the call did not come back within {self._limit_s:.3g} s"
-            raise InstrumentError(f"sensor {self._name}", "reading", cause, "look after its cable and power") from None
+        return in_time(f"sensor {self._name}", "reading", self._sensor.read, self._limit_s)
 
 
 def band_of(section: BandSection, words: str, unit: str) -> Band:
