@@ -24,6 +24,7 @@ from wavefocus.storage.bank.writer import write_bank
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.measured import ImportOptions, Measured
 from wavefocus.storage.exchange.opening import opened, recognised
+from wavefocus.storage.output_files import require_outputs
 from wavefocus.storage.point_status import Status
 
 Float64Array = NDArray[np.float64]
@@ -50,17 +51,27 @@ class Imported:
 
 
 def import_bank(
-    source: Path, bank: Path, options: ImportOptions, kind: str = "", on_progress: OnProgress | None = None
+    source: Path,
+    bank: Path,
+    options: ImportOptions,
+    kind: str = "",
+    on_progress: OnProgress | None = None,
+    *,
+    force: bool = False,
 ) -> Imported:
     """Make a bank of a file, or a folder of sound files, of another format.
 
     source: The file or folder.
-    bank: The bank to write; an older file of that name is replaced when the new one is whole.
+    bank: The bank to write.
     kind: Its format, a key of `wavefocus.storage.exchange.IMPORTS`; recognised where empty.
     on_progress: Called with positions done and positions in all.
+    force: Whether an older file of that name is replaced when the new one is whole; a bank and the inputs never are.
 
-    Raises InputError: the file cannot be read, or lacks a fact that an option can give.
+    Raises InputError: the file cannot be read or lacks a fact that an option can give, or the bank may not be written.
     """
+    listed = options.frequencies if isinstance(options.frequencies, Path) else None
+    inputs = [source, options.places, listed, *(sorted(source.iterdir()) if source.is_dir() else [])]
+    require_outputs((bank,), inputs, force=force)
     kind = kind or recognised(source)
     with opened(source, kind, options) as found, one_blas_thread():
         measured = _swapped(found, source) if options.swap_roles else found

@@ -20,7 +20,7 @@ from wavefocus.calibration.imports.causal_response import (
     frequency_axis,
 )
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.exchange.measured import ImportOptions, Measured, pair_of, require_honest
+from wavefocus.storage.exchange.measured import ImportOptions, Measured, require_honest
 from wavefocus.storage.units import MOTIONS, split_unit
 
 Float64Array = NDArray[np.float64]
@@ -76,11 +76,11 @@ class Conversion:
         return Motion(size, 1 - order)
 
     def _band(self, measured: Measured) -> tuple[float, float] | None:
-        if not self._options.band_hz:
+        if self._options.band_hz is None:
             return measured.band_hz
-        low, high = pair_of(self._options.band_hz, "--band", "two frequencies in Hz")
-        if not 0 <= low < high:
-            raise InputError(f"--band is {self._options.band_hz!r}; 0 <= low < high is needed, in Hz")
+        low, high = self._options.band_hz
+        if not 0 <= low < high < np.inf:
+            raise InputError(f"--band is {low:g},{high:g}; 0 <= low < high is needed, in Hz")
         return low, high
 
     def _from_spectra(self, measured: Measured, first: NDArray[Any], motion: Motion) -> None:

@@ -161,7 +161,8 @@ def import_bank(
     ...     print(bank.green(1).shape, bank.response_unit)
     (2, 400) m/s/V
     """
-    from wavefocus.commands.import_bank import ImportOptions, write_bank
+    from wavefocus.calibration.imports import bank as imports
+    from wavefocus.storage.exchange.measured import ImportOptions
 
     options = ImportOptions(
         places=None if places is None else Path(places),
@@ -169,18 +170,18 @@ def import_bank(
         length_unit=length_unit,
         direction=direction,
         axes=axes,
-        names=[f"{ours}={theirs}" for ours, theirs in (names or {}).items()],
-        frequencies=_comma("frequencies", frequencies),
+        names=names or {},
+        frequencies=(Path(frequencies) if isinstance(frequencies, str | Path) else _pair("frequencies", frequencies)),
         sample_rate_hz=sample_rate_hz,
         measurements=measurements,
         swap_roles=swap_roles,
         columns=columns,
         taps=taps,
-        band_hz=_comma("band_hz", band_hz),
+        band_hz=_pair("band_hz", band_hz),
         to_velocity=to_velocity,
         end=end,
     )
-    made = write_bank(Path(source), Path(bank), kind, options, force=force, on_progress=on_progress)
+    made = imports.import_bank(Path(source), Path(bank), options, kind, on_progress, force=force)
     for warning in made.facts["warnings"]:
         LOG.warning("%s: %s", source, warning)
     return open_bank(bank)
@@ -270,11 +271,11 @@ def _watched(on_progress: OnProgress | None) -> Callable[..., AbstractContextMan
     return lambda what, total, **_: nullcontext(on_progress or (lambda done, total: None))
 
 
-def _comma(name: str, value: Sequence[float] | str | Path | None) -> str:
-    """Two numbers as an option of the command line has them."""
-    if value is None or isinstance(value, str | Path):
-        return "" if value is None else str(value)
+def _pair(name: str, value: Sequence[float] | None) -> tuple[float, float] | None:
+    """Two numbers of a public argument."""
+    if value is None:
+        return None
     numbers = real_array(name, value)
     if numbers.shape != (2,):
         raise InputError(f"{name} has shape {numbers.shape}; two numbers are needed")
-    return ",".join(map(repr, numbers.tolist()))
+    return float(numbers[0]), float(numbers[1])

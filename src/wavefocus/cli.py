@@ -90,6 +90,33 @@ def number(
     return Argument((name,), {"type": read, "metavar": "N", "help": text, **settings})
 
 
+def pair(text: str) -> tuple[float, float]:
+    """Read two finite numbers, as ``"50,450"``."""
+    try:
+        first, second = (float(part) for part in text.split(","))
+    except ValueError:
+        first = second = math.nan
+    if not (math.isfinite(first) and math.isfinite(second)):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a pair of finite numbers, as 50,450")
+    return first, second
+
+
+def pair_or_file(text: str) -> tuple[float, float] | Path:
+    """Read two finite numbers; any other text is a path."""
+    try:
+        return pair(text)
+    except argparse.ArgumentTypeError:
+        return Path(text)
+
+
+def mapping(text: str) -> tuple[str, str]:
+    """Read ``"green=H"`` as a name of ours and the file's."""
+    ours, _, theirs = text.partition("=")
+    if not ours or not theirs:
+        raise argparse.ArgumentTypeError(f"{text!r} is not OURS=THEIRS")
+    return ours, theirs
+
+
 BANK = file("bank", metavar="BANK.h5", help="The bank file.")
 RUN = file("run_file", metavar="RUN.toml", help="The run file.")
 RIG = file("rig_file", metavar="RIG.toml", help="The rig file.")
@@ -160,6 +187,10 @@ def _calibrate(
 
     request = Request(parts=command.parts_named(only), **asked)
     return command.calibrate(rig_file, request, out, as_json=as_json, as_lines=operator == "lines", use=use)
+
+
+def _import(names: Sequence[tuple[str, str]], **given: Any) -> None:
+    _bundling("import_bank:import_bank", "options", "import_bank:ImportOptions")(names=dict(names), **given)
 
 
 def _order(word: Any) -> Callable[..., int]:
@@ -487,7 +518,7 @@ COMMANDS = (
         ),
     ),
     Command(
-        "import", _bundling("import_bank:import_bank", "options", "import_bank:ImportOptions"),
+        "import", _import,
         "Make a bank of responses that were measured elsewhere.\n\n"
         "Reads impulse responses and frequency responses, and turns the latter into causal impulse responses. Prints "
         "what was read, assumed and left out, and stores it in the bank. A fact that the file lacks is asked for by "
@@ -504,10 +535,10 @@ COMMANDS = (
             argument("--length-unit", default="", choices=("m", "cm", "mm", "um", "in", "ft"),
                      help="Unit of places that have none."),
             switch("--to-velocity", help="Turn displacement or acceleration into velocity in m/s."),
-            argument("--band", dest="band_hz", default="", metavar="LOW,HIGH", help="Frequencies to use, in Hz."),
+            argument("--band", dest="band_hz", type=pair, metavar="LOW,HIGH", help="Frequencies to use, in Hz."),
             number("--taps", 1, whole=True, help="Length of the Green's functions in samples."),
             number("--sample-rate-hz", 1e-3, 1e12, help="Rate of the Green's functions."),
-            argument("--frequencies", default="", metavar="FIRST,STEP|FILE",
+            argument("--frequencies", type=pair_or_file, metavar="FIRST,STEP|FILE",
                      help="Frequencies of complex values, in Hz, where the file holds none."),
             argument("--end", choices=("keep", "window", "damp"), default="keep",
                      help="Ends of the Green's functions: as they are, a half cosine over the last tenth, or damped to "
@@ -518,7 +549,7 @@ COMMANDS = (
                      help="Coordinates that become x and y of the bank; by default the positions' own plane."),
             argument("--axes", default="", metavar="A,B,C",
                      help="Order of an array's axes: position, actuator, direction, sample."),
-            argument("--names", action="append", default=[], metavar="OURS=THEIRS",
+            argument("--names", type=mapping, action="append", default=[], metavar="OURS=THEIRS",
                      help="A variable by its name in the file, as green=H; may be repeated."),
             argument("--measurements", choices=("positions", "actuators", "pairs"), default="",
                      help="For sofa: what its measurements count."),

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import re
 import unicodedata
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -33,21 +32,21 @@ BLOCK_BYTES = 16 << 20
 
 @dataclass(frozen=True, slots=True)
 class ImportOptions:
-    """Facts that the command line gives about a file, and choices; empty or None where it gives none.
+    """Facts that the user gives about a file, and choices; empty or None where there is none.
 
     places: CSV table of places.
     unit: Unit of the responses over that of the drive, as ``"m/s/V"``.
     length_unit: Unit of places that the file does not say, of `METRES`.
     direction: The response direction that is imported, of several.
     axes: Order of an array's axes: position, actuator, direction, sample; commas between.
-    names: ``OURS=THEIRS`` of variables, as ``"green=H"``.
-    frequencies: First frequency and step in Hz, as ``"0,0.5"``, or a file with all of them.
+    names: Variables of the file by our names, as ``{"green": "H"}``.
+    frequencies: First frequency and step in Hz, or a file with all of them.
     sample_rate_hz: Rate of the Green's functions.
     measurements: What the measurements of a SOFA file count: positions, actuators or pairs.
     swap_roles: Positions are where it was driven, actuators where it was measured.
     columns: Two of x, y and z, which become x and y of the bank.
     taps: Length of the Green's functions.
-    band_hz: Lowest and highest frequency that are used, as ``"50,450"``.
+    band_hz: Lowest and highest frequency that are used.
     to_velocity: Whether responses become velocities in m/s.
     end: What becomes of the Green's functions' ends: ``"keep"``, ``"window"`` or ``"damp"``.
     """
@@ -57,14 +56,14 @@ class ImportOptions:
     length_unit: str = ""
     direction: str = ""
     axes: str = ""
-    names: Sequence[str] = ()
-    frequencies: str = ""
+    names: Mapping[str, str] = field(default_factory=dict)
+    frequencies: tuple[float, float] | Path | None = None
     sample_rate_hz: float | None = None
     measurements: str = ""
     swap_roles: bool = False
     columns: str = ""
     taps: int | None = None
-    band_hz: str = ""
+    band_hz: tuple[float, float] | None = None
     to_velocity: bool = False
     end: str = "keep"
 
@@ -203,17 +202,6 @@ def length_unit(options: ImportOptions, path: Path, found: str = "") -> float:
         said = f"gives places in {found!r}" if found else "does not say the unit of its places"
         raise InputError(f"{path} {said}; name it with --length-unit {'|'.join(METRES)}")
     return METRES[name]
-
-
-def pair_of(text: str, option: str, wanted: str) -> tuple[float, float]:
-    """Two finite numbers of an option, as ``"50,450"``."""
-    try:
-        first, second = (float(part) for part in text.split(","))
-    except ValueError:
-        first = second = math.nan
-    if not (math.isfinite(first) and math.isfinite(second)):
-        raise InputError(f"{option} is {text!r}; {wanted} are needed, as 50,450")
-    return first, second
 
 
 def chosen_direction(options: ImportOptions, there: Sequence[str], path: Path) -> int:

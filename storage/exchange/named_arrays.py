@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -75,7 +75,9 @@ def measured_arrays(file: NamedArrays, options: ImportOptions) -> Measured:
 
     Raises InputError: an array is missing or of another shape, or a fact is missing that an option can give.
     """
-    path, theirs = file.path, _mapping(options.names)
+    path, theirs = file.path, options.names
+    if unknown := sorted(set(theirs).difference(_OURS)):
+        raise InputError(f"--names: {unknown[0]!r} is not a name of ours; allowed: {', '.join(_OURS)}")
 
     def find(name: str) -> Any:
         found = file.get(theirs.get(name, name))
@@ -164,18 +166,15 @@ def ordered(values: Any, path: Path, options: ImportOptions) -> Any:
 
 def frequencies_of(options: ImportOptions, path: Path, samples: int) -> Float64Array:
     """Frequencies in Hz that --frequencies gives, float64 (samples,)."""
-    text = options.frequencies
-    if not text:
+    if options.frequencies is None:
         raise InputError(
             f"{path} holds complex responses and no frequencies; give them with --frequencies FIRST,STEP (in Hz) or"
             " --frequencies FILE.npy (or .csv, .txt)"
         )
-    try:
-        first, step = (float(part) for part in text.split(","))
+    if isinstance(options.frequencies, tuple):
+        first, step = options.frequencies
         return first + step * np.arange(samples, dtype=np.float64)
-    except ValueError:
-        pass
-    file = Path(text)
+    file = options.frequencies
     if file.suffix == ".npy":
         found = real(mapped_array(file), file, "frequencies").reshape(-1)
     else:
@@ -198,16 +197,6 @@ def real(values: Any, path: Path, name: str) -> Float64Array:
     if getattr(values, "dtype", np.dtype("O")).kind not in "fiub" or values.size > 1 << 24:
         raise InputError(f"{path}: {name} is no array of real numbers, or longer than 16 million")
     return np.asarray(values[...], np.float64)
-
-
-def _mapping(names: Iterable[str]) -> dict[str, str]:
-    theirs = {}
-    for one in names:
-        ours, _, name = one.partition("=")
-        if ours not in _OURS or not name:
-            raise InputError(f"--names is {one!r}; OURS=THEIRS is needed, OURS one of {', '.join(_OURS)}")
-        theirs[ours] = name
-    return theirs
 
 
 def _places(path: Path, numbers: Callable[[str], Float64Array | None], role: str) -> Float64Array | None:
@@ -278,7 +267,7 @@ def _quality(
     return found
 
 
-def _left_out(names: Iterable[str], theirs: dict[str, str]) -> tuple[str, ...]:
+def _left_out(names: Iterable[str], theirs: Mapping[str, str]) -> tuple[str, ...]:
     used = {*_OURS, *theirs.values(), "position", "axis", "actuator"}
     rest = sorted(name for name in names if name not in used)
     return (f"arrays {_some(rest)}",) if rest else ()

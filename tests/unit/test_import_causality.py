@@ -32,7 +32,7 @@ def found(tmp_path: Path) -> Any:
 
     def do(spectra: np.ndarray, step_hz: float, first: int = 0) -> tuple[list[str], dict[str, Any]]:
         np.save(tmp_path / "a.npy", spectra)
-        frequencies = f"{first * step_hz},{step_hz}"
+        frequencies = (first * step_hz, step_hz)
         options = ImportOptions(places=places, unit="m/s/V", frequencies=frequencies, sample_rate_hz=RATE_HZ)
         facts = import_bank(tmp_path / "a.npy", tmp_path / f"{len(list(tmp_path.iterdir()))}.h5", options).facts
         return [name for name in NAMES for text in facts["warnings"] if name in text], facts

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import scipy.io
 
 from wavefocus.calibration.imports.bank import Imported, import_bank
 from wavefocus.calibration.imports.projection import choose_projection
+from wavefocus.cli import UsageError, parser
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.measured import ImportOptions, from_spherical
@@ -54,9 +56,9 @@ def off_db(found: np.ndarray, expected: np.ndarray) -> float:
     return float(20 * np.log10(np.linalg.norm(found[..., :length] - expected[..., :length]) / np.linalg.norm(expected)))
 
 
-def listed(tmp_path: Path, frequency_hz: np.ndarray) -> str:
+def listed(tmp_path: Path, frequency_hz: np.ndarray) -> Path:
     np.save(tmp_path / "f.npy", frequency_hz)
-    return str(tmp_path / "f.npy")
+    return tmp_path / "f.npy"
 
 
 @pytest.mark.parametrize("kind", ["one-sided", "two-sided", "negative first", "to the rate", "odd"])
@@ -82,7 +84,7 @@ def test_given_a_band_then_the_causal_fit_explains_it_and_states_what_it_does_no
 ) -> None:
     bins = np.arange(20, 181)
     spectra = np.fft.rfft(green, PERIOD)[..., bins]
-    frequencies = f"{bins[0] * STEP_HZ},{STEP_HZ}"
+    frequencies = (bins[0] * STEP_HZ, STEP_HZ)
     found, made, bank = imported(spectra, frequencies=frequencies, sample_rate_hz=RATE_HZ, taps=TAPS)
     assert bank.band_hz == (50.0, 450.0)
     left_db = off_db(np.fft.rfft(found, PERIOD)[..., bins], spectra)
@@ -101,7 +103,7 @@ def test_given_no_value_at_0_hz_then_the_causal_fit_finds_it(green: np.ndarray, 
         spectra[..., 0] = np.nan
     found, _, _ = imported(
         spectra if missing == "NaN" else spectra[..., 1:],
-        frequencies=f"0,{STEP_HZ}" if missing == "NaN" else f"{STEP_HZ},{STEP_HZ}",
+        frequencies=(0.0 if missing == "NaN" else STEP_HZ, STEP_HZ),
     )
     assert found.shape[-1] == PERIOD // 2
     assert off_db(found, green) < -90
@@ -114,7 +116,7 @@ def test_given_other_motions_then_they_become_velocities_when_asked(
     omega = 2 * np.pi * STEP_HZ * np.arange(PERIOD // 2 + 1)
     spectra = np.fft.rfft(green, PERIOD) / size
     spectra[..., 1:] *= (1j * omega[1:]) ** power
-    options = {"frequencies": f"0,{STEP_HZ}", "unit": unit, "band_hz": "50,450", "taps": TAPS}
+    options = {"frequencies": (0.0, STEP_HZ), "unit": unit, "band_hz": (50.0, 450.0), "taps": TAPS}
     found, _, bank = imported(spectra, to_velocity=True, **options)
     band = slice(20, 181)
     assert off_db(np.fft.rfft(found, PERIOD)[..., band], np.fft.rfft(green, PERIOD)[..., band]) < -90
@@ -129,7 +131,7 @@ def test_given_samples_of_acceleration_then_they_are_integrated_in_the_band_that
     with pytest.raises(InputError, match="--band"):
         imported(green, sample_rate_hz=RATE_HZ, unit="m/s^2/N", to_velocity=True)
     found, made, _ = imported(
-        green, sample_rate_hz=RATE_HZ, unit="m/s^2/N", to_velocity=True, band_hz="50,450", taps=PERIOD // 2
+        green, sample_rate_hz=RATE_HZ, unit="m/s^2/N", to_velocity=True, band_hz=(50.0, 450.0), taps=PERIOD // 2
     )
     bins = np.arange(20, 181)
     expected = np.fft.rfft(green, PERIOD)[..., bins] / (2j * np.pi * STEP_HZ * bins)
@@ -158,21 +160,38 @@ def test_given_an_axis_that_no_transform_has_then_it_is_refused(
     ("options", "told"),
     [
         ({"sample_rate_hz": 1500.0}, "--sample-rate-hz"),
-        ({"band_hz": "450,50"}, "--band"),
-        ({"band_hz": "50"}, "--band"),
-        ({"band_hz": "51,52"}, "--band"),
+        ({"band_hz": (450.0, 50.0)}, "--band"),
+        ({"band_hz": (50.0, math.inf)}, "--band"),
+        ({"band_hz": (51.0, 52.0)}, "--band"),
         ({"taps": PERIOD + 1}, "--taps"),
         ({"unit": "parsec"}, "RESPONSE/DRIVE"),
         ({"unit": "Pa/V", "to_velocity": True}, "--to-velocity"),
         ({"axes": "position,sample"}, "--axes"),
-        ({"names": ("green",)}, "--names"),
+        ({"names": {"greens": "h"}}, "--names"),
     ],
 )
 def test_given_an_option_out_of_range_then_it_is_named(
     green: np.ndarray, imported: Any, options: dict[str, Any], told: str
 ) -> None:
     with pytest.raises(InputError, match=told):
-        imported(np.fft.rfft(green, PERIOD), **{"frequencies": f"0,{STEP_HZ}", **options})
+        imported(np.fft.rfft(green, PERIOD), **{"frequencies": (0.0, STEP_HZ), **options})
+
+
+def test_given_the_bank_is_an_input_then_it_is_refused_even_with_force(tmp_path: Path) -> None:
+    file = listed(tmp_path, STEP_HZ * np.arange(PERIOD // 2 + 1))
+    before = file.read_bytes()
+    options = ImportOptions(frequencies=file)
+    with pytest.raises(InputError, match=r"f\.npy"):
+        import_bank(tmp_path / "a.npy", file, options, force=True)
+    assert file.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "option", [["--band", "50"], ["--band", "a,b"], ["--band", "50,inf"], ["--names", "green"], ["--names", "=h"]]
+)
+def test_given_an_option_that_cannot_be_read_then_the_command_line_is_wrong(option: list[str]) -> None:
+    with pytest.raises(UsageError, match=option[0]):
+        parser().parse_args(["import", "a.npy", "--bank", "a.h5", *option])
 
 
 def test_given_fewer_taps_or_a_window_then_the_energy_that_is_lost_is_stated(green: np.ndarray, imported: Any) -> None:

@@ -8,7 +8,6 @@ from pathlib import Path
 from wavefocus.calibration.imports import bank as imports
 from wavefocus.console import answer, progress, say
 from wavefocus.storage.exchange.measured import ImportOptions
-from wavefocus.storage.output_files import require_outputs
 
 __all__ = ["ImportOptions", "import_bank"]
 
@@ -21,7 +20,7 @@ def import_bank(
     Raises InputError: the file cannot be read or lacks a fact that an option can give, or the bank may not be written.
     """
     with progress("import", 1) as report:
-        made = write_bank(source, bank, kind, options, force=force, on_progress=report)
+        made = imports.import_bank(source, bank, options, kind, report, force=force)
     positions, actuators, taps = made.shape
     say(f"{bank}: {made.measured} of {positions} positions, {actuators} actuators, {taps} taps")
     for warning in filter(None, (*made.facts["warnings"], made.facts["caution"])):
@@ -32,21 +31,3 @@ def import_bank(
         print(json.dumps(figures))
         return
     answer(made.facts["paragraph"])
-
-
-def write_bank(
-    source: Path,
-    bank: Path,
-    kind: str,
-    options: ImportOptions,
-    *,
-    force: bool,
-    on_progress: imports.OnProgress | None = None,
-) -> imports.Imported:
-    """Make a bank of a file of another format, which may replace no bank and none of its inputs.
-
-    Raises InputError: as `import_bank`.
-    """
-    inputs = [source, options.places, *(sorted(source.iterdir()) if source.is_dir() else [])]
-    require_outputs((bank,), inputs, force=force)
-    return imports.import_bank(source, bank, options, kind, on_progress)
