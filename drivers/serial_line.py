@@ -84,12 +84,12 @@ def find_port(port: str, instrument: str, present: Iterable[SerialPort] | None =
         return found[0].device
     doing = f"looking for the port with serial number {wanted!r}"
     if found:
-        names = " and ".join(one.device for one in found)
-        forms = (f"{BY_SERIAL_NUMBER}{_own_name(found, one, wanted)} is {one.device}" for one in found)
+        names = " and ".join(port.device for port in found)
+        forms = (f"{BY_SERIAL_NUMBER}{_own_name(found, port, wanted)} is {port.device}" for port in found)
         remedy = f"name one of them in the rig file, port: {', '.join(forms)}"
         raise InstrumentLostError(instrument, doing, f"{names} have it", remedy)
-    numbers = ", ".join(f"{one.serial_number} ({one.device})" for one in listed if one.serial_number)
-    nameless = ", ".join(one.device for one in listed if not one.serial_number)
+    numbers = ", ".join(f"{port.serial_number} ({port.device})" for port in listed if port.serial_number)
+    nameless = ", ".join(port.device for port in listed if not port.serial_number)
     cause = f"no port has it; those present: {numbers or 'none with a serial number'}"
     remedy = "plug it in, or correct the rig file, port"
     if nameless:
@@ -107,14 +107,14 @@ def _with_serial_number(listed: Sequence[SerialPort], wanted: str) -> list[Seria
     several = _of_number(listed, number)
     if interface.isdecimal() or interface.upper() in LETTERS:
         index = int(interface) if interface.isdecimal() else LETTERS.index(interface.upper())
-        chosen = [one for one in several if _interface_of(several, one) == index]
+        chosen = [port for port in several if _interface_of(several, port) == index]
     else:
-        chosen = [one for one in several if interface and interface.casefold() in one.description.casefold()]
+        chosen = [port for port in several if interface and interface.casefold() in port.description.casefold()]
     if chosen or len(wanted) < 2 or wanted[-1].upper() not in LETTERS:
         return chosen
     # FTDI's letter, as Windows shows it, where a system has the adapter's number and its interfaces.
     several = _of_number(listed, wanted[:-1])
-    return [one for one in several if _interface_of(several, one) == LETTERS.index(wanted[-1].upper())]
+    return [port for port in several if _interface_of(several, port) == LETTERS.index(wanted[-1].upper())]
 
 
 def _of_number(listed: Sequence[SerialPort], wanted: str) -> list[SerialPort]:
@@ -127,27 +127,29 @@ def _of_number(listed: Sequence[SerialPort], wanted: str) -> list[SerialPort]:
         lambda number: number[-1:].upper() in LETTERS and number[:-1].casefold() == wanted.casefold(),
     )
     for matches in matching:
-        if found := [one for one in listed if one.serial_number and matches(one.serial_number)]:
+        if found := [port for port in listed if port.serial_number and matches(port.serial_number)]:
             # macOS has every port under two names; "cu" opens without waiting for a modem's carrier.
-            devices = {one.device for one in found}
-            return [one for one in found if one.device.replace("/dev/tty.", "/dev/cu.") not in devices - {one.device}]
+            devices = {port.device for port in found}
+            return [
+                port for port in found if port.device.replace("/dev/tty.", "/dev/cu.") not in devices - {port.device}
+            ]
     return []
 
 
 def _interface_of(several: Sequence[SerialPort], port: SerialPort) -> int:
     """Number of a port among those of one adapter, from 0."""
-    if all(one.interface is not None for one in several) and port.interface is not None:
+    if all(other.interface is not None for other in several) and port.interface is not None:
         return port.interface
     letter = port.serial_number[-1:].upper()
-    if letter in LETTERS and len({one.serial_number for one in several}) == len(several) > 1:
+    if letter in LETTERS and len({other.serial_number for other in several}) == len(several) > 1:
         return LETTERS.index(letter)
     # "COM10" comes after "COM9".
-    return sorted(several, key=lambda one: (len(one.device), one.device)).index(port)
+    return sorted(several, key=lambda other: (len(other.device), other.device)).index(port)
 
 
 def _own_name(several: Sequence[SerialPort], port: SerialPort, wanted: str) -> str:
     """What names only this port of an adapter."""
-    if [one.serial_number for one in several].count(port.serial_number) == 1:
+    if [other.serial_number for other in several].count(port.serial_number) == 1:
         return port.serial_number
     return f"{wanted}:{_interface_of(several, port)}"
 

@@ -97,13 +97,13 @@ class CallThread:
 
 
 def _carry_out(calls: _Calls) -> None:
-    while (one := calls.get()) is not None:
-        call, ask = one
+    while (asked := calls.get()) is not None:
+        call, ask = asked
         try:
             call.set_result(ask())
         except BaseException as failure:  # raised again where the answer is waited for
             call.set_exception(failure)
-        del one, call, ask  # what it returned may be large, and the next call may be long in coming
+        del asked, call, ask  # what it returned may be large, and the next call may be long in coming
 
 
 def in_time(instrument: str, operation: str, ask: Callable[[], Answer], limit_s: float) -> Answer:
@@ -300,7 +300,7 @@ class BoundedPlayer(_Bounded[Player]):
 
     def play(self, signals_v: Mapping[int, Float64Array], sample_rate_hz: float) -> None:
         # Signals may be converted to the interface's rate first, which takes longer the longer they are.
-        sounding_s = max((len(one) for one in signals_v.values()), default=0) / max(sample_rate_hz, 1.0)
+        sounding_s = max((len(signal_v) for signal_v in signals_v.values()), default=0) / max(sample_rate_hz, 1.0)
         self._work("playing", lambda: self._play_unless_shut(signals_v, sample_rate_hz), sounding_s)
 
     def _play_unless_shut(self, signals_v: Mapping[int, Float64Array], sample_rate_hz: float) -> None:

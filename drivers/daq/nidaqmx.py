@@ -54,10 +54,10 @@ class NiDaqmx:
                 raise KeyMistakeError("address", self.address, "must be HOST:PORT of a gRPC Device Server")
         if self.tls_root is not None and self.address is None:
             raise KeyMistakeError("tls_root", self.tls_root, "must be left out, or an address given")
-        for one, other in (("tls_certificate", "tls_key"), ("tls_key", "tls_certificate")):
-            value = getattr(self, one)
+        for key, other in (("tls_certificate", "tls_key"), ("tls_key", "tls_certificate")):
+            value = getattr(self, key)
             if value is not None and (self.tls_root is None or getattr(self, other) is None):
-                raise KeyMistakeError(one, value, f"needs tls_root and {other}")
+                raise KeyMistakeError(key, value, f"needs tls_root and {other}")
 
     def open(self) -> Recorder:
         """Open the device: in a process of its own, unless a server has it."""

@@ -155,7 +155,7 @@ class FaultPlan:
 
     def _hangs(self, due: tuple[Fault, ...]) -> bool:
         """Whether this call never returns; a record that is tried again does."""
-        first = [one for one in due if one.kind == "hang" and (one.at_call or one not in self._hung_before)]
+        first = [fault for fault in due if fault.kind == "hang" and (fault.at_call or fault not in self._hung_before)]
         self._hung_before.update(first)
         return bool(first)
 

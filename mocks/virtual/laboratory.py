@@ -125,7 +125,7 @@ class PatchBay:
         output = re.fullmatch(r"output (\d{1,4})", word)
         if output is not None and int(output[1]) in (*self._actuator_outputs, self._loopback_output):
             return (int(output[1]),)
-        wired = ", ".join(str(one) for one in sorted((*self._actuator_outputs, self._loopback_output)))
+        wired = ", ".join(str(output) for output in sorted((*self._actuator_outputs, self._loopback_output)))
         raise ValueError(f"patch is {word!r}; allowed: vibrometer, sum, both, or output K with K one of {wired}")
 
 

@@ -70,7 +70,9 @@ class VirtualRecorder(VirtualDevice):
 
     @property
     def input_ranges_v(self) -> tuple[float, ...]:
-        return tuple(sorted(one for one in self._settings.input_ranges_v if one <= self._settings.largest_range_v))
+        return tuple(
+            sorted(range_v for range_v in self._settings.input_ranges_v if range_v <= self._settings.largest_range_v)
+        )
 
     def start(self, request: RecordRequest) -> None:
         doing = f"starting {request.label}"
@@ -148,7 +150,9 @@ class VirtualRecorder(VirtualDevice):
         always = any(fault.kind == "dropout" for fault in faults)
         dark = [fault for fault in faults if fault.kind == "dark"]
         blind = [
-            (spot.first, spot.stop) for spot in spots if spot.place_mm is None or any(_hides(one, spot) for one in dark)
+            (spot.first, spot.stop)
+            for spot in spots
+            if spot.place_mm is None or any(_hides(cover, spot) for cover in dark)
         ]
         lost = [*blind, *self._dropout(request, always=always)] if patched is None else []
         for first, stop in lost:

@@ -139,7 +139,7 @@ class RingWriter:
         """
         ring, frames = self._ring, block[0].size
         period_ns = frames * NANOSECONDS // self._rate_hz
-        sounds = any(one.any() for one in block)
+        sounds = any(channel.any() for channel in block)
         if ring["cycle"] == 0:
             self._grid_ns = now_ns
         if now_ns < self._grid_ns - EARLY_NS:

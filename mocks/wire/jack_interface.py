@@ -237,7 +237,7 @@ def main() -> None:
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     settings = json.loads(sys.stdin.readline())
-    faults = WireFaultPlan("player", tuple(WireFault(**one) for one in settings["faults"]))
+    faults = WireFaultPlan("player", tuple(WireFault(**keys) for keys in settings["faults"]))
     ring = AudioRing(int(sys.argv[1]))
     orders: queue.SimpleQueue[tuple[str, float]] = queue.SimpleQueue()
 

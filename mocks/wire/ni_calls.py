@@ -383,4 +383,4 @@ def _found(values: dict[int, Any], attribute: int) -> Any:
 
 
 def _text_of(code: int) -> str:
-    return next((one.text for one in NiCode if one == code), "")
+    return next((known.text for known in NiCode if known == code), "")

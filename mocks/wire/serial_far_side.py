@@ -379,9 +379,9 @@ class TcpWire:
         self._listener.listen(1)
 
     def unplug(self) -> None:
-        for one in (self._client, self._listener):
-            if one is not None:
-                one.close()
+        for source in (self._client, self._listener):
+            if source is not None:
+                source.close()
         self._client = self._listener = None
         # Bound and not listening: connections are refused, and nobody else gets the number.
         with contextlib.suppress(OSError):
@@ -393,7 +393,7 @@ class TcpWire:
             self._reserved = None
 
     def receive(self, timeout_s: float, wake: socket.socket) -> bytes:
-        sources = [one for one in (wake, self._listener, self._client) if one is not None]
+        sources = [source for source in (wake, self._listener, self._client) if source is not None]
         ready, _, _ = select.select(sources, [], [], timeout_s)
         if self._client in ready and self._client is not None:
             try:

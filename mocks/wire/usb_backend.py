@@ -222,7 +222,7 @@ class VirtualUsb(IBackend):  # type: ignore[misc]  # pyusb ships no types
             if fault.kind == "no_backend":
                 raise NoBackendError("No backend available")
             if fault.kind == "unplugged":
-                for device in [node.device] if node else [one.device for one in self._nodes]:
+                for device in [node.device] if node else [node.device for node in self._nodes]:
                     self.unplug(device, fault.seconds)
             elif node is not None:
                 raise _error(errno.EACCES, "Access denied (insufficient permissions)")

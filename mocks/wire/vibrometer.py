@@ -21,7 +21,7 @@ from wavefocus.mocks.wire.serial_far_side import SerialDevice
 # Ranges of the VD-09 and VX-09 decoders as public programs offer them, each with its low-pass filter too.
 RANGES = ("5mm/s/V", "10mm/s/V", "20mm/s/V", "25mm/s/V", "50mm/s/V", "100mm/s/V", "125mm/s/V", "200mm/s/V",
           "250mm/s/V", "500mm/s/V", "1m/s/V", "1.25m/s/V", "2.5m/s/V")  # fmt: skip
-ALL_RANGES = (*RANGES, *(f"{one} LP" for one in RANGES), "Off")
+ALL_RANGES = (*RANGES, *(f"{range_text} LP" for range_text in RANGES), "Off")
 VELOCITY_RANGE = ("velodec", "range")
 NOT_AVAILABLE = "Not Available"
 

@@ -15,7 +15,8 @@ from nidaqmx.errors import DaqError, DaqWarning, RpcError
 from tests.wire.daq_bench import RANGE_V, RATE_HZ, TAKE, Tone, ask, check_tone, daq_bench, take_one
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.clock.timing import fit_clock
-from wavefocus.drivers.daq.ni.ni_session import TlsFiles, explain
+from wavefocus.drivers.daq.ni.ni_failures import MEANINGS, explain
+from wavefocus.drivers.daq.ni.ni_session import TlsFiles
 from wavefocus.drivers.errors import (
     InstrumentError,
     InstrumentLostError,
@@ -119,6 +120,12 @@ NOT_KEPT_UP = """
     ACQ_STOPPED_TO_PREVENT_INPUT_BUFFER_OVERWRITE_ONE_DATA_XFER_MECH ACQ_STOPPED_DRIVER_CANT_XFER_DATA_FAST_ENOUGH
     ACQ_STOPPED_TO_PREVENT_INTERMEDIATE_BUFFER_OVERFLOW AI_OVERRUN ADC_OVERRUN LOST_REF_CLK OPERATION_ABORTED
 """
+
+
+def test_given_the_names_of_codes_then_each_is_in_nis_own_list_and_stands_once():
+    names = [name for words in MEANINGS.values() for name in words.split()]
+    assert set(names) <= set(DAQmxErrors.__members__)
+    assert len(set(names)) == len(names)
 
 
 @pytest.mark.parametrize(

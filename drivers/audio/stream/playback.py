@@ -84,7 +84,7 @@ class SignalPlay(Play):
     """Signals that start together; all of it is there from the start."""
 
     def __init__(self, number: int, voices: tuple[Voice, ...]) -> None:
-        super().__init__(number, max((one.start + one.samples.size for one in voices), default=0))
+        super().__init__(number, max((voice.start + voice.samples.size for voice in voices), default=0))
         self._voices = voices
 
     def put(self, out: Float32Array) -> str:

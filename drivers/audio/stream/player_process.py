@@ -145,7 +145,7 @@ def _obey(pipe: MessagePipe, stream: WatchedStream) -> None:
     while (order := pipe.receive()) is not None:
         match order:
             case Start(number, voices):
-                play = SignalPlay(number, tuple(Voice(at, signals[one], start) for at, one, start in voices))
+                play = SignalPlay(number, tuple(Voice(at, signals[signal], start) for at, signal, start in voices))
                 stream.playback.start(play)
             case Store(signal, frames):
                 signals[signal] = frames

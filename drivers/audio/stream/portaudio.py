@@ -65,20 +65,20 @@ def choose(devices: Sequence[OutputDevice], host_apis: Sequence[str], host_api: 
     host_api: Name of a host API, in either case; None for any.
     name: The device's name, or a part of it that no other has.
     """
-    apis = ", ".join(repr(one) for one in host_apis) or "none"
-    if host_api is not None and host_api.casefold() not in (one.casefold() for one in host_apis):
+    apis = ", ".join(repr(api) for api in host_apis) or "none"
+    if host_api is not None and host_api.casefold() not in (api.casefold() for api in host_apis):
         raise DeviceChoiceError(
             f"there is no host API {host_api!r}; there are {apis}",
             "start its server or install its driver, or correct player.host_api",
             absent=True,
         )
-    within = [one for one in devices if host_api is None or one.host_api.casefold() == host_api.casefold()]
-    exact = [one for one in within if one.name.casefold() == name.casefold()]
+    within = [device for device in devices if host_api is None or device.host_api.casefold() == host_api.casefold()]
+    exact = [device for device in within if device.name.casefold() == name.casefold()]
     plain = uncounted(name).casefold()
     found = (
         exact
-        or [one for one in within if name.casefold() in one.name.casefold()]
-        or [one for one in within if plain in uncounted(one.name).casefold()]
+        or [device for device in within if name.casefold() in device.name.casefold()]
+        or [device for device in within if plain in uncounted(device.name).casefold()]
     )
     if len(found) == 1:
         return found[0]
@@ -96,7 +96,7 @@ def choose(devices: Sequence[OutputDevice], host_apis: Sequence[str], host_api: 
 
 
 def _listed(devices: Sequence[OutputDevice]) -> str:
-    return ", ".join(str(one) for one in devices) or "no outputs"
+    return ", ".join(str(device) for device in devices) or "no outputs"
 
 
 # PortAudio's error numbers, portaudio.h
@@ -155,17 +155,17 @@ def load_sounddevice() -> Any:
 
 def outputs(sounddevice: Any) -> tuple[tuple[OutputDevice, ...], tuple[str, ...]]:
     """All outputs there are, and the names of all host APIs, in PortAudio's order."""
-    host_apis = tuple(str(one["name"]) for one in sounddevice.query_hostapis())
+    host_apis = tuple(str(api["name"]) for api in sounddevice.query_hostapis())
     devices = tuple(
         OutputDevice(
-            int(one["index"]),
-            host_apis[int(one["hostapi"])],
-            str(one["name"]),
-            int(one["max_output_channels"]),
-            float(one["default_samplerate"]),
+            int(listed["index"]),
+            host_apis[int(listed["hostapi"])],
+            str(listed["name"]),
+            int(listed["max_output_channels"]),
+            float(listed["default_samplerate"]),
         )
-        for one in sounddevice.query_devices()
-        if one["max_output_channels"] > 0
+        for listed in sounddevice.query_devices()
+        if listed["max_output_channels"] > 0
     )
     return devices, host_apis
 

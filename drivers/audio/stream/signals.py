@@ -188,10 +188,12 @@ class PlayOrders:
         for channel, volts in signals_v.items():
             self._check(doing, channel, volts)
         shelved = {channel: self._shelve(doing, channel, volts, ratio) for channel, volts in signals_v.items()}
-        self._unsent += [Forget(number) for number in self._shelf.give_up({one.number for one in shelved.values()})]
-        zero = min(one.first for one in shelved.values())
-        frames = max(one.first + one.frames for one in shelved.values()) - zero
-        voices = tuple((channel, one.number, one.first - zero) for channel, one in shelved.items())
+        self._unsent += [
+            Forget(number) for number in self._shelf.give_up({signal.number for signal in shelved.values()})
+        ]
+        zero = min(signal.first for signal in shelved.values())
+        frames = max(signal.first + signal.frames for signal in shelved.values()) - zero
+        voices = tuple((channel, signal.number, signal.first - zero) for channel, signal in shelved.items())
         before, self._unsent = self._unsent, []
         return PlayOrder(voices, frames, before)
 

@@ -159,7 +159,7 @@ class AsiTigerDevice(MirrorDevice):
         text, address = command.strip(" "), None
         if text[:1].isdigit() or text[:1] > "~":
             known = [COMM_ADDRESS, *(card.address for card in self._cards)]
-            forms = {form: one for one in known for form in (one, f"{ord(one):02X}")}
+            forms = {form: letter for letter in known for form in (letter, f"{ord(letter):02X}")}
             form = next((text[:length] for length in (2, 1) if text[:length] in forms), text[:1])
             address, text = forms.get(form, ""), text[len(form) :].strip(" ")
         verb, _, rest = text.upper().partition(" ")
@@ -168,7 +168,7 @@ class AsiTigerDevice(MirrorDevice):
     def _obey(self, address: str | None, verb: str, rest: str) -> str:
         if address == "":
             return ":N-7\r\n"
-        card = next((one for one in self._cards if one.address == address), None)
+        card = next((card for card in self._cards if card.address == address), None)
         if verb == "BU":
             return self._build(card, rest.strip() == "X")
         if verb == "VB":
@@ -260,7 +260,7 @@ class AsiTigerDevice(MirrorDevice):
     def _settings(self, verb: str, rest: str) -> str:
         if verb in KEPT and "=" in rest:
             return self._keep(verb, rest)
-        asked = [one.rstrip("?") for one in rest.split()]
+        asked = [axis.rstrip("?") for axis in rest.split()]
         if not asked:
             return ":N-3\r\n"
         if any(axis not in (*self._axes, *STAGE_AXES) for axis in asked):

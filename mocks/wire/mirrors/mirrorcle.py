@@ -69,7 +69,7 @@ class MirrorcleDevice(MirrorDevice):
         self._motion.start(0.0, 0.0)
 
     def _obey(self, verb: str, arguments: list[str]) -> str:
-        numbers = [number(one) for one in arguments]
+        numbers = [number(argument) for argument in arguments]
         if verb == "MTI+EN" and not arguments:
             self._enabled = True
             self._motion.start(*self._target_mrad)

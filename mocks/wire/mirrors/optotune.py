@@ -77,7 +77,7 @@ class OptotuneDevice(MirrorDevice):
 
     def _point(self, x: float, y: float) -> str:
         beyond = max(1.0, math.hypot(x, y))
-        angles_mrad = (1000 * math.atan(one / beyond * FULL_SCALE) for one in (x, y))
+        angles_mrad = (1000 * math.atan(share / beyond * FULL_SCALE) for share in (x, y))
         limit_mrad = self._motion.limit_mrad
         self._motion.start(*(max(-limit_mrad, min(limit_mrad, angle_mrad)) for angle_mrad in angles_mrad))
         if beyond <= 1.0:
