@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.estimator.estimate import Estimate, PositionEstimator
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import Recording, RecordLabel
-from wavefocus.storage.bank.ledger import SUSPECT, PointRecord
+from wavefocus.storage.bank.ledger import PointRecord
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.point_status import Status
 from wavefocus.storage.raw.writer import RawWriter
@@ -226,20 +227,22 @@ def commit_attempt(
     holds_data = bool(held & (Status.VALID | Status.OVER_RANGE | Status.POOR_SIGNAL))
     if holds_data and not result.judgement.good:
         if count_anyway:
-            bank.count_attempts(position, attempts)
+            bank.amend(position, attempts=attempts)
         return replace(result, final=True, committed=False, recordings=())
     actuators, taps = len(bank.header.actuator_mm), bank.header.taps
     estimate = result.estimate
+    figures: dict[str, Any] = {
+        name: np.full(actuators, np.nan, np.float32) if estimate is None else getattr(estimate, name)
+        for name in ("snr_db", "residual_db", "coherence", "peak_v")
+    }
     record = PointRecord(
         status=int(result.judgement.status),
         attempts=attempts,
-        **{
-            name: np.full(actuators, np.nan, np.float32) if estimate is None else getattr(estimate, name)
-            for name in ("snr_db", "residual_db", "coherence", "peak_v")
-        },
+        **figures,
         moved_mm=math.hypot(*result.attempt.moved_mm),
         reference_db=float("nan") if estimate is None else float(np.median(estimate.reference_db)),
-        judged=bank.record(position).judged & ~SUSPECT if held else 0,
+        neighbour_round=bank.record(position).neighbour_round if held else 0,
+        unjudgeable=bool(held) and bank.record(position).unjudgeable,
     )
     green = np.zeros((actuators, taps), np.float32) if estimate is None else estimate.green
     if raw is not None and result.recordings:

@@ -99,7 +99,7 @@ class CrosstalkWatch:
         if found is None or not found.is_named:
             return
         for position in positions[self._bank.status[positions] == Status.VALID].tolist():
-            self._bank.set_status(position, int(Status.POOR_SIGNAL), self._bank.record(position).judged)
+            self._bank.amend(position, status=int(Status.POOR_SIGNAL))
             yield position
 
 

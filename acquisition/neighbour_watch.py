@@ -16,14 +16,9 @@ from wavefocus.acquisition.plays import MEASURED
 from wavefocus.calibration import BoolArray, Float32Array, Int64Array
 from wavefocus.calibration.neighbour_difference import Difference
 from wavefocus.calibration.neighbour_judge import NeighbourJudge, RowSpectra
-from wavefocus.storage.bank.ledger import SUSPECT
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.point_status import Status
 
-ALONE = 1 << 23
-"""Added to `PointRecord.judged` where neighbours could not judge."""
-COUNT = SUSPECT - 1
-"""The part of `PointRecord.judged` that is a number of positions."""
 STRONG_DB, AROUND = 6.0, 13
 """Rows of less signal-to-noise ratio, where those around have no more either, are noise and need no judging."""
 TRUSTED = 0.7
@@ -58,7 +53,7 @@ class NeighbourWatch:
         if not len(covered):
             return True
         last = int(covered[-1])
-        return bool(self._bank.status[last]) and self._bank.record(last).judged & COUNT == len(covered)
+        return bool(self._bank.status[last]) and self._bank.record(last).neighbour_round == len(covered)
 
     def mark(self, covered: Int64Array) -> Iterator[tuple[int, Judgement]]:
         """Mark as poor what neighbours contradict, and, where the plan wants second looks, what they cannot judge.
@@ -74,7 +69,8 @@ class NeighbourWatch:
         status, attempts = self._bank.status, self._bank.attempts
         rows = status == Status.VALID
         for position in np.flatnonzero(status == Status.POOR_SIGNAL).tolist():
-            rows[position] = self._bank.record(position).judged & ~ALONE == len(covered)
+            record = self._bank.record(position)
+            rows[position] = record.neighbour_round == len(covered) and not record.suspect
         differences, judged = self._differences(np.flatnonzero(rows), {})
         judgement: Judgement | None
         for position in covered[(status[covered] == Status.VALID)].tolist():
@@ -84,14 +80,16 @@ class NeighbourWatch:
             if judgement is None and self._plan.quality.confirms and position not in judged:
                 judgement = UNCONFIRMED
             if judgement is not None:
-                alone = ALONE if judgement is UNCONFIRMED else 0
-                self._bank.set_status(position, int(judgement.status), len(covered) | alone)
+                self._bank.amend(
+                    position,
+                    status=int(judgement.status),
+                    neighbour_round=len(covered),
+                    unjudgeable=judgement is UNCONFIRMED,
+                )
                 yield position, judgement
         # Sessions for some scenes alone leave no note: the rest of the campaign is judged with theirs.
         if len(covered) == self._plan.positions and not self.is_done(covered):
-            last = int(covered[-1])
-            suspect = self._bank.record(last).judged & SUSPECT
-            self._bank.set_status(last, int(self._bank.status[last]), len(covered) | suspect)
+            self._bank.amend(int(covered[-1]), neighbour_round=len(covered), unjudgeable=False)
 
     def confirmed(
         self, result: AttemptResult, earlier: AttemptResult | None, *, repeat: bool, replaceable: bool
@@ -173,7 +171,7 @@ class NeighbourWatch:
         poor &= self._bank.attempts <= self._plan.quality.max_attempts
         for position in np.flatnonzero(poor).tolist():
             if position not in self._marked:
-                self._marked[position] = bool(self._bank.record(position).judged & ALONE)
+                self._marked[position] = self._bank.record(position).unjudgeable
             poor[position] = self._marked[position]
         return poor
 
@@ -226,7 +224,7 @@ def mark_suspects(bank: BankWriter, positions: Sequence[int], reason: str) -> It
     judgement = Judgement(Status.POOR_SIGNAL, reason, 0.0, (Defect("suspect", (), reason, Cure.NOTHING),))
     for position in positions:
         if bank.status[position] == Status.VALID:
-            bank.set_status(position, int(judgement.status), bank.record(position).judged & COUNT | SUSPECT)
+            bank.amend(position, status=int(judgement.status), suspect=True, unjudgeable=False)
             yield position, judgement
 
 

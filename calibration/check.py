@@ -14,7 +14,7 @@ from wavefocus.calibration import BoolArray, Float64Array
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.crosstalk import REMEDY, crosstalk_of_bank
 from wavefocus.calibration.neighbour_judge import NeighbourJudge, RowSpectra
-from wavefocus.storage.bank.ledger import SUSPECT, VALID
+from wavefocus.storage.bank.ledger import VALID
 from wavefocus.storage.bank.reading import Bank, CopiedRows, VerifiedRows, open_bank
 from wavefocus.storage.drive_file import FORMAT as DRIVE
 from wavefocus.storage.drive_file import read_drive
@@ -147,7 +147,7 @@ def _check_moved(bank: Bank) -> Iterator[Finding]:
 
 def suspect_positions(rows: VerifiedRows) -> list[int]:
     """Positions that were measured when the sentinel position had changed, and not again since."""
-    marked = (rows.figures.judged & SUSPECT > 0) & (rows.figures.status & VALID == 0)
+    marked = rows.figures.suspect & (rows.figures.status & VALID == 0)
     return [int(position) for position in np.flatnonzero(marked)]
 
 

@@ -20,10 +20,9 @@ QUALITY_NAMES = FIRST_QUALITY_NAMES + LATER_QUALITY_NAMES
 _PER_ACTUATOR = FIRST_QUALITY_NAMES[:-1]
 VALID, OVER_RANGE, POOR_SIGNAL, FAILED, DISABLED = 1, 2, 4, 8, 16
 _ALL_BITS = 31
-SUSPECT = 1 << 22
-"""Added to `PointRecord.judged` where the sentinel position had changed when it was measured next."""
-# The ledger's status field holds `PointRecord.judged` above its lowest byte.
-_STATUS_BITS, _STATUS_MASK = 8, 255
+# Bits of the ledger's status field: 8 of status, 22 of `neighbour_round`, `suspect`, `unjudgeable`.
+_STATUS_MASK, _ROUND_AT, _SUSPECT_AT, _UNJUDGEABLE_AT = 255, 8, 30, 31
+_MAX_ROUND = (1 << _SUSPECT_AT - _ROUND_AT) - 1
 
 BANK = LedgerFormat(
     name="wavefocus-bank",
@@ -51,8 +50,10 @@ class PointRecord:
         coherence (0 to 1) and largest response in DAQ volts per actuator; NaN where unknown.
     moved_mm: Distance of the laser from the position, 0 to 65 mm; NaN where unknown.
     reference_db: Level of the reference in dB of its calibration, median over the records; NaN where unknown.
-    judged: Number of positions that were judged against their neighbours together, on those that were marked for it and
-        on the last of them, with 2**23 added where neighbours could not judge; 0 elsewhere. `SUSPECT` is added to it.
+    neighbour_round: Number of positions that were judged against their neighbours together, on those that were marked
+        for it and on the last of them; 0 elsewhere.
+    suspect: Whether the sentinel position had changed when it was measured next.
+    unjudgeable: Whether it was marked because neighbours could not judge it.
     """
 
     status: int
@@ -63,13 +64,17 @@ class PointRecord:
     peak_v: Float32Array
     moved_mm: float = float("nan")
     reference_db: float = float("nan")
-    judged: int = 0
+    neighbour_round: int = 0
+    suspect: bool = False
+    unjudgeable: bool = False
 
     def __post_init__(self) -> None:
         if not 1 <= self.status <= _ALL_BITS:
             raise InputError(f"status is {self.status}; a sum of 1, 2, 4, 8 and 16 is needed")
         if not 0 <= self.attempts < 1 << 24:
             raise InputError(f"attempts is {self.attempts}; 0 or more is needed")
+        if not 0 <= self.neighbour_round <= _MAX_ROUND:
+            raise InputError(f"neighbour_round is {self.neighbour_round}; 0 to {_MAX_ROUND} is needed")
         for name in _PER_ACTUATOR:
             object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), np.float32))
 
@@ -78,14 +83,16 @@ class PointRecord:
 class Figures:
     """What the ledger says of all positions.
 
-    status, judged, uint8 and int64 arrays (P,): Status bits and `PointRecord.judged`, 0 where the row does not hold.
+    status, neighbour_round, suspect, unjudgeable, arrays (P,): As of `PointRecord`; 0 where the row does not hold.
     quality: As ``/quality``: (P, N); ``attempts``, ``moved_mm`` and ``reference_db`` (P,).
     rms, float64 (P, N): Root mean square over the taps of each Green's function; NaN where the row does not hold, is
         silent, or was written by an older version.
     """
 
     status: NDArray[np.uint8]
-    judged: NDArray[np.int64]
+    neighbour_round: NDArray[np.int64]
+    suspect: NDArray[np.bool_]
+    unjudgeable: NDArray[np.bool_]
     quality: dict[str, Float32Array]
     rms: NDArray[np.float64]
 
@@ -115,7 +122,9 @@ def encode_row(position: int, record: PointRecord, green: Float32Array) -> bytes
         if shape != (actuators,):
             raise InputError(f"{name} of position {position} has shape {shape}; ({actuators},) is needed")
     row = np.zeros((), _row_dtype(actuators))
-    row["status"], row["attempts"] = record.status | record.judged << _STATUS_BITS, record.attempts
+    marks = record.suspect << _SUSPECT_AT | record.unjudgeable << _UNJUDGEABLE_AT
+    row["status"] = record.status | record.neighbour_round << _ROUND_AT | marks
+    row["attempts"] = record.attempts
     for name, zero in _ZEROS.items():
         figure = getattr(record, name)
         row[name] = 0 if np.isnan(figure) else int(np.clip(round(figure / _STEP) + zero, 1, 65535))
@@ -132,7 +141,7 @@ def encode_row(position: int, record: PointRecord, green: Float32Array) -> bytes
 def figures_of(content: Bytes, holds: NDArray[np.bool_], actuators: int) -> Figures:
     """What ledger rows say of their positions, where they hold."""
     rows = np.frombuffer(content, _row_dtype(actuators))
-    status, judged = rows["status"] & _STATUS_MASK, rows["status"] >> _STATUS_BITS
+    status = rows["status"] & _STATUS_MASK
     holds = holds & (status >= 1) & (status <= _ALL_BITS)
     quality = {}
     for index, name in enumerate(_PER_ACTUATOR):
@@ -144,6 +153,12 @@ def figures_of(content: Bytes, holds: NDArray[np.bool_], actuators: int) -> Figu
     rms = np.full((len(rows), actuators), np.nan)
     stored = holds & rows["rms"].any(axis=1)
     rms[:, : rows["rms"].shape[1]] = np.where(stored[:, None], rows["rms"], np.nan)
+    held = np.where(holds, rows["status"], 0)
     return Figures(
-        np.where(holds, status, 0).astype(np.uint8), np.where(holds, judged, 0).astype(np.int64), quality, rms
+        (held & _STATUS_MASK).astype(np.uint8),
+        (held >> _ROUND_AT & _MAX_ROUND).astype(np.int64),
+        (held >> _SUSPECT_AT & 1).astype(bool),
+        (held >> _UNJUDGEABLE_AT & 1).astype(bool),
+        quality,
+        rms,
     )

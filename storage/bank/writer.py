@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,13 +89,9 @@ class BankWriter(LedgerWriter):
             kept = PointRecord(DISABLED, int(self._attempts[position]), unknown, unknown, unknown, unknown)
         self.commit(position, self.green(position), replace(kept, status=(kept.status & ~VALID) | DISABLED))
 
-    def set_status(self, position: int, status: int, judged: int = 0) -> None:
-        """Change status and `PointRecord.judged` of a measured position; InputError where it is not measured."""
-        self.commit(position, self.green(position), replace(self.record(position), status=status, judged=judged))
-
-    def count_attempts(self, position: int, attempts: int) -> None:
-        """Change how often a measured position was tried; InputError where it is not measured."""
-        self.commit(position, self.green(position), replace(self.record(position), attempts=attempts))
+    def amend(self, position: int, **changes: Any) -> None:
+        """Change fields of a measured position's `PointRecord`; InputError where it is not measured."""
+        self.commit(position, self.green(position), replace(self.record(position), **changes))
 
     def green(self, position: int) -> Float32Array:
         """Read one position's Green's functions, float32 (N, L); zeros where it is not measured."""
@@ -112,8 +109,14 @@ class BankWriter(LedgerWriter):
             raise InputError(f"position {position} is not measured; commit it first")
         kept = figures_of(row, np.ones(1, bool), self.header.actuators)
         figures = {name: kept.quality[name][0] for name in QUALITY_NAMES if name != "attempts"}
-        attempts, judged = int(kept.quality["attempts"][0]), int(kept.judged[0])
-        return PointRecord(int(kept.status[0]), attempts, **figures, judged=judged)
+        return PointRecord(
+            int(kept.status[0]),
+            int(kept.quality["attempts"][0]),
+            **figures,
+            neighbour_round=int(kept.neighbour_round[0]),
+            suspect=bool(kept.suspect[0]),
+            unjudgeable=bool(kept.unjudgeable[0]),
+        )
 
     def reference_before_db(self, position: int) -> float | None:
         """Median level of the reference at the latest valid positions before one; after it, where there are none.

@@ -134,7 +134,7 @@ def test_given_notes_then_status_shows_them_and_the_bank_is_as_it_was(
         assert all(np.array_equal(view.green(row), green) for row, green in enumerate(rows))
     assert not [one for one in check_bank(bank) if one.severity == "error"]
     with BankWriter.open(bank) as writer:
-        writer.set_status(0, 16)
+        writer.amend(0, status=16)
     assert sorted(path.name for path in bank.parent.iterdir()) == ["plate.h5"]
 
 

@@ -14,6 +14,7 @@ import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -25,7 +26,7 @@ from hypothesis import strategies as st
 from wavefocus.calibration.check import check_bank
 from wavefocus.rendering.greens.regularisation import rms_map
 from wavefocus.storage.bank.layout import BankHeader
-from wavefocus.storage.bank.ledger import PointRecord
+from wavefocus.storage.bank.ledger import PointRecord, encode_row
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter, create_bank
 from wavefocus.storage.durable import PositionedFile, PosixFile, open_file
@@ -576,6 +577,36 @@ def _true_rms(positions: list[int]) -> np.ndarray:
     return np.sqrt(np.mean(green**2, axis=2))
 
 
+@pytest.mark.parametrize(
+    ("marks", "number"),
+    [
+        ({}, 4),
+        ({"neighbour_round": 9}, 4 + 9 * 256),
+        ({"neighbour_round": 9, "unjudgeable": True}, 4 + (9 + 2**23) * 256),
+        ({"neighbour_round": 2**22 - 1, "suspect": True}, 4 + (2**23 - 1) * 256),
+    ],
+)
+def test_marks_of_a_row_then_share_its_status_field_and_are_read_back(
+    tmp_path: Path, marks: dict[str, Any], number: int
+) -> None:
+    path = measured(tmp_path / "bank.h5")
+    record = replace(record_of(1, status=4), **marks)
+    assert int.from_bytes(encode_row(1, record, green_of(1))[32:36], "little") == number
+    with BankWriter.open(path) as writer:
+        writer.commit(1, green_of(1), record)
+        writer.amend(1, attempts=7)
+    with BankWriter.open(path) as writer:
+        kept, figures = writer.record(1), open_bank(path).rows.figures
+    assert kept.attempts == figures.quality["attempts"][1] == 7
+    for name in ("neighbour_round", "suspect", "unjudgeable"):
+        assert getattr(kept, name) == getattr(figures, name)[1] == getattr(record, name)
+
+
+def test_a_neighbour_round_beyond_its_bits_then_is_refused() -> None:
+    with pytest.raises(InputError, match="neighbour_round is 4194304"):
+        replace(record_of(1), neighbour_round=2**22)
+
+
 def test_the_rms_of_each_committed_position_is_stored_and_a_silent_or_new_one_has_none(tmp_path: Path) -> None:
     path = tmp_path / "bank.h5"
     create_bank(path, header())
@@ -584,7 +615,7 @@ def test_the_rms_of_each_committed_position_is_stored_and_a_silent_or_new_one_ha
             writer.commit(position, green_of(position), record_of(position))
         writer.commit(1, green_of(1, attempt=2), record_of(1, attempt=2))
         writer.commit(1, green_of(1), record_of(1))
-        writer.set_status(1, 5)
+        writer.amend(1, status=5)
         writer.commit(2, np.zeros((2, 16), np.float32), record_of(2, status=8))
     with open_bank(path) as bank:
         np.testing.assert_allclose(bank.rms[:2], _true_rms([0, 1]), rtol=1e-14)

@@ -50,7 +50,6 @@ from wavefocus.rig.calibration_validity import refuse_other_devices, with_one_ca
 from wavefocus.rig.input_delay import note_delay_in_new_bank
 from wavefocus.rig.messages import messenger_for
 from wavefocus.rig.setup import open_setup
-from wavefocus.storage.bank.ledger import SUSPECT
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter, create_bank
 from wavefocus.storage.durable import is_network_mount
@@ -238,7 +237,7 @@ def _session(
         if writer.renamed:
             say(f"warning: {bank} was renamed while it was measured; it has its name again, next to the other")
         bad, leak = not_valid(writer.status), campaign.crosstalk
-        suspects = [row for row in bad if writer.status[row] and writer.record(row).judged & SUSPECT]
+        suspects = [row for row in bad if writer.status[row] and writer.record(row).suspect]
     if bad:
         rows_text = row_ranges(bad)
         say(
