@@ -5,8 +5,12 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
+
+import numpy as np
 
 from wavefocus.storage.argument_types import Positions, checked, real_array
 from wavefocus.storage.bank.reading import Bank, open_bank
@@ -18,6 +22,24 @@ if TYPE_CHECKING:
 
 OnProgress = Callable[[int, int], None]
 LOG = logging.getLogger("wavefocus")
+
+
+@dataclass(frozen=True, slots=True)
+class Export:
+    """An export: what was written, or would be, about how many bytes, and what was left out or is NaN."""
+
+    out: Path
+    format: str
+    positions: int
+    left_out: int
+    nan: int
+    actuators: int
+    taps: int
+    sample_rate_hz: float
+    response_unit: str
+    files: tuple[str, ...]
+    bytes: int
+    publication: Mapping[str, str]
 
 
 @checked
@@ -198,9 +220,10 @@ def export_bank(
     per: Literal["position", "actuator"] = "position",
     binary: bool = False,
     publication: str | Path | None = None,
+    only_list: bool = False,
     force: bool = False,
     on_progress: OnProgress | None = None,
-) -> None:
+) -> Export:
     """Write a bank in the format of another field, as ``wavefocus export``.
 
     Parameters
@@ -221,10 +244,18 @@ def export_bank(
         Whether universal files hold binary numbers.
     publication
         TOML file whose table ``[publication]`` names title, people and licence; by default the bank's own run.
+    only_list
+        Whether nothing is written: what would be is only returned.
     force
         Whether older files of these names may be replaced; banks never are.
     on_progress
         Called with the positions done and the positions in all.
+
+    Returns
+    -------
+    Export
+        Names and about how many ``bytes`` of the ``files``, and how many ``positions`` they hold, ``left_out`` or as
+        ``nan``.
 
     Raises
     ------
@@ -234,22 +265,55 @@ def export_bank(
     Examples
     --------
     >>> import wavefocus as wf
-    >>> wf.export_bank("plate.h5", "plate.mat", "mat", positions=[0, 7])
+    >>> wf.export_bank("plate.h5", "plate.mat", "mat", positions=[0, 7]).files
+    ('plate.mat',)
     """
-    from wavefocus.commands.export import write_export
+    from wavefocus.configuration import publication_of
+    from wavefocus.storage.exchange import EXPORTS
+    from wavefocus.storage.exchange.exported_rows import choose_rows
+    from wavefocus.storage.output_files import require_outputs, require_replaceable_folder
 
+    folder, replaces, missing_as_nan = Path(out), force or only_list, missing == "nan"
+    form = EXPORTS[to]
+    if missing_as_nan and not form.holds_nan:
+        raise InputError(f"--missing nan: {to} files hold no NaN; missing positions are left out there")
+    if binary and to != "uff":
+        raise InputError(f"--binary: is for --to uff; {to} files are always the same")
+    if folder.exists() and folder.is_dir() != form.folder:
+        raise InputError(f"{out} is a {'folder' if folder.is_dir() else 'file'}; --to {to} writes a "
+                         f"{'folder of files' if form.folder else 'file'}")  # fmt: skip
     with open_bank(bank) if isinstance(bank, str | Path) else nullcontext(bank) as view:
-        write_export(
-            view,
-            Path(out),
-            to,
-            positions,
-            None if publication is None else Path(publication),
-            missing=missing,
-            per=per,
-            binary=binary,
-            force=force,
-            watch=_watched(on_progress),
+        inputs = [view.path, *([Path(publication)] if publication else [])]
+        if not form.folder:
+            require_outputs((folder,), inputs, force=replaces)
+        view.require_sound(positions)
+        texts = publication_of(view, Path(publication) if publication else None).texts
+        if view.notes:
+            texts["notes"] = "\n".join(map(str, view.notes))
+        rows = choose_rows(
+            view, positions, missing_as_nan=missing_as_nan, per=per, binary=binary, publication=texts
+        )  # fmt: skip
+        writer = import_module(form.module)
+        names = writer.file_names(rows) if form.folder else [folder.name]
+        if form.folder:
+            ours = writer.older_files(folder) | set(names)
+            require_replaceable_folder(folder, ours, inputs, by="export", force=replaces)
+        if not only_list:
+            writer.write(folder, rows, on_progress or (lambda done, total: None))
+        per_value = 4 if binary else form.value_bytes
+        return Export(
+            out=folder,
+            format=to,
+            positions=len(rows.row),
+            left_out=rows.left_out,
+            nan=int(np.count_nonzero(~rows.known)),
+            actuators=view.actuators,
+            taps=view.taps,
+            sample_rate_hz=view.sample_rate_hz,
+            response_unit=view.response_unit,
+            files=tuple(names),
+            bytes=len(rows.row) * (view.actuators * view.taps * per_value + 100),
+            publication=dict(rows.publication),
         )
 
 

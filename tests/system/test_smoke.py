@@ -28,6 +28,7 @@ STEPS: dict[str, tuple[list[list[str]], list[str], list[str]]] = {
     "remeasure": ([], ["remeasure", BANK, "--positions", "0"], []),
     "status": ([], ["status", BANK], []),
     "check": ([], ["check", BANK], []),
+    "note": ([], ["note", BANK, "a scratch near position 3"], []),
     "render": ([], RENDER, [DRIVE]),
     "predict": ([RENDER], PREDICT, [FIELD]),
     "movie": ([RENDER, PREDICT], ["movie", FIELD, "--bank", BANK, "--drive", DRIVE, "--snapshots", "s.png"], ["s.png"]),
