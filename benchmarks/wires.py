@@ -1,7 +1,7 @@
 """Production drivers on emulated wires: what a position costs beyond its records, and how well clocks are recovered.
 
-The far sides (serial mirror, gRPC Device Server, JACK server on a dummy driver) run in processes of their own, all in
-real time.
+The emulated instruments (serial mirror, gRPC Device Server, JACK server on a dummy driver) run in processes of their
+own, all in real time.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ def excitation(sweep_s: float, averages: int) -> Excitation:
     return Excitation(RATE_HZ, 20.0, 500.0, sweep_s, 0.2, SWEEP_V, averages)
 
 
-def serve_far_sides(period_frames: int) -> None:
-    """Be the far sides until standard input ends; a line asks for the starts received since the last."""
+def serve_instruments(period_frames: int) -> None:
+    """Be the emulated instruments until standard input ends; a line asks for the starts received since the last."""
     from wavefocus.mocks.wire.emulated_rig import EmulatedRig, Wiring
 
     virtual = settings()
@@ -88,8 +88,8 @@ def serve_far_sides(period_frames: int) -> None:
             sides.bench.onsets.clear()
 
 
-class FarSides:
-    """The far sides in a process of their own."""
+class EmulatedInstruments:
+    """The emulated instruments in a process of their own."""
 
     def __init__(self, period_frames: int = PERIOD_FRAMES) -> None:
         self._process = subprocess.Popen(
@@ -120,8 +120,8 @@ class FarSides:
 
 
 @contextmanager
-def opened(sides: FarSides, post_roll_s: float = POST_ROLL_S) -> Iterator[Setup]:
-    """Production drivers on the far sides."""
+def opened(sides: EmulatedInstruments, post_roll_s: float = POST_ROLL_S) -> Iterator[Setup]:
+    """Production drivers on the emulated instruments."""
     virtual, clock = settings(), WallClock()
     mirror = SerialMirror(
         AsiTiger(), sides.mirror, baud=None, identity=None, settle_s=0.0, limit_mrad=virtual.limit_mrad,
@@ -173,11 +173,13 @@ def positions_s(setup: Setup, positions: int, sweep: Excitation) -> tuple[NDArra
     return np.array([starts[row + 1] - starts[row] for row in quiet]), len(disturbed)
 
 
-def clock_errors(setup: Setup, sides: FarSides, records: int, sweep: Excitation) -> tuple[Float64Array, Float64Array]:
+def clock_errors(
+    setup: Setup, sides: EmulatedInstruments, records: int, sweep: Excitation
+) -> tuple[Float64Array, Float64Array]:
     """Errors of the clock ratio in ppm and of the start offset in samples, of each record."""
     signal_v = sweep.signal_v()
     fitter = ClockFitter(signal_v)
-    # The far sides receive the first frame that the player does not leave out as silence; it lies near sample 0.
+    # The first frame that is received is the first one that the player does not leave out as silence, near sample 0.
     ratio = rate_ratio(RATE_HZ, INTERFACE_RATE_HZ)
     frames = np.flatnonzero(np.abs(converted(signal_v, ratio).astype(np.float32)) > HALF_STEP * FULL_SCALE_V)
     first = (frames[0] - lead_samples(ratio)) / INTERFACE_RATE_HZ * RATE_HZ * settings().clock_ratio
@@ -201,13 +203,13 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
     """Measure positions, clocks and wall time on the wires."""
     positions, records, averages, sweep_s = (3, 2, 1, 0.3) if quick else (13, 12, 3, 1.0)
     short, sweep = excitation(0.3, 1), excitation(sweep_s, averages)
-    with closing(FarSides()) as sides, opened(sides) as setup:
+    with closing(EmulatedInstruments()) as sides, opened(sides) as setup:
         position_s, repeated = positions_s(setup, positions, short)
         samples = record_samples(setup, short.averages * short.period_samples, RATE_HZ)
         beyond_s = position_s - len(ACTUATOR_MM) * samples / RATE_HZ
         ratio_ppm, offset = clock_errors(setup, sides, records, sweep)
     # The interface answers within four periods, so a record needs no long post-roll.
-    with closing(FarSides(QUICK_PERIOD_FRAMES)) as sides, opened(sides, QUICK_POST_ROLL_S) as setup:
+    with closing(EmulatedInstruments(QUICK_PERIOD_FRAMES)) as sides, opened(sides, QUICK_POST_ROLL_S) as setup:
         position_s, _ = positions_s(setup, 3 if quick else 5, sweep)
     sounding = position_s / (len(ACTUATOR_MM) * sweep.averages * sweep.period_samples / RATE_HZ)
     return Findings(
@@ -217,7 +219,7 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
             _point("clock ratio, reference at 60 dB", "rms_ppm", ratio_ppm, MARK_RATIO_PPM),
             _point("start offset, reference at 60 dB", "rms_samples", offset, MARK_OFFSET_SAMPLES),
         ],
-        "the clocks of the emulated far sides",
+        "the clocks of the emulated instruments",
         [
             f"{positions} positions x {len(ACTUATOR_MM)} actuators, {records} records, {averages} x {sweep_s:g} s"
             f" sweeps; positions of which a record was repeated (the audio server ran dry): {repeated}."
@@ -236,4 +238,4 @@ def _point(method: str, figure: str, values: Float64Array, limit: float) -> Poin
 
 
 if __name__ == "__main__":
-    serve_far_sides(int(sys.argv[1]))
+    serve_instruments(int(sys.argv[1]))

@@ -82,7 +82,7 @@ Actuator = Annotated[Whole, Field(ge=0, le=1023)]
 
 
 class WireFaultTable(Table):
-    """A fault for the far side of a wire to show, so that recovery can be watched."""
+    """A fault of an emulated instrument, so that recovery can be watched."""
 
     role: Text
     kind: Text

@@ -1,4 +1,4 @@
-"""The far sides of a whole rig before one plate and one clock: what real drivers find without hardware."""
+"""The emulated instruments of a whole rig before one plate and one clock: what real drivers find without hardware."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from wavefocus.mocks.virtual.mirror import MirrorMotion
 from wavefocus.mocks.virtual.settings import VirtualSettings
 from wavefocus.mocks.virtual.signals import SignalStore
 from wavefocus.mocks.virtual.synthesis import TAIL_S, Play, Synthesis
+from wavefocus.mocks.wire.emulated_serial import EmulatedSerial, PtyWire, SerialDevice, TcpWire, Wire
 from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
 from wavefocus.mocks.wire.jack_capture import PlayedAudio
 from wavefocus.mocks.wire.jack_server import JackServer
 from wavefocus.mocks.wire.mirrors import mirror_device
 from wavefocus.mocks.wire.ni_server import NiServer
-from wavefocus.mocks.wire.serial_far_side import PtyWire, SerialDevice, SerialFarSide, TcpWire, Wire
 from wavefocus.mocks.wire.vibrometer import PolytecDevice
 
 # Silence on all channels that parts one sound from the next; sweeps of one record become one sound each, which the
@@ -39,8 +39,8 @@ class WireBench:
 
     settings: The rig; its player's latency and clock do not count, the audio server's do, but for the difference
         `clock_ppm` between the two clocks, which is made here.
-    played: What the player's far side has put out.
-    aimed: Where the mirror's far side has looked.
+    played: What the emulated player has put out.
+    aimed: Where the emulated mirror has looked.
     full_scale_v: Volts that each output is believed to put out at full scale; what it does put out is this times its
         gain in `settings`.
     reference_input, response_input: Physical inputs that the loopback and the patch bay are wired to; others are open
@@ -170,7 +170,7 @@ DECODER_LATENCY_S = 8.16e-6
 
 @dataclass(frozen=True, slots=True)
 class Wiring:
-    """What stands at the far end of each wire, and where it is reached.
+    """Which instrument is at the end of each wire, and where it is reached.
 
     mirror_dialect: A dialect of `wavefocus.drivers.mirror.serial_mirror`.
     mirror_port: Path of a link to make, or ``socket://HOST:PORT`` (port 0: any).
@@ -271,8 +271,8 @@ class EmulatedRig(ExitStack):
             raise ValueError(f"there is no {role!r} here; there is: {', '.join(self._plugs)}")
         return self._plugs[role]
 
-    def _serial(self, role: str, device: SerialDevice, port: str, faults: tuple[WireFault, ...]) -> SerialFarSide:
-        return self.enter_context(SerialFarSide(device, _wire(role, port), WireFaultPlan(role, faults)))
+    def _serial(self, role: str, device: SerialDevice, port: str, faults: tuple[WireFault, ...]) -> EmulatedSerial:
+        return self.enter_context(EmulatedSerial(device, _wire(role, port), WireFaultPlan(role, faults)))
 
 
 def _wire(role: str, port: str) -> Wire:

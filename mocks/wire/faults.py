@@ -1,4 +1,4 @@
-"""Faults on the wire, on order: which far side, which call or time, which fault."""
+"""Faults on the wire, on order: which emulated instrument, which call or time, which fault."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ ANY = "any"
 class WireFault:
     """One entry of a wire's fault plan. Raises ValueError.
 
-    role: Whose far side: a key of `KINDS`.
+    role: Whose emulated instrument: a key of `KINDS`.
     kind: What happens: one of `KINDS[role]`.
     operation: The call that meets it: the verb of a serial dialect (``"identify"``, ``"move"``, ``"busy"``,
         ``"where"``...), the name of a remote procedure (``"ReadAnalogF64"``), ``"period"`` of an audio server, or
         ``"any"``.
     at_call: The first call of the operation that meets it, from 1.
-    at_s: In its place: the first call after so many seconds from the far side's start.
+    at_s: In its place: the first call after so many seconds from the emulated instrument's start.
     count: How many calls in a row, > 0.
     seconds: How long a late answer is late, or a device stays unplugged, >= 0; 0 for good where it is unplugged.
     """
@@ -73,7 +73,7 @@ class WireFault:
 
 
 class WireFaultPlan:
-    """The faults that one far side has before it; safe to ask from several threads.
+    """The faults that one emulated instrument has before it; safe to ask from several threads.
 
     faults: The plan of the whole rig.
     """

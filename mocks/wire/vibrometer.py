@@ -16,7 +16,7 @@ import math
 
 from wavefocus.drivers.dialogue import RefusedError, UnreadableError
 from wavefocus.drivers.vibrometer.polytec import sensitivity_m_s_per_v
-from wavefocus.mocks.wire.serial_far_side import SerialDevice
+from wavefocus.mocks.wire.emulated_serial import SerialDevice
 
 # Ranges of the VD-09 and VX-09 decoders as public programs offer them, each with its low-pass filter too.
 RANGES = ("5mm/s/V", "10mm/s/V", "20mm/s/V", "25mm/s/V", "50mm/s/V", "100mm/s/V", "125mm/s/V", "200mm/s/V",

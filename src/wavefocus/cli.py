@@ -301,7 +301,7 @@ COMMANDS = (
         "answer.",
         (RIG,),
     ),
-    Command("emulate", "emulate:emulate", "Emulate instruments at the far ends of a rig's wires.", (RIG, JSON)),
+    Command("emulate", "emulate:emulate", "Emulate instruments at the ends of a rig's wires.", (RIG, JSON)),
     Command(
         "plan", "plan:plan", "Dry run: positions, hours, bytes, limits, finish time.",
         (

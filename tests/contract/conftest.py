@@ -24,8 +24,8 @@ from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import Clock, Mirror, Player, Recorder
 from wavefocus.mocks.virtual.mirror import MirrorMotion
 from wavefocus.mocks.wire.emulated_rig import EmulatedRig
+from wavefocus.mocks.wire.emulated_serial import EmulatedSerial
 from wavefocus.mocks.wire.mirrors import mirror_device
-from wavefocus.mocks.wire.serial_far_side import SerialFarSide
 from wavefocus.rig.instruments import Openers, openers
 from wavefocus.rig.virtual_bench import virtual_settings
 
@@ -157,11 +157,11 @@ def wire(emulated: Callable[[], RigConfig]) -> Iterator[Callable[[], Bench]]:
 @pytest.fixture
 def mirror_side(tmp_path: Path) -> Iterator[Callable[[str], RigConfig]]:
     """A rig of which only the mirror is there, in the dialect that is asked for."""
-    started: list[SerialFarSide] = []
+    started: list[EmulatedSerial] = []
 
     def start(dialect: str) -> RigConfig:
         motion = MirrorMotion((-240.0, -240.0), 0.005, math.inf, 250.0)
-        started.append(SerialFarSide(mirror_device(dialect, motion, 260.0), serial_wire(LOCAL, tmp_path)).start())
+        started.append(EmulatedSerial(mirror_device(dialect, motion, 260.0), serial_wire(LOCAL, tmp_path)).start())
         rig_file = tmp_path / "rig.toml"
         rig_file.write_text(rig_text(tmp_path, "localhost:1", dialect=dialect, mirror=started[0].address))
         return load_rig(rig_file)

@@ -11,7 +11,7 @@ import pytest
 from wavefocus.__main__ import run
 from wavefocus.config.rig import RigConfig
 from wavefocus.drivers.errors import InstrumentError
-from wavefocus.mocks.wire.serial_far_side import SerialFarSide, TcpWire
+from wavefocus.mocks.wire.emulated_serial import EmulatedSerial, TcpWire
 from wavefocus.mocks.wire.vibrometer import PolytecDevice
 from wavefocus.rig.instruments import openers
 
@@ -61,9 +61,9 @@ def test_given_a_mirror_that_is_not_there_then_capture_names_it_and_ends_with_3(
 
 
 @pytest.fixture
-def vibrometer() -> Iterator[SerialFarSide]:
-    with SerialFarSide(PolytecDevice("25mm/s/V"), TcpWire()) as far_side:
-        yield far_side
+def vibrometer() -> Iterator[EmulatedSerial]:
+    with EmulatedSerial(PolytecDevice("25mm/s/V"), TcpWire()) as emulated:
+        yield emulated
 
 
 def with_vibrometer(port: str, **more: object) -> RigConfig:
@@ -79,7 +79,7 @@ def with_vibrometer(port: str, **more: object) -> RigConfig:
 
 @pytest.mark.parametrize("configured", [{}, {"sensitivity_m_s_per_v": 0.025}])
 def test_given_a_vibrometer_that_can_be_asked_then_its_sensitivity_is_its_own(
-    vibrometer: SerialFarSide, configured: dict[str, float]
+    vibrometer: EmulatedSerial, configured: dict[str, float]
 ) -> None:
     found = openers(with_vibrometer(vibrometer.address, **configured)).vibrometer()
     assert found.sensitivity_m_s_per_v == pytest.approx(0.025)
@@ -87,13 +87,13 @@ def test_given_a_vibrometer_that_can_be_asked_then_its_sensitivity_is_its_own(
     assert found.signal_level == pytest.approx(600 / 775)
 
 
-def test_given_two_sensitivities_that_differ_then_the_rig_is_refused(vibrometer: SerialFarSide) -> None:
+def test_given_two_sensitivities_that_differ_then_the_rig_is_refused(vibrometer: EmulatedSerial) -> None:
     ways = openers(with_vibrometer(vibrometer.address, sensitivity_m_s_per_v=0.125))
     with pytest.raises(InstrumentError, match=r"it is set to 25mm/s/V, the rig file says 0\.125 m/s per V") as told:
         ways.vibrometer()
     assert "correct vibrometer.sensitivity_m_s_per_v" in told.value.remedy
 
 
-def test_given_too_little_light_then_the_vibrometer_is_refused(vibrometer: SerialFarSide) -> None:
+def test_given_too_little_light_then_the_vibrometer_is_refused(vibrometer: EmulatedSerial) -> None:
     with pytest.raises(InstrumentError, match="focus the laser"):
         openers(with_vibrometer(vibrometer.address, least_signal_level=0.9)).vibrometer()

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.wire.emulated import FarSides, far_sides, free_port, rig_text
+from tests.wire.emulated import EmulatedInstruments, emulated_instruments, free_port, rig_text
 
 
 @pytest.fixture
@@ -20,7 +20,7 @@ def rig(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def sides(rig: Path) -> Iterator[FarSides]:
-    """Its far sides."""
-    with far_sides(rig) as sides:
+def sides(rig: Path) -> Iterator[EmulatedInstruments]:
+    """Its emulated instruments."""
+    with emulated_instruments(rig) as sides:
         yield sides

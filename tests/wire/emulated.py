@@ -1,4 +1,4 @@
-"""A rig file whose instruments stand at the far ends of emulated wires, and those far sides themselves."""
+"""A rig file whose instruments stand at the other ends of emulated wires, and the emulated instruments themselves."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def rig_text(
     )
 
 
-class FarSides:
+class EmulatedInstruments:
     """A running ``wavefocus emulate``.
 
     rig_file: What it stands in for.
@@ -90,7 +90,7 @@ class FarSides:
         self.environment: Mapping[str, str] = {**os.environ, **json.loads(first)["environment"]}
 
     def say(self, line: str) -> str:
-        """Type a line; what the far sides answer."""
+        """Type a line; what the emulated instruments answer."""
         assert self._process.stdin is not None
         with self._heard:
             before = len(self.lines)
@@ -120,9 +120,9 @@ class FarSides:
 
 
 @contextmanager
-def far_sides(rig_file: Path) -> Iterator[FarSides]:
+def emulated_instruments(rig_file: Path) -> Iterator[EmulatedInstruments]:
     """Far sides for the length of a block."""
-    sides = FarSides(rig_file)
+    sides = EmulatedInstruments(rig_file)
     try:
         yield sides
     finally:

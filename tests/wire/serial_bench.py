@@ -1,4 +1,4 @@
-"""A mirror driver and its far side on a real wire."""
+"""A mirror driver and its emulated instrument on a real wire."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from wavefocus.drivers.mirror.serial_mirror import SerialMirror
 from wavefocus.drivers.protocols import WallClock
 from wavefocus.drivers.registry import MIRRORS
 from wavefocus.mocks.virtual.mirror import MirrorMotion
+from wavefocus.mocks.wire.emulated_serial import EmulatedSerial, PtyWire, SerialDevice, TcpWire, Wire, garble
 from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
 from wavefocus.mocks.wire.mirrors import MirrorDevice, mirror_device
-from wavefocus.mocks.wire.serial_far_side import PtyWire, SerialDevice, SerialFarSide, TcpWire, Wire, garble
 
 
 @dataclass(frozen=True)
@@ -58,10 +58,10 @@ class ImpatientClock(WallClock):
 
 @dataclass
 class MirrorBench:
-    """A far side, and mirrors that are opened on it."""
+    """An emulated instrument, and mirrors that are opened on it."""
 
     dialect: str
-    far: SerialFarSide
+    far: EmulatedSerial
     motion: MirrorMotion
     device: SerialDevice
     opened: list[SerialMirror] = field(default_factory=list)
@@ -123,7 +123,7 @@ def mirror_bench(
 ) -> Iterator[MirrorBench]:
     motion = MirrorMotion(PARK_MRAD, settle_s, slew_mrad_s, LIMIT_MRAD)
     one = device(motion) if device is not None else mirror_device(dialect, motion, LIMIT_MRAD)
-    far = SerialFarSide(one, wire(kind, folder), WireFaultPlan("mirror", faults), garbler)
+    far = EmulatedSerial(one, wire(kind, folder), WireFaultPlan("mirror", faults), garbler)
     with far:
         bench = MirrorBench(dialect, far, motion, one)
         try:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.wire.emulated import ACTUATORS, FarSides
+from tests.wire.emulated import ACTUATORS, EmulatedInstruments
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.config.calibration import CalibrationRecord
 from wavefocus.mocks.virtual.synthesis import output_errors
@@ -39,14 +39,14 @@ def rig(rig: Path) -> Path:
     return rig
 
 
-def doctor(rig: Path, sides: FarSides) -> tuple[int, dict[str, Any]]:
+def doctor(rig: Path, sides: EmulatedInstruments) -> tuple[int, dict[str, Any]]:
     command = [sys.executable, "-m", "wavefocus", "doctor", str(rig), "--json"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=sides.environment)
     assert done.stdout, done.stderr
     return done.returncode, json.loads(done.stdout)
 
 
-def calibrate(rig: Path, sides: FarSides, *options: str) -> tuple[int, dict[str, Any]]:
+def calibrate(rig: Path, sides: EmulatedInstruments, *options: str) -> tuple[int, dict[str, Any]]:
     """Calibrate with a person who plugs what is asked for into the emulated rig's response input."""
     command = [sys.executable, "-m", "wavefocus", "calibrate", str(rig), "--json", *options]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
@@ -78,7 +78,7 @@ def marks_file(folder: Path) -> Path:
 
 
 def test_given_all_wires_then_the_doctor_asks_every_instrument_and_unplugging_one_hides_no_other(
-    rig: Path, sides: FarSides
+    rig: Path, sides: EmulatedInstruments
 ) -> None:
     for _ in range(5):
         _, told = doctor(rig, sides)
@@ -99,7 +99,7 @@ def test_given_all_wires_then_the_doctor_asks_every_instrument_and_unplugging_on
     assert verdicts["player", "clock ratio"] == "ok"
 
 
-def test_given_all_wires_then_calibrate_finds_what_stands_behind_them(rig: Path, sides: FarSides) -> None:
+def test_given_all_wires_then_calibrate_finds_what_stands_behind_them(rig: Path, sides: EmulatedInstruments) -> None:
     options = ["--summing-box", "--box-gain", "1", "--fiducials", str(marks_file(rig.parent))]
     code, told = calibrate(rig, sides, *options)
     record = CalibrationRecord.model_validate(told["calibration"])

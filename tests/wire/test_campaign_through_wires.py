@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.wire.emulated import ACTUATORS, FarSides, far_sides, free_port, rig_text
+from tests.wire.emulated import ACTUATORS, EmulatedInstruments, emulated_instruments, free_port, rig_text
 from wavefocus.configuration import load_rig
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.rig.virtual_bench import virtual_settings
@@ -64,7 +64,7 @@ def write_run(folder: Path, name: str, rig: str, averages: int = 2) -> None:
     (folder / name).write_text(RUN.format(rig=rig, averages=averages), encoding="utf-8")
 
 
-def wavefocus(*arguments: object, sides: FarSides | None = None) -> str:
+def wavefocus(*arguments: object, sides: EmulatedInstruments | None = None) -> str:
     """Run a command to its good end; its standard output."""
     done = subprocess.run(
         [sys.executable, "-m", "wavefocus", *map(str, arguments)],
@@ -106,7 +106,7 @@ def add_to(folder: Path, names: tuple[str, str], keys: str) -> None:
 
 def check_as_good(lab: Path) -> np.ndarray:
     """Capture on the wires and in process: the errors of the former, which are no larger."""
-    with far_sides(lab / "rig.toml") as sides:
+    with emulated_instruments(lab / "rig.toml") as sides:
         wavefocus("capture", lab / "run.toml", "--bank", lab / "wires.h5", sides=sides)
     wavefocus("capture", lab / "virtual-run.toml", "--bank", lab / "virtual.h5")
     through_wires, in_process = (errors_db(lab / name, lab / "virtual-rig.toml") for name in ("wires.h5", "virtual.h5"))
@@ -135,7 +135,7 @@ def test_given_emulated_wires_and_staggered_capture_then_all_actuators_sound_at_
 
 def test_given_each_instrument_unplugged_and_plugged_in_again_then_the_capture_goes_on_by_itself(lab):
     write_run(lab, "run.toml", "rig.toml", averages=1)
-    with far_sides(lab / "rig.toml") as sides:
+    with emulated_instruments(lab / "rig.toml") as sides:
         files = [str(lab / "run.toml"), "--bank", str(lab / "b.h5")]
         capture = subprocess.Popen(
             [sys.executable, "-m", "wavefocus", "capture", *files, "--json"],

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.wire.emulated import far_sides, free_port, rig_text
+from tests.wire.emulated import emulated_instruments, free_port, rig_text
 from wavefocus.__main__ import run
 from wavefocus.drivers.mirror.asi_tiger import AsiTiger
 from wavefocus.drivers.mirror.serial_mirror import SerialMirror
@@ -52,7 +52,7 @@ def test_given_a_recorder_without_an_address_then_it_says_what_to_give(tmp_path,
 def test_given_a_keyboard_then_the_spot_the_patch_bay_and_mistakes_are_answered(tmp_path):
     rig_file = tmp_path / "rig.toml"
     rig_file.write_text(rig_text(tmp_path, f"localhost:{free_port()}"), encoding="utf-8")
-    with far_sides(rig_file) as sides:
+    with emulated_instruments(rig_file) as sides:
         assert sides.say("spot") == "spot: not on the plate"
         mirror = SerialMirror(
             AsiTiger(),

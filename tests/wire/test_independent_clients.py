@@ -13,8 +13,8 @@ from asitiger.tigercontroller import TigerController as AsiTigerClient
 from tigerasi.tiger_controller import TigerController as TigerAsiClient
 
 from wavefocus.mocks.virtual.mirror import MirrorMotion
+from wavefocus.mocks.wire.emulated_serial import EmulatedSerial, PtyWire
 from wavefocus.mocks.wire.mirrors.asi_tiger import AsiTigerDevice
-from wavefocus.mocks.wire.serial_far_side import PtyWire, SerialFarSide
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="the clients open a serial port: a pseudo-terminal")
 
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="the clients open a s
 @contextmanager
 def tiger(folder):
     motion = MirrorMotion((0.0, 0.0), 0.0, math.inf, 250.0)
-    with SerialFarSide(AsiTigerDevice(motion), PtyWire(folder / "port")) as far:
+    with EmulatedSerial(AsiTigerDevice(motion), PtyWire(folder / "port")) as far:
         yield far.address, motion
 
 

@@ -1,4 +1,4 @@
-"""The far side's mirror: what it tells of its motion fits together."""
+"""The emulated mirror: what it tells of its motion fits together."""
 
 from __future__ import annotations
 

@@ -9,13 +9,13 @@ from typing import Any
 import pytest
 
 from tests.system.lines import Lines
-from tests.wire.emulated import FarSides
+from tests.wire.emulated import EmulatedInstruments
 
 pytestmark = pytest.mark.long
 
 
-def spot_of(sides: FarSides) -> str:
-    """Where the far side's beam falls on its plate."""
+def spot_of(sides: EmulatedInstruments) -> str:
+    """Where the emulated beam falls on its plate."""
     return sides.say("spot")
 
 
@@ -32,7 +32,7 @@ def swept(lines: Lines, actuator: int) -> dict[str, Any]:
 
 
 def test_given_real_drivers_then_the_beam_goes_where_it_is_sent_and_is_parked_however_it_ends(
-    rig: Path, sides: FarSides
+    rig: Path, sides: EmulatedInstruments
 ) -> None:
     rig.write_text(rig.read_text(encoding="utf-8").replace("inter_channel_delay_s = 1.4e-5", ""), encoding="utf-8")
     for ending in ("end", "input", "signal"):
@@ -64,7 +64,9 @@ def test_given_real_drivers_then_the_beam_goes_where_it_is_sent_and_is_parked_ho
         assert spot_of(sides) == "spot: not on the plate"
 
 
-def test_given_a_sweep_under_way_then_a_mute_ends_its_sound_before_its_time(rig: Path, sides: FarSides) -> None:
+def test_given_a_sweep_under_way_then_a_mute_ends_its_sound_before_its_time(
+    rig: Path, sides: EmulatedInstruments
+) -> None:
     with Lines("operate", rig, environment=sides.environment) as lines:
         lines.hear("ready")
         lines.send(order="jog", x_mm=30, y_mm=-12)

@@ -8,7 +8,7 @@ import pytest
 
 from tests.system.lines import Lines
 from tests.system.test_trials import MASKING, TRIALS
-from tests.wire.emulated import far_sides, free_port, rig_text
+from tests.wire.emulated import emulated_instruments, free_port, rig_text
 from tests.wire.test_campaign_through_wires import POSITIONS, VIRTUAL_RIG, write_run
 from wavefocus.__main__ import run
 from wavefocus.trials.answers import read_answers
@@ -29,7 +29,10 @@ def test_given_a_player_that_is_unplugged_in_a_trial_then_the_trial_is_repeated_
     (tmp_path / "trials.toml").write_text(trials + MASKING, encoding="utf-8")
     files = [tmp_path / "trials.toml", "--bank", tmp_path / "plate.h5", "--rig", tmp_path / "rig.toml"]
     rest = ["--out", tmp_path / "out", "--participant", "P1", "--lines"]
-    with far_sides(tmp_path / "rig.toml") as sides, Lines("trials", *files, *rest, environment=sides.environment) as it:
+    with (
+        emulated_instruments(tmp_path / "rig.toml") as sides,
+        Lines("trials", *files, *rest, environment=sides.environment) as it,
+    ):
         away = False
         while (event := it.hear("state", "ended"))["event"] != "ended":
             match event["waiting"], event["note"]:

@@ -12,8 +12,8 @@ from tests.wire.serial_bench import LOCAL, WIRES, ImpatientClock, wire
 from wavefocus.config.rig_instruments import VibrometerSection
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.vibrometer.polytec import Polytec
+from wavefocus.mocks.wire.emulated_serial import EmulatedSerial
 from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
-from wavefocus.mocks.wire.serial_far_side import SerialFarSide
 from wavefocus.mocks.wire.vibrometer import PolytecDevice
 from wavefocus.rig.setup import LightSensor, RangeSensor, range_band
 
@@ -23,7 +23,7 @@ ANSWER_S = 0.3
 @contextmanager
 def controller(kind, folder, *faults, **settings_):
     device = PolytecDevice(**settings_)
-    with SerialFarSide(device, wire(kind, folder), WireFaultPlan("vibrometer", faults)) as far:
+    with EmulatedSerial(device, wire(kind, folder), WireFaultPlan("vibrometer", faults)) as far:
         yield far
 
 
@@ -111,7 +111,7 @@ def test_given_an_optional_answer_that_cannot_be_read_then_the_reading_goes_on_w
         def answer(self, command):
             return f"{answer}\n" if self.operation(command) == operation else super().answer(command)
 
-    with SerialFarSide(Odd(), wire(LOCAL, tmp_path)) as far:
+    with EmulatedSerial(Odd(), wire(LOCAL, tmp_path)) as far:
         reading = read(far, answer_s=0.1)
     assert reading.sensitivity_m_s_per_v == pytest.approx(0.125)
     assert (reading.latency_s is None) == (operation == "delay")
@@ -130,7 +130,7 @@ def test_given_a_controller_that_knows_one_of_the_two_questions_for_its_name_the
                 return super().answer(command)
             return "" if command.startswith(silent) else f"{name}\n"
 
-    with SerialFarSide(KnowsOne(), wire(LOCAL, tmp_path)) as far:
+    with EmulatedSerial(KnowsOne(), wire(LOCAL, tmp_path)) as far:
         assert read(far, answer_s=0.1).identity == f"{name}, VD-09"
 
 
@@ -179,7 +179,7 @@ def test_given_arbitrary_text_for_a_range_then_it_is_an_error(tmp_path_factory, 
 @pytest.mark.parametrize("with_light", [False, True])
 def test_given_a_range_that_is_changed_meanwhile_then_the_condition_is_left_until_it_is_set_back(with_light, tmp_path):
     device = PolytecDevice()
-    with SerialFarSide(device, wire(LOCAL, tmp_path), WireFaultPlan("vibrometer", ())) as far:
+    with EmulatedSerial(device, wire(LOCAL, tmp_path), WireFaultPlan("vibrometer", ())) as far:
         section = VibrometerSection(driver="polytec-ofv5000", port=far.address)
         light = LightSensor(section)
         band, sensor = range_band(read(far).sensitivity_m_s_per_v), RangeSensor(section, light if with_light else None)

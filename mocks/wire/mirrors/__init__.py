@@ -6,7 +6,7 @@ import re
 
 from wavefocus.drivers.registry import Registry
 from wavefocus.mocks.virtual.mirror import MirrorMotion
-from wavefocus.mocks.wire.serial_far_side import SerialDevice
+from wavefocus.mocks.wire.emulated_serial import SerialDevice
 
 
 class MirrorDevice(SerialDevice):

@@ -1,4 +1,4 @@
-"""``wavefocus emulate``: the far sides of a rig's wires, so that its real drivers run with no hardware."""
+"""``wavefocus emulate``: emulated instruments on a rig's wires, so that its real drivers run with no hardware."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ COMMANDS = (
 
 
 def emulate(rig_file: Path, *, as_json: bool) -> Exit:
-    """Start the far sides that a rig file names and obey the keyboard until it says quit.
+    """Start the instruments that a rig file names, emulated, and obey the keyboard until it says quit.
 
     Raises InputError: the rig has virtual drivers, or an address that nothing can be put at.
     """
     rig = load_rig(rig_file)
     if rig.is_virtual:
         raise InputError(
-            f"{rig_file}: its drivers are virtual and need no far side; "
+            f"{rig_file}: its drivers are virtual and need no emulated instrument; "
             "wavefocus init DIR --rig emulated writes one whose drivers are real"
         )
     try:
@@ -58,14 +58,14 @@ def emulate(rig_file: Path, *, as_json: bool) -> Exit:
         with emulated:
             _announce(emulated, as_json=as_json)
             _carry_out(emulated, stop)
-    say("the far sides are gone")
+    say("the emulated instruments have stopped")
     return Exit.DONE
 
 
 def wiring_of(rig: RigConfig, rig_file: Path) -> Wiring:
-    """Where a rig's drivers look for their instruments, for the far sides.
+    """Where the emulated instruments are put: where the rig's drivers look for theirs.
 
-    Raises InputError: an address that no far side can be put at.
+    Raises InputError: an address that no emulated instrument can be put at.
     """
     from wavefocus.mocks.wire.emulated_rig import Wiring
 
@@ -94,7 +94,7 @@ def wiring_of(rig: RigConfig, rig_file: Path) -> Wiring:
 
 
 def _check_free(key: str, port: str) -> None:
-    """Refuse an address where a far side would push something aside, or cannot be."""
+    """Refuse an address that is in use, or at which no emulated instrument can be."""
     if port.startswith("socket://"):
         return
     link = Path(port)
@@ -111,7 +111,7 @@ def _announce(emulated: EmulatedRig, *, as_json: bool) -> None:
     if as_json:
         print(json.dumps({"environment": environment, "mirror": emulated.mirror.address}), flush=True)
     settings = " ".join(f"{name}={value}" for name, value in environment.items())
-    say("the far sides are up; in the other terminal, before wavefocus doctor, calibrate or capture, type")
+    say("the emulated instruments run; in the other terminal, before wavefocus doctor, calibrate or capture, type")
     say(f"    export {settings}")
     say(f"and here: {COMMANDS}")
 

@@ -1,4 +1,4 @@
-"""A device at the far end of a serial line, with faults on order, and the two kinds of wire that it hangs on.
+"""A device on a serial line, with faults on order, and the two kinds of wire that it hangs on.
 
 A wire comes back at the same address after it was unplugged. A pseudo-terminal behind a stable link is a full serial
 port to the near side, but POSIX alone has it; the TCP port is there for every other system.
@@ -71,7 +71,7 @@ def garble(answer: bytes) -> bytes:
     return bytes(byte | 0x80 if index % 2 == 0 else byte for index, byte in enumerate(body)) + answer[len(body) :]
 
 
-class SerialFarSide:
+class EmulatedSerial:
     """Serves a device on a wire, in a thread of its own, until it is closed.
 
     Faults: *silent*: the command is lost on its way. *late*: the answer comes `seconds` late. *truncated*: half of
@@ -80,7 +80,7 @@ class SerialFarSide:
     :meth:`plug`. *impostor*: another device says who it is. *restarted*: it is switched off and on in place of
     obeying; then comes what it sends by itself.
 
-    wire: What it hangs on; closed with the far side.
+    wire: What it hangs on; closed with the emulated instrument.
     faults: What goes wrong, by the device's role.
     garbler: Turns an answer into a garbled one.
     """
@@ -96,7 +96,7 @@ class SerialFarSide:
         self._wire = wire
         self._faults = faults or WireFaultPlan(device.role)
         self._garbler = garbler
-        self._thread = threading.Thread(target=self._serve, name=f"{device.role} far side", daemon=True)
+        self._thread = threading.Thread(target=self._serve, name=f"{device.role} emulated instrument", daemon=True)
         self._orders: queue.SimpleQueue[tuple[Callable[[], None], threading.Event]] = queue.SimpleQueue()
         self._bell, self._wake = socket.socketpair()
         self._wake.setblocking(False)
@@ -117,7 +117,7 @@ class SerialFarSide:
         """The latest commands, as they came in."""
         return tuple(self._commands)
 
-    def start(self) -> SerialFarSide:
+    def start(self) -> EmulatedSerial:
         """Make the port appear and serve it."""
         self._wire.plug()
         self._plugged = True
@@ -145,7 +145,7 @@ class SerialFarSide:
         self._bell.close()
         self._wake.close()
 
-    def __enter__(self) -> SerialFarSide:
+    def __enter__(self) -> EmulatedSerial:
         return self.start()
 
     def __exit__(
@@ -263,7 +263,7 @@ class SerialFarSide:
 
 
 class Wire(Protocol):
-    """The far end of a serial line; one thread alone uses it."""
+    """The instrument's end of a serial line; one thread alone uses it."""
 
     @property
     def address(self) -> str:
@@ -318,7 +318,7 @@ class PtyWire:
         # Nothing may be echoed or translated before the near side sets the port up.
         tty.setraw(near)
         os.set_blocking(far, False)
-        # The near end stays open here too, so that the far end does not fail when the near side closes it.
+        # The client's end stays open here too, so that this one does not fail when the client closes it.
         self._ends = (far, near)
         fresh = self._link.with_name(f".{self._link.name}.{os.getpid()}")
         fresh.symlink_to(os.ttyname(near))

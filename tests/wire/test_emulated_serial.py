@@ -1,4 +1,4 @@
-"""The far sides by themselves, as a person at a terminal would meet them."""
+"""The emulated instruments by themselves, as a person at a terminal would meet them."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ import pytest
 
 from tests.wire.serial_bench import WIRES, wire
 from wavefocus.mocks.virtual.mirror import MirrorMotion
+from wavefocus.mocks.wire.emulated_serial import EmulatedSerial, TcpWire
 from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
 from wavefocus.mocks.wire.mirrors import mirror_device
 from wavefocus.mocks.wire.mirrors.asi_tiger import AsiTigerDevice
 from wavefocus.mocks.wire.mirrors.generic import GenericMirrorDevice
 from wavefocus.mocks.wire.mirrors.mirrorcle import MirrorcleDevice
 from wavefocus.mocks.wire.mirrors.optotune import OptotuneDevice
-from wavefocus.mocks.wire.serial_far_side import SerialFarSide, TcpWire
 from wavefocus.mocks.wire.vibrometer import PolytecDevice
 
 REFERENCE = Path(__file__).parents[2] / "docs/reference/generic-mirror.md"
@@ -32,7 +32,7 @@ def motion():
 @contextmanager
 def terminal(device, *faults):
     """A person's terminal: sends lines and reads lines."""
-    with SerialFarSide(device, TcpWire(), WireFaultPlan(device.role, faults)) as far:
+    with EmulatedSerial(device, TcpWire(), WireFaultPlan(device.role, faults)) as far:
         parts = urlsplit(far.address)
         with socket.create_connection((parts.hostname, parts.port), timeout=30) as line, line.makefile("rb") as answers:
 
@@ -158,7 +158,7 @@ def test_given_an_unknown_dialect_then_there_is_no_device():
 
 
 def test_given_a_second_terminal_then_it_is_hung_up_on_and_the_first_goes_on():
-    with SerialFarSide(GenericMirrorDevice(motion()), TcpWire()) as far:
+    with EmulatedSerial(GenericMirrorDevice(motion()), TcpWire()) as far:
         at = (urlsplit(far.address).hostname, urlsplit(far.address).port)
         with socket.create_connection(at, timeout=30) as first, socket.create_connection(at, timeout=30) as second:
             first.sendall(b"BUSY?\n")
@@ -168,7 +168,7 @@ def test_given_a_second_terminal_then_it_is_hung_up_on_and_the_first_goes_on():
 
 @pytest.mark.parametrize("kind", WIRES)
 def test_given_plugs_pulled_and_put_back_at_will_then_the_address_stays(kind, tmp_path):
-    far = SerialFarSide(GenericMirrorDevice(motion()), wire(kind, tmp_path))
+    far = EmulatedSerial(GenericMirrorDevice(motion()), wire(kind, tmp_path))
     address = far.address
     with far:
         for _ in range(3):
