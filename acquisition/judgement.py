@@ -278,5 +278,5 @@ def _low_signal(estimate: Estimate, usable: BoolArray, limits: QualityLimits) ->
     best_db = float(np.max(estimate.snr_db[usable]))
     if best_db >= limits.poor_snr_db:
         return []
-    sentence = f"the best record has {best_db:.1f} dB signal-to-noise ratio"
+    sentence = f"the best record has {best_db:.1f} dB signal-to-noise ratio (the record's, not the row's error)"
     return [Defect("low signal", tuple(np.flatnonzero(usable).tolist()), sentence, Cure.MOVE)]

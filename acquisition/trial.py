@@ -20,7 +20,8 @@ from wavefocus.acquisition.wording import hours
 from wavefocus.calibration import Complex128Array, Float64Array
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.estimator.estimate import Estimate
-from wavefocus.calibration.estimator.schedule_error import Decay, degrees_of_freedom, measure_decay
+from wavefocus.calibration.estimator.noise_error import noise_error_db
+from wavefocus.calibration.estimator.schedule_error import Decay, measure_decay
 from wavefocus.calibration.sweeps import StaggeredSignal
 from wavefocus.config.messages.campaign import Subscriber
 from wavefocus.drivers.errors import TransientInstrumentError
@@ -72,8 +73,7 @@ class Band:
         self.length = scipy.fft.next_fast_len(2 * taps, real=True)
         hertz = np.arange(self.length // 2 + 1) * sample_rate_hz / self.length
         self._inside = (hertz >= band_hz[0]) & (hertz <= band_hz[1])
-        self.freedom = degrees_of_freedom(band_hz, taps / sample_rate_hz)
-        self.width_hz = band_hz[1] - band_hz[0]
+        self._band_hz, self._response_s = band_hz, taps / sample_rate_hz
 
     def spectra(self, green: NDArray[np.floating]) -> Complex128Array:
         """Spectra (actuators, bins) of FIRs (actuators, taps)."""
@@ -85,8 +85,10 @@ class Band:
         estimate: Of sequential records.
         window_s: A sweep and its silence in seconds, on which the noise is seen.
         """
-        seen = 2 * self.width_hz * window_s
-        return np.asarray(10 ** (-0.1 * estimate.snr_db.astype(np.float64)) * min(self.freedom / seen, 1.0))
+        error_db = noise_error_db(
+            estimate.snr_db, band_hz=self._band_hz, response_s=self._response_s, period_s=window_s
+        )
+        return np.asarray(10 ** (0.1 * error_db))
 
 
 def relative(one: Complex128Array, other: Complex128Array, whole: Complex128Array) -> Float64Array:

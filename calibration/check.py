@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from wavefocus.calibration import BoolArray, Float64Array
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.crosstalk import REMEDY, crosstalk_of_bank
+from wavefocus.calibration.estimator.noise_error import bank_noise_error_db
 from wavefocus.calibration.neighbour_judge import NeighbourJudge, RowSpectra
 from wavefocus.storage.bank.ledger import VALID
 from wavefocus.storage.bank.reading import Bank, CopiedRows, VerifiedRows, open_bank
@@ -24,7 +25,7 @@ from wavefocus.storage.field_file import FieldRowReader
 from wavefocus.storage.hdf5_digest import format_of
 from wavefocus.storage.ledger.owner import bank_owner, owner_path
 from wavefocus.storage.ledger.reader import LedgerReader
-from wavefocus.storage.point_status import row_ranges, usable
+from wavefocus.storage.point_status import median_of_pairs, row_ranges, usable
 from wavefocus.storage.raw.header import RAW
 from wavefocus.storage.raw.writer import RawRows, open_raw
 
@@ -47,7 +48,7 @@ class Finding:
     actuator: The actuator it is about; None for all of them.
     message: What is wrong, as one sentence.
     severity: ``"error"`` when the data cannot be trusted, ``"warning"`` when a person should look, ``"note"`` for the
-        extent of the check itself.
+        extent of the check itself, and for the error that white noise leaves.
     """
 
     position: int | None
@@ -61,7 +62,8 @@ def check_bank(path: str | Path) -> list[Finding]:
 
     path: A bank of this program or of another; while a run is on, what is just being written is not held against it.
 
-    Returns list of Finding: empty when all is well. Raises InputError: when the file cannot be opened as a bank at all.
+    Returns list of Finding: nothing but notes when all is well. Raises InputError: when the file cannot be opened as a
+    bank at all.
     """
     path = Path(path)
     with open_bank(path, contents=True) as bank, one_blas_thread():
@@ -72,6 +74,7 @@ def check_bank(path: str | Path) -> list[Finding]:
         findings += _check_suspects(bank)
         findings += _check_rows(bank)
         findings += _check_crosstalk(bank)
+        findings += _note_noise(bank)
     return sorted(findings, key=lambda finding: -1 if finding.position is None else finding.position)
 
 
@@ -121,6 +124,20 @@ def _check_file(bank: Bank) -> Iterator[Finding]:
 
 
 MAX_NAMES = 10
+
+
+def _note_noise(bank: Bank) -> Iterator[Finding]:
+    error_db = bank_noise_error_db(bank)
+    median_db = median_of_pairs(error_db, bank.status)
+    if error_db is None or median_db is None:
+        return
+    known_db = np.where((bank.status > 0)[:, np.newaxis] & np.isfinite(error_db), error_db, -np.inf)
+    position, actuator = (int(at) for at in np.unravel_index(np.argmax(known_db), known_db.shape))
+    message = (
+        f"white noise leaves an error of {median_db:.1f} dB in the median row, of "
+        f"{known_db[position, actuator]:.1f} dB in the worst (position {position}, actuator {actuator})"
+    )
+    yield Finding(None, None, message, "note")
 
 
 def _check_positions(bank: Bank) -> Iterator[Finding]:
@@ -282,8 +299,8 @@ def check_file(path: str | Path) -> list[Finding]:
 
     path: A file of this program or of another; while it is written, what is just being written is not held against it.
 
-    Returns list of Finding: empty when all is well. Raises InputError: the file cannot be opened as what it says that
-    it is, or a checksum of the whole does not hold.
+    Returns list of Finding: nothing but notes when all is well. Raises InputError: the file cannot be opened as what it
+    says that it is, or a checksum of the whole does not hold.
     """
     path = Path(path)
     found, sealed = format_of(path)

@@ -56,11 +56,11 @@ def not_valid(status: NDArray[np.uint8]) -> list[int]:
     return np.flatnonzero((status != 0) & (status & (Status.VALID | Status.DISABLED) == 0)).tolist()
 
 
-def median_snr_db(snr_db: NDArray[np.float32] | None, status: NDArray[np.uint8]) -> float | None:
-    """Median signal-to-noise ratio over all measured pairs (position, actuator); None where none is known."""
-    if snr_db is None:
+def median_of_pairs(figures: NDArray[np.floating] | None, status: NDArray[np.uint8]) -> float | None:
+    """Median of a figure over all measured pairs (position, actuator); None where none is known."""
+    if figures is None:
         return None
-    known = snr_db[status > 0]
+    known = figures[status > 0]
     known = known[np.isfinite(known)]
     if not known.size:
         return None

@@ -156,7 +156,7 @@ def _sentence(event: Event) -> tuple[Weight, str]:
 
 def _quality_parts(event: PositionCommitted) -> list[str]:
     """Quality of a position in words; NaN, where nothing could be estimated, is left out."""
-    parts = (("signal-to-noise ratio", event.snr_db), ("residual", event.residual_db))
+    parts = (("record's signal-to-noise ratio", event.snr_db), ("residual", event.residual_db))
     return [f"{words} {value:.1f} dB" for words, value in parts if math.isfinite(value)]
 
 

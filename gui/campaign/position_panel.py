@@ -203,9 +203,11 @@ def _columns(green: Real) -> Real:
 
 
 _ATTEMPTS = ("time", "attempt", "outcome", "SNR (dB)", "residual (dB)")
-_ACTUATORS = ("actuator", "SNR (dB)", "residual (dB)", "coherence", "peak (V)")
+_ACTUATORS = ("actuator", "SNR (dB)", "residual (dB)", "coherence", "peak (V)", "noise error (dB)")
+# Follows from the bank and stands in none of its datasets.
+_NOISE_ERROR = "noise_error_db"
 # Figures of an actuator, and their decimals.
-_FIGURES = {"snr_db": 1, "residual_db": 1, "coherence": 3, "peak_v": 3}
+_FIGURES = {"snr_db": 1, "residual_db": 1, "coherence": 3, "peak_v": 3, _NOISE_ERROR: 1}
 _ALL = "all actuators"
 _WATERFALL, _OWN_SCALE = 1, 2
 
@@ -360,10 +362,13 @@ class PositionPanel(Themed, QTabWidget):
 
 
 def _read(path: Path, position: int) -> Details:
+    from wavefocus.calibration.estimator.noise_error import bank_noise_error_db
     from wavefocus.storage.bank.reading import open_bank  # h5py is slow to import
 
     with open_bank(path) as bank:
         quality = {key: bank.quality[key][position] for key in _FIGURES if key in bank.quality}
+        if (error_db := bank_noise_error_db(bank)) is not None:
+            quality[_NOISE_ERROR] = error_db[position]
         return Greens(position, bank.green(position)), quality
 
 

@@ -72,7 +72,7 @@ class Figure:
 
 
 FIGURES = (
-    Figure("snr_db", "signal-to-noise ratio, median of the actuators", "dB", np.nanmedian),
+    Figure("snr_db", "signal-to-noise ratio of the records, median of the actuators", "dB", np.nanmedian),
     Figure("residual_db", "residual, worst actuator", "dB", np.nanmax),
     Figure("coherence", "coherence, worst actuator", "", np.nanmin),
     Figure("peak_v", "peak at the DAQ, largest of the actuators", "V", np.nanmax),

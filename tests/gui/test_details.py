@@ -9,6 +9,7 @@ from PyQt5.QtCore import Qt
 from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import LEFT, NO_KEY, Opens, campaign_of, click, drag, pixel, wait
+from wavefocus.calibration.estimator.noise_error import bank_noise_error_db
 from wavefocus.gui.campaign.quality import DAMAGED, LOOKS
 from wavefocus.gui.campaign.tab import CampaignTab
 from wavefocus.storage.bank.reading import open_bank
@@ -35,8 +36,11 @@ def test_given_a_click_on_the_map_then_green_s_functions_quality_and_recordings_
     with open_bank(finished) as bank:
         np.testing.assert_array_equal(panel.greens.green, bank.green(6))
         snr_db = bank.quality["snr_db"][6, 2]
+        error_db = bank_noise_error_db(bank)
+        assert error_db is not None
     assert panel.attempts.item(0, 2).text() == "committed: valid"
     assert panel.actuators.item(2, 1).text() == f"{snr_db:.1f}"
+    assert panel.actuators.item(2, 5).text() == f"{error_db[6, 2]:.1f}"
     for page in range(panel.count()):
         panel.setCurrentIndex(page)
     panel.setCurrentIndex(3)

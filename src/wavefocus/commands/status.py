@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wavefocus.acquisition.wording import a_while, hours, row_ranges
+from wavefocus.calibration.estimator.noise_error import median_noise_error_db
 from wavefocus.campaign.campaign_view import remaining
 from wavefocus.campaign.sidecar_files import (
     CampaignState,
@@ -47,7 +48,7 @@ from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.owner import Owner, bank_owner
 from wavefocus.storage.output_files import require_outputs, write_whole
-from wavefocus.storage.point_status import median_snr_db, status_counts
+from wavefocus.storage.point_status import median_of_pairs, status_counts
 
 if TYPE_CHECKING:
     from wavefocus.acquisition.limits import DriftPoint
@@ -70,7 +71,8 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
         counts["not-measured"] -= len(broken)
         total = view.positions
         done = total - counts["not-measured"] - len(broken)
-        snr_db = median_snr_db(view.quality.get("snr_db"), view.status)
+        snr_db = median_of_pairs(view.quality.get("snr_db"), view.status)
+        error_db = median_noise_error_db(view)
         plan_sha256 = view.plan_sha256
         run_json = view.run_json
         imported = view.import_facts
@@ -95,6 +97,7 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
         "counts": counts,
         "damaged_positions": broken,
         "median_snr_db": snr_db,
+        "median_noise_error_db": error_db,
         "state": stands.state,
         "state_since": stands.since,
         "state_reason": stands.reason,
@@ -141,7 +144,9 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
             f"wavefocus resume {bank}"
         )
     if snr_db is not None:
-        answer(f"median signal-to-noise ratio {snr_db:.1f} dB over all pairs")
+        answer(f"median signal-to-noise ratio of the records {snr_db:.1f} dB over all pairs")
+    if error_db is not None:
+        answer(f"error of the rows from white noise, as it follows from that: median {error_db:.1f} dB")
     if moved:
         answer(f"measured up to {np.nanmax(moved_mm):.2g} mm off their position, where there was light: {moved}")
     for position, reason in list(kept.items())[:MOST_LINES]:

@@ -73,7 +73,7 @@ from wavefocus.storage.drive_file import Drive, write_drive
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import Field, write_field
 from wavefocus.storage.output_files import require_output_folder, staged_folder
-from wavefocus.storage.point_status import median_snr_db, usable
+from wavefocus.storage.point_status import median_of_pairs, usable
 from wavefocus.storage.scan_journal import ScanJournal
 from wavefocus.storage.sidecar_files import create
 from wavefocus.storage.units import quantity
@@ -362,7 +362,7 @@ def _facts(configuration: Configuration, bank: Bank, scan_s: float) -> dict[str,
         "Scan": f"{hours(scan_s)} on the rig's clock",
         "Plan": str(bank.plan_sha256),
     }
-    if (snr_db := median_snr_db(bank.quality.get("snr_db"), bank.status)) is not None:
+    if (snr_db := median_of_pairs(bank.quality.get("snr_db"), bank.status)) is not None:
         facts["Signal-to-noise ratio"] = f"{snr_db:.1f} dB, median over all pairs"
     return facts
 
