@@ -260,7 +260,7 @@ class Dialogue:
         marker = self._marker
         if marker is None:
             raise NoAnswerError("no answer came")
-        # An end alone rounds off a command of which only a part went out.
+        # An end by itself completes a command of which only a part was sent.
         self._line.send("")
         strangers: list[str] = []
         for _ in range(2):

@@ -226,7 +226,7 @@ class PiecewisePlayer(Player, Protocol):
 
         channels: In the order of the pieces' rows.
         sample_rate_hz: Rate of the pieces in Hz.
-        ahead_s: It sounds when so much is there, or all of it; no more than that waits to be played.
+        ahead_s: It sounds when this much is there, or all of it; no more than that waits to be played.
 
         Raises InstrumentError: unknown channel, wrong rate, still playing, device failure.
         """

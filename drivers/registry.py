@@ -154,7 +154,7 @@ def rig_key(
         are of the same kind: an address, a time-out. ``"always"``: it is in the plan's hash at its default too, as in
         banks that are there; a new key is not, or their hash would change.
     pattern: A regular expression that texts match, and what is allowed, as the end of a sentence.
-    **bounds: ``gt``, ``ge``, ``lt`` and ``le``, as of pydantic's ``Field``.
+    **bounds: ``gt``, ``ge``, ``lt`` and ``le``, as in pydantic's ``Field``.
     """
     about = {"title": title, "description": description, "in_plan": in_plan, "pattern": pattern, "bounds": bounds}
     return field(default=default, metadata=about)
@@ -246,7 +246,7 @@ class VibrometerDriver(Named, Protocol):
     def read(
         self, port: str, *, baud: int | None = None, identity: str | None = None, any_level: bool = False
     ) -> VibrometerReading:
-        """Ask the controller and leave it alone again; a signal too weak is an error unless any level will do.
+        """Ask the controller and release it again; a signal too weak is an error unless any level will do.
 
         Raises InstrumentError: it does not answer, is another device, or has too weak a signal.
         """

@@ -205,7 +205,7 @@ def open_failure(address: str, failure: Exception) -> tuple[str, str]:
             f"to whoever is logged in: sudo cp {RULES} {RULES_FOLDER}, and plug the device in again",
         )
     if number in NO_SERIAL_PORT or "configure port" in text or "IsADirectory" in text:
-        return f"that is no serial port ({text})", "correct the rig file, port or baud"
+        return f"that is not a serial port ({text})", "correct the rig file, port or baud"
     return f"it cannot be opened ({text})", "check the rig file, port, and the cable"
 
 
@@ -260,7 +260,7 @@ class LineSettings:
 
 
 class SerialLine:
-    """A serial port or a TCP connection in its place, opened for one user alone.
+    """A serial port or a TCP connection in its place, opened for one user only.
 
     instrument: Whose line it is, for messages.
     port: As in the rig file, see `wavefocus.drivers.serial_line.find_port`.
@@ -334,10 +334,10 @@ class SerialLine:
         try:
             return line.rstrip(b"\r").decode(self.settings.encoding)
         except UnicodeDecodeError:
-            raise NoAnswerError(f"what came is no text: {bytes(line)!r}") from None
+            raise NoAnswerError(f"the answer is not text: {bytes(line)!r}") from None
 
     def received(self) -> bool:
-        """Whether there is input that nobody has read. Raises LineFailedError."""
+        """Whether there is unread input. Raises LineFailedError."""
         try:
             return bool(self._input or self._port.in_waiting)
         except self._failures as failure:

@@ -42,7 +42,7 @@ class ShutError(InstrumentError):
 
 
 class CallThread:
-    """Carries out calls one after another in one thread of this name, each for so long and no longer.
+    """Carries out calls one after another in one thread of this name, each with a time limit.
 
     A thread whose call hangs is abandoned: it is a daemon, so that it holds up no exit, and the next call gets a fresh
     thread. What an abandoned call returns in the end is dropped.
@@ -107,7 +107,7 @@ def _carry_out(calls: _Calls) -> None:
 
 
 def in_time(instrument: str, operation: str, ask: Callable[[], Answer], limit_s: float) -> Answer:
-    """Carry out one call in a thread of its own, for `limit_s` (> 0, on the wall's clock) and no longer.
+    """Carry out one call in a thread of its own, for at most `limit_s` (> 0, on the wall's clock).
 
     Raises InstrumentLostError: it did not come back in that time.
     """
@@ -257,7 +257,7 @@ class BoundedRecorder(_Bounded[Recorder]):
         return self._work(self._recording, lambda: self._device.read(timeout_s), timeout_s)
 
     def sampling_delay_s(self, sample_rate_hz: float) -> float | None:
-        """As of `wavefocus.drivers.protocols.StatesDelay`; None from a recorder that cannot say."""
+        """See `wavefocus.drivers.protocols.StatesDelay`; None from a recorder that cannot say."""
         device = self._device
         if not isinstance(device, StatesDelay):
             return None

@@ -212,7 +212,7 @@ def _printable(text: str) -> str:
 def _build(answer: str) -> str:
     if "Motor Axes:" not in answer or BANNER.search(answer):
         raise UnreadableError(answer)
-    # Answers that ended with a carriage return alone may stand before it in the same line.
+    # Answers that ended with only a carriage return may stand before it in the same line.
     before = answer[: answer.rindex("Motor Axes:")].rstrip("\r")
     return answer[before.rfind("\r") + 1 :]
 

@@ -238,12 +238,12 @@ class SerialMirror:
 
     def _open(self) -> None:
         self._forget_move()
-        # A call that hangs keeps the old dialogue; nobody waits for it.
+        # A call that hangs keeps the old dialogue and is not waited for.
         self._dialogue.close()
         try:
             identity = self._wake()
             if self._stranger(identity):
-                # One disturbed answer is no other device.
+                # One disturbed answer is not another device.
                 identity = self._dialect.wake(self._dialogue, self._patience_s)
             self._check_identity(identity)
             self._dialogue.recognise(self._dialect.marker(identity))

@@ -57,7 +57,7 @@ class Polytec:
         answer_s: float = 1.0,
         clock: Clock | None = None,
     ) -> VibrometerReading:
-        """Ask for the sensitivity that it is set to, and leave the controller alone again.
+        """Ask for the sensitivity that it is set to, and release the controller again.
 
         Raises InstrumentError, TransientInstrumentError or InstrumentLostError.
 

@@ -35,7 +35,7 @@ class ModalPlate(Plate):
 
     What it costs is proportional to the places, actuators, modes and frequencies asked for.
 
-    actuator_mm, outline, chain: As of every plate.
+    actuator_mm, outline, chain: See `Plate`.
     mode_tolerance: Modes may be left out as long as no response anywhere on the plate, at no frequency asked for,
         changes by more than this share of the strongest rms response there; 0 keeps all.
 

@@ -233,7 +233,7 @@ UNIT_FORCE_N = 1000.0 * SOFT_PLATE.speed_m_s**2 * 0.013
 class SoftPlate(InfinitePlate):
     """A gel plate without a rim, fitted to the paper's group velocity and attenuation.
 
-    actuator_mm, outline, chain: As of every plate.
+    actuator_mm, outline, chain: See `Plate`.
     loss: ``"damped"``: nearly the same at all frequencies; ``"springpot"``: growing with frequency.
     """
 

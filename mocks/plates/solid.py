@@ -68,7 +68,7 @@ class SolidWave(DampedWave):
 class SolidPlate(InfinitePlate):
     """A gel without a rim that moves in its plane: g^{alpha beta} for one direction of force and one of oscillation.
 
-    actuator_mm, outline, chain: As of every plate.
+    actuator_mm, outline, chain: See `Plate`.
     shear_speed_m_s, pressure_speed_m_s: Speeds of the fronts of both waves.
     damping_per_s: Rate b of relaxation, >= 0.
     force_deg, oscillation_deg: Direction in which every actuator pushes, and in which the velocity is seen, from x

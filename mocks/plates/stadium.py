@@ -52,7 +52,7 @@ SMOOTHINGS = 8
 class StadiumPlate(ModalPlate):
     """A soft plate whose rim is free or takes up waves; everything else is the medium of the infinite soft plate.
 
-    actuator_mm, outline, chain: As of every plate.
+    actuator_mm, outline, chain: See `Plate`.
     rim_admittance: Of the rim, relative to the medium's: 0 is a free edge, 1 takes up what arrives at a right angle.
     """
 

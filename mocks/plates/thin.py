@@ -40,9 +40,9 @@ INFINITE_STRENGTH = 150.0
 class ThinRectangle(ModalPlate):
     """A simply supported rectangle of glass.
 
-    actuator_mm, outline, chain: As of every plate; the outline is a rectangle. Raises ValueError.
+    actuator_mm, outline, chain: See `Plate`; the outline is a rectangle. Raises ValueError.
     quality: Quality factor of every mode, > 0, to 1e4: amplitudes decay as exp(-w t / (2 Q)).
-    mode_tolerance: As of `ModalPlate`.
+    mode_tolerance: See `ModalPlate`.
     """
 
     name = "thin"
@@ -145,7 +145,7 @@ class FlexuralWave:
 
 @PLATES.register
 class InfiniteGlass(InfinitePlate):
-    """Glass without an edge: waves leave and never come back; `quality` as of the rectangle."""
+    """Glass without an edge: waves leave and never come back; `quality` as for the rectangle."""
 
     name = "thin, infinite"
     unit_force_n = INFINITE_STRENGTH
@@ -253,7 +253,7 @@ class ExactPlate:
     plate: The plate.
     points_m, sources_m, float64 (points, 2) and (sources, 2): In m.
     step_s: Time step, > 0.
-    quality, band_hz: As of `ThinPlate.impulse_velocity`.
+    quality, band_hz: See `ThinPlate.impulse_velocity`.
     """
 
     def __init__(

@@ -22,7 +22,7 @@ from wavefocus.mocks.virtual.synthesis import Play
 
 @dataclass(slots=True)
 class _Pieces:
-    """A play that comes in pieces; it sounds when `ahead_s` of it is there, and so much may wait."""
+    """A play that comes in pieces; it sounds when `ahead_s` of it is there; at most that waits."""
 
     rows: int
     play: Play

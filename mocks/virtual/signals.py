@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from wavefocus.drivers.protocols import Float32Array, Float64Array
 from wavefocus.mocks.plates import Complex64Array
 
-# A waveform is kept at so many delays within a sample, with its first derivatives; a Taylor series leads from the
+# Delays within a sample at which a waveform is kept, with its first derivatives; a Taylor series leads from the
 # nearest to any other, with an error of -108 dB at half the sample rate and none to speak of below.
 DELAYS = 16
 ORDER = 3
@@ -51,7 +51,7 @@ class PlayedSignal:
     def delayed(self, length: int, scale: float, samples: int, delay: float) -> Float32Array:
         """The waveform on the clock of the recorder, some recorder samples late, band-limited.
 
-        length, scale, samples: As of `spectrum`.
+        length, scale, samples: See `spectrum`.
         delay: Recorder samples, any number; what leaves at one end of the transform comes in at the other.
 
         Returns float32 (length,).

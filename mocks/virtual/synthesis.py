@@ -200,7 +200,7 @@ class Synthesis:
     ) -> Float32Array | None:
         """Volts that the loopback leaks into the response input, float32 (samples,); None where nothing leaks.
 
-        The leak is electrical: it is there whatever the laser meets. Arguments as of `voltages`.
+        The leak is electrical: it is there whatever the laser meets. Arguments: see `voltages`.
         """
         settings, looped = self._settings, self._settings.channel_of_loopback
         if not settings.crosstalk:
@@ -221,7 +221,7 @@ class Synthesis:
     ) -> list[Spot]:
         """Where the laser was during the samples of a record that began at `start_ns`.
 
-        aims: As of `wavefocus.mocks.virtual.mirror.MirrorMotion.aims`.
+        aims: See `wavefocus.mocks.virtual.mirror.MirrorMotion.aims`.
         rate_hz: True rate of the recorder.
         """
         firsts = [min(samples, round((instant - start_ns) * 1e-9 * rate_hz)) for instant, _ in aims]
@@ -241,7 +241,7 @@ class Synthesis:
         return self._plate.ringing_s
 
     def green(self, place_mm: tuple[float, float], taps: int, sample_rate_hz: float) -> Float64Array:
-        """FIRs from drive to surface velocity, as of `wavefocus.mocks.virtual.rig.VirtualRig.truth`."""
+        """FIRs from drive to surface velocity, see `wavefocus.mocks.virtual.rig.VirtualRig.truth`."""
         length = impulse_length(taps, sample_rate_hz, self._plate.ringing_s)
         response = self._plate.response(place_mm, sample_rate_hz / length, length // 2 + 1, single=False)
         spectrum = response * self._velocity_per_volt[:, None]

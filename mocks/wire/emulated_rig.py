@@ -174,7 +174,7 @@ class Wiring:
 
     mirror_dialect: A dialect of `wavefocus.drivers.mirror.serial_mirror`.
     mirror_port: Path of a link to make, or ``socket://HOST:PORT`` (port 0: any).
-    mirror_full_scale_mrad: Optical angle at full deflection, as of `mirror_device`.
+    mirror_full_scale_mrad: Optical angle at full deflection, see `mirror_device`.
     ni_product, ni_device, ni_address: Model of the NI box, its name, and HOST:PORT of its gRPC Device Server.
     reference_input, response_input: Inputs that the loopback and the patch bay are wired to.
     full_scale_v: Volts at full scale that each output of the audio interface is believed to have.
@@ -263,7 +263,7 @@ class EmulatedRig(ExitStack):
         self._plug_of(role)[0]()
 
     def plug(self, role: str) -> None:
-        """Put it back; arguments and errors as of `unplug`."""
+        """Put it back; arguments and errors: see `unplug`."""
         self._plug_of(role)[1]()
 
     def _plug_of(self, role: str) -> tuple[Callable[[], None], Callable[[], None]]:

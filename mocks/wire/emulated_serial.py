@@ -1,7 +1,7 @@
 """A device on a serial line, with faults on order, and the two kinds of wire that it hangs on.
 
 A wire comes back at the same address after it was unplugged. A pseudo-terminal behind a stable link is a full serial
-port to the near side, but POSIX alone has it; the TCP port is there for every other system.
+port to the client, but only POSIX has it; the TCP port is there for every other system.
 """
 
 from __future__ import annotations
@@ -263,11 +263,11 @@ class EmulatedSerial:
 
 
 class Wire(Protocol):
-    """The instrument's end of a serial line; one thread alone uses it."""
+    """The instrument's end of a serial line; only one thread uses it."""
 
     @property
     def address(self) -> str:
-        """What the near side opens."""
+        """What the client opens."""
         ...
 
     def plug(self) -> None:
@@ -287,16 +287,16 @@ class Wire(Protocol):
         ...
 
     def send(self, data: bytes) -> None:
-        """Send; what the near side does not take is lost, as with a device that has no handshake."""
+        """Send; what the client does not take is lost, as with a device that has no handshake."""
         ...
 
     def baud(self) -> int | None:
-        """Bits per second that the near side has chosen; None where it cannot be read."""
+        """Bits per second that the client has chosen; None where it cannot be read."""
         ...
 
 
 class PtyWire:
-    """A pseudo-terminal; POSIX alone. Raises OSError.
+    """A pseudo-terminal; POSIX only. Raises OSError.
 
     link: Where the port appears: a symbolic link, the same after each unplugging.
     """
@@ -315,7 +315,7 @@ class PtyWire:
         import tty
 
         far, near = os.openpty()
-        # Nothing may be echoed or translated before the near side sets the port up.
+        # Nothing may be echoed or translated before the client sets the port up.
         tty.setraw(near)
         os.set_blocking(far, False)
         # The client's end stays open here too, so that this one does not fail when the client closes it.
@@ -383,7 +383,7 @@ class TcpWire:
             if source is not None:
                 source.close()
         self._client = self._listener = None
-        # Bound and not listening: connections are refused, and nobody else gets the number.
+        # Bound and not listening: connections are refused, and no other program gets the number.
         with contextlib.suppress(OSError):
             self._reserved = self._reserved or self._bound(self._at)
 

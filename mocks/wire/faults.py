@@ -45,7 +45,7 @@ class WireFault:
         ``"where"``...), the name of a remote procedure (``"ReadAnalogF64"``), ``"period"`` of an audio server, or
         ``"any"``.
     at_call: The first call of the operation that meets it, from 1.
-    at_s: In its place: the first call after so many seconds from the emulated instrument's start.
+    at_s: In its place: the first call this many seconds after the emulated instrument's start.
     count: How many calls in a row, > 0.
     seconds: How long a late answer is late, or a device stays unplugged, >= 0; 0 for good where it is unplugged.
     """

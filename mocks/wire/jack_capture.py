@@ -46,7 +46,7 @@ LOOKS = 4
 """Callbacks that are all late show that the grid has moved, and not that they were late."""
 
 EARLY_NS = 500_000
-"""A callback so much before its time shows that the first one, which the times are counted from, was late."""
+"""A callback this long before its time shows that the first one, which the times are counted from, was late."""
 
 
 class AudioRing:

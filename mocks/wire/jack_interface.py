@@ -34,7 +34,7 @@ PLACE_S = 60.0
 
 @contextlib.contextmanager
 def server_place() -> Iterator[str]:
-    """The name of a server that nobody else on this machine uses, and room for it in shared memory.
+    """The name of a server that no other program on this machine uses, and room for it in shared memory.
 
     A few names, used again and again: a server that was killed stays registered until one of its name follows, and
     eight are all there is room for. Raises RuntimeError.
@@ -68,7 +68,7 @@ DEVICE = "wavefocus interface"
 START_S = 20.0
 STOP_S = 5.0
 TERMINATE_S = 1.0
-"""jackd takes five seconds over a client that died; nobody waits for that."""
+"""jackd takes five seconds over a client that died; that is not waited for."""
 SETTLING_CYCLES = 4
 
 

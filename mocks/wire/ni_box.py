@@ -204,7 +204,7 @@ class NiTask:
         return np.stack([channel.converter.volts(row) for channel, row in zip(self.channels, analog_v, strict=True)])
 
     def _wait(self, acquired: int, timeout_s: float, alive: Alive) -> bool:
-        """Whether so many samples were there in time; raises when the task ends meanwhile."""
+        """Whether this number of samples was there in time; raises when the task ends meanwhile."""
         until_s = time.monotonic() + timeout_s if timeout_s >= 0 else float("inf")
         started = self._started
         while self.acquired() < acquired:
@@ -218,7 +218,7 @@ class NiTask:
         return True
 
     def _due_s(self, acquired: int) -> float:
-        """How long until so many samples have been; for ever where the trigger has not come."""
+        """How long until this number of samples has been taken; for ever where the trigger has not come."""
         if self._start_ns is None:
             return float("inf")
         end_ns = self._start_ns + acquired / self.rate_hz / self._speed * NANOSECONDS

@@ -136,7 +136,7 @@ def test_given_a_record_that_the_product_cannot_make_then_the_refusal_names_what
     [
         ({"reference_input": "ai16"}, "no input 'ai16'", "ai0, ai1, .*ai14 or ai15 into reference_input"),
         ({"response_input": "ai0"}, "ai0 is both inputs", "two inputs"),
-        ({"terminal": "floating"}, "'floating' is no terminal configuration", "differential, rse, nrse or"),
+        ({"terminal": "floating"}, "'floating' is not a terminal configuration", "differential, rse, nrse or"),
         ({"terminal": "pseudodifferential"}, "cannot be a pseudodifferential", "differential, rse or nrse"),
         ({"response_input": "ai9"}, "ai9 of USB-6211 cannot be a differential", "rse or nrse into terminal"),
         ({"trigger": "PFI4"}, "no digital input 'PFI4'", "PFI0, PFI1, PFI2 or PFI3 into trigger"),

@@ -13,7 +13,7 @@ import numpy as np
 from wavefocus.drivers.protocols import Float32Array
 
 FADE_S = 0.002
-"""A mute fades over so long, within one period, so that the coils do not click."""
+"""Length of the fade of a mute, within one period, so that the coils do not click."""
 
 SLOWEST = 5e-4
 """How much slower than its nominal rate a sound clock may run; crystals keep to a fifth of this."""
@@ -25,7 +25,7 @@ STANDSTILL_S = 0.05
 """Beyond what is buffered, a callback that comes so late has left the outputs without sound."""
 
 PERIODS_AFTER = 2
-"""An underflow is flagged a period late; so many periods follow the last sample before a play has ended well."""
+"""Periods after the last sample before a play has ended well: an underflow is flagged a period late."""
 
 PLAYED, MUTED, UNDERFLOW = "played", "muted", "underflow"
 

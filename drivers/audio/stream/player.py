@@ -18,7 +18,7 @@ from wavefocus.drivers.process import ANSWER_S, OPENING_S, Alive, Ask, DriverPro
 from wavefocus.drivers.protocols import DeviceIdentity, Float64Array
 
 OVERDUE_S = 5.0
-"""A play that has not ended so long after it should have, and a tenth of its length, is not going to."""
+"""A play that has not ended this long after it should have, plus a tenth of its length, has failed."""
 
 LOST_REMEDY = "check its power, its cable and its driver or server, then reconnect"
 
@@ -27,7 +27,7 @@ class StreamPlayer:
     """Plays one signal per channel of an audio interface; implements `wavefocus.drivers.protocols.PiecewisePlayer`.
 
     One stream over all channels runs from the moment of opening to that of closing, silent between plays, in a
-    process of its own: what hangs there is killed, and nobody waits for it. Raises InstrumentError.
+    process of its own: if it hangs, it is killed. Raises InstrumentError.
 
     host_api: PortAudio's name of the driver model, such as ``"ASIO"``, ``"Core Audio"`` or ``"JACK Audio Connection
         Kit"``; None for any.
@@ -127,7 +127,7 @@ class StreamPlayer:
     def begin_pieces(self, channels: Sequence[int], sample_rate_hz: float, ahead_s: float) -> None:
         """Begin a play that comes in pieces at the interface's rate; it sounds when `ahead_s` of it is there, or all.
 
-        Arguments as of `wavefocus.drivers.protocols.PiecewisePlayer.begin_pieces`.
+        Arguments: see `wavefocus.drivers.protocols.PiecewisePlayer.begin_pieces`.
         """
         doing = f"playing piece by piece on {len(channels)} channels"
         self._check_open(doing)
@@ -149,7 +149,7 @@ class StreamPlayer:
     def add_piece(self, volts: Float64Array) -> float:
         """Hand over the next samples and wait until no more than `ahead_s` of them are not played yet.
 
-        Arguments and result as of `wavefocus.drivers.protocols.PiecewisePlayer.add_piece`.
+        Arguments and result: see `wavefocus.drivers.protocols.PiecewisePlayer.add_piece`.
         """
         play, rate_hz, process = self._begun(), self._request.rate_hz, self._stream.process
         full_scale_v = play.full_scale_v

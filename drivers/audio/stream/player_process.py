@@ -42,7 +42,7 @@ class Clocked:
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """The stream cannot be opened; `absent` as of `DeviceChoiceError`."""
+    """The stream cannot be opened; `absent`: see `DeviceChoiceError`."""
 
     cause: str
     remedy: str

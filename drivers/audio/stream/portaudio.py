@@ -46,7 +46,7 @@ class OutputDevice:
 class DeviceChoiceError(Exception):
     """There is no device that is and does what was asked for, or more than one.
 
-    cause, remedy: As of `wavefocus.drivers.errors.InstrumentError`.
+    cause, remedy: See `wavefocus.drivers.errors.InstrumentError`.
     absent: Whether it may yet come, so that trying again can help.
     """
 
@@ -127,7 +127,7 @@ HELD_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class StreamRequest:
-    """What to open; `host_api` and `device` as of `choose`, `block_frames` 0 for the host's."""
+    """What to open; `host_api` and `device`: see `choose`, `block_frames` 0 for the host's."""
 
     host_api: str | None
     device: str
@@ -278,7 +278,7 @@ class Hold:
         self._clockless = False
 
     def wait_s(self, frames: int, now_s: float) -> float:
-        """How long a callback that has filled so many frames is to wait, in s."""
+        """How long a callback is to wait after this number of frames, in s."""
         self._due_s = max(self._due_s, now_s) + frames / self.rate_hz
         self._fast_s = max(self._fast_s, now_s) + frames / self.rate_hz / CLOCKLESS
         self._clockless |= self._fast_s - now_s > CLOCKLESS_S

@@ -130,7 +130,7 @@ def explain(
 
 
 def _meaning(failure: BaseException, known: bool, owned: bool) -> Meaning:
-    # A device that has recorded before was set up properly, so what nobody foresaw may pass; of a first task, the
+    # A device that has recorded before was set up properly, so an unknown failure may pass; of a first task, the
     # settings may be wrong, and a repeat does not help.
     unforeseen = UnknownFaultError if known and owned else InstrumentError
     if isinstance(failure, ServerSilentError):
@@ -174,7 +174,7 @@ def _meaning_of_rpc(failure: Any, unforeseen: type[InstrumentError]) -> Meaning:
             InstrumentLostError,
             "NI's gRPC Device Server cannot be reached, or went away during the call",
             "start ni_grpc_device_server on the computer with the device; its server_config.json must say "
-            '"address": "[::]", for it serves its own computer alone ([::1]) otherwise; check address and, where the '
+            '"address": "[::]", for otherwise it serves only its own computer ([::1]); check address and, where the '
             "server has a certificate, tls_root of [recorder], and the network",
         )
     if failure.rpc_code == grpc.StatusCode.CANCELLED:

@@ -34,7 +34,7 @@ class NiRecorder:
 
     The low-cost devices cannot start on an audio signal: without a trigger a record starts at once, and where the
     sound lies in it is found from the reference. The task is kept committed between records of one kind, so that a
-    start is one call; nobody else can have the device meanwhile. Raises InstrumentLostError or InstrumentError.
+    start is one call; no other program can have the device meanwhile. Raises InstrumentLostError or InstrumentError.
 
     device: Name in NI MAX: ``"Dev1"``.
     address: ``"host:port"`` of NI's gRPC Device Server; None for the NI-DAQmx driver on this computer.
@@ -94,7 +94,7 @@ class NiRecorder:
         """Product, serial number, driver version, address and inputs of the device."""
         with self._lock:
             session = self._connected("identifying")
-            with session.telling("identifying"):
+            with session.explaining("identifying"):
                 identity = session.ask_identity()
             where = f"at {self._address}" if self._address else "on this computer"
             inputs = " and ".join(self._wiring.inputs)
@@ -118,7 +118,7 @@ class NiRecorder:
             check_request(session, request, doing)
             timing = Timing(request.sample_rate_hz, request.samples, request.range_v)
             try:
-                with session.telling(doing):
+                with session.explaining(doing):
                     self._ready(session, timing, doing).start()
             except BaseException as failure:  # an interruption too leaves a task in an unknown state
                 self._discard(failure)
@@ -136,13 +136,13 @@ class NiRecorder:
         doing = f"recording {request.label}"
         try:
             # Without the lock: another thread may abort.
-            with session.telling(doing):
+            with session.explaining(doing):
                 done = task.wait(timeout_s)
             with self._lock:
                 self._check_goes_on(request, doing)
                 if not done:
                     raise self._unfinished(timeout_s, doing)
-                with session.telling(doing):
+                with session.explaining(doing):
                     volts, count = task.read()
                     task.stop()
                 self._under_way = None
@@ -171,7 +171,7 @@ class NiRecorder:
             if self._under_way is not None:
                 raise InstrumentError(self._instrument, doing, "a record is under way", "read or abort it first")
             task, self._task = self._task, None
-            with session.telling(doing):
+            with session.explaining(doing):
                 if task is not None:
                     task.close()  # what is committed holds the converter
                 wiring = Wiring((name, self._wiring.inputs[1]), self._wiring.terminal, None)
@@ -189,14 +189,14 @@ class NiRecorder:
         return float(volts[0].mean())
 
     def sampling_delay_s(self, sample_rate_hz: float) -> float | None:
-        """As of `wavefocus.drivers.protocols.StatesDelay`, by the rate of the device's conversion clock."""
+        """See `wavefocus.drivers.protocols.StatesDelay`, by the rate of the device's conversion clock."""
         doing = "asking for its conversion rate"
         with self._lock:
             session = self._connected(doing)
             if session.limits.simultaneous:
                 return 0.0
             timing = Timing(sample_rate_hz, INPUT_TIMING.samples, INPUT_TIMING.range_v)
-            with session.telling(doing):
+            with session.explaining(doing):
                 return conversion_delay_s(session, self._wiring, timing)
 
     def abort(self) -> None:
@@ -208,7 +208,7 @@ class NiRecorder:
             if self._session is None or self._task is None:
                 return
             try:
-                with self._session.telling("aborting"):
+                with self._session.explaining("aborting"):
                     self._task.stop()
             except InstrumentError as failure:
                 # Aborting is safe from any state. The next start makes a new task, and meets what is wrong here.
@@ -251,7 +251,7 @@ class NiRecorder:
                 remedy = "plug the right one in, or start a new campaign with this one"
                 raise InstrumentError(session.instrument, doing, cause, remedy)
             if self._owned:
-                with session.telling("resetting the device"):
+                with session.explaining("resetting the device"):
                     session.reset()
         except BaseException:
             session.close()
@@ -276,7 +276,7 @@ class NiRecorder:
             return
         try:
             if task is not None:
-                with session.telling(doing):
+                with session.explaining(doing):
                     task.close()
         finally:
             session.close()

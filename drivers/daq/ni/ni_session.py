@@ -178,7 +178,7 @@ class NiSession:
             if address:
                 self._channel = self._opened_channel(address, answer_s, tls)
                 self._options = self._nidaqmx.GrpcSessionOptions(self._channel, "")
-            with self.telling("opening"):
+            with self.explaining("opening"):
                 self._open()
         except BaseException:
             self.close()
@@ -257,7 +257,7 @@ class NiSession:
             self._channel.close()
 
     @contextmanager
-    def telling(self, operation: str) -> Iterator[None]:
+    def explaining(self, operation: str) -> Iterator[None]:
         """Turn failures of the package within the block into the engine's errors."""
         errors = self._nidaqmx.errors
         try:

@@ -15,7 +15,7 @@ from wavefocus.drivers.daq.ni.ni_session import TERMINALS, NiSession
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.protocols import RecordRequest
 
-# Calibrated steps differ from the nominal by up to 5 % (USB-621x user manual, table 4-1); far more is no step.
+# Calibrated steps differ from the nominal by up to 5 % (USB-621x user manual, table 4-1); far more is not a step.
 STEP_TOLERANCE = 0.15
 # The codes' ends lie so near the range's ends, or their coefficients mean something else.
 END_TOLERANCE = 0.2
@@ -248,14 +248,14 @@ def check_wiring(session: NiSession, wiring: Wiring) -> None:
     product, limits = session.identity.product, session.limits
     keys = ("reference_input", "response_input")
     if wiring.terminal not in TERMINALS:
-        raise refuse(f"{wiring.terminal!r} is no terminal configuration", f"put {_or(TERMINALS)} into terminal")
+        raise refuse(f"{wiring.terminal!r} is not a terminal configuration", f"put {_or(TERMINALS)} into terminal")
     for key, name in zip(keys, wiring.inputs, strict=True):
         if name not in limits.inputs:
             raise refuse(f"{product} has no input {name!r}", f"put one of {_or(limits.inputs)} into {key}")
     if wiring.inputs[0] == wiring.inputs[1]:
         raise refuse(f"{wiring.inputs[0]} is both inputs", "put two inputs into reference_input and response_input")
     for name in wiring.inputs:
-        with session.telling("opening"):
+        with session.explaining("opening"):
             terminals = session.terminals_of(name)
         if terminals is not None and wiring.terminal not in terminals:
             raise refuse(

@@ -74,7 +74,7 @@ class ProcessRecorder:
     Raises InstrumentLostError or InstrumentError.
 
     device: Name in NI MAX: ``"Dev1"``.
-    reference_input, response_input, terminal, trigger: As of `wavefocus.drivers.daq.ni.ni_recorder.NiRecorder`.
+    reference_input, response_input, terminal, trigger: See `wavefocus.drivers.daq.ni.ni_recorder.NiRecorder`.
     """
 
     def __init__(
@@ -128,7 +128,7 @@ class ProcessRecorder:
         return float(self._call(f"reading {name}", "read_input_v", name))
 
     def sampling_delay_s(self, sample_rate_hz: float) -> float | None:
-        """As of `wavefocus.drivers.protocols.StatesDelay`."""
+        """See `wavefocus.drivers.protocols.StatesDelay`."""
         delay_s = self._call("asking for its conversion rate", "sampling_delay_s", sample_rate_hz)
         return None if delay_s is None else float(delay_s)
 

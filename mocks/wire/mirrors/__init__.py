@@ -20,7 +20,7 @@ class MirrorDevice(SerialDevice):
 
     @classmethod
     def turning(cls, motion: MirrorMotion, full_scale_mrad: float | None) -> MirrorDevice:
-        """A device whose mirror turns by so much at full deflection, by default as far as its kind does."""
+        """A device whose mirror turns by this angle at full deflection, by default as far as its kind does."""
         return cls(motion)
 
     def restart(self) -> None:
@@ -35,7 +35,7 @@ def mirror_device(dialect: str, motion: MirrorMotion, full_scale_mrad: float | N
     """A device that speaks a dialect. Raises ValueError.
 
     motion: How its mirror moves. Of a mirror that cannot be asked whether it moves, the longest move must be shorter
-        than the settling time of the near side.
+        than the settling time of the driver.
     full_scale_mrad: Optical angle at full deflection.
     """
     devices = MIRROR_DEVICES.all()
