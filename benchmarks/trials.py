@@ -17,6 +17,7 @@ import numpy as np
 
 from wavefocus.benchmarks.harness import Findings, Mark, Point, Timing
 from wavefocus.trials.analysis.results import psychometric_of
+from wavefocus.trials.analysis.shares import table_of
 from wavefocus.trials.design import TrialsDesign, load_trials
 from wavefocus.trials.simulated import Observer, simulate
 
@@ -95,7 +96,7 @@ def coverage(design: TrialsDesign, people: int, lapse: float, folder: Path) -> C
         observer = Observer("amplitude", float(rng.uniform(-0.7, -0.4)), float(rng.uniform(6.0, 12.0)), lapse=lapse)
         place = Path(tempfile.mkdtemp(dir=folder))
         rows = simulate(design, f"P{person}", observer, place, person)
-        (found,) = psychometric_of(rows, design.config.trials.answers, design.config.adaptive)
+        (found,) = psychometric_of(table_of(rows), design.config.trials.answers, design.config.adaptive)
         fit, threshold = found.fit, 10.0**observer.threshold
         ends = zip((fit.threshold_interval, fit.slope_interval), (threshold, observer.slope), strict=True)
         held.append([(low is None or low <= true) and (high is None or true <= high) for (low, high), true in ends])

@@ -22,7 +22,7 @@ HEAD = """# Python
 `import wavefocus as wf` gives the functions below, and the classes of what they take and return. Where a function takes
 a bank, a scene, a drive or a field, it takes an open one or the path of its file. Wrong input raises `wf.InputError`
 with one sentence that names what is wrong and what is allowed. Names are loaded when they are used first, and all are
-typed. [Three notebooks](../notebooks/README.md) use them.
+typed. [Four notebooks](../notebooks/README.md) use them.
 
 ```python
 import wavefocus as wf

@@ -477,7 +477,6 @@ COMMANDS = (
         (
             file("folder", metavar="FOLDER", help="The folder that `wavefocus trials` wrote."),
             _out("OUT", "Folder for the results; by default FOLDER/analysis.", required=False),
-            switch("--mixed-model", help="Also fit a generalised linear mixed model; needs statsmodels."),
             FORCE, JSON,
         ),
     ),

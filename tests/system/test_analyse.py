@@ -90,8 +90,6 @@ def test_given_a_simulated_participant_then_the_command_s_answers_are_analysed_i
     assert run(["analyse", str(out), "--force"]) == 2
     assert (result / "notes.txt").read_text() == "mine"
     assert run(["analyse", str(out), "--out", str(out), "--force"]) == 2
-    assert run(["analyse", str(out), "--out", str(lab / "other"), "--mixed-model"]) == 2
-    assert not (lab / "other").exists()
     (out / "trials.json").write_text('{"format": "wavefocus-trials", "design": {"trials": 3}}')
     assert run(["analyse", str(out), "--out", str(lab / "other")]) == 2
     assert run(["analyse", str(lab)]) == 2

@@ -12,6 +12,7 @@ import pytest
 SLOW = {
     "h5py",
     "matplotlib",
+    "pandas",
     "scipy",
     "soundfile",
     "wavefocus.mocks",
@@ -23,6 +24,7 @@ SLOW = {
 MEASURES = {
     "scipy",
     "matplotlib",
+    "pandas",
     "wavefocus.mocks",
     "wavefocus.rendering.scene.model",
     "wavefocus.acquisition.engine.campaign",
@@ -34,6 +36,7 @@ SOME_RUNS_NEED = {
     "scipy.optimize",
     "scipy.interpolate",
     "matplotlib",
+    "pandas",
     "wavefocus.rendering.scene.model",
 }
 SHOW_MODULES = "\nimport json, sys\nprint(json.dumps(sorted(sys.modules)))"

@@ -11,13 +11,11 @@ from scipy.optimize import minimize
 from scipy.stats import binom
 
 from wavefocus.config.trials import AdaptiveTable, TrialsTable
-from wavefocus.storage.errors import InputError
-from wavefocus.trials.analysis.mixed_model import fit_mixed_model
 from wavefocus.trials.analysis.psychometric_fit import MOST_LAPSES, fit_psychometric
 from wavefocus.trials.analysis.report import build_report
 from wavefocus.trials.analysis.results import analysis_of, psychometric_of
 from wavefocus.trials.analysis.sensitivity import d_prime, sensitivities_of
-from wavefocus.trials.analysis.shares import RIGHT, combinations_of, shares_of, wilson
+from wavefocus.trials.analysis.shares import RIGHT, combinations_of, factors_of, groups, shares_of, table_of
 from wavefocus.trials.answers import Row
 from wavefocus.trials.psychometric import share_right
 
@@ -67,21 +65,31 @@ def test_given_published_shares_then_wilson_s_intervals_are_theirs():
         (0, 20): (0.0, 0.1611),
         (1, 29): (0.0061, 0.1718),
     }
-    for counts, interval in published.items():
-        assert wilson(*counts) == pytest.approx(interval, abs=5e-5)
-    assert wilson(29, 29)[1] == 1.0
+    for (count, total), interval in published.items():
+        rows = [row(number, correct=number < count) for number in range(total)]
+        assert shares_of(table_of(rows))[0].interval == pytest.approx(interval, abs=5e-5)
+    assert shares_of(table_of(rows[:1]))[0].interval[1] == 1.0
 
 
 def test_given_the_paper_s_answers_then_its_accuracies_come_out():
     rows = paper_rows()
-    assert combinations_of(rows) == (("speed_mm_s",), ("path",), ("signal",), ("speed_mm_s", "path"))
-    shares = shares_of(rows)
+    assert combinations_of(table_of(rows)) == (("speed_mm_s",), ("path",), ("signal",), ("speed_mm_s", "path"))
+    shares = shares_of(table_of(rows))
     (whole,) = [one for one in shares if not one.participant and not one.factors]
     assert (whole.count, whole.of, whole.outcome) == (713, 720, RIGHT)
     speeds = {one.factors["speed_mm_s"]: round(100 * one.share, 1) for one in shares
               if not one.participant and tuple(one.factors) == ("speed_mm_s",)}  # fmt: skip
     assert speeds == {"40": 100.0, "100": 99.4, "250": 100.0, "500": 96.7}
     assert sum(one.count for one in shares if one.participant and not one.factors) == 713
+
+
+def test_given_levels_then_numbers_rise_before_texts_and_of_factors_that_part_alike_the_first_counts():
+    levels = [(250.0, "b"), (None, "x"), (40.0, "10"), (100.0, "9")]
+    rows = [row(n, speed=speed, path=path, amplitude=0.5) for n, (speed, path) in enumerate(levels)]
+    assert factors_of(table_of(rows)) == ("speed_mm_s",)
+    assert [named["path"] for named, _ in groups(table_of(rows), ("path",))] == ["9", "10", "b", "x"]
+    shares = [share.factors["speed_mm_s"] for share in shares_of(table_of(rows)) if share.factors]
+    assert shares[:4] == ["40", "100", "250", ""]
 
 
 def test_given_hits_and_false_alarms_then_d_prime_and_criterion_follow_the_text_book():
@@ -111,7 +119,9 @@ def test_given_catch_trials_then_every_amplitude_is_held_against_them():
         *(row(n, answer="yes" if n < 3 else "no", correct=n >= 3, amplitude=0.0) for n in range(20)),
     ]
     found = {
-        one.factors.get("amplitude", "all"): one for one in sensitivities_of(rows, ("no", "yes")) if not one.participant
+        one.factors.get("amplitude", "all"): one
+        for one in sensitivities_of(table_of(rows), ("no", "yes"))
+        if not one.participant
     }
     assert set(found) == {"all", "0.5", "1"}
     assert (found["1"].signal, found["1"].hits, found["1"].of_signal) == ("yes", 12, 20)
@@ -194,7 +204,7 @@ def test_given_steep_slopes_few_trials_or_many_lapses_then_intervals_hold_the_sl
 def test_given_one_level_then_no_function_is_fitted():
     with pytest.raises(ValueError, match="two or more"):
         fit_psychometric([0.5], [3], [5], guess=0.5)
-    assert psychometric_of([row()], ANSWERS) == ()
+    assert psychometric_of(table_of([row()]), ANSWERS) == ()
 
 
 def test_given_a_staircase_then_its_track_has_a_function_and_the_mean_of_its_reversals():
@@ -206,30 +216,10 @@ def test_given_a_staircase_then_its_track_has_a_function_and_the_mean_of_its_rev
         for k in range(2 if level > 0.25 else 1)
     ]
     rows = [one if one.amplitude > 0.25 else row(one.trial, correct=False, amplitude=0.25, track="t") for one in rows]
-    (found,) = psychometric_of(rows, ANSWERS, up_down)
+    (found,) = psychometric_of(table_of(rows), ANSWERS, up_down)
     assert (found.track, found.factor) == ("t", "amplitude")
     assert found.fit.guess == 0.5
     assert 0.25 <= found.reversals_threshold <= 0.5
-
-
-def test_given_participants_that_differ_then_the_mixed_model_finds_the_effect_and_their_spread():
-    pytest.importorskip("statsmodels")
-    rng = np.random.default_rng(2)
-    rows = []
-    for number in range(12):
-        intercept = 1.0 + 1.2 * rng.standard_normal()
-        for trial in range(80):
-            speed = (40.0, 100.0)[trial % 2]
-            share = 1.0 / (1.0 + math.exp(-(intercept + 1.0 * (speed == 100.0))))
-            rows.append(row(trial + 1, participant=f"P{number}", speed=speed, correct=bool(rng.random() < share)))
-    model = fit_mixed_model(rows)
-    intercept, effect = model.terms
-    assert effect.name == "speed_mm_s: 100 against 40"
-    assert effect.interval[0] < 1.0 < effect.interval[1]
-    assert intercept.sd > 0.2  # of twelve participants with a spread of 1.2
-    assert 0.6 < model.participants_sd < 2.4
-    with pytest.raises(InputError, match="two or more participants"):
-        fit_mixed_model(rows[:80])
 
 
 def test_given_answers_then_the_report_shows_them_with_names_escaped_and_holds_all_it_shows():
@@ -245,7 +235,7 @@ def test_given_answers_then_the_report_shows_them_with_names_escaped_and_holds_a
 
 def test_given_no_right_answers_then_shares_of_each_answer_are_tabled():
     rows = [row(n, answer="left" if n % 3 else "right", correct=None) for n in range(30)]
-    shares = {one.outcome: one.count for one in shares_of(rows) if not one.participant and not one.factors}
+    shares = {one.outcome: one.count for one in shares_of(table_of(rows)) if not one.participant and not one.factors}
     assert shares == {"left": 20, "right": 10}
     html, _ = build_report(analysis_of(rows, DESIGN), [])
     assert "30 answers" in html

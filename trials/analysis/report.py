@@ -47,7 +47,7 @@ def build_report(analysis: Analysis, facts: Sequence[tuple[str, str]]) -> tuple[
     facts: Names and values of the last table.
     """
     sections = [*_psychometric(analysis), *_shares(analysis), *_sensitivity(analysis), *_times(analysis)]
-    sections += [*_onsets(analysis), *_mixed_model(analysis)]
+    sections += _onsets(analysis)
     html = html_page(
         "analysis.html.jinja", "wavefocus.trials", analysis=analysis, headlines=list(_headlines(analysis)),
         notes=list(_notes(analysis)), sections=sections, facts=facts,
@@ -73,7 +73,7 @@ def _notes(analysis: Analysis) -> Iterator[str]:
     if len(analysis.trials) > 1:
         yield (
             "Intervals of all participants together take each answer as independent of the others. Where participants"
-            " differ, they are too narrow: see the participants' own, or the mixed model (--mixed-model)."
+            " differ, they are too narrow: see those of each participant, or fit a mixed model to trials.csv."
         )
     for what, some in (("banks", analysis.banks), ("trials files", analysis.tables)):
         if len(some) > 1:
@@ -230,22 +230,6 @@ def _onsets(analysis: Analysis) -> Iterator[Section]:
         " Reaction times begin at the former, so that this error is not in them. Repeated: presented anew since an"
         " instrument was lost or the onset was not found.",
         [PageTable(head, [row], 0)],
-    )
-
-
-def _mixed_model(analysis: Analysis) -> Iterator[Section]:
-    model = analysis.mixed_model
-    if model is None:
-        return
-    rows = [[one.name, f"{one.mean:.2f}", f"{one.sd:.2f}", _interval(one.interval)] for one in model.terms]
-    rows.append(["standard deviation of participants", f"{model.participants_sd:.2f}", "", ""])
-    yield Section(
-        "Mixed model",
-        f"Log odds of a right answer in {model.of} trials of {model.participants} participants: fixed effects of the"
-        " factors, and an intercept of each participant drawn from a normal distribution. Standard deviation of"
-        " participants by the variational, effects by the Laplace approximation of the posterior (statsmodels,"
-        " BinomialBayesMixedGLM); prior standard deviation of effects 2.",
-        [PageTable(["effect on the log odds", "mean", "standard deviation", "95 % interval"], rows, 1)],
     )
 
 

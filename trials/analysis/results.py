@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from wavefocus.config.trials import AdaptiveTable, TrialsTable
 from wavefocus.trials.adaptive import UpDown
-from wavefocus.trials.analysis.mixed_model import MixedModel, fit_mixed_model
 from wavefocus.trials.analysis.psychometric_fit import PsychometricFit, fit_psychometric
 from wavefocus.trials.analysis.sensitivity import Sensitivity, sensitivities_of
-from wavefocus.trials.analysis.shares import Share, factors_of, grouped, shares_of
+from wavefocus.trials.analysis.shares import Share, factors_of, groups, shares_of, table_of
 from wavefocus.trials.analysis.times import OnsetErrors, ReactionTime, onset_errors_of, reaction_times_of
 from wavefocus.trials.answers import Row
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 FORMAT = "wavefocus-trials-analysis"
 FEWEST_LEVELS = 5
@@ -61,106 +63,98 @@ class Analysis:
     reaction_times: tuple[ReactionTime, ...]
     onset_errors: OnsetErrors | None
     replays: int
-    mixed_model: MixedModel | None = None
 
     def document(self) -> dict[str, Any]:
         """All of it for JSON."""
         return {"format": FORMAT, "format_version": 1, **asdict(self)}
 
 
-def analysis_of(
-    rows: Sequence[Row], design: TrialsTable, adaptive: AdaptiveTable | None = None, *, mixed_model: bool = False
-) -> Analysis:
-    """Analyse all answers of an experiment, at least one.
-
-    Raises InputError: the mixed model is asked for and cannot be fitted.
-    """
-    codes = sorted({row.participant for row in rows})
+def analysis_of(rows: Sequence[Row], design: TrialsTable, adaptive: AdaptiveTable | None = None) -> Analysis:
+    """Analyse all answers of an experiment, at least one."""
+    answers = table_of(rows)
     return Analysis(
         design.name,
         design.question,
         design.answers,
-        {code: sum(row.participant == code for row in rows) for code in codes},
-        tuple(sorted({row.bank_sha256 for row in rows})),
-        tuple(sorted({row.trials_sha256 for row in rows})),
-        shares_of(rows),
-        sensitivities_of(rows, design.answers),
-        psychometric_of(rows, design.answers, adaptive),
-        reaction_times_of(rows),
-        onset_errors_of(rows),
-        sum(row.replays for row in rows),
-        fit_mixed_model(rows) if mixed_model else None,
+        {code: len(own) for code, own in answers.groupby("participant")},
+        tuple(sorted(answers.bank_sha256.unique())),
+        tuple(sorted(answers.trials_sha256.unique())),
+        shares_of(answers),
+        sensitivities_of(answers, design.answers),
+        psychometric_of(answers, design.answers, adaptive),
+        reaction_times_of(answers),
+        onset_errors_of(answers),
+        int(answers.replays.sum()),
     )
 
 
 def psychometric_of(
-    rows: Sequence[Row], answers: Sequence[str], table: AdaptiveTable | None = None
+    answers: DataFrame, names: Sequence[str], table: AdaptiveTable | None = None
 ) -> tuple[Psychometric, ...]:
-    """Psychometric functions of each participant: of each adaptive track, or by a factor with at least five levels."""
-    judged = [row for row in rows if row.correct is not None]
+    """Psychometric functions of each participant: of each adaptive track, or by a factor with at least five levels.
+
+    names: Answers of the design.
+    """
+    judged = answers[answers.correct.notna()]
     factor = table.factor if table else _factor(judged)
     if factor is None:
         return ()
     parting = [one for one in factors_of(judged) if one not in (factor, "plays") and not _decides(judged, one)]
     found = []
-    for code, *_ in grouped(judged, ("participant",)):
-        own = [row for row in judged if row.participant == code]
-        guess = table.guess_rate if table else _guess(own, answers)
-        for levels, part in grouped(own, ("track",) if table else parting).items():
-            some = [row for row in part if (getattr(row, factor) or 0.0) > 0.0]
+    for person, own in groups(judged, ("participant",)):
+        guess = table.guess_rate if table else _guess(own, names)
+        for levels, part in groups(own, ("track",) if table else parting):
+            some = part[part[factor] > 0.0]
             falling = table.harder == "higher" if table else _falls(some, factor)
             if (fit := _fit(some, factor, guess, falling=falling)) is None:
                 continue
-            factors = {} if table else dict(zip(parting, levels, strict=True))
             reversals = _reversals_threshold(some, table) if table and table.method == "up_down" else None
-            found.append(Psychometric(code, levels[0] if table else "", factors, factor, fit, reversals))
+            factors = {} if table else levels
+            found.append(Psychometric(person["participant"], levels.get("track", ""), factors, factor, fit, reversals))
     return tuple(found)
 
 
-def _factor(rows: Sequence[Row]) -> str | None:
+def _factor(answers: DataFrame) -> str | None:
     """The factor of constant stimuli."""
     for factor in ("amplitude", "speed_mm_s"):
-        if len({getattr(row, factor) for row in rows if (getattr(row, factor) or 0.0) > 0.0}) >= FEWEST_LEVELS:
+        if answers[factor][answers[factor] > 0.0].nunique() >= FEWEST_LEVELS:
             return factor
     return None
 
 
-def _decides(rows: Sequence[Row], factor: str) -> bool:
+def _decides(answers: DataFrame, factor: str) -> bool:
     """The level of the factor decides which answer is right."""
-    right = grouped([row for row in rows if row.correct], (factor,)).values()
-    answers = [{row.answer for row in some} for some in right]
-    return all(len(some) == 1 for some in answers) and len(set.union(*answers)) > 1 if answers else False
+    right = [set(part.answer) for _, part in groups(answers[answers.correct], (factor,))]
+    return all(len(some) == 1 for some in right) and len(set().union(*right)) > 1
 
 
-def _guess(rows: Sequence[Row], answers: Sequence[str]) -> float:
+def _guess(answers: DataFrame, names: Sequence[str]) -> float:
     """Share of wrong answers to catch trials, with the log-linear correction; without these 1 over the answers."""
-    catch = [row for row in rows if row.amplitude == 0.0]
-    if catch:
-        return (sum(not row.correct for row in catch) + 0.5) / (len(catch) + 1.0)
-    return 1.0 / max(len(answers), 2)
+    catch = answers.correct[answers.amplitude == 0.0]
+    return float((~catch).sum() + 0.5) / (len(catch) + 1.0) if len(catch) else 1.0 / max(len(names), 2)
 
 
-def _falls(rows: Sequence[Row], factor: str) -> bool:
+def _falls(answers: DataFrame, factor: str) -> bool:
     """The share of right answers falls with a speed; with an amplitude it never does."""
     if factor == "amplitude":
         return False
-    x = np.log10([getattr(row, factor) for row in rows])
-    return bool(np.sum((x - x.mean()) * np.array([bool(row.correct) for row in rows])) < 0.0)
+    x = np.log10(answers[factor].to_numpy())
+    return bool(np.sum((x - x.mean()) * answers.correct.to_numpy(float)) < 0.0)
 
 
-def _fit(rows: Sequence[Row], factor: str, guess: float, *, falling: bool) -> PsychometricFit | None:
-    counts = {getattr(some[0], factor): (sum(bool(row.correct) for row in some), len(some))
-              for some in grouped(rows, (factor,)).values()}  # fmt: skip
-    if len(counts) < 2:
+def _fit(answers: DataFrame, factor: str, guess: float, *, falling: bool) -> PsychometricFit | None:
+    parts = [part for _, part in groups(answers, (factor,))]
+    if len(parts) < 2:
         return None
-    right, of = zip(*counts.values(), strict=True)
-    return fit_psychometric(list(counts), right, of, guess=guess, falling=falling)
+    levels = [float(part[factor].iloc[0]) for part in parts]
+    right = [int(part.correct.sum()) for part in parts]
+    return fit_psychometric(levels, right, [len(part) for part in parts], guess=guess, falling=falling)
 
 
-def _reversals_threshold(rows: Sequence[Row], table: AdaptiveTable) -> float | None:
+def _reversals_threshold(answers: DataFrame, table: AdaptiveTable) -> float | None:
     """Replay the answers through the staircase; levels that were not reached do not change it."""
-    levels = sorted({getattr(row, table.factor) for row in rows}, reverse=table.harder == "lower")
+    levels = sorted(answers[table.factor].unique().tolist(), reverse=table.harder == "lower")
     staircase = UpDown(table, levels)
-    for row in sorted(rows, key=lambda one: one.trial):
-        staircase.answered(bool(row.correct))
+    for right in answers.sort_values("trial", kind="stable").correct:
+        staircase.answered(bool(right))
     return None if staircase.threshold is None else float(10.0**staircase.threshold)

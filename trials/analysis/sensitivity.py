@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from wavefocus.trials.analysis.shares import Z_95, factors_of, grouped
-from wavefocus.trials.answers import Row
+import numpy as np
+
+from wavefocus.trials.analysis.shares import all_and_each, factors_of, groups
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 
 @dataclass(frozen=True, slots=True)
 class Sensitivity:
     """Sensitivity of one group of trials.
 
-    participant, factors: As of `wavefocus.trials.analysis.shares.Share`.
+    participant, factors: See `wavefocus.trials.analysis.shares.Share`.
     signal, noise: The answers that are right in the two kinds of trials.
     hits, of_signal: Answers `signal` in trials where that is right, and all those trials.
     false_alarms, of_noise: Answers `signal` in trials where `noise` is right, and all those trials.
@@ -41,60 +45,43 @@ def d_prime(hits: int, of_signal: int, false_alarms: int, of_noise: int) -> tupl
     Interval: d' +- 1.96 of the root of H (1 - H) / (n phi(z(H))^2), summed with the same of F (Gourevitch and Galanter,
     Psychometrika 32 (1967), 25), with n the number of trials and phi the normal density.
     """
-    from scipy.special import ndtri
+    from scipy.stats import norm
 
-    spread, z = 0.0, []
-    for count, of in ((hits, of_signal), (false_alarms, of_noise)):
-        rate = (count + 0.5) / (of + 1.0)
-        z.append(float(ndtri(rate)))
-        density = math.exp(-0.5 * z[-1] ** 2) / math.sqrt(2.0 * math.pi)
-        spread += rate * (1.0 - rate) / (of * density**2)
-    value, half = z[0] - z[1], Z_95 * math.sqrt(spread)
-    return value, (value - half, value + half), -0.5 * (z[0] + z[1])
+    total = np.array([of_signal, of_noise])
+    rate = (np.array([hits, false_alarms]) + 0.5) / (total + 1.0)
+    z = norm.ppf(rate)
+    spread = np.sum(rate * (1.0 - rate) / (total * norm.pdf(z) ** 2))
+    value, half = float(z[0] - z[1]), float(norm.ppf(0.975) * np.sqrt(spread))
+    return value, (value - half, value + half), float(-0.5 * (z[0] + z[1]))
 
 
-def sensitivities_of(rows: Sequence[Row], answers: Sequence[str]) -> tuple[Sensitivity, ...]:
+def sensitivities_of(answers: DataFrame, names: Sequence[str]) -> tuple[Sensitivity, ...]:
     """Sensitivity of all participants together and of each, of all trials and by factor, where there are two answers.
 
-    answers: Of the design, in its order. The signal is the answer that is right where the amplitude is above 0, in a
-        design with catch trials (amplitude 0); these then are the noise trials of every level of the amplitude. Else it
-        is the second answer, and levels of factors count where either answer is right in some of their trials.
+    names: Answers of the design, in its order. The signal is the answer that is right where the amplitude is above 0,
+        in a design with catch trials (amplitude 0); these then are the noise trials of every level of the amplitude.
+        Else it is the second answer, and levels of factors count where either answer is right in some of their trials.
 
-    Empty where answers are not two, or one alone is ever right.
+    Empty where answers are not two, or only one is ever right.
     """
-    judged = [row for row in rows if row.correct is not None]
-    if len(answers) != 2 or not judged:
+    import pandas as pd
+
+    judged = answers[answers.correct.notna()]
+    if len(names) != 2 or not len(judged):
         return ()
-    catch = [row for row in judged if row.amplitude == 0.0]
-    signal = _other(_right(catch[0], answers), answers) if catch else answers[1]
-    codes = sorted({row.participant for row in judged})
-    found: list[Sensitivity] = []
-    for code in ("", *codes):
-        some = [row for row in judged if code in ("", row.participant)]
-        found += _group(some, code, {}, signal, answers)
-        for factor in factors_of(judged):
-            for (level,), part in grouped(some, (factor,)).items():
-                shared = [row for row in some if row.amplitude == 0.0] if factor == "amplitude" and level != "0" else []
-                found += _group([*part, *shared], code, {factor: level}, signal, answers)
+    other = judged.answer.map(lambda answer: names[1] if answer == names[0] else names[0])
+    judged = judged.assign(right=judged.answer.where(judged.correct.astype(bool), other))
+    catch = judged[judged.amplitude == 0.0]
+    signal = names[int(catch.right.iloc[0] == names[0])] if len(catch) else names[1]
+    noise = names[int(signal == names[0])]
+    found = []
+    for code, own in all_and_each(judged):
+        for levels, part in [({}, own), *(group for factor in factors_of(judged) for group in groups(own, (factor,)))]:
+            catch = own[own.amplitude == 0.0] if levels.get("amplitude", "0") != "0" else own[:0]
+            pair = pd.concat([part, catch])
+            with_signal, answered = pair.right == signal, pair.answer == signal
+            hits, alarms = int((answered & with_signal).sum()), int((answered & ~with_signal).sum())
+            counts = hits, int(with_signal.sum()), alarms, int((~with_signal).sum())
+            if counts[1] and counts[3]:
+                found.append(Sensitivity(code, levels, signal, noise, *counts, *d_prime(*counts)))
     return tuple(found)
-
-
-def _group(
-    rows: Sequence[Row], code: str, factors: Mapping[str, str], signal: str, answers: Sequence[str]
-) -> Iterator[Sensitivity]:
-    with_signal = [row for row in rows if _right(row, answers) == signal]
-    without = [row for row in rows if _right(row, answers) != signal]
-    if not with_signal or not without:
-        return
-    hits, alarms = (sum(row.answer == signal for row in some) for some in (with_signal, without))
-    counts = hits, len(with_signal), alarms, len(without)
-    yield Sensitivity(code, factors, signal, _other(signal, answers), *counts, *d_prime(*counts))
-
-
-def _right(row: Row, answers: Sequence[str]) -> str:
-    """The right answer of two."""
-    return row.answer if row.correct else _other(row.answer, answers)
-
-
-def _other(answer: str, answers: Sequence[str]) -> str:
-    return answers[1] if answer == answers[0] else answers[0]

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wavefocus.trials.analysis.shares import factors_of, grouped
-from wavefocus.trials.answers import Row
+from wavefocus.trials.analysis.shares import all_and_each, factors_of, groups
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 REPLICATES = 2000
 
@@ -17,8 +20,8 @@ REPLICATES = 2000
 class ReactionTime:
     """Median reaction time of a group of trials.
 
-    participant, factors: As of `wavefocus.trials.analysis.shares.Share`.
-    of: Trials in it: right answers alone where the design has right answers.
+    participant, factors: See `wavefocus.trials.analysis.shares.Share`.
+    of: Trials in it: only right answers where the design has right answers.
     interval: 95 % of the median, percentiles of a bootstrap over these trials (Efron and Tibshirani, An Introduction to
         the Bootstrap, 1993, chapter 13).
     """
@@ -46,28 +49,26 @@ class OnsetErrors:
     repeated: int
 
 
-def reaction_times_of(rows: Sequence[Row]) -> tuple[ReactionTime, ...]:
+def reaction_times_of(answers: DataFrame) -> tuple[ReactionTime, ...]:
     """Median reaction times of all participants together and of each: of all trials, and by factor."""
-    counted = [row for row in rows if row.correct is not False]
+    counted = answers[answers.correct.fillna(True)]
     rng = np.random.default_rng(1)
-    found = []
-    for code in ("", *sorted({row.participant for row in counted})):
-        some = [row for row in counted if code in ("", row.participant)]
-        for factors in ((), *((one,) for one in factors_of(rows))):
-            for levels, part in grouped(some, factors).items():
-                times_s = np.array([row.reaction_s for row in part])
-                medians = np.median(rng.choice(times_s, (REPLICATES, len(times_s))), axis=1)
-                low_s, high_s = (float(one) for one in np.quantile(medians, (0.025, 0.975)))
-                named = dict(zip(factors, levels, strict=True))
-                found.append(ReactionTime(code, named, len(part), float(np.median(times_s)), (low_s, high_s)))
-    return tuple(found)
+    times = []
+    for code, own in all_and_each(counted):
+        for factors in ((), *((factor,) for factor in factors_of(answers))):
+            for levels, part in groups(own, factors):
+                reaction_s = part.reaction_s.to_numpy()
+                medians = np.median(rng.choice(reaction_s, (REPLICATES, len(part))), axis=1)
+                low_s, high_s = np.quantile(medians, (0.025, 0.975)).tolist()
+                times.append(ReactionTime(code, levels, len(part), float(np.median(reaction_s)), (low_s, high_s)))
+    return tuple(times)
 
 
-def onset_errors_of(rows: Sequence[Row]) -> OnsetErrors | None:
+def onset_errors_of(answers: DataFrame) -> OnsetErrors | None:
     """Onset errors of all trials; None where no trial has one."""
-    errors_ms = np.array([row.onset_error_ms for row in rows if row.onset_error_ms is not None])
+    errors_ms = answers.onset_error_ms.dropna().to_numpy()
     if not len(errors_ms):
         return None
-    low_ms, median_ms, high_ms = (float(one) for one in np.quantile(errors_ms, (0.025, 0.5, 0.975)))
-    repeated = sum(row.attempts > 1 for row in rows)
+    low_ms, median_ms, high_ms = np.quantile(errors_ms, (0.025, 0.5, 0.975)).tolist()
+    repeated = int((answers.attempts > 1).sum())
     return OnsetErrors(len(errors_ms), low_ms, median_ms, high_ms, float(abs(errors_ms).max()), repeated)

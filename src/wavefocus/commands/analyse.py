@@ -20,11 +20,10 @@ from wavefocus.trials.answers import ANSWERS, FACTS, read_answers, read_facts
 RESULT = "analysis.json"
 
 
-def analyse(folder: Path, out: Path | None, *, mixed_model: bool, force: bool, as_json: bool) -> None:
+def analyse(folder: Path, out: Path | None, *, force: bool, as_json: bool) -> None:
     """Analyse a folder of trials into a folder of results, by default its folder ``analysis``.
 
-    Raises InputError: the answers are missing or damaged, there are none yet, the results must stay, or the mixed model
-    cannot be fitted.
+    Raises InputError: the answers are missing or damaged, there are none yet, or the results must stay.
     """
     out = folder / "analysis" if out is None else out
     require_replaceable_folder(out, _written(out), (folder / ANSWERS, folder / FACTS), by="analyse", force=force)
@@ -38,7 +37,7 @@ def analyse(folder: Path, out: Path | None, *, mixed_model: bool, force: bool, a
     adaptive = None
     if "adaptive" in tables:
         adaptive = validated(AdaptiveTable, tables["adaptive"], f"{folder / FACTS}: design.adaptive")
-    analysis = analysis_of(rows, design, adaptive, mixed_model=mixed_model)
+    analysis = analysis_of(rows, design, adaptive)
     sources = [
         ("answers", f"{ANSWERS} of {folder.absolute().name}"),
         ("trials file", str(facts.get("trials_file", ""))),
