@@ -58,7 +58,7 @@ MARK_MB = 500.0
 # Positions that are recorded; the others repeat them, for the estimator does not mind.
 DIFFERENT = 4
 # A night is longer than the loading of modules, the sample is not.
-PRELOADED = ("scipy.optimize", "scipy.signal", "wavefocus.commands.estimate", "wavefocus.campaign.blueprint")
+PRELOADED = ("scipy.optimize", "scipy.signal", "wavefocus.estimation", "wavefocus.campaign.blueprint")
 
 
 def compare_nights(*, quick: bool = False) -> list[Point]:

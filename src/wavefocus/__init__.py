@@ -14,10 +14,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from wavefocus.banks import estimate, export_bank, import_bank
+    from wavefocus.banks import export_bank, import_bank
     from wavefocus.calibration.estimator.raw_estimation import estimate_positions
     from wavefocus.calibration.estimator.raw_estimation import estimator_of as estimator
     from wavefocus.drives import focus_figures, predict, render
+    from wavefocus.estimation import estimate
     from wavefocus.live_session.sources import LiveSources, live
     from wavefocus.rendering.field.foci import FocusResults
     from wavefocus.rendering.greens.source import GreenArray
@@ -55,7 +56,7 @@ _MODULES = {
     "TrajectoryPath": "wavefocus.rendering.scene.trajectory_path",
     "VirtualBench": "wavefocus.virtual",
     "add_note": "wavefocus.storage.bank.notes",
-    "estimate": "wavefocus.banks",
+    "estimate": "wavefocus.estimation",
     "estimate_positions": "wavefocus.calibration.estimator.raw_estimation",
     "estimator": "wavefocus.calibration.estimator.raw_estimation:estimator_of",
     "export_bank": "wavefocus.banks",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -18,7 +18,6 @@ from wavefocus.storage.errors import InputError
 
 if TYPE_CHECKING:
     from wavefocus.rendering.greens.source import GreenSource
-    from wavefocus.storage.raw.writer import RawFile
 
 OnProgress = Callable[[int, int], None]
 LOG = logging.getLogger("wavefocus")
@@ -40,52 +39,6 @@ class Export:
     files: tuple[str, ...]
     bytes: int
     publication: Mapping[str, str]
-
-
-@checked
-def estimate(
-    raw: RawFile | str | Path,
-    bank: str | Path,
-    *,
-    workers: int | None = None,
-    on_progress: OnProgress | None = None,
-) -> Bank:
-    """Estimate the Green's functions of kept recordings into a bank, as ``wavefocus estimate``.
-
-    Parameters
-    ----------
-    raw
-        Open recordings, or the path of a raw file: of this program, or of any other (docs/reference/raw-file.md).
-    bank
-        Path of the bank. One that is there must be of the same recordings; what it lacks is estimated.
-    workers
-        Positions that are estimated at a time; by default one per processor, as far as memory goes.
-    on_progress
-        Called with the positions done and the positions in all.
-
-    Returns
-    -------
-    Bank
-        Open for reading. Its status says which positions are valid.
-
-    Raises
-    ------
-    InputError
-        The recordings cannot be read, what was played cannot be found in them, or the bank is of others.
-
-    Examples
-    --------
-    >>> import wavefocus as wf
-    >>> with wf.estimate("plate.raw.h5", "again.h5") as bank:
-    ...     print(bank.positions, bank.green(0).shape)
-    15 (4, 1000)
-    """
-    from wavefocus.commands.estimate import estimate_into
-    from wavefocus.storage.raw.writer import open_raw
-
-    with open_raw(raw) if isinstance(raw, str | Path) else nullcontext(raw) as recordings:
-        estimate_into(recordings, Path(bank), workers, report=LOG.info, watch=_watched(on_progress))
-    return open_bank(bank)
 
 
 @checked
@@ -328,11 +281,6 @@ def opened_bank(bank: GreenSource | str | Path) -> Iterator[GreenSource]:
         if isinstance(view, Bank):
             view.require_sound()
         yield view
-
-
-def _watched(on_progress: OnProgress | None) -> Callable[..., AbstractContextManager[OnProgress]]:
-    """Progress as the commands show it, for a function that is called with what is done and what there is in all."""
-    return lambda what, total, **_: nullcontext(on_progress or (lambda done, total: None))
 
 
 def _pair(name: str, value: Sequence[float] | None) -> tuple[float, float] | None:

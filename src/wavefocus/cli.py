@@ -227,7 +227,7 @@ def _play(
         command.refuse_for_drives(what, method=method, tolerance_db=tolerance_db, ahead_s=ahead_s)
         return command.play(what, loop=loop, **rest)
     command.refuse_for_scenes(what, loop=loop)
-    from wavefocus.commands.render import RenderOptions
+    from wavefocus.drives import RenderOptions
 
     return command.play_scene(
         what,

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from contextlib import nullcontext
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -11,14 +13,43 @@ from numpy.typing import DTypeLike
 
 from wavefocus.banks import OnProgress, opened_bank
 from wavefocus.storage.argument_types import Positions, checked
+from wavefocus.storage.bank.reading import Bank
 from wavefocus.storage.drive_file import Drive, read_drive
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import Field, read_field
 
 if TYPE_CHECKING:
+    from wavefocus.rendering.drive.inverse_filter import InverseReport
     from wavefocus.rendering.field.foci import FocusResults
     from wavefocus.rendering.greens.source import GreenSource
+    from wavefocus.rendering.report.render_report import RenderReport
     from wavefocus.rendering.scene.model import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class RenderOptions:
+    """Options of a render: method of eq. (16) or (9), what may be left out (< 0 dB), largest interpolation error.
+
+    Raises InputError: an option of one way of focusing is given for the other, or one that a GPU does not support.
+    """
+
+    method: Literal["sampled", "exact"] | None = None
+    tolerance_db: float | None = None
+    interpolation_tolerance: float | None = None
+    focusing: Literal["time-reversal", "inverse"] = "time-reversal"
+    regularisation_db: float | None = None
+    device: Literal["cpu", "cuda"] = "cpu"
+
+    def __post_init__(self) -> None:
+        if self.device != "cpu" and (self.focusing == "inverse" or self.tolerance_db is not None):
+            raise InputError(f"--device {self.device} goes neither with --focusing inverse nor with --tolerance-db")
+        if self.focusing == "inverse":
+            for key in ("method", "tolerance_db", "interpolation_tolerance"):
+                if getattr(self, key) is not None:
+                    option = key.replace("_", "-")
+                    raise InputError(f"--{option} is for time reversal; leave it out with --focusing inverse")
+        elif self.regularisation_db is not None:
+            raise InputError("--regularisation-db is for the inverse filter; add --focusing inverse")
 
 
 @checked
@@ -84,7 +115,6 @@ def render(
     ((4, 3499), dtype('float64'))
     >>> wf.write_drive("stroke.h5", drive)
     """
-    from wavefocus.commands.render import RenderOptions, naming, render_by_options
     from wavefocus.rendering.report.render_report import RenderWarning
     from wavefocus.rendering.scene.model import load_scene
 
@@ -216,3 +246,36 @@ def focus_figures(
 
 def _read(drive: Drive | str | Path) -> Drive:
     return read_drive(drive) if isinstance(drive, str | Path) else drive
+
+
+@contextmanager
+def naming(scene_file: str | Path, bank: GreenSource) -> Iterator[None]:
+    """Name the scene file in an InputError that does not name the bank."""
+    try:
+        yield
+    except InputError as wrong:
+        names_bank = isinstance(bank, Bank) and str(bank.path) in str(wrong)
+        raise InputError(str(wrong) if names_bank else f"{scene_file}: {wrong}") from None
+
+
+def render_by_options(
+    scene: Scene, bank: GreenSource, options: RenderOptions, on_progress: OnProgress | None = None
+) -> tuple[Drive, RenderReport | InverseReport]:
+    """Render a scene as the options say. Raises InputError: the scene does not fit the bank."""
+    if options.focusing == "inverse":
+        from wavefocus.rendering.drive.inverse_filter import REGULARISATION_DB, inverse_filter
+
+        regularisation_db = REGULARISATION_DB if options.regularisation_db is None else options.regularisation_db
+        return inverse_filter(scene, bank, regularisation_db=regularisation_db)
+    from wavefocus.rendering.device import cuda_device
+    from wavefocus.rendering.drive.rendering import render_with_report
+
+    return render_with_report(
+        scene,
+        bank,
+        method=options.method,
+        tolerance_db=options.tolerance_db,
+        interpolation_tolerance=options.interpolation_tolerance,
+        on_progress=on_progress,
+        device=None if options.device == "cpu" else cuda_device(),
+    )

@@ -21,11 +21,11 @@ from wavefocus.commands import check, init, plan, status
 from wavefocus.commands import predict as prediction
 from wavefocus.commands import render as rendering
 from wavefocus.commands import verify as verification
-from wavefocus.commands.render import RenderOptions
 from wavefocus.config.messages.campaign import Logged, Progress, read_event
 from wavefocus.config.run import Virtual
 from wavefocus.configuration import load_run
 from wavefocus.console import people, say
+from wavefocus.drives import RenderOptions
 from wavefocus.exits import Exit
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.rig.virtual_bench import virtual_rig

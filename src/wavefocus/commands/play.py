@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.acquisition.wording import hours
-from wavefocus.commands.render import RenderOptions, naming
 from wavefocus.config.messages.codec import to_line
 from wavefocus.config.messages.operate import Playing
 from wavefocus.config.rig import RigConfig
@@ -23,6 +22,7 @@ from wavefocus.configuration import named_rig
 from wavefocus.console import Report, print_line, progress, say
 from wavefocus.drivers.protocols import Clock
 from wavefocus.drivers.timeouts import BoundedPlayer
+from wavefocus.drives import RenderOptions, naming
 from wavefocus.ending import ended_by_input, ending_at_once
 from wavefocus.exits import Exit
 from wavefocus.input_files import name_unverified

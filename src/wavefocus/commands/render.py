@@ -4,24 +4,21 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.config.scene import Output, Regularisation
 from wavefocus.console import progress, say
+from wavefocus.drives import RenderOptions, naming, render_by_options
 from wavefocus.input_files import input_files
-from wavefocus.rendering.device import cuda_device
 from wavefocus.rendering.drive.coil_limits import dynamic_range_db, relative_rms, strictest
-from wavefocus.rendering.drive.rendering import OnProgress, render_with_report
 from wavefocus.rendering.drive.streamed import StreamedDrive
 from wavefocus.rendering.drive.wav import in_chunks, stream_wav
 from wavefocus.rendering.field.prediction import field_unit, predicted_focus_peak
-from wavefocus.rendering.greens.source import GreenSource
 from wavefocus.rendering.report.render_report import RenderReport
 from wavefocus.rendering.scene.model import Scene, load_scene
 from wavefocus.rendering.scene.size import check_scene_size, size_words
@@ -44,33 +41,6 @@ if TYPE_CHECKING:
     from wavefocus.rendering.drive.inverse_filter import InverseReport
 
 Float64Array = NDArray[np.float64]
-Focusing = Literal["time-reversal", "inverse"]
-
-
-@dataclass(frozen=True, slots=True)
-class RenderOptions:
-    """Options of the command: method of eq. (16) or (9), what may be left out (< 0 dB), largest interpolation error.
-
-    Raises InputError: an option of one way of focusing is given for the other, or one that a GPU does not support.
-    """
-
-    method: Literal["sampled", "exact"] | None = None
-    tolerance_db: float | None = None
-    interpolation_tolerance: float | None = None
-    focusing: Focusing = "time-reversal"
-    regularisation_db: float | None = None
-    device: Literal["cpu", "cuda"] = "cpu"
-
-    def __post_init__(self) -> None:
-        if self.device != "cpu" and (self.focusing == "inverse" or self.tolerance_db is not None):
-            raise InputError(f"--device {self.device} goes neither with --focusing inverse nor with --tolerance-db")
-        if self.focusing == "inverse":
-            for key in ("method", "tolerance_db", "interpolation_tolerance"):
-                if getattr(self, key) is not None:
-                    option = key.replace("_", "-")
-                    raise InputError(f"--{option} is for time reversal; leave it out with --focusing inverse")
-        elif self.regularisation_db is not None:
-            raise InputError("--regularisation-db is for the inverse filter; add --focusing inverse")
 
 
 OUTLINE_POINTS = 400
@@ -337,16 +307,6 @@ def _report(job: _Job, result: _Result, rig_file: Path | None, *, streamed: bool
     print(json.dumps(figures))
 
 
-@contextmanager
-def naming(scene_file: str | Path, bank: GreenSource) -> Iterator[None]:
-    """Name the scene file in an InputError that does not name the bank."""
-    try:
-        yield
-    except InputError as wrong:
-        names_bank = isinstance(bank, Bank) and str(bank.path) in str(wrong)
-        raise InputError(str(wrong) if names_bank else f"{scene_file}: {wrong}") from None
-
-
 def rendered(
     scene_file: Path, scene: Scene, bank: Bank, options: RenderOptions | None = None
 ) -> tuple[Drive, RenderReport | InverseReport]:
@@ -356,26 +316,6 @@ def rendered(
     """
     with progress("render", 1) as report, naming(scene_file, bank):
         return render_by_options(scene, bank, options or RenderOptions(), report)
-
-
-def render_by_options(
-    scene: Scene, bank: GreenSource, options: RenderOptions, on_progress: OnProgress | None = None
-) -> tuple[Drive, RenderReport | InverseReport]:
-    """Render a scene as the options say. Raises InputError: the scene does not fit the bank."""
-    if options.focusing == "inverse":
-        from wavefocus.rendering.drive.inverse_filter import REGULARISATION_DB, inverse_filter
-
-        regularisation_db = REGULARISATION_DB if options.regularisation_db is None else options.regularisation_db
-        return inverse_filter(scene, bank, regularisation_db=regularisation_db)
-    return render_with_report(
-        scene,
-        bank,
-        method=options.method,
-        tolerance_db=options.tolerance_db,
-        interpolation_tolerance=options.interpolation_tolerance,
-        on_progress=on_progress,
-        device=None if options.device == "cpu" else cuda_device(),
-    )
 
 
 def _within_full_scale(

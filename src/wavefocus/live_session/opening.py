@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from wavefocus.commands.render import naming
 from wavefocus.config.messages.live import LiveReady
 from wavefocus.config.scene import Output, Regularisation
 from wavefocus.console import progress
+from wavefocus.drives import naming
 from wavefocus.live_session.output import LiveOutput
 from wavefocus.live_session.session import LiveSession, Publish
 from wavefocus.rendering.greens.source import usable
