@@ -177,7 +177,7 @@ def test_given_half_a_line_then_the_wait_ends_and_what_came_is_told(wired):
 def test_given_bytes_that_are_no_text_then_they_are_told_as_bytes(wired):
     line, client = wired
     client.sendall(b"\xff1\n")
-    with pytest.raises(NoAnswerError, match="no text"):
+    with pytest.raises(NoAnswerError, match="not text"):
         line.receive(time.monotonic() + 30)
 
 

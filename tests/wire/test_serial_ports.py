@@ -125,7 +125,7 @@ def test_given_no_such_port_then_the_plug_is_asked_for(tmp_path):
 def test_given_a_file_then_it_is_said_to_be_no_serial_port(tmp_path):
     path = tmp_path / "notes.txt"
     path.write_text("no port")
-    with pytest.raises(InstrumentLostError, match=r"no serial port|no such port"):
+    with pytest.raises(InstrumentLostError, match=r"not a serial port|no such port"):
         line(str(path)).open()
 
 
@@ -174,7 +174,7 @@ def test_given_a_port_that_this_user_may_not_open_then_the_group_is_named(tmp_pa
         ("/dev/ttyUSB0", (errno.EAGAIN, "text"), "another program"),
         ("/dev/ttyUSB0", (errno.EACCES, "text"), "may not open"),
         ("/dev/ttyUSB0", (errno.ENXIO, "text"), "no such port"),
-        ("/dev/ttyUSB0", (errno.ENOTTY, "text"), "no serial port"),
+        ("/dev/ttyUSB0", (errno.ENOTTY, "text"), "not a serial port"),
         ("socket://10.0.0.1:1", (errno.EHOSTUNREACH, "text"), "cannot be reached"),
         ("socket://10.0.0.1:1", (errno.EPIPE, "text"), "no conn"),
     ],
