@@ -281,7 +281,7 @@ def next_attempt(
     joint: Whether several actuators sound in a record: then one loss shows in all of them, and is tried again in place.
     """
     following = attempt.next()
-    if judgement.status & Status.OVER_RANGE:
+    if any(defect.cure is Cure.RANGE for defect in judgement.defects):
         used_v = attempt.response_range_v or setup.range_v[1]
         larger_v = min((one for one in setup.response_ranges_v if one > used_v * (1 + 1e-9)), default=used_v)
         following = replace(following, response_range_v=larger_v)

@@ -156,6 +156,13 @@ _EVEN = _Kind(
     "coil or vibrometer",
     Cure.NOTHING,
 )
+_EITHER = _Kind(
+    "clipping or distortion",
+    "clipped or distorted: every sweep leaves the same {cut_db:.0f} dB at {cut_s:.3f} s in {records}, where no "
+    "third harmonic can be measured: choose a wider range at the vibrometer or of the input; where that changes "
+    "nothing, lower sweep.amplitude_v, then look for an offset or a defect in amplifier, coil or vibrometer",
+    Cure.RANGE,
+)
 _DISTORTED = "lower sweep.amplitude_v or choose a wider range at the vibrometer"
 _KINDS = {
     "slip_db": _Kind(
@@ -213,14 +220,19 @@ def _clipped(estimate: Estimate, worst: NDArray[np.intp], kind: _Kind) -> list[D
     """What looks like clipping, by its cause: too few steps, a curved characteristic, or a cut one.
 
     What is cut has a third harmonic at its loudest moment that is stronger than the same residual of all sweeps; a
-    square term has none.
+    square term has none. Where no record's loudest moment lies high enough to measure it, it may be either.
     """
     figures = estimate.defects[worst]
     coarse = figures["steps"] > 0
-    # The worst record shows it best.
-    curved = bool(figures["harmonic_db"][0] <= figures["cut_db"][0])
-    even = ~coarse & curved & (estimate.clip_count[worst] == 0)
-    parts = ((_COARSE, coarse), (_EVEN, even), (kind, ~coarse & ~even))
+    # The worst record that can tell shows it best.
+    telling = np.flatnonzero(~np.isnan(figures["harmonic_db"]))
+    open_to_doubt = ~coarse & (estimate.clip_count[worst] == 0)
+    even = either = np.zeros_like(coarse)
+    if not telling.size:
+        either = open_to_doubt
+    elif figures["harmonic_db"][telling[0]] <= figures["cut_db"][telling[0]]:
+        even = open_to_doubt
+    parts = ((_COARSE, coarse), (_EVEN, even), (_EITHER, either), (kind, ~coarse & ~even & ~either))
     return [one.of(estimate, worst[which]) for one, which in parts if np.any(which)]
 
 

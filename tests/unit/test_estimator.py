@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from wavefocus.acquisition.defects import Cure
 from wavefocus.acquisition.judgement import judge
 from wavefocus.acquisition.limits import QualityLimits
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
@@ -367,6 +368,26 @@ def test_a_square_term_is_a_distortion_and_leaves_no_range(square: float) -> Non
     judgement = judge(records.estimate(), False, QualityLimits())
     assert judgement.status == Status.POOR_SIGNAL
     assert "distortion" in {defect.name for defect in judgement.defects}
+
+
+@pytest.mark.parametrize("cut", [False, True], ids=["square term", "cut before the noise"])
+def test_what_bends_where_no_third_harmonic_can_be_measured_may_be_either(cut: bool) -> None:
+    time_s = np.arange(TAPS) / SMALL.sample_rate_hz
+    low = np.exp(-120 * time_s) * np.sin(2 * np.pi * np.array([[62.0], [75.0], [88.0]]) * time_s)
+    records = records_of(low, snr_db=None)
+    peak_v = np.abs(records.response).max(axis=1, keepdims=True)
+    if cut:
+        records.response = np.clip(records.response, -0.93 * peak_v, 0.93 * peak_v)
+    else:
+        records.response += 0.02 * records.response**2 / peak_v
+    records.response += 1e-3 * peak_v * np.random.default_rng(2).standard_normal(records.response.shape)
+    estimate = records.estimate()
+    assert np.isnan(estimate.defects["harmonic_db"]).all()
+    judgement = judge(estimate, False, QualityLimits())
+    assert {defect.name for defect in judgement.defects} == {"clipping or distortion"}
+    assert (judgement.status, judgement.cure) == (Status.POOR_SIGNAL, Cure.RANGE)
+    for remedy in ("wider range", "sweep.amplitude_v"):
+        assert remedy in judgement.reason
 
 
 @pytest.mark.parametrize("options", [{"taps": 0}, {"taps": 601}, {"ridge": 0.0}])

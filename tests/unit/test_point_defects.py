@@ -142,6 +142,8 @@ DEFECTS: dict[str, tuple[Spoil, str, str, Cure]] = {
 @pytest.mark.parametrize("name", DEFECTS)
 def test_given_a_defect_at_40_db_then_it_is_named_in_the_record_that_has_it(name: str, record: int) -> None:
     spoil, expected, words, cure = DEFECTS[name]
+    if expected == "clipping" and record == WEAK:  # it is loudest at 69 Hz, where no third harmonic can be measured
+        expected = "clipping or distortion"
     judgement = judged(spoil, record)
     assert not judgement.good
     assert [(defect.name, defect.actuators) for defect in judgement.defects] == [(expected, (record,))]
