@@ -63,6 +63,6 @@ def hdf5_kind(path: Path) -> str:
         with hdf5_reading.opened(path) as content:
             if "green" in content:
                 return "bank"
-            return _HDF5.get(hdf5_reading.text(content, "format", path) or "", "HDF5 file")
+            return _HDF5.get(hdf5_reading.text(content, "format") or "", "HDF5 file")
     except InputError:
         return "HDF5 file"

@@ -222,13 +222,13 @@ def read_drive(path: str | Path) -> Drive:
     """
     path = Path(path)
     with hdf5_reading.opened_as(path, FORMAT) as file:
-        dataset = hdf5_reading.plain_dataset(file, "/drive", path)
-        values = hdf5_reading.read_whole(dataset, path)
-        sample, position, source = (_focus(file, path, name) for name in ("sample", "position", "source"))
-        rate, start_s = (hdf5_reading.number(file, name, path) for name in ("sample_rate_hz", "start_s"))
-        method = hdf5_reading.text(file, "method", path) or "unknown"
-        factor = hdf5_reading.number(file, "scale", path, default=1.0)
-        omitted_bound = hdf5_reading.number(file, "omitted_bound", path, default=0.0)
+        dataset = hdf5_reading.plain_dataset(file, "/drive")
+        values = hdf5_reading.read_whole(dataset)
+        sample, position, source = (_focus(file, name) for name in ("sample", "position", "source"))
+        rate, start_s = (hdf5_reading.number(file, name) for name in ("sample_rate_hz", "start_s"))
+        method = hdf5_reading.text(file, "method") or "unknown"
+        factor = hdf5_reading.number(file, "scale", default=1.0)
+        omitted_bound = hdf5_reading.number(file, "omitted_bound", default=0.0)
         drive_unit = _drive_unit(file, dataset, path)
         try:
             drive = Drive(
@@ -237,18 +237,18 @@ def read_drive(path: str | Path) -> Drive:
             )  # fmt: skip
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
-        hdf5_reading.require_sample_times(file, path, values.shape[1], rate, start_s)
+        hdf5_reading.require_sample_times(file, values.shape[1], rate, start_s)
         # Last, so that a value that is wrong in itself is named.
-        verified = hdf5_digest.require_all(file, path, apart="/drive")
-        if (expected := hdf5_digest.expected_sha256(dataset, path)) is not None:
-            hdf5_digest.require_values(hdf5_digest.values_sha256(values), expected, "/drive", path)
+        verified = hdf5_digest.require_all(file, apart="/drive")
+        if hdf5_digest.VALUES in dataset.attrs:
+            hdf5_digest.require_values(dataset, hdf5_digest.values_sha256(values))
     return drive if verified else replace(drive, verified=False, known_finite=True)
 
 
 def _drive_unit(file: h5py.File, dataset: h5py.Dataset, path: Path) -> str:
     """Unit of the drive: of the attribute ``drive_unit``, else of the dataset's ``units``, else volts."""
     stated, units = (
-        None if (word := hdf5_reading.text(item, name, path)) is None else drive_of("", word)
+        None if (word := hdf5_reading.text(item, name)) is None else drive_of("", word)
         for item, name in ((file, "drive_unit"), (dataset, "units"))
     )
     if stated and units and stated != units:
@@ -256,9 +256,9 @@ def _drive_unit(file: h5py.File, dataset: h5py.Dataset, path: Path) -> str:
     return stated or units or "V"
 
 
-def _focus(file: h5py.File, path: Path, name: str) -> Int64Array:
+def _focus(file: h5py.File, name: str) -> Int64Array:
     there = hdf5_reading.has(file, f"/focus/{name}")
-    return hdf5_reading.read_integers(file, f"/focus/{name}", path) if there else np.zeros(0, np.int64)
+    return hdf5_reading.read_integers(file, f"/focus/{name}") if there else np.zeros(0, np.int64)
 
 
 def _finite(values: Float64Array) -> bool:

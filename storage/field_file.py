@@ -251,27 +251,27 @@ class FieldRowReader(Closing):
         self.path = path = Path(path)
         with ExitStack() as stack:
             file = stack.enter_context(hdf5_reading.opened_as(path, FORMAT))
-            self._field: h5py.Dataset = hdf5_reading.plain_dataset(file, "/field", path)
+            self._field: h5py.Dataset = hdf5_reading.plain_dataset(file, "/field")
             if self._field.ndim != 2 or not self._field.size:
                 raise InputError(f"{path}: /field has shape {self._field.shape}; (position, sample) is needed")
-            hdf5_reading.require_rows(self._field, path)
-            index = hdf5_reading.read_integers(file, "/position_index", path)
+            hdf5_reading.require_rows(self._field)
+            index = hdf5_reading.read_integers(file, "/position_index")
             self.samples = int(self._field.shape[1])
-            self.sample_rate_hz = hdf5_reading.number(file, "sample_rate_hz", path)
-            self.start_s = hdf5_reading.number(file, "start_s", path)
-            unit = hdf5_reading.text(file, "response_unit", path)
+            self.sample_rate_hz = hdf5_reading.number(file, "sample_rate_hz")
+            self.start_s = hdf5_reading.number(file, "start_s")
+            unit = hdf5_reading.text(file, "response_unit")
             if unit is None:
                 raise InputError(f"{path} has no attribute response_unit")
             self.response_unit = unit
             try:
                 self.position_index = _indices(index, len(self._field))
-                self.low_pass = _read_low_pass(file, path)
+                self.low_pass = _read_low_pass(file)
                 _require_times(self.sample_rate_hz, self.start_s)
             except InputError as error:
                 raise InputError(str(error) if str(path) in str(error) else f"{path}: {error}") from error
-            hdf5_reading.require_sample_times(file, path, self.samples, self.sample_rate_hz, self.start_s)
-            self.verified = hdf5_digest.require_all(file, path, apart="/field")
-            self._expected = hdf5_digest.expected_sha256(self._field, path)
+            hdf5_reading.require_sample_times(file, self.samples, self.sample_rate_hz, self.start_s)
+            self.verified = hdf5_digest.require_all(file, apart="/field")
+            self._sealed = hdf5_digest.VALUES in self._field.attrs
             self._open = stack.pop_all()
 
     def blocks(self) -> Iterator[tuple[int, NDArray[Any]]]:
@@ -290,12 +290,12 @@ class FieldRowReader(Closing):
                 raise InputError(f"{self.path}: /field from row {first} {complaint}") from error
             if not np.isfinite(values).all():
                 raise InputError(f"{self.path}: /field from row {first} holds NaN or infinities")
-            if self._expected is not None:
+            if self._sealed:
                 digest.update(values)
             yield first, values
-        if self._expected is not None:
-            hdf5_digest.require_values(digest.hexdigest(), self._expected, "/field", self.path)
-            self._expected = None  # once is enough
+        if self._sealed:
+            hdf5_digest.require_values(self._field, digest.hexdigest())
+            self._sealed = False  # once is enough
 
     def close(self) -> None:
         """Close the file."""
@@ -304,7 +304,7 @@ class FieldRowReader(Closing):
     def whole(self) -> Field:
         """Read all rows, as float32 where the file holds no more digits; raises InputError as `blocks`."""
         kind = self._field.dtype
-        hdf5_reading.require_whole(self._field, self.path)
+        hdf5_reading.require_whole(self._field)
         single = kind.kind == "f" and kind.itemsize <= 4
         values: FieldArray = np.empty(self._field.shape, np.float32 if single else np.float64)
         for first, block in self.blocks():
@@ -345,11 +345,11 @@ def read_field(path: str | Path) -> Field:
         return rows.whole()
 
 
-def _read_low_pass(file: h5py.File, path: Path) -> LowPass | None:
+def _read_low_pass(file: h5py.File) -> LowPass | None:
     if "decimated_by" not in file.attrs:
         return None
-    factor = hdf5_reading.number(file, "decimated_by", path)
-    _, passed_hz = hdf5_reading.numbers(file, "band_hz", path, 2)
+    factor = hdf5_reading.number(file, "decimated_by")
+    _, passed_hz = hdf5_reading.numbers(file, "band_hz", 2)
     if factor != round(factor):
         raise InputError(f"attribute decimated_by is {factor:g}; a whole number is needed")
     return LowPass(passed_hz, int(factor))

@@ -66,7 +66,7 @@ def _dataset_sha256(dataset: h5py.Dataset) -> str:
     if dataset.ndim == 0 or not dataset.size:
         return values_sha256(np.asarray(dataset[...]))
     digest = RunningDigest(dataset.dtype)
-    hdf5_reading.require_rows(dataset, Path(dataset.file.filename))
+    hdf5_reading.require_rows(dataset)
     row_bytes = dataset.size // len(dataset) * dataset.dtype.itemsize
     if row_bytes <= _AT_ONCE_BYTES or dataset.ndim != 2:
         at_once = max(1, _AT_ONCE_BYTES // row_bytes)
@@ -106,7 +106,7 @@ def _contents_sha256(file: h5py.File, later: Collection[str], without: Collectio
         if isinstance(found, h5py.Dataset):
             facts += [list(found.shape or ()), found.dtype.newbyteorder("<").str]
             if name not in later and VALUES not in found.attrs and found.id.get_storage_size():
-                facts.append(_plain(hdf5_reading.read_whole(found, Path(file.filename)), file))
+                facts.append(_plain(hdf5_reading.read_whole(found), file))
         if isinstance(found, h5py.Group | h5py.Dataset):
             apart = {*_APART, *without} if name == "/" else _APART
             facts += [[key, _plain(found.attrs[key], file)] for key in sorted(found.attrs) if key not in apart]
@@ -114,62 +114,69 @@ def _contents_sha256(file: h5py.File, later: Collection[str], without: Collectio
     return digest.hexdigest()
 
 
-def require_contents(file: h5py.File, path: Path, later: Collection[str] = ()) -> None:
+def require_contents(file: h5py.File, later: Collection[str] = ()) -> None:
     """Refuse a file whose contents are not as they were written; older files carry no checksum of them."""
     if CONTENTS not in file.attrs:
         return
     try:
-        sealed = hdf5_reading.text(file, CONTENTS, path)
+        sealed = hdf5_reading.text(file, CONTENTS)
         added = {NOTES, *unknown_attributes(file)} & set(file.attrs)
         # A later version may have sealed attributes that this one does not know.
         same = any(sealed == _contents_sha256(file, later, without) for without in dict.fromkeys([tuple(added), ()]))
     except InputError:
         raise
     except (TypeError, ValueError, AttributeError) as error:  # h5py, of types and references that are none
-        raise InputError(f"{path} {hdf5_reading.hdf5_complaint(error)}") from error
+        raise InputError(f"{hdf5_reading.path_of(file)} {hdf5_reading.hdf5_complaint(error)}") from error
     if not same:
         raise InputError(
-            f"{path} is damaged: the checksum of its contents does not hold; make it anew or restore a copy"
+            f"{hdf5_reading.path_of(file)} is damaged: the checksum of its contents does not hold; make it anew or"
+            " restore a copy"
         )
 
 
 def format_of(path: Path) -> tuple[str | None, bool]:
     """Return the format that a file says it has, and whether it carries a checksum of its contents."""
     with hdf5_reading.opened(path) as file:
-        hdf5_reading.require_sound_texts(file, path)
-        return hdf5_reading.text(file, "format", path), CONTENTS in file.attrs
+        hdf5_reading.require_sound_texts(file)
+        return hdf5_reading.text(file, "format"), CONTENTS in file.attrs
 
 
-def expected_sha256(dataset: h5py.Dataset, path: Path) -> str | None:
+def expected_sha256(dataset: h5py.Dataset) -> str | None:
     """Read the checksum that a dataset carries; None when it carries none."""
     if VALUES not in dataset.attrs:
         return None
     value = dataset.attrs[VALUES]
     if not isinstance(value, str | bytes):
-        raise InputError(f"{path}: {dataset.name} has a {VALUES} that is no text; a text is needed")
+        raise InputError(
+            f"{hdf5_reading.path_of(dataset)}: {dataset.name} has a {VALUES} that is not a text; a text is needed"
+        )
     return value if isinstance(value, str) else value.decode("ascii", "replace")
 
 
-def require_values(found: str, expected: str | None, name: str, path: Path) -> None:
-    """Refuse values whose checksum is another one."""
+def require_values(dataset: h5py.Dataset, found: str) -> None:
+    """Refuse a dataset whose values have another checksum than it carries; it may carry none."""
+    expected = expected_sha256(dataset)
     if expected is not None and found != expected.lower():
-        raise InputError(f"{path} is damaged: the checksum of {name} does not hold; make it anew or restore a copy")
+        raise InputError(
+            f"{hdf5_reading.path_of(dataset)} is damaged: the checksum of {dataset.name} does not hold; make it anew or"
+            " restore a copy"
+        )
 
 
-def require_all(file: h5py.File, path: Path, apart: str) -> bool:
+def require_all(file: h5py.File, apart: str) -> bool:
     """Verify the contents and every dataset but one that the caller verifies; False when one carries no checksum.
 
     Raises InputError: a checksum does not hold.
     """
-    require_contents(file, path)
+    require_contents(file)
     complete = True
     for name, found in _objects(file):
         if not isinstance(found, h5py.Dataset):
             continue
-        expected = expected_sha256(found, path)
+        expected = expected_sha256(found)
         complete &= expected is not None
         if expected is not None and name != apart:
-            require_values(_dataset_sha256(hdf5_reading.plain_dataset(file, name, path)), expected, name, path)
+            require_values(found, _dataset_sha256(hdf5_reading.plain_dataset(file, name)))
     return complete
 
 

@@ -41,10 +41,14 @@ def most_bytes() -> int:
     return int(gib * (1 << 30))
 
 
-def _refuse_size(path: Path, what: str, count: int, held: int | None = None) -> InputError:
-    held_words = "" if held is None else f" and holds {_size(held)}"
+def path_of(item: h5py.Group | h5py.Dataset) -> Path:
+    """The file that a group or dataset is in, as it was named when it was opened."""
+    return Path(item.file.filename)
+
+
+def _too_large(dataset: h5py.Dataset, what: str, count: int, held: str = "") -> InputError:
     return InputError(
-        f"{path}: {what} {_size(count)}{held_words}; at most {_size(most_bytes())} are allowed;"
+        f"{path_of(dataset)}: {what} {_size(count)}{held}; at most {_size(most_bytes())} are allowed;"
         f" wavefocus --most-gib {-(-count // (1 << 30))} ... raises that"
     )
 
@@ -79,8 +83,8 @@ def opened(path: Path, *, cache_bytes: int = 1 << 20) -> Iterator[h5py.File]:
 def opened_as(path: Path, name: str) -> Iterator[h5py.File]:
     """Open a file of one format for reading, as :func:`opened`, once its texts are checked."""
     with opened(path) as file:
-        require_sound_texts(file, path)
-        require_format(file, path, name)
+        require_sound_texts(file)
+        require_format(file, name)
         yield file
 
 
@@ -97,7 +101,6 @@ def hdf5_complaint(error: Exception) -> str:
 def plain_dataset(
     file: h5py.File,
     name: str,
-    path: Path,
     *,
     shape: tuple[int, ...] | None = None,
     packed: bool = False,
@@ -105,7 +108,6 @@ def plain_dataset(
 ) -> h5py.Dataset:
     """Return a dataset of plain numbers stored in this file.
 
-    file, path: The open file, and its name for messages.
     name: The dataset's name, as ``"/green"``.
     shape: The shape it must have.
     packed: Whether the caller unpacks values by `packing_of`; a packed dataset is refused otherwise.
@@ -113,7 +115,7 @@ def plain_dataset(
 
     Raises InputError: when it is packed, missing, linked or stored elsewhere, not numeric or of another shape.
     """
-    dataset = _find(file, name)
+    path, dataset = path_of(file), _find(file, name)
     if dataset is None:
         raise InputError(f"{path} has no dataset {name}")
     if not isinstance(dataset, h5py.Dataset):
@@ -129,27 +131,27 @@ def plain_dataset(
         raise InputError(f"{path}: {name} holds no plain numbers; floats or integers are allowed")
     if shape is not None and dataset.shape != shape:
         raise InputError(f"{path}: {name} has shape {dataset.shape}; {shape} is needed")
-    stated = packing_of(dataset, path, written=True) if not packed else Packing()
+    stated = packing_of(dataset, written=True) if not packed else Packing()
     if stated.is_scaled or any(comparison in ("==", "~") for comparison, _, _ in stated.absent):
         raise InputError(f"{path}: {name} has a scale_factor, add_offset or _FillValue; plain values are needed here")
     declared, held = _bytes_of(dataset, dataset.shape), dataset.id.get_storage_size()
     if declared > most_bytes() and declared > _HOLLOW * held:
-        raise _refuse_size(path, f"{name} of shape {dataset.shape} declares", declared, held)
+        raise _too_large(dataset, f"{name} of shape {dataset.shape} declares", declared, f" and holds {_size(held)}")
     if dataset.chunks is not None and (chunk := _bytes_of(dataset, dataset.chunks)) > most_bytes():
-        raise _refuse_size(path, f"{name} has chunks of {dataset.chunks}, each", chunk)
+        raise _too_large(dataset, f"{name} has chunks of {dataset.chunks}, each", chunk)
     if dataset.chunks is not None and properties.get_nfilters():
-        _require_true_chunks(dataset, path)
+        _require_true_chunks(dataset)
     return dataset
 
 
-def _require_true_chunks(dataset: h5py.Dataset, path: Path) -> None:
+def _require_true_chunks(dataset: h5py.Dataset) -> None:
     """Refuse compressed chunks that are larger than what they unfold to: they unfold to more than they declare."""
     declared = _bytes_of(dataset, dataset.chunks)
     largest = max((size for _, size in stored_pieces(dataset)), default=0)
     if largest > declared + declared // 100 + _FILTER_BYTES:
         raise InputError(
-            f"{path}: {dataset.name} has a compressed chunk of {_size(largest)} where {_size(declared)} are declared;"
-            " it is not read"
+            f"{path_of(dataset)}: {dataset.name} has a compressed chunk of {_size(largest)} where {_size(declared)} are"
+            " declared; it is not read"
         )
 
 
@@ -163,7 +165,7 @@ def stored_pieces(dataset: h5py.Dataset) -> list[tuple[int, int]]:
     return pieces
 
 
-def packing_of(dataset: h5py.Dataset, path: Path, *, written: bool = False) -> Packing:
+def packing_of(dataset: h5py.Dataset, *, written: bool = False) -> Packing:
     """How a dataset of real numbers is packed; raises InputError where an attribute is no finite number.
 
     written: Whether all of it was written, so that the fill value of netCDF's library is a value as any other.
@@ -172,30 +174,30 @@ def packing_of(dataset: h5py.Dataset, path: Path, *, written: bool = False) -> P
     fill = None if written else DEFAULT_FILL.get(dataset.dtype.str[1:])
     if fill is not None and dataset.fillvalue != fill:
         fill = None
-    return packing(attributes, dataset.dtype, f"{path}: {dataset.name}", fill)
+    return packing(attributes, dataset.dtype, f"{path_of(dataset)}: {dataset.name}", fill)
 
 
 def _bytes_of(dataset: h5py.Dataset, shape: tuple[int, ...]) -> int:
     return math.prod(int(extent) for extent in shape) * int(dataset.dtype.itemsize)
 
 
-def require_rows(dataset: h5py.Dataset, path: Path) -> None:
+def require_rows(dataset: h5py.Dataset) -> None:
     """Refuse a dataset one row of which is more than may be read at once."""
     row = _bytes_of(dataset, dataset.shape[1:])
     if row > most_bytes():
-        raise _refuse_size(path, f"each row of {dataset.name} of shape {dataset.shape} takes", row)
+        raise _too_large(dataset, f"each row of {dataset.name} of shape {dataset.shape} takes", row)
 
 
-def require_whole(dataset: h5py.Dataset, path: Path) -> None:
+def require_whole(dataset: h5py.Dataset) -> None:
     """Refuse a dataset that is more than may be read at once."""
     count = _bytes_of(dataset, dataset.shape)
     if count > most_bytes():
-        raise _refuse_size(path, f"{dataset.name} of shape {dataset.shape} takes", count)
+        raise _too_large(dataset, f"{dataset.name} of shape {dataset.shape} takes", count)
 
 
-def read_whole(dataset: h5py.Dataset, path: Path) -> NDArray[Any]:
+def read_whole(dataset: h5py.Dataset) -> NDArray[Any]:
     """Read all of a dataset, unless that is more than may be read at once."""
-    require_whole(dataset, path)
+    require_whole(dataset)
     return np.asarray(dataset[...])
 
 
@@ -223,19 +225,19 @@ def _find(file: h5py.File, name: str) -> object:
     return found
 
 
-def read_floats(file: h5py.File, name: str, path: Path, shape: tuple[int, ...] | None = None) -> NDArray[np.float64]:
+def read_floats(file: h5py.File, name: str, shape: tuple[int, ...] | None = None) -> NDArray[np.float64]:
     """Read a whole dataset as native float64, unpacked."""
-    dataset = plain_dataset(file, name, path, shape=shape, packed=True)
-    stored, packed = read_whole(dataset, path), packing_of(dataset, path)
+    dataset = plain_dataset(file, name, shape=shape, packed=True)
+    stored, packed = read_whole(dataset), packing_of(dataset)
     return np.asarray(stored if packed.is_plain else packed.unpack(stored), np.float64)
 
 
-def read_integers(file: h5py.File, name: str, path: Path, shape: tuple[int, ...] | None = None) -> NDArray[np.int64]:
+def read_integers(file: h5py.File, name: str, shape: tuple[int, ...] | None = None) -> NDArray[np.int64]:
     """Read a whole plain dataset of integers as native int64."""
-    dataset = plain_dataset(file, name, path, shape=shape)
+    dataset = plain_dataset(file, name, shape=shape)
     if dataset.dtype.kind == "f":
-        raise InputError(f"{path}: {name} holds floats; integers are needed")
-    return np.asarray(read_whole(dataset, path), np.int64)
+        raise InputError(f"{path_of(file)}: {name} holds floats; integers are needed")
+    return np.asarray(read_whole(dataset), np.int64)
 
 
 def holds_attribute(item: h5py.File | h5py.Dataset, name: str) -> bool:
@@ -243,37 +245,37 @@ def holds_attribute(item: h5py.File | h5py.Dataset, name: str) -> bool:
     return name in item.attrs and item.attrs.get_id(name).get_space().get_simple_extent_type() != h5py.h5s.NULL
 
 
-def number(file: h5py.File, name: str, path: Path, default: float | None = None) -> float:
+def number(file: h5py.File, name: str, default: float | None = None) -> float:
     """Read a finite number from a root attribute."""
     if default is not None and not holds_attribute(file, name):
         return default
-    return numbers(file, name, path, 1)[0]
+    return numbers(file, name, 1)[0]
 
 
-def numbers(file: h5py.File, name: str, path: Path, count: int) -> tuple[float, ...]:
+def numbers(file: h5py.File, name: str, count: int) -> tuple[float, ...]:
     """Read ``count`` finite numbers from a root attribute."""
     if not holds_attribute(file, name):
-        raise InputError(f"{path} has no attribute {name}")
-    value = _plain_attribute(file, name, path)
+        raise InputError(f"{path_of(file)} has no attribute {name}")
+    value = _plain_attribute(file, name)
     if value.dtype.kind not in "fiu" or value.size != count or not np.isfinite(value).all():
         wanted = "a finite number" if count == 1 else f"{count} finite numbers"
-        raise InputError(f"{path}: attribute {name} is {value.tolist()!r}; {wanted} is needed")
+        raise InputError(f"{path_of(file)}: attribute {name} is {value.tolist()!r}; {wanted} is needed")
     return tuple(float(item) for item in value.reshape(-1))
 
 
-def pair(file: h5py.File, name: str, path: Path) -> tuple[float, float] | None:
+def pair(file: h5py.File, name: str) -> tuple[float, float] | None:
     """Read two finite numbers from a root attribute; None when it is absent."""
     if not holds_attribute(file, name):
         return None
-    first, second = numbers(file, name, path, 2)
+    first, second = numbers(file, name, 2)
     return first, second
 
 
-def text(file: h5py.File | h5py.Dataset, name: str, path: Path) -> str | None:
+def text(file: h5py.File | h5py.Dataset, name: str) -> str | None:
     """Read a text from an attribute of the file or of a dataset; None when it is absent."""
     if not holds_attribute(file, name):
         return None
-    value = _plain_attribute(file, name, path)
+    value = _plain_attribute(file, name)
     item = value.reshape(-1)[0] if value.size == 1 else None
     try:
         if isinstance(item, str):
@@ -282,49 +284,49 @@ def text(file: h5py.File | h5py.Dataset, name: str, path: Path) -> str | None:
             return item.decode()
     except UnicodeError:
         pass
-    raise InputError(f"{path}: attribute {name} holds no text; a string is needed")
+    raise InputError(f"{path_of(file)}: attribute {name} holds no text; a string is needed")
 
 
-def _plain_attribute(file: h5py.File | h5py.Dataset, name: str, path: Path) -> NDArray[np.generic]:
+def _plain_attribute(file: h5py.File | h5py.Dataset, name: str) -> NDArray[np.generic]:
     try:
         dtype = file.attrs.get_id(name).dtype
     except TypeError:
         dtype = np.dtype("V1")
     if dtype.kind not in "fiubSU" and h5py.check_string_dtype(dtype) is None:
-        raise InputError(f"{path}: attribute {name} holds neither plain numbers nor text")
+        raise InputError(f"{path_of(file)}: attribute {name} holds neither plain numbers nor text")
     return np.asarray(file.attrs[name])
 
 
-def require_format(file: h5py.File, path: Path, name: str, version: int = 1, *, may_lack: bool = False) -> None:
+def require_format(file: h5py.File, name: str, version: int = 1, *, may_lack: bool = False) -> None:
     """Refuse another format or version; a file that names none is refused unless it may lack it."""
-    found = text(file, "format", path)
+    found = text(file, "format")
     if found is None:
         if not may_lack:
-            raise InputError(f"{path} says no format; {name!r} is needed")
+            raise InputError(f"{path_of(file)} says no format; {name!r} is needed")
         return
     if found != name:
-        raise InputError(f"{path} has the format {found!r}; {name!r} is needed")
-    found_version = number(file, "format_version", path)
+        raise InputError(f"{path_of(file)} has the format {found!r}; {name!r} is needed")
+    found_version = number(file, "format_version")
     if found_version != version:
-        raise InputError(f"{path} has {name} version {found_version:g}; this program reads version {version}")
+        raise InputError(f"{path_of(file)} has {name} version {found_version:g}; this program reads version {version}")
 
 
-def require_sample_times(file: h5py.File, path: Path, samples: int, sample_rate_hz: float, start_s: float) -> None:
+def require_sample_times(file: h5py.File, samples: int, sample_rate_hz: float, start_s: float) -> None:
     """Refuse a file whose `/time_s` contradicts its rate and start; one without `/time_s` is fine."""
     if not has(file, "/time_s"):
         return
-    time_s = read_floats(file, "/time_s", path, (samples,))
+    time_s = read_floats(file, "/time_s", (samples,))
     with np.errstate(over="ignore", invalid="ignore"):
         off = np.abs(time_s - (start_s + np.arange(samples) / sample_rate_hz)) * sample_rate_hz
     if not (off <= _ROUNDING_SAMPLES).all():
         sample = int(np.argmax(~(off <= _ROUNDING_SAMPLES)))
         raise InputError(
-            f"{path}: /time_s has {time_s[sample]:g} s at sample {sample}, and by sample_rate_hz it is at"
+            f"{path_of(file)}: /time_s has {time_s[sample]:g} s at sample {sample}, and by sample_rate_hz it is at"
             f" {start_s + sample / sample_rate_hz:g} s; they must agree"
         )
 
 
-def require_sound_texts(file: h5py.File, path: Path) -> None:
+def require_sound_texts(file: h5py.File) -> None:
     """Refuse damage to a file's texts before HDF5 meets it; searches all but the datasets' values."""
     values: list[tuple[int, int]] = []
 
@@ -333,7 +335,7 @@ def require_sound_texts(file: h5py.File, path: Path) -> None:
             values.extend(stored_pieces(found))
 
     file.visititems(note)
-    end = 0
+    end, path = 0, path_of(file)
     size = path.stat().st_size
     with path.open("rb") as raw:
         for start, count in [*sorted(values), (size, 0)]:

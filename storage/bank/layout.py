@@ -152,7 +152,7 @@ def read_layout(file: h5py.File, path: Path, *, contents: bool = True) -> Ledger
             file, path, "layout_later_crc32", _later_checksum(layout), "its address table's", OtherLayoutError
         )
     if contents:
-        hdf5_digest.require_contents(file, path, later_datasets(layout))
+        hdf5_digest.require_contents(file, later_datasets(layout))
     return layout
 
 
@@ -230,16 +230,16 @@ def read_header(file: h5py.File, path: Path) -> BankHeader:
 
 
 def _read_header(file: h5py.File, path: Path) -> BankHeader:
-    green = hdf5_reading.plain_dataset(file, "/green", path)
+    green = hdf5_reading.plain_dataset(file, "/green")
     if green.ndim != 3:
         raise InputError(f"{path}: /green has shape {green.shape}; (position, actuator, tap) is needed")
     positions, actuators, taps = green.shape
-    rate = hdf5_reading.number(file, "sample_rate_hz", path)
-    time_s = hdf5_reading.read_floats(file, "/time_s", path, (taps,))
-    low, high = hdf5_reading.numbers(file, "band_hz", path, 2)
+    rate = hdf5_reading.number(file, "sample_rate_hz")
+    time_s = hdf5_reading.read_floats(file, "/time_s", (taps,))
+    low, high = hdf5_reading.numbers(file, "band_hz", 2)
     words = {}
     for name in ("rig", "run", "plan_sha256", "software", "response_unit", "drive_unit"):
-        found = hdf5_reading.text(file, name, path)
+        found = hdf5_reading.text(file, name)
         if found is None:
             raise InputError(f"{path} has no attribute {name}")
         words[{"rig": "rig_json", "run": "run_json"}.get(name, name)] = found
@@ -252,14 +252,12 @@ def _read_header(file: h5py.File, path: Path) -> BankHeader:
             rate,
             taps,
             (low, high),
-            hdf5_reading.read_floats(file, "/position_mm", path, (positions, 2)),
-            hdf5_reading.read_floats(file, "/actuator_mm", path, (actuators, 2)),
+            hdf5_reading.read_floats(file, "/position_mm", (positions, 2)),
+            hdf5_reading.read_floats(file, "/actuator_mm", (actuators, 2)),
             **words,
-            directions_deg=hdf5_reading.pair(file, "directions_deg", path),
-            import_report=hdf5_reading.text(file, "import_report", path) or "",
+            directions_deg=hdf5_reading.pair(file, "directions_deg"),
+            import_report=hdf5_reading.text(file, "import_report") or "",
             inter_channel_delay_s=(
-                hdf5_reading.number(file, "inter_channel_delay_s", path)
-                if "inter_channel_delay_s" in file.attrs
-                else None
+                hdf5_reading.number(file, "inter_channel_delay_s") if "inter_channel_delay_s" in file.attrs else None
             ),
         )

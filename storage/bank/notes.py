@@ -33,10 +33,10 @@ class Note:
         return f"{self.at}: {self.text}"
 
 
-def read_notes(file: h5py.File, path: Path) -> tuple[Note, ...]:
+def read_notes(file: h5py.File) -> tuple[Note, ...]:
     """Notes of an open bank, oldest first; those of another program, which cannot be read, are passed over."""
     try:
-        text = hdf5_reading.text(file, hdf5_digest.NOTES, path) or "[]"
+        text = hdf5_reading.text(file, hdf5_digest.NOTES) or "[]"
         return tuple(Note(str(one["at"]), str(one["text"])) for one in json.loads(text))
     except (InputError, ValueError, TypeError, KeyError, RecursionError):
         return ()
@@ -84,10 +84,10 @@ def add_note(path: str | Path, text: str) -> Note:
         raise InputError(f"{path} is a symbolic link to {path.readlink()}; name the bank itself")
     clear_leftovers(path.parent, path.name)
     with hdf5_reading.opened(path) as content:
-        hdf5_reading.require_sound_texts(content, path)
+        hdf5_reading.require_sound_texts(content)
         if "green" not in content:
             raise InputError(f"{path} is not a bank: it has no dataset /green")
-        notes = read_notes(content, path)
+        notes = read_notes(content)
     if len(notes) >= MAX_NOTES:
         raise InputError(f"{path} has {len(notes)} notes; more are not kept")
     note = Note(datetime.now(UTC).astimezone().isoformat(timespec="seconds"), text)

@@ -36,7 +36,7 @@ class ForeignRows:
 
     def __init__(self, path: Path, green: h5py.Dataset, status: NDArray[np.uint8] | None, stack: ExitStack) -> None:
         self._path, self._green, self._status, self._open = path, green, status, stack
-        self._packing = hdf5_reading.packing_of(green, path)
+        self._packing = hdf5_reading.packing_of(green)
         self.dtype = self._packing.dtype_of(green.dtype)
 
     def read(self, position: int) -> Float32Array | Float64Array:
@@ -79,28 +79,28 @@ def read_foreign(file: h5py.File, path: Path, stack: ExitStack) -> tuple[dict[st
 
     Raises InputError: when something needed is missing, or something present has the wrong shape, kind or value.
     """
-    hdf5_reading.require_format(file, path, BANK.name, may_lack=True)
-    green = hdf5_reading.plain_dataset(file, "/green", path, packed=True)
+    hdf5_reading.require_format(file, BANK.name, may_lack=True)
+    green = hdf5_reading.plain_dataset(file, "/green", packed=True)
     if green.ndim != 3 or not green.size:
         raise InputError(
             f"{path}: /green has shape {green.shape}; (position, actuator, tap), each 1 or more, is needed"
         )
-    hdf5_reading.require_rows(green, path)
+    hdf5_reading.require_rows(green)
     positions, actuators, taps = green.shape
-    rate = hdf5_reading.number(file, "sample_rate_hz", path)
+    rate = hdf5_reading.number(file, "sample_rate_hz")
     if rate <= taps / np.finfo(np.float64).max:
         raise InputError(f"{path}: attribute sample_rate_hz is {rate:g}; a rate above 0 is needed")
-    position_mm = hdf5_reading.read_floats(file, "/position_mm", path, (positions, 2))
+    position_mm = hdf5_reading.read_floats(file, "/position_mm", (positions, 2))
     if not np.isfinite(position_mm).all():
         row = int(np.flatnonzero(~np.isfinite(position_mm).all(axis=1))[0])
         raise InputError(f"{path}: /position_mm is not finite at position {row}; both coordinates are needed")
     actuator_mm = np.full((actuators, 2), np.nan)
     if hdf5_reading.has(file, "/actuator_mm"):
-        actuator_mm = hdf5_reading.read_floats(file, "/actuator_mm", path, (actuators, 2))
+        actuator_mm = hdf5_reading.read_floats(file, "/actuator_mm", (actuators, 2))
     time_s = sample_times(taps, rate)
     if hdf5_reading.has(file, "/time_s"):
-        hdf5_reading.require_sample_times(file, path, taps, rate, 0.0)
-        time_s = hdf5_reading.read_floats(file, "/time_s", path, (taps,))
+        hdf5_reading.require_sample_times(file, taps, rate, 0.0)
+        time_s = hdf5_reading.read_floats(file, "/time_s", (taps,))
     facts = {
         "sample_rate_hz": rate,
         "taps": taps,
@@ -111,21 +111,21 @@ def read_foreign(file: h5py.File, path: Path, stack: ExitStack) -> tuple[dict[st
         "quality": {name: _quality(file, path, name, positions, actuators) for name in QUALITY_NAMES},
         "rms": np.full((positions, actuators), np.nan),
         **_units(file, green, path),
-        "rig_json": hdf5_reading.text(file, "rig", path),
-        "run_json": hdf5_reading.text(file, "run", path),
-        "plan_sha256": hdf5_reading.text(file, "plan_sha256", path),
-        "software": hdf5_reading.text(file, "software", path),
-        "directions_deg": hdf5_reading.pair(file, "directions_deg", path),
-        "import_report": hdf5_reading.text(file, "import_report", path),
+        "rig_json": hdf5_reading.text(file, "rig"),
+        "run_json": hdf5_reading.text(file, "run"),
+        "plan_sha256": hdf5_reading.text(file, "plan_sha256"),
+        "software": hdf5_reading.text(file, "software"),
+        "directions_deg": hdf5_reading.pair(file, "directions_deg"),
+        "import_report": hdf5_reading.text(file, "import_report"),
     }
     status = _status(file, path, positions)
     return facts, ForeignRows(path, green, status, stack.pop_all())
 
 
 def _units(file: h5py.File, green: h5py.Dataset, path: Path) -> dict[str, str]:
-    unit = hdf5_reading.text(file, "response_unit", path) or hdf5_reading.text(green, "units", path) or "m/s/V"
+    unit = hdf5_reading.text(file, "response_unit") or hdf5_reading.text(green, "units") or "m/s/V"
     try:
-        return {"response_unit": unit, "drive_unit": drive_of(unit, hdf5_reading.text(file, "drive_unit", path))}
+        return {"response_unit": unit, "drive_unit": drive_of(unit, hdf5_reading.text(file, "drive_unit"))}
     except InputError as error:
         raise InputError(f"{path}: attribute {error}") from None
 
@@ -133,7 +133,7 @@ def _units(file: h5py.File, green: h5py.Dataset, path: Path) -> dict[str, str]:
 def _band(file: h5py.File, path: Path, rate: float) -> tuple[float, float] | None:
     if not hdf5_reading.holds_attribute(file, "band_hz"):
         return None
-    low, high = hdf5_reading.numbers(file, "band_hz", path, 2)
+    low, high = hdf5_reading.numbers(file, "band_hz", 2)
     if not 0 <= low < high <= rate / 2:
         raise InputError(f"{path}: attribute band_hz is {low:g} to {high:g}; 0 <= low < high <= {rate / 2:g} is needed")
     return low, high
@@ -142,7 +142,7 @@ def _band(file: h5py.File, path: Path, rate: float) -> tuple[float, float] | Non
 def _status(file: h5py.File, path: Path, positions: int) -> NDArray[np.uint8] | None:
     if not hdf5_reading.has(file, "/status"):
         return None
-    status = hdf5_reading.read_integers(file, "/status", path, (positions,))
+    status = hdf5_reading.read_integers(file, "/status", (positions,))
     if ((status < 0) | (status > 31)).any():
         raise InputError(
             f"{path}: /status holds {status.min()} to {status.max()}; sums of 1, 2, 4, 8 and 16 are allowed"
@@ -154,11 +154,11 @@ def _quality(file: h5py.File, path: Path, name: str, positions: int, actuators: 
     full = quality_shape(name, positions, actuators)
     if not hdf5_reading.has(file, f"/quality/{name}"):
         return np.full(full, 0 if name == "attempts" else np.nan, np.float32)
-    dataset = hdf5_reading.plain_dataset(file, f"/quality/{name}", path)
-    packing = hdf5_reading.packing_of(dataset, path)
+    dataset = hdf5_reading.plain_dataset(file, f"/quality/{name}")
+    packing = hdf5_reading.packing_of(dataset)
     if dataset.shape not in (full, (positions,)):
         raise InputError(f"{path}: /quality/{name} has shape {dataset.shape}; {full} or ({positions},) is needed")
-    figures = np.asarray(packing.unpack(hdf5_reading.read_whole(dataset, path)), np.float32)
+    figures = np.asarray(packing.unpack(hdf5_reading.read_whole(dataset)), np.float32)
     if figures.shape != full:  # one figure per position stands for all its actuators
         figures = np.repeat(figures[:, None], actuators, axis=1)
     return figures
@@ -347,8 +347,8 @@ def open_bank(path: str | Path, *, contents: bool = False) -> Bank:
         content = stack.enter_context(hdf5_reading.opened(path, cache_bytes=_FOREIGN_CACHE_BYTES))
         if not has_ledger(content):
             facts, foreign = read_foreign(content, path, stack)
-            return Bank(path=path, rows=foreign, notes=read_notes(content, path), **facts)
-        notes, unknown = read_notes(content, path), hdf5_digest.unknown_attributes(content)
+            return Bank(path=path, rows=foreign, notes=read_notes(content), **facts)
+        notes, unknown = read_notes(content), hdf5_digest.unknown_attributes(content)
         rows: VerifiedRows | CopiedRows
         try:
             layout = read_layout(content, path, contents=contents)
@@ -389,8 +389,8 @@ class CopiedRows:
 
     def __init__(self, content: h5py.File, path: Path, header: BankHeader, stack: ExitStack) -> None:
         self._path, self._shape = path, header.rows
-        rows = _bytes_of(content, path, LEDGER, (header.positions, self._shape.row_bytes))
-        journal = _bytes_of(content, path, JOURNAL, (self._shape.journal_bytes,))
+        rows = _bytes_of(content, LEDGER, (header.positions, self._shape.row_bytes))
+        journal = _bytes_of(content, JOURNAL, (self._shape.journal_bytes,))
         self._replacing = self._shape.decode_journal(journal)
         if self._replacing is not None and self._replacing.position < header.positions:
             at = self._replacing.position * self._shape.row_bytes
@@ -398,14 +398,12 @@ class CopiedRows:
         self.ledger = self._shape.decode(rows)
         self.figures: Figures = figures_of(self.ledger.rows, self.ledger.holds, header.actuators)
         measured = hdf5_reading.has(content, "/status")
-        noted = _bytes_of(content, path, "/status", (header.positions,)) if measured else bytes(header.positions)
+        noted = _bytes_of(content, "/status", (header.positions,)) if measured else bytes(header.positions)
         self._erased = self.ledger.empty & (np.frombuffer(noted, np.uint8) != 0)
-        self._green = hdf5_reading.plain_dataset(
-            content, "/green", path, shape=(header.positions, *self._shape.dimensions)
-        )
+        self._green = hdf5_reading.plain_dataset(content, "/green", shape=(header.positions, *self._shape.dimensions))
         if self._green.dtype != np.float32:
             raise InputError(f"{path}: /green is of type {self._green.dtype}; float32 is needed")
-        hdf5_reading.require_rows(self._green, path)
+        hdf5_reading.require_rows(self._green)
         self._open = stack.pop_all()
 
     def status(self) -> NDArray[np.uint8]:
@@ -449,9 +447,9 @@ class CopiedRows:
         return True
 
 
-def _bytes_of(content: h5py.File, path: Path, name: str, shape: tuple[int, ...]) -> bytearray:
-    dataset = hdf5_reading.plain_dataset(content, name, path, shape=shape)
-    return bytearray(np.ascontiguousarray(hdf5_reading.read_whole(dataset, path), np.uint8).tobytes())
+def _bytes_of(content: h5py.File, name: str, shape: tuple[int, ...]) -> bytearray:
+    dataset = hdf5_reading.plain_dataset(content, name, shape=shape)
+    return bytearray(np.ascontiguousarray(hdf5_reading.read_whole(dataset), np.uint8).tobytes())
 
 
 class VerifiedRows(LedgerReader):

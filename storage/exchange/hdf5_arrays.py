@@ -19,7 +19,7 @@ from wavefocus.storage.exchange.named_arrays import NamedArrays, measured_arrays
 def open_hdf5(path: Path, stack: ExitStack) -> h5py.File:
     """Open a file whose texts are sound."""
     file = stack.enter_context(hdf5_reading.opened(path, cache_bytes=64 << 20))
-    hdf5_reading.require_sound_texts(file, path)
+    hdf5_reading.require_sound_texts(file)
     return file
 
 
@@ -30,7 +30,7 @@ def numbers(file: h5py.File, name: str, path: Path) -> h5py.Dataset | None:
     """
     if not hdf5_reading.has(file, name):
         return None
-    dataset = hdf5_reading.plain_dataset(file, name, path, packed=True, kinds="fiucV")
+    dataset = hdf5_reading.plain_dataset(file, name, packed=True, kinds="fiucV")
     require_honest(path, name, dataset.size * dataset.dtype.itemsize, dataset.id.get_storage_size())
     return dataset
 
@@ -74,7 +74,7 @@ def read_arrays(
                 text_attribute(file["green"], "units") if name == "response_unit" and "green" in names else None
             )
         if name in ("sample_rate_hz", "band_hz") and hdf5_reading.holds_attribute(file, name):
-            return np.array(hdf5_reading.numbers(file, name, path, 1 if name == "sample_rate_hz" else 2))
+            return np.array(hdf5_reading.numbers(file, name, 1 if name == "sample_rate_hz" else 2))
         return None
 
     return measured_arrays(NamedArrays(path, get, listed), options)

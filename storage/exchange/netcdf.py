@@ -116,8 +116,8 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
 
     def understand(dataset: h5py.Dataset) -> Any:
         if dataset.dtype.kind == "V":
-            return compound_complex(hdf5_reading.read_whole(dataset, path))
-        how = hdf5_reading.packing_of(dataset, path)
+            return compound_complex(hdf5_reading.read_whole(dataset))
+        how = hdf5_reading.packing_of(dataset)
         return dataset if how.is_plain else UnpackedArray(dataset, how)
 
     return read_arrays(path, options, stack, understand)

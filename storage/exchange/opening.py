@@ -30,9 +30,9 @@ def recognised(path: Path) -> str:
     found = next((name for name, one in IMPORTS.items() if head.startswith(one.starts or (b"\0none",))), None)
     if head.startswith(IMPORTS["netcdf"].starts[1]):
         with hdf5_reading.opened(path) as content:
-            hdf5_reading.require_sound_texts(content, path)
+            hdf5_reading.require_sound_texts(content)
             if "format" in content.attrs and "format_version" in content.attrs:
-                raise InputError(f"{path} is a file of this program ({hdf5_reading.text(content, 'format', path)})")
+                raise InputError(f"{path} is a file of this program ({hdf5_reading.text(content, 'format')})")
             found = "sofa" if "SOFAConventions" in content.attrs else "netcdf"
     found = found or next((name for name, one in IMPORTS.items() if path.suffix.lower() in one.endings), None)
     if found is None:

@@ -173,11 +173,11 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
         read.append(f"Data.Delay of up to {delay.max():g} samples is part of the responses")
     frequency_hz = rate_hz = None
     if is_spectrum:
-        frequency_hz = hdf5_reading.read_floats(file, "/N", path).reshape(-1)
+        frequency_hz = hdf5_reading.read_floats(file, "/N").reshape(-1)
         if delay.any() or len(frequency_hz) != size["n"]:
             raise InputError(f"{path}: N needs {size['n']} frequencies, and a transfer function no Data.Delay")
     else:
-        rates = np.unique(hdf5_reading.read_floats(file, "/Data.SamplingRate", path))
+        rates = np.unique(hdf5_reading.read_floats(file, "/Data.SamplingRate"))
         if len(rates) != 1 or not rates[0] > 0:
             raise InputError(f"{path}: Data.SamplingRate is {rates.tolist()[:4]}; one rate above 0 is needed")
         rate_hz = float(rates[0])
@@ -185,7 +185,7 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
     if options.places is not None:
         position_m, actuator_m = table_of(options, path, *counts)
     unit = _UNIT.search(text_attribute(file, "Comment"))
-    status = _bank_status(file, counts[0], path) if role == "positions" and len(receivers) == 1 else None
+    status = _bank_status(file, counts[0]) if role == "positions" and len(receivers) == 1 else None
     return Measured(
         rows=values.in_order() if role == "positions" else values.placed(row_of, column_of, counts),
         shape=(*counts, samples),
@@ -203,7 +203,7 @@ def _needed(file: h5py.File, name: str, path: Path) -> h5py.Dataset | UnpackedAr
     found = numbers(file, name, path)
     if found is None or found.dtype.kind not in "fiu":
         raise InputError(f"{path} has no {name} of real numbers, which a SOFA file of this DataType needs")
-    packing = hdf5_reading.packing_of(found, path)
+    packing = hdf5_reading.packing_of(found)
     if packing.is_scaled:
         raise InputError(f"{path}: {name} has a scale_factor or add_offset, which SOFA does not know")
     return found if packing.is_plain else UnpackedArray(found, packing)
@@ -238,7 +238,7 @@ def _places(file: h5py.File, body: str, part: str, count: int, measurements: int
 
 def _coordinates(file: h5py.File, name: str, path: Path) -> tuple[Float64Array, bool]:
     """Places in metres: (rows, 3), or (count, 3, rows) of receivers and emitters; whether they are places at all."""
-    values = hdf5_reading.read_floats(file, f"/{name}", path)
+    values = hdf5_reading.read_floats(file, f"/{name}")
     kind, units = text_attribute(file[name], "Type"), text_attribute(file[name], "Units")
     if not kind and units.strip().lower().startswith("deg"):
         kind = "spherical"
@@ -266,7 +266,7 @@ def _axes_of(file: h5py.File, body: str, path: Path) -> tuple[Float64Array, Floa
         if not hdf5_reading.has(file, f"{body}{name}"):
             vectors.append(np.array([default]))
             continue
-        values = hdf5_reading.read_floats(file, f"/{body}{name}", path)
+        values = hdf5_reading.read_floats(file, f"/{body}{name}")
         if values.ndim != 2 or values.shape[1] != 3:
             raise InputError(f"{path}: {body}{name} has shape {values.shape}; three coordinates are needed")
         holder = file[f"{body}View"] if hdf5_reading.has(file, f"{body}View") else file[f"{body}{name}"]
@@ -314,7 +314,7 @@ def _delay(file: h5py.File, size: dict[str, int], path: Path) -> Float64Array:
     full = (size["m"], size["r"], size["e"])
     if not hdf5_reading.has(file, "Data.Delay"):
         return np.zeros(full)
-    delay = hdf5_reading.read_floats(file, "/Data.Delay", path)
+    delay = hdf5_reading.read_floats(file, "/Data.Delay")
     if delay.ndim == 2:
         delay = delay[:, :, None]
     if delay.ndim != 3 or any(one not in (1, most) for one, most in zip(delay.shape, full, strict=True)):
@@ -324,11 +324,11 @@ def _delay(file: h5py.File, size: dict[str, int], path: Path) -> Float64Array:
     return np.asarray(np.broadcast_to(delay, full))
 
 
-def _bank_status(file: h5py.File, count: int, path: Path) -> NDArray[np.uint8] | None:
+def _bank_status(file: h5py.File, count: int) -> NDArray[np.uint8] | None:
     """Status bits that our own export keeps."""
     if not hdf5_reading.has(file, "BankStatus"):
         return None
-    status = hdf5_reading.read_floats(file, "/BankStatus", path).reshape(-1)
+    status = hdf5_reading.read_floats(file, "/BankStatus").reshape(-1)
     return status.astype(np.uint8) if len(status) == count and np.isin(status, np.arange(32)).all() else None
 
 

@@ -92,7 +92,7 @@ def require_checksum(
     file: h5py.File, path: Path, name: str, found: int, what: str, error: type[InputError] = InputError
 ) -> None:
     """Refuse a file whose attribute `name` is another checksum of `what`."""
-    if found != hdf5_reading.number(file, name, path):
+    if found != hdf5_reading.number(file, name):
         raise error(f"{path} is damaged: {what} checksum does not hold; restore it from a copy")
 
 
@@ -121,8 +121,8 @@ def has_ledger(file: h5py.File) -> bool:
 
 def require_ledger(file: h5py.File, path: Path, form: LedgerFormat) -> None:
     """Refuse a file that is of another format or was not made by this program."""
-    hdf5_reading.require_sound_texts(file, path)  # before any text is read
-    hdf5_reading.require_format(file, path, form.name)
+    hdf5_reading.require_sound_texts(file)  # before any text is read
+    hdf5_reading.require_format(file, form.name)
     if not has_ledger(file):
         raise InputError(f"{path} was made by another program; it can be read, but not written into")
 
@@ -146,7 +146,7 @@ def find_layout(
     """
 
     def offset(name: str, expected: tuple[int, ...], dtype: str) -> int:
-        dataset = hdf5_reading.plain_dataset(file, name, path, shape=expected)
+        dataset = hdf5_reading.plain_dataset(file, name, shape=expected)
         found = dataset.id.get_offset()
         if dataset.dtype != np.dtype(dtype) or dataset.chunks or found is None:
             raise OtherLayoutError(f"{path}: {name} is not laid out as this program lays it out; {NOT_WRITTEN}")
@@ -167,7 +167,7 @@ def find_layout(
 
 def _row_offsets(file: h5py.File, path: Path, name: str, shape: RowShape, count: int) -> NDArray[np.int64]:
     """Where each position of a dataset lies that has a chunk for each."""
-    dataset = hdf5_reading.plain_dataset(file, name, path, shape=(count, *shape.dimensions))
+    dataset = hdf5_reading.plain_dataset(file, name, shape=(count, *shape.dimensions))
     if dataset.dtype != np.dtype(shape.format.dtype) or dataset.chunks != (1, *shape.dimensions):
         raise OtherLayoutError(f"{path}: {name} is not laid out as this program lays it out; {NOT_WRITTEN}")
     chunks = np.full(count, -1, np.int64)

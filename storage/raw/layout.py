@@ -42,7 +42,7 @@ def read_raw_layout(file: h5py.File, path: Path) -> LedgerLayout:
     layout = _find_layout(file, read_raw_header(file, path), path)
     layout.require_sound(path)
     require_checksum(file, path, "layout_crc32", _checksum(layout), "its header's")
-    hdf5_digest.require_contents(file, path, later_datasets(layout))
+    hdf5_digest.require_contents(file, later_datasets(layout))
     return layout
 
 
@@ -51,8 +51,8 @@ def read_raw_header(file: h5py.File, path: Path) -> RawHeader:
 
     Raises InputError: when something needed is missing, or something present has the wrong shape, kind or value.
     """
-    hdf5_reading.require_format(file, path, RAW.name)
-    reference, response = (hdf5_reading.plain_dataset(file, name, path) for name in RAW.datasets)
+    hdf5_reading.require_format(file, RAW.name)
+    reference, response = (hdf5_reading.plain_dataset(file, name) for name in RAW.datasets)
     if response.ndim != 3 or not response.size:
         raise InputError(
             f"{path}: /response has shape {response.shape}; (position, record, sample), each 1 or more, is needed"
@@ -62,7 +62,7 @@ def read_raw_header(file: h5py.File, path: Path) -> RawHeader:
     positions, records, samples = response.shape
 
     def number(name: str) -> float | None:
-        return hdf5_reading.number(file, name, path) if name in file.attrs else None
+        return hdf5_reading.number(file, name) if name in file.attrs else None
 
     def whole(name: str) -> int | None:
         value = number(name)
@@ -71,44 +71,44 @@ def read_raw_header(file: h5py.File, path: Path) -> RawHeader:
         return None if value is None else int(value)
 
     with named(path):
-        low, high = hdf5_reading.numbers(file, "band_hz", path, 2)
-        schedule = _read_schedule(file, path, records)
+        low, high = hdf5_reading.numbers(file, "band_hz", 2)
+        schedule = _read_schedule(file, records)
         actuator_mm = np.full((schedule.actuators, 2), np.nan)
         if hdf5_reading.has(file, "/actuator_mm"):
-            actuator_mm = hdf5_reading.read_floats(file, "/actuator_mm", path, (schedule.actuators, 2))
+            actuator_mm = hdf5_reading.read_floats(file, "/actuator_mm", (schedule.actuators, 2))
         taps = whole("taps")
         if taps is None:
             raise InputError(f"{path} has no attribute taps")
         return RawHeader(
-            sample_rate_hz=hdf5_reading.number(file, "sample_rate_hz", path),
+            sample_rate_hz=hdf5_reading.number(file, "sample_rate_hz"),
             samples=samples,
             taps=taps,
             band_hz=(low, high),
             schedule=schedule,
-            position_mm=hdf5_reading.read_floats(file, "/position_mm", path, (positions, 2)),
+            position_mm=hdf5_reading.read_floats(file, "/position_mm", (positions, 2)),
             actuator_mm=actuator_mm,
-            response_per_volt=hdf5_reading.number(file, "response_per_volt", path),
-            response_unit=hdf5_reading.text(file, "response_unit", path) or "m/s",
-            reference_gain=hdf5_reading.number(file, "reference_gain", path, default=1.0),
-            inter_channel_delay_s=hdf5_reading.number(file, "inter_channel_delay_s", path, default=0.0),
+            response_per_volt=hdf5_reading.number(file, "response_per_volt"),
+            response_unit=hdf5_reading.text(file, "response_unit") or "m/s",
+            reference_gain=hdf5_reading.number(file, "reference_gain", default=1.0),
+            inter_channel_delay_s=hdf5_reading.number(file, "inter_channel_delay_s", default=0.0),
             volts_per_count=(_volts_per_count(reference, path), _volts_per_count(response, path)),
             averages=whole("averages"),
             sweep_s=number("sweep_s"),
             decay_s=number("decay_s"),
             same_clock=_same_clock(file, path),
-            **{own: hdf5_reading.text(file, name, path) or "" for name, own in _WORDS.items()},
+            **{own: hdf5_reading.text(file, name) or "" for name, own in _WORDS.items()},
         )
 
 
-def _read_schedule(file: h5py.File, path: Path, records: int) -> Schedule:
-    actuator = hdf5_reading.read_integers(file, "/schedule/actuator", path)
+def _read_schedule(file: h5py.File, records: int) -> Schedule:
+    actuator = hdf5_reading.read_integers(file, "/schedule/actuator")
     if actuator.size and not -(2**31) <= actuator.min() <= actuator.max() < 2**16:
         raise InputError(f"/schedule/actuator holds {actuator.min()} to {actuator.max()}; -1 to 65535 are allowed")
     schedule = Schedule(
         actuator.astype(np.int32),
-        hdf5_reading.read_floats(file, "/schedule/delay_s", path),
-        hdf5_reading.read_floats(file, "/schedule/gain", path),
-        hdf5_reading.number(file, "period_s", path, default=0.0),
+        hdf5_reading.read_floats(file, "/schedule/delay_s"),
+        hdf5_reading.read_floats(file, "/schedule/gain"),
+        hdf5_reading.number(file, "period_s", default=0.0),
     )
     if schedule.records != records:
         raise InputError(

@@ -116,7 +116,7 @@ def open_raw(path: str | Path) -> RawFile:
         content = stack.enter_context(hdf5_reading.opened(path, cache_bytes=_FOREIGN_CACHE_BYTES))
         if not has_ledger(content):
             header = read_raw_header(content, path)
-            datasets = tuple(hdf5_reading.plain_dataset(content, name, path) for name in RAW.datasets)
+            datasets = tuple(hdf5_reading.plain_dataset(content, name) for name in RAW.datasets)
             return RawFile(path, header, ForeignRows(path, datasets, stack.pop_all()))
         layout = read_raw_layout(content, path)
     return RawFile(path, layout.header, RawRows(path, layout))
