@@ -23,7 +23,6 @@ from wavefocus.storage.exchange.uff_systems import Node, SystemRecord
 from wavefocus.storage.units import green_unit, split_unit
 
 _LINE = 1 << 12
-_POWERS = np.array([float(f"1e{power}") for power in range(-400, 308)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -272,66 +271,13 @@ def _words(line: bytes, widths: tuple[int, ...]) -> list[float]:
         return found
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Layout:
-    """Characters of a number like ``-1.23456e-03`` in a field of fixed width.
-
-    lowest, span, uint8 (width,): The lowest character that may stand in each column, and how many more may.
-    weights, float32 (width, 3): Sums of a field's digits: the first digits, up to seven more, and the exponent.
-    sign, power: Columns of the two signs.
-    scale, places: Factor of the first digits, and digits after the point.
-    """
-
-    lowest: NDArray[np.uint8]
-    span: NDArray[np.uint8]
-    weights: NDArray[np.float32]
-    sign: int
-    power: int
-    scale: float
-    places: int
-
-
-@cache
-def _layout(width: int, point: int, exponent: int, letter: int) -> _Layout | None:
-    """The layout of fields with their point and exponent in these columns; None where it is another kind of number."""
-    digits = [point - 1, *range(point + 1, exponent)]
-    if point < 2 or exponent != width - 4 or not 1 < len(digits) <= 14:
-        return None
-    lowest = np.full(width, ord(" "), np.uint8)
-    lowest[[point, exponent]] = ord("."), letter
-    highest = lowest.copy()
-    lowest[[*digits, width - 2, width - 1]], highest[[*digits, width - 2, width - 1]] = ord("0"), ord("9")
-    highest[point - 2], lowest[width - 3], highest[width - 3] = ord("-"), ord("+"), ord("-")
-    early, late = digits[:-7], digits[-7:]
-    weights = np.zeros((width, 3), np.float32)
-    weights[early, 0] = 10.0 ** np.arange(len(early) - 1, -1, -1)
-    weights[late, 1] = 10.0 ** np.arange(len(late) - 1, -1, -1)
-    weights[[width - 2, width - 1], 2] = 10.0, 1.0
-    return _Layout(lowest, highest - lowest, weights, point - 2, width - 3, 10.0 ** len(late), len(digits) - 1)
-
-
 def _fixed(text: bytes, line_bytes: int, width: int) -> Float64Array | None:
-    """Numbers that all have their point and exponent in the same columns; None where they have not."""
-    if len(text) % line_bytes:
+    """Numbers of lines that are all alike, cut by their width; None where lines differ or a field is not one number."""
+    table = np.frombuffer(text[: len(text) // line_bytes * line_bytes], np.uint8).reshape(-1, line_bytes)
+    columns = line_bytes // width * width
+    if len(text) % line_bytes or (table[:, :columns] < ord(" ")).any() or (table[:, columns:] > ord(" ")).any():
         return None
-    table = np.frombuffer(text, np.uint8).reshape(-1, line_bytes)
-    numbers_bytes = line_bytes // width * width
-    first = text[:width].upper()
-    layout = _layout(width, first.find(b"."), first.find(b"E"), text[max(first.find(b"E"), 0)])
-    if layout is None or (table[:, numbers_bytes:] > ord(" ")).any():
+    try:
+        return np.ascontiguousarray(table[:, :columns]).view(f"S{width}").astype(np.float64).reshape(-1)
+    except ValueError:
         return None
-    chars = np.ascontiguousarray(table[:, :numbers_bytes]).reshape(-1, width)
-    signs, powers = chars[:, layout.sign], chars[:, layout.power]
-    negative, small = signs == ord("-"), powers == ord("-")
-    figures = chars - layout.lowest  # beyond the span where a character is below the lowest
-    sound = bool((figures <= layout.span).all()) and bool(
-        (negative | (signs == ord(" ")) | (signs == ord("+"))).all() and (small | (powers == ord("+"))).all()
-    )
-    if not sound:
-        return None
-    # Columns without a digit have no weight; the sums are whole and below 2**24, exact in single precision.
-    sums = (figures.astype(np.float32) @ layout.weights).astype(np.float64)
-    value = sums[:, 0] * layout.scale + sums[:, 1]
-    exponent = np.where(small, -sums[:, 2], sums[:, 2]).astype(np.int64) - layout.places
-    value *= _POWERS[exponent + 400]
-    return np.where(negative, -value, value)
