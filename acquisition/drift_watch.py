@@ -180,10 +180,12 @@ class DriftWatch:
                 f"sentinel position {attempt.position} could not be measured: {result.judgement.reason}; "
                 "check cables and laser, then resume"
             )
-        then = self._bank.record(attempt.position)
+        then, excitation = self._bank.record(attempt.position), self._plan.excitation
+        low, high = (edge_hz / excitation.sample_rate_hz for edge_hz in excitation.band_hz)
         return compare_sentinel(
-            self._bank.green(attempt.position), result.estimate.green, then.snr_db, result.estimate.snr_db
-        )
+            self._bank.green(attempt.position), result.estimate.green, then.snr_db, result.estimate.snr_db,
+            band=(low, high),
+        )  # fmt: skip
 
 
 def _suspicion(sentinel: int | None, figures: DriftFigures) -> str:

@@ -141,12 +141,15 @@ def compare_sentinel(
     now: Float32Array,
     snr_then_db: Float32Array | None = None,
     snr_now_db: Float32Array | None = None,
+    *,
+    band: tuple[float, float] = (0.0, 0.5),
 ) -> DriftFigures:
     """Compare two measurements of one position.
 
     then, now, float32 (actuators, taps): Green's functions of the first and of the new measurement.
     snr_then_db, snr_now_db, float32 (actuators,): Their signal-to-noise ratios, NaN where unknown; by default, and
         where unknown, without noise. The share that noise has in energies and correlation is taken out of them.
+    band: Measured band in cycles per sample; what a fit leaves outside of it says nothing of the plate.
 
     Returns figures pooled over the clear responses, so that the strong ones, which carry the information, decide.
     """
@@ -158,16 +161,19 @@ def compare_sentinel(
     # A response that has vanished since is no noise: what was clear then decides.
     clear = snr_db[0] >= min(CLEAR_DB, float(np.max(snr_db[0], initial=-np.inf)))
     first, second = first[clear], second[clear]
+    length = 2 * first.shape[1]
+    cycles = np.arange(length // 2 + 1) / length
+    within = (cycles >= band[0]) & (cycles <= band[1])
+    spectra = [np.fft.rfft(green, length, axis=1) * within for green in (first, second)]
     energies, noise = [], []
-    for green, ratio_db in zip((first, second), snr_db, strict=True):
-        each = np.sum(green**2, axis=1)
+    for part, ratio_db in zip(spectra, snr_db, strict=True):
+        each = np.sum(np.fft.irfft(part, length, axis=1) ** 2, axis=1)
         energies.append(float(each.sum()))
         noise.append(float(np.sum(each / (1.0 + 10.0 ** (0.1 * ratio_db[clear])))) / max(energies[-1], 1e-300))
     energy_then, energy_now = energies
     if energy_then == 0.0 or energy_now == 0.0:
         return DriftFigures(-np.inf if energy_now == 0.0 else np.inf, 0.0, 0.0)
-    length = 2 * first.shape[1]
-    spectrum = np.sum(np.conj(np.fft.rfft(first, length)) * np.fft.rfft(second, length), axis=0)
+    spectrum = np.sum(np.conj(spectra[0]) * spectra[1], axis=0)
     lagged = np.fft.irfft(spectrum, length)
     peak = int(np.argmax(lagged))
     before, centre, after = lagged[peak - 1], lagged[peak], lagged[(peak + 1) % length]

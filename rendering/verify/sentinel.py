@@ -57,7 +57,9 @@ def measure_sentinel(
 
 def drift_of(sentinel: Sentinel, bank: GreenSource, limits: DriftLimits) -> Drift:
     """How the sentinel position differs from the bank: as a level, as a delay, and as a wave speed."""
-    figures = compare_sentinel(np.asarray(bank.green(sentinel.position), np.float32), sentinel.green)
+    band_hz, rate_hz = bank.band_hz, bank.sample_rate_hz
+    band = (0.0, 0.5) if band_hz is None else (band_hz[0] / rate_hz, band_hz[1] / rate_hz)
+    figures = compare_sentinel(np.asarray(bank.green(sentinel.position), np.float32), sentinel.green, band=band)
     return Drift(
         sentinel.position,
         float(figures.level_db),
