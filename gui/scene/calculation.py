@@ -21,6 +21,7 @@ from wavefocus.gui.front_door import FrontDoor
 from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
 
 if TYPE_CHECKING:
+    from wavefocus.config.scene import SceneConfig
     from wavefocus.gui.surface import Surface
     from wavefocus.rendering.drive.coil_limits import DriveLimits, Limiting
 
@@ -33,10 +34,10 @@ _STOP_WAIT_S = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """A scene to be calculated, in place of all earlier ones; `text` is of the scene file `place`."""
+    """A scene to be calculated, in place of all earlier ones; `place` is its file, which need not exist."""
 
     number: int
-    text: str
+    draft: SceneConfig
     place: Path
     bank: Path
     rig: Path | None
@@ -167,14 +168,14 @@ class Calculation:
         """None before the first scene and after the process has ended."""
         return None if self._process is None else self._process.pid
 
-    def ask(self, text: str, place: Path, bank: Path, rig: Path | None, *, allow_large: bool = False) -> int:
+    def ask(self, draft: SceneConfig, place: Path, bank: Path, rig: Path | None, *, allow_large: bool = False) -> int:
         """Ask for a scene; returns the number of its answers. Raises OSError where no process can be started."""
         self.number += 1
         self._stop_by_s = 0.0
         if self._process is None or not self._process.is_alive():
             self.close()
             self._start()
-        self._send(Request(self.number, text, place, bank, rig, allow_large))
+        self._send(Request(self.number, draft, place, bank, rig, allow_large))
         return self.number
 
     def stop(self) -> None:

@@ -11,7 +11,8 @@ from PyQt5.QtCore import Qt, pyqtSignal
 from PyQt5.QtGui import QKeyEvent, QMouseEvent
 
 from wavefocus.config.scene import CircleTable, LineTable, PathTable, PolylineTable
-from wavefocus.gui.scene.document import PointMm, SceneDocument
+from wavefocus.gui.scene.document import SceneDocument
+from wavefocus.gui.scene.draft import PointMm
 from wavefocus.gui.scene.preview import Ground, LivePreview, Trace
 from wavefocus.gui.scene.tools import (
     Box,

@@ -1,36 +1,16 @@
-"""The document of the Scene tab: the scene, perhaps incomplete, its TOML text, its file, its bank, and undo."""
+"""The document of the Scene tab: the draft of a scene, its file, its bank, and undo."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 from PyQt5.QtCore import QObject, QTimer, pyqtSignal
 from PyQt5.QtWidgets import QUndoCommand, QUndoStack
 
-from wavefocus.config.fields import Table, toml_table
-from wavefocus.config.loading import parse_toml, validated
-from wavefocus.config.scene import (
-    CircleTable,
-    FileTable,
-    ImpulseTable,
-    LineTable,
-    NoiseTable,
-    Output,
-    PathTable,
-    PointTable,
-    PolylineTable,
-    SceneConfig,
-    SignalTable,
-    SineTable,
-    SourceTable,
-    SvgTable,
-    TextTable,
-    TrajectoryTable,
-    regularisation_toml,
-)
+from wavefocus.config.scene import SceneConfig, SourceTable
+from wavefocus.gui.scene.draft import EMPTY, NEW_SCENE, build_draft, changed, read_draft, scene_toml, with_source
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import replacement
 from wavefocus.storage.text_file import read_text
@@ -39,117 +19,9 @@ if TYPE_CHECKING:
     from wavefocus.rendering.scene.model import Scene
 
 
-PointMm = tuple[float, float]
-AnyTable = TypeVar("AnyTable", bound=Table)
-
-#: What a new path or signal is until it is edited, by kind.
-NEW_PATHS: dict[str, PathTable] = {
-    one.kind: one
-    for one in (
-        PointTable(at_mm=(0.0, 0.0)),
-        LineTable(start_mm=(-30.0, 0.0), end_mm=(30.0, 0.0)),
-        CircleTable(radius_mm=20.0),
-        PolylineTable(points_mm=((-20.0, -10.0), (0.0, 20.0), (20.0, -10.0))),
-        TextTable(string="text", height_mm=20.0),
-        SvgTable.model_construct(file=""),
-        TrajectoryTable.model_construct(file=""),
-    )
-}
-NEW_SIGNALS: dict[str, SignalTable] = {
-    one.kind: one
-    for one in (
-        ImpulseTable(),
-        SineTable(frequency_hz=200.0, duration_s=0.1),
-        NoiseTable(band_hz=(50.0, 450.0), duration_s=0.015, seed=1),
-        FileTable.model_construct(path=""),
-    )
-}
-_SPEED_MM_S, _STEP_MM = 80.0, 4.0
-NEW_AMPLITUDE = 0.01
-"""Amplitude of a new source, in the bank's response unit: 10 mm/s is felt, and a rig of this kind can play it."""
-# A drive that no actuator could play is of no use: new scenes keep to the limit of the scenes of `init`.
-NEW_SCENE = SceneConfig.model_construct(source=(), output=Output(limit_v=1.0))
-
-
-def changed(table: AnyTable, **changes: object) -> AnyTable:
-    """Return a table with other values; they are checked when the scene is read."""
-    return table.model_copy(update=changes)
-
-
-def with_source(scene: SceneConfig, index: int, source: SourceTable) -> SceneConfig:
-    """Return the scene with another source in one place."""
-    return changed(scene, source=(*scene.source[:index], source, *scene.source[index + 1 :]))
-
-
-def new_source(path: PathTable, model: SourceTable | None = None) -> SourceTable:
-    """Return a source on a path; all else is as in `model`."""
-    if model is None:
-        source = SourceTable.model_construct(
-            path=path, signal=NEW_SIGNALS["noise"], emission="per_point", amplitude=NEW_AMPLITUDE
-        )
-    else:
-        source = changed(model, path=path)
-    if path.kind == "point":
-        return changed(source, repeat=False)
-    return changed(source, emission="continuous") if path.kind == "trajectory" else moving(source)
-
-
-def moving(source: SourceTable) -> SourceTable:
-    """Return the source with speed and step, where it has none."""
-    return changed(source, speed_mm_s=source.speed_mm_s or _SPEED_MM_S, step_mm=source.step_mm or _STEP_MM)
-
-
-def scene_toml(scene: SceneConfig, folder: Path | None = None) -> str:
-    """Write a scene as a scene file.
-
-    scene: The scene; nothing about it is checked here.
-    folder: Folder of the file: files inside it are named relative to it, others in full.
-
-    Returns TOML, as contract section 4 says.
-    """
-    return "\n".join(
-        [
-            toml_table("[scene]", scene.scene),
-            *(source_toml(source, folder) for source in scene.source),
-            regularisation_toml(scene.regularisation),
-            toml_table("[output]", scene.output),
-        ]
-    )
-
-
-def source_toml(source: SourceTable, folder: Path | None = None) -> str:
-    """Write one source as its `[[source]]` table."""
-    start = "" if folder is None else f"{folder}/"
-    return toml_table("[[source]]", with_files(source, lambda file: file.removeprefix(start)))
-
-
-def read_draft(text: str, path: Path) -> SceneConfig:
-    """Read the text of a scene file, but not the files that it names.
-
-    text: What the scene file holds.
-    path: The scene file; names of files in the result are absolute.
-
-    Raises InputError: The text is no scene.
-    """
-    scene = validated(SceneConfig, parse_toml(text, str(path)), str(path))
-    return changed(
-        scene, source=tuple(with_files(source, lambda file: str(path.parent / file)) for source in scene.source)
-    )
-
-
-def with_files(source: SourceTable, rename: Callable[[str], str]) -> SourceTable:
-    """Return the source with other names of the files that it has."""
-    if isinstance(source.path, SvgTable | TrajectoryTable):
-        source = changed(source, path=changed(source.path, file=rename(source.path.file)))
-    if isinstance(source.signal, FileTable):
-        source = changed(source, signal=changed(source.signal, path=rename(source.signal.path)))
-    return source
-
-
 # A drag makes more changes than can be seen.
 COALESCED_MS = 30
 MOST_STEPS = 500
-EMPTY = "the scene has no source yet: choose a tool and draw one on the surface"
 _UNNAMED = "scene.toml"
 
 # A scene and the index of its chosen source.
@@ -206,16 +78,8 @@ class SceneDocument(QObject):
         return scene_toml(self.draft, self.path.parent if self.path else None)
 
     def scene(self) -> Scene:
-        """The scene that commands make of the file's text; raises as `reader` says."""
-        return self.reader()()
-
-    def reader(self) -> Callable[[], Scene]:
-        """A function that makes the present scene, in any thread.
-
-        It raises InputError where the scene is not finished, or something in it or in the files that it names is
-        wrong; the message says where, without the scene file's name.
-        """
-        return partial(_read, self.draft, self.path.parent if self.path else None, self.place, self.allow_large)
+        """The scene that commands make of the file's text; raises as `build_draft` says."""
+        return build_draft(self.draft, self.place, allow_large=self.allow_large)
 
     def allow(self, allow_large: bool) -> None:
         """Allow the scene to be larger than the limits of the command line, or not."""
@@ -335,14 +199,3 @@ class _Step(QUndoCommand):
 
     def redo(self) -> None:
         self._show(self._after)
-
-
-def _read(draft: SceneConfig, folder: Path | None, place: Path, allow_large: bool) -> Scene:
-    from wavefocus.rendering.scene.model import read_scene  # loads scipy, in a thread
-
-    if not draft.source:
-        raise InputError(EMPTY)
-    try:
-        return read_scene(scene_toml(draft, folder), place, allow_large=allow_large)
-    except InputError as error:
-        raise InputError(str(error).removeprefix(f"{place}: ")) from None

@@ -13,7 +13,8 @@ from wavefocus.acquisition.wording import hours
 from wavefocus.gui.files import names_virtual_rig
 from wavefocus.gui.messages import error_text
 from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess, Message
-from wavefocus.gui.scene.document import SceneDocument, scene_toml
+from wavefocus.gui.scene.document import SceneDocument
+from wavefocus.gui.scene.draft import scene_toml
 from wavefocus.gui.tab import TabContext
 
 DRIVE, WAV, MOVIE = "drive", "WAV", "movie"

@@ -25,7 +25,8 @@ from wavefocus.config.scene import (
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.files import PathField
 from wavefocus.gui.number_box import typed_number
-from wavefocus.gui.scene.document import NEW_PATHS, NEW_SIGNALS, PointMm, SceneDocument, changed, new_source
+from wavefocus.gui.scene.document import SceneDocument
+from wavefocus.gui.scene.draft import NEW_PATHS, NEW_SIGNALS, PointMm, changed, new_source
 from wavefocus.gui.scene.form import ChoiceField, Form, NumberField, align
 from wavefocus.gui.scene.preview import Preview, trace_text
 from wavefocus.gui.scene.tools import anchor_of, shifted

@@ -28,7 +28,8 @@ from wavefocus.config.scene import ImpulseTable, SignalTable
 from wavefocus.gui.files import names_virtual_rig
 from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess
 from wavefocus.gui.process import Message as Record
-from wavefocus.gui.scene.document import NEW_AMPLITUDE, SceneDocument
+from wavefocus.gui.scene.document import SceneDocument
+from wavefocus.gui.scene.draft import NEW_AMPLITUDE
 from wavefocus.gui.scene.exports import SceneTask
 from wavefocus.gui.tab import TabContext
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -16,7 +17,8 @@ from PyQt5.QtCore import QObject, pyqtSignal
 from wavefocus.config.loading import read_toml
 from wavefocus.config.scene import FileTable, PolylineTable, SceneConfig, SourceTable, TextTable
 from wavefocus.gui.process import Background
-from wavefocus.gui.scene.document import SceneDocument, source_toml
+from wavefocus.gui.scene.document import SceneDocument
+from wavefocus.gui.scene.draft import build_draft, changed
 from wavefocus.gui.surface import Surface, path_line, surface_from, surface_of
 from wavefocus.gui.tab import TabContext
 from wavefocus.rendering.arrays import Float64Array, Int64Array
@@ -25,6 +27,7 @@ from wavefocus.storage.errors import InputError, WavefocusError
 if TYPE_CHECKING:
     from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
     from wavefocus.rendering.scene.model import Source
+    from wavefocus.rendering.scene.signals import Signal
 
 
 # The surface of the virtual rig, and the rate of its banks, while there is no bank.
@@ -36,6 +39,10 @@ _LINE_POINTS_PER_MM = 8.0
 # Longer signals are not drawn: making them would delay editing.
 _LONGEST_DRAWN_S = 30.0
 _LARGEST_FILE = 64 * 2**20
+
+
+# Of a signal, or why it is not drawn.
+Samples = Float64Array | str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,13 +92,13 @@ class Trace:
 class Preview:
     """A scene as it is drawn: a trace per source, and the signal of the chosen one, or why it is not drawn.
 
-    `problem` says why commands would refuse the scene; it is empty where they would not.
+    `problem` says why commands would refuse the scene, or what cannot be drawn of it; empty where nothing is wrong.
     """
 
     draft: SceneConfig
     ground: Ground
     traces: list[Trace]
-    signal: Float64Array | str
+    signal: Samples
     problem: str
 
 
@@ -154,19 +161,8 @@ class LivePreview(QObject):
         if self._busy or self._ended:
             return
         self._busy, self._stale = True, False
-        draft, ground, chosen = self._document.draft, self.ground, self._document.chosen
-        read, allow_large = self._document.reader(), self._document.allow_large
-
-        def work() -> Preview:
-            traces = [_trace(source, ground, allow_large) for source in draft.source]
-            signal = _signal(draft.source[chosen], ground, allow_large) if chosen >= 0 else ""
-            try:
-                read()
-                problem = ""
-            except WavefocusError as error:
-                problem = str(error)
-            return Preview(draft, ground, traces, signal, problem)
-
+        document = self._document
+        work = partial(preview_of, document.draft, document.chosen, self.ground, document.place, document.allow_large)
         self._background.ask("scene", work, self._show, self._fail)
 
     def _show(self, preview: Preview) -> None:
@@ -270,58 +266,66 @@ def _ground_of(path: Path) -> Ground:
     return Ground(outline_mm, surface.sample_rate_hz, surface, PositionGrid(surface.position_mm), allowed)
 
 
-def _trace(draft: SourceTable, ground: Ground, allow_large: bool) -> Trace:
-    times = _file_times(draft)
+def preview_of(draft: SceneConfig, chosen: int, ground: Ground, place: Path, allow_large: bool) -> Preview:
+    """Build the scene as commands do, and sample its sources as far as they are drawn.
+
+    chosen: Index of the source whose signal is wanted; -1 for none.
+    place: The scene file, for messages and for the files that the scene names.
+    """
     try:
-        source = _source(draft, times, allow_large)
-        if isinstance(source, str):
-            raise InputError(source)
-        samples = _samples(draft, times, allow_large, ground.sample_rate_hz)
-        signal_s = 0.0 if isinstance(samples, str) else len(samples) / ground.sample_rate_hz
-        return _drawn(source, ground, float(getattr(draft.signal, "duration_s", signal_s)))
+        sources: Sequence[Source | None] = build_draft(draft, place, allow_large=allow_large).sources
+        problem = ""
     except WavefocusError as error:
-        none, nowhere, problem = np.zeros(0), np.zeros((0, 2)), _without_number(str(error))
-        return Trace(nowhere, nowhere, none, np.zeros(0, np.int64), np.zeros(0, np.bool_), problem=problem)
+        sources, problem = [_alone(draft, source, place, allow_large) for source in draft.source], str(error)
+    traces: list[Trace] = []
+    signal: Samples = ""
+    for index, (table, source) in enumerate(zip(draft.source, sources, strict=True)):
+        if source is None:
+            traces.append(_not_drawn(problem))
+            signal = problem if index == chosen else signal
+            continue
+        samples = _samples(source.signal, _file_time(table), ground.sample_rate_hz)  # type: ignore[arg-type]  # is frozen
+        if index == chosen:
+            signal = samples if isinstance(samples, str) else table.amplitude * samples
+        signal_s = 0.0 if isinstance(samples, str) else len(samples) / ground.sample_rate_hz
+        try:
+            traces.append(_drawn(source, index, ground, float(getattr(source.signal, "duration_s", signal_s))))
+        except WavefocusError as error:
+            traces.append(_not_drawn(str(error)))
+    problem = problem or next((trace.problem for trace in traces if trace.problem), "")
+    return Preview(draft, ground, traces, signal, problem)
 
 
-def _signal(draft: SourceTable, ground: Ground, allow_large: bool) -> Float64Array | str:
-    samples = _samples(draft, _file_times(draft), allow_large, ground.sample_rate_hz)
-    return samples if isinstance(samples, str) else draft.amplitude * samples
+def _alone(draft: SceneConfig, source: SourceTable, place: Path, allow_large: bool) -> Source | None:
+    """One source of a scene that commands refuse; None where this one is wrong."""
+    with suppress(InputError):
+        return build_draft(changed(draft, source=(source,)), place, allow_large=allow_large).sources[0]
+    return None
 
 
-@lru_cache(maxsize=256)
-def _source(draft: SourceTable, _times: tuple[int, ...], allow_large: bool) -> Source | str:
-    """A source as commands make it, or why they refuse it."""
-    from wavefocus.rendering.scene.model import read_scene
-
-    place = Path.cwd() / "scene.toml"
-    try:
-        return read_scene(source_toml(draft), place, allow_large=allow_large).sources[0]
-    except InputError as error:
-        return str(error).removeprefix(f"{place}: ")
+def _not_drawn(problem: str) -> Trace:
+    nowhere, off = np.zeros((0, 2)), np.zeros(0, np.bool_)
+    return Trace(nowhere, nowhere, np.zeros(0), np.zeros(0, np.int64), off, problem=problem)
 
 
 @lru_cache(maxsize=32)
-def _samples(draft: SourceTable, times: tuple[int, ...], allow_large: bool, rate_hz: float) -> Float64Array | str:
+def _samples(signal: Signal, _file_time_ns: int, rate_hz: float) -> Samples:
     """The samples of a signal at the bank's rate, or why they are not drawn."""
-    source = _source(draft, times, allow_large)
-    if isinstance(source, str):
-        return _without_number(source)
-    file = draft.signal.path if isinstance(draft.signal, FileTable) else ""
+    file = getattr(signal, "path", None)
     try:
-        too_large = file and Path(file).stat().st_size > _LARGEST_FILE
-        if too_large or getattr(draft.signal, "duration_s", 0.0) > _LONGEST_DRAWN_S:
+        too_large = file is not None and file.stat().st_size > _LARGEST_FILE
+        if too_large or getattr(signal, "duration_s", 0.0) > _LONGEST_DRAWN_S:
             return "too long to be drawn here; it can be rendered"
-        return source.signal.samples(rate_hz)
+        return signal.samples(rate_hz)
     except (WavefocusError, OSError) as error:
         return " ".join(str(error).split())
 
 
-def _drawn(source: Source, ground: Ground, signal_s: float) -> Trace:
+def _drawn(source: Source, index: int, ground: Ground, signal_s: float) -> Trace:
     from wavefocus.rendering.scene.sampling import point_count
     from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
 
-    points = point_count(source, 0)
+    points = point_count(source, index)
     moves = points > 1 or (source.path.length_mm > 0 and source.speed_mm_s > 0)
     number = np.unique(np.linspace(0, points - 1, min(points, MOST_DRAWN)).astype(np.int64))
     if isinstance(source.path, TrajectoryPath):
@@ -356,17 +360,9 @@ def _drawn(source: Source, ground: Ground, signal_s: float) -> Trace:
     )
 
 
-def _file_times(draft: SourceTable) -> tuple[int, ...]:
-    """When the files that a source names were last written, 0 where there is none: a change draws it again."""
-    times = []
-    for name in (getattr(draft.path, "file", ""), getattr(draft.signal, "path", "")):
-        try:
-            times.append(Path(name).stat().st_mtime_ns if name else 0)
-        except (OSError, ValueError):
-            times.append(0)
-    return tuple(times)
-
-
-def _without_number(sentence: str) -> str:
-    """A message about the one source of a scene, without its number there."""
-    return sentence.removeprefix("source[0]: ").removeprefix("source[0].").replace(" of source 0", "")
+def _file_time(table: SourceTable) -> int:
+    """When the file of a signal was last written, 0 without one: after a change it is read again."""
+    try:
+        return Path(table.signal.path).stat().st_mtime_ns if isinstance(table.signal, FileTable) else 0
+    except (OSError, ValueError):
+        return 0

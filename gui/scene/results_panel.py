@@ -21,7 +21,8 @@ from wavefocus.gui.scene.calculation import (
     PredictedField,
     Progress,
 )
-from wavefocus.gui.scene.document import EMPTY, SceneDocument
+from wavefocus.gui.scene.document import SceneDocument
+from wavefocus.gui.scene.draft import EMPTY
 from wavefocus.gui.scene.exports import DRIVE, ENDINGS, IDLE, MOVIE, STOPPING, WAV, Playing, Saving
 from wavefocus.gui.scene.figures_view import FiguresView, drive_figures, field_figures
 from wavefocus.gui.scene.result_views import DrivesView, FieldView
@@ -233,9 +234,9 @@ class ResultsPanel(QWidget):
             self._clear()
             self._show_state(NO_BANK if document.bank is None else EMPTY)
             return
-        text, place, bank = document.toml(), document.place, document.bank
+        draft, place, bank = document.draft, document.place, document.bank
         try:
-            self.calculation.ask(text, place, bank, Path(rig) if rig else None, allow_large=document.allow_large)
+            self.calculation.ask(draft, place, bank, Path(rig) if rig else None, allow_large=document.allow_large)
         except OSError as failure:
             self._context.report_failure(failure)
             return

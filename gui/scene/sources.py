@@ -13,7 +13,8 @@ from PyQt5.QtWidgets import QAction, QApplication, QListWidget, QListWidgetItem,
 from wavefocus.config.scene import FileTable, PathTable, SourceTable, SvgTable
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.files import choose_file
-from wavefocus.gui.scene.document import SceneDocument, changed, new_source, read_draft, source_toml
+from wavefocus.gui.scene.document import SceneDocument
+from wavefocus.gui.scene.draft import changed, new_source, read_draft, source_toml
 from wavefocus.gui.scene.preview import LivePreview, Trace, title_of
 from wavefocus.gui.scene.tools import box_of, shifted
 from wavefocus.gui.tab import TabContext

@@ -14,7 +14,8 @@ from wavefocus.gui import widgets as ui
 from wavefocus.gui.advice import in_window
 from wavefocus.gui.field_map import ColourBar, Plot
 from wavefocus.gui.scene.canvas import SceneCanvas, span_s
-from wavefocus.gui.scene.document import EMPTY, SceneDocument
+from wavefocus.gui.scene.document import SceneDocument
+from wavefocus.gui.scene.draft import EMPTY
 from wavefocus.gui.scene.preview import LivePreview, problem_of
 from wavefocus.gui.scene.sources import SourceActions
 from wavefocus.gui.theme import Themed

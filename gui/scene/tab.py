@@ -11,7 +11,8 @@ from PyQt5.QtWidgets import QAction, QStackedWidget, QWidget
 from wavefocus.config.scene import SourceTable, TextTable, TrajectoryTable
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.files import FileKind, PathField, TomlKind, toml_kind
-from wavefocus.gui.scene.document import SceneDocument, scene_toml
+from wavefocus.gui.scene.document import SceneDocument
+from wavefocus.gui.scene.draft import scene_toml
 from wavefocus.gui.scene.exports import IDLE
 from wavefocus.gui.scene.files import SceneFiles
 from wavefocus.gui.scene.forms import SceneForm, SourceForm

@@ -16,7 +16,7 @@ from wavefocus.config.scene import (
     TextTable,
     TrajectoryTable,
 )
-from wavefocus.gui.scene.document import NEW_PATHS, PointMm, changed
+from wavefocus.gui.scene.draft import NEW_PATHS, PointMm, changed
 
 Box = tuple[PointMm, PointMm]
 

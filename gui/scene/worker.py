@@ -20,6 +20,7 @@ import numpy as np
 from wavefocus.config.scene import Regularisation
 from wavefocus.gui.front_door import RigLimits
 from wavefocus.gui.scene.calculation import Answer, Finished, Order, PredictedField, Progress, Request
+from wavefocus.gui.scene.draft import build_draft
 from wavefocus.gui.scene.drives_and_foci import (
     focus_figures,
     missing_rows,
@@ -34,7 +35,7 @@ from wavefocus.rendering.field.bank_spectra import LARGEST_FACTOR, PASSED, BankS
 from wavefocus.rendering.field.foci import loudest_instants
 from wavefocus.rendering.field.prediction import Prediction, field_unit, measured_positions
 from wavefocus.rendering.greens.regularisation import saturation_threshold
-from wavefocus.rendering.scene.model import Scene, read_scene
+from wavefocus.rendering.scene.model import Scene
 from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.drive_file import Drive
 from wavefocus.storage.errors import InputError, WavefocusError
@@ -211,7 +212,7 @@ class Calculator:
         except (SupersededError, EOFError, ConnectionError):
             raise
         except (WavefocusError, OSError, MemoryError) as failure:
-            problem = str(failure).removeprefix(f"{request.place}: ") or "there is not enough memory for this scene"
+            problem = str(failure) or "there is not enough memory for this scene"
             self._send(Finished(request.number, problem))
             return False
         except Exception:
@@ -223,7 +224,7 @@ class Calculator:
     def _calculate(self, request: Request, quiet_s: float) -> None:
         number = request.number
         self._send(Progress(number, "scene", 0.0))
-        scene = read_scene(request.text, request.place, allow_large=request.allow_large)
+        scene = build_draft(request.draft, request.place, allow_large=request.allow_large)
         bank = self.cache.open(request.bank)
         if not len(self.cache.rows):
             raise InputError(f"{bank.path} has no measured position yet; results are shown when it has")

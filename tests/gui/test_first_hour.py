@@ -16,7 +16,7 @@ from wavefocus.gui.advice import in_window
 from wavefocus.gui.field_map import ColourBar
 from wavefocus.gui.files import FileKind, PathField, Settings, misplaced
 from wavefocus.gui.rig.tab import RigTab
-from wavefocus.gui.scene.document import new_source, read_draft
+from wavefocus.gui.scene.draft import new_source, read_draft
 from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.verification.tab import VerificationTab
 from wavefocus.gui.window import Window

@@ -15,7 +15,7 @@ from tests.gui.conftest import Opens, shown_tab, tab_of
 from wavefocus.config.scene import PolylineTable
 from wavefocus.gui.number_box import NumberBox, typed_number
 from wavefocus.gui.rig.tab import RigTab
-from wavefocus.gui.scene.document import NEW_PATHS, new_source
+from wavefocus.gui.scene.draft import NEW_PATHS, new_source
 from wavefocus.gui.scene.tab import SceneTab
 
 LOCALES = ("C", "en_US", "de_DE")

@@ -12,9 +12,9 @@ import pytest
 from tests.gui.conftest import RIG, line_scene
 from wavefocus.__main__ import run
 from wavefocus.commands.gui import front_door
-from wavefocus.config.scene import Regularisation
+from wavefocus.config.scene import Regularisation, SceneConfig
 from wavefocus.gui.scene.calculation import Answer, Driven, Finished, FocusFigures, PredictedField, Request, between
-from wavefocus.gui.scene.document import changed, scene_toml
+from wavefocus.gui.scene.draft import changed, scene_toml
 from wavefocus.gui.scene.drives_and_foci import emission_s, render_while_edited
 from wavefocus.gui.scene.worker import Calculator, SupersededError
 from wavefocus.rendering.drive.coil_limits import DriveLimits
@@ -28,11 +28,11 @@ from wavefocus.storage.drive_file import read_drive
 from wavefocus.storage.errors import InputError
 
 
-def scene_text(
+def scene_draft(
     end_mm: float = 4.5, saturation: float = 0.0, limit_v: float = 100.0, emission: str = "continuous"
-) -> str:
+) -> SceneConfig:
     draft = line_scene(end_mm, emission=emission, limit_v=limit_v)
-    return scene_toml(changed(draft, regularisation=Regularisation(saturation=saturation)))
+    return changed(draft, regularisation=Regularisation(saturation=saturation))
 
 
 class Listener:
@@ -49,9 +49,9 @@ class Listener:
     def poll(self, _wait_s: float) -> bool:
         return any(isinstance(one, self._superseded_by) for one in self.told)
 
-    def calculate(self, text: str, bank: Path, rig: Path | None = None) -> bool:
+    def calculate(self, draft: SceneConfig, bank: Path, rig: Path | None = None) -> bool:
         self.told.clear()
-        return self.calculator.calculate(Request(1, text, bank.with_name("scene.toml"), bank, rig), 0.0)
+        return self.calculator.calculate(Request(1, draft, bank.with_name("scene.toml"), bank, rig), 0.0)
 
     def one(self, kind):
         (found,) = [told for told in self.told if isinstance(told, kind)]
@@ -67,12 +67,12 @@ class Listener:
 def test_given_a_scene_then_drives_and_field_are_those_of_render_and_predict(
     finished: Path, saturation: float, limit_v: float, emission: str
 ) -> None:
-    text = scene_text(4.5, saturation, limit_v, emission)
+    draft = scene_draft(4.5, saturation, limit_v, emission)
     listener = Listener()
-    assert listener.calculate(text, finished)
+    assert listener.calculate(draft, finished)
     driven, begun = listener.one(Driven), listener.one(PredictedField)
     scene_file = finished.with_name("scene.toml")
-    scene_file.write_text(text, encoding="utf-8")
+    scene_file.write_text(scene_toml(draft), encoding="utf-8")
     out = finished.with_name("drive.h5")
     assert run(["render", str(scene_file), "--bank", str(finished), "--out", str(out)]) == 0
     drive = read_drive(out)
@@ -104,9 +104,9 @@ def test_given_a_scene_then_drives_and_field_are_those_of_render_and_predict(
 
 def test_given_the_same_bank_again_then_its_surface_is_kept_and_the_answer_is_the_same(finished: Path) -> None:
     listener = Listener()
-    listener.calculate(scene_text(), finished)
+    listener.calculate(scene_draft(), finished)
     first = listener.one(PredictedField)
-    listener.calculate(scene_text(), finished)
+    listener.calculate(scene_draft(), finished)
     again = listener.one(PredictedField)
     assert again.surface is first.surface
     np.testing.assert_array_equal(again.field, first.field)
@@ -117,40 +117,40 @@ def test_given_a_rig_then_its_limits_count_where_they_are_stricter(finished: Pat
     rig = finished.with_name("loud.toml")
     rig.write_text(RIG + "\n[player]\nlimit_v = 0.02\ncoil_resistance_ohm = 8.0\nlimit_power_w = 1e-6\n", "utf-8")
     listener = Listener()
-    assert listener.calculate(scene_text(), finished, rig)
+    assert listener.calculate(scene_draft(), finished, rig)
     driven = listener.one(Driven)
     assert driven.limits.peak_key == "player.limit_v"
     assert driven.limiting.decided_by == "player.limit_power_w"
     assert driven.rms_v.max() ** 2 / 8.0 == pytest.approx(1e-6, rel=1e-6)
     scene_file, out = finished.with_name("scene.toml"), finished.with_name("drive.h5")
-    scene_file.write_text(scene_text(), encoding="utf-8")
+    scene_file.write_text(scene_toml(scene_draft()), encoding="utf-8")
     assert run(["render", str(scene_file), "--bank", str(finished), "--out", str(out), "--rig", str(rig)]) == 0
     assert driven.limiting.scale == pytest.approx(read_drive(out).scale, rel=1e-3)
     four = finished.with_name("four.toml")
     four.write_text('[rig]\nname = "x"\n[actuators]\nposition_mm = [[110.0, 0.0]]\n', encoding="utf-8")
-    assert not listener.calculate(scene_text(), finished, four)
+    assert not listener.calculate(scene_draft(), finished, four)
     assert "has 1 actuators" in listener.one(Finished).problem
 
 
 def test_given_rows_that_are_not_measured_then_they_are_listed(finished: Path, tmp_path: Path) -> None:
     bank = foreign_copy(finished, tmp_path / "filling.h5", missing=[1, 2])
     listener = Listener()
-    assert not listener.calculate(scene_text(), bank)
+    assert not listener.calculate(scene_draft(), bank)
     sentence = listener.one(Finished).problem
     assert "no measurement at 2 positions on the scene's paths: 1, 2." in sentence
     foreign_copy(finished, tmp_path / "filled.h5", missing=[]).replace(bank)
     assert listener.calculator.cache.changed(bank)
-    assert listener.calculate(scene_text(), bank)
+    assert listener.calculate(scene_draft(), bank)
     assert listener.one(Driven).drive_v.any()
     bank.unlink()
-    assert not listener.calculate(scene_text(), bank)
+    assert not listener.calculate(scene_draft(), bank)
     assert "is missing" in listener.one(Finished).problem
 
 
 def test_given_a_field_that_is_too_long_then_its_beginning_is_predicted(finished: Path) -> None:
     whole, short = Listener(), Listener(most_field_bytes=4 * 12 * 90)
-    whole.calculate(scene_text(), finished)
-    short.calculate(scene_text(), finished)
+    whole.calculate(scene_draft(), finished)
+    short.calculate(scene_draft(), finished)
     begun = short.one(PredictedField)
     assert len(begun.field) == 90
     assert begun.lasts_s == whole.one(PredictedField).lasts_s > 90 / begun.sample_rate_hz
@@ -198,7 +198,7 @@ def test_given_a_scene_of_hours_then_it_is_refused_at_once(finished: Path) -> No
 def test_given_a_newer_order_then_what_is_under_way_is_given_up(finished: Path) -> None:
     listener = Listener(superseded_by=Driven)
     with pytest.raises(SupersededError):
-        listener.calculate(scene_text(), finished)
+        listener.calculate(scene_draft(), finished)
     assert not any(isinstance(one, PredictedField | Finished) for one in listener.told)
 
 

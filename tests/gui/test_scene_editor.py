@@ -36,16 +36,8 @@ from wavefocus.config.scene import (
 )
 from wavefocus.gui.files import Settings
 from wavefocus.gui.scene.canvas import SceneCanvas
-from wavefocus.gui.scene.document import (
-    NEW_PATHS,
-    NEW_SCENE,
-    SceneDocument,
-    changed,
-    new_source,
-    read_draft,
-    scene_toml,
-    with_source,
-)
+from wavefocus.gui.scene.document import SceneDocument
+from wavefocus.gui.scene.draft import NEW_PATHS, NEW_SCENE, changed, new_source, read_draft, scene_toml, with_source
 from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.scene.tools import handles_of, shifted, with_handle_at
 from wavefocus.gui.window import Window

@@ -18,7 +18,8 @@ from tests.gui.conftest import LEFT, Opens, click, line_scene, pixel, wait
 from wavefocus.commands.gui import front_door
 from wavefocus.config.scene import SceneConfig
 from wavefocus.gui.scene.calculation import between
-from wavefocus.gui.scene.document import EMPTY, SceneDocument
+from wavefocus.gui.scene.document import SceneDocument
+from wavefocus.gui.scene.draft import EMPTY
 from wavefocus.gui.scene.exports import DRIVE, IDLE, MOVIE, OPENING, PLAYING, RENDERING, WAV
 from wavefocus.gui.scene.figures_view import GOOD, HELD
 from wavefocus.gui.scene.results_panel import NO_BANK, ResultsPanel

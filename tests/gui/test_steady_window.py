@@ -15,7 +15,7 @@ from wavefocus.commands.gui import front_door
 from wavefocus.config.scene import SceneConfig, TextTable
 from wavefocus.gui.campaign.position_panel import GreenPlot, Greens
 from wavefocus.gui.field_map import MOST_COLUMNS, thinned
-from wavefocus.gui.scene.document import new_source
+from wavefocus.gui.scene.draft import new_source
 from wavefocus.gui.scene.exports import SceneTask
 from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.storage.errors import InputError
