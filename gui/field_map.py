@@ -12,7 +12,7 @@ from PyQt5.QtCore import QSize, Qt
 from PyQt5.QtWidgets import QFrame, QSizePolicy
 
 from wavefocus.gui.surface import Surface
-from wavefocus.gui.surface_view import SurfaceView, looked_up
+from wavefocus.gui.surface_view import SurfaceView, map_colours
 from wavefocus.gui.theme import Theme, Themed, theme_axes
 from wavefocus.rendering.arrays import Float64Array
 
@@ -64,7 +64,7 @@ class Plot(Themed, pyqtgraph.PlotWidget):
 
     def line(self, x: Real, y: Real, colour: str, width: float = 1.0, name: str | None = None) -> None:
         """Draw a line, thinned to what can be seen without losing a peak; `name` for the legend."""
-        x, y = thinned(x, y)
+        x, y = decimate(x, y)
         self.getPlotItem().plot(x, y, pen=pyqtgraph.mkPen(colour, width=width), name=name, antialias=True)
 
     def mark_band(self, low_hz: float, high_hz: float) -> None:
@@ -73,7 +73,7 @@ class Plot(Themed, pyqtgraph.PlotWidget):
             self.getPlotItem().addItem(pyqtgraph.InfiniteLine(edge_hz, pen=pen))
 
 
-def thinned(x: Real, y: Real) -> tuple[Real, Real]:
+def decimate(x: Real, y: Real) -> tuple[Real, Real]:
     """Return the smallest and the largest value of each column of pixels, in the order of x."""
     step = len(y) // MOST_COLUMNS
     if step < 2:
@@ -85,7 +85,7 @@ def thinned(x: Real, y: Real) -> tuple[Real, Real]:
     return x[kept], y[kept]
 
 
-def thinning_curve() -> pyqtgraph.PlotDataItem:
+def decimating_curve() -> pyqtgraph.PlotDataItem:
     """Return a curve that is thinned again at each zoom; it must stay in its plot."""
     return pyqtgraph.PlotDataItem(
         autoDownsample=True, downsampleMethod="peak", clipToView=True, skipFiniteCheck=True, antialias=True
@@ -241,4 +241,4 @@ class FieldMap(SurfaceView):
 
     def _paint_values(self) -> None:
         if self.surface is not None and len(self.values) == self.surface.positions:
-            self.paint(looked_up(self._colour_map, self.values, self.levels, self.theme.cell))
+            self.paint(map_colours(self._colour_map, self.values, self.levels, self.theme.cell))

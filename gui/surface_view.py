@@ -303,7 +303,7 @@ def rgba(colour: str) -> NDArray[np.uint8]:
     return np.array(QColor(colour).getRgb(), np.uint8)
 
 
-def looked_up(
+def map_colours(
     colour_map: pyqtgraph.ColorMap, values: NDArray[np.floating], levels: tuple[float, float], missing: str
 ) -> NDArray[np.uint8]:
     """Return the colours of values between two levels, shape (n, 4); those that are NaN get the colour `missing`."""

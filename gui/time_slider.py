@@ -46,7 +46,6 @@ class TimeSlider(Themed, QWidget):
         self._exact = self._shown_at_s = 0.0
         self._widest = ""
         self.slider = _MarkedSlider()
-        self.slider = _MarkedSlider()
         self.previous = _button("Previous focus instant (Page Down)", lambda: self.to_mark(-1))
         self.play = _button("Play (Space)", checkable=True)
         self.next = _button("Next focus instant (Page Up)", lambda: self.to_mark(1))

@@ -44,7 +44,7 @@ class Window(QMainWindow):
         assert isinstance(application, QApplication)
         self._application, self._system_palette = application, application.palette()
         self._may_close = self._shut_down = False
-        self.mishaps: list[str] = []
+        self.tracebacks: list[str] = []
         """Tracebacks of the last errors that nobody caught."""
         set_theme(application, theme_named(settings.text("theme", "system"), self._system_palette))
         self.tabs = self.context.tabs
@@ -103,7 +103,7 @@ class Window(QMainWindow):
         if not details:
             self.messages.fault(sentence)
             return
-        self.mishaps = [*self.mishaps[-_ERRORS_KEPT:], details]
+        self.tracebacks = [*self.tracebacks[-_ERRORS_KEPT:], details]
         self.messages.fault(sentence, ("Copy details", lambda: ui.copy_text(details)))
 
     def choose_theme(self, choice: str) -> None:

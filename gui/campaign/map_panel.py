@@ -17,7 +17,7 @@ from wavefocus.gui.campaign.model import Campaign
 from wavefocus.gui.campaign.quality import FIGURES, LOOKS, NOT_MEASURED, Figure, look_index, status_text
 from wavefocus.gui.field_map import ColourBar
 from wavefocus.gui.surface import Surface
-from wavefocus.gui.surface_view import MARK, Keys, PointMm, Spots, SurfaceView, looked_up, rgba
+from wavefocus.gui.surface_view import MARK, Keys, PointMm, Spots, SurfaceView, map_colours, rgba
 from wavefocus.gui.theme import Themed
 from wavefocus.rendering.arrays import Float32Array
 from wavefocus.storage.bank.ledger import VALID
@@ -93,7 +93,7 @@ class SurfaceMap(SurfaceView):
         if high - low < 1e-9 * max(1.0, abs(high)):
             low, high = low - 0.5, high + 0.5
         self.levels = low, high
-        self.paint(looked_up(self.colour_map, values, (low, high), self.theme.cell))
+        self.paint(map_colours(self.colour_map, values, (low, high), self.theme.cell))
         self._draw_marks()
 
     def show_current(self, position: int) -> None:

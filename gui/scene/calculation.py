@@ -61,7 +61,7 @@ class Progress:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Driven:
+class DriveResult:
     """The drives within the limits of scene and rig; `lasts_s` is the duration of the whole scene.
 
     peak_v, rms_v, float64 (actuators,): Largest magnitude, and largest rms over a second, after limiting.
@@ -148,7 +148,7 @@ class Finished:
 
 
 Order = Request | Stop
-Answer = Progress | Driven | PredictedField | FocusFigures | Finished
+Answer = Progress | DriveResult | PredictedField | FocusFigures | Finished
 
 
 class Calculation:
@@ -256,7 +256,7 @@ def _serve(connection: Connection, read_rig_limits: object) -> None:
     serve(connection, read_rig_limits)  # type: ignore[arg-type]
 
 
-def between(field: Float32Array, place: float) -> Float32Array:
+def interpolate_frame(field: Float32Array, place: float) -> Float32Array:
     """The field at an instant.
 
     field, float32 array (samples, positions): With nothing above `wavefocus.rendering.field.bank_spectra.PASSED` of

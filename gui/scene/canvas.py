@@ -13,7 +13,7 @@ from PyQt5.QtGui import QKeyEvent, QMouseEvent
 from wavefocus.config.scene import CircleTable, LineTable, PathTable, PolylineTable
 from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.scene.draft import PointMm
-from wavefocus.gui.scene.preview import Ground, LivePreview, Trace
+from wavefocus.gui.scene.preview import Backdrop, LivePreview, Trace
 from wavefocus.gui.scene.tools import (
     Box,
     Handle,
@@ -27,7 +27,7 @@ from wavefocus.gui.scene.tools import (
     with_vertex,
     without_vertex,
 )
-from wavefocus.gui.surface_view import MARK, STEPS, Keys, Spots, SurfaceView, looked_up, rgba
+from wavefocus.gui.surface_view import MARK, STEPS, Keys, Spots, SurfaceView, map_colours, rgba
 from wavefocus.rendering.arrays import Float64Array
 
 _HANDLE_PX, _LINE_PX = 9.0, 7.0
@@ -64,9 +64,9 @@ class SceneCanvas(SurfaceView):
         document.edited.connect(self._show_handles)
         document.chosen_changed.connect(self._release)
         live.updated.connect(self.show_scene)
-        live.ground_changed.connect(self._show_ground)
+        live.backdrop_changed.connect(self._show_backdrop)
         self.redraw()
-        self._show_ground()
+        self._show_backdrop()
 
     @property
     def hint(self) -> str:
@@ -92,8 +92,8 @@ class SceneCanvas(SurfaceView):
     def show_scene(self) -> None:
         preview = self._live.preview
         # Points snapped to another bank's positions are out of date.
-        traces = preview.traces if preview.ground is self._live.ground else []
-        self.picture.show_traces(traces, self._document.chosen, self._live.ground)
+        traces = preview.traces if preview.backdrop is self._live.backdrop else []
+        self.picture.show_traces(traces, self._document.chosen, self._live.backdrop)
         self._show_handles()
 
     def redraw(self) -> None:
@@ -282,14 +282,14 @@ class SceneCanvas(SurfaceView):
     def fit(self) -> None:
         self.show_everything()
 
-    def _show_ground(self) -> None:
-        ground, former_mm, view = self._live.ground, self._outline_mm, self.box.viewRect()
-        self._outline_mm = ground.outline_mm
-        self.show_surface(ground.surface)
-        self.show_outline(ground.outline_mm)
+    def _show_backdrop(self) -> None:
+        backdrop, former_mm, view = self._live.backdrop, self._outline_mm, self.box.viewRect()
+        self._outline_mm = backdrop.outline_mm
+        self.show_surface(backdrop.surface)
+        self.show_outline(backdrop.outline_mm)
         for side in ("left", "bottom"):
             self.getPlotItem().showAxis(side)
-        if np.array_equal(former_mm, ground.outline_mm):
+        if np.array_equal(former_mm, backdrop.outline_mm):
             self.box.setRange(view, padding=0)
         else:
             self.show_everything()
@@ -320,7 +320,7 @@ class SceneItems:
         for level, item in enumerate(items):
             view.add_item(item, 30 + 10 * level)
 
-    def show_traces(self, traces: Sequence[Trace], chosen: int, ground: Ground) -> None:
+    def show_traces(self, traces: Sequence[Trace], chosen: int, backdrop: Backdrop) -> None:
         """Show the sources, the chosen one in front."""
         self._make_lines(len(traces))
         for index, trace in enumerate(traces):
@@ -334,9 +334,9 @@ class SceneItems:
         points_mm = np.concatenate([_NONE_MM, *(trace.points_mm for trace in drawn)])
         off = np.concatenate([np.zeros(0, np.bool_), *(trace.off for trace in drawn)])
         self._dots.setData(pos=points_mm[~off])
-        if ground.surface is None and drawn:
+        if backdrop.surface is None and drawn:
             instant_s = np.concatenate([trace.instant_s for trace in drawn])[~off]
-            colours = looked_up(self.colour_map, instant_s, span_s(traces), self._view.theme.cell)
+            colours = map_colours(self.colour_map, instant_s, span_s(traces), self._view.theme.cell)
             self._dots.setSize(_DOT_PX)
             self._dots.setBrush([pyqtgraph.mkBrush(*colour) for colour in colours.tolist()])
         else:  # the cells below have the colours
@@ -350,7 +350,7 @@ class SceneItems:
             if len(trace.points_mm)
         ]
         self._starts.setData(pos=np.array([trace.points_mm[0] for trace in drawn]).reshape(-1, 2), pen=pens)
-        self._paint_cells(traces, ground)
+        self._paint_cells(traces, backdrop)
 
     def show_handles(self, handles: Sequence[Handle], held: str) -> None:
         """Show the handles; the one named `held` is filled."""
@@ -384,16 +384,16 @@ class SceneItems:
             while len(surplus) > count:
                 self._view.box.removeItem(surplus.pop())
 
-    def _paint_cells(self, traces: Sequence[Trace], ground: Ground) -> None:
+    def _paint_cells(self, traces: Sequence[Trace], backdrop: Backdrop) -> None:
         """Colour positions that are foci by their first instant; all others are faint."""
-        if ground.surface is None or ground.usable is None:
+        if backdrop.surface is None or backdrop.usable is None:
             return
-        first_s = np.full(ground.surface.positions, np.inf)
+        first_s = np.full(backdrop.surface.positions, np.inf)
         for trace in traces:
             if len(trace.rows):
                 np.minimum.at(first_s, trace.rows[~trace.off], trace.instant_s[~trace.off])
-        colours = looked_up(self.colour_map, first_s, span_s(traces), self._view.theme.cell)
-        colours[~ground.usable & ~np.isfinite(first_s)] = rgba(self._view.theme.alternate)
+        colours = map_colours(self.colour_map, first_s, span_s(traces), self._view.theme.cell)
+        colours[~backdrop.usable & ~np.isfinite(first_s)] = rgba(self._view.theme.alternate)
         self._view.paint(colours)
 
 

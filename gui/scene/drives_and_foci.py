@@ -11,8 +11,7 @@ import numpy as np
 
 from wavefocus.acquisition.wording import hours
 from wavefocus.config.scene import Output
-from wavefocus.gui.front_door import RigLimits
-from wavefocus.gui.scene.calculation import Driven, FocusFigures, between
+from wavefocus.gui.scene.calculation import DriveResult, FocusFigures, interpolate_frame
 from wavefocus.gui.surface import path_line
 from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
 from wavefocus.rendering.drive.coil_limits import DriveLimits, Limiting, largest_rms, limit_drive
@@ -91,23 +90,9 @@ def render_while_edited(
     return Rendered(replace(drive, scale=limiting.scale), limiting, warnings, lasts_s)
 
 
-def stricter(output: Output, rig: RigLimits | None) -> DriveLimits:
-    """Return the stricter of a scene's and a rig's limits."""
-    ours = DriveLimits(output.limit_v, output.limit_rms_v)
-    if rig is None:
-        return ours
-
-    def known(limit: tuple[float | None, str]) -> float:
-        return math.inf if limit[0] is None else limit[0]
-
-    peak = min((ours.peak_v, ours.peak_key), (rig.drive.peak_v, rig.drive.peak_key), key=known)
-    rms = min((ours.rms_v, ours.rms_key), (rig.drive.rms_v, rig.drive.rms_key), key=known)
-    return DriveLimits(peak[0], rms[0], peak[1], rms[1])
-
-
 def summarise(
     number: int, scene: Scene, bank: Bank, rendered: Rendered, limits: DriveLimits, resistance_ohm: float | None
-) -> Driven:
+) -> DriveResult:
     """Gather what the window shows of the drives."""
     drive = rendered.drive
     foci = Foci.of(drive)
@@ -122,7 +107,7 @@ def summarise(
         else:
             points = source.path.point_at(np.minimum(np.arange(count) * source.step_mm, source.path.length_mm))
         snaps.append(float(np.hypot(*(points - position_mm[drive.focus_position[own]]).T).max(initial=0.0)))
-    return Driven(
+    return DriveResult(
         number=number,
         drive_v=drive_v.astype(np.float32),
         sample_rate_hz=drive.sample_rate_hz,
@@ -231,7 +216,7 @@ def focus_figures(
         if place > len(field) - 1:
             continue
         point = position_mm[instants[index].row]
-        if found := focus_spot(there, between(field, place), point, FOCUS_RADIUS_MM, spacing_mm):
+        if found := focus_spot(there, interpolate_frame(field, place), point, FOCUS_RADIUS_MM, spacing_mm):
             peak[index], off_mm[index] = abs(found.value), found.off_mm
             width_mm[index], artefact_db[index] = found.width_mm, found.artefact_db
     crosstalk = []

@@ -10,7 +10,7 @@ import numpy as np
 from PyQt5.QtWidgets import QWidget
 
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.scene.calculation import Driven, FocusFigures, PredictedField
+from wavefocus.gui.scene.calculation import DriveResult, FocusFigures, PredictedField
 from wavefocus.gui.theme import Themed
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.storage.units import quantity
@@ -34,7 +34,7 @@ class Figure:
     verdict: str = ""
 
 
-def drive_figures(driven: Driven) -> list[Figure]:
+def drive_figures(driven: DriveResult) -> list[Figure]:
     """Return the figures of the drives."""
     from wavefocus.rendering.drive.coil_limits import (  # loaded by then, by another thread
         RMS_WINDOW_S,

@@ -12,7 +12,7 @@ from PyQt5.QtWidgets import QGraphicsPathItem
 
 from wavefocus.config.messages.live import PointMm, SoundingSource
 from wavefocus.gui.scene.live_run import LIVE, LiveRun
-from wavefocus.gui.scene.preview import Ground, LivePreview
+from wavefocus.gui.scene.preview import Backdrop, LivePreview
 from wavefocus.gui.surface_view import MARK, STEPS, SurfaceView, rgba
 
 # A source follows its pointer at a steady rate; one at rest needs positions, too.
@@ -23,22 +23,22 @@ _SLACK = 1e-9
 MOUSE, KEYS = "mouse", "keys"
 
 
-def on_grid(ground: Ground, at_mm: PointMm) -> PointMm | None:
+def on_grid(backdrop: Backdrop, at_mm: PointMm) -> PointMm | None:
     """Return the place nearest to a point that a source can have.
 
     A source can be up to one grid spacing away from the position nearest to it; None where that position has no valid
     measurement, and without a bank.
     """
-    if ground.grid is None or ground.usable is None:
+    if backdrop.grid is None or backdrop.usable is None:
         return None
     point_mm = np.array([at_mm])
-    (row,), (distance_mm,) = ground.grid.nearest(point_mm)
-    if not ground.usable[row]:
+    (row,), (distance_mm,) = backdrop.grid.nearest(point_mm)
+    if not backdrop.usable[row]:
         return None
-    reach_mm = ground.grid.spacing_mm * (1.0 - _SLACK)
+    reach_mm = backdrop.grid.spacing_mm * (1.0 - _SLACK)
     if distance_mm <= reach_mm:
         return at_mm
-    position_mm = ground.grid.position_mm[row]
+    position_mm = backdrop.grid.position_mm[row]
     x_mm, y_mm = position_mm + reach_mm / distance_mm * (point_mm[0] - position_mm)
     return float(x_mm), float(y_mm)
 
@@ -71,9 +71,9 @@ class LiveSurface(SurfaceView):
         self._timer.timeout.connect(self._tick)
         run.changed.connect(self._show_run)
         run.figures_changed.connect(lambda: self.show_sounding(run.states[-1].sources))
-        live.ground_changed.connect(self._show_ground)
+        live.backdrop_changed.connect(self._show_backdrop)
         self.redraw()
-        self._show_ground()
+        self._show_backdrop()
 
     def show_sounding(self, sources: tuple[SoundingSource, ...]) -> None:
         """Draw a ring with its name around each source that sounds."""
@@ -171,14 +171,14 @@ class LiveSurface(SurfaceView):
 
     def _press(self, name: str, at: QPointF) -> None:
         self.setFocus(Qt.FocusReason.MouseFocusReason)
-        at_mm = on_grid(self._live.ground, self._mm(at))
+        at_mm = on_grid(self._live.backdrop, self._mm(at))
         if at_mm is not None:
             self._run.press(name, at_mm)
             self._show_spots()
 
     def _drag(self, name: str, at: QPointF) -> None:
         """Move a source; where it cannot follow it stays at the last place."""
-        at_mm = on_grid(self._live.ground, self._mm(at))
+        at_mm = on_grid(self._live.backdrop, self._mm(at))
         if at_mm is not None:
             self._run.move(name, at_mm)
             self._show_spots()
@@ -205,7 +205,7 @@ class LiveSurface(SurfaceView):
             step_mm = elapsed_s * (SLOW_KEY_SPEED_MM_S if self._slow else KEY_SPEED_MM_S)
             way = np.sum([STEPS[key] for key in self._steps], axis=0)
             x_mm, y_mm = self._key_mm + step_mm * way
-            self._key_mm = on_grid(self._live.ground, (float(x_mm), float(y_mm))) or self._key_mm
+            self._key_mm = on_grid(self._live.backdrop, (float(x_mm), float(y_mm))) or self._key_mm
             self._run.move(KEYS, self._key_mm)
             self._show_spots()
         self._run.send_places()
@@ -235,22 +235,22 @@ class LiveSurface(SurfaceView):
             self.show_sounding(())
         self._show_spots()
 
-    def _show_ground(self) -> None:
-        ground = self._live.ground
-        self.show_surface(ground.surface)
-        self.show_outline(ground.outline_mm)
+    def _show_backdrop(self) -> None:
+        backdrop = self._live.backdrop
+        self.show_surface(backdrop.surface)
+        self.show_outline(backdrop.outline_mm)
         self.show_everything()
         self._paint_positions()
         self._key_mm = None
-        if ground.surface is not None and ground.usable is not None and ground.usable.any():
-            places_mm = ground.surface.position_mm[ground.usable]
+        if backdrop.surface is not None and backdrop.usable is not None and backdrop.usable.any():
+            places_mm = backdrop.surface.position_mm[backdrop.usable]
             x_mm, y_mm = places_mm[np.hypot(*(places_mm - places_mm.mean(axis=0)).T).argmin()]
             self._key_mm = float(x_mm), float(y_mm)
 
     def _paint_positions(self) -> None:
         """Draw the positions; those without a valid measurement are faint."""
-        ground = self._live.ground
-        if ground.surface is not None and ground.usable is not None:
-            colours = np.tile(rgba(self.theme.cell), (ground.surface.positions, 1))
-            colours[~ground.usable] = rgba(self.theme.alternate)
+        backdrop = self._live.backdrop
+        if backdrop.surface is not None and backdrop.usable is not None:
+            colours = np.tile(rgba(self.theme.cell), (backdrop.surface.positions, 1))
+            colours[~backdrop.usable] = rgba(self.theme.alternate)
             self.paint(colours)

@@ -46,7 +46,7 @@ Samples = Float64Array | str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ground:
+class Backdrop:
     """What a scene is drawn over: a bank's surface, or only an outline.
 
     outline_mm, float64 (points, 2): Rim of the surface, closed; a rectangle about the positions where the bank does not
@@ -96,7 +96,7 @@ class Preview:
     """
 
     draft: SceneConfig
-    ground: Ground
+    backdrop: Backdrop
     traces: list[Trace]
     signal: Samples
     problem: str
@@ -109,14 +109,14 @@ class LivePreview(QObject):
     """Draws the latest scene whenever the one before is done, so that a long drag is seen all the while."""
 
     updated = pyqtSignal()
-    ground_changed = pyqtSignal()
+    backdrop_changed = pyqtSignal()
 
     def __init__(self, context: TabContext, document: SceneDocument) -> None:
         super().__init__(document)
         self._context, self._document = context, document
         self._background = Background(self)
-        self.ground = _bare_ground()
-        self.preview = Preview(document.draft, self.ground, [], "", "")
+        self.backdrop = _bare_backdrop()
+        self.preview = Preview(document.draft, self.backdrop, [], "", "")
         self._busy = self._stale = self._ended = False
         self._lost: Path | None = None
         self._rig: Path | None = None
@@ -135,9 +135,9 @@ class LivePreview(QObject):
         if self._ended:
             return
         if bank is None:
-            self._use_ground(_bare_ground(self._rig))
+            self._use_backdrop(_bare_backdrop(self._rig))
         else:
-            self._background.ask("ground", partial(_ground_of, bank), self._use_ground, partial(self._no_bank, bank))
+            self._background.ask("bank", partial(_backdrop_of, bank), self._use_backdrop, partial(self._no_bank, bank))
 
     def use_rig(self, rig: Path | None) -> None:
         """Draw on the surface of a rig while there is no bank."""
@@ -162,7 +162,7 @@ class LivePreview(QObject):
             return
         self._busy, self._stale = True, False
         document = self._document
-        work = partial(preview_of, document.draft, document.chosen, self.ground, document.place, document.allow_large)
+        work = partial(preview_of, document.draft, document.chosen, self.backdrop, document.place, document.allow_large)
         self._background.ask("scene", work, self._show, self._fail)
 
     def _show(self, preview: Preview) -> None:
@@ -178,18 +178,18 @@ class LivePreview(QObject):
 
     def _no_bank(self, bank: Path, why: Exception) -> None:
         if self._document.bank == bank:
-            self._show_ground(_bare_ground(self._rig))
+            self._show_backdrop(_bare_backdrop(self._rig))
             self._lost = None if bank.exists() else bank
         self._context.report_failure(why, _TOPIC)
 
-    def _use_ground(self, ground: Ground) -> None:
+    def _use_backdrop(self, backdrop: Backdrop) -> None:
         self._lost = None
         self._context.settle(_TOPIC)
-        self._show_ground(ground)
+        self._show_backdrop(backdrop)
 
-    def _show_ground(self, ground: Ground) -> None:
-        self.ground = ground
-        self.ground_changed.emit()
+    def _show_backdrop(self, backdrop: Backdrop) -> None:
+        self.backdrop = backdrop
+        self.backdrop_changed.emit()
         self._ask()
 
 
@@ -224,14 +224,14 @@ def problem_of(preview: Preview) -> str:
     """Return what is wrong with a scene; empty where nothing is."""
     if not preview.draft.source or preview.problem:
         return preview.problem if preview.draft.source else ""
-    ground, problems = preview.ground, []
-    if ground.grid is None:
+    backdrop, problems = preview.backdrop, []
+    if backdrop.grid is None:
         return ""
     for index, trace in enumerate(preview.traces):
         off, drawn = int(trace.off.sum()), len(trace.points_mm)
         if off:
             share = f"{off} of {drawn}" if drawn == trace.points else f"{off / drawn:.0%} of its"
-            reach = f"over {ground.grid.spacing_mm:.3g} mm from every position"
+            reach = f"over {backdrop.grid.spacing_mm:.3g} mm from every position"
             where = reach if trace.far else "without a measurement"
             problems.append(f"source {index}: {share} points (crosses) are {where}: move the path, or measure there")
     return "; ".join(problems[:2]) + (f"; and {len(problems) - 2} more" if len(problems) > 2 else "")
@@ -243,16 +243,16 @@ def _duration(seconds: float) -> str:
     return f"{seconds * 1e3:.4g} ms" if 0 < seconds < 1 else f"{seconds:.4g} s"
 
 
-def _bare_ground(rig: Path | None = None) -> Ground:
+def _bare_backdrop(rig: Path | None = None) -> Backdrop:
     """The outline of a rig file's surface; the default one without a file that can be read."""
     table: object = {}
     if rig is not None:
         with suppress(InputError):  # reported by what plays on it
             table = read_toml(rig).get("surface", {})
-    return Ground(surface_from(table).outline.line(180))
+    return Backdrop(surface_from(table).outline.line(180))
 
 
-def _ground_of(path: Path) -> Ground:
+def _backdrop_of(path: Path) -> Backdrop:
     from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid  # loads scipy and h5py, in a thread
     from wavefocus.rendering.greens.source import usable
     from wavefocus.storage.bank.reading import open_bank
@@ -263,10 +263,10 @@ def _ground_of(path: Path) -> Ground:
     if outline_mm is None:
         (left, bottom), (right, top) = surface.position_mm.min(axis=0), surface.position_mm.max(axis=0)
         outline_mm = np.array([[left, bottom], [right, bottom], [right, top], [left, top], [left, bottom]])
-    return Ground(outline_mm, surface.sample_rate_hz, surface, PositionGrid(surface.position_mm), allowed)
+    return Backdrop(outline_mm, surface.sample_rate_hz, surface, PositionGrid(surface.position_mm), allowed)
 
 
-def preview_of(draft: SceneConfig, chosen: int, ground: Ground, place: Path, allow_large: bool) -> Preview:
+def preview_of(draft: SceneConfig, chosen: int, backdrop: Backdrop, place: Path, allow_large: bool) -> Preview:
     """Build the scene as commands do, and sample its sources as far as they are drawn.
 
     chosen: Index of the source whose signal is wanted; -1 for none.
@@ -284,16 +284,16 @@ def preview_of(draft: SceneConfig, chosen: int, ground: Ground, place: Path, all
             traces.append(_not_drawn(problem))
             signal = problem if index == chosen else signal
             continue
-        samples = _samples(source.signal, _file_time(table), ground.sample_rate_hz)  # type: ignore[arg-type]  # is frozen
+        samples = _samples(source.signal, _file_time(table), backdrop.sample_rate_hz)  # type: ignore[arg-type]  # is frozen
         if index == chosen:
             signal = samples if isinstance(samples, str) else table.amplitude * samples
-        signal_s = 0.0 if isinstance(samples, str) else len(samples) / ground.sample_rate_hz
+        signal_s = 0.0 if isinstance(samples, str) else len(samples) / backdrop.sample_rate_hz
         try:
-            traces.append(_drawn(source, index, ground, float(getattr(source.signal, "duration_s", signal_s))))
+            traces.append(_drawn(source, index, backdrop, float(getattr(source.signal, "duration_s", signal_s))))
         except WavefocusError as error:
             traces.append(_not_drawn(str(error)))
     problem = problem or next((trace.problem for trace in traces if trace.problem), "")
-    return Preview(draft, ground, traces, signal, problem)
+    return Preview(draft, backdrop, traces, signal, problem)
 
 
 def _alone(draft: SceneConfig, source: SourceTable, place: Path, allow_large: bool) -> Source | None:
@@ -321,7 +321,7 @@ def _samples(signal: Signal, _file_time_ns: int, rate_hz: float) -> Samples:
         return " ".join(str(error).split())
 
 
-def _drawn(source: Source, index: int, ground: Ground, signal_s: float) -> Trace:
+def _drawn(source: Source, index: int, backdrop: Backdrop, signal_s: float) -> Trace:
     from wavefocus.rendering.scene.sampling import point_count
     from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
 
@@ -342,10 +342,10 @@ def _drawn(source: Source, index: int, ground: Ground, signal_s: float) -> Trace
     if not np.isfinite(points_mm).all():
         raise InputError("a path point is further away than numbers reach")
     rows, off, far = np.zeros(0, np.int64), np.zeros(len(points_mm), np.bool_), 0
-    if ground.grid is not None and ground.usable is not None:
-        rows, distance_mm = ground.grid.nearest(points_mm)
-        too_far = distance_mm > ground.grid.spacing_mm * (1.0 + 1e-9) + 1e-9
-        off, far = too_far | ~ground.usable[rows], int(too_far.sum())
+    if backdrop.grid is not None and backdrop.usable is not None:
+        rows, distance_mm = backdrop.grid.nearest(points_mm)
+        too_far = distance_mm > backdrop.grid.spacing_mm * (1.0 + 1e-9) + 1e-9
+        off, far = too_far | ~backdrop.usable[rows], int(too_far.sum())
     return Trace(
         line_mm=path_line(source.path, int(min(_LINE_POINTS_PER_MM * source.path.length_mm, _MOST_LINE_POINTS)) + 3),
         points_mm=points_mm,

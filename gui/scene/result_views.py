@@ -12,8 +12,8 @@ from PyQt5.QtCore import QSize, Qt
 from PyQt5.QtWidgets import QWidget
 
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.field_map import FieldMap, Plot, Real, thinning_curve, whole_ticks
-from wavefocus.gui.scene.calculation import Driven, PredictedField, between
+from wavefocus.gui.field_map import FieldMap, Plot, Real, decimating_curve, whole_ticks
+from wavefocus.gui.scene.calculation import DriveResult, PredictedField, interpolate_frame
 from wavefocus.gui.theme import Themed
 from wavefocus.gui.time_slider import TimeSlider
 from wavefocus.storage.units import quantity
@@ -31,7 +31,7 @@ class DrivesView(Themed, QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self.driven: Driven | None = None
+        self.driven: DriveResult | None = None
         tip = "All drives, or the drive of one actuator with its limit (V)"
         self.actuator = ui.choice("Actuator shown", tip, [_ALL])
         tip = "Draw each actuator's drive to its own peak, so that weak ones are seen, too"
@@ -50,7 +50,7 @@ class DrivesView(Themed, QWidget):
     def sizeHint(self) -> QSize:  # noqa: N802
         return QSize(480, 300)
 
-    def show_driven(self, driven: Driven | None) -> None:
+    def show_driven(self, driven: DriveResult | None) -> None:
         """Show drives, or none."""
         self.driven = driven
         if driven is not None and self.actuator.count() != len(driven.drive_v) + 1:
@@ -92,7 +92,7 @@ class TracePlot(Plot):
             line.hide()
             self.getPlotItem().addItem(line)
 
-    def show_driven(self, driven: Driven | None, chosen: int, *, own_scale: bool = False) -> None:
+    def show_driven(self, driven: DriveResult | None, chosen: int, *, own_scale: bool = False) -> None:
         plot, theme = self.getPlotItem(), self.theme
         self._zero.setPen(pyqtgraph.mkPen(theme.faint, style=Qt.PenStyle.DotLine))
         self._zero.setVisible(driven is not None)
@@ -136,7 +136,7 @@ class TracePlot(Plot):
         """Curves are reused: thinned ones cannot be taken out of a plot."""
         pen = pyqtgraph.mkPen(self.theme.traces[0], width=width)
         while len(self._curves) < len(curves):
-            self._curves.append(thinning_curve())
+            self._curves.append(decimating_curve())
             self.getPlotItem().addItem(self._curves[-1])
         for number, curve in enumerate(self._curves):
             shown = number < len(curves)
@@ -163,7 +163,7 @@ class LevelPlot(Plot):
             " dashed the limit of the peak, dotted that of the rms"
         )
 
-    def show_driven(self, driven: Driven, chosen: int) -> None:
+    def show_driven(self, driven: DriveResult, chosen: int) -> None:
         plot, theme = self.getPlotItem(), self.theme
         count = len(driven.peak_v)
         plot.setLabel("left", f"level ({driven.unit})")
@@ -196,7 +196,7 @@ class GainPlot(Plot):
         super().__init__("n(x) along the paths", "time (s)", "n(x) (dB)", axis_px=_NARROW_PX)
         self.setToolTip("n(x) of eq. (15) relative to its largest: low where the surface is focused on easily")
 
-    def show_driven(self, driven: Driven) -> None:
+    def show_driven(self, driven: DriveResult) -> None:
         plot, theme = self.getPlotItem(), self.theme
         known = np.isfinite(driven.gain) & (driven.gain > 0)
         if not known.any():
@@ -219,7 +219,7 @@ class FieldView(Themed, QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self.driven: Driven | None = None
+        self.driven: DriveResult | None = None
         self.predicted: PredictedField | None = None
         self.map = FieldMap("response")
         self.slider = TimeSlider()
@@ -239,7 +239,7 @@ class FieldView(Themed, QWidget):
         self.colours.currentIndexChanged.connect(self._rescale)
         self.span.valueChanged.connect(self._rescale)
 
-    def show_field(self, driven: Driven, predicted: PredictedField) -> None:
+    def show_field(self, driven: DriveResult, predicted: PredictedField) -> None:
         """Show another field, at the same instant, position and part of the surface as far as it has them."""
         former, view, marked = self.predicted, self.map.box.viewRect(), self.map.marked
         at_s = None if former is None else self.slider.time_s
@@ -308,7 +308,7 @@ class FieldView(Themed, QWidget):
         predicted = self.predicted
         if predicted is None:
             return
-        values = between(predicted.field, sample / predicted.finer)
+        values = interpolate_frame(predicted.field, sample / predicted.finer)
         self.map.show_values(values if self.map.signed else np.abs(values))
         self.map.show_sources(self.sources_mm(self.slider.time_s))
         self.waveform.show_time(self.slider.time_s)
@@ -319,7 +319,7 @@ class ResponsePlot(Plot):
 
     def __init__(self) -> None:
         super().__init__("Response of the position that was clicked", "time (s)", "", axis_px=60)
-        self.curve, self._now = thinning_curve(), pyqtgraph.InfiniteLine(0.0)
+        self.curve, self._now = decimating_curve(), pyqtgraph.InfiniteLine(0.0)
         for item in (self.curve, self._now):
             self.getPlotItem().addItem(item)
         self.clear_response()

@@ -15,7 +15,7 @@ from wavefocus.gui.files import PathField, choose_place, names_virtual_rig
 from wavefocus.gui.scene.calculation import (
     Answer,
     Calculation,
-    Driven,
+    DriveResult,
     Finished,
     FocusFigures,
     PredictedField,
@@ -154,7 +154,7 @@ class ResultsPanel(QWidget):
         self._context, self._document = context, document
         self.calculation = Calculation(context.front)
         self._wanted = self._stopped = False
-        self.driven: Driven | None = None
+        self.driven: DriveResult | None = None
         self.predicted: PredictedField | None = None
         self.complete = False
         self.drives, self.field, self.figures = DrivesView(), FieldView(), FiguresView()
@@ -256,7 +256,7 @@ class ResultsPanel(QWidget):
         match answer:
             case Progress():
                 self._show_progress(answer.stage, answer.share)
-            case Driven():
+            case DriveResult():
                 self.driven = answer
                 self.drives.show_driven(answer)
                 self.figures.show_figures(drive_figures(answer), answer.warnings)

@@ -92,7 +92,7 @@ class SourceActions(QObject):
     def add_drawing(self, file: Path) -> None:
         """Add the first path of an SVG file, in the middle of the surface and of a size that fits."""
         self._context.settings.keep("folder/.svg", str(file.parent))
-        (left, bottom), (right, top) = box_of(self._live.ground.outline_mm.tolist())
+        (left, bottom), (right, top) = box_of(self._live.backdrop.outline_mm.tolist())
         middle = (left + right) / 2, (bottom + top) / 2
         work = partial(_fitted, file, (right - left, top - bottom), middle)
         self._context.background.ask("fit", work, self.add, self._context.report_failure)

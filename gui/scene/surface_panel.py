@@ -88,7 +88,7 @@ class SurfacePanel(Themed, QWidget):
     def _show_preview(self) -> None:
         preview = self._live.preview
         if preview.draft == self._document.draft:
-            self.signal.show_signal(preview.signal, preview.ground.sample_rate_hz)
+            self.signal.show_signal(preview.signal, preview.backdrop.sample_rate_hz)
         self.colours.show_range("Focus instant", "s", span_s(preview.traces))
         self.problem = in_window(problem_of(preview))
         self.redraw()

@@ -69,7 +69,7 @@ class SceneTab(Tab):
         bar.rig_field.chosen.connect(lambda path: context.share(self, FileKind.RIG, path))
         self.acts.added.connect(self._added)
         self.live.updated.connect(self._show_preview)
-        self.live.ground_changed.connect(self._show_unit)
+        self.live.backdrop_changed.connect(self._show_unit)
         self.document.edited.connect(self._show_possible)
         self.document.chosen_changed.connect(self._show_possible)
         self.document.file_changed.connect(self._show_possible)
@@ -240,7 +240,7 @@ class SceneTab(Tab):
             field.selectAll()
 
     def _show_unit(self) -> None:
-        surface = self.live.ground.surface
+        surface = self.live.backdrop.surface
         self.source_form.show_unit("" if surface is None else response_unit(surface.unit))
 
     def _show_preview(self) -> None:

@@ -26,11 +26,11 @@ from wavefocus.gui.scene.drives_and_foci import (
     missing_rows,
     missing_text,
     render_while_edited,
-    stricter,
     summarise,
 )
 from wavefocus.gui.surface import Surface, surface_of
 from wavefocus.rendering.arrays import Int64Array
+from wavefocus.rendering.drive.coil_limits import DriveLimits
 from wavefocus.rendering.field.bank_spectra import LARGEST_FACTOR, PASSED, BankSpectra
 from wavefocus.rendering.field.foci import loudest_instants
 from wavefocus.rendering.field.prediction import Prediction, field_unit, measured_positions
@@ -245,7 +245,9 @@ class Calculator:
             self._send(Progress(number, "drives", done / total))
 
         report(0, 1)
-        limits = stricter(scene.output, rig)
+        limits = DriveLimits(scene.output.limit_v, scene.output.limit_rms_v)
+        if rig is not None:
+            limits = limits.with_limits(rig.drive)
         try:
             rendered = render_while_edited(scene, bank, limits, report)
         except InputError as refused:

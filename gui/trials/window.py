@@ -58,7 +58,7 @@ class TrialsWindow(QMainWindow):
         assert isinstance(application, QApplication)
         set_theme(application, theme_named(settings.text("theme", "system"), application.palette()))
         self.setWindowTitle("Trials - wavefocus")
-        self.mishaps: list[str] = []
+        self.tracebacks: list[str] = []
         """Tracebacks of errors that nobody caught."""
         self._error_hook = ErrorHook(self._report_error, self.close)
         self._error_hook.install()
@@ -226,7 +226,7 @@ class TrialsWindow(QMainWindow):
     def _report_error(self, sentence: str, details: str) -> None:
         """Show an error that nobody caught to the experimenter; the session goes on."""
         if details:
-            self.mishaps.append(details)
+            self.tracebacks.append(details)
         ui.put(self.strip.note, sentence)
         self.strip.show()
 

@@ -13,7 +13,7 @@ from PyQt5.QtCore import Qt, pyqtSignal
 from PyQt5.QtWidgets import QGraphicsItem, QSizePolicy, QToolButton, QWidget
 
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.field_map import FieldMap, Plot, scaled_unit, symmetric_levels, thinned
+from wavefocus.gui.field_map import FieldMap, Plot, decimate, scaled_unit, symmetric_levels
 from wavefocus.gui.theme import Theme, Themed
 from wavefocus.gui.time_slider import TimeSlider
 from wavefocus.gui.verification.run import Results
@@ -197,7 +197,7 @@ class WaveformPanel(Themed, QWidget):
             ("scan", scanned, 1.2),
             ("difference", scanned - predicted, 1.0),
         ):
-            x, y = thinned(time_ms, factor * values)
+            x, y = decimate(time_ms, factor * values)
             line = plot.plot(x, y, pen=pyqtgraph.mkPen(colours[name], width=width), connect="finite")
             # Cached: the mark of the instant moves over it twenty times a second.
             line.curve.setCacheMode(QGraphicsItem.CacheMode.DeviceCoordinateCache)

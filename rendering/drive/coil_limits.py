@@ -48,6 +48,16 @@ class DriveLimits:
     peak_key: str = "limit_v"
     rms_key: str = "limit_rms_v"
 
+    def with_limits(self, other: DriveLimits) -> DriveLimits:
+        """Return the smaller limits of both with their keys; of equal ones this one's."""
+
+        def volts(limit: tuple[float | None, str]) -> float:
+            return math.inf if limit[0] is None else limit[0]
+
+        peak_v, peak_key = min((self.peak_v, self.peak_key), (other.peak_v, other.peak_key), key=volts)
+        rms_v, rms_key = min((self.rms_v, self.rms_key), (other.rms_v, other.rms_key), key=volts)
+        return DriveLimits(peak_v, rms_v, peak_key, rms_key)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reached:

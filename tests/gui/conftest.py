@@ -127,7 +127,7 @@ def open_window(qtbot: QtBot, memory: Settings) -> Generator[Callable[..., Windo
         if own is not None and own.running:  # a test that failed leaves nothing running
             own.interrupt()
         window.close_at_once()
-        assert window.mishaps == []
+        assert window.tracebacks == []
         window.deleteLater()
 
 

@@ -100,7 +100,7 @@ def test_given_a_rig_without_a_bank_then_scenes_are_drawn_on_its_surface(
     rig = tmp_path / "rig.toml"
     rig.write_text('[rig]\nname = "disc"\n[surface]\nlength_mm = 180.0\nwidth_mm = 120.0\n', encoding="utf-8")
     window = open_window(rig)
-    outline_mm = tab_of(window, SceneTab).live.ground.outline_mm
+    outline_mm = tab_of(window, SceneTab).live.backdrop.outline_mm
     assert np.ptp(outline_mm, axis=0) == pytest.approx([180.0, 120.0], abs=0.1)
 
 
@@ -195,13 +195,13 @@ def test_given_a_bank_that_is_gone_and_comes_back_then_the_message_goes(
 ) -> None:
     window = open_window(finished)
     tab = shown_tab(window, SceneTab)
-    wait(qtbot, lambda: tab.live.ground.surface is not None)
+    wait(qtbot, lambda: tab.live.backdrop.surface is not None)
     aside = finished.rename(finished.with_name("aside.h5"))
     tab.live.read_bank()
     wait(qtbot, lambda: "does not exist" in window.messages.sentence or "moved" in window.messages.sentence)
-    wait(qtbot, lambda: tab.live.ground.surface is None)
+    wait(qtbot, lambda: tab.live.backdrop.surface is None)
     aside.rename(finished)
-    wait(qtbot, lambda: tab.live.ground.surface is not None and window.messages.sentence == "")
+    wait(qtbot, lambda: tab.live.backdrop.surface is not None and window.messages.sentence == "")
 
 
 def test_given_no_message_then_the_tabs_begin_below_the_menus_and_the_bar_is_at_the_bottom(
@@ -259,7 +259,7 @@ def test_given_a_new_source_then_it_begins_at_a_hundredth_in_the_unit_of_the_ban
     window = open_window(finished)
     tab = draw(window)
     shown_tab(window, SceneTab)
-    wait(qtbot, lambda: tab.live.ground.surface is not None)
+    wait(qtbot, lambda: tab.live.backdrop.surface is not None)
     source = tab.document.source
     assert source is not None
     assert source.amplitude == 0.01

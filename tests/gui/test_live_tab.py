@@ -31,7 +31,7 @@ def live_page(qtbot: QtBot, window: Window, bank: Path, rig: str = "") -> SceneT
     tab.results.bar.rig_field.line.setText(rig or str(bank.with_name("rig.toml")))
     tab.results.bar.rig_field.line.editingFinished.emit()
     tab.modes[LIVE_PAGE].click()
-    wait(qtbot, lambda: tab.live.ground.surface is not None)
+    wait(qtbot, lambda: tab.live.backdrop.surface is not None)
     return tab
 
 

@@ -63,7 +63,7 @@ def test_given_every_action_of_every_menu_in_every_tab_then_no_error_is_raised(
             QApplication.processEvents()
             triggered += action.isEnabled()
             close_dialogs(window)
-            assert window.mishaps == [], action.text()
+            assert window.tracebacks == [], action.text()
     assert triggered > 10
     rig = tab_of(window, RigTab)
     rig.examination.cancel()

@@ -13,7 +13,15 @@ from tests.gui.conftest import RIG, line_scene
 from wavefocus.__main__ import run
 from wavefocus.commands.gui import front_door
 from wavefocus.config.scene import Regularisation, SceneConfig
-from wavefocus.gui.scene.calculation import Answer, Driven, Finished, FocusFigures, PredictedField, Request, between
+from wavefocus.gui.scene.calculation import (
+    Answer,
+    DriveResult,
+    Finished,
+    FocusFigures,
+    PredictedField,
+    Request,
+    interpolate_frame,
+)
 from wavefocus.gui.scene.draft import changed, scene_toml
 from wavefocus.gui.scene.drives_and_foci import emission_s, render_while_edited
 from wavefocus.gui.scene.worker import Calculator, SupersededError
@@ -70,7 +78,7 @@ def test_given_a_scene_then_drives_and_field_are_those_of_render_and_predict(
     draft = scene_draft(4.5, saturation, limit_v, emission)
     listener = Listener()
     assert listener.calculate(draft, finished)
-    driven, begun = listener.one(Driven), listener.one(PredictedField)
+    driven, begun = listener.one(DriveResult), listener.one(PredictedField)
     scene_file = finished.with_name("scene.toml")
     scene_file.write_text(scene_toml(draft), encoding="utf-8")
     out = finished.with_name("drive.h5")
@@ -90,7 +98,7 @@ def test_given_a_scene_then_drives_and_field_are_those_of_render_and_predict(
     largest = np.abs(whole).max()
     for place in (200.0, 260.0 + 2 / factor, 300.0 + 3 / factor):
         np.testing.assert_allclose(
-            between(field, place), whole[:, round(place * factor)], atol=3e-3 * largest
+            interpolate_frame(field, place), whole[:, round(place * factor)], atol=3e-3 * largest
         )  # fmt: skip
     figures = listener.one(FocusFigures)
     marks_s = np.array(begun.marks_s)
@@ -118,7 +126,7 @@ def test_given_a_rig_then_its_limits_count_where_they_are_stricter(finished: Pat
     rig.write_text(RIG + "\n[player]\nlimit_v = 0.02\ncoil_resistance_ohm = 8.0\nlimit_power_w = 1e-6\n", "utf-8")
     listener = Listener()
     assert listener.calculate(scene_draft(), finished, rig)
-    driven = listener.one(Driven)
+    driven = listener.one(DriveResult)
     assert driven.limits.peak_key == "player.limit_v"
     assert driven.limiting.decided_by == "player.limit_power_w"
     assert driven.rms_v.max() ** 2 / 8.0 == pytest.approx(1e-6, rel=1e-6)
@@ -141,7 +149,7 @@ def test_given_rows_that_are_not_measured_then_they_are_listed(finished: Path, t
     foreign_copy(finished, tmp_path / "filled.h5", missing=[]).replace(bank)
     assert listener.calculator.cache.changed(bank)
     assert listener.calculate(scene_draft(), bank)
-    assert listener.one(Driven).drive_v.any()
+    assert listener.one(DriveResult).drive_v.any()
     bank.unlink()
     assert not listener.calculate(scene_draft(), bank)
     assert "is missing" in listener.one(Finished).problem
@@ -196,7 +204,7 @@ def test_given_a_scene_of_hours_then_it_is_refused_at_once(finished: Path) -> No
 
 
 def test_given_a_newer_order_then_what_is_under_way_is_given_up(finished: Path) -> None:
-    listener = Listener(superseded_by=Driven)
+    listener = Listener(superseded_by=DriveResult)
     with pytest.raises(SupersededError):
         listener.calculate(scene_draft(), finished)
     assert not any(isinstance(one, PredictedField | Finished) for one in listener.told)

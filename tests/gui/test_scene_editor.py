@@ -90,11 +90,11 @@ def tab(qtbot: QtBot, window: Window) -> Generator[SceneTab]:
     shown.surface.snaps.setChecked(False)
     shown.surface.canvas.setFocus()
     window.messages.dismiss()
-    wait(qtbot, lambda: shown.surface.canvas.isVisible() and shown.live.ground.surface is None and shown.live.idle)
+    wait(qtbot, lambda: shown.surface.canvas.isVisible() and shown.live.backdrop.surface is None and shown.live.idle)
     shown.surface.canvas.box.autoRange()
     laid_out(shown.surface.canvas)
     yield shown
-    assert window.mishaps == []
+    assert window.tracebacks == []
 
 
 @pytest.fixture
@@ -257,13 +257,13 @@ def test_given_a_bank_then_points_are_snapped_coloured_and_those_off_its_grid_ar
     qtbot: QtBot, tab: SceneTab, finished: Path
 ) -> None:
     tab._bank_chosen(finished)
-    wait(qtbot, lambda: tab.live.ground.surface is not None)
+    wait(qtbot, lambda: tab.live.backdrop.surface is not None)
     laid_out(tab.surface.canvas)
     source = changed(new_source(LineTable(start_mm=(0.0, 0.0), end_mm=(4.5, 0.0))), step_mm=1.5)
     tab.document.edit("draw", SceneConfig(source=(source,)))
     settled(qtbot, tab)
     trace = tab.live.preview.traces[0]
-    surface = tab.live.ground.surface
+    surface = tab.live.backdrop.surface
     assert surface.position_mm[trace.rows].tolist() == trace.points_mm.tolist()
     assert not trace.off.any()
     assert tab.surface.problem == ""
@@ -530,7 +530,7 @@ def test_given_numbers_beyond_all_measure_then_sentences_say_so_and_nothing_else
     file.write_text(WILD, encoding="utf-8")
     tab.open_file(file)
     tab.document.use_bank(finished)
-    wait(qtbot, lambda: tab.live.preview.ground.surface is not None and tab.live.idle)
+    wait(qtbot, lambda: tab.live.preview.backdrop.surface is not None and tab.live.idle)
     point, circle, line = tab.live.preview.traces
     assert (point.points, point.far) == (1, 1)
     assert "later than numbers reach" in circle.problem

@@ -17,7 +17,7 @@ from pytestqt.qtbot import QtBot
 from tests.gui.conftest import LEFT, Opens, click, line_scene, pixel, wait
 from wavefocus.commands.gui import front_door
 from wavefocus.config.scene import SceneConfig
-from wavefocus.gui.scene.calculation import between
+from wavefocus.gui.scene.calculation import interpolate_frame
 from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.scene.draft import EMPTY
 from wavefocus.gui.scene.exports import DRIVE, IDLE, MOVIE, OPENING, PLAYING, RENDERING, WAV
@@ -113,7 +113,7 @@ def look_at_field(qtbot: QtBot, bench: Bench) -> None:
     assert view.slider.time_s == pytest.approx(begun.marks_s[1], abs=1.0 / (begun.sample_rate_hz * begun.finer))
     place = view.slider.sample / begun.finer
     shown = view.map.values * begun.limit / view.map.levels[1]
-    np.testing.assert_allclose(shown, between(field, place), rtol=1e-5)
+    np.testing.assert_allclose(shown, interpolate_frame(field, place), rtol=1e-5)
     at_mm = view.sources_mm(view.slider.time_s)
     np.testing.assert_allclose(at_mm, [[round(30.0 * view.slider.time_s / 1.5 - 0.5) * 1.5, 0.0]], atol=1e-9)
     view.colours.setCurrentIndex(1)

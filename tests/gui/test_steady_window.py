@@ -14,7 +14,7 @@ from tests.gui.conftest import Opens, campaign_of, tab_of, wait, write_lab
 from wavefocus.commands.gui import front_door
 from wavefocus.config.scene import SceneConfig, TextTable
 from wavefocus.gui.campaign.position_panel import GreenPlot, Greens
-from wavefocus.gui.field_map import MOST_COLUMNS, thinned
+from wavefocus.gui.field_map import MOST_COLUMNS, decimate
 from wavefocus.gui.scene.draft import new_source
 from wavefocus.gui.scene.exports import SceneTask
 from wavefocus.gui.scene.tab import SceneTab
@@ -70,7 +70,7 @@ def test_given_virtual_typed_as_a_rig_then_it_stays_a_word(qtbot: QtBot, open_wi
 def test_given_a_smooth_slope_then_thinning_makes_no_ripple_and_loses_no_peak(length: int) -> None:
     x = np.linspace(0.0, 1.0, length)
     for y in (x, -x, np.exp(-5 * x)):
-        few_x, few_y = thinned(x, y)
+        few_x, few_y = decimate(x, y)
         assert len(few_y) <= 2 * MOST_COLUMNS + 2 * length // MOST_COLUMNS
         assert (np.diff(few_x) >= 0).all()
         assert (np.diff(few_y) * np.sign(y[-1] - y[0]) >= 0).all()
@@ -78,7 +78,7 @@ def test_given_a_smooth_slope_then_thinning_makes_no_ripple_and_loses_no_peak(le
         assert few_y.max() == y.max()
     spike = np.zeros(length)
     spike[length // 3] = 1.0
-    few_x, few_y = thinned(x, spike)
+    few_x, few_y = decimate(x, spike)
     assert few_x[few_y.argmax()] == x[length // 3]
 
 

@@ -76,7 +76,7 @@ def start(qtbot: QtBot, memory: Settings, measured: Path, tmp_path: Path) -> Gen
         window.process.kill()
         qtbot.waitUntil(lambda window=window: not window.process.running, timeout=SOON_MS)
         window.close()
-        assert window.mishaps == []
+        assert window.tracebacks == []
         window.deleteLater()
 
 

@@ -63,7 +63,7 @@ def test_given_errors_in_slots_and_threads_then_they_are_messages_and_the_window
 
     QTimer.singleShot(0, slip)
     wait(qtbot, lambda: "a slip" in window.messages.sentence)
-    assert "in slip" in window.mishaps.pop()
+    assert "in slip" in window.tracebacks.pop()
     assert [button.text() for button in window.messages.buttons()] == ["Copy details"]
     QTimer.singleShot(0, mistake)
     wait(qtbot, lambda: window.messages.sentence == "plate.h5: this and that is wrong")
@@ -73,7 +73,7 @@ def test_given_errors_in_slots_and_threads_then_they_are_messages_and_the_window
     thread.join()
     assert window.messages.sentence == ""  # no widget is touched in the other thread
     wait(qtbot, lambda: "a slip" in window.messages.sentence)
-    assert "in slip" in window.mishaps.pop()
+    assert "in slip" in window.tracebacks.pop()
     wait(qtbot, lambda: campaign_of(window).campaign.measured == 12)
 
 

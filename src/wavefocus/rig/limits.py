@@ -53,12 +53,7 @@ def limits_of(player: PlayerSection) -> DriveLimits:
 
 def stricter(output: Output, player: PlayerSection) -> DriveLimits:
     """The limits of a scene and of a rig together."""
-    rig = limits_of(player)
-    peak = min(_known(output.limit_v, "limit_v"), _known(rig.peak_v, rig.peak_key))
-    rms = min(_known(output.limit_rms_v, "limit_rms_v"), _known(rig.rms_v, rig.rms_key))
-    return DriveLimits(
-        None if math.isinf(peak[0]) else peak[0], None if math.isinf(rms[0]) else rms[0], peak[1], rms[1]
-    )
+    return DriveLimits(output.limit_v, output.limit_rms_v).with_limits(limits_of(player))
 
 
 def check_drive(
@@ -86,10 +81,6 @@ def check_drive(
                 f"{source}: the drive of actuator {actuator} reaches {most_v:.4g} V{kind}; the rig's actuators may get"
                 f" {limit_v:.4g} V{kind} ({key}): {remedy.format(gain_db=f'{enough_db:.2f}')}"
             )
-
-
-def _known(limit_v: float | None, key: str) -> tuple[float, str]:
-    return (math.inf if limit_v is None else limit_v, key)
 
 
 # A bank made by other means holds no interface; then the WAV is in volts at the common rate.
