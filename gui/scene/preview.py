@@ -334,13 +334,13 @@ def _drawn(source: Source, index: int, backdrop: Backdrop, signal_s: float) -> T
     else:
         period_s = source.step_mm / source.speed_mm_s if moves else 0.0
         if not math.isfinite(source.start_s + points * period_s):
-            raise InputError("its last focus is later than numbers reach; raise speed_mm_s")
+            raise InputError(f"source {index}: its last focus is later than numbers reach; raise speed_mm_s")
         instant_s = np.asarray(source.start_s + number * period_s, np.float64)
         points_mm = source.path.point_at(number * (source.step_mm if points > 1 else 0.0))
         runs_on = source.emission == "continuous" and moves
         lasts_s = points * period_s if runs_on else (points - 1) * period_s + signal_s
     if not np.isfinite(points_mm).all():
-        raise InputError("a path point is further away than numbers reach")
+        raise InputError(f"source {index}: a path point is further away than numbers reach")
     rows, off, far = np.zeros(0, np.int64), np.zeros(len(points_mm), np.bool_), 0
     if backdrop.grid is not None and backdrop.usable is not None:
         rows, distance_mm = backdrop.grid.nearest(points_mm)

@@ -534,6 +534,8 @@ def test_given_numbers_beyond_all_measure_then_sentences_say_so_and_nothing_else
     point, circle, line = tab.live.preview.traces
     assert (point.points, point.far) == (1, 1)
     assert "later than numbers reach" in circle.problem
+    assert tab.surface.problem == circle.problem
+    assert circle.problem.startswith("source 1: ")
     assert "at most 100000000 are allowed" in line.problem
     told = []
     for index in range(3):
