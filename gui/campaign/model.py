@@ -13,15 +13,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.acquisition.wording import hours
+from wavefocus.acquisition.event_wording import sentence
 from wavefocus.config.messages.campaign import (
-    ConditionsSeen,
     CrosstalkMeasured,
     Drift,
     Event,
     Fault,
     Logged,
-    PassStarted,
     PositionCommitted,
     PositionKept,
     PositionRepeated,
@@ -29,15 +27,13 @@ from wavefocus.config.messages.campaign import (
     Progress,
     ReconnectTried,
     RecordTaken,
-    ScheduleSettled,
-    SessionEnded,
     SessionStarted,
     State,
     StateChanged,
     event_of,
 )
 from wavefocus.gui.advice import in_window
-from wavefocus.gui.campaign.quality import DAMAGED, status_text
+from wavefocus.gui.campaign.quality import DAMAGED
 from wavefocus.gui.front_door import Pulse
 from wavefocus.gui.surface import Surface
 from wavefocus.rendering.arrays import Float32Array
@@ -93,71 +89,23 @@ def line_of(logged: Logged) -> Line | None:
     if isinstance(logged.event, Progress | RecordTaken):
         return None
     position: int | None = getattr(logged.event, "position", None)
-    weight, sentence = _sentence(logged.event)
-    return Line(logged.at.timestamp(), weight, in_window(sentence), -1 if position is None else position)
+    text = in_window(sentence(logged.event))
+    return Line(logged.at.timestamp(), _weight(logged.event), text, -1 if position is None else position)
 
 
-def _sentence(event: Event) -> tuple[Weight, str]:
+def _weight(event: Event) -> Weight:
     match event:
-        case SessionStarted():
-            return Weight.NOTE, (
-                f"session begins: {event.done} of {event.positions} positions measured, {event.to_do} to do with "
-                f"{event.actuators} actuators; planned: {hours(event.planned_s)}"
-            )
-        case ScheduleSettled():
-            return Weight.NOTE, f"schedule: {event.chosen}: {event.reason}"
-        case StateChanged(state=state):
-            weights = {State.FAILED: Weight.FAULT, State.RECOVERING: Weight.WARNING, State.SUSPENDED: Weight.WARNING}
-            return weights.get(state, Weight.NOTE), f"{state}: {event.reason}"
-        case PositionStarted():
-            again = f", attempt {event.attempt}" if event.attempt > 1 else ""
-            return Weight.DETAIL, f"position {event.position} at ({event.x_mm:.1f}, {event.y_mm:.1f}) mm begins{again}"
-        case PositionCommitted():
-            parts = [status_text(event.status), *_quality_parts(event)]
-            reason = f": {event.reason}" if event.reason else ""
-            sentence = f"position {event.position} is measured: {', '.join(parts)}{reason}"
-            return Weight.DETAIL if event.status == VALID else Weight.WARNING, sentence
-        case PositionRepeated():
-            return Weight.WARNING, f"position {event.position} is measured again: {event.reason}"
-        case PositionKept():
-            return Weight.NOTE, f"position {event.position} keeps its earlier measurement: {event.reason}"
-        case PassStarted():
-            return Weight.NOTE, f"all that is not valid is measured again: {len(event.positions)} positions"
-        case Fault():
-            then = "trying again" if event.retried else "not tried again"
-            return Weight.FAULT, f"{event.instrument}: {event.operation}: {event.cause}; {event.remedy} ({then})"
-        case ReconnectTried():
-            attempt = f"{event.instrument}: attempt {event.number} to reconnect"
-            if event.connected:
-                return Weight.NOTE, f"{attempt} succeeded"
-            then = "" if event.next_try_s is None else f"; next attempt in {hours(event.next_try_s)}"
-            return Weight.WARNING, f"{attempt} failed: {event.outcome}{then}"
-        case CrosstalkMeasured():
-            if event.named:
-                return Weight.FAULT, event.reason
-            return Weight.NOTE, f"no crosstalk: {event.level_db:.0f} dB re the loopback"
-        case Drift():
-            weight = {"steady": Weight.NOTE, "warn": Weight.WARNING}.get(event.verdict, Weight.FAULT)
-            return weight, (
-                f"sentinel position {event.position}: level {event.level_db:+.2f} dB, delay "
-                f"{event.delay_samples:+.3f} samples, correlation {event.correlation:.5f}: {event.verdict}"
-                f"{f' ({event.cause})' if event.cause else ''}"
-            )
-        case ConditionsSeen():
-            return Weight.NOTE, f"{'conditions are back' if event.back else 'still suspended'}: {event.reason}"
-        case SessionEnded():
-            counts = ", ".join(f"{count} {word}" for word, count in event.counts.items() if count)
-            return Weight.NOTE, (
-                f"session over, {event.state}: {event.done} of {event.total} positions ({counts}); "
-                f"{hours(event.time_s)} on the rig's clock"
-            )
-    return Weight.DETAIL, event.tag["event"]
-
-
-def _quality_parts(event: PositionCommitted) -> list[str]:
-    """Quality of a position in words; NaN, where nothing could be estimated, is left out."""
-    parts = (("record's signal-to-noise ratio", event.snr_db), ("residual", event.residual_db))
-    return [f"{words} {value:.1f} dB" for words, value in parts if math.isfinite(value)]
+        case StateChanged(state=State.FAILED) | Fault() | CrosstalkMeasured(named=True):
+            return Weight.FAULT
+        case StateChanged(state=State.RECOVERING | State.SUSPENDED) | PositionRepeated() | Drift(verdict="warn"):
+            return Weight.WARNING
+        case ReconnectTried(connected=False):
+            return Weight.WARNING
+        case Drift(verdict=verdict) if verdict != "steady":
+            return Weight.FAULT
+        case PositionCommitted(status=status):
+            return Weight.DETAIL if status == VALID else Weight.WARNING
+    return Weight.DETAIL if isinstance(event, PositionStarted) else Weight.NOTE
 
 
 # A week of a night's events; older ones are in the log. Lines are dropped in blocks.
@@ -315,8 +263,8 @@ class Campaign:
         self.drift = points
         self._changed("drift")
 
-    def show_trouble(self, sentence: str, details: str) -> None:
-        self.trouble = sentence, details
+    def show_trouble(self, why: str, details: str) -> None:
+        self.trouble = why, details
 
     @property
     def measured(self) -> int:

@@ -170,7 +170,7 @@ def test_given_a_record_of_a_later_version_then_it_is_a_plain_line_and_changes_n
 @pytest.mark.smoke
 def test_given_an_event_then_its_line_is_a_sentence() -> None:
     logged = read_record(json.loads(event_line(SessionEnded(17.0, State.FINISHED, 6, 6, {"valid": 6}))))
-    assert line_of(logged).text == "session over, finished: 6 of 6 positions (6 valid); 17 s on the rig's clock"
+    assert line_of(logged).text == "finished: 6 of 6 positions (6 valid); 17 s on the rig's clock"
 
 
 def test_given_figures_per_actuator_then_each_position_has_its_own_and_unmeasured_ones_none() -> None:

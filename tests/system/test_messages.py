@@ -12,6 +12,7 @@ import pytest
 
 from tests.system.conftest import ACTUATORS
 from wavefocus.__main__ import run
+from wavefocus.acquisition.event_wording import sentence
 from wavefocus.config.messages.campaign import (
     Drift,
     Fault,
@@ -85,7 +86,7 @@ def test_given_a_finished_campaign_then_one_message_says_so(office, tmp_path):
         messenger(ended(State.FINISHED))
     (message,) = office.taken
     assert message["title"] == "plate.h5: finished"
-    assert "6 of 6 positions are in the bank (6 valid) after 2 h 00 min." in message["message"]
+    assert sentence(ended(State.FINISHED)) in message["message"]
 
 
 def test_given_a_failed_campaign_then_the_message_names_the_fault_the_remedy_and_the_way_on(office, tmp_path):

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
-
-from wavefocus.acquisition.wording import a_while, hours, row_ranges
+from wavefocus.acquisition.event_wording import sentence
+from wavefocus.acquisition.wording import a_while, hours
 from wavefocus.config.messages.campaign import (
     ConditionsSeen,
     CrosstalkMeasured,
@@ -48,54 +47,23 @@ class CampaignView:
         match event:
             case SessionStarted():
                 self._done, self._total = event.done, event.positions
-                say(
-                    f"{event.bank}: {event.done} of {event.positions} positions are in, {event.to_do} to do "
-                    f"with {event.actuators} actuators; planned: {hours(event.planned_s)}"
-                )
+                say(sentence(event))
                 for instrument in event.instruments:
                     say(f"  {instrument}")
             case StateChanged():
                 self._state(event)
-            case ConditionsSeen() if not event.back:
-                say(f"still suspended: {event.reason}")
             case Progress():
                 self._done, self._total, self._left = event.done, event.total, remaining(event)
                 self._report(self._done, self._total, self._left)
             case RecordTaken():
                 at = f"position {event.position}: record {event.record} of {event.records}"
                 self._report(self._done, self._total, f"{at}; {self._left}" if self._left else at)
-            case PositionRepeated():
-                self._repeats += 1
-                say(f"position {event.position} is measured again{_otherwise(event)}: {event.reason}")
-            case PositionCommitted() if any(name.startswith("neighbour ") for name in event.defects):
-                say(f"position {event.position} is poor: {event.reason}")
-            case PassStarted():
-                rows_text = row_ranges(event.positions)
-                say(f"{len(event.positions)} positions that are not valid are measured again: {rows_text}")
-            case PositionKept():
-                say(f"position {event.position} stays as the bank has it: {event.reason}")
-            case Fault():
-                then = "trying again" if event.retried else "not tried again"
-                say(f"{event.instrument}: {event.operation}: {event.cause}; {event.remedy} ({then})")
-            case ReconnectTried():
-                say(_reconnect_line(event))
-            case Drift() if event.occasion == "resume" or event.verdict != "steady":
-                say(
-                    f"sentinel position {event.position}: level {event.level_db:+.2f} dB, "
-                    f"delay {event.delay_samples:+.3f} samples, correlation {event.correlation:.5f}: "
-                    f"{event.verdict}{f' ({event.cause})' if event.cause else ''}"
-                )
-            case CrosstalkMeasured() if event.named and event.marked:
-                rows_text = row_ranges(event.marked)
-                say(f"{event.reason}; positions {rows_text} are poor, and so are the next while it lasts")
             case SessionEnded():
-                counts = ", ".join(f"{count} {word}" for word, count in event.counts.items() if count)
-                say(
-                    f"{event.state}: {event.done} of {event.total} positions ({counts}); "
-                    f"{hours(event.time_s)} on the rig's clock, {self._repeats} repeats"
-                )
+                say(f"{sentence(event)}, {self._repeats} repeats")
             case _:
-                pass
+                self._repeats += isinstance(event, PositionRepeated)
+                if _is_shown(event):
+                    say(sentence(event))
 
     def _state(self, event: StateChanged) -> None:
         """Report a state; while nothing is measured, no time is left that could be told."""
@@ -104,7 +72,7 @@ class CampaignView:
         elif self._former in _WAITING and event.state is State.RUNNING:
             self._report(self._done, self._total, self._left)
         if event.state in _TOLD or (event.state is State.RUNNING and self._former in _TOLD):
-            say(f"{event.state}: {event.reason}")
+            say(sentence(event))
         self._former = event.state
 
 
@@ -117,17 +85,17 @@ def remaining(event: Progress) -> str:
     return f"{note} (rig's clock: {hours(rig_s)} left)".strip()
 
 
-def _otherwise(event: PositionRepeated) -> str:
-    range_text = "" if event.response_range_v is None else f" with a range of {event.response_range_v:g} V"
-    moved_mm = math.hypot(*event.moved_mm)
-    return range_text + (f" {moved_mm:.2g} mm aside" if moved_mm else "")
-
-
-def _reconnect_line(event: ReconnectTried) -> str:
-    """One try for a fresh connection, and when the next one is."""
-    if event.connected:
-        return f"{event.instrument}: connected again (try {event.number})"
-    line = f"{event.instrument}: try {event.number} to connect again failed: {event.outcome}"
-    if event.next_try_s is None or event.gives_up_s is None:
-        return line
-    return f"{line}; next try in {hours(event.next_try_s)}, {hours(event.gives_up_s)} until giving up"
+def _is_shown(event: Event) -> bool:
+    """Whether a person at the terminal is to see an event; the log has all."""
+    match event:
+        case PositionRepeated() | PassStarted() | PositionKept() | Fault() | ReconnectTried():
+            return True
+        case PositionCommitted():
+            return any(name.startswith("neighbour ") for name in event.defects)
+        case ConditionsSeen():
+            return not event.back
+        case Drift():
+            return event.occasion == "resume" or event.verdict != "steady"
+        case CrosstalkMeasured():
+            return event.named and bool(event.marked)
+    return False

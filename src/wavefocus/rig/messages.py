@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
 
+from wavefocus.acquisition.event_wording import sentence
 from wavefocus.acquisition.wording import hours
 from wavefocus.campaign.supervision import resume_line
 from wavefocus.config.messages.campaign import (
@@ -158,19 +159,14 @@ class Messenger:
 
     def _take_drift(self, drift: Drift) -> None:
         if drift.verdict not in (self._drift_sent, "steady"):
-            figures = (
-                f"level {drift.level_db:+.2f} dB, delay {drift.delay_samples:+.2f} samples, "
-                f"correlation {drift.correlation:.3f} ({drift.verdict})"
-            )
-            self._send("drift", "drift", f"sentinel position {drift.position}: {figures}: {drift.cause}")
+            self._send("drift", "drift", sentence(drift))
         self._drift_sent = drift.verdict
 
     def _take_end(self, ended: SessionEnded) -> None:
-        counts = ", ".join(f"{count} {word}" for word, count in ended.counts.items() if count)
-        reason = "" if self._state is None else self._state.reason
-        text = f"{ended.done} of {ended.total} positions are in the bank ({counts}) after {hours(ended.time_s)}."
+        text = f"{sentence(ended)}."
         if ended.state is not State.FINISHED:
-            text = f"{reason}. {text} Go on with: {self._go_on}"
+            reason = "" if self._state is None else f"{self._state.reason}. "
+            text = f"{reason}{text} Go on with: {self._go_on}"
         if ended.state is State.FAILED and self._last_fault is not None:
             text += f" What to do: {self._last_fault.remedy}"
         self._send(str(ended.state), str(ended.state), text)

@@ -1,0 +1,100 @@
+"""One sentence for each event of a campaign: what the terminal, the window and messages to people show."""
+
+from __future__ import annotations
+
+import math
+
+from wavefocus.acquisition.wording import hours, row_ranges
+from wavefocus.config.messages.campaign import (
+    ConditionsSeen,
+    CrosstalkMeasured,
+    Drift,
+    Event,
+    Fault,
+    PassStarted,
+    PositionCommitted,
+    PositionKept,
+    PositionRepeated,
+    PositionStarted,
+    ReconnectTried,
+    ScheduleSettled,
+    SessionEnded,
+    SessionStarted,
+    StateChanged,
+)
+from wavefocus.storage.point_status import status_words
+
+
+def sentence(event: Event) -> str:
+    """An event in words, without a full stop; its name where there is nothing to add, as for progress."""
+    match event:
+        case SessionStarted():
+            return (
+                f"{event.bank}: {event.done} of {event.positions} positions are in, {event.to_do} to do "
+                f"with {event.actuators} actuators; planned: {hours(event.planned_s)}"
+            )
+        case ScheduleSettled():
+            return f"schedule: {event.chosen}: {event.reason}"
+        case StateChanged():
+            return f"{event.state}: {event.reason}"
+        case PositionStarted():
+            again = f", attempt {event.attempt}" if event.attempt > 1 else ""
+            return f"position {event.position} at ({event.x_mm:.1f}, {event.y_mm:.1f}) mm begins{again}"
+        case PositionCommitted():
+            parts = ", ".join([status_words(event.status).replace("+", ", "), *_quality(event)])
+            return f"position {event.position} is measured: {parts}{f': {event.reason}' if event.reason else ''}"
+        case PositionRepeated():
+            return f"position {event.position} is measured again{_otherwise(event)}: {event.reason}"
+        case PositionKept():
+            return f"position {event.position} stays as the bank has it: {event.reason}"
+        case PassStarted():
+            rows_text = row_ranges(event.positions)
+            return f"{len(event.positions)} positions that are not valid are measured again: {rows_text}"
+        case Fault():
+            then = "trying again" if event.retried else "not tried again"
+            return f"{event.instrument}: {event.operation}: {event.cause}; {event.remedy} ({then})"
+        case ReconnectTried():
+            return _reconnect(event)
+        case CrosstalkMeasured():
+            if not event.named:
+                return f"no crosstalk: {event.level_db:.0f} dB re the loopback"
+            if not event.marked:
+                return event.reason
+            return f"{event.reason}; positions {row_ranges(event.marked)} are poor, and so are the next while it lasts"
+        case Drift():
+            return (
+                f"sentinel position {event.position}: level {event.level_db:+.2f} dB, "
+                f"delay {event.delay_samples:+.3f} samples, correlation {event.correlation:.5f}: "
+                f"{event.verdict}{f' ({event.cause})' if event.cause else ''}"
+            )
+        case ConditionsSeen():
+            return f"{'conditions are back' if event.back else 'still suspended'}: {event.reason}"
+        case SessionEnded():
+            counts = ", ".join(f"{count} {word}" for word, count in event.counts.items() if count)
+            return (
+                f"{event.state}: {event.done} of {event.total} positions ({counts}); "
+                f"{hours(event.time_s)} on the rig's clock"
+            )
+    return event.tag["event"]
+
+
+def _quality(event: PositionCommitted) -> list[str]:
+    """Quality of a position in words; NaN, where nothing could be estimated, is left out."""
+    parts = (("record's signal-to-noise ratio", event.snr_db), ("residual", event.residual_db))
+    return [f"{words} {value:.1f} dB" for words, value in parts if math.isfinite(value)]
+
+
+def _otherwise(event: PositionRepeated) -> str:
+    range_text = "" if event.response_range_v is None else f" with a range of {event.response_range_v:g} V"
+    moved_mm = math.hypot(*event.moved_mm)
+    return range_text + (f" {moved_mm:.2g} mm aside" if moved_mm else "")
+
+
+def _reconnect(event: ReconnectTried) -> str:
+    """One try for a fresh connection, and when the next one is."""
+    if event.connected:
+        return f"{event.instrument}: connected again (try {event.number})"
+    line = f"{event.instrument}: try {event.number} to connect again failed: {event.outcome}"
+    if event.next_try_s is None or event.gives_up_s is None:
+        return line
+    return f"{line}; next try in {hours(event.next_try_s)}, {hours(event.gives_up_s)} until giving up"
