@@ -33,8 +33,8 @@ from wavefocus.drivers.audio.stream.signals import HALF_STEP
 from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
 from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.drivers.mirror.asi_tiger import AsiTiger
-from wavefocus.drivers.mirror.serial_mirror import SerialMirror
 from wavefocus.drivers.protocols import Float64Array, Instruments, RecordLabel, WallClock
+from wavefocus.drivers.serial_mirror import SerialMirror
 from wavefocus.mocks.virtual.settings import VirtualSettings
 
 MARK_OVERHEAD_S = 0.150

@@ -1,7 +1,7 @@
 """Stand-ins for a rig, all before one plate.
 
 =========================  ==================================================================
-`plates`                   `Plate`, `make_plate`: responses from actuators to positions, by name
+`plates`                   `Plate`, `making.make_plate`: responses from actuators to positions, by name
 `virtual.rig`              `VirtualRig`: a rig without wires, much faster than real time
 `wire.emulated_rig`        `EmulatedRig`: emulated devices behind real drivers
 =========================  ==================================================================

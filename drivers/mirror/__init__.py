@@ -1,1 +1,1 @@
-"""Scanning mirrors on serial lines: `serial_mirror.SerialMirror`, and one module for each dialect."""
+"""Scanning mirrors: one module for each dialect; those on serial lines use `wavefocus.drivers.serial_mirror`."""

@@ -10,9 +10,9 @@ from functools import reduce
 from typing import TypeVar
 
 from wavefocus.drivers.dialogue import Dialogue, Marker, Query, RefusedError, UnreadableError
-from wavefocus.drivers.mirror.serial_mirror import Dialect, tolerance_key
 from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.drivers.registry import MIRRORS
+from wavefocus.drivers.serial_mirror import Dialect, tolerance_key
 
 Answer = TypeVar("Answer")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.config.outline import Outline
-from wavefocus.config.plate import FINGER_MM
 from wavefocus.drivers.registry import Registry
 
 Float64Array = NDArray[np.float64]
@@ -99,27 +98,6 @@ class Plate(ABC):
     @abstractmethod
     def loudness(self, frequency_hz: Float64Array) -> Float64Array:
         """How strongly it responds to each frequency > 0, at no place in particular; the chain left out."""
-
-
-def make_plate(
-    name: str, actuator_mm: Float64Array, outline: Outline, chain: Chain, keys: Mapping[str, Any], warmer_k: float = 0.0
-) -> Plate:
-    """Make a plate by its name and the keys of its table, some kelvin above `REFERENCE_C`. Raises ValueError."""
-    own = {key: value for key, value in keys.items() if key not in ("edge", "speed_per_k", "loss_per_k", "finger")}
-    kind = PLATES.all()[f"{name}, infinite" if keys.get("edge") == "infinite" else name]
-    change = Change(1 + keys.get("speed_per_k", 0.0) * warmer_k, 1 + keys.get("loss_per_k", 0.0) * warmer_k)
-    if (finger := keys.get("finger")) is None:
-        return kind(actuator_mm, outline, chain, change=change, **own)
-    from wavefocus.mocks.plates.finger import TouchedPlate
-
-    if not outline.contains(finger["place_mm"], FINGER_MM):
-        raise ValueError(f"finger.place_mm is {finger['place_mm']}; it must be {FINGER_MM:g} mm within the outline")
-
-    plate = kind(actuator_mm, outline, np.ones_like, change=change, **own)
-    if name == "solid":
-        own["force_deg"] = own.get("oscillation_deg", 0.0)
-    beneath = kind(np.array([finger["place_mm"]]), outline, np.ones_like, change=change, **own)
-    return TouchedPlate(plate, beneath, chain, **finger)
 
 
 PLATES: Registry[type[Plate]] = Registry("wavefocus.mocks.plates")

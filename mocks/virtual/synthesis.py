@@ -11,8 +11,9 @@ import numpy as np
 import scipy
 
 from wavefocus.drivers.protocols import Float32Array, Float64Array
-from wavefocus.mocks.plates import REFERENCE_C, Complex64Array, Complex128Array, Plate, make_plate
+from wavefocus.mocks.plates import REFERENCE_C, Complex64Array, Complex128Array, Plate
 from wavefocus.mocks.plates.infinite import LONGEST_RINGING_S, impulse_length, phase_ramp
+from wavefocus.mocks.plates.making import make_plate
 from wavefocus.mocks.virtual.settings import VirtualSettings
 from wavefocus.mocks.virtual.signals import PlayedSignal
 

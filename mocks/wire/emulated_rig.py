@@ -172,7 +172,7 @@ DECODER_LATENCY_S = 8.16e-6
 class Wiring:
     """Which instrument is at the end of each wire, and where it is reached.
 
-    mirror_dialect: A dialect of `wavefocus.drivers.mirror.serial_mirror`.
+    mirror_dialect: A dialect of `wavefocus.drivers.serial_mirror`.
     mirror_port: Path of a link to make, or ``socket://HOST:PORT`` (port 0: any).
     mirror_full_scale_mrad: Optical angle at full deflection, see `mirror_device`.
     ni_product, ni_device, ni_address: Model of the NI box, its name, and HOST:PORT of its gRPC Device Server.

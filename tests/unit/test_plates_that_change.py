@@ -13,8 +13,8 @@ from scipy.sparse.linalg import splu
 from wavefocus.config.outline import Outline
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import Virtual
-from wavefocus.mocks.plates import make_plate
 from wavefocus.mocks.plates.finger import DISK_MM, DISK_WEIGHTS
+from wavefocus.mocks.plates.making import make_plate
 from wavefocus.mocks.plates.soft import SOFT_PLATE, UNIT_FORCE_N, DampedWave
 from wavefocus.mocks.plates.stadium import Elements, spacing_mm, triangulate
 from wavefocus.mocks.virtual.settings import VirtualSettings
@@ -128,7 +128,7 @@ def test_given_a_plate_in_the_rig_file_then_its_emulation_has_it_and_that_of_the
     assert virtual_settings(rig, Virtual(seed=5)).plate == "solid"
     plain = RigConfig().emulation
     assert plain.is_flawless
-    assert "plate" not in plain.truth()
+    assert "plate" not in plain.plan_values()
     assert not rig.emulation.is_flawless
 
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from wavefocus.drivers.mirror.serial_mirror import SerialMirror
 from wavefocus.drivers.protocols import WallClock
 from wavefocus.drivers.registry import MIRRORS
+from wavefocus.drivers.serial_mirror import SerialMirror
 from wavefocus.mocks.virtual.mirror import MirrorMotion
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial, PtyWire, SerialDevice, TcpWire, Wire, garble
 from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan

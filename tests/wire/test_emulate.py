@@ -9,8 +9,8 @@ import pytest
 from tests.wire.emulated import emulated_instruments, free_port, rig_text
 from wavefocus.__main__ import run
 from wavefocus.drivers.mirror.asi_tiger import AsiTiger
-from wavefocus.drivers.mirror.serial_mirror import SerialMirror
 from wavefocus.drivers.protocols import WallClock
+from wavefocus.drivers.serial_mirror import SerialMirror
 
 
 def told(capsys: pytest.CaptureFixture[str]) -> str:
