@@ -53,11 +53,11 @@ import wavefocus, numpy, scipy.fft, h5py, pydantic, rich, matplotlib, jinja2, so
 }
 
 # mypy, import-linter and editors look for a package's modules in its folder.
-link_rooms() {
+link_packages() {
     # git leaves wavefocus/__pycache__ of before at the root, where Python and the tools would find it first.
     [ ! -d wavefocus ] || [ -n "$(find wavefocus -type f ! -name '*.pyc')" ] || rm -rf wavefocus
-    for room in acquisition benchmarks calibration config drivers gui mocks rendering storage trials; do
-        link="src/wavefocus/$room"
+    for folder in acquisition benchmarks calibration config drivers gui mocks rendering storage trials; do
+        link="src/wavefocus/$folder"
         [ -e "$link/__init__.py" ] || .venv/bin/python -c '
 import os, subprocess, sys
 link, folder = sys.argv[1:]
@@ -65,7 +65,7 @@ if sys.platform == "win32":  # a junction, which needs no rights
     subprocess.run(["cmd", "/c", "mklink", "/J", link.replace("/", chr(92)), folder], check=True, stdout=subprocess.DEVNULL)
 else:
     os.symlink(os.path.join("..", "..", folder), link)
-' "$link" "$room"
+' "$link" "$folder"
     done
 }
 
@@ -79,7 +79,7 @@ install() {
 }
 
 whole || make_venv
-link_rooms
+link_packages
 [ "$(cat "$stamp" 2>/dev/null)" != "$wanted" ] || exit 0
 install
 if ! usable; then
