@@ -1,4 +1,4 @@
-"""Estimators side by side, a staggered night, and recordings streamed into a bank.
+"""Estimators side by side, a staggered campaign, and recordings streamed into a bank.
 
 Estimators: error of the Green's functions against run time, in one process.
 

@@ -1,11 +1,11 @@
 """Nights on the virtual rig: staggered and sequential campaigns, and recordings streamed into a bank.
 
-The night is that of the paper: 1500 positions, 20 actuators, 20-500 Hz, responses of 200 ms. Hours are those of the
+The campaign is that of the paper: 1500 positions, 20 actuators, 20-500 Hz, responses of 200 ms. Hours are those of the
 rig's own clock over the positions that were measured, the whole way through the engine into a bank, times the
-positions of the night; errors are those of the same positions against the rig's truth.
+positions of it; errors are those of the same positions against the rig's truth.
 
-Recordings that are streamed are a sample of a night with records of the same size, so that the figure per signal is
-the night's. Two free cores do as many a second as their processor time allows; on a shared machine
+Recordings that are streamed are a sample of a campaign with records of the same size, so that the figure per signal is
+the campaign's. Two free cores do as many a second as their processor time allows; on a shared machine
 wall time means less.
 
 Long responses at audio rates: 10 records of a linear sweep from 20 Hz to 20 kHz in 3 s at 48 kHz, of which the raw file
@@ -57,12 +57,12 @@ MARK_PER_S = 800.0
 MARK_MB = 500.0
 # Positions that are recorded; the others repeat them, for the estimator does not mind.
 DIFFERENT = 4
-# A night is longer than the loading of modules, the sample is not.
+# A campaign is longer than the loading of modules, the sample is not.
 PRELOADED = ("scipy.optimize", "scipy.signal", "wavefocus.estimation", "wavefocus.campaign.blueprint")
 
 
 def compare_nights(*, quick: bool = False) -> list[Point]:
-    """Hours and errors of nights, and the trial before a night on three plates."""
+    """Hours and errors of campaigns, and the trial before a campaign on three plates."""
     positions = 6 if quick else 60
     plain = VirtualSettings(dropout_probability=0.0, noise_v=NOISE_V)
     cubic = _cubic_per_v2(VirtualRig(plain))
@@ -93,7 +93,7 @@ def compare_nights(*, quick: bool = False) -> list[Point]:
 
 
 def measuring_times(*, quick: bool = False) -> list[Point]:
-    """Error of a night against its hours: length and number of sweeps, one after another and all at once."""
+    """Error of a campaign against its hours: length and number of sweeps, one after another and all at once."""
     settings = VirtualSettings(dropout_probability=0.0, noise_v=NOISE_V)
     positions = 3 if quick else 12
     sequential = [(s, n) for s in (0.5, 1.0, 2.0) for n in (1, 3)] if not quick else [(0.5, 1), (1.0, 3)]
@@ -114,7 +114,7 @@ def measuring_times(*, quick: bool = False) -> list[Point]:
 
 
 def _night(settings: VirtualSettings, positions: int, **schedule: Any) -> dict[str, float]:
-    """Measure some positions of the night, evenly spread, through the engine into a bank."""
+    """Measure some positions of the campaign, evenly spread, through the engine into a bank."""
     rig = VirtualRig(settings)
     rows = np.linspace(0, NIGHT - 1, positions).round().astype(np.int64)
     plan = sweep_plan(default_grid(rig)[rows], rig, **schedule)
@@ -157,7 +157,7 @@ def _cubic_per_v2(rig: VirtualRig) -> float:
 
 
 def _trial(plate: str, settings: VirtualSettings) -> list[Point]:
-    """Schedules as the trial before a night on a plate estimates them, and its choice."""
+    """Schedules as the trial before a campaign on a plate estimates them, and its choice."""
     rig = VirtualRig(settings)
     trial = run_trial(sweep_plan(default_grid(rig), rig, staggered=True), rig_setup(rig), 3.0)
     chosen = trial.verdict.chosen.name
@@ -173,7 +173,7 @@ def _trial(plate: str, settings: VirtualSettings) -> list[Point]:
 
 
 def stream_recordings(*, quick: bool = False) -> list[Point]:
-    """Record samples of nights and stream them into banks."""
+    """Record samples of campaigns and stream them into banks."""
     points = []
     with tempfile.TemporaryDirectory() as folder:
         for name, positions in (("sequential 3 x 1 s", 4 if quick else 50), ("staggered 240 ms", 20 if quick else 300)):

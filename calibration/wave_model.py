@@ -26,7 +26,7 @@ DISK_RADIUS = 1.15
 """Radius a of the disk, in wave numbers: room for what the damping smears."""
 FEWEST_DIRECTIONS = 16
 LARGEST_GROWTH = 8.0
-"""Nepers over a patch beyond which damping says no more: the far side does not reach this one."""
+"""Nepers over a patch beyond which damping cannot be measured: waves from one edge do not reach the other."""
 
 
 @dataclass(frozen=True, slots=True)

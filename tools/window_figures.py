@@ -165,7 +165,7 @@ def up(bank: Path) -> list[Point]:
 
 
 def followed(bank: Path, seconds: float) -> Point:
-    """A window that follows a run at a real night's pace."""
+    """A window that follows a run at a real campaign's pace."""
     with events(bank, NIGHT_PACE_S):
         share = child(bank, seconds)[2]
     return Point(

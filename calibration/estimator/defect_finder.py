@@ -72,7 +72,7 @@ def worst_of(defects: NDArray[np.void]) -> np.void:
 
 # Speckle takes the signal away for milliseconds.
 BURST_S = 0.005
-# Among some 1e9 windows and bins of a night none is this far above the floor by chance.
+# Among some 1e9 windows and bins of a campaign none is this far above the floor by chance.
 CHANCE = 1e-12
 # Clean records of the virtual rig stay 3 dB below the limit that chance alone would set; so do these.
 SPARE_DB = 3.0

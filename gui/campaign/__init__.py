@@ -1,1 +1,1 @@
-"""The Campaign tab: start, watch, interrupt and mend a night's measurement."""
+"""The Campaign tab: start, watch, interrupt and correct a campaign."""

@@ -108,7 +108,7 @@ def _weight(event: Event) -> Weight:
     return Weight.DETAIL if isinstance(event, PositionStarted) else Weight.NOTE
 
 
-# A week of a night's events; older ones are in the log. Lines are dropped in blocks.
+# A week of a campaign's events; older ones are in the log. Lines are dropped in blocks.
 KEPT_LINES = 20_000
 _DROPPED_AT = 22_000
 # A killed process may have logged its last event after its owner was last asked for.

@@ -86,7 +86,7 @@ def remarks(verification: Verification, drive: Drive, scan: Field | Scan) -> lis
         (
             not verification.symptoms and abs(fields.level_db) > NOTED_LEVEL_DB,
             f"The scan is {number(abs(fields.level_db), 'dB')} {'louder' if fields.level_db > 0 else 'quieter'} than"
-            " predicted. Check that amplifier volume and vibrometer sensitivity are those of the night in which the"
+            " predicted. Check that amplifier volume and vibrometer sensitivity are those of the campaign in which the"
             " bank was measured.",
         ),
         (

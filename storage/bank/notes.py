@@ -1,4 +1,4 @@
-"""Dated notes that people add to a bank, kept in it: which finger, which bolt, what was odd that night."""
+"""Dated notes that people add to a bank, kept in it: which finger, which bolt, what was unusual in the measurement."""
 
 from __future__ import annotations
 

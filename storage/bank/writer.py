@@ -25,7 +25,7 @@ __all__ = ["BankWriter", "create_bank", "write_bank"]
 
 Float32Array = NDArray[np.float32]
 
-# The reference's level is the median of so many positions: an output's level moves within a night.
+# The reference's level is the median of so many positions: an output's level changes within a campaign.
 _LATEST = 30
 
 

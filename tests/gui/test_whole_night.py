@@ -1,4 +1,4 @@
-"""A whole night with the mouse alone: measured, interrupted, resumed, mended, drawn, rendered, verified."""
+"""A whole campaign with the mouse only: measured, interrupted, resumed, corrected, drawn, rendered, verified."""
 
 from __future__ import annotations
 

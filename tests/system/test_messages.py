@@ -1,4 +1,4 @@
-"""Messages of the night: real addresses of a real web server on this machine, through apprise."""
+"""Messages about a campaign: real addresses of a real web server on this machine, through apprise."""
 
 from __future__ import annotations
 

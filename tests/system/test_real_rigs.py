@@ -1,4 +1,4 @@
-"""Rigs with real drivers, at the front door: dry runs need no instrument, and what is missing is named."""
+"""Rigs with real drivers, on the command line: dry runs need no instrument, and what is missing is named."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scenes with trajectories: eq. (9) at the place of every sample, and each part of the house that looks at paths."""
+"""Scenes with trajectories: eq. (9) at the place of every sample, and each module that reads paths."""
 
 from __future__ import annotations
 

@@ -121,7 +121,7 @@ class EmulatedInstruments:
 
 @contextmanager
 def emulated_instruments(rig_file: Path) -> Iterator[EmulatedInstruments]:
-    """Far sides for the length of a block."""
+    """Emulated devices for the length of a block."""
     sides = EmulatedInstruments(rig_file)
     try:
         yield sides

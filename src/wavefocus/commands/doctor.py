@@ -155,7 +155,7 @@ def _plain(text: str) -> str:
 
 
 PACKAGES = ("wavefocus", "numpy", "scipy", "h5py", "pydantic", "pyserial", "nidaqmx", "grpcio", "sounddevice", "pyusb")
-# A night of 1500 positions with 20 actuators is a quarter of a gigabyte, and a log next to it.
+# A campaign of 1500 positions with 20 actuators is a quarter of a gigabyte, and a log next to it.
 LEAST_FREE_BYTES = 2_000_000_000
 USB_S = 60.0
 
