@@ -117,7 +117,7 @@ class Dialogue:
         """Release the line, whether or not a call of another thread still hangs in it; never waits for long."""
         guard = CallThread(f"closing of {self._instrument}")
         with suppress(HungError):  # what hangs ends by itself, or never
-            guard.call(self._line.close, CLOSING_S, anyhow=True)
+            guard.call(self._line.close, CLOSING_S, needs_thread=False)
         guard.abandon()
 
     def introduce(

@@ -54,25 +54,31 @@ class CallThread:
         self._under_way: Future[Any] | None = None
 
     def call(
-        self, ask: Callable[[], Answer], limit_s: float, *, yields_s: float | None = None, anyhow: bool = False
+        self,
+        ask: Callable[[], Answer],
+        limit_s: float,
+        *,
+        wait_before_s: float | None = None,
+        needs_thread: bool = True,
     ) -> Answer:
         """Carry out one call and wait `limit_s` (> 0, on the wall's clock) for its end; returns and raises what it did.
 
         Raises HungError if it did not return in time, RuntimeError or MemoryError if no thread can be started.
 
-        yields_s: How long a call before this one, whose wait was broken off by a signal, may still take; `limit_s`, if
-            absent. With 0 this call overtakes it, which its instrument must be made for.
-        anyhow: Where no thread can be started, carry the call out in this one, without a limit: to fall silent.
+        wait_before_s: How long a call before this one, whose wait was broken off by a signal, may still take;
+            `limit_s`, if absent. With 0 this call overtakes it, which its instrument must be made for.
+        needs_thread: If False and no thread can be started, the call is carried out in this one, without a limit: an
+            instrument must fall silent.
         """
         before = self._under_way
-        if before is not None and not _over(before, limit_s if yields_s is None else yields_s):
+        if before is not None and not _over(before, limit_s if wait_before_s is None else wait_before_s):
             self.abandon()
         if self._calls is None:
             calls: _Calls = SimpleQueue()
             try:
                 threading.Thread(target=_carry_out, args=(calls,), name=self._name, daemon=True).start()
             except (RuntimeError, MemoryError):
-                if not anyhow:
+                if needs_thread:
                     raise
                 return ask()
             self._calls = calls
@@ -186,7 +192,7 @@ class _Bounded(Generic[Device]):
 
     def close(self) -> None:
         try:
-            self._call("closing", self._device.close, anyhow=True)
+            self._call("closing", self._device.close, needs_thread=False)
         finally:
             self._thread.abandon()
 
@@ -198,7 +204,7 @@ class _Bounded(Generic[Device]):
 
     def _rest(self, operation: str, ask: Callable[[], None]) -> None:
         """Fall silent: it passes a call that was broken off, and needs no thread."""
-        self._call(operation, ask, yields_s=0.0, anyhow=True)
+        self._call(operation, ask, wait_before_s=0.0, needs_thread=False)
 
     def _call(
         self,
@@ -206,13 +212,13 @@ class _Bounded(Generic[Device]):
         ask: Callable[[], Answer],
         limit_s: float | None = None,
         *,
-        yields_s: float | None = None,
-        anyhow: bool = False,
+        wait_before_s: float | None = None,
+        needs_thread: bool = True,
     ) -> Answer:
         limit_s = self._hung_after_s if limit_s is None else limit_s
-        yields_s = self._hung_after_s if yields_s is None else yields_s
+        wait_before_s = self._hung_after_s if wait_before_s is None else wait_before_s
         try:
-            return self._thread.call(ask, limit_s, yields_s=yields_s, anyhow=anyhow)
+            return self._thread.call(ask, limit_s, wait_before_s=wait_before_s, needs_thread=needs_thread)
         except HungError:
             cause = hung_cause(limit_s)
             self._hung = f"{operation} hangs: {cause}"
@@ -240,7 +246,7 @@ class BoundedMirror(_Bounded[Mirror]):
         self._work("settling", lambda: self._device.wait_settled(timeout_s), timeout_s)
 
     def park(self) -> None:
-        self._call("parking", self._device.park, anyhow=True)
+        self._call("parking", self._device.park, needs_thread=False)
 
 
 class BoundedRecorder(_Bounded[Recorder]):

@@ -26,26 +26,26 @@ def interruptible() -> Iterator[None]:
 
 
 def test_given_calls_then_their_answers_and_their_failures_come_back_in_order() -> None:
-    lane = CallThread("test")
-    assert [lane.call(lambda one=one: one * one, 5.0) for one in range(5)] == [0, 1, 4, 9, 16]
+    thread = CallThread("test")
+    assert [thread.call(lambda one=one: one * one, 5.0) for one in range(5)] == [0, 1, 4, 9, 16]
     with pytest.raises(ZeroDivisionError):
-        lane.call(lambda: 1 // 0, 5.0)
-    assert lane.call(threading.get_ident, 5.0) == lane.call(threading.get_ident, 5.0) != threading.get_ident()
-    lane.abandon()
+        thread.call(lambda: 1 // 0, 5.0)
+    assert thread.call(threading.get_ident, 5.0) == thread.call(threading.get_ident, 5.0) != threading.get_ident()
+    thread.abandon()
 
 
 def test_given_a_call_that_hangs_then_it_is_given_up_and_the_next_one_gets_a_fresh_thread() -> None:
-    lane, release = CallThread("test"), threading.Event()
-    first = lane.call(threading.get_ident, 5.0)
+    thread, release = CallThread("test"), threading.Event()
+    first = thread.call(threading.get_ident, 5.0)
     with pytest.raises(HungError):
-        lane.call(release.wait, SOON_S)
-    assert lane.call(threading.get_ident, 5.0) != first
+        thread.call(release.wait, SOON_S)
+    assert thread.call(threading.get_ident, 5.0) != first
     release.set()
-    lane.abandon()
+    thread.abandon()
 
 
 def test_given_a_wait_broken_off_then_the_next_call_waits_for_the_one_before(interruptible: None) -> None:
-    lane, release, done = CallThread("test"), threading.Event(), []
+    thread, release, done = CallThread("test"), threading.Event(), []
 
     def hold() -> None:
         # What Ctrl-C does: the main thread stops waiting while the call goes on.
@@ -54,26 +54,26 @@ def test_given_a_wait_broken_off_then_the_next_call_waits_for_the_one_before(int
         done.append("held")
 
     with pytest.raises(KeyboardInterrupt):
-        lane.call(hold, 30.0)
+        thread.call(hold, 30.0)
     threading.Timer(SOON_S, release.set).start()
-    lane.call(lambda: done.append("next"), 30.0)
+    thread.call(lambda: done.append("next"), 30.0)
     assert done == ["held", "next"]
-    lane.abandon()
+    thread.abandon()
 
 
 def test_given_a_wait_broken_off_then_an_urgent_call_overtakes_it(interruptible: None) -> None:
-    lane, release, done = CallThread("test"), threading.Event(), []
+    thread, release, done = CallThread("test"), threading.Event(), []
 
     def hold() -> None:
         _thread.interrupt_main()
         release.wait()
 
     with pytest.raises(KeyboardInterrupt):
-        lane.call(hold, 30.0)
-    lane.call(lambda: done.append("muted"), 30.0, yields_s=0.0)
+        thread.call(hold, 30.0)
+    thread.call(lambda: done.append("muted"), 30.0, wait_before_s=0.0)
     assert done == ["muted"]
     release.set()
-    lane.abandon()
+    thread.abandon()
 
 
 HANGS = {
