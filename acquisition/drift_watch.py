@@ -31,6 +31,7 @@ class DriftWatch:
 
     evaluate: From recordings to a judged estimate.
     mark: Marks positions as suspect in the bank, for a reason.
+    unvouched: Rows that an earlier session measured after its last look at the sentinel.
     accept_drift: Continue although it has changed; the change is reported, and nothing is marked.
     """
 
@@ -44,11 +45,12 @@ class DriftWatch:
         recovery: Recovery,
         evaluate: Callable[[Recorded], AttemptResult],
         mark: Callable[[Sequence[int], str], None],
+        unvouched: Sequence[int] = (),
     ) -> None:
         self._mark = mark
         self._plan, self._bank, self._session, self._report = plan, bank, session, report
         self._records, self._recovery, self._evaluate = records, recovery, evaluate
-        self._since: list[int] = []
+        self._since = list(unvouched)
         self._off: DriftFigures | None = None
         self._recorded = 0
         self._looked_s = session.time_s()
@@ -92,19 +94,32 @@ class DriftWatch:
     def check(self) -> None:
         """Measure the sentinel again before a session adds anything, if there is one.
 
+        Where it has changed, what an earlier session measured after its last look at it is suspect: it lies between
+        the two. Then the sentinel is measured once more before that is believed.
+
         Raises DriftError: the sentinel position is not what the bank holds, or cannot be measured; nothing was added.
         InstrumentError: an instrument failed for good.
         """
         position = sentinel_of(self._plan, self._bank.status)
         if position is None:
             return
-        figures = self._figures(Attempt(position, 1, 1))
-        self._publish(position, figures, "resume")
-        self._off = figures if figures.speaks_against(self._plan.drift) else None
-        if figures.verdict(self._plan.drift) == "stop" and not self.accept_drift:
+        self._since = [row for row in self._since if self._bank.status[row]]
+        limits = self._plan.drift
+        figures, occasion = self._figures(Attempt(position, 1, 1)), "resume"
+        suspects = self._suspects(position) if figures.speaks_against(limits) and not self.accept_drift else ()
+        if suspects:
+            self._publish(position, figures, occasion)
+            figures, occasion = self._figures(Attempt(position, 2, 1)), "repeat"
+            suspects = suspects if figures.speaks_against(limits) else ()
+        self._publish(position, figures, occasion, suspects)
+        self._off = figures if figures.speaks_against(limits) else None
+        if suspects:
+            self._mark(suspects, _suspicion(position, figures))
+        self._since.clear()
+        if figures.verdict(limits) == "stop" and not self.accept_drift:
             raise DriftError(
-                f"sentinel position {position} is not what the bank holds ({figures.cause(self._plan.drift)}): "
-                f"{figures}; nothing was added; put it right and resume, start a new bank, or go on with --accept-drift"
+                f"sentinel position {position} is not what the bank holds ({figures.cause(limits)}): {figures}; "
+                f"nothing was added; {self._put_right(suspects)}, start a new bank, or go on with --accept-drift"
             )
 
     def check_again(self) -> None:
@@ -133,18 +148,20 @@ class DriftWatch:
         if suspects:
             self._mark(suspects, _suspicion(position, figures))
         if figures.verdict(limits) == "stop" and not self.accept_drift:
-            rows = row_ranges(suspects)
-            measured = (
-                f"positions {rows}, measured since it was last steady, are marked as suspect; put it right, then "
-                f"wavefocus remeasure {self._bank.path} --positions {rows} and resume"
-                if rows
-                else "put it right and resume"
-            )
             raise DriftError(
                 f"sentinel position {position} has changed during the run ({figures.cause(limits)}): {figures}; "
-                f"{measured}, or go on with --accept-drift"
+                f"{self._put_right(suspects)}, or go on with --accept-drift"
             )
         self._begin_anew()
+
+    def _put_right(self, suspects: tuple[int, ...]) -> str:
+        if not suspects:
+            return "put it right and resume"
+        rows = row_ranges(suspects)
+        return (
+            f"positions {rows}, measured since it was last steady, are marked as suspect; put it right, then "
+            f"wavefocus remeasure {self._bank.path} --positions {rows} and resume"
+        )
 
     def check_last(self) -> None:
         """Measure the sentinel once more when all positions are done; where that cannot be, say so and let it be.

@@ -67,6 +67,8 @@ class Campaign:
         and the campaign goes on.
     stop: Where a person asks for a stop.
     raw: Open for writing; keeps the recordings of what goes into the bank.
+    unvouched: Rows that an earlier session measured after its last look at the sentinel; where the first look of this
+        one finds another gain, they are suspect.
     """
 
     def __init__(
@@ -78,6 +80,7 @@ class Campaign:
         stop: StopRequest,
         *,
         raw: RawWriter | None = None,
+        unvouched: Sequence[int] = (),
     ) -> None:
         self._plan, self._setup, self._bank, self._raw, self._stop = plan, setup, bank, raw, stop
         self._session = session = Session(setup.instruments.clock, publish, stop)
@@ -87,7 +90,7 @@ class Campaign:
         self._estimator = measuring.estimator
         self._records = records = PositionRecords(plan, setup, measuring.plays, session.fault)
         self._drift = DriftWatch(
-            plan, bank, session, self._report, records, recovery, self._evaluate, self._mark_suspects
+            plan, bank, session, self._report, records, recovery, self._evaluate, self._mark_suspects, unvouched
         )
         conditions = Conditions(setup.watch, setup, plan.excitation)
         self._suspension = Suspension(setup, session, conditions, records, recovery)

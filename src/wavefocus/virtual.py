@@ -17,7 +17,7 @@ from wavefocus.acquisition.plays import measuring_of
 from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.campaign.blueprint import blueprint_of
-from wavefocus.campaign.sidecar_files import EventLog, drift_path, log_path
+from wavefocus.campaign.sidecar_files import EventLog, drift_path, log_path, unvouched_rows
 from wavefocus.commands.capture import opened_raw, with_bank
 from wavefocus.config.loading import validated
 from wavefocus.config.messages.campaign import CrosstalkMeasured, Drift, Event, Progress, State
@@ -178,7 +178,10 @@ class VirtualBench:
             publish = EventPublisher({"the event log": log, "the drift history": drift, "on_progress": show})
             for event in earlier:
                 publish(event)
-            campaign = Campaign(blueprint.plan, self._setup, writer, publish, StopRequest(), raw=raw)
+            unvouched = unvouched_rows(path)
+            campaign = Campaign(
+                blueprint.plan, self._setup, writer, publish, StopRequest(), raw=raw, unvouched=unvouched
+            )
             if campaign.run(rows).state is State.STOPPED:
                 raise KeyboardInterrupt
         return open_bank(path)

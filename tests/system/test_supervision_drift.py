@@ -14,7 +14,7 @@ import pytest
 from tests.system.captures import events_of, held
 from tests.system.conftest import with_faults
 from wavefocus.__main__ import run
-from wavefocus.campaign.sidecar_files import read_drift, session_failure
+from wavefocus.campaign.sidecar_files import read_drift, session_failure, unvouched_rows
 from wavefocus.drivers.protocols import DeviceIdentity
 
 DRIFT = "\n[drift]\nevery_positions = 2\n"
@@ -206,3 +206,43 @@ def test_given_another_gain_from_some_position_on_then_what_was_measured_with_it
     (lab / "run.toml").write_text(sound, encoding="utf-8")
     assert _capture(lab, bank) == 0
     assert held(bank) == [1] * 6
+
+
+LOST = 'role = "recorder"\noperation = "read"\nkind = "lost"\nposition = 3\npurpose = "capture"'
+
+
+@pytest.mark.parametrize("level_db", [1.0, 6.0])
+def test_given_a_session_that_ends_before_its_next_sentinel_then_the_next_one_marks_what_lies_between(
+    lab: Path, capsys: pytest.CaptureFixture[str], level_db: float
+) -> None:
+    sound, bank = (lab / "run.toml").read_text(encoding="utf-8"), lab / "plate.h5"
+    fault = LASTING.format(level_db=level_db)
+    with_faults(lab, f"{fault}position = 2", LOST)
+    assert _capture(lab, bank) == 3
+    assert held(bank) == [1, 1, 1, 0, 0, 0]
+    assert unvouched_rows(bank) == (0, 1, 2, 3)
+    # Nothing vouches for what lies between the last look at the sentinel and the one that finds another gain.
+    (lab / "run.toml").write_text(sound, encoding="utf-8")
+    with_faults(lab, f'{fault}purpose = "sentinel"', *(f"{fault}position = {one}" for one in (3, 4, 5)))
+    capsys.readouterr()
+    assert _capture(lab, bank) == (3 if level_db > 3 else 0)
+    looks = events_of(capsys.readouterr().out, "drift")
+    assert [(one["occasion"], one["suspect"]) for one in looks[:2]] == [("resume", []), ("repeat", [1, 2])]
+    assert held(bank)[:3] == [1, 4, 4]
+    assert run(["check", str(bank)]) == 1
+    (lab / "run.toml").write_text(sound, encoding="utf-8")
+    assert run(["remeasure", str(bank)]) == 0
+    assert _capture(lab, bank) == 0
+    assert held(bank) == [1] * 6
+
+
+def test_given_a_steady_sentinel_after_such_an_end_then_a_later_change_marks_nothing(lab: Path) -> None:
+    sound, bank = (lab / "run.toml").read_text(encoding="utf-8"), lab / "plate.h5"
+    with_faults(lab, LOST)
+    assert _capture(lab, bank) == 3
+    (lab / "run.toml").write_text(sound, encoding="utf-8")
+    assert _capture(lab, bank) == 0
+    assert unvouched_rows(bank) == ()
+    with_faults(lab, LASTING.format(level_db=1.0) + 'purpose = "sentinel"')
+    assert run(["remeasure", str(bank), "--positions", "5"]) == 0
+    assert held(bank)[:5] == [1] * 5

@@ -19,11 +19,16 @@ from wavefocus.acquisition.limits import DriftPoint
 from wavefocus.acquisition.wording import row_ranges
 from wavefocus.config.messages.campaign import (
     CrosstalkMeasured,
+    Drift,
     Event,
     Fault,
     Logged,
+    PositionCommitted,
+    PositionKept,
+    PositionStarted,
     ReconnectTried,
     SessionEnded,
+    SessionStarted,
     State,
     StateChanged,
     event_line,
@@ -156,6 +161,35 @@ def session_failure(bank: Path, since: datetime) -> str:
         if isinstance(logged.event, SessionEnded):
             return logged.event.failure if logged.at >= since.astimezone(UTC).replace(microsecond=0) else ""
     return ""
+
+
+def unvouched_rows(bank: Path) -> tuple[int, ...]:
+    """Rows that were measured after the last measurement of the sentinel that a bank's log has.
+
+    A session that was stopped or killed before its next look at the sentinel leaves them. A position counts from its
+    start on, for a kill between commit and log; one that stayed as the bank had it does not.
+    """
+    rows: list[int] = []
+    kept: set[int] = set()
+    for logged in last_events(bank):
+        match logged.event:
+            case Drift() as drift:
+                # A change is measured once more before it is believed, unless the session ended between the two.
+                if drift.verdict == "steady" or drift.occasion == "repeat" or rows:
+                    rows += drift.suspect
+                    break
+            case PositionKept(position=position):
+                kept.add(position)
+            case PositionCommitted(position=position):
+                kept.discard(position)
+                rows.append(position)
+            case PositionStarted(position=position) if position not in kept:
+                rows.append(position)
+            case SessionStarted(done=0):
+                break
+            case _:
+                pass
+    return tuple(dict.fromkeys(reversed(rows)))
 
 
 def _lines_backwards(path: Path) -> Iterator[bytes]:

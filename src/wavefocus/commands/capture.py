@@ -32,6 +32,7 @@ from wavefocus.campaign.sidecar_files import (
     log_path,
     raw_path,
     read_drift,
+    unvouched_rows,
 )
 from wavefocus.campaign.supervision import Attendance, resume_line
 from wavefocus.config.messages.campaign import (
@@ -228,7 +229,7 @@ def _session(
         if raw is not None and rows is None and (bare := without_recordings(writer.status, raw)):
             say(f"{raw.path} lacks the recordings of {len(bare)} measured position(s): measured again")
             rows = [*plan.to_do(writer.status).tolist(), *bare]
-        campaign = Campaign(plan, setup, writer, publish, stop, raw=raw)
+        campaign = Campaign(plan, setup, writer, publish, stop, raw=raw, unvouched=unvouched_rows(bank))
         ended = campaign.run(rows, accept_drift=options.accept_drift, replaceable=replaceable)
         if ended.state is State.STOPPED:
             say(f"nothing measured is lost; go on with: {resume_line(bank, rig_file)}")
