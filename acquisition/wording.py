@@ -1,14 +1,17 @@
-"""Durations and bank rows in few words."""
+"""Durations, times and bank rows in few words."""
 
 from __future__ import annotations
 
 import math
+from datetime import UTC, datetime, timedelta
 
 from wavefocus.storage.point_status import row_ranges
 
-__all__ = ["a_while", "hours", "row_ranges"]
+__all__ = ["a_while", "finish_time", "hours", "row_ranges"]
 
 _LONGEST_S = 100 * 365.25 * 86400
+# Further than any campaign goes, and well within the range of dates.
+MAX_AHEAD_S = 1000 * 365.25 * 86_400
 
 
 def a_while(seconds: float) -> str:
@@ -28,3 +31,9 @@ def hours(seconds: float) -> str:
     if whole >= 60:
         return f"{whole // 60} min {whole % 60:02d} s"
     return f"{whole} s"
+
+
+def finish_time(remaining_s: float, now: datetime) -> datetime:
+    """The local time `remaining_s` seconds after an instant, also where clocks change between the two."""
+    # Added in UTC and converted last: a local time keeps its offset when something is added to it.
+    return (now.astimezone(UTC) + timedelta(seconds=min(remaining_s, MAX_AHEAD_S))).astimezone()

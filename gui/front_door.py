@@ -13,21 +13,10 @@ from typing import TYPE_CHECKING
 from wavefocus.storage.errors import InputError
 
 if TYPE_CHECKING:
+    from wavefocus.acquisition.heartbeat import Heartbeat
     from wavefocus.acquisition.limits import DriftPoint
     from wavefocus.rendering.arrays import Float64Array
     from wavefocus.rendering.drive.coil_limits import DriveLimits
-
-
-@dataclass(frozen=True, slots=True)
-class Pulse:
-    """Latest heartbeat of a capture; `silent` when it is overdue."""
-
-    at: datetime
-    pid: int
-    state: str
-    reason: str
-    position: int | None
-    silent: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +53,7 @@ class FrontDoor:
     read_drift: From a bank to its drift history, oldest first.
     session_failure: From a bank and an instant to the failure of the session that ended last, as of `SessionEnded`;
         empty where none has ended since.
-    read_pulse: From a bank to its latest heartbeat; None where there is none.
+    read_heartbeat: From a bank to its latest heartbeat; None where there is none.
     read_rig_limits: From a rig file, or ``virtual``, to its limits.
     read_plan: From a run file to the campaign that it describes.
     """
@@ -75,7 +64,7 @@ class FrontDoor:
     said_path: Callable[[Path], Path]
     read_drift: Callable[[Path], list[DriftPoint]]
     session_failure: Callable[[Path, datetime], str]
-    read_pulse: Callable[[Path], Pulse | None]
+    read_heartbeat: Callable[[Path], Heartbeat | None]
     read_rig_limits: Callable[[Path], RigLimits]
     read_plan: Callable[[Path], PlannedCampaign]
 

@@ -178,7 +178,7 @@ class Follower:
 
     def _put_life(self, owner: Owner | None) -> None:
         self._owner = owner
-        self._put(Campaign.show_owner, owner, self._front.read_pulse(self.bank), time.monotonic())
+        self._put(Campaign.show_owner, owner, self._front.read_heartbeat(self.bank), time.monotonic())
 
     def _put_ledger(self, bank: Bank) -> None:
         began_s = time.monotonic()

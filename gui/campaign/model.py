@@ -34,12 +34,12 @@ from wavefocus.config.messages.campaign import (
 )
 from wavefocus.gui.advice import in_window
 from wavefocus.gui.campaign.quality import DAMAGED
-from wavefocus.gui.front_door import Pulse
 from wavefocus.gui.surface import Surface
 from wavefocus.rendering.arrays import Float32Array
 from wavefocus.storage.bank.ledger import VALID
 
 if TYPE_CHECKING:
+    from wavefocus.acquisition.heartbeat import Heartbeat
     from wavefocus.acquisition.limits import DriftPoint
     from wavefocus.storage.ledger.owner import Owner
 
@@ -154,7 +154,7 @@ _ORDERS: dict[State | Extra, frozenset[Order]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class CampaignState:
+class ShownState:
     """A state and its reason."""
 
     word: State | Extra
@@ -171,7 +171,7 @@ class CampaignState:
         return self.word is State.RUNNING
 
 
-def possible_orders(state: CampaignState, *, has_run: bool, has_bank: bool, left: int) -> frozenset[Order]:
+def possible_orders(state: ShownState, *, has_run: bool, has_bank: bool, left: int) -> frozenset[Order]:
     """Orders that make sense: `has_run` with a run file and a bank name, `left` positions not measured."""
     if state.measuring:
         return _ORDERS[state.word]
@@ -227,13 +227,13 @@ class Campaign:
     pace: Pace | None = None
     current: int = -1
     owner: Owner | None = None
-    pulse: Pulse | None = None
+    heartbeat: Heartbeat | None = None
     trouble: tuple[str, str] = "", ""
     """Why the bank or its log cannot be read, empty while they can; and the traceback of a defect."""
     revision: dict[str, int] = field(
         default_factory=lambda: dict.fromkeys(("surface", "map", "lines", "instruments", "drift", "history"), 0)
     )
-    _logged: CampaignState = field(default_factory=lambda: CampaignState(State.IDLE))
+    _logged: ShownState = field(default_factory=lambda: ShownState(State.IDLE))
     _logged_s: float = 0.0
     _asked_s: float = 0.0
 
@@ -254,9 +254,9 @@ class Campaign:
         self.status, self.figures = status, figures
         self._changed("map")
 
-    def show_owner(self, owner: Owner | None, pulse: Pulse | None, asked_s: float) -> None:
+    def show_owner(self, owner: Owner | None, heartbeat: Heartbeat | None, asked_s: float) -> None:
         """Show the bank's owner and heartbeat; asked for at `asked_s` of the monotonic clock."""
-        self.owner, self.pulse, self._asked_s = owner, pulse, asked_s
+        self.owner, self.heartbeat, self._asked_s = owner, heartbeat, asked_s
 
     def show_drift(self, points: list[DriftPoint]) -> None:
         """Show the whole drift history."""
@@ -272,37 +272,37 @@ class Campaign:
 
     def forget(self) -> None:
         """Reset everything: another bank will be followed."""
-        self.surface, self.owner, self.pulse, self.trouble = None, None, None, ("", "")
+        self.surface, self.owner, self.heartbeat, self.trouble = None, None, None, ("", "")
         self.status, self.figures, self.drift = np.zeros(0, np.uint8), {}, []
         self._forget_log()
         self._changed("surface", "drift")
 
-    def state(self, *, starting: bool = False) -> CampaignState:
+    def state(self, *, starting: bool = False) -> ShownState:
         """State of the campaign; `starting` while a capture of this window has not opened the bank yet."""
-        owner, pulse, logged = self.owner, self.pulse, self._logged
+        owner, beat, logged = self.owner, self.heartbeat, self._logged
         if owner is not None:
-            if pulse is not None and pulse.silent and pulse.pid == owner.pid:
+            if beat is not None and beat.is_silent() and beat.pid == owner.pid:
                 reason = f"process {owner.pid} on {owner.host} is stopped, or its machine is asleep or hung"
-                return CampaignState(Extra.SILENT, reason)
+                return ShownState(Extra.SILENT, reason)
             if logged.word in _OVER:
-                return CampaignState(Extra.PREPARING, "checking the bank and the instruments")
+                return ShownState(Extra.PREPARING, "checking the bank and the instruments")
             return logged
         if logged.word in GOING:
             if self._asked_s <= self._logged_s + _ASKED_AFTER_S:
                 return logged
             if not starting:
                 reason = f"its process ended unexpectedly while {logged.word}; Resume continues from there"
-                return CampaignState(Extra.GONE, reason)
+                return ShownState(Extra.GONE, reason)
         if starting:
-            return CampaignState(Extra.STARTING, "the capture is being started")
-        return CampaignState(Extra.NO_BANK) if self.surface is None else logged
+            return ShownState(Extra.STARTING, "the capture is being started")
+        return ShownState(Extra.NO_BANK) if self.surface is None else logged
 
     def _forget_log(self) -> None:
         self.lines.clear()
         self.history.clear()
         self.instruments.clear()
         self.pace, self.current = None, -1
-        self._logged = CampaignState(State.IDLE)
+        self._logged = ShownState(State.IDLE)
         self.trimmed += 1
         self._changed("lines", "history", "instruments", "map")
 
@@ -321,11 +321,11 @@ class Campaign:
     def _take_event(self, event: Event, at_s: float, text: str) -> None:
         match event:
             case SessionStarted():
-                self._logged, self.pace = CampaignState(State.IDLE), None
+                self._logged, self.pace = ShownState(State.IDLE), None
                 self.instruments = [Instrument(name) for name in event.instruments]
                 self._changed("instruments")
             case StateChanged(state=state, reason=reason):
-                self._logged = CampaignState(state, reason)
+                self._logged = ShownState(state, reason)
                 if state in _OVER:
                     self.current = -1
                     self._changed("map")

@@ -14,7 +14,7 @@ from wavefocus.acquisition.wording import hours
 from wavefocus.config.messages.campaign import State
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.advice import in_window
-from wavefocus.gui.campaign.model import GOING, Campaign, CampaignState, Extra, Line, Order, Pace, Weight, clock
+from wavefocus.gui.campaign.model import GOING, Campaign, Extra, Line, Order, Pace, ShownState, Weight, clock
 from wavefocus.gui.theme import Themed
 
 # Name, text, key and tooltip.
@@ -76,7 +76,7 @@ class ProgressRow(Themed, QWidget):
         self.figures = ui.label("Rate, remaining time and finish time")
         ui.row(self.state, (self.reason, 3), (self.bar, 3), self.figures, owner=self, spacing=10)
 
-    def show_state(self, state: CampaignState, report: str, owner: str) -> None:
+    def show_state(self, state: ShownState, report: str, owner: str) -> None:
         """Show a state and its reason; `report` of the capture replaces the reason while it has none."""
         theme, word = self.theme, state.word
         colour = (
@@ -119,7 +119,7 @@ _COUNT_EVERY_S = 0.5
 _STATE_MARKS = {"in use": "●", "at rest": "○", "faulty": "▲", "away": "✕"}
 
 
-class EventLines(QAbstractTableModel):
+class EventTable(QAbstractTableModel):
     """Lines that pass the filter."""
 
     def __init__(self, campaign: Campaign) -> None:
@@ -191,7 +191,7 @@ class EventList(Themed, QWidget):
         self._campaign = campaign
         self._drawn = -1
         self._count_due_s = 0.0
-        self.lines = EventLines(campaign)
+        self.lines = EventTable(campaign)
         choices = ["everything", "notes and above", "warnings and faults", "faults"]
         tip = "Events shown here (all are in the log next to the bank)"
         self.weight = ui.choice("Least weight", tip, choices, Weight.NOTE)

@@ -8,11 +8,11 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from functools import cache
 from typing import IO, TYPE_CHECKING, Protocol, cast
 
-from wavefocus.acquisition.wording import hours
+from wavefocus.acquisition.wording import finish_time, hours
 from wavefocus.exits import escaped
 
 if TYPE_CHECKING:
@@ -24,8 +24,6 @@ LINE_EVERY_S = 30.0
 MIN_BAR = 10
 # A command that has said nothing for so long is named, so that nobody takes it for hung.
 SILENT_S = 1.5
-# Further than any campaign goes, and well within the range of dates.
-MAX_AHEAD_S = 1000 * 365.25 * 86_400
 
 
 class _StandardError(io.TextIOBase):
@@ -116,12 +114,6 @@ def finish_clock(remaining_s: float) -> str:
     now = datetime.now(UTC)
     finish = finish_time(remaining_s, now)
     return finish.strftime("%H:%M:%S" if finish.date() == now.astimezone().date() else "%a %d %b %H:%M")
-
-
-def finish_time(remaining_s: float, now: datetime) -> datetime:
-    """The local time `remaining_s` seconds after an instant, also where clocks change between the two."""
-    # Added in UTC and converted last: a local time keeps its offset when something is added to it.
-    return (now.astimezone(UTC) + timedelta(seconds=min(remaining_s, MAX_AHEAD_S))).astimezone()
 
 
 class Report(Protocol):

@@ -10,7 +10,7 @@ import pytest
 
 from wavefocus.commands.status import _Pace, _print_pace
 from wavefocus.config.messages.campaign import Logged, PositionCommitted, Progress, State
-from wavefocus.gui.campaign.model import Campaign, CampaignState, Extra, Pace, line_of
+from wavefocus.gui.campaign.model import Campaign, Extra, Pace, ShownState, line_of
 from wavefocus.gui.campaign.panels import pace_text
 from wavefocus.storage.bank.ledger import VALID
 
@@ -40,7 +40,7 @@ def test_given_a_position_without_figures_then_its_reason_is_said_and_no_nan() -
 @pytest.mark.parametrize("state", [*State, *Extra])
 def test_given_a_state_then_a_remaining_time_is_shown_only_while_positions_are_measured(state: State | Extra) -> None:
     pace = Pace(done=3, total=10, per_hour=120.0, finish_s=time.time() + 4.0)
-    text = pace_text(pace, going_on=CampaignState(state).going_on)
+    text = pace_text(pace, going_on=ShownState(state).going_on)
     assert ("left" in text) is (state is State.RUNNING)
     assert text.startswith("120 positions an hour")
 

@@ -6,12 +6,13 @@ import json
 import threading
 import time
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from wavefocus.acquisition.heartbeat import Heartbeat
 from wavefocus.commands.gui import front_door
 from wavefocus.config.messages.campaign import (
     Event,
@@ -30,17 +31,16 @@ from wavefocus.gui.campaign.follower import Follower, LogTail
 from wavefocus.gui.campaign.model import (
     KEPT_LINES,
     Campaign,
-    CampaignState,
     Extra,
     Line,
     Order,
+    ShownState,
     Weight,
     line_of,
     possible_orders,
     read_record,
 )
 from wavefocus.gui.campaign.quality import per_position
-from wavefocus.gui.front_door import Pulse
 from wavefocus.gui.surface import raster_of
 from wavefocus.storage.ledger.owner import Owner
 
@@ -80,7 +80,8 @@ def _said(campaign: Campaign, *events: Event) -> None:
 
 def _asked(campaign: Campaign, *, owned: bool, silent: bool = False) -> None:
     owner = Owner("here", 7) if owned else None
-    campaign.show_owner(owner, Pulse(AT, 7, "running", "", 3, silent), time.monotonic() + 1.0)
+    at = datetime.now(UTC) - timedelta(seconds=60 if silent else 0)
+    campaign.show_owner(owner, Heartbeat(at, 7, "here", State.RUNNING), time.monotonic() + 1.0)
 
 
 def test_given_events_and_an_owner_then_the_state_says_who_measures_and_who_is_gone() -> None:
@@ -90,7 +91,7 @@ def test_given_events_and_an_owner_then_the_state_says_who_measures_and_who_is_g
     _asked(campaign, owned=True)
     assert campaign.state().word is Extra.PREPARING
     _said(campaign, StateChanged(0.0, State.RUNNING, "6 positions to do"))
-    assert campaign.state() == CampaignState(State.RUNNING, "6 positions to do")
+    assert campaign.state() == ShownState(State.RUNNING, "6 positions to do")
     _asked(campaign, owned=True, silent=True)
     assert campaign.state().word is Extra.SILENT
     _asked(campaign, owned=False)
@@ -114,7 +115,7 @@ def test_given_events_and_an_owner_then_the_state_says_who_measures_and_who_is_g
 def test_given_a_state_then_only_orders_that_make_sense_are_possible(
     word: State | Extra, left: int, orders: set[Order]
 ) -> None:
-    assert possible_orders(CampaignState(word), has_run=True, has_bank=True, left=left) == orders
+    assert possible_orders(ShownState(word), has_run=True, has_bank=True, left=left) == orders
 
 
 def test_given_faults_then_the_instrument_they_name_is_shown_with_its_last_message() -> None:
@@ -201,7 +202,7 @@ def test_given_a_disk_that_hangs_then_the_follower_ends_without_waiting_for_it(t
         hangs.set()
         continues.wait(60)
 
-    follower = Follower(tmp_path / "plate.h5", replace(front_door(), read_pulse=hanging))
+    follower = Follower(tmp_path / "plate.h5", replace(front_door(), read_heartbeat=hanging))
     assert hangs.wait(30)
     follower.end()
     assert not continues.is_set()

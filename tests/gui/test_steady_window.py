@@ -27,7 +27,7 @@ def test_given_a_defect_while_a_bank_is_followed_then_the_window_says_so_and_goe
     broken = [True]
     front = front_door()
     window = open_window(
-        finished, front=replace(front, read_pulse=lambda bank: 1 / 0 if broken else front.read_pulse(bank))
+        finished, front=replace(front, read_heartbeat=lambda bank: 1 / 0 if broken else front.read_heartbeat(bank))
     )
     tab = campaign_of(window)
     wait(qtbot, lambda: "is not followed" in window.messages.sentence)

@@ -5,8 +5,8 @@ from datetime import UTC, datetime
 
 import pytest
 
-from wavefocus.acquisition.wording import hours
-from wavefocus.console import finish_clock, finish_time
+from wavefocus.acquisition.wording import finish_time, hours
+from wavefocus.console import finish_clock
 
 
 @pytest.mark.parametrize(

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import shlex
-import socket
 import subprocess
 import sys
 import threading
@@ -16,23 +14,14 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal
+from typing import Literal
 
 from wavefocus.acquisition.engine.session import StopRequest
-from wavefocus.acquisition.wording import hours
+from wavefocus.acquisition.heartbeat import Heartbeat
 from wavefocus.campaign.sidecar_files import read_whole, write_whole
-from wavefocus.config.messages.campaign import (
-    Event,
-    Fault,
-    PositionStarted,
-    Progress,
-    SessionEnded,
-    SessionStarted,
-    State,
-    StateChanged,
-)
+from wavefocus.config.messages.campaign import Event, SessionEnded, StateChanged
 from wavefocus.config.messages.codec import Message, MessageError, from_record, to_record
-from wavefocus.console import finish_time, say
+from wavefocus.console import say
 
 Word = Literal["pause", "go-on", "stop"]
 
@@ -98,96 +87,11 @@ def _taken(path: Path) -> Mapping[str, object]:
 
 
 BEATS_EVERY_S = 1.0
-# Silence for longer is worth a word; a machine may be busy for some seconds.
-SILENT_AFTER_S = 15.0
 
 
 def heartbeat_path(bank: Path) -> Path:
     """Where a bank's heartbeat is: ``plate.h5`` -> ``plate.h5.heartbeat``."""
     return bank.with_name(bank.name + ".heartbeat")
-
-
-@dataclass(frozen=True)
-class Heartbeat(Message):
-    """State of a running capture, written every second.
-
-    `since` is when it entered its state, `position` the one being measured, `remaining_s` by the wall's clock (None
-    before the first position), `fault` the latest in words and `order` the number of the latest order taken, both
-    empty where there was none.
-    """
-
-    at: datetime
-    pid: int
-    host: str
-    state: State = State.IDLE
-    reason: str = ""
-    since: datetime | None = None
-    position: int | None = None
-    done: int = 0
-    total: int = 0
-    remaining_s: float | None = None
-    fault: str = ""
-    order: str = ""
-
-    @property
-    def finish_at(self) -> datetime | None:
-        """When it will have finished, if nothing holds it up."""
-        return None if self.remaining_s is None else finish_time(self.remaining_s, self.at).astimezone(UTC)
-
-    def age_s(self, now: datetime | None = None) -> float:
-        """Seconds since then; below 0 where the clock was set back since, or is another machine's."""
-        return ((now or datetime.now(UTC)) - self.at).total_seconds()
-
-    def is_silent(self, now: datetime | None = None) -> bool:
-        """Whether a process that lives would have written another one since.
-
-        One that lives writes the time of now: a heartbeat from far ahead was written before the clock was set back.
-        """
-        return abs(self.age_s(now)) > SILENT_AFTER_S
-
-    def age_words(self, now: datetime | None = None) -> str:
-        """Its age for people: ``12 s ago``, or that its time is still to come."""
-        age_s = self.age_s(now)
-        return f"{hours(age_s)} ago" if age_s > -1 else f"{hours(-age_s)} ahead of this computer's clock"
-
-
-class Pulse:
-    """Gathers a campaign's events for the next heartbeat."""
-
-    def __init__(self) -> None:
-        self._beat = Heartbeat(datetime.now(UTC), os.getpid(), socket.gethostname())
-        self._lock = threading.Lock()  # events come from the campaign's thread, orders from the attendance's
-
-    def note(self, event: Event) -> bool:
-        """Take an event; True where a heartbeat is due at once."""
-        match event:
-            case SessionStarted():
-                self._set(done=event.done, total=event.positions)
-            case StateChanged():
-                self._set(state=event.state, reason=event.reason, since=datetime.now(UTC))
-            case PositionStarted():
-                self._set(position=event.position)
-            case Progress():
-                self._set(done=event.done, total=event.total, remaining_s=event.wall_remaining_s)
-            case Fault():
-                self._set(fault=f"{event.instrument}: {event.operation}: {event.cause}")
-            case SessionEnded():
-                self._set(done=event.done, position=None)
-            case _:
-                pass
-        return isinstance(event, StateChanged | SessionEnded)
-
-    def took(self, order: Order) -> None:
-        """Let the next heartbeat acknowledge an order."""
-        self._set(order=order.number)
-
-    def beat(self) -> Heartbeat:
-        """The heartbeat now."""
-        return replace(self._beat, at=datetime.now(UTC))
-
-    def _set(self, **facts: Any) -> None:
-        with self._lock:
-            self._beat = replace(self._beat, **facts)
 
 
 def write_heartbeat(bank: Path, beat: Heartbeat) -> None:
@@ -213,24 +117,27 @@ FAILURES_TOLD_AFTER = 3
 ENDS_WITHIN_S = 5.0
 
 
-class Attendance:
+class CampaignControl:
     """Subscribes to a campaign; whatever fails here, the campaign does not notice."""
 
     def __init__(self, bank: Path, stop: StopRequest) -> None:
         self._bank = bank
         self._stop = stop
-        self._pulse = Pulse()
+        self._latest = Heartbeat.of_this_process()
+        self._lock = threading.Lock()  # events come from the campaign's thread, orders from this one's
         self._wake = threading.Event()
         self._over = False
         self._failures = 0
-        self._thread = threading.Thread(target=self._attend, name="attendance", daemon=True)
+        self._thread = threading.Thread(target=self._attend, name="campaign control", daemon=True)
 
     def __call__(self, event: Event) -> None:
         """Take an event; the thread writes a change of state at once."""
-        if self._pulse.note(event):
+        with self._lock:
+            self._latest = self._latest.after(event)
+        if isinstance(event, StateChanged | SessionEnded):
             self._wake.set()
 
-    def __enter__(self) -> Attendance:
+    def __enter__(self) -> CampaignControl:
         self._take()  # an order that nobody took in an earlier session is not meant for this one
         self._thread.start()
         return self
@@ -259,7 +166,8 @@ class Attendance:
 
     def _carry_out(self, order: Order) -> None:
         {"pause": self._stop.pause, "go-on": self._stop.go_on, "stop": self._stop.finish_position}[order.order]()
-        self._pulse.took(order)
+        with self._lock:
+            self._latest = replace(self._latest, order=order.number)
 
     def _take(self) -> Order | None:
         try:
@@ -272,7 +180,7 @@ class Attendance:
 
     def _beat(self) -> None:
         try:
-            write_heartbeat(self._bank, self._pulse.beat())
+            write_heartbeat(self._bank, replace(self._latest, at=datetime.now(UTC)))
         except OSError as failure:
             self._report_failure(
                 f"the heartbeat of {self._bank} cannot be written ({failure.strerror}); the campaign goes on"

@@ -34,7 +34,7 @@ from wavefocus.campaign.sidecar_files import (
     read_drift,
     unvouched_rows,
 )
-from wavefocus.campaign.supervision import Attendance, resume_line
+from wavefocus.campaign.supervision import CampaignControl, resume_line
 from wavefocus.config.messages.campaign import (
     CrosstalkMeasured,
     Drift,
@@ -202,7 +202,7 @@ def _session(
         BankWriter.open(bank, plan_sha256=plan.sha256) as writer,
         # Outside of the instruments, so that no second Ctrl-C keeps them from being put to rest.
         stop_on_signals(stop),
-        Attendance(bank, stop) as attendance,
+        CampaignControl(bank, stop) as control,
         open_setup(blueprint.configuration.rig, blueprint.configuration.run, bank=writer) as setup,
         opened_raw(blueprint, setup, writer) as raw,
         EventLog(log_path(bank)) as log,
@@ -212,7 +212,7 @@ def _session(
         subscribers: dict[str, Subscriber] = {
             "the event log": log,
             "the drift history": drift,
-            "the heartbeat": attendance,
+            "the heartbeat": control,
             "the progress display": CampaignView(report),
             "the sending of messages": messenger,
         }

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from wavefocus.campaign.sidecar_files import log_path, raw_path, session_failure
 from wavefocus.campaign.supervision import read_heartbeat
-from wavefocus.gui.front_door import FrontDoor, PlannedCampaign, Pulse, RigLimits, open_window
+from wavefocus.gui.front_door import FrontDoor, PlannedCampaign, RigLimits, open_window
 
 if TYPE_CHECKING:
     from wavefocus.acquisition.limits import DriftPoint
@@ -32,7 +32,7 @@ def front_door() -> FrontDoor:
         session_failure=session_failure,
         said_path=lambda bank: bank.with_name(f"{bank.name}.said"),
         read_drift=_drift,
-        read_pulse=_pulse,
+        read_heartbeat=read_heartbeat,
         read_rig_limits=_rig_limits,
         read_plan=_planned,
     )
@@ -42,13 +42,6 @@ def _drift(bank: Path) -> list[DriftPoint]:
     from wavefocus.campaign.sidecar_files import read_drift  # in the window's own time: it draws pictures, too
 
     return read_drift(bank)
-
-
-def _pulse(bank: Path) -> Pulse | None:
-    beat = read_heartbeat(bank)
-    if beat is None:
-        return None
-    return Pulse(beat.at, beat.pid, beat.state, beat.reason, beat.position, beat.is_silent())
 
 
 def _planned(run_file: Path) -> PlannedCampaign:

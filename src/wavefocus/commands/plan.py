@@ -13,11 +13,11 @@ import numpy as np
 
 from wavefocus.acquisition.plan import ASSUMED_SNR_DB, GEL_SPEED_M_S, GROUP, Expectation, Plan, expect, schedule_name
 from wavefocus.acquisition.setup import names_of
-from wavefocus.acquisition.wording import hours
+from wavefocus.acquisition.wording import finish_time, hours
 from wavefocus.campaign.blueprint import Blueprint, blueprint_from_files, blueprint_of, ringing_of
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import RunConfig
-from wavefocus.console import answer, finish_time
+from wavefocus.console import answer
 from wavefocus.rig.setup import open_setup
 from wavefocus.storage.errors import InputError
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from wavefocus.acquisition.heartbeat import Heartbeat
 from wavefocus.acquisition.wording import a_while, hours, row_ranges
 from wavefocus.calibration.estimator.noise_error import median_noise_error_db
 from wavefocus.campaign.campaign_view import remaining
@@ -25,7 +26,6 @@ from wavefocus.campaign.sidecar_files import (
     suspect_rows,
 )
 from wavefocus.campaign.supervision import (
-    Heartbeat,
     Word,
     give_order,
     read_heartbeat,

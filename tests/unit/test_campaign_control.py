@@ -12,10 +12,9 @@ from pathlib import Path
 import pytest
 
 from wavefocus.acquisition.engine.session import StopRequest
+from wavefocus.acquisition.heartbeat import Heartbeat
 from wavefocus.campaign.supervision import (
-    Attendance,
-    Heartbeat,
-    Pulse,
+    CampaignControl,
     give_order,
     heartbeat_path,
     orders_path,
@@ -76,17 +75,18 @@ def test_given_a_heartbeat_that_is_none_then_there_is_none(tmp_path: Path, text:
 
 
 def test_given_events_then_the_next_beat_tells_them() -> None:
-    pulse = Pulse()
-    assert not pulse.note(SessionStarted(0.0, "plate.h5", 9, 3, 2, 7, 70.0, ()))
-    assert pulse.note(StateChanged(0.0, State.RUNNING, "7 positions to do"))
-    pulse.note(PositionStarted(0.0, 5, 1, 0.0, 0.0))
-    pulse.note(Fault(1.0, "mirror", "moving", "it is gone", "plug it in", 5, 1, True))
-    pulse.note(Progress(2.0, 3, 9, 2.0, 120.0, 60.0, 100.0))
-    beat = pulse.beat()
+    beat = Heartbeat.of_this_process()
+    for event in (
+        SessionStarted(0.0, "plate.h5", 9, 3, 2, 7, 70.0, ()),
+        StateChanged(0.0, State.RUNNING, "7 positions to do"),
+        PositionStarted(0.0, 5, 1, 0.0, 0.0),
+        Fault(1.0, "mirror", "moving", "it is gone", "plug it in", 5, 1, True),
+        Progress(2.0, 3, 9, 2.0, 120.0, 60.0, 100.0),
+    ):
+        beat = beat.after(event)
     assert (beat.state, beat.reason, beat.position, beat.done, beat.total) == ("running", "7 positions to do", 5, 3, 9)
     assert (beat.remaining_s, beat.fault) == (60.0, "mirror: moving: it is gone")
-    assert pulse.note(SessionEnded(3.0, State.STOPPED, 3, 9, {}))
-    assert pulse.beat().position is None
+    assert beat.after(SessionEnded(3.0, State.STOPPED, 3, 9, {})).position is None
 
 
 def test_given_an_order_then_it_is_taken_once(tmp_path: Path) -> None:
@@ -118,7 +118,7 @@ def test_given_something_that_is_no_order_then_it_is_taken_away_and_nothing_happ
 def test_given_orders_while_it_attends_then_they_are_obeyed_and_acknowledged(tmp_path: Path) -> None:
     bank, stop = tmp_path / "plate.h5", StopRequest()
     give_order(bank, "stop")  # left over from a session long ago
-    with Attendance(bank, stop):
+    with CampaignControl(bank, stop):
         for word, obeyed in (
             ("pause", lambda: stop.pause_requested),
             ("go-on", lambda: not stop.pause_requested),
@@ -132,10 +132,10 @@ def test_given_orders_while_it_attends_then_they_are_obeyed_and_acknowledged(tmp
 
 def test_given_a_change_of_state_then_it_is_told_before_the_next_beat_and_the_last_one_stays(tmp_path: Path) -> None:
     bank = tmp_path / "plate.h5"
-    with Attendance(bank, StopRequest()) as attendance:
-        attendance(StateChanged(0.0, State.RUNNING, "begins"))
+    with CampaignControl(bank, StopRequest()) as control:
+        control(StateChanged(0.0, State.RUNNING, "begins"))
         _until(lambda: (beat := read_heartbeat(bank)) is not None and beat.state == "running")
-        attendance(StateChanged(0.0, State.FINISHED, "ends"))
+        control(StateChanged(0.0, State.FINISHED, "ends"))
     beat = read_heartbeat(bank)
     assert beat is not None
     assert (beat.state, beat.reason) == ("finished", "ends")
@@ -146,9 +146,9 @@ def test_given_a_heartbeat_that_cannot_be_written_then_it_is_told_once_and_order
 ) -> None:
     bank, stop = tmp_path / "plate.h5", StopRequest()
     heartbeat_path(bank).mkdir()
-    with Attendance(bank, stop) as attendance:
+    with CampaignControl(bank, stop) as control:
         for number in range(5):
-            attendance(StateChanged(float(number), State.RUNNING, "again"))
+            control(StateChanged(float(number), State.RUNNING, "again"))
             time.sleep(0.02)
         give_order(bank, "stop")
         _until(lambda: stop.requested)
@@ -156,7 +156,7 @@ def test_given_a_heartbeat_that_cannot_be_written_then_it_is_told_once_and_order
 
 
 def test_given_a_beat_then_every_field_is_plain_json(tmp_path: Path) -> None:
-    write_heartbeat(tmp_path / "plate.h5", Pulse().beat())
+    write_heartbeat(tmp_path / "plate.h5", Heartbeat.of_this_process())
     content = json.loads(heartbeat_path(tmp_path / "plate.h5").read_text(encoding="utf-8"))
     assert set(content) == {one.name for one in dataclasses.fields(Heartbeat)} | {"finish_at"}
 
