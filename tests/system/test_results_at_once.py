@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import subprocess
 import sys
@@ -173,3 +174,48 @@ def test_an_export_then_states_checksums_and_a_file_of_another_export_is_refused
     (folders[0] / "bank.json").write_text(json.dumps(table), encoding="utf-8")
     assert run(["import", str(folders[0]), "--bank", str(tmp_path / "i.h5")]) == 0
     assert "without a checksum" in capsys.readouterr().out
+
+
+# What a kill would leave of the results, at every renaming, removal and opening of a file: a hook cannot be taken away.
+WATCHED = """
+import hashlib, json, os, sys
+from pathlib import Path
+out, log, busy, seen = Path(sys.argv.pop(1)), Path(sys.argv.pop(1)), False, []
+def hook(event, arguments):
+    global busy
+    if busy or event not in ("os.rename", "os.remove", "open"):
+        return
+    busy = True
+    now = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in out.iterdir() if path.is_file()}
+    if not seen or seen[-1] != now:
+        seen.append(now)
+    busy = False
+sys.addaudithook(hook)
+from wavefocus.__main__ import run
+code = run(sys.argv[1:])
+busy = True
+log.write_text(json.dumps(seen))
+sys.exit(code)
+"""
+VERIFIED = ("verify.json", "report.html", "drive.h5", "prediction.h5", "scan.h5")
+
+
+def test_a_verification_over_an_older_one_then_never_leaves_its_fields_beside_the_older_record(
+    lab: Path, bank: Path
+) -> None:
+    out, scene = lab / "verify", lab / "scene.toml"
+    command = ["verify", str(scene), "--bank", str(bank), "--rig", str(lab / "rig.toml"), "--out", str(out)]
+    assert run(command) == 0
+    older = {name: hashlib.sha256((out / name).read_bytes()).hexdigest() for name in VERIFIED}
+    scene.write_text(scene.read_text(encoding="utf-8").replace("200.0", "150.0"), encoding="utf-8")
+    watched = [sys.executable, "-c", WATCHED, str(out), str(lab / "seen.json"), *command, "--force"]
+    assert subprocess.run(watched, check=False, capture_output=True).returncode == 0
+    newer = {name: hashlib.sha256((out / name).read_bytes()).hexdigest() for name in VERIFIED}
+    assert all(older[name] != newer[name] for name in VERIFIED)
+    moments = json.loads((lab / "seen.json").read_text(encoding="utf-8"))
+    states = [{name: moment[name] for name in VERIFIED if name in moment} for moment in moments]
+    assert states[0] == older
+    assert {"verify.json"} < {name for state in states for name in older if name not in state}  # in between it is gone
+    for state in states:
+        if "verify.json" in state:
+            assert state in (older, newer)
