@@ -20,7 +20,7 @@ Factor = Literal["path", "signal", "speed_mm_s", "amplitude"]
 
 
 def _listed(value: Any) -> Any:
-    """A level that stands alone is a list of one."""
+    """A single level is a list of one."""
     return value if isinstance(value, list | tuple) else (value,)
 
 
@@ -77,7 +77,7 @@ class TrialsTable(Table):
         default=0, title="Replays", description="Times that a participant may ask for the stimulus of a trial again"
     )
     break_every: Annotated[Whole, Field(ge=0, le=10_000)] = Field(
-        default=0, title="Break every", description="Trials between breaks; 0: breaks between blocks alone"
+        default=0, title="Break every", description="Trials between breaks; 0: breaks only between blocks"
     )
     waits: Switch = Field(default=False, title="Waits", description="Whether the participant starts each trial")
     before_s: Pause = Field(default=0.5, title="Before", description="Pause before each stimulus")
@@ -101,7 +101,7 @@ class TrialsTable(Table):
 
 
 class StimuliTable(Table):
-    """Stimuli: all combinations of the levels listed; a level that stands alone needs no brackets."""
+    """Stimuli: all combinations of the levels listed; a single level needs no brackets."""
 
     path: Names = Field(title="Paths", description="Names of tables [path.NAME]")
     signal: Names = Field(title="Signals", description="Names of tables [signal.NAME]")

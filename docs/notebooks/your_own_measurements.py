@@ -81,7 +81,7 @@ print(report["paragraph"])
 #
 # ## Compare
 #
-# This is for the virtual plate alone, whose truth is known.
+# This works only for the virtual plate, whose truth is known.
 
 # %%
 middle = int(np.argmin(np.hypot(*position_mm.T)))
