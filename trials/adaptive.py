@@ -1,6 +1,6 @@
 """Levels that follow the answers: transformed up-down staircases and QUEST+, several interleaved at random.
 
-A track is a pure function of the answers given to it, so that a session resumes from the stored answers alone.
+A track is a pure function of the answers given to it, so that a session resumes from the stored answers.
 """
 
 from __future__ import annotations
@@ -156,10 +156,10 @@ class AdaptiveOrder:
         self._named: dict[str, dict[float, dict[str, str]]] = {}
         for track in design.tracks:
             named = self._named[track] = {}
-            for one in design.stimuli.values():
-                if one.track == track:
-                    side = "" if trials.correct == adaptive.factor else one.level(trials.correct)
-                    named.setdefault(getattr(one, adaptive.factor), {})[side] = one.name
+            for stimulus in design.stimuli.values():
+                if stimulus.track == track:
+                    side = "" if trials.correct == adaptive.factor else stimulus.level(trials.correct)
+                    named.setdefault(getattr(stimulus, adaptive.factor), {})[side] = stimulus.name
             self._tracks[track] = track_of(adaptive, list(named))
         self._last, self._run, self._number = "", 0, 0
         self._trial = self._drawn()

@@ -67,7 +67,7 @@ COLUMNS: Mapping[str, Mapping[str, Any]] = {
     "block": {"Description": "Number of the block, from 1"},
     "trial": {"Description": "Number of the trial in the order of this participant, from 1"},
     "track": {"Description": "Adaptive track that the trial belongs to; empty where the design is not adaptive"},
-    "stimulus": {"Description": "Name of the stimulus, as of its drive file in the folder stimuli"},
+    "stimulus": {"Description": "Name of the stimulus, that of its drive file in the folder stimuli"},
     "path": {"Description": "Path of the source, by its name in the trials file"},
     "signal": {"Description": "Signal of the source, by its name in the trials file"},
     "speed_mm_s": {"Description": "Speed along the path; empty for a point", "Units": "mm/s"},
@@ -212,7 +212,7 @@ def read_answers(folder: Path) -> tuple[Row, ...]:
     if not path.exists():
         raise InputError(f"{folder} holds no {ANSWERS}; name the folder that `wavefocus trials` wrote")
     if not path.is_file():
-        raise InputError(f"{path} is no regular file")
+        raise InputError(f"{path} is not a regular file")
     return _rows_of(path.read_bytes(), path)[0]
 
 
@@ -376,4 +376,4 @@ def _value(name: str, cell: str) -> Any:
 
 def _require_no_link(path: Path) -> None:
     if path.is_symlink() or (path.exists() and not path.is_file()):
-        raise InputError(f"{path} is no regular file; remove it, or name another folder")
+        raise InputError(f"{path} is not a regular file; remove it, or name another folder")

@@ -26,7 +26,7 @@ class Stimulus:
     name: Unique, also where small and capital letters are the same: ``right-100mm_s-burst``; names its drive file.
     path, signal: Names of their tables in the trials file.
     speed_mm_s: Speed along the path; None for a point or a trajectory.
-    amplitude: As of a scene's source; 0: no stimulus, of the same length.
+    amplitude: That of a scene's source; 0: no stimulus, of the same length.
     plays: Times that it is played in one trial.
     correct: Right answer; None where no answer is right or wrong.
     track: Adaptive track that it belongs to; empty where the design is not adaptive.
@@ -81,7 +81,7 @@ class TrialsDesign:
     @property
     def tracks(self) -> tuple[str, ...]:
         """Names of the adaptive tracks; none where the design is not adaptive."""
-        return tuple(dict.fromkeys(one.track for one in self.stimuli.values() if one.track))
+        return tuple(dict.fromkeys(stimulus.track for stimulus in self.stimuli.values() if stimulus.track))
 
     @property
     def alike(self) -> str:
@@ -161,10 +161,10 @@ def _check_answers(design: TrialsDesign) -> None:
     trials = design.config.trials
     if trials.correct is None:
         return
-    levels = {one.level(trials.correct): one.correct for one in design.stimuli.values()}
+    levels = {stimulus.level(trials.correct): stimulus.correct for stimulus in design.stimuli.values()}
     for level in trials.correct_levels:
         if level not in levels:
-            allowed = f"{level} is no level of {trials.correct}; its levels are {', '.join(levels)}"
+            allowed = f"{level} is not a level of {trials.correct}; its levels are {', '.join(levels)}"
             raise design.wrong("trials.correct_levels", trials.correct_levels, allowed)
     for level, answer in levels.items():
         if answer not in trials.answers:
@@ -187,7 +187,7 @@ def _check_order(design: TrialsDesign) -> None:
     if not trials.most_alike:
         return
     each = trials.repetitions // trials.blocks
-    levels = Counter(one.level(design.alike) for one in design.stimuli.values())
+    levels = Counter(stimulus.level(design.alike) for stimulus in design.stimuli.values())
     level, most = levels.most_common(1)[0]
     others = each * (len(design.stimuli) - most)
     if each * most > trials.most_alike * (others + (trials.blocks == 1)):
@@ -205,12 +205,12 @@ def _check_tracks(design: TrialsDesign) -> None:
     if trials.alike is not None:
         raise design.wrong("trials.alike", trials.alike, "must be left out where [adaptive] is given")
     for track in design.tracks:
-        members = [one for one in design.stimuli.values() if one.track == track]
-        ladder = {getattr(one, adaptive.factor) for one in members}
+        members = [stimulus for stimulus in design.stimuli.values() if stimulus.track == track]
+        ladder = {getattr(stimulus, adaptive.factor) for stimulus in members}
         if len(ladder) < 2 or None in ladder or min(ladder) <= 0:
             allowed = f"needs two or more levels above 0 in each track; {track} has {shown(sorted(ladder, key=str))}"
             raise design.wrong("adaptive.factor", adaptive.factor, allowed)
-        sides = {one.level(trials.correct or "") for one in members}
+        sides = {stimulus.level(trials.correct or "") for stimulus in members}
         if trials.correct != adaptive.factor and len(members) != len(ladder) * len(sides):
             allowed = f"must have a stimulus at each of its levels for each {trials.correct}; {track} lacks some"
             raise design.wrong("adaptive.factor", adaptive.factor, allowed)

@@ -1,6 +1,6 @@
 """The order of a participant's trials: seeded, balanced over blocks, and never too many alike in a row.
 
-It follows from the trials file and the participant's code alone, and from the answers where levels follow these; so a
+It follows only from the trials file and the participant's code, and from the answers where levels follow these; so a
 session that is resumed goes on in the same order.
 """
 
@@ -117,7 +117,7 @@ def ordered(
     for _ in range(blocks):
         left = [names * each for names in of_level.values()]
         for after in reversed(range(each * len(stimuli))):
-            weights = [len(one) for one in left]
+            weights = [len(names) for names in left]
             tight = [c for c, count in enumerate(weights) if count * (most + 1) > most * (after + 1)]
             while True:
                 level = draws.weighted(weights)

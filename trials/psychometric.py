@@ -18,7 +18,9 @@ def share_right(
 
     All broadcast. Source: Wichmann and Hill, Percept. Psychophys. 63 (2001), 1293, equation 1.
     """
-    x, midway, steepness, low, slips = (np.asarray(one, np.float64) for one in (level, threshold, slope, guess, lapse))
+    x, midway, steepness, low, slips = (
+        np.asarray(value, np.float64) for value in (level, threshold, slope, guess, lapse)
+    )
     # The hyperbolic tangent does not overflow.
     shares: NDArray[np.float64] = low + (1.0 - low - slips) * 0.5 * (1.0 + np.tanh(0.5 * steepness * (x - midway)))
     return shares

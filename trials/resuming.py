@@ -20,13 +20,13 @@ class Experiment:
     bank_sha256: str | None = None
 
 
-def begun(experiment: Experiment, participant: str, rows: Sequence[Row]) -> tuple[Order, int]:
+def resume_sequence(experiment: Experiment, participant: str, rows: Sequence[Row]) -> tuple[Order, int]:
     """Make the order of a participant, at the trial after those that are answered, and count these.
 
     rows: Answers of all participants.
 
-    Raises InputError: the participant is complete, has a code that differs from another one's in small and capital
-    letters alone, or has answered trials of another trials file, bank or order.
+    Raises InputError: the participant is complete, has a code that differs from another's only in case,
+    or has answered trials of another trials file, bank or order.
     """
     design, order, done = experiment.design, order_of(experiment.design, participant), 0
     for row in rows:

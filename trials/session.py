@@ -28,7 +28,7 @@ from wavefocus.storage.errors import InputError
 from wavefocus.trials.answers import ANSWERS, AnswersFile, Row, check_participant
 from wavefocus.trials.order import Trial
 from wavefocus.trials.presentation import Onset
-from wavefocus.trials.resuming import Experiment, begun
+from wavefocus.trials.resuming import Experiment, resume_sequence
 
 # An answer's instant may lie so far in the future of this process: clocks are read one after the other.
 AHEAD_S = 0.05
@@ -112,7 +112,7 @@ class TrialsSession:
         self._presenter, self._orders, self._publish, self._hurried = presenter, orders, publish, hurried
         self._design = experiment.design
         self._table = experiment.design.config.trials
-        self._order, self.done = begun(experiment, participant, answers.rows)
+        self._order, self.done = resume_sequence(experiment, participant, answers.rows)
         self._resumed_at = self.done
         self._state = State.WELCOME
         self._trial = self._order.next_trial()
@@ -168,7 +168,7 @@ class TrialsSession:
         self._expect(GoOn)
 
     def _familiarise(self) -> None:
-        felt = [one.name for one in self._design.stimuli.values() if one.amplitude]
+        felt = [stimulus.name for stimulus in self._design.stimuli.values() if stimulus.amplitude]
         self._shown = 1, len(felt)
         self._enter(State.FAMILIARISATION)
         self._expect(GoOn)

@@ -58,7 +58,7 @@ class SimulatedParticipant:
         right = stimulus.correct or answers[0]
         if self._rng.random() < self._observer.share(stimulus):
             return right
-        return str(self._rng.choice([one for one in answers if one != right]))
+        return str(self._rng.choice([answer for answer in answers if answer != right]))
 
     def present(self, stimulus: str, trial: int, note: Callable[[str], object]) -> Onset:
         self._stimulus = stimulus

@@ -110,12 +110,12 @@ def prepare(
     if entries != listed:
         _write_manifest(place, origin, entries)
     return Prepared(
-        place, bank_sha256, {name: one["sha256"] for name, one in entries.items()}, tuple(renderer.warnings)
+        place, bank_sha256, {name: entry["sha256"] for name, entry in entries.items()}, tuple(renderer.warnings)
     )
 
 
 class _Renderer:
-    """Renders stimuli; of those that differ in amplitude alone and follow each other the first one only."""
+    """Renders stimuli; of those that differ only in amplitude and follow each other, only the first."""
 
     def __init__(self, bank: Bank) -> None:
         self.warnings: dict[str, None] = {}
@@ -179,13 +179,13 @@ def _listed(
     try:
         manifest = json.loads(read_text(path))
         listed = {name: dict(manifest["stimuli"][name]) for name in manifest["stimuli"]}
-        hashes = [one["sha256"] for one in listed.values()]
+        hashes = [entry["sha256"] for entry in listed.values()]
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{path}: is damaged; restore it") from None
-    if manifest.get("format") != FORMAT or not all(isinstance(one, str) for one in hashes):
-        raise InputError(f"{path}: is no list of stimuli; restore it")
+    if manifest.get("format") != FORMAT or not all(isinstance(text, str) for text in hashes):
+        raise InputError(f"{path}: is not a list of stimuli; restore it")
     if anew and any(manifest.get(key) != value for key, value in origin.items()):
         for file in place.glob("*.h5"):
             file.unlink()

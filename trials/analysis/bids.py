@@ -1,7 +1,7 @@
 """Answers as a folder in the layout of BIDS 1.10 for behavioural experiments (Brain Imaging Data Structure).
 
 Each participant has a table ``sub-LABEL/beh/sub-LABEL_task-NAME_beh.tsv`` and a JSON file that describes its columns.
-Labels hold letters and digits alone; ``participants.tsv`` has the code of each label.
+Labels hold only letters and digits; ``participants.tsv`` has the code of each label.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def write_bids(folder: Path, rows: Sequence[Row], analysis: Analysis, facts: Map
         place.mkdir(parents=True)
         stem = f"sub-{label}_task-{task}_beh"
         own = sorted((row for row in rows if row.participant == code), key=lambda row: row.trial)
-        names = [one.name for one in fields(Row)]
+        names = [field.name for field in fields(Row)]
         kept = [number for number, name in enumerate(names) if name not in _OF_THE_FILE]
         values = [[_cell(astuple(row)[number]) for number in kept] for row in own]
         _table(place / f"{stem}.tsv", [names[number] for number in kept], values)
@@ -78,7 +78,7 @@ def _labels(codes: Sequence[str]) -> dict[str, str]:
     found: dict[str, str] = {}
     for code in codes:
         label = _label(code) or "0"
-        while label.casefold() in {one.casefold() for one in found.values()}:
+        while label.casefold() in {used.casefold() for used in found.values()}:
             label += "x"
         found[code] = label
     return found

@@ -31,19 +31,19 @@ def share_bars(name: str, shares: Sequence[Share], what: str, chance: float | No
     chance: Share of right answers of a participant who guesses; None where no answer is right.
     """
     first, *others = shares[0].factors
-    groups = list(dict.fromkeys(one.factors[first] for one in shares))
-    series = list(dict.fromkeys(_series(one, others) for one in shares))
+    groups = list(dict.fromkeys(share.factors[first] for share in shares))
+    series = list(dict.fromkeys(_series(share, others) for share in shares))
     width_px = max(360.0, 130 + 34 * len(groups) * (len(series) + 0.6))
     canvas = Canvas(name, width_px, 300)
     axes = canvas.plot(58, 38, width_px - 74, 206, xlabel=NAMES[first], ylabel=f"{what} (%)", ylim=(0, 105))
     width = 0.8 / len(series)
-    for number, one in enumerate(series):
-        found = {share.factors[first]: share for share in shares if _series(share, others) == one}
+    for number, name_of_series in enumerate(series):
+        found = {share.factors[first]: share for share in shares if _series(share, others) == name_of_series}
         places = np.array([groups.index(level) for level in found]) + (number - (len(series) - 1) / 2) * width
         values = np.array([100.0 * share.share for share in found.values()])
         ends = 100.0 * np.array([share.interval for share in found.values()]).T
         colour = COLOURS[number % len(COLOURS)]
-        axes.bar(places, values, 0.92 * width, color=colour, alpha=0.75, label=one, zorder=2)
+        axes.bar(places, values, 0.92 * width, color=colour, alpha=0.75, label=name_of_series, zorder=2)
         axes.errorbar(
             places, values, yerr=abs(ends - values), fmt="none", ecolor=INK, elinewidth=1.1, capsize=3, zorder=3
         )
@@ -63,13 +63,15 @@ def psychometric_curves(name: str, found: Sequence[Psychometric]) -> Picture:
     columns = min(len(shown), _COLUMNS)
     lines = math.ceil(len(shown) / columns)
     canvas = Canvas(name, 60 + columns * 256, 26 + lines * 236)
-    for number, one in enumerate(shown):
+    for number, function in enumerate(shown):
         line, column = divmod(number, columns)
         axes = canvas.plot(56 + column * 256, 28 + line * 236, 208, 160)
-        _curve(axes, one)
-        axes.set_title(", ".join([one.participant, *filter(None, [one.track]), *one.factors.values()]), fontsize=9)
+        _curve(axes, function)
+        axes.set_title(
+            ", ".join([function.participant, *filter(None, [function.track]), *function.factors.values()]), fontsize=9
+        )
         axes.set_ylabel("right (%)" if column == 0 else "")
-        axes.set_xlabel(NAMES[one.factor] if number + columns >= len(shown) else "")
+        axes.set_xlabel(NAMES[function.factor] if number + columns >= len(shown) else "")
     return canvas.picture()
 
 
@@ -80,12 +82,12 @@ def reaction_time_plot(name: str, times: Sequence[ReactionTime]) -> Picture:
     width_px = max(360.0, 110 + 64 * len(times))
     canvas = Canvas(name, width_px, 280)
     axes = canvas.plot(58, 20, width_px - 74, 204, xlabel=NAMES[factor], ylabel="median reaction time (s)")
-    medians = np.array([one.median_s for one in times])
-    ends = np.array([one.interval_s for one in times]).T
+    medians = np.array([time.median_s for time in times])
+    ends = np.array([time.interval_s for time in times]).T
     axes.errorbar(
         range(len(times)), medians, yerr=abs(ends - medians), fmt="o", color=COLOURS[0], ecolor=INK, capsize=3
     )
-    axes.set_xticks(range(len(times)), [one.factors[factor] for one in times])
+    axes.set_xticks(range(len(times)), [time.factors[factor] for time in times])
     axes.set_xlim(-0.6, len(times) - 0.4)
     axes.set_ylim(0.0, max(1.1 * float(ends.max()), 1e-3))
     axes.grid(axis="y", color=FAINT, alpha=0.25, lw=0.6)
@@ -93,11 +95,11 @@ def reaction_time_plot(name: str, times: Sequence[ReactionTime]) -> Picture:
 
 
 def _series(share: Share, others: Sequence[str]) -> str:
-    return ", ".join(share.factors[one] for one in others)
+    return ", ".join(share.factors[factor] for factor in others)
 
 
-def _curve(axes: Axes, one: Psychometric) -> None:
-    fit = one.fit
+def _curve(axes: Axes, function: Psychometric) -> None:
+    fit = function.fit
     levels, of = np.array(fit.levels), np.array(fit.of)
     low, high = levels.min(), levels.max()
     line = np.geomspace(low / 1.3, high * 1.3, 200)

@@ -98,7 +98,7 @@ def fit_psychometric(
     sign = -1.0 if falling else 1.0
     order = np.argsort(sign * x)
     likelihood = _Likelihood(sign * x[order], k[order], n[order], guess)
-    return likelihood.fit(tuple(float(levels[one]) for one in order), sign, replicates)
+    return likelihood.fit(tuple(float(levels[index]) for index in order), sign, replicates)
 
 
 class _Likelihood:
@@ -113,9 +113,11 @@ class _Likelihood:
     def fit(self, levels: tuple[float, ...], sign: float, replicates: int) -> PsychometricFit:
         threshold, log_slope, lapse = self._best()
         grid = self._around(threshold, log_slope, lapse, _OFFSETS)
-        bare = np.stack([self._plain(self._k, grid[0], grid[1], one) for one in grid[2]], axis=-1).max(axis=-1)
+        bare = np.stack([self._plain(self._k, grid[0], grid[1], lapse_rate) for lapse_rate in grid[2]], axis=-1).max(
+            axis=-1
+        )
         surface = bare + self._penalty(grid[0], grid[1])
-        peak = float(self._penalised(self._k, *(np.array([one]) for one in (threshold, log_slope, lapse))).item())
+        peak = float(self._penalised(self._k, *(np.array([value]) for value in (threshold, log_slope, lapse))).item())
         limits, deviance, deviance_p = self._bootstrap(threshold, log_slope, lapse, replicates)
         slope_drop = peak - surface.max(axis=0)
         bare_drop = bare.max() - bare.max(axis=0)
@@ -132,7 +134,7 @@ class _Likelihood:
             ends[1] = (ends[1][0], None)
         threshold_interval = _mapped(ends[0], sign, lambda value: 10.0 ** (sign * value))
         slope_interval = _mapped(ends[1], sign, lambda value: sign * math.exp(value))
-        right, of = (tuple(int(one) for one in some) for some in (self._k, self._n))
+        right, of = (tuple(int(count) for count in some) for some in (self._k, self._n))
         return PsychometricFit(
             levels, right, of, self._guess, lapse, 10.0 ** (sign * threshold), threshold_interval,
             sign * math.exp(log_slope), slope_interval, deviance, deviance_p, resolved,
@@ -150,20 +152,26 @@ class _Likelihood:
         bounds = [self._thresholds, self._log_slopes, (0.0, MOST_LAPSES)]
         grid = (np.linspace(*self._thresholds, 81), np.linspace(*self._log_slopes, 41), _LAPSES)
         surface = self._penalised(self._k, *grid)
-        start = [one[place] for one, place in zip(grid, np.unravel_index(surface.argmax(), surface.shape), strict=True)]
+        start = [
+            axis[place] for axis, place in zip(grid, np.unravel_index(surface.argmax(), surface.shape), strict=True)
+        ]
 
         def loss(point: Float64Array) -> float:
             return -float(self._penalised(self._k, *(point[axis : axis + 1] for axis in range(3))).item())
 
         found = minimize(loss, start, method="L-BFGS-B", bounds=bounds)
-        threshold, log_slope, lapse = (float(one) for one in (found.x if found.fun <= loss(np.array(start)) else start))
+        threshold, log_slope, lapse = (
+            float(value) for value in (found.x if found.fun <= loss(np.array(start)) else start)
+        )
         return threshold, log_slope, lapse
 
     def _around(
         self, threshold: float, log_slope: float, lapse: float, offsets: Float64Array
     ) -> tuple[Float64Array, Float64Array, Float64Array]:
         """A grid about an estimate, in its standard errors, cut at the bounds; the estimate's lapse rate is in it."""
-        a, b, c = (float(one.item()) for one in self._information(np.array([threshold]), np.array([log_slope]), lapse))
+        a, b, c = (
+            float(entry.item()) for entry in self._information(np.array([threshold]), np.array([log_slope]), lapse)
+        )
         slope = math.exp(log_slope)
         # Of threshold and log slope, from the information about the exponent's offset and factor.
         determinant = max(a * c - b * b, 1e-12)
@@ -186,8 +194,8 @@ class _Likelihood:
         profile, best = np.full(shape, -np.inf), np.full(replicates, -np.inf)
         bare = np.zeros(replicates)
         penalty = self._penalty(grid[0], grid[1])
-        for one in grid[2]:
-            plain = self._plain(k, grid[0], grid[1], one)
+        for lapse_rate in grid[2]:
+            plain = self._plain(k, grid[0], grid[1], lapse_rate)
             penalised = plain + penalty
             place = penalised.reshape(replicates, -1).argmax(axis=1)
             top = np.take_along_axis(penalised.reshape(replicates, -1), place[:, None], 1)[:, 0]
@@ -197,7 +205,7 @@ class _Likelihood:
             np.maximum(profile, penalised, out=profile)
         row, column = int(np.argmin(abs(grid[0] - threshold))), int(np.argmin(abs(grid[1] - log_slope)))
         drops = (best - profile[:, row].max(axis=1), best - profile[:, :, column].max(axis=1))
-        limits = [max(float(np.quantile(one, 0.95)), _CHI2_95 / 2.0) for one in drops]
+        limits = [max(float(np.quantile(drop, 0.95)), _CHI2_95 / 2.0) for drop in drops]
         own = float(self._plain(self._k, np.array([threshold]), np.array([log_slope]), lapse).item())
         deviance = 2.0 * (float(self._saturated(self._k)) - own)
         larger = np.count_nonzero(2.0 * (self._saturated(k) - bare) >= deviance)
@@ -234,7 +242,7 @@ class _Likelihood:
         self, k: Float64Array, thresholds: Float64Array, log_slopes: Float64Array, lapses: Float64Array
     ) -> Float64Array:
         """Penalised log-likelihoods (threshold, slope, lapse)."""
-        plain = np.stack([self._plain(k, thresholds, log_slopes, one) for one in lapses], axis=-1)
+        plain = np.stack([self._plain(k, thresholds, log_slopes, lapse_rate) for lapse_rate in lapses], axis=-1)
         return plain + self._penalty(thresholds, log_slopes)[..., None]
 
     def _saturated(self, k: Float64Array) -> Float64Array:
@@ -262,5 +270,5 @@ def _interval(values: Float64Array, drop: Float64Array, limit: float, place: flo
 
 
 def _mapped(interval: Interval, sign: float, to: Callable[[float], float]) -> Interval:
-    low, high = (None if one is None else to(one) for one in interval)
+    low, high = (None if end is None else to(end) for end in interval)
     return (low, high) if sign > 0 else (high, low)

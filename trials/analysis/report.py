@@ -64,9 +64,9 @@ def _headlines(analysis: Analysis) -> Iterator[str]:
     of = sum(analysis.trials.values())
     people = f"{len(analysis.trials)} participant{'s' if len(analysis.trials) > 1 else ''}"
     yield f"{of} answers of {people}."
-    for one in analysis.shares:
-        if not one.participant and not one.factors and one.outcome == RIGHT:
-            yield f"{one.count} of {one.of} are right: {percent(one.share)} ({_ends(one)})."
+    for share in analysis.shares:
+        if not share.participant and not share.factors and share.outcome == RIGHT:
+            yield f"{share.count} of {share.of} are right: {percent(share.share)} ({_ends(share)})."
 
 
 def _notes(analysis: Analysis) -> Iterator[str]:
@@ -75,10 +75,10 @@ def _notes(analysis: Analysis) -> Iterator[str]:
             "Intervals of all participants together take each answer as independent of the others. Where participants"
             " differ, they are too narrow: see those of each participant, or fit a mixed model to trials.csv."
         )
-    for what, some in (("banks", analysis.banks), ("trials files", analysis.tables)):
-        if len(some) > 1:
-            yield f"The answers belong to {len(some)} different {what}; they are pooled all the same."
-    if any(one.track for one in analysis.psychometric):
+    for what, digests in (("banks", analysis.banks), ("trials files", analysis.tables)):
+        if len(digests) > 1:
+            yield f"The answers belong to {len(digests)} different {what}; they are pooled all the same."
+    if any(function.track for function in analysis.psychometric):
         yield "Levels followed the answers: shares and d′ by level come from few trials, and are no random sample."
     if len(analysis.psychometric) > MOST_CURVES:
         yield f"The first {MOST_CURVES} of {len(analysis.psychometric)} psychometric functions are drawn."
@@ -86,13 +86,13 @@ def _notes(analysis: Analysis) -> Iterator[str]:
 
 def _shares(analysis: Analysis) -> Iterator[Section]:
     pooled: dict[tuple[tuple[str, ...], str], list[Share]] = {}
-    for one in analysis.shares:
-        if not one.participant and one.factors:
-            pooled.setdefault((tuple(one.factors), one.outcome), []).append(one)
-    right = any(one.outcome == RIGHT for one in analysis.shares)
+    for share in analysis.shares:
+        if not share.participant and share.factors:
+            pooled.setdefault((tuple(share.factors), share.outcome), []).append(share)
+    right = any(share.outcome == RIGHT for share in analysis.shares)
     definition = "95 % interval: Wilson's score interval."
     drawn = _drawn(pooled)
-    for (factors, outcome), shares in sorted(pooled.items(), key=lambda one: one[0] not in drawn):
+    for (factors, outcome), shares in sorted(pooled.items(), key=lambda item: item[0] not in drawn):
         if len(shares) > 3 * MOST_BARS:
             continue
         what = "right answers" if outcome == RIGHT else f"answers “{outcome}”"
@@ -103,15 +103,18 @@ def _shares(analysis: Analysis) -> Iterator[Section]:
             caption = f"Share of {what}, all participants together, with 95 % intervals."
             if chance is not None:
                 caption += f" Dashed: chance, 1 of {len(analysis.answers)} answers."
-        rows = [[*one.factors.values(), str(one.count), str(one.of), percent(one.share), _ends(one)] for one in shares]
+        rows = [
+            [*share.factors.values(), str(share.count), str(share.of), percent(share.share), _ends(share)]
+            for share in shares
+        ]
         head = [*(NAMES[factor] for factor in factors), "right" if right else "answers", "of", "share", "95 % interval"]
         title = f"{what[0].upper()}{what[1:]} by {' and '.join(NAMES[factor] for factor in factors)}"
         yield Section(title, definition, [PageTable(head, rows, len(factors))], pictures, caption)
-    own = [one for one in analysis.shares if one.participant and not one.factors]
+    own = [share for share in analysis.shares if share.participant and not share.factors]
     rows = [
-        [one.participant, *([] if right else [one.outcome]), str(one.count), str(one.of), percent(one.share),
-         _ends(one)]
-        for one in own
+        [share.participant, *([] if right else [share.outcome]), str(share.count), str(share.of), percent(share.share),
+         _ends(share)]
+        for share in own
     ]  # fmt: skip
     head = [
         "participant",
@@ -139,9 +142,10 @@ def _sensitivity(analysis: Analysis) -> Iterator[Section]:
         return
     first = analysis.sensitivities[0]
     rows = [
-        [one.participant or "all", _levels(one.factors) or "all", f"{one.hits} of {one.of_signal}",
-         f"{one.false_alarms} of {one.of_noise}", _signed(one.d_prime), _interval(one.interval), _signed(one.criterion)]
-        for one in analysis.sensitivities if not (one.participant and one.factors)
+        [group.participant or "all", _levels(group.factors) or "all", f"{group.hits} of {group.of_signal}",
+         f"{group.false_alarms} of {group.of_noise}", _signed(group.d_prime), _interval(group.interval),
+         _signed(group.criterion)]
+        for group in analysis.sensitivities if not (group.participant and group.factors)
     ]  # fmt: skip
     head = ["participant", "trials", "hits", "false alarms", "d′", "95 % interval", "criterion c"]
     yield Section(
@@ -156,14 +160,16 @@ def _sensitivity(analysis: Analysis) -> Iterator[Section]:
 def _psychometric(analysis: Analysis) -> Iterator[Section]:
     if not analysis.psychometric:
         return
-    staircase = any(one.reversals_threshold is not None for one in analysis.psychometric)
+    staircase = any(function.reversals_threshold is not None for function in analysis.psychometric)
     rows = [
-        [one.participant, one.track or _levels(one.factors) or "all", number(one.fit.threshold),
-         _interval(one.fit.threshold_interval), number(one.fit.slope) + ("" if one.fit.slope_resolved else " *"),
-         _interval(one.fit.slope_interval),
-         percent(one.fit.guess), percent(one.fit.lapse), f"{one.fit.deviance:.1f} ({one.fit.deviance_p:.3f})",
-         *([number(one.reversals_threshold)] if staircase else [])]
-        for one in analysis.psychometric
+        [function.participant, function.track or _levels(function.factors) or "all", number(function.fit.threshold),
+         _interval(function.fit.threshold_interval),
+         number(function.fit.slope) + ("" if function.fit.slope_resolved else " *"),
+         _interval(function.fit.slope_interval),
+         percent(function.fit.guess), percent(function.fit.lapse),
+         f"{function.fit.deviance:.1f} ({function.fit.deviance_p:.3f})",
+         *([number(function.reversals_threshold)] if staircase else [])]
+        for function in analysis.psychometric
     ]  # fmt: skip
     head = [
         "participant",
@@ -186,7 +192,7 @@ def _psychometric(analysis: Analysis) -> Iterator[Section]:
         " describe the answers."
         + (
             ""
-            if all(one.fit.slope_resolved for one in analysis.psychometric)
+            if all(function.fit.slope_resolved for function in analysis.psychometric)
             else " * steeper than the levels can resolve: the answers do not exclude a step between two levels,"
             " and the slope is a lower bound; use levels that are closer together, or more trials."
         )
@@ -200,13 +206,13 @@ def _psychometric(analysis: Analysis) -> Iterator[Section]:
 
 def _times(analysis: Analysis) -> Iterator[Section]:
     rows = [
-        [one.participant or "all", _levels(one.factors) or "all", str(one.of), number(one.median_s, "s"),
-         _interval(one.interval_s, "s")]
-        for one in analysis.reaction_times if not (one.participant and one.factors)
+        [time.participant or "all", _levels(time.factors) or "all", str(time.of), number(time.median_s, "s"),
+         _interval(time.interval_s, "s")]
+        for time in analysis.reaction_times if not (time.participant and time.factors)
     ]  # fmt: skip
-    by_factor = [one for one in analysis.reaction_times if not one.participant and one.factors]
+    by_factor = [time for time in analysis.reaction_times if not time.participant and time.factors]
     first = tuple(by_factor[0].factors) if by_factor else ()
-    drawn = [one for one in by_factor if tuple(one.factors) == first]
+    drawn = [time for time in by_factor if tuple(time.factors) == first]
     pictures = [reaction_time_plot("reaction-times", drawn)] if 1 < len(drawn) <= MOST_BARS else []
     yield Section(
         "Reaction times",

@@ -47,8 +47,8 @@ class Analysis:
 
     name, question, answers: Of the experiment; answers in their order on the screen.
     trials: By participant, the number that is answered.
-    banks, tables: SHA-256 of the banks and trials files that answers belong to; more than one of either is no one
-        experiment.
+    banks, tables: SHA-256 of the banks and trials files that answers belong to; with more than one of either,
+        the answers belong to several experiments.
     """
 
     name: str
@@ -99,7 +99,7 @@ def psychometric_of(
     factor = table.factor if table else _factor(judged)
     if factor is None:
         return ()
-    parting = [one for one in factors_of(judged) if one not in (factor, "plays") and not _decides(judged, one)]
+    parting = [other for other in factors_of(judged) if other not in (factor, "plays") and not _decides(judged, other)]
     found = []
     for person, own in groups(judged, ("participant",)):
         guess = table.guess_rate if table else _guess(own, names)

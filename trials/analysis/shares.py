@@ -86,8 +86,10 @@ def combinations_of(answers: DataFrame) -> tuple[tuple[str, ...], ...]:
         return sum(1 for _ in groups(answers, columns))
 
     factors = factors_of(answers)
-    given = {one for one in factors for other in factors if one != other and count(one, other) == count(other)}
-    return (*((factor,) for factor in factors), *combinations([one for one in factors if one not in given], 2))
+    given = {
+        factor for factor in factors for other in factors if factor != other and count(factor, other) == count(other)
+    }
+    return (*((factor,) for factor in factors), *combinations([factor for factor in factors if factor not in given], 2))
 
 
 def _outcomes(own: DataFrame, part: DataFrame, code: str, levels: Mapping[str, str]) -> Iterator[Share]:

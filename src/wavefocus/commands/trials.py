@@ -26,7 +26,7 @@ from wavefocus.storage.errors import InputError
 from wavefocus.trials.answers import AnswersFile, check_participant, write_facts
 from wavefocus.trials.design import TrialsDesign, load_trials
 from wavefocus.trials.presentation import MASKING_CREST, Masking, Onset, RigPresenter, Sound
-from wavefocus.trials.resuming import Experiment, begun
+from wavefocus.trials.resuming import Experiment, resume_sequence
 from wavefocus.trials.session import TrialsSession
 from wavefocus.trials.stimuli import Prepared, prepare
 
@@ -70,7 +70,7 @@ def trials(
         if line is None:
             prepared = _prepared(design, view, rig, out, lambda done, of: None, anew=not answers.rows)
         else:
-            begun(Experiment(design), participant, answers.rows)
+            resume_sequence(Experiment(design), participant, answers.rows)
             line.start()
             with line.breakable():
                 prepared = _prepared(design, view, rig, out, line.show_prepared, anew=not answers.rows)
@@ -80,7 +80,7 @@ def trials(
             if as_json:
                 print(json.dumps({"bank_sha256": prepared.bank_sha256, "stimuli": dict(prepared.sha256)}))
             return Exit.DONE
-        begun(experiment, participant, answers.rows)
+        resume_sequence(experiment, participant, answers.rows)
         write_facts(out, _facts(design, view, rig, prepared))
         run = None if view.rig_json is None or view.run_json is None else bank_configuration(view).run
         work = _Work(experiment, prepared, rig, run, masking, view.sample_rate_hz, answers, participant, fast=fast)
