@@ -98,6 +98,19 @@ def float_type(dtype: DTypeLike) -> np.dtype[Any]:
     return np.dtype(kind)
 
 
+def require_rate(sample_rate_hz: float) -> None:
+    """Refuse a sample rate that is not a number above 0. Raises InputError."""
+    if not (math.isfinite(sample_rate_hz) and sample_rate_hz > 0):
+        raise InputError(f"sample_rate_hz is {sample_rate_hz}; a rate above 0 is needed")
+
+
+def require_times(sample_rate_hz: float, start_s: float) -> None:
+    """Refuse a sample rate that is not above 0, and a start that is not finite. Raises InputError."""
+    require_rate(sample_rate_hz)
+    if not math.isfinite(start_s):
+        raise InputError(f"start_s is {start_s}; a finite time is needed")
+
+
 def checked(function: Callable[P, R]) -> Callable[P, R]:
     """Refuse arguments of a public function that are not as its annotations say.
 

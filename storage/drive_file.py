@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.storage import hdf5_digest, hdf5_reading
-from wavefocus.storage.argument_types import check_fields, checked, real_array, whole_array
+from wavefocus.storage.argument_types import check_fields, checked, real_array, require_times, whole_array
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.hdf5_writing import attach, created, filled, reserved, sample_times, scale, set_long_names
 from wavefocus.storage.output_files import replacement, require_outputs
@@ -75,10 +75,7 @@ class Drive:
         if not known_finite and not _finite(self.drive_v):
             actuator = int(np.flatnonzero(~np.isfinite(self.drive_v).all(axis=1))[0])
             raise InputError(f"/drive of actuator {actuator} holds NaN or infinities; finite volts are needed")
-        if not (np.isfinite(self.sample_rate_hz) and self.sample_rate_hz > 0):
-            raise InputError(f"sample_rate_hz is {self.sample_rate_hz}; a rate above 0 is needed")
-        if not np.isfinite(self.start_s):
-            raise InputError(f"start_s is {self.start_s}; a finite time is needed")
+        require_times(self.sample_rate_hz, self.start_s)
         if not (np.isfinite(self.scale) and self.scale > 0):
             raise InputError(f"scale is {self.scale}; a factor above 0 is needed")
         if not self.omitted_bound >= 0:

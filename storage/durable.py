@@ -48,8 +48,8 @@ class Closing:
         self.close()
 
 
-class PositionedFile:
-    """An open file that is read and written at stated offsets, unbuffered; failures are ``OSError``.
+class PositionedFile(Closing):
+    """An open file that is read and written at stated offsets, unbuffered; failures are ``OSError``; a context manager.
 
     path: An existing file; it is never created and never truncated.
     write: Whether it is opened for writing.
@@ -250,17 +250,14 @@ def publish_by_link(temporary: Path, final: Path) -> None:
 
 def publish_by_claim(temporary: Path, final: Path) -> None:
     """Name a file where there are no hard links: claim the name with an empty file, then replace that."""
-    os.close(os.open(final, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
+    final.touch(exist_ok=False)
     temporary.replace(final)
 
 
 def sync_path(path: Path) -> None:
     """Return when a closed file's bytes are on the disk."""
-    file = open_file(path, write=True)
-    try:
+    with open_file(path, write=True) as file:
         file.sync()
-    finally:
-        file.close()
 
 
 def sync_folder(folder: Path) -> None:

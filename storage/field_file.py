@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from wavefocus.storage import hdf5_digest, hdf5_reading
-from wavefocus.storage.argument_types import check_fields, checked, float_type, reals, whole_array
+from wavefocus.storage.argument_types import check_fields, checked, float_type, reals, require_times, whole_array
 from wavefocus.storage.durable import Closing
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.hdf5_writing import attach, created, filled, reserved, sample_times, scale, set_long_names
@@ -87,7 +87,7 @@ class Field:
         object.__setattr__(self, "position_index", _indices(self.position_index, len(values)))
         if not known_finite:
             _require_finite(values, self.position_index)
-        _require_times(self.sample_rate_hz, self.start_s)
+        require_times(self.sample_rate_hz, self.start_s)
 
     def __repr__(self) -> str:
         """Its size, in one line."""
@@ -175,7 +175,7 @@ def field_in_rows(
     path, index = Path(path), _indices(position_index, len(position_index))
     if not len(index) or samples < 1:
         raise InputError(f"a field of {len(index)} positions and {samples} samples; 1 or more is needed")
-    _require_times(sample_rate_hz, start_s)
+    require_times(sample_rate_hz, start_s)
     kind = float_type(dtype).newbyteorder("<")
     require_outputs((path,), (), force=force)
     data_bytes = len(index) * samples * kind.itemsize + 8 * (2 * len(index) + samples)
@@ -266,7 +266,7 @@ class FieldRowReader(Closing):
             try:
                 self.position_index = _indices(index, len(self._field))
                 self.low_pass = _read_low_pass(file)
-                _require_times(self.sample_rate_hz, self.start_s)
+                require_times(self.sample_rate_hz, self.start_s)
             except InputError as error:
                 raise InputError(str(error) if str(path) in str(error) else f"{path}: {error}") from error
             hdf5_reading.require_sample_times(file, self.samples, self.sample_rate_hz, self.start_s)
@@ -283,13 +283,10 @@ class FieldRowReader(Closing):
         digest = hdf5_digest.RunningDigest(self._field.dtype)
         at_once = max(1, AT_ONCE_BYTES // (8 * self.samples))
         for first in range(0, len(self.position_index), at_once):
-            try:
-                values = np.asarray(self._field[first : first + at_once])
-            except (OSError, RuntimeError) as error:
-                complaint = hdf5_reading.hdf5_complaint(error)
-                raise InputError(f"{self.path}: /field from row {first} {complaint}") from error
+            words = f"{self.path}: /field from row {first}"
+            values = hdf5_reading.read_part(self._field, slice(first, first + at_once), words)
             if not np.isfinite(values).all():
-                raise InputError(f"{self.path}: /field from row {first} holds NaN or infinities")
+                raise InputError(f"{words} holds NaN or infinities")
             if self._sealed:
                 digest.update(values)
             yield first, values
@@ -362,10 +359,3 @@ def _indices(position_index: Sequence[int] | Int64Array, count: int) -> Int64Arr
     if (indices < 0).any():
         raise InputError(f"/position_index holds {indices.min()}; rows of a bank, 0 or more, are needed")
     return indices
-
-
-def _require_times(sample_rate_hz: float, start_s: float) -> None:
-    if not (np.isfinite(sample_rate_hz) and sample_rate_hz > 0):
-        raise InputError(f"sample_rate_hz is {sample_rate_hz}; a rate above 0 is needed")
-    if not np.isfinite(start_s):
-        raise InputError(f"start_s is {start_s}; a finite time is needed")

@@ -201,6 +201,14 @@ def read_whole(dataset: h5py.Dataset) -> NDArray[Any]:
     return np.asarray(dataset[...])
 
 
+def read_part(dataset: h5py.Dataset, selection: Any, words: str) -> NDArray[Any]:
+    """Read part of a dataset; raises InputError with `words`, which name file and part, where HDF5 cannot."""
+    try:
+        return np.asarray(dataset[selection])
+    except (OSError, RuntimeError, ValueError) as error:
+        raise InputError(f"{words} {hdf5_complaint(error)}") from error
+
+
 def has(file: h5py.File, name: str) -> bool:
     """Whether a name exists; InputError where it or a part of it is a link to elsewhere."""
     return _find(file, name) is not None

@@ -36,9 +36,8 @@ def created(path: Path, data_bytes: int = 0, *, laid_out_once: bool = False) -> 
 
     Raises OSError: there is no room, or the disk failed; the file is of no use then.
     """
-    os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
-    disk = durable.open_file(path, write=True)
-    try:
+    path.touch(exist_ok=False)
+    with durable.open_file(path, write=True) as disk:
         if not laid_out_once:
             disk.reserve(data_bytes + _METADATA_BYTES)
         target = _Target(disk)
@@ -48,8 +47,6 @@ def created(path: Path, data_bytes: int = 0, *, laid_out_once: bool = False) -> 
         finally:
             if target.failure is not None:
                 raise target.failure
-    finally:
-        disk.close()
     os.truncate(path, target.size)
 
 

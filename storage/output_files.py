@@ -9,13 +9,14 @@ from __future__ import annotations
 import os
 import shutil
 import stat
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 from wavefocus.storage import durable
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.sidecar_files import clear_leftovers, staging_dir
+from wavefocus.storage.sidecar_files import StagingDir, clear_leftovers, staging_dir
 
 EXPORT_MARK = "wavefocus_export"
 """Root attribute of exports that are read as banks, too; being copies, they may be replaced."""
@@ -68,21 +69,12 @@ def staged_folder(folder: Path, last: str, owned: Collection[str] = ()) -> Itera
 
     Raises InputError: they cannot be written; older files are there as before.
     """
-    with ExitStack() as failed, _named_failures(folder):
+    with _named_failures(folder), ExitStack() as stack:
         if not folder.is_dir():
             folder.mkdir(parents=True)
-            failed.callback(_remove_if_empty, folder)
-        clear_leftovers(folder)
-        with staging_dir(folder / _STAGED) as place:
-            place.temporary.mkdir()
-            try:
-                yield place.temporary
-            except InputError as error:
-                raise InputError(str(error).replace(str(place.temporary), str(folder))) from error
-            for file in place.temporary.iterdir():
-                durable.sync_path(file)
-            durable.sync_folder(place.temporary)
-            place.publish_files(last, owned)
+            stack.callback(_remove_if_empty, folder)
+        publish = partial(StagingDir.publish_files, last=last, owned=owned)
+        yield stack.enter_context(_staged(folder / _STAGED, folder, publish))
 
 
 @contextmanager
@@ -95,17 +87,24 @@ def replaced_folder(folder: Path) -> Iterator[Path]:
     """
     with _named_failures(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
-        clear_leftovers(folder.parent)
-        with staging_dir(folder) as place:
-            place.temporary.mkdir()
-            try:
-                yield place.temporary
-            except InputError as error:
-                raise InputError(str(error).replace(str(place.temporary), str(folder))) from error
-            for path in place.temporary.rglob("*"):
-                (durable.sync_folder if path.is_dir() else durable.sync_path)(path)
-            durable.sync_folder(place.temporary)
-            place.publish_folder()
+        with _staged(folder, folder, StagingDir.publish_folder) as staging:
+            yield staging
+
+
+@contextmanager
+def _staged(path: Path, folder: Path, publish: Callable[[StagingDir], None]) -> Iterator[Path]:
+    """Yield a hidden folder next to `path`, synced and published when the block ends well; errors name `folder`."""
+    clear_leftovers(path.parent)
+    with staging_dir(path) as staging:
+        staging.temporary.mkdir()
+        try:
+            yield staging.temporary
+        except InputError as error:
+            raise InputError(str(error).replace(str(staging.temporary), str(folder))) from error
+        for made in staging.temporary.rglob("*"):
+            (durable.sync_folder if made.is_dir() else durable.sync_path)(made)
+        durable.sync_folder(staging.temporary)
+        publish(staging)
 
 
 def write_whole(path: Path, content: bytes | str) -> None:
@@ -119,13 +118,10 @@ def require_room(path: Path, size: int) -> None:
 
     Raises OSError: there is no room for `size` bytes.
     """
-    os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
+    path.touch(0o600, exist_ok=False)
     try:
-        file = durable.open_file(path, write=True)
-        try:
+        with durable.open_file(path, write=True) as file:
             file.reserve(size)
-        finally:
-            file.close()
     finally:
         path.unlink()
 

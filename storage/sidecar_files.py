@@ -229,7 +229,7 @@ def _new_folder(path: Path) -> tuple[Path, PositionedFile]:
 
 def _claim(name: Path) -> PositionedFile | None:
     """Lock a folder's owner file; None when the folder was taken for a leftover before it was locked."""
-    os.close(os.open(name, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
+    name.touch(0o600, exist_ok=False)
     owner = durable.open_file(name, write=True)
     if owner.try_lock() and name.exists():
         return owner

@@ -95,16 +95,15 @@ def add_note(path: str | Path, text: str) -> Note:
         file = durable.open_file(path, write=True)
     except OSError as error:
         raise InputError(f"{path} may not be written: {error.strerror}") from error
-    try:
-        owner.take_ownership(path, file, "bank")
-        with staging_dir(path) as place:
-            shutil.copy2(path, place.temporary)
-            with h5py.File(place.temporary, "r+") as copy:
-                copy.attrs[hdf5_digest.NOTES] = json.dumps([*map(asdict, notes), asdict(note)], ensure_ascii=False)
-            durable.sync_path(place.temporary)
-            place.publish()
-    except OSError as error:
-        raise InputError(f"{path}: the note cannot be added: {error.strerror or error}") from error
-    finally:
-        file.close()
+    with file:
+        try:
+            owner.take_ownership(path, file, "bank")
+            with staging_dir(path) as staging:
+                shutil.copy2(path, staging.temporary)
+                with h5py.File(staging.temporary, "r+") as copy:
+                    copy.attrs[hdf5_digest.NOTES] = json.dumps([*map(asdict, notes), asdict(note)], ensure_ascii=False)
+                durable.sync_path(staging.temporary)
+                staging.publish()
+        except OSError as error:
+            raise InputError(f"{path}: the note cannot be added: {error.strerror or error}") from error
     return note

@@ -41,11 +41,7 @@ class ForeignRows:
 
     def read(self, position: int) -> Float32Array | Float64Array:
         """Green's functions of a position, unpacked by `scale_factor` and `add_offset` where there are any."""
-        try:
-            row = self._green[position]
-        except (OSError, RuntimeError, ValueError) as error:
-            complaint = hdf5_reading.hdf5_complaint(error)
-            raise InputError(f"{self._path}: /green at position {position} {complaint}") from error
+        row = hdf5_reading.read_part(self._green, position, f"{self._path}: /green at position {position}")
         if not self._packing.is_plain:
             return self._packing.unpack(row)
         with np.errstate(over="ignore"):  # a long double beyond float64 becomes an infinity and is refused as such
@@ -417,11 +413,8 @@ class CopiedRows:
         if self._replacing is not None and self._replacing.position == position:
             values = self._replacing.chunks[0][: self._shape.data_bytes]
         else:
-            try:
-                values = np.ascontiguousarray(self._green[position], "<f4").tobytes()
-            except (OSError, RuntimeError) as error:
-                complaint = hdf5_reading.hdf5_complaint(error)
-                raise InputError(f"{self._path}: /green at position {position} {complaint}") from error
+            row = hdf5_reading.read_part(self._green, position, f"{self._path}: /green at position {position}")
+            values = np.ascontiguousarray(row, "<f4").tobytes()
         crcs = self.ledger.crcs[position].tolist()
         if not self.ledger.holds[position] or not self._shape.holds(crcs, [values]):
             raise DamagedError(damage_of(self._path, BANK, position))

@@ -177,14 +177,11 @@ def write_bank(path: Path, header: BankHeader, rows: Iterable[tuple[int, Float32
         create_bank(temporary, header)
         with hdf5_reading.opened(temporary) as content:
             layout = read_layout(content, temporary, contents=False)
-        file = durable.open_file(temporary, write=True)
-        try:
+        with durable.open_file(temporary, write=True) as file:
             for position, green, record in rows:
                 values = np.ascontiguousarray(green, "<f4")
                 row = encode_row(position, record, values)
                 file.write(int(layout.chunk_offset[0, position]), values.data)
                 file.write(layout.row_offset(position), row)
-        finally:
-            file.close()
         with BankWriter.open(temporary):
             pass  # verifies every row, and writes /status and /quality from the ledger

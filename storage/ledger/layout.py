@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.storage import durable, hdf5_digest, hdf5_reading
+from wavefocus.storage.argument_types import require_rate
 from wavefocus.storage.durable import PAGE
 from wavefocus.storage.errors import ExistsError, InputError, OtherLayoutError
 from wavefocus.storage.hdf5_writing import attach, created, reserved
@@ -229,12 +230,9 @@ def create_file(
 
 
 def _reserve(path: Path, size: int, open_file: durable.OpenFile) -> None:
-    file = open_file(path, write=True)
-    try:
+    with open_file(path, write=True) as file:
         file.reserve(max(-(-file.size() // PAGE) * PAGE, size))
         file.sync()
-    finally:
-        file.close()
 
 
 def _require_space(path: Path, needed: int, error: Exception | None = None) -> None:
@@ -247,8 +245,7 @@ def _require_space(path: Path, needed: int, error: Exception | None = None) -> N
 
 def require_header(header: Any) -> None:
     """Bring the positions of a new header into order, and refuse values that banks and raw files both exclude."""
-    if not (np.isfinite(header.sample_rate_hz) and header.sample_rate_hz > 0):
-        raise InputError(f"sample_rate_hz is {header.sample_rate_hz}; a rate above 0 is needed")
+    require_rate(header.sample_rate_hz)
     low, high = header.band_hz
     if not 0 <= low < high <= header.sample_rate_hz / 2:
         raise InputError(f"band_hz is {low:g} to {high:g}; 0 <= low < high <= {header.sample_rate_hz / 2:g} is needed")

@@ -53,10 +53,8 @@ def bank_owner(path: str | Path) -> Owner | None:
         file = open_file(path)
     except OSError as error:
         raise InputError(f"{path} may not be read: {error.strerror}") from error
-    try:
+    with file:
         return _named_owner(path) if file.locked_elsewhere() else None
-    finally:
-        file.close()
 
 
 def require_regular(path: Path) -> None:

@@ -140,12 +140,9 @@ class ForeignRows:
         self._path, self._datasets, self._open = path, datasets, stack
 
     def read(self, position: int) -> tuple[NDArray[Any], ...] | None:
-        """As of :class:`RawRows`."""
-        try:
-            channels = tuple(np.asarray(dataset[position]) for dataset in self._datasets)
-        except (OSError, RuntimeError, ValueError) as error:
-            complaint = hdf5_reading.hdf5_complaint(error)
-            raise InputError(f"{self._path}: the recordings of position {position} {complaint}") from error
+        """See :class:`RawRows`."""
+        words = f"{self._path}: the recordings of position {position}"
+        channels = tuple(hdf5_reading.read_part(dataset, position, words) for dataset in self._datasets)
         # Of a file whose rows are written one by one, those to come are zeros.
         return channels if any(channel.any() for channel in channels) else None
 
