@@ -143,7 +143,7 @@ def check_fields(made: Any, **init_only: object) -> None:
     kind = type(made)
     if kind not in _FIELDS:
         hints = _hints(kind)
-        _FIELDS[kind] = {one.name: hints[one.name] for one in fields(kind) if one.init}
+        _FIELDS[kind] = {field.name: hints[field.name] for field in fields(kind) if field.init}
         _FIELDS[kind] |= {name: hints[name].type for name in init_only}
     for name, hint in _FIELDS[kind].items():
         if not _fits(value := init_only.get(name, getattr(made, name, None)), hint):
@@ -217,7 +217,7 @@ def _fits_tuple(value: Any, parts: tuple[Any, ...]) -> bool:
     if not isinstance(value, tuple | list | np.ndarray):
         return False
     if len(parts) == 2 and parts[1] is Ellipsis:
-        return all(_fits(one, parts[0]) for one in value)
+        return all(_fits(entry, parts[0]) for entry in value)
     return len(value) == len(parts) and all(_fits(one, part) for one, part in zip(value, parts, strict=True))
 
 

@@ -106,7 +106,7 @@ class Drive:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveAbout:
-    """All that a drive file says besides the volts; as of `Drive`."""
+    """All that a drive file says besides the volts; see `Drive`."""
 
     sample_rate_hz: float
     start_s: float

@@ -71,6 +71,12 @@ class PositionedFile(Closing):
                 view[: len(part)] = part
                 view = view[len(part) :]
 
+    def read(self, offset: int, size: int) -> bytearray:
+        """Read ``size`` bytes from byte ``offset`` on."""
+        content = bytearray(size)
+        self.read_into(offset, memoryview(content))
+        return content
+
     def write(self, offset: int, data: bytes | memoryview) -> None:
         """Write all of ``data`` from byte ``offset`` on."""
         view = memoryview(data).cast("B")

@@ -241,7 +241,7 @@ class FieldRowReader(Closing):
     """A field file open for reading a few rows at a time, for fields that do not fit into memory; a context manager.
 
     position_index, int64 (K,): Bank row of each row of the field.
-    samples, sample_rate_hz, start_s, response_unit, low_pass: As of :class:`Field`.
+    samples, sample_rate_hz, start_s, response_unit, low_pass: See :class:`Field`.
     verified: Whether the file carries checksums of all its values.
 
     Raises InputError: the file is missing, damaged, no field file, or of a future version.

@@ -195,7 +195,7 @@ def _objects(file: h5py.File) -> Iterator[tuple[str, object]]:
         yield name, found
         if isinstance(found, h5py.Group) and hash(found.id) not in seen:
             seen.add(hash(found.id))
-            names += [(f"{name}/{one}", found) for one in sorted(found, reverse=True)]
+            names += [(f"{name}/{member}", found) for member in sorted(found, reverse=True)]
 
 
 def _plain(value: object, file: h5py.File) -> object:

@@ -166,7 +166,7 @@ def stored_pieces(dataset: h5py.Dataset) -> list[tuple[int, int]]:
 
 
 def packing_of(dataset: h5py.Dataset, *, written: bool = False) -> Packing:
-    """How a dataset of real numbers is packed; raises InputError where an attribute is no finite number.
+    """How a dataset of real numbers is packed; raises InputError where an attribute is not a finite number.
 
     written: Whether all of it was written, so that the fill value of netCDF's library is a value as any other.
     """
@@ -287,7 +287,7 @@ def text(file: h5py.File | h5py.Dataset, name: str) -> str | None:
     item = value.reshape(-1)[0] if value.size == 1 else None
     try:
         if isinstance(item, str):
-            return item.encode().decode()  # h5py lets bytes that are no UTF-8 through as surrogates
+            return item.encode().decode()  # h5py lets bytes that are not UTF-8 through as surrogates
         if isinstance(item, bytes):
             return item.decode()
     except UnicodeError:

@@ -170,8 +170,8 @@ def bare_dimension(file: h5py.File, name: str, size: int) -> h5py.Dataset:
 
 def attach(dataset: h5py.Dataset, *scales: h5py.Dataset) -> None:
     """Attach a dimension scale to each dimension of a dataset."""
-    for dimension, one in zip(dataset.dims, scales, strict=True):
-        dimension.attach_scale(one)
+    for dimension, dimension_scale in zip(dataset.dims, scales, strict=True):
+        dimension.attach_scale(dimension_scale)
 
 
 def set_long_names(file: h5py.File, names: Mapping[str, str]) -> None:

@@ -150,7 +150,7 @@ def require_output_folder(
 ) -> None:
     """Refuse a folder of outputs whose files of the given names must stay; as :func:`require_outputs`.
 
-    The folder may be missing; files of the names in `may_exist` are no results and are replaced without being asked.
+    The folder may be missing; files of the names in `may_exist` are not results and are replaced without being asked.
     """
     if not folder.is_dir():
         if os.path.lexists(folder):
@@ -185,9 +185,9 @@ def require_replaceable_folder(
         raise InputError(f"{folder} exists and holds files; name a new folder, or replace an earlier one with --force")
     if strangers := [name for name in files if name not in ours]:
         raise InputError(f"{folder} holds {strangers[0]}, which wavefocus {by} has not written; name a new folder")
-    for one in inputs:
-        if one is not None and one.resolve().is_relative_to(folder.resolve()):
-            raise InputError(f"{one} is an input of this command and lies in {folder}; name a new folder")
+    for path in inputs:
+        if path is not None and path.resolve().is_relative_to(folder.resolve()):
+            raise InputError(f"{path} is an input of this command and lies in {folder}; name a new folder")
 
 
 def _require_output(path: Path, inputs: Sequence[Path], *, force: bool) -> None:
@@ -213,19 +213,19 @@ def _require_replaceable(path: Path, inputs: Sequence[Path]) -> bool:
     if not stat.S_ISREG(mode):
         kind = next((words for is_kind, words in _KINDS if is_kind(mode)), "not a regular file")
         raise InputError(f"{path} is {kind}; an output is written to a regular file or a new name")
-    for one in inputs:
-        if _same(path, one):
+    for other in inputs:
+        if _same(path, other):
             raise InputError(f"{path} is an input of this command and is never written over; name another file")
     if found := _precious(path):
         raise InputError(f"{path} {found} and is never written over; name another file")
     return True
 
 
-def _same(one: Path, other: Path) -> bool:
+def _same(path: Path, other: Path) -> bool:
     try:
-        return one.samefile(other)
+        return path.samefile(other)
     except OSError:  # one of them is not there
-        return one.absolute() == other.absolute()
+        return path.absolute() == other.absolute()
 
 
 def _precious(path: Path) -> str:

@@ -44,7 +44,7 @@ class ScanJournal(Closing):
     samples: Samples of a response.
     replace: Drop the entries of another scan instead.
 
-    Raises InputError: the file is no journal, or of another scan. BankBusyError: another process scans into it.
+    Raises InputError: the file is not a journal, or of another scan. BankBusyError: another process scans into it.
     """
 
     def __init__(self, path: Path, identity: str, samples: int, *, replace: bool = False) -> None:
@@ -59,7 +59,7 @@ class ScanJournal(Closing):
         if not path.exists():
             create(path).close()
         elif not path.is_file() or path.is_symlink():
-            raise InputError(f"{path} is no regular file; remove it, or name another folder")
+            raise InputError(f"{path} is not a regular file; remove it, or name another folder")
         self._file = durable.open_file(path, write=True)
         try:
             self._own(replace=replace)
@@ -103,8 +103,7 @@ class ScanJournal(Closing):
         if self._file.size() < PAGE:  # new, or killed while it was made
             self._begin()
             return
-        head = bytearray(PAGE)
-        self._file.read_into(0, memoryview(head))
+        head = self._file.read(0, PAGE)
         if not head.startswith(b'{"format": "' + FORMAT.encode()):
             raise InputError(f"{self.path} is not what a scan left; remove it, or name another folder")
         if head != self._head:
@@ -128,7 +127,6 @@ class ScanJournal(Closing):
 
     def _read(self, number: int) -> np.void | None:
         """An entry, or None where it is not whole."""
-        content = bytearray(self._entry.itemsize)
-        self._file.read_into(self._offset(number), memoryview(content))
+        content = self._file.read(self._offset(number), self._entry.itemsize)
         entry = np.frombuffer(content, self._entry)[0]
         return entry if zlib.crc32(content[:-4], self._head_crc) == entry["crc32"] else None

@@ -259,8 +259,7 @@ def _finish(folder: Path, path: Path, owner: PositionedFile) -> None:
     """Give a complete file or folder the name that its maker had claimed, or had just taken from an older folder."""
     if owner.size() != len(_COMPLETE) or not (folder / path.name).exists():
         return
-    noted = bytearray(len(_COMPLETE))
-    owner.read_into(0, memoryview(noted))
+    noted = owner.read(0, len(_COMPLETE))
     if noted == _UNPACKED:
         _unpack(folder / path.name, path.parent, (folder / _RECORD).read_text(encoding="utf-8"))
         return

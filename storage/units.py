@@ -27,19 +27,19 @@ def response_unit(green_unit: str, drive_unit: str = "V") -> str:
     drive_unit: Unit of the drive.
     """
     unit, drive = green_unit.strip(), drive_unit.strip()
-    for one in _VOLTS if drive in _VOLTS else (drive,):
-        if one in _ONE:
+    for name in _VOLTS if drive in _VOLTS else (drive,):
+        if name in _ONE:
             continue
         for ending in (
-            f"/{one}",
-            f"/ {one}",
-            f"/({one})",
-            f" per {one}",
-            *(f"{one}{power}" for power in ("-1", "^-1", "⁻¹")),
+            f"/{name}",
+            f"/ {name}",
+            f"/({name})",
+            f" per {name}",
+            *(f"{name}{power}" for power in ("-1", "^-1", "⁻¹")),
         ):
             if unit.endswith(ending):
                 rest = unit.removesuffix(ending)
-                if ending[0] == one[0] and rest and rest[-1] not in " ·*.":
+                if ending[0] == name[0] and rest and rest[-1] not in " ·*.":
                     continue  # the end of a longer word
                 rest = rest.rstrip(" ·*.")
                 bare = rest[1:-1] if rest.startswith("(") and rest.endswith(")") else rest
@@ -82,7 +82,7 @@ def green_unit(unit: str, drive_unit: str) -> str:
 
 
 def quantity(number: str, unit: str) -> str:
-    """A number and its unit; the number alone where the unit is 1."""
+    """A number and its unit; only the number where the unit is 1."""
     return number if unit in _ONE else f"{number} {unit}"
 
 
@@ -120,7 +120,7 @@ def split_unit(unit: str) -> tuple[str, str]:
 
 
 def _is_one_of(unit: str, units: Iterable[str]) -> bool:
-    return any(unit == prefix * (one not in ("1", "lbf")) + one for one in units for prefix in _PREFIXES)
+    return any(unit == prefix * (name not in ("1", "lbf")) + name for name in units for prefix in _PREFIXES)
 
 
 def _drive_of(factors: Factors) -> Factors:

@@ -158,9 +158,8 @@ class AnswersFile(Closing):
         self._file = durable.open_file(self.path, write=True)
         try:
             take_ownership(self.path, self._file, "answers file")
-            content = bytearray(self._file.size())
-            self._file.read_into(0, memoryview(content))
-            self.rows, self._columns, whole = _rows_of(bytes(content), self.path)
+            content = bytes(self._file.read(0, self._file.size()))
+            self.rows, self._columns, whole = _rows_of(content, self.path)
             self._cut_off(whole)
             write_owner(self.path)
         except BaseException:

@@ -137,7 +137,7 @@ def quality_shape(name: str, positions: int, actuators: int) -> tuple[int, ...]:
 def read_layout(file: h5py.File, path: Path, *, contents: bool = True) -> LedgerLayout:
     """Read and verify header and offsets of a bank that this program made, and its other contents where wished.
 
-    Raises InputError: when the file is of another format or version, is no bank of this program, is truncated or
+    Raises InputError: when the file is of another format or version, is not a bank of this program, is truncated or
     damaged.
     """
     require_ledger(file, path, BANK)

@@ -83,7 +83,7 @@ class PointRecord:
 class Figures:
     """What the ledger says of all positions.
 
-    status, neighbour_round, suspect, unjudgeable, arrays (P,): As of `PointRecord`; 0 where the row does not hold.
+    status, neighbour_round, suspect, unjudgeable, arrays (P,): See `PointRecord`; 0 where the row does not hold.
     quality: As ``/quality``: (P, N); ``attempts``, ``moved_mm`` and ``reference_db`` (P,).
     rms, float64 (P, N): Root mean square over the taps of each Green's function; NaN where the row does not hold, is
         silent, or was written by an older version.

@@ -37,7 +37,7 @@ def read_notes(file: h5py.File) -> tuple[Note, ...]:
     """Notes of an open bank, oldest first; those of another program, which cannot be read, are passed over."""
     try:
         text = hdf5_reading.text(file, hdf5_digest.NOTES) or "[]"
-        return tuple(Note(str(one["at"]), str(one["text"])) for one in json.loads(text))
+        return tuple(Note(str(note["at"]), str(note["text"])) for note in json.loads(text))
     except (InputError, ValueError, TypeError, KeyError, RecursionError):
         return ()
 

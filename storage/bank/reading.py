@@ -238,7 +238,7 @@ class Bank(Closing):
 
     @property
     def import_facts(self) -> dict[str, Any]:
-        """`import_report` as an object; empty where the bank was measured here, or the text is no JSON object."""
+        """`import_report` as an object; empty where the bank was measured here, or the text is not a JSON object."""
         try:
             facts = json.loads(self.import_report or "{}")
         except (ValueError, RecursionError):

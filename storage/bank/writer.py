@@ -141,12 +141,11 @@ class BankWriter(LedgerWriter):
     def _recover(self) -> NDArray[np.bool_]:
         """Verify all rows, make those that a crash left half-written read as zeros, and rebuild status and quality."""
         layout, shape = self._layout, self._shape
-        ledger = shape.decode(self._read(layout.ledger_offset, layout.positions * shape.row_bytes))
+        ledger = shape.decode(self._file.read(layout.ledger_offset, layout.positions * shape.row_bytes))
         figures = figures_of(ledger.rows, ledger.holds, self.header.actuators)
         trusted = figures.status > 0
-        chunk = bytearray(shape.chunk_bytes)
         for position, offset in enumerate(layout.chunk_offset[0].tolist()):
-            self._file.read_into(offset, memoryview(chunk))
+            chunk = self._file.read(offset, shape.chunk_bytes)
             if trusted[position]:
                 trusted[position] = shape.holds(ledger.crcs[position].tolist(), [chunk])
             elif ledger.empty[position] and not is_empty(chunk):
@@ -159,7 +158,7 @@ class BankWriter(LedgerWriter):
             derived = self._status if name == "/status" else figures.quality[name.rpartition("/")[2]].astype("<f4")
             derived[~trusted] = 0 if name in ("/status", "/quality/attempts") else np.nan
             content = derived.tobytes()
-            if self._read(offset, len(content)) != content:
+            if self._file.read(offset, len(content)) != content:
                 self._file.write(offset, content)
         return trusted
 

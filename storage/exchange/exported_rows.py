@@ -96,7 +96,7 @@ class ExportedRows:
 
 def printable(text: str) -> str:
     """A text in one line of characters that every format holds; others become question marks."""
-    return "".join(one if one.isprintable() else "?" for one in text)
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
 def choose_rows(bank: Bank, positions: Positions | None, *, missing_as_nan: bool, **options: Any) -> ExportedRows:

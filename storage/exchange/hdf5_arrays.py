@@ -58,7 +58,7 @@ def read_arrays(
     if "green" not in names and not options.names:
         hard = [name for name in names if isinstance(file.get(name, getlink=True), h5py.HardLink)]
         groups = [name for name in hard if file.get(name, getclass=True) is h5py.Group]
-        group = next((f"{one}/" for one in groups if hdf5_reading.has(file, f"{one}/green")), "")
+        group = next((f"{name}/" for name in groups if hdf5_reading.has(file, f"{name}/green")), "")
 
     def get(name: str) -> Any:
         if "." in name and name not in names:

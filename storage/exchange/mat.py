@@ -189,6 +189,6 @@ def _understand(dataset: h5py.Dataset) -> Any:
     """An array of version 7.3, whose axes are stored in the other order; text where MATLAB says that it is char."""
     values = hdf5_reading.read_whole(dataset)
     if text_attribute(dataset, "MATLAB_class") == "char":
-        return "".join(chr(int(one)) for one in values.reshape(-1)[:255])
+        return "".join(chr(int(code)) for code in values.reshape(-1)[:255])
     name = str(dataset.name).rpartition("/")[2]
     return _squeezed(name, compound_complex(values).T)

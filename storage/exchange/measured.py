@@ -134,7 +134,7 @@ def require_honest(path: Path, what: str, declared: int, held: int) -> None:
 
 def require_plain(text: str, path: Path, what: str) -> str:
     """Return a name from a file; refuses control characters and names longer than 255 characters."""
-    if len(text) > 255 or any(unicodedata.category(one) in ("Cc", "Cf", "Cs") for one in text):
+    if len(text) > 255 or any(unicodedata.category(letter) in ("Cc", "Cf", "Cs") for letter in text):
         raise InputError(f"{path}: {what} is {text[:80]!r}; a short name without control characters is needed")
     return text
 

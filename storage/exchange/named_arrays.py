@@ -139,11 +139,11 @@ def ordered(values: Any, path: Path, options: ImportOptions) -> Any:
     """An array or dataset as (position, actuator, sample); it is read whole where its axes are in another order."""
     if getattr(values, "dtype", np.dtype("O")).kind not in "fiuc" or not 2 <= values.ndim <= 4 or not values.size:
         raise InputError(
-            f"{path}: the responses are no array of numbers with 2 to 4 axes; (position, actuator, sample)"
+            f"{path}: the responses are not an array of numbers with 2 to 4 axes; (position, actuator, sample)"
         )
     default = {2: ("position", "sample"), 3: AXES, 4: ("position", "actuator", "direction", "sample")}[values.ndim]
     given = {"time": "sample", "frequency": "sample", "tap": "sample"}
-    axes = tuple(given.get(one.strip(), one.strip()) for one in options.axes.split(",")) if options.axes else default
+    axes = tuple(given.get(axis.strip(), axis.strip()) for axis in options.axes.split(",")) if options.axes else default
     if len(axes) != values.ndim or len(set(axes)) < len(axes) or not {"sample"} <= set(axes) <= {*AXES, "direction"}:
         raise InputError(
             f"--axes is {options.axes!r}; the {values.ndim} axes of shape {tuple(values.shape)} are needed, of"
@@ -157,7 +157,7 @@ def ordered(values: Any, path: Path, options: ImportOptions) -> Any:
         axis = axes.index("direction")
         names = [str(index) for index in range(array.shape[axis])]
         array = np.take(array, chosen_direction(options, names, path), axis)
-        axes = tuple(one for one in axes if one != "direction")
+        axes = tuple(name for name in axes if name != "direction")
     for name in AXES:
         if name not in axes:
             array, axes = array[None], (name, *axes)
@@ -195,7 +195,7 @@ def frequencies_of(options: ImportOptions, path: Path, samples: int) -> Float64A
 def real(values: Any, path: Path, name: str) -> Float64Array:
     """A small array of real numbers as float64."""
     if getattr(values, "dtype", np.dtype("O")).kind not in "fiub" or values.size > 1 << 24:
-        raise InputError(f"{path}: {name} is no array of real numbers, or longer than 16 million")
+        raise InputError(f"{path}: {name} is not an array of real numbers, or longer than 16 million")
     return np.asarray(values[...], np.float64)
 
 

@@ -30,4 +30,4 @@ def array_header(file: IO[bytes], path: Path) -> tuple[np.dtype[Any], int]:
     shape, _, dtype = read_header(file)
     if dtype.hasobject:
         raise InputError(f"{path} holds pickled objects, which are never read; save plain numbers")
-    return dtype, int(np.prod([int(one) for one in shape], dtype=object)) * dtype.itemsize
+    return dtype, int(np.prod([int(extent) for extent in shape], dtype=object)) * dtype.itemsize

@@ -27,14 +27,14 @@ def recognised(path: Path) -> str:
     require_regular(path)
     with path.open("rb") as file:
         head = file.read(_HEAD_BYTES)
-    found = next((name for name, one in IMPORTS.items() if head.startswith(one.starts or (b"\0none",))), None)
+    found = next((name for name, form in IMPORTS.items() if head.startswith(form.starts or (b"\0none",))), None)
     if head.startswith(IMPORTS["netcdf"].starts[1]):
         with hdf5_reading.opened(path) as content:
             hdf5_reading.require_sound_texts(content)
             if "format" in content.attrs and "format_version" in content.attrs:
                 raise InputError(f"{path} is a file of this program ({hdf5_reading.text(content, 'format')})")
             found = "sofa" if "SOFAConventions" in content.attrs else "netcdf"
-    found = found or next((name for name, one in IMPORTS.items() if path.suffix.lower() in one.endings), None)
+    found = found or next((name for name, form in IMPORTS.items() if path.suffix.lower() in form.endings), None)
     if found is None:
         raise InputError(f"{path} is of no format that is recognised; name it with --from {'|'.join(IMPORTS)}")
     return found
@@ -53,7 +53,7 @@ def opened(path: Path, kind: str, options: ImportOptions) -> Iterator[Measured]:
     if kind != "wav":
         require_regular(path)
     elif not path.is_dir():
-        raise InputError(f"{path} is no folder; --from wav needs a folder of WAV files")
+        raise InputError(f"{path} is not a folder; --from wav needs a folder of WAV files")
     with ExitStack() as stack:
         with readable(path, form.title):
             measured: Measured = import_module(form.module).read(path, options, stack)

@@ -40,10 +40,10 @@ def table(rows: ExportedRows, name: str = "", column: Sequence[object] = ()) -> 
         "index": rows.row.tolist(),
         "x_mm": rows.position_mm[:, 0].tolist(),
         "y_mm": rows.position_mm[:, 1].tolist(),
-        "status": [status_words(one) for one in rows.status.tolist()],
+        "status": [status_words(status) for status in rows.status.tolist()],
     }
     for figure, values in rows.bank.quality.items():
-        columns[figure] = [_median(one) for one in np.atleast_2d(values[rows.row].T).T]
+        columns[figure] = [_median(figures) for figures in np.atleast_2d(values[rows.row].T).T]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
@@ -141,8 +141,8 @@ def table_of(options: ImportOptions, path: Path, count: int, actuators: int) -> 
     if options.places is None:
         raise InputError(f"{path} holds no places; name a CSV table with --places, with the columns {WANTED}")
     places = read_places(options.places, options)
-    position_m = coordinates([one for one in places if not one.is_actuator])
-    actuator_m = coordinates([one for one in places if one.is_actuator])
+    position_m = coordinates([place for place in places if not place.is_actuator])
+    actuator_m = coordinates([place for place in places if place.is_actuator])
     if len(position_m) != count:
         raise InputError(
             f"{options.places}: has {len(position_m)} positions, and {path} responses at {count}; one line each is"

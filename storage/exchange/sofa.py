@@ -52,9 +52,10 @@ def write(path: Path, rows: ExportedRows, on_progress: OnProgress | None = None)
         scales = {name: bare_dimension(file, name, size) for name, size in sizes.items()}
 
         def variable(name: str, dimensions: str, values: Any, **attributes: str) -> None:
-            attach(filled(file, name, np.asarray(values, np.float64), None), *(scales[one] for one in dimensions))
+            data = filled(file, name, np.asarray(values, np.float64), None)
+            attach(data, *(scales[dimension] for dimension in dimensions))
             for attribute, text in attributes.items():
-                _set_text(file[name], attribute, text)
+                _set_text(data, attribute, text)
 
         place = {"Type": "cartesian", "Units": "metre"}
         variable("ListenerPosition", "MC", _metres(rows.position_mm), **place)
@@ -66,7 +67,7 @@ def write(path: Path, rows: ExportedRows, on_progress: OnProgress | None = None)
         variable("BankPosition", "M", rows.row)
         variable("BankStatus", "M", rows.status)
         data = reserved(file, "Data.IR", (count, 1, bank.taps, bank.actuators), "<f8", None)
-        attach(data, *(scales[one] for one in "MRNE"))
+        attach(data, *(scales[dimension] for dimension in "MRNE"))
         for measurement, (_, green) in enumerate(rows.each(on_progress)):
             data[measurement, 0] = green.T
 
@@ -122,7 +123,7 @@ _UNIT = re.compile(r"Data\.IR is in ([^,;]+)")
 class _Places:
     """Places of one role, one set per measurement.
 
-    m, float64 (M or 1, count, 3): In metres; NaN where they are no places.
+    m, float64 (M or 1, count, 3): In metres; NaN where they are not places.
     """
 
     m: Float64Array
@@ -145,7 +146,7 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
     axes, is_spectrum = _AXES[data_type], data_type.startswith("TF")
     datasets = [_needed(file, name, path) for name in (("Data.Real", "Data.Imag") if is_spectrum else ("Data.IR",))]
     shape = datasets[0].shape
-    if len(shape) != len(axes) or 0 in shape or any(one.shape != shape for one in datasets):
+    if len(shape) != len(axes) or 0 in shape or any(dataset.shape != shape for dataset in datasets):
         name = "Data.Real" if is_spectrum else "Data.IR"
         raise InputError(f"{path}: {name} has shape {shape}; ({', '.join(axes.upper())}) is needed")
     size = {axis: int(count) for axis, count in zip(axes, shape, strict=True)} | ({} if "e" in axes else {"e": 1})
@@ -159,7 +160,7 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
     if options.direction or (size["r"] > 1 and np.isnan(listener.m).any()):
         names = [str(index) for index in range(size["r"])]
         receivers = np.array([chosen_direction(options, names, path)])
-        read.append(f"receiver {receivers[0]} alone")
+        read.append(f"only receiver {receivers[0]}")
         listener = _Places(_alone(listener.m[:, receivers], file, path), listener.varies)
     role = options.measurements or ("pairs" if source.varies else "positions")
     if source.varies and not listener.varies and not options.measurements:
@@ -230,7 +231,7 @@ def _places(file: h5py.File, body: str, part: str, count: int, measurements: int
         turned = own[:, :, row % own.shape[2]] @ np.array([ahead, np.cross(above, ahead), above])
         placed[row] = centre[row % len(centre)] + turned
     varies = bool(rows > 1 and (placed.max(axis=0) - placed.min(axis=0) > 1e-9).any())
-    # Emitters that all lie at one unknown place are told apart by their number alone.
+    # Emitters that all lie at one unknown place are distinguished only by their number.
     if not is_place or (count > 1 and own.shape[0] == 1):
         return _Places(np.full((1, count, 3), np.nan), varies=False)
     return _Places(placed, varies or (rows > 1 and len(view) > 1 and bool(np.ptp(view, axis=0).any())))
@@ -283,7 +284,7 @@ def _axes_of(file: h5py.File, body: str, path: Path) -> tuple[Float64Array, Floa
 
 
 def _alone(places_m: Float64Array, file: h5py.File, path: Path) -> Float64Array:
-    """Places of one receiver; those of the listener where it is no place of its own (spherical harmonics)."""
+    """Places of one receiver; those of the listener where it has no place of its own (spherical harmonics)."""
     if np.isfinite(places_m).all():
         return places_m
     return _coordinates(file, "ListenerPosition", path)[0][:, None]
@@ -295,8 +296,8 @@ def _numbering(
     """Row of each (measurement, receiver), column of each (measurement, emitter), and the places of both."""
     receivers, emitters = listener.m.shape[1], source.m.shape[1]
     every = range(measurements)
-    where = np.array([listener.of(one) for one in every]).reshape(-1, 3)
-    driven = np.array([source.of(one) for one in every]).reshape(-1, 3)
+    where = np.array([listener.of(measurement) for measurement in every]).reshape(-1, 3)
+    driven = np.array([source.of(measurement) for measurement in every]).reshape(-1, 3)
     if role == "positions":
         rows, position_m = np.arange(measurements * receivers), where
         columns, actuator_m = np.tile(np.arange(emitters), measurements), source.of(0)
@@ -317,7 +318,7 @@ def _delay(file: h5py.File, size: dict[str, int], path: Path) -> Float64Array:
     delay = hdf5_reading.read_floats(file, "/Data.Delay")
     if delay.ndim == 2:
         delay = delay[:, :, None]
-    if delay.ndim != 3 or any(one not in (1, most) for one, most in zip(delay.shape, full, strict=True)):
+    if delay.ndim != 3 or any(count not in (1, most) for count, most in zip(delay.shape, full, strict=True)):
         raise InputError(f"{path}: Data.Delay has shape {delay.shape}; {full}, or 1 in place of a number, is needed")
     if not (np.isfinite(delay).all() and delay.min() >= 0 and delay.max() <= 100 * size["n"] + 1e6):
         raise InputError(f"{path}: Data.Delay is {delay.min():g} to {delay.max():g} samples; 0 or more is needed")
@@ -376,7 +377,7 @@ class _Responses:
         """Yield (receivers, emitters, samples) of each measurement."""
         first = self._datasets[0]
         row_bytes = first.size // len(first) * first.dtype.itemsize
-        parts = [blocks(one, row_bytes, (one.chunks or (1,))[0]) for one in self._datasets]
+        parts = [blocks(dataset, row_bytes, (dataset.chunks or (1,))[0]) for dataset in self._datasets]
         for found in zip(*parts, strict=True):
             block = found[0] if len(found) == 1 else found[0] + 1j * found[1]
             if "e" not in self._axes:

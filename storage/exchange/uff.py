@@ -137,38 +137,38 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
     """
     with path.open("rb", buffering=1 << 20) as file:
         held = contents(file, path)
-    kinds = sorted({one.kind for one in held.functions})
-    kind = next((one for one in (*FREQUENCY, *TIMES) if one in kinds), None)
+    kinds = sorted({function.kind for function in held.functions})
+    kind = next((number for number in (*FREQUENCY, *TIMES) if number in kinds), None)
     if kind is None:
         raise InputError(
             f"{path} holds no frequency responses (function types 4 and 5 of set 58) and no time responses (25, 1, 0);"
             f" it holds functions of the types {kinds[:10]} and the sets {sorted(held.skipped)[:20]}"
         )
-    chosen = [one for one in held.functions if one.kind == kind]
-    used = {node for one in chosen for node in (one.response[0], one.reference[0])} & held.nodes.keys()
+    chosen = [function for function in held.functions if function.kind == kind]
+    used = {node for function in chosen for node in (function.response[0], function.reference[0])} & held.nodes.keys()
     places = {} if options.places else {
         node: resolve(held.systems, held.nodes[node].definition, path).place(held.nodes[node].own) for node in used
     }  # fmt: skip
     chosen, turned = _in_directions_of_the_file(chosen, held, places, options.direction.strip().lower(), path)
-    axes = sorted({abs(one.response[1]) for one in chosen})
+    axes = sorted({abs(function.response[1]) for function in chosen})
     names = [_AXIS_NAMES.get(axis, str(axis)) for axis in axes]
     axis = axes[chosen_direction(options, names, path)]
-    chosen = [one for one in chosen if abs(one.response[1]) == axis]
+    chosen = [function for function in chosen if abs(function.response[1]) == axis]
     _require_alike(chosen, path)
-    rows = {node: row for row, node in enumerate(dict.fromkeys(one.response[0] for one in chosen))}
-    driven = dict.fromkeys((one.reference[0], abs(one.reference[1])) for one in chosen)
+    rows = {node: row for row, node in enumerate(dict.fromkeys(function.response[0] for function in chosen))}
+    driven = dict.fromkeys((function.reference[0], abs(function.reference[1])) for function in chosen)
     columns = {reference: column for column, reference in enumerate(driven)}
     flipped, pairs = 0, dict[tuple[int, int], NDArray[Any]]()
-    for one in chosen:
-        pair = (rows[one.response[0]], columns[one.reference[0], abs(one.reference[1])])
+    for function in chosen:
+        pair = (rows[function.response[0]], columns[function.reference[0], abs(function.reference[1])])
         if pair in pairs:
             raise InputError(
-                f"{path}: node {one.response[0]} has two functions of type {kind} for reference node"
-                f" {one.reference[0]}; one of each pair is needed"
+                f"{path}: node {function.response[0]} has two functions of type {kind} for reference node"
+                f" {function.reference[0]}; one of each pair is needed"
             )
-        sign = (-1 if one.response[1] < 0 else 1) * (-1 if one.reference[1] < 0 else 1)
+        sign = (-1 if function.response[1] < 0 else 1) * (-1 if function.reference[1] < 0 else 1)
         flipped += sign < 0
-        pairs[pair] = one.values if sign > 0 else -one.values
+        pairs[pair] = function.values if sign > 0 else -function.values
     position_m, actuator_m = _node_places(held, places, list(rows), list(columns), path, options)
     first = chosen[0]
     start, step = first.axis
@@ -180,7 +180,7 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
         )
     missing = len(rows) * len(columns) - len(pairs)
     others = [
-        f"{sum(one.kind == other for one in held.functions)} functions of type {other}"
+        f"{sum(function.kind == other for function in held.functions)} functions of type {other}"
         for other in kinds
         if other != kind
     ]
@@ -220,7 +220,7 @@ def _in_directions_of_the_file(
     Raises InputError: a node is turned, others are turned otherwise, and not all three directions are there.
     """
     directions: dict[int, Float64Array] = {}
-    for node in {one.response[0] for one in functions} | {one.reference[0] for one in functions}:
+    for node in {function.response[0] for function in functions} | {function.reference[0] for function in functions}:
         if node in held.nodes:
             system = resolve(held.systems, held.nodes[node].displacement, path)
             if system.kind == SPHERICAL:
@@ -230,26 +230,28 @@ def _in_directions_of_the_file(
                 places[node] = placed.place(held.nodes[node].own)
             directions[node] = system.directions(places.get(node, np.zeros(3)))
     unturned = np.eye(3)
-    responding = [directions.get(node, unturned) for node in {one.response[0] for one in functions}]
-    alike = all(np.abs(one - responding[0]).max() < 1e-3 for one in responding)
-    used = [axis for axis in {abs(one.response[1]) for one in functions} if 1 <= axis <= 6]
-    if all(np.abs(one - unturned).max() < 1e-3 for one in directions.values()):
+    responding = [directions.get(node, unturned) for node in {function.response[0] for function in functions}]
+    alike = all(np.abs(axes - responding[0]).max() < 1e-3 for axes in responding)
+    used = [axis for axis in {abs(function.response[1]) for function in functions} if 1 <= axis <= 6]
+    if all(np.abs(axes - unturned).max() < 1e-3 for axes in directions.values()):
         return functions, ""
+    referred = [
+        replace(function, reference=_along(directions, function.reference) or function.reference)
+        for function in functions
+    ]
     if alike and any(aligned(responding[0][(axis - 1) % 3]) is None for axis in used):
-        turned = [replace(one, reference=_along(directions, one.reference) or one.reference) for one in functions]
-        return turned, "directions are those of the nodes' own displacement system, which is turned alike for all"
+        return referred, "directions are those of the nodes' own displacement system, which is turned alike for all"
     found: list[Function] = []
     oblique: dict[tuple[int, tuple[int, int], bool], dict[int, Function]] = {}
-    for function in functions:
-        one = replace(function, reference=_along(directions, function.reference) or function.reference)
-        if (response := _along(directions, one.response)) is not None:
-            found.append(replace(one, response=response))
+    for function in referred:
+        if (response := _along(directions, function.response)) is not None:
+            found.append(replace(function, response=response))
             continue
-        node, axis = one.response
-        among = oblique.setdefault((node, one.reference, abs(axis) > 3), {})
+        node, axis = function.response
+        among = oblique.setdefault((node, function.reference, abs(axis) > 3), {})
         if abs(axis) in among:
             raise InputError(f"{path}: node {node} has two functions of one direction; one of each is needed")
-        among[abs(axis)] = replace(one, values=one.values if axis > 0 else -one.values)
+        among[abs(axis)] = replace(function, values=function.values if axis > 0 else -function.values)
     for (node, _, turning), among in oblique.items():
         first = 4 if turning else 1
         if len(among) < 3:
@@ -286,37 +288,37 @@ def _rows(pairs: dict[tuple[int, int], NDArray[Any]], shape: tuple[int, int, int
     for row in range(shape[0]):
         values = np.full(shape[1:], np.nan, kind)
         found = [pairs.get((row, column)) for column in range(shape[1])]
-        for column, one in enumerate(found):
-            if one is not None and all(other is not None for other in found):
-                values[column] = one
+        for column, response in enumerate(found):
+            if response is not None and all(other is not None for other in found):
+                values[column] = response
         yield values
 
 
 def _status(functions: list[Function], rows: dict[int, int]) -> NDArray[np.uint8] | None:
     """Status bits of the positions, where all functions are our own export's."""
     status = np.zeros(len(rows), np.uint8)
-    for one in functions:
-        if one.status is None:
+    for function in functions:
+        if function.status is None:
             return None
-        status[rows[one.response[0]]] = one.status
+        status[rows[function.response[0]]] = function.status
     return status
 
 
 def _require_alike(functions: list[Function], path: Path) -> None:
     first = functions[0]
-    for one in functions:
-        alike = (len(one.values), one.values.dtype.kind, one.unit, one.quantities) == (
+    for function in functions:
+        alike = (len(function.values), function.values.dtype.kind, function.unit, function.quantities) == (
             len(first.values), first.values.dtype.kind, first.unit, first.quantities,
         )  # fmt: skip
         if not alike or any(
-            not math.isclose(*both, rel_tol=1e-5, abs_tol=1e-12) for both in zip(one.axis, first.axis, strict=True)
+            not math.isclose(*both, rel_tol=1e-5, abs_tol=1e-12) for both in zip(function.axis, first.axis, strict=True)
         ):
-            raise InputError(
-                f"{path}: the function of node {one.response[0]} has {len(one.values)} values from {one.axis[0]:g} in"
-                f" steps of {one.axis[1]:g}, in {one.unit or 'no unit'}, and that of node {first.response[0]}"
-                f" {len(first.values)} from {first.axis[0]:g} in steps of {first.axis[1]:g}, in"
-                f" {first.unit or 'no unit'}; all must be alike"
-            )
+            described = [
+                f"node {end.response[0]} has {len(end.values)} values from {end.axis[0]:g} in steps of {end.axis[1]:g},"
+                f" in {end.unit or 'no unit'}"
+                for end in (function, first)
+            ]
+            raise InputError(f"{path}: the function of {', and that of '.join(described)}; all must be alike")
 
 
 def _node_places(
@@ -331,9 +333,9 @@ def _node_places(
     known: dict[int, Any] = {}
     if options.places is not None:
         listed = read_places(options.places, options)
-        if any(not one.words.get("node", "").isdigit() for one in listed):
+        if any(not place.words.get("node", "").isdigit() for place in listed):
             raise InputError(f"{options.places}: a column 'node' with the number of each place's node is needed")
-        known = dict(zip((int(one.words["node"]) for one in listed), coordinates(listed), strict=True))
+        known = dict(zip((int(place.words["node"]) for place in listed), coordinates(listed), strict=True))
     elif held.nodes:
         metres = 1.0 / held.per_metre if held.per_metre else length_unit(options, path)
         known = {node: place * metres for node, place in places.items()}
@@ -360,5 +362,5 @@ def _unit_of(function: Function, held: Contents) -> str:
         (name for per, name in lengths.items() if math.isclose(per, held.per_metre, rel_tol=1e-4)), ""
     )
     force = next((name for per, name in forces.items() if math.isclose(per, held.per_newton, rel_tol=1e-4)), "")
-    over, under = (_MOTION[one].format(length, force) for one in function.quantities)
+    over, under = (_MOTION[quantity].format(length, force) for quantity in function.quantities)
     return f"{over}/{under}" if length and force else ""

@@ -73,7 +73,7 @@ def write(folder: Path, rows: ExportedRows, on_progress: OnProgress | None = Non
         "position": rows.row.tolist(),
         "position_mm": rows.position_mm.tolist(),
         "status": rows.status.tolist(),
-        "actuator_mm": [_known(one) for one in bank.actuator_mm],
+        "actuator_mm": [_known(place_mm) for place_mm in bank.actuator_mm],
     }
     with replaced_folder(folder) as staged:
         require_room(staged / TABLE_NAME, 4 * len(rows.row) * bank.actuators * bank.taps)
@@ -144,7 +144,7 @@ def checksum_of(path: Path) -> str:
 
 
 def _known(place_mm: Any) -> list[float] | None:
-    return [float(one) for one in place_mm] if np.isfinite(place_mm).all() else None
+    return [float(coordinate) for coordinate in place_mm] if np.isfinite(place_mm).all() else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,15 +284,16 @@ def _exported(folder: Path) -> _Sounds:
     except (json.JSONDecodeError, RecursionError):
         facts = None
     if not isinstance(facts, dict) or facts.get("format") != FORMAT:
-        raise InputError(f"{table} is no description of exported sound files; name a CSV table with --places")
+        raise InputError(f"{table} does not describe exported sound files; name a CSV table with --places")
     per_position = facts["channels"] == "actuators"
     position_mm = np.array(facts["position_mm"], np.float64).reshape(-1, 2)
-    actuator_mm = np.array([one or [np.nan, np.nan] for one in facts["actuator_mm"]], np.float64).reshape(-1, 2)
+    known_mm = [place_mm or [np.nan, np.nan] for place_mm in facts["actuator_mm"]]
+    actuator_mm = np.array(known_mm, np.float64).reshape(-1, 2)
     channels: list[tuple[str, int | None, int, int]] = []
-    for number, one in enumerate(facts["files"]):
+    for number, entry in enumerate(facts["files"]):
         for channel in range(len(actuator_mm) if per_position else len(position_mm)):
             pair = (number, channel) if per_position else (channel, number)
-            channels.append((str(one["file"]), channel, *pair))
+            channels.append((str(entry["file"]), channel, *pair))
     band = facts.get("band_hz")
     scale, status = float(facts["scale"]), np.array(facts["status"], np.int64)
     if not (math.isfinite(scale) and len(status) == len(position_mm) and np.isin(status, np.arange(32)).all()):
@@ -305,7 +306,7 @@ def _exported(folder: Path) -> _Sounds:
         scale,
         None if band is None else (float(band[0]), float(band[1])),
         status.astype(np.uint8),
-        {str(one["file"]): str(one["sha256"]) for one in facts["files"] if "sha256" in one},
+        {str(entry["file"]): str(entry["sha256"]) for entry in facts["files"] if "sha256" in entry},
     )
 
 
@@ -336,7 +337,7 @@ def _listed(folder: Path, options: ImportOptions) -> _Sounds:
             if name not in channels_of:
                 channels_of[name] = _info(_inside(folder, name)).channels
             channels += [(name, channel, position, channel) for channel in range(channels_of[name])]
-    count = max(one[3] for one in channels) + 1
+    count = max(channel[3] for channel in channels) + 1
     unknown = np.full(3, np.nan)
     known = [named.get(name, unknown) for name in names] if any(names) else list(named.values())
     return _Sounds(channels, position_m, np.array([*known, *[unknown] * count][: max(count, len(named))]))

@@ -256,10 +256,10 @@ def require_header(header: Any) -> None:
         object.__setattr__(header, name, array)
     if not np.isfinite(header.position_mm).all():
         raise InputError("position_mm holds values that are not finite; every grid position needs both coordinates")
-    for one in fields(header):
-        value = getattr(header, one.name)
+    for field in fields(header):
+        value = getattr(header, field.name)
         if isinstance(value, str) and "\0" in value:
-            raise InputError(f"{one.name} holds a zero character; plain text is needed")
+            raise InputError(f"{field.name} holds a zero character; plain text is needed")
 
 
 @contextmanager

@@ -103,5 +103,5 @@ def _named_owner(path: Path) -> Owner:
         entry = json.loads(read_regular(owner_path(path)))
         return Owner(str(entry["host"]), int(entry["pid"]), str(entry.get("started", "")))
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
-        # The lock alone decides; the name is for people and may be missing for a moment.
+        # Only the lock decides; the name is for people and may be missing for a moment.
         return Owner("unknown host", 0)

@@ -98,9 +98,9 @@ class RowShape:
         missing = (0,) * len(self.format.datasets)
         return Ledger(
             rows=rows,
-            holds=np.array([one is not None for one in crcs], bool),
+            holds=np.array([crc is not None for crc in crcs], bool),
             empty=np.asarray(np.frombuffer(rows, np.uint64).reshape(len(crcs), -1).max(axis=1) == 0),
-            crcs=np.array([missing if one is None else one for one in crcs], np.uint32),
+            crcs=np.array([missing if crc is None else crc for crc in crcs], np.uint32),
         )
 
     def encode_journal(self, replacement: Replacement) -> bytes:

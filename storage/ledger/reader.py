@@ -86,22 +86,17 @@ class LedgerReader:
 
     def journal_state(self) -> str:
         """Return "empty", "whole" (a replacement is under way or was cut off), or "torn"."""
-        content = self._read(self._layout.journal_offset, self._shape.journal_bytes)
+        content = self._file.read(self._layout.journal_offset, self._shape.journal_bytes)
         return "empty" if is_empty(content) else "whole" if self._shape.decode_journal(content) else "torn"
 
     def figure(self, name: str) -> bytearray:
         """Bytes of a dataset that follows from the ledger, as they lie in the file."""
         offset, size = self._layout.figures[name]
-        return self._read(offset, size * self._layout.positions)
+        return self._file.read(offset, size * self._layout.positions)
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
-
-    def _read(self, offset: int, size: int) -> bytearray:
-        content = bytearray(size)
-        self._file.read_into(offset, memoryview(content))
-        return content
 
     def _data(self, position: int) -> tuple[memoryview, ...]:
         chunks = tuple(np.empty(self._shape.data_bytes, np.uint8).data for _ in self._layout.chunk_offset)
@@ -111,7 +106,7 @@ class LedgerReader:
 
     def _read_ledger(self) -> None:
         size = self._shape.row_bytes
-        rows = self._read(self._layout.ledger_offset, self._layout.positions * size)
+        rows = self._file.read(self._layout.ledger_offset, self._layout.positions * size)
         self._replacing = self._read_journal()
         if self._replacing:
             rows[self._replacing.position * size : (self._replacing.position + 1) * size] = self._replacing.row
@@ -119,7 +114,7 @@ class LedgerReader:
 
     def _chunks_once(self, position: int) -> tuple[memoryview, ...] | None:
         """Data of a position, nothing (an empty tuple) where none was committed, None where they do not hold."""
-        row = self._read(self._layout.row_offset(position), self._shape.row_bytes)
+        row = self._file.read(self._layout.row_offset(position), self._shape.row_bytes)
         crcs = self._shape.crcs(row, position)
         if crcs is None and is_empty(row):
             return None if self._erased[position] or self._is_lost(position) else ()
@@ -141,7 +136,7 @@ class LedgerReader:
 
     def _read_journal(self) -> Replacement | None:
         """The row that is just replacing an older one, or that a crash kept from doing so."""
-        entry = self._shape.decode_journal(self._read(self._layout.journal_offset, self._shape.journal_bytes))
+        entry = self._shape.decode_journal(self._file.read(self._layout.journal_offset, self._shape.journal_bytes))
         return entry if entry and entry.position < self._layout.positions else None
 
 

@@ -51,7 +51,7 @@ class LedgerWriter(Closing):
             self._finish_replacement()
             self._measured = self._recover()
         self._head_bytes = int(layout.extents()[:, 0].min())  # what lies before is never written again
-        self._head_crc = zlib.crc32(self._read(0, self._head_bytes))
+        self._head_crc = zlib.crc32(self._file.read(0, self._head_bytes))
         self._least_bytes = file.size()
 
     @classmethod
@@ -155,7 +155,7 @@ class LedgerWriter(Closing):
         self._file.sync()
 
     def _finish_replacement(self) -> None:
-        content = self._read(self._layout.journal_offset, self._shape.journal_bytes)
+        content = self._file.read(self._layout.journal_offset, self._shape.journal_bytes)
         if is_empty(content):
             return
         entry = self._shape.decode_journal(content)
@@ -163,13 +163,8 @@ class LedgerWriter(Closing):
             self._write_row(entry)
         self._clear_journal()
 
-    def _read(self, offset: int, size: int) -> bytearray:
-        content = bytearray(size)
-        self._file.read_into(offset, memoryview(content))
-        return content
-
     def _row(self, position: int) -> bytearray:
-        return self._read(self._layout.row_offset(position), self._shape.row_bytes)
+        return self._file.read(self._layout.row_offset(position), self._shape.row_bytes)
 
     @contextmanager
     def _writing(self, what: str) -> Iterator[None]:
@@ -211,7 +206,7 @@ class LedgerWriter(Closing):
         size = self._file.size()
         if size < self._least_bytes:
             return f"was truncated to {size} of {self._least_bytes} bytes"
-        whole = zlib.crc32(self._read(0, self._head_bytes)) == self._head_crc
+        whole = zlib.crc32(self._file.read(0, self._head_bytes)) == self._head_crc
         return "" if whole else "was overwritten in its header"
 
     @contextmanager
@@ -262,7 +257,7 @@ class LedgerWriter(Closing):
         try:
             row = self._row(position)
             offsets = self._layout.chunk_offset[:, position].tolist()
-            chunks = tuple(bytes(self._read(offset, self._shape.chunk_bytes)) for offset in offsets)
+            chunks = tuple(bytes(self._file.read(offset, self._shape.chunk_bytes)) for offset in offsets)
         except OSError:
             return None
         crcs = self._shape.crcs(row, position)

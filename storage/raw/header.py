@@ -168,7 +168,7 @@ class RawHeader:
     sweep_s, decay_s: Length of a sweep and of the silence after it in seconds.
     same_clock: Whether one clock played and recorded; then any excitation is allowed.
     sweep_law: "linear", "exponential" or "other" where the file says how the sweeps run, else empty.
-    rig_json, run_json, plan_sha256, software: As of `wavefocus.storage.bank.layout.BankHeader`; empty where the file
+    rig_json, run_json, plan_sha256, software: See `wavefocus.storage.bank.layout.BankHeader`; empty where the file
         does not say.
     """
 
@@ -219,7 +219,7 @@ class RawHeader:
             raise InputError(f"reference_gain is {self.reference_gain:g}; a finite number above 0 is needed")
         if not abs(self.inter_channel_delay_s) < self.samples / self.sample_rate_hz:
             raise InputError(f"inter_channel_delay_s is {self.inter_channel_delay_s:g}; less than a record is needed")
-        if not all(np.isfinite(one) and one > 0 for one in self.volts_per_count):
+        if not all(np.isfinite(scale) and scale > 0 for scale in self.volts_per_count):
             raise InputError(f"volts_per_count is {self.volts_per_count}; finite numbers above 0 are needed")
         if self.averages is not None and (self.averages != int(self.averages) or self.averages < 1):
             raise InputError(f"averages is {self.averages:g}; a whole number of 1 or more is needed")

@@ -197,4 +197,4 @@ class RawWriter(LedgerWriter):
 
     def _recover(self) -> NDArray[np.bool_]:
         layout, shape = self._layout, self._shape
-        return shape.decode(self._read(layout.ledger_offset, layout.positions * shape.row_bytes)).holds
+        return shape.decode(self._file.read(layout.ledger_offset, layout.positions * shape.row_bytes)).holds
