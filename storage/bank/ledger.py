@@ -80,7 +80,7 @@ class PointRecord:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Figures:
+class LedgerFigures:
     """What the ledger says of all positions.
 
     status, neighbour_round, suspect, unjudgeable, arrays (P,): See `PointRecord`; 0 where the row does not hold.
@@ -138,7 +138,7 @@ def encode_row(position: int, record: PointRecord, green: Float32Array) -> bytes
     return sealed(content)
 
 
-def figures_of(content: Bytes, holds: NDArray[np.bool_], actuators: int) -> Figures:
+def figures_of(content: Bytes, holds: NDArray[np.bool_], actuators: int) -> LedgerFigures:
     """What ledger rows say of their positions, where they hold."""
     rows = np.frombuffer(content, _row_dtype(actuators))
     status = rows["status"] & _STATUS_MASK
@@ -154,7 +154,7 @@ def figures_of(content: Bytes, holds: NDArray[np.bool_], actuators: int) -> Figu
     stored = holds & rows["rms"].any(axis=1)
     rms[:, : rows["rms"].shape[1]] = np.where(stored[:, None], rows["rms"], np.nan)
     held = np.where(holds, rows["status"], 0)
-    return Figures(
+    return LedgerFigures(
         (held & _STATUS_MASK).astype(np.uint8),
         (held >> _ROUND_AT & _MAX_ROUND).astype(np.int64),
         (held >> _SUSPECT_AT & 1).astype(bool),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from wavefocus.storage import hdf5_digest, hdf5_reading
 from wavefocus.storage.argument_types import Positions, bank_row, bank_rows, checked
 from wavefocus.storage.bank.layout import BankHeader, quality_shape, read_header, read_layout
-from wavefocus.storage.bank.ledger import BANK, QUALITY_NAMES, Figures, figures_of
+from wavefocus.storage.bank.ledger import BANK, QUALITY_NAMES, LedgerFigures, figures_of
 from wavefocus.storage.bank.notes import Note, read_notes
 from wavefocus.storage.durable import Closing
 from wavefocus.storage.errors import InputError, OtherLayoutError
@@ -392,7 +392,7 @@ class CopiedRows:
             at = self._replacing.position * self._shape.row_bytes
             rows[at : at + self._shape.row_bytes] = self._replacing.row
         self.ledger = self._shape.decode(rows)
-        self.figures: Figures = figures_of(self.ledger.rows, self.ledger.holds, header.actuators)
+        self.figures: LedgerFigures = figures_of(self.ledger.rows, self.ledger.holds, header.actuators)
         measured = hdf5_reading.has(content, "/status")
         noted = _bytes_of(content, "/status", (header.positions,)) if measured else bytes(header.positions)
         self._erased = self.ledger.empty & (np.frombuffer(noted, np.uint8) != 0)
@@ -452,7 +452,7 @@ class VerifiedRows(LedgerReader):
 
     def __init__(self, path: Path, layout: LedgerLayout) -> None:
         super().__init__(path, layout)
-        self.figures: Figures = figures_of(self.ledger.rows, self.ledger.holds, layout.header.actuators)
+        self.figures: LedgerFigures = figures_of(self.ledger.rows, self.ledger.holds, layout.header.actuators)
 
     def status(self) -> NDArray[np.uint8]:
         """Status bits (P,) that the ledger held on opening."""

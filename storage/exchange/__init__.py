@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
-class Export:
+class ExportFormat:
     """A format that ``wavefocus export --to`` writes.
 
     module: Module with ``write(path, rows, on_progress)``; one that writes a folder has ``file_names(rows)``
@@ -31,18 +31,18 @@ class Export:
 
 
 EXPORTS = {
-    "sofa": Export("wavefocus.storage.exchange.sofa", "SOFA", ".sofa", value_bytes=8),
-    "uff": Export("wavefocus.storage.exchange.uff", "universal files", ".uff", holds_nan=False, value_bytes=20),
-    "wav": Export("wavefocus.storage.exchange.wav", "WAV", ".wav", folder=True, holds_nan=False),
-    "mat": Export("wavefocus.storage.exchange.mat", "MATLAB", ".mat"),
-    "npz": Export("wavefocus.storage.exchange.npz", "NumPy", ".npz"),
-    "netcdf": Export("wavefocus.storage.exchange.netcdf", "netCDF", ".nc"),
-    "csv": Export("wavefocus.storage.exchange.places", "a table of positions", ".csv", value_bytes=0),
+    "sofa": ExportFormat("wavefocus.storage.exchange.sofa", "SOFA", ".sofa", value_bytes=8),
+    "uff": ExportFormat("wavefocus.storage.exchange.uff", "universal files", ".uff", holds_nan=False, value_bytes=20),
+    "wav": ExportFormat("wavefocus.storage.exchange.wav", "WAV", ".wav", folder=True, holds_nan=False),
+    "mat": ExportFormat("wavefocus.storage.exchange.mat", "MATLAB", ".mat"),
+    "npz": ExportFormat("wavefocus.storage.exchange.npz", "NumPy", ".npz"),
+    "netcdf": ExportFormat("wavefocus.storage.exchange.netcdf", "netCDF", ".nc"),
+    "csv": ExportFormat("wavefocus.storage.exchange.places", "a table of positions", ".csv", value_bytes=0),
 }
 
 
 @dataclass(frozen=True, slots=True)
-class Import:
+class ImportFormat:
     """A format that ``wavefocus import --from`` reads.
 
     module: Module with ``read(path, options, stack)``, of which the `ExitStack` closes what stays open; returns
@@ -63,23 +63,25 @@ class Import:
 _ARRAYS = ("direction", "axes", "names", "frequencies")
 
 IMPORTS = {
-    "sofa": Import("wavefocus.storage.exchange.sofa", "a SOFA file", ("direction", "measurements"), endings=(".sofa",)),
-    "uff": Import(
+    "sofa": ImportFormat(
+        "wavefocus.storage.exchange.sofa", "a SOFA file", ("direction", "measurements"), endings=(".sofa",)
+    ),
+    "uff": ImportFormat(
         "wavefocus.storage.exchange.uff",
         "a universal file",
         ("direction",),
         (b"    -1\n", b"    -1\r\n"),
         (".uff", ".unv", ".uf"),
     ),
-    "mat": Import(
+    "mat": ImportFormat(
         "wavefocus.storage.exchange.mat", "a MATLAB file", _ARRAYS, (b"MATLAB 5.0", b"MATLAB 7.3"), (".mat",)
     ),
-    "npz": Import("wavefocus.storage.exchange.npz", "a NumPy archive", _ARRAYS, (b"PK",), (".npz",)),
-    "npy": Import("wavefocus.storage.exchange.npz", "a NumPy array", _ARRAYS, (b"\x93NUMPY",), (".npy",)),
-    "netcdf": Import(
+    "npz": ImportFormat("wavefocus.storage.exchange.npz", "a NumPy archive", _ARRAYS, (b"PK",), (".npz",)),
+    "npy": ImportFormat("wavefocus.storage.exchange.npz", "a NumPy array", _ARRAYS, (b"\x93NUMPY",), (".npy",)),
+    "netcdf": ImportFormat(
         "wavefocus.storage.exchange.netcdf", "a netCDF file", _ARRAYS, (b"CDF", b"\x89HDF"), (".nc", ".nc4", ".cdf")
     ),
-    "wav": Import("wavefocus.storage.exchange.wav", "a folder of WAV files"),
+    "wav": ImportFormat("wavefocus.storage.exchange.wav", "a folder of WAV files"),
 }
 SOME_FORMATS = frozenset(option for form in IMPORTS.values() for option in form.options)
 """Options that concern only some formats."""

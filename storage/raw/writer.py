@@ -55,7 +55,7 @@ class RawFile(Closing):
 
     path: Path
     header: RawHeader
-    rows: RawRows | ForeignRows = field(repr=False)
+    rows: RawRows | ForeignRecordings = field(repr=False)
 
     def read(self, position: int) -> Recordings | None:
         """Read all records of a position; None where nothing was recorded.
@@ -117,7 +117,7 @@ def open_raw(path: str | Path) -> RawFile:
         if not has_ledger(content):
             header = read_raw_header(content, path)
             datasets = tuple(hdf5_reading.plain_dataset(content, name) for name in RAW.datasets)
-            return RawFile(path, header, ForeignRows(path, datasets, stack.pop_all()))
+            return RawFile(path, header, ForeignRecordings(path, datasets, stack.pop_all()))
         layout = read_raw_layout(content, path)
     return RawFile(path, layout.header, RawRows(path, layout))
 
@@ -133,7 +133,7 @@ class RawRows(LedgerReader):
         return tuple(np.frombuffer(chunk, "<i2").reshape(shape.dimensions) for chunk in chunks)
 
 
-class ForeignRows:
+class ForeignRecordings:
     """Recordings in any layout that HDF5 reads."""
 
     def __init__(self, path: Path, datasets: tuple[h5py.Dataset, ...], stack: ExitStack) -> None:
