@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.ledger.owner import require_regular
 from wavefocus.storage.packing import DEFAULT_FILL, KEYS, Packing, packing
+from wavefocus.storage.text_file import require_regular
 
 _MOST_METADATA_BYTES = 64 << 20
 _LEAST_HEAP_BYTES = 4096  # of the collections that HDF5 keeps texts in

@@ -1,4 +1,4 @@
-"""Small text files that people write: read whole, with errors in one line."""
+"""Regular files, and small text files that people write: read whole, with errors in one line."""
 
 from __future__ import annotations
 
@@ -43,6 +43,14 @@ def read_text(path: Path) -> str:
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
         raise InputError(f"{path}: line {line}: not UTF-8 text; save the file as UTF-8") from None
+
+
+def require_regular(path: Path) -> None:
+    """Refuse a path that is missing or not a regular file; raises InputError."""
+    if not path.exists():
+        raise InputError(f"{path} does not exist")
+    if not path.is_file():
+        raise InputError(f"{path} is not a regular file")
 
 
 def open_regular(path: Path) -> BinaryIO:

@@ -16,6 +16,7 @@ from wavefocus.storage.argument_types import checked
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger import owner
 from wavefocus.storage.sidecar_files import clear_leftovers, staging_dir
+from wavefocus.storage.text_file import require_regular
 
 MAX_LETTERS = 4000
 """Of one note."""
@@ -79,7 +80,7 @@ def add_note(path: str | Path, text: str) -> Note:
         raise InputError(f"the note has {len(text)} letters; 1 to {MAX_LETTERS} are needed")
     if any(unicodedata.category(letter) in ("Cc", "Cs") and letter not in "\n\t" for letter in text):
         raise InputError("the note holds control characters; plain text is needed")
-    owner.require_regular(path)
+    require_regular(path)
     if path.is_symlink():
         raise InputError(f"{path} is a symbolic link to {path.readlink()}; name the bank itself")
     clear_leftovers(path.parent, path.name)

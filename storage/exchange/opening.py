@@ -12,7 +12,7 @@ from wavefocus.storage import hdf5_reading
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange import IMPORTS, SOME_FORMATS
 from wavefocus.storage.exchange.measured import ImportOptions, Measured, guarded, readable
-from wavefocus.storage.ledger.owner import require_regular
+from wavefocus.storage.text_file import require_regular
 
 _HEAD_BYTES = 16
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from wavefocus.storage.durable import PositionedFile, open_file
 from wavefocus.storage.errors import BankBusyError, InputError
 from wavefocus.storage.sidecar_files import create, is_replaceable
-from wavefocus.storage.text_file import read_regular
+from wavefocus.storage.text_file import read_regular, require_regular
 
 # Asking for the owner holds a shared lock for microseconds; a writer that meets it tries again.
 _TRIES = 5
@@ -55,14 +55,6 @@ def bank_owner(path: str | Path) -> Owner | None:
         raise InputError(f"{path} may not be read: {error.strerror}") from error
     with file:
         return _named_owner(path) if file.locked_elsewhere() else None
-
-
-def require_regular(path: Path) -> None:
-    """Refuse a path that is missing or not a regular file."""
-    if not path.exists():
-        raise InputError(f"{path} does not exist")
-    if not path.is_file():
-        raise InputError(f"{path} is not a regular file")
 
 
 def take_ownership(path: Path, file: PositionedFile, kind: str) -> None:

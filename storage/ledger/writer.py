@@ -21,6 +21,7 @@ from wavefocus.storage.ledger import owner
 from wavefocus.storage.ledger.layout import LedgerLayout
 from wavefocus.storage.ledger.pages import LedgerFormat, Replacement, is_empty
 from wavefocus.storage.sidecar_files import clear_leftovers
+from wavefocus.storage.text_file import require_regular
 
 
 class LedgerWriter(Closing):
@@ -70,7 +71,7 @@ class LedgerWriter(Closing):
         path, kind = Path(path), cls._format.kind
         if path.is_symlink():
             raise InputError(f"{path} is a symbolic link to {path.readlink()}; name the {kind} file itself")
-        owner.require_regular(path)
+        require_regular(path)
         clear_leftovers(path.parent, path.name)
         try:
             file = open_file(path, write=True)
