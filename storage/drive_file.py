@@ -15,7 +15,15 @@ from numpy.typing import NDArray
 from wavefocus.storage import hdf5_digest, hdf5_reading
 from wavefocus.storage.argument_types import check_fields, checked, real_array, require_times, whole_array
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.hdf5_writing import attach, created, filled, reserved, sample_times, scale, set_long_names
+from wavefocus.storage.hdf5_writing import (
+    attach,
+    created,
+    dimension_scale,
+    filled,
+    reserved,
+    sample_times,
+    set_long_names,
+)
 from wavefocus.storage.output_files import replacement, require_outputs
 from wavefocus.storage.units import drive_of
 
@@ -169,11 +177,13 @@ def drive_in_blocks(
         file.attrs["method"] = about.method
         file.attrs["drive_unit"] = about.drive_unit
         volts = reserved(file, "/drive", shape, "<f8", about.drive_unit)
-        focus = scale(file, "focus/focus", np.arange(len(about.focus_sample)))
+        focus = dimension_scale(file, "focus/focus", np.arange(len(about.focus_sample)))
         for name in ("sample", "position", "source"):
             attach(filled(file, f"/focus/{name}", np.asarray(getattr(about, f"focus_{name}"), np.int64)), focus)
         times_s = sample_times(shape[1], about.sample_rate_hz, about.start_s)
-        attach(volts, scale(file, "actuator", np.arange(shape[0])), scale(file, "time_s", times_s, "s"))
+        attach(
+            volts, dimension_scale(file, "actuator", np.arange(shape[0])), dimension_scale(file, "time_s", times_s, "s")
+        )
         set_long_names(file, LONG_NAMES)
         done = 0
 

@@ -16,7 +16,15 @@ from wavefocus.storage import hdf5_digest, hdf5_reading
 from wavefocus.storage.argument_types import check_fields, checked, float_type, reals, require_times, whole_array
 from wavefocus.storage.durable import Closing
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.hdf5_writing import attach, created, filled, reserved, sample_times, scale, set_long_names
+from wavefocus.storage.hdf5_writing import (
+    attach,
+    created,
+    dimension_scale,
+    filled,
+    reserved,
+    sample_times,
+    set_long_names,
+)
 from wavefocus.storage.output_files import replacement, require_outputs
 
 if TYPE_CHECKING:
@@ -188,10 +196,10 @@ def field_in_rows(
         if low_pass is not None:
             file.attrs["band_hz"] = np.array([0.0, low_pass.passed_hz])
             file.attrs["decimated_by"] = low_pass.factor
-        positions = scale(file, "position", index)
+        positions = dimension_scale(file, "position", index)
         attach(filled(file, "/position_index", index), positions)
         data = reserved(file, "/field", (len(index), samples), kind.str, response_unit)
-        attach(data, positions, scale(file, "time_s", sample_times(samples, sample_rate_hz, start_s), "s"))
+        attach(data, positions, dimension_scale(file, "time_s", sample_times(samples, sample_rate_hz, start_s), "s"))
         set_long_names(file, LONG_NAMES)
         writer = FieldWriter(path, data)
         yield writer

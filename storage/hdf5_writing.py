@@ -154,7 +154,7 @@ def filled(file: h5py.File, name: str, values: NDArray[Any], unit: str | None = 
     return dataset
 
 
-def scale(file: h5py.File, name: str, values: NDArray[Any], unit: str = "1") -> h5py.Dataset:
+def dimension_scale(file: h5py.File, name: str, values: NDArray[Any], unit: str = "1") -> h5py.Dataset:
     """Create a dimension scale, so that other programs show labelled dimensions and units."""
     dataset = filled(file, f"/{name}", values, unit)
     dataset.make_scale(name.rpartition("/")[2])
@@ -170,8 +170,8 @@ def bare_dimension(file: h5py.File, name: str, size: int) -> h5py.Dataset:
 
 def attach(dataset: h5py.Dataset, *scales: h5py.Dataset) -> None:
     """Attach a dimension scale to each dimension of a dataset."""
-    for dimension, dimension_scale in zip(dataset.dims, scales, strict=True):
-        dimension.attach_scale(dimension_scale)
+    for dimension, scale in zip(dataset.dims, scales, strict=True):
+        dimension.attach_scale(scale)
 
 
 def set_long_names(file: h5py.File, names: Mapping[str, str]) -> None:

@@ -47,8 +47,8 @@ def bank_dataset(bank: Bank) -> Dataset:
             wanted, within = np.arange(bank.positions)[key[0]], key[1:]
             shape = np.broadcast_to(0, Rows.shape[1:])[within].shape
             values = np.empty((wanted.size, *shape), Rows.dtype)
-            for place, row in enumerate(wanted.ravel().tolist()):
-                values[place] = bank.rows.read(row)[within]
+            for index, row in enumerate(wanted.ravel().tolist()):
+                values[index] = bank.rows.read(row)[within]
             return values.reshape(*wanted.shape, *shape)
 
     pair = ("position", "actuator")

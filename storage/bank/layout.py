@@ -13,7 +13,15 @@ from numpy.typing import NDArray
 from wavefocus.storage import durable, hdf5_digest, hdf5_reading
 from wavefocus.storage.bank.ledger import BANK, FIRST_QUALITY_NAMES, LATER_QUALITY_NAMES, QUALITY_NAMES, bank_row_shape
 from wavefocus.storage.errors import InputError, OtherLayoutError
-from wavefocus.storage.hdf5_writing import METADATA_BLOCK, attach, bare_dimension, filled, reserved, sample_times, scale
+from wavefocus.storage.hdf5_writing import (
+    METADATA_BLOCK,
+    attach,
+    bare_dimension,
+    dimension_scale,
+    filled,
+    reserved,
+    sample_times,
+)
 from wavefocus.storage.ledger.layout import (
     LedgerLayout,
     create_file,
@@ -177,9 +185,9 @@ def _lay_out(file: h5py.File, header: BankHeader) -> LedgerLayout:
     if header.inter_channel_delay_s is not None:
         file.attrs["inter_channel_delay_s"] = np.float64(header.inter_channel_delay_s)
     count, actuators, taps = header.positions, header.actuators, header.taps
-    position = scale(file, "position", np.arange(count, dtype="<i4"))
-    actuator = scale(file, "actuator", np.arange(actuators, dtype="<i4"))
-    time_s = scale(file, "time_s", sample_times(taps, header.sample_rate_hz), "s")
+    position = dimension_scale(file, "position", np.arange(count, dtype="<i4"))
+    actuator = dimension_scale(file, "actuator", np.arange(actuators, dtype="<i4"))
+    time_s = dimension_scale(file, "time_s", sample_times(taps, header.sample_rate_hz), "s")
     axis = file.create_dataset("axis", data=["x", "y"], dtype=h5py.string_dtype(), track_times=False)
     axis.make_scale("axis")
     (green,) = lay_out_data(file, header.rows, count, [header.response_unit])

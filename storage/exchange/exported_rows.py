@@ -74,10 +74,10 @@ class ExportedRows:
     def each(self, on_progress: OnProgress | None = None) -> Iterator[tuple[int, NDArray[Any]]]:
         """Yield the number and the Green's functions (actuators, taps) of each row; NaN where unknown."""
         nothing = np.full((self.bank.actuators, self.bank.taps), np.nan, np.float32)
-        for place, (row, known) in enumerate(zip(self.row.tolist(), self.known.tolist(), strict=True)):
+        for index, (row, known) in enumerate(zip(self.row.tolist(), self.known.tolist(), strict=True)):
             yield row, self.bank.green(row) if known else nothing
             if on_progress is not None:
-                on_progress(place + 1, len(self.row))
+                on_progress(index + 1, len(self.row))
 
     def green(self, dtype: type[np.floating[Any]], on_progress: OnProgress | None = None) -> NDArray[Any]:
         """All Green's functions at once, (rows, actuators, taps); raises InputError beyond 4 GiB."""
@@ -89,8 +89,8 @@ class ExportedRows:
                 f" {MOST_BYTES / 2**30:.3g} GiB are allowed; export some --positions at a time, or as wav"
             )
         green = np.empty(shape, dtype)
-        for place, (_, values) in enumerate(self.each(on_progress)):
-            green[place] = values
+        for index, (_, values) in enumerate(self.each(on_progress)):
+            green[index] = values
         return green
 
 

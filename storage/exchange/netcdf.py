@@ -18,7 +18,7 @@ from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress
 from wavefocus.storage.exchange.hdf5_arrays import compound_complex, read_arrays
 from wavefocus.storage.exchange.measured import ImportOptions, Measured
 from wavefocus.storage.exchange.named_arrays import NamedArrays, measured_arrays
-from wavefocus.storage.hdf5_writing import attach, created, filled, reserved, scale, set_long_names
+from wavefocus.storage.hdf5_writing import attach, created, dimension_scale, filled, reserved, set_long_names
 from wavefocus.storage.output_files import EXPORT_MARK, replacement
 from wavefocus.storage.packing import DEFAULT_FILL, KEYS, UnpackedArray, packing
 
@@ -52,9 +52,9 @@ def write(path: Path, rows: ExportedRows, on_progress: OnProgress | None = None)
     data_bytes = 4 * (count + 1) * bank.actuators * (bank.taps + 8) + 96 * count
     with replacement(path) as temporary, created(temporary, data_bytes) as file:
         file.attrs.update(_attributes(rows))
-        position = scale(file, "position", rows.row.astype(np.int32))
-        actuator = scale(file, "actuator", np.arange(bank.actuators, dtype=np.int32))
-        time_s = scale(file, "time_s", bank.time_s, "s")
+        position = dimension_scale(file, "position", rows.row.astype(np.int32))
+        actuator = dimension_scale(file, "actuator", np.arange(bank.actuators, dtype=np.int32))
+        time_s = dimension_scale(file, "time_s", bank.time_s, "s")
         axis = file.create_dataset("axis", data=["x", "y"], dtype=h5py.string_dtype(), track_times=False)
         axis.make_scale("axis")
         attach(filled(file, "position_mm", rows.position_mm, "mm"), position, axis)
@@ -73,8 +73,8 @@ def write(path: Path, rows: ExportedRows, on_progress: OnProgress | None = None)
         green.attrs["coordinates"] = "x_mm y_mm status"
         attach(green, position, actuator, time_s)
         set_long_names(file, LONG_NAMES)
-        for place, (_, values) in enumerate(rows.each(on_progress)):
-            green[place] = values
+        for index, (_, values) in enumerate(rows.each(on_progress)):
+            green[index] = values
 
 
 def _attributes(rows: ExportedRows) -> dict[str, object]:
