@@ -47,7 +47,7 @@ class RecoverySection(Table):
     )
 
 
-class UsbDevice(Table):
+class UsbSection(Table):
     """The USB device of a role."""
 
     role: Literal["mirror", "recorder", "player", "vibrometer"] = Field(description="Role of the device")
@@ -374,7 +374,7 @@ class RigConfig(Table):
     watch: Annotated[WatchSection, FREE] = WatchSection()
     messages: Annotated[MessagesSection, FREE] = MessagesSection()
     calibration: Annotated[CalibrationSection, FREE] = CalibrationSection()
-    usb: Annotated[tuple[UsbDevice, ...], Field(max_length=64), FREE] = ()
+    usb: Annotated[tuple[UsbSection, ...], Field(max_length=64), FREE] = ()
     emulation: Annotated[Emulation, FREE] = Emulation()
 
     @property

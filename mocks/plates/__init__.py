@@ -23,7 +23,7 @@ MAGNET_RADIUS_MM = 2.5  # the paper, section IV.A: magnets 5 mm across
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class PlateChange:
     """Factors on a plate's wave speed and loss, its density being the same. Raises ValueError.
 
     Loss is the damping of a gel, and the reciprocal of the quality factor of glass.
@@ -44,7 +44,7 @@ class Change:
         return chain if self.speed == 1 else lambda frequency_hz: chain(frequency_hz) / self.speed**2
 
 
-UNCHANGED = Change()
+UNCHANGED = PlateChange()
 REFERENCE_C = 21.0
 """Temperature at which plates are as their keys say."""
 

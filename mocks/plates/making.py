@@ -9,7 +9,7 @@ import numpy as np
 
 from wavefocus.config.outline import Outline
 from wavefocus.config.plate import FINGER_MM
-from wavefocus.mocks.plates import PLATES, Chain, Change, Float64Array, Plate
+from wavefocus.mocks.plates import PLATES, Chain, Float64Array, Plate, PlateChange
 from wavefocus.mocks.plates.finger import TouchedPlate
 
 
@@ -19,7 +19,7 @@ def make_plate(
     """Make a plate by its name and the keys of its table, some kelvin above `REFERENCE_C`. Raises ValueError."""
     own = {key: value for key, value in keys.items() if key not in ("edge", "speed_per_k", "loss_per_k", "finger")}
     kind = PLATES.all()[f"{name}, infinite" if keys.get("edge") == "infinite" else name]
-    change = Change(1 + keys.get("speed_per_k", 0.0) * warmer_k, 1 + keys.get("loss_per_k", 0.0) * warmer_k)
+    change = PlateChange(1 + keys.get("speed_per_k", 0.0) * warmer_k, 1 + keys.get("loss_per_k", 0.0) * warmer_k)
     if (finger := keys.get("finger")) is None:
         return kind(actuator_mm, outline, chain, change=change, **own)
     if not outline.contains(finger["place_mm"], FINGER_MM):

@@ -10,7 +10,15 @@ import scipy
 from numpy.typing import ArrayLike
 
 from wavefocus.config.outline import Outline
-from wavefocus.mocks.plates import MAGNET_RADIUS_MM, PLATES, UNCHANGED, Chain, Change, Complex128Array, Float64Array
+from wavefocus.mocks.plates import (
+    MAGNET_RADIUS_MM,
+    PLATES,
+    UNCHANGED,
+    Chain,
+    Complex128Array,
+    Float64Array,
+    PlateChange,
+)
 from wavefocus.mocks.plates.infinite import InfinitePlate
 
 IMPULSE_BAND_HZ = (50.0, 450.0)
@@ -43,7 +51,7 @@ class DampedWave:
                 "for the wave would grow as it travels"
             )
 
-    def changed(self, change: Change) -> DampedWave:
+    def changed(self, change: PlateChange) -> DampedWave:
         """The wave with speed and damping changed."""
         return DampedWave(self.speed_m_s * change.speed, self.damping_per_s * change.loss)
 
@@ -109,7 +117,7 @@ class SpringpotWave:
         if not 0 <= self.exponent < 1:
             raise ValueError(f"exponent is {self.exponent}; it must be at least 0, or the wave would grow, and below 1")
 
-    def changed(self, change: Change) -> SpringpotWave:
+    def changed(self, change: PlateChange) -> SpringpotWave:
         """The wave with speed and exponent changed."""
         return SpringpotWave(self.phase_speed_m_s * change.speed, self.exponent * change.loss)
 
@@ -140,7 +148,7 @@ class SpringpotWave:
 
 
 @dataclass(frozen=True, slots=True)
-class ImpulseTravel:
+class WaveTravel:
     """How a band-limited impulse travels: see `impulse_travel`."""
 
     group_velocity_m_s: float
@@ -198,7 +206,7 @@ def impulse_travel(
     wave: DampedWave | SpringpotWave,
     band_hz: tuple[float, float] = IMPULSE_BAND_HZ,
     span_mm: tuple[float, float] = (10.0, 50.0),
-) -> ImpulseTravel:
+) -> WaveTravel:
     """Group velocity and attenuation of a band-limited impulse.
 
     The impulse has a flat spectrum in the band. Geometric spreading is removed, so what travels is
@@ -216,7 +224,7 @@ def impulse_travel(
     near, far = (np.exp(2 * k.imag * distance_m) for distance_m in (near_m, far_m))
     delay_s = far_m * np.average(slowness, weights=far) - near_m * np.average(slowness, weights=near)
     loss_db = 10 * np.log10(near.sum() / far.sum())
-    return ImpulseTravel(float((far_m - near_m) / delay_s), float(loss_db / (100 * (far_m - near_m))))
+    return WaveTravel(float((far_m - near_m) / delay_s), float(loss_db / (100 * (far_m - near_m))))
 
 
 SOFT_PLATE = DampedWave(speed_m_s=4.7072696192, damping_per_s=421.33369835)
@@ -247,7 +255,7 @@ class SoftPlate(InfinitePlate):
         chain: Chain,
         *,
         loss: str = "damped",
-        change: Change = UNCHANGED,
+        change: PlateChange = UNCHANGED,
     ) -> None:
         self._wave = (SPRINGPOT_PLATE if loss == "springpot" else SOFT_PLATE).changed(change)
         super().__init__(actuator_mm, outline, change.softened(chain), (self._wave,))

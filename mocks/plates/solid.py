@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 
 from wavefocus.config.outline import Outline
-from wavefocus.mocks.plates import PLATES, UNCHANGED, Chain, Change, Complex128Array, Float64Array
+from wavefocus.mocks.plates import PLATES, UNCHANGED, Chain, Complex128Array, Float64Array, PlateChange
 from wavefocus.mocks.plates.infinite import InfinitePlate
 from wavefocus.mocks.plates.soft import SOFT_PLATE, UNIT_FORCE_N, DampedWave
 
@@ -88,7 +88,7 @@ class SolidPlate(InfinitePlate):
         damping_per_s: float = SOFT_PLATE.damping_per_s,
         force_deg: float = 0.0,
         oscillation_deg: float = 0.0,
-        change: Change = UNCHANGED,
+        change: PlateChange = UNCHANGED,
     ) -> None:
         self.unit_force_n = UNIT_FORCE_N * (shear_speed_m_s / SOFT_PLATE.speed_m_s) ** 2
         shear, pressure = change.speed * shear_speed_m_s, change.speed * pressure_speed_m_s

@@ -32,7 +32,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.config.outline import Outline
-from wavefocus.mocks.plates import MAGNET_RADIUS_MM, PLATES, UNCHANGED, Chain, Change, Complex128Array, Float64Array
+from wavefocus.mocks.plates import (
+    MAGNET_RADIUS_MM,
+    PLATES,
+    UNCHANGED,
+    Chain,
+    Complex128Array,
+    Float64Array,
+    PlateChange,
+)
 from wavefocus.mocks.plates.modal import ALL, ModalPlate, Modes
 from wavefocus.mocks.plates.soft import SOFT_PLATE, UNIT_FORCE_N, DampedWave
 
@@ -66,7 +74,7 @@ class StadiumPlate(ModalPlate):
         chain: Chain,
         *,
         rim_admittance: float = 0.0,
-        change: Change = UNCHANGED,
+        change: PlateChange = UNCHANGED,
     ) -> None:
         super().__init__(actuator_mm, outline, change.softened(chain))
         self._wave = SOFT_PLATE.changed(change)

@@ -18,7 +18,15 @@ import scipy
 from numpy.typing import ArrayLike
 
 from wavefocus.config.outline import Outline
-from wavefocus.mocks.plates import MAGNET_RADIUS_MM, PLATES, UNCHANGED, Chain, Change, Complex128Array, Float64Array
+from wavefocus.mocks.plates import (
+    MAGNET_RADIUS_MM,
+    PLATES,
+    UNCHANGED,
+    Chain,
+    Complex128Array,
+    Float64Array,
+    PlateChange,
+)
 from wavefocus.mocks.plates.infinite import InfinitePlate
 from wavefocus.mocks.plates.modal import ALL, ModalPlate, Modes
 from wavefocus.mocks.plates.soft import mean_hankel
@@ -56,7 +64,7 @@ class ThinRectangle(ModalPlate):
         *,
         quality: float = QUALITY,
         mode_tolerance: float = 0.0,
-        change: Change = UNCHANGED,
+        change: PlateChange = UNCHANGED,
     ) -> None:
         super().__init__(actuator_mm, outline, chain, mode_tolerance)
         if not (np.isfinite(quality) and quality > 0):
@@ -157,7 +165,7 @@ class InfiniteGlass(InfinitePlate):
         chain: Chain,
         *,
         quality: float = QUALITY,
-        change: Change = UNCHANGED,
+        change: PlateChange = UNCHANGED,
     ) -> None:
         facts = quality / max(change.loss, 1e-12), KAPPA_M2_S * change.speed**2
         waves = [FlexuralWave(facts[0], travels, facts[1]) for travels in (True, False)]

@@ -17,7 +17,7 @@ from wavefocus.mocks.virtual.faults import VirtualDevice
 from wavefocus.mocks.virtual.laboratory import NANOSECONDS, VirtualClock, label_share
 from wavefocus.mocks.virtual.settings import VirtualSettings
 from wavefocus.mocks.virtual.signals import PlayedSignal, SignalStore
-from wavefocus.mocks.virtual.synthesis import Play
+from wavefocus.mocks.virtual.synthesis import VirtualPlay
 
 
 @dataclass(slots=True)
@@ -25,7 +25,7 @@ class _Pieces:
     """A play that comes in pieces; it sounds when `ahead_s` of it is there; at most that waits."""
 
     rows: int
-    play: Play
+    play: VirtualPlay
     ahead_s: float
 
 
@@ -38,7 +38,7 @@ class VirtualPlayer(VirtualDevice):
         self._settings = settings
         self._clock = clock
         self._store = SignalStore(settings.full_scale_v)
-        self._plays: deque[Play] = deque(maxlen=8)
+        self._plays: deque[VirtualPlay] = deque(maxlen=8)
         self._pieces: _Pieces | None = None
         self.written_s = -math.inf
         self._lock = threading.RLock()
@@ -67,7 +67,7 @@ class VirtualPlayer(VirtualDevice):
                 raise self._refusal(doing, "it is still playing", "wait for its end or mute it first")
             label = self._label_under_way()
             self._faults.meet("play", doing, label)
-            play = Play(now_ns, float(sample_rate_hz), signals, lengths.pop())
+            play = VirtualPlay(now_ns, float(sample_rate_hz), signals, lengths.pop())
             play.latency_s = None if label is None else self._latency_s(label)
             self._plays.append(play)
 
@@ -89,7 +89,7 @@ class VirtualPlayer(VirtualDevice):
             if self._plays and self._end_ns(self._plays[-1]) > now_ns:
                 raise self._refusal(doing, "it is still playing", "wait for its end or mute it first")
             self._faults.meet("play", doing, self._label_under_way())
-            self._pieces = _Pieces(len(channels), Play(now_ns, float(sample_rate_hz), {}, 0), ahead_s)
+            self._pieces = _Pieces(len(channels), VirtualPlay(now_ns, float(sample_rate_hz), {}, 0), ahead_s)
 
     def add_piece(self, volts: Float64Array) -> float:
         """Let the time pass until there is room for more; returns how much was waiting before, in seconds.
@@ -167,7 +167,7 @@ class VirtualPlayer(VirtualDevice):
             if self._plays and self._plays[-1].latency_s is None:
                 self._plays[-1].latency_s = self._latency_s(label)
 
-    def plays_between(self, start_ns: int, stop_ns: int) -> list[Play]:
+    def plays_between(self, start_ns: int, stop_ns: int) -> list[VirtualPlay]:
         """What sounded between two instants.
 
         What rings on from a play that had ended is left out: a record would depend on the one before,
@@ -184,10 +184,10 @@ class VirtualPlayer(VirtualDevice):
         low_s, high_s = self._settings.latency_s
         return low_s + (high_s - low_s) * label_share(self._settings.seed, label)
 
-    def _end_ns(self, play: Play) -> int:
+    def _end_ns(self, play: VirtualPlay) -> int:
         return play.requested_ns + round((self._longest_latency_s(play) + play.duration_s) * NANOSECONDS)
 
-    def _longest_latency_s(self, play: Play) -> float:
+    def _longest_latency_s(self, play: VirtualPlay) -> float:
         return self._settings.latency_s[1] if play.latency_s is None else play.latency_s
 
     def _cut(self, instant_ns: int) -> None:

@@ -82,7 +82,7 @@ CUT_STEP_HZ = 500.0  # the kept bins end at a multiple of this, so that few tabl
 
 
 @dataclass(slots=True)
-class Play:
+class VirtualPlay:
     """A play on its way: what was asked for, and when it reaches the outputs."""
 
     requested_ns: int
@@ -131,7 +131,7 @@ class Synthesis:
         samples: int,
         sample_rate_hz: float,
         start_ns: int,
-        plays: Sequence[Play],
+        plays: Sequence[VirtualPlay],
         spots: Sequence[Spot],
         patched: tuple[int, ...] | None = None,
     ) -> tuple[Float32Array, Float32Array]:
@@ -197,7 +197,7 @@ class Synthesis:
         return reference_v, response_v
 
     def crosstalk_v(
-        self, samples: int, sample_rate_hz: float, start_ns: int, plays: Sequence[Play]
+        self, samples: int, sample_rate_hz: float, start_ns: int, plays: Sequence[VirtualPlay]
     ) -> Float32Array | None:
         """Volts that the loopback leaks into the response input, float32 (samples,); None where nothing leaks.
 
@@ -256,7 +256,7 @@ class Synthesis:
         return np.asarray(spectra * self._velocity_per_volt[:, None])
 
     def _output(
-        self, play: Play, channel: int, length: int, scale: float, offset: float, rate_hz: float
+        self, play: VirtualPlay, channel: int, length: int, scale: float, offset: float, rate_hz: float
     ) -> Float32Array:
         """Volts at one output of the player, on the recorder's clock: float32 (length,)."""
         late = self._output_late_s[channel] * rate_hz
@@ -312,7 +312,7 @@ class Synthesis:
         needed = int(np.count_nonzero(above > LEFT_OUT * above[0]))
         return min(spectrum.size, ceil(ceil(needed * step_hz / CUT_STEP_HZ) * CUT_STEP_HZ / step_hz))
 
-    def _length(self, samples: int, rate_hz: float, start_ns: int, plays: Sequence[Play]) -> int:
+    def _length(self, samples: int, rate_hz: float, start_ns: int, plays: Sequence[VirtualPlay]) -> int:
         """A transform long enough that neither end of anything wraps; the same for every latency."""
         first, last = 0.0, float(samples)
         tail_s = max(TAIL_S, min(self._plate.ringing_s, LONGEST_RINGING_S))

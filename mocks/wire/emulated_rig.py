@@ -17,7 +17,7 @@ from wavefocus.mocks.virtual.laboratory import NANOSECONDS, PatchBay
 from wavefocus.mocks.virtual.mirror import MirrorMotion
 from wavefocus.mocks.virtual.settings import VirtualSettings
 from wavefocus.mocks.virtual.signals import SignalStore
-from wavefocus.mocks.virtual.synthesis import TAIL_S, Play, Synthesis
+from wavefocus.mocks.virtual.synthesis import TAIL_S, Synthesis, VirtualPlay
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial, PtyWire, SerialDevice, TcpWire, Wire
 from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
 from wavefocus.mocks.wire.jack_capture import PlayedAudio
@@ -128,7 +128,7 @@ class WireBench:
             (synthesis,) = self._synthesis.values()
         return synthesis.place_mm(aims[-1][1])
 
-    def _plays(self, start_ns: int, end_ns: int) -> list[Play]:
+    def _plays(self, start_ns: int, end_ns: int) -> list[VirtualPlay]:
         """What sounded in a record or rings on into it, as one play for each stretch between silences."""
         rate_hz = self._played.rate_hz
         zero = self._played.frame_at(start_ns)
@@ -146,7 +146,7 @@ class WireBench:
             for begin, last in zip(firsts.tolist(), lasts.tolist(), strict=True)
         ]
 
-    def _play(self, frames: Float32Array, begins_s: float, start_ns: int) -> Play:
+    def _play(self, frames: Float32Array, begins_s: float, start_ns: int) -> VirtualPlay:
         signals = {
             channel: self._store.find(volts.astype(np.float64) * self._full_scale_v[channel])
             for channel, volts in enumerate(frames[: len(self._full_scale_v)])
@@ -154,7 +154,7 @@ class WireBench:
         }
         begins_ns = round(begins_s * NANOSECONDS)
         rest_s = begins_s - begins_ns / NANOSECONDS
-        return Play(start_ns + begins_ns, float(self._played.rate_hz), signals, frames.shape[1], rest_s)
+        return VirtualPlay(start_ns + begins_ns, float(self._played.rate_hz), signals, frames.shape[1], rest_s)
 
     def _with_delay(self, delay_s: float) -> Synthesis:
         """The signal chain with this delay of the response input; a task that is asked again finds it made."""

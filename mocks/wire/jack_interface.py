@@ -72,7 +72,7 @@ TERMINATE_S = 1.0
 SETTLING_CYCLES = 4
 
 
-class Interface:
+class JackInterface:
     """One audio server and its recording client.
 
     faults: What goes wrong, by periods.
@@ -248,7 +248,7 @@ def main() -> None:
     try:
         with server_place() as name:
             os.environ["JACK_DEFAULT_SERVER"] = name
-            interface = Interface(ring, name, faults, orders)
+            interface = JackInterface(ring, name, faults, orders)
             interface.start()
             answer(server=name)
             threading.Thread(target=_listen, args=(orders,), daemon=True).start()
@@ -267,7 +267,7 @@ def _listen(orders: queue.SimpleQueue[tuple[str, float]]) -> None:
     orders.put(("end", 0.0))
 
 
-def _obey(interface: Interface, orders: queue.SimpleQueue[tuple[str, float]], period_s: float, answer: Any) -> None:
+def _obey(interface: JackInterface, orders: queue.SimpleQueue[tuple[str, float]], period_s: float, answer: Any) -> None:
     """Carry out orders, which want an answer and have -1 seconds, and faults, which do not."""
 
     def later(word: str, seconds: float) -> None:

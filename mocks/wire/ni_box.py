@@ -79,7 +79,7 @@ class SignalSource(Protocol):
         ...
 
 
-class State(Enum):
+class TaskState(Enum):
     """States of a task."""
 
     IDLE = "idle"
@@ -112,7 +112,7 @@ class NiTask:
         self.samples = 0
         self.trigger = ""
         self.channel_delay_s = 0.0
-        self.state = State.IDLE
+        self.state = TaskState.IDLE
         self.commits = False  # asked to stay committed between starts
         self.broken: NiError | None = None
         self._condition = condition
@@ -124,7 +124,7 @@ class NiTask:
 
     def begin(self) -> None:
         """Start, at once or armed for the trigger's edge."""
-        self.state = State.RUNNING
+        self.state = TaskState.RUNNING
         self._started += 1
         self._read = 0
         self._start_ns = None if self.trigger else time.monotonic_ns()
@@ -132,15 +132,15 @@ class NiTask:
 
     def edge(self, terminal: str) -> None:
         """A rising edge at a terminal."""
-        if self.state is State.RUNNING and self.trigger == terminal and self._start_ns is None:
+        if self.state is TaskState.RUNNING and self.trigger == terminal and self._start_ns is None:
             self._start_ns = time.monotonic_ns()
             self._condition.notify_all()
 
     def end(self, broken: NiError | None = None) -> bool:
         """Stop, for good where `broken` says why; returns whether samples were still to come."""
-        early = self.state is State.RUNNING and self.acquired() < self.samples
+        early = self.state is TaskState.RUNNING and self.acquired() < self.samples
         self.broken = self.broken or broken
-        self.state = State.COMMITTED if self.commits and broken is None else State.IDLE
+        self.state = TaskState.COMMITTED if self.commits and broken is None else TaskState.IDLE
         self._start_ns = None
         self._condition.notify_all()
         return early
@@ -159,7 +159,7 @@ class NiTask:
 
     def wait_done(self, timeout_s: float, alive: Alive) -> None:
         """Return when every sample of a finite record has been, or raise."""
-        if self.state is not State.RUNNING:
+        if self.state is not TaskState.RUNNING:
             return
         if not self._wait(self.samples, timeout_s, alive):
             raise NiError(NiCode.NOT_DONE)
@@ -169,7 +169,7 @@ class NiTask:
 
         Waits up to `timeout_s`, for ever where that is negative.
         """
-        if self.state is not State.RUNNING:
+        if self.state is not TaskState.RUNNING:
             raise NiError(NiCode.NOT_STARTED)
         if self._read + samples > self.samples:
             raise NiError(NiCode.NOT_STARTED, f"The task has {self.samples - self._read} left.")
@@ -227,7 +227,7 @@ class NiTask:
     def _check(self, started: int) -> None:
         if self.broken is not None:
             raise self.broken
-        if self.state is not State.RUNNING or self._started != started:
+        if self.state is not TaskState.RUNNING or self._started != started:
             raise NiError(NiCode.ABORTED)
 
 
@@ -336,7 +336,7 @@ class NiBox:
             task = self._named(name)
             if task.broken is not None:
                 raise task.broken
-            if at_rest and task.state is State.RUNNING:
+            if at_rest and task.state is TaskState.RUNNING:
                 raise NiError(NiCode.TASK_RUNNING)
             return task
 

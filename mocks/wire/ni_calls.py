@@ -10,7 +10,7 @@ import numpy as np
 
 from wavefocus.drivers.protocols import Float64Array
 from wavefocus.mocks.wire.faults import WireFault
-from wavefocus.mocks.wire.ni_box import Alive, Channel, NiBox, NiCode, NiError, NiTask, State
+from wavefocus.mocks.wire.ni_box import Alive, Channel, NiBox, NiCode, NiError, NiTask, TaskState
 from wavefocus.mocks.wire.ni_products import DIFFERENTIAL, NRSE, RSE, Product
 
 Answer = dict[str, Any]
@@ -131,7 +131,7 @@ class NiCalls:
     def _is_done(self, request: Any, alive: Alive) -> Answer:
         with self._box.condition:
             task = self._task(request)
-            return {"is_task_done": task.state is not State.RUNNING or task.acquired() >= task.samples}
+            return {"is_task_done": task.state is not TaskState.RUNNING or task.acquired() >= task.samples}
 
     def _create_channel(self, request: Any, alive: Alive) -> Answer:
         with self._box.condition:
@@ -231,7 +231,7 @@ class NiCalls:
                 raise NiError(NiCode.NOT_SUPPORTED, f"Task action: {action}")
             self._box.reserve(task)
             task.commits = True
-            task.state = State.COMMITTED
+            task.state = TaskState.COMMITTED
             return {}
 
     def _start(self, request: Any, alive: Alive) -> Answer:
@@ -247,7 +247,7 @@ class NiCalls:
         with self._box.condition:
             task = self._task(request)
             early = task.end()
-            if task.state is State.IDLE:
+            if task.state is TaskState.IDLE:
                 self._box.release(task)
             return {"status": NiCode.STOPPED_BEFORE_DONE if early else 0}
 
@@ -264,7 +264,7 @@ class NiCalls:
             self._box.touch(self._box.name)
             if task.channels and not task.rate_hz:
                 return self._read_on_demand(task, request)
-            if task.state is not State.RUNNING:
+            if task.state is not TaskState.RUNNING:
                 self._start(request, alive)
             asked = request.num_samps_per_chan
             if asked < 0:

@@ -40,7 +40,7 @@ SPOILING = ("read_timeout", "short_read", "missing_reference", "over_range", "wa
 
 
 @dataclass(frozen=True, slots=True)
-class Call:
+class ServedCall:
     """One remote procedure call: its name, what came of it (0, a code of NI-DAQmx, None: no answer), how long."""
 
     name: str
@@ -79,7 +79,7 @@ class NiServer:
         self._address = address
         self._credentials = credentials
         self._plan = WireFaultPlan("recorder", faults)
-        self._log: list[Call] = []
+        self._log: list[ServedCall] = []
         self._under_way: Counter[str] = Counter()
         self._lock = threading.Lock()
         self._server: grpc.Server | None = None
@@ -93,7 +93,7 @@ class NiServer:
         return self._address
 
     @property
-    def log(self) -> tuple[Call, ...]:
+    def log(self) -> tuple[ServedCall, ...]:
         """All calls so far that have ended."""
         with self._lock:
             return tuple(self._log)
@@ -216,7 +216,7 @@ class NiServer:
         finally:
             with self._lock:
                 self._under_way[name] -= 1
-                self._log.append(Call(name, status if alive() else None, time.monotonic() - began_s))
+                self._log.append(ServedCall(name, status if alive() else None, time.monotonic() - began_s))
 
     def _meet(self, name: str, due: Sequence[WireFault], gone: threading.Event) -> int:
         """Let a call meet its faults; returns the status of an answer that is otherwise good."""

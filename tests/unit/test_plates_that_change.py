@@ -19,7 +19,7 @@ from wavefocus.mocks.plates.soft import SOFT_PLATE, UNIT_FORCE_N, DampedWave
 from wavefocus.mocks.plates.stadium import Elements, spacing_mm, triangulate
 from wavefocus.mocks.virtual.settings import VirtualSettings
 from wavefocus.mocks.virtual.signals import SignalStore
-from wavefocus.mocks.virtual.synthesis import Play, Spot, Synthesis, chain_response
+from wavefocus.mocks.virtual.synthesis import Spot, Synthesis, VirtualPlay, chain_response
 from wavefocus.mocks.wire.emulated_rig import WireBench
 from wavefocus.rig.virtual_bench import virtual_settings
 
@@ -110,7 +110,7 @@ def test_given_a_course_of_the_room_then_the_plate_follows_it_and_without_the_ke
     def recorded(keys: tuple[tuple[str, Any], ...], seconds: float) -> np.ndarray:
         synthesis = Synthesis(VirtualSettings(plate_keys=keys, room_c=((0.0, 21.0), (100.0, 25.0))))
         start_ns, click = round(1e9 * seconds), SignalStore(5.0).find(np.ones(20))
-        play = Play(start_ns, 10_000.0, {0: click}, 20, 0.0)
+        play = VirtualPlay(start_ns, 10_000.0, {0: click}, 20, 0.0)
         return synthesis.voltages(2000, 10_000.0, start_ns, [play], [Spot(0, 2000, (90.0, 10.0))])[1]
 
     following = (("speed_per_k", -0.01),)

@@ -10,9 +10,9 @@ from wavefocus.drivers.audio.stream.playback import (
     MUTED,
     PLAYED,
     UNDERFLOW,
-    Ended,
     PieceByPiece,
     Playback,
+    PlayEnded,
     SignalPlay,
     Taken,
     Voice,
@@ -213,7 +213,7 @@ def test_given_a_piece_that_comes_too_late_then_it_fades_and_the_play_ends_as_an
     np.testing.assert_array_equal(host.heard[: 2 * PERIOD, [2, 0]], pieces[0][: 2 * PERIOD])
     assert np.abs(np.diff(host.heard[:, 0])).max() < 0.05
     assert not host.heard[2 * PERIOD + fade :].any()
-    (end,) = [one for one in taken(host) if isinstance(one, Ended)]
+    (end,) = [one for one in taken(host) if isinstance(one, PlayEnded)]
     assert (end.outcome, end.notice) == (UNDERFLOW, "the next piece of the signal did not come in time")
 
 
@@ -226,7 +226,7 @@ def test_given_a_mute_then_a_play_in_pieces_fades_and_ends():
     host.playback.mute()
     host.periods(5)
     assert not host.heard[2 * PERIOD + round(FADE_S * RATE_HZ) :].any()
-    assert [one.outcome for one in taken(host) if isinstance(one, Ended)] == [MUTED]
+    assert [one.outcome for one in taken(host) if isinstance(one, PlayEnded)] == [MUTED]
 
 
 @pytest.mark.parametrize("factor", [44_100 / 48_000, 1.0, 1.0884, 2.0, 192_000 / 44_100])

@@ -39,7 +39,7 @@ class Taken:
 
 
 @dataclass(frozen=True, slots=True)
-class Ended:
+class PlayEnded:
     """How a play ended: `PLAYED`, `MUTED`, or `UNDERFLOW` with what was noticed."""
 
     number: int
@@ -61,7 +61,7 @@ class Voice:
     start: int
 
 
-class Play(ABC):
+class StreamPlay(ABC):
     """Frames that are put into periods one after another, and how far they have come.
 
     frames: Length of it all.
@@ -80,7 +80,7 @@ class Play(ABC):
         """Put the next frames into a silent period; returns what is missing, or an empty text."""
 
 
-class SignalPlay(Play):
+class SignalPlay(StreamPlay):
     """Signals that start together; all of it is there from the start."""
 
     def __init__(self, number: int, voices: tuple[Voice, ...]) -> None:
@@ -98,7 +98,7 @@ class SignalPlay(Play):
         return ""
 
 
-class PieceByPiece(Play):
+class PieceByPiece(StreamPlay):
     """A play whose frames are handed over in pieces by one thread, while the stream's puts them into periods.
 
     channels: Outputs, in the order of the pieces' columns.
@@ -161,15 +161,15 @@ class Playback:
     def __init__(self, rate_hz: int, latency_s: float) -> None:
         self._rate_hz = rate_hz
         self._latency_frames = max(0, round(latency_s * rate_hz))
-        self._orders: queue.SimpleQueue[Play | None] = queue.SimpleQueue()
-        self._play: Play | None = None
+        self._orders: queue.SimpleQueue[StreamPlay | None] = queue.SimpleQueue()
+        self._play: StreamPlay | None = None
         self._grid_s = -np.inf
         self._called_s = -np.inf
         self._burst_frames = 0
         self._host_frames = 0
         self._first_s = np.inf
         self._frames = self._before = 0
-        self.events: queue.SimpleQueue[Ended | Taken] = queue.SimpleQueue()
+        self.events: queue.SimpleQueue[PlayEnded | Taken] = queue.SimpleQueue()
         self.callbacks = 0
 
     @property
@@ -178,7 +178,7 @@ class Playback:
         seconds = self._called_s - self._first_s
         return self._before / seconds if seconds >= MEASURED_S else float("nan")
 
-    def start(self, play: Play) -> None:
+    def start(self, play: StreamPlay) -> None:
         """Let a play begin with the next period."""
         self._orders.put(play)
 
@@ -221,7 +221,7 @@ class Playback:
         self._grid_s += len(out) / self._rate_hz * (1 + SLOWEST)
         self.callbacks += 1
 
-    def _go_on(self, play: Play, out: Float32Array, late_s: float, *, flagged: bool, fade: bool) -> None:
+    def _go_on(self, play: StreamPlay, out: Float32Array, late_s: float, *, flagged: bool, fade: bool) -> None:
         frames = len(out)
         if play.ending is not None:
             self._see_out(play, frames)
@@ -243,7 +243,7 @@ class Playback:
                 self._end(PLAYED)
         play.done += frames
 
-    def _see_out(self, play: Play, frames: int) -> None:
+    def _see_out(self, play: StreamPlay, frames: int) -> None:
         """End a play that was cut short once its last sound has left the outputs: a record may begin then."""
         assert play.ending is not None
         play.silent_frames += frames
@@ -253,7 +253,7 @@ class Playback:
 
     def _end(self, outcome: str, notice: str = "") -> None:
         if self._play is not None:
-            self.events.put(Ended(self._play.number, outcome, notice))
+            self.events.put(PlayEnded(self._play.number, outcome, notice))
             self._play = None
 
 

@@ -9,8 +9,17 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from wavefocus.drivers.audio.stream.playback import UNDERFLOW, Ended, Taken
-from wavefocus.drivers.audio.stream.player_process import Begin, Clocked, EndPieces, Mute, Opened, Piece, Refused, Start
+from wavefocus.drivers.audio.stream.playback import UNDERFLOW, PlayEnded, Taken
+from wavefocus.drivers.audio.stream.player_process import (
+    BeginPieces,
+    Clocked,
+    EndPieces,
+    FadeOut,
+    Opened,
+    OpeningRefused,
+    Piece,
+    Start,
+)
 from wavefocus.drivers.audio.stream.portaudio import StreamRequest
 from wavefocus.drivers.audio.stream.signals import PlayOrders
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
@@ -144,7 +153,7 @@ class StreamPlayer:
             full_scale_v = np.array([self._full_scale_v[channel] for channel in channels])[:, np.newaxis]
             ahead_frames = max(1, round(ahead_s * rate_hz))
             self._stream.play = _Pieces(self._plays, doing, full_scale_v, ahead_frames)
-            self._send(doing, Begin(self._plays, tuple(channels), ahead_frames))
+            self._send(doing, BeginPieces(self._plays, tuple(channels), ahead_frames))
 
     def add_piece(self, volts: Float64Array) -> float:
         """Hand over the next samples and wait until no more than `ahead_s` of them are not played yet.
@@ -215,7 +224,7 @@ class StreamPlayer:
         if self._closed or play is None or play.outcome is not None:
             return
         try:
-            process.send(Mute())
+            process.send(FadeOut())
             if process.wait_for(lambda: play.outcome, time.monotonic() + ANSWER_S) is None:
                 process.kill(f"it did not fall silent within {ANSWER_S:g} s of a mute and was killed")
         except ProcessGoneError:
@@ -322,7 +331,7 @@ class _Stream:
     """The stream's process and what it has reported."""
 
     def __init__(self, environment: Mapping[str, str]) -> None:
-        self.answer: Opened | Refused | None = None
+        self.answer: Opened | OpeningRefused | None = None
         self.play: _Play | None = None
         self.alive_s = -math.inf
         self.rate_hz = math.nan
@@ -338,13 +347,13 @@ class _Stream:
     def _note(self, message: object) -> None:
         play = self.play
         match message:
-            case Opened() | Refused():
+            case Opened() | OpeningRefused():
                 self.answer = message
             case Clocked(rate_hz):
                 self.rate_hz = rate_hz
             case Alive():
                 self.alive_s = time.monotonic()
-            case Ended(number, outcome, notice) if play is not None and number == play.number:
+            case PlayEnded(number, outcome, notice) if play is not None and number == play.number:
                 play.notice, play.outcome = notice, outcome
             case Taken(number, frames) if isinstance(play, _Pieces) and number == play.number:
                 play.taken_frames = frames

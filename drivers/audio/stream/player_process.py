@@ -41,7 +41,7 @@ class Clocked:
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
+class OpeningRefused:
     """The stream cannot be opened; `absent`: see `DeviceChoiceError`."""
 
     cause: str
@@ -73,7 +73,7 @@ class Start:
 
 
 @dataclass(frozen=True, slots=True)
-class Begin:
+class BeginPieces:
     """Begin a play that comes in pieces; it sounds when `ahead_frames` of it are there, or all."""
 
     number: int
@@ -94,7 +94,7 @@ class EndPieces:
 
 
 @dataclass(frozen=True, slots=True)
-class Mute:
+class FadeOut:
     """Fade out with the next period."""
 
 
@@ -104,7 +104,7 @@ def main() -> None:
     try:
         code = _serve(pipe)
     except DeviceChoiceError as error:
-        pipe.send(Refused(error.cause, error.remedy, error.absent))
+        pipe.send(OpeningRefused(error.cause, error.remedy, error.absent))
         code = 1
     except OSError:  # the parent is gone
         code = 2
@@ -151,13 +151,13 @@ def _obey(pipe: MessagePipe, stream: WatchedStream) -> None:
                 signals[signal] = frames
             case Forget(signal):
                 del signals[signal]
-            case Begin():
+            case BeginPieces():
                 pieces.begin(order)
             case Piece(frames):
                 pieces.add(frames)
             case EndPieces():
                 pieces.end()
-            case Mute():
+            case FadeOut():
                 pieces.start()
                 stream.playback.mute()
             case Ask():
@@ -177,7 +177,7 @@ class _Pieces:
         self._waiting = False
         self._ahead_frames = 0
 
-    def begin(self, order: Begin) -> None:
+    def begin(self, order: BeginPieces) -> None:
         self._play = PieceByPiece(order.number, order.channels, self._reserve_frames, self._playback.events.put)
         self._ahead_frames, self._waiting = order.ahead_frames, True
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from wavefocus.drivers.daq.ni.ni_failures import REPEAT
 from wavefocus.drivers.daq.ni.ni_session import NiSession, TlsFiles
 from wavefocus.drivers.daq.ni.ni_task import (
+    InputWiring,
     RecordTask,
-    Timing,
-    Wiring,
+    TaskTiming,
     check_request,
     check_wiring,
     conversion_delay_s,
@@ -25,7 +25,7 @@ ANSWER_S = 5.0
 """How long a server may take to answer beyond what a call asks for, in s."""
 
 # One period of the mains at 50 Hz; every box has a range of 10 V.
-INPUT_TIMING = Timing(5000.0, 100, (10.0, 10.0))
+INPUT_TIMING = TaskTiming(5000.0, 100, (10.0, 10.0))
 READ_INPUT_S = 2.0
 
 
@@ -65,7 +65,7 @@ class NiRecorder:
         self._address = address or None
         self._answer_s = answer_s
         self._tls = tls
-        self._wiring = Wiring((reference_input, response_input), terminal, trigger or None)
+        self._wiring = InputWiring((reference_input, response_input), terminal, trigger or None)
         self._lock = threading.RLock()
         self._task: RecordTask | None = None
         self._under_way: RecordRequest | None = None
@@ -116,7 +116,7 @@ class NiRecorder:
             if self._under_way is not None:
                 raise InstrumentError(self._instrument, doing, "a record is under way", "read or abort it first")
             check_request(session, request, doing)
-            timing = Timing(request.sample_rate_hz, request.samples, request.range_v)
+            timing = TaskTiming(request.sample_rate_hz, request.samples, request.range_v)
             try:
                 with session.explaining(doing):
                     self._ready(session, timing, doing).start()
@@ -174,7 +174,7 @@ class NiRecorder:
             with session.explaining(doing):
                 if task is not None:
                     task.close()  # what is committed holds the converter
-                wiring = Wiring((name, self._wiring.inputs[1]), self._wiring.terminal, None)
+                wiring = InputWiring((name, self._wiring.inputs[1]), self._wiring.terminal, None)
                 short = RecordTask(session, wiring, INPUT_TIMING, doing)
                 try:
                     short.start()
@@ -195,7 +195,7 @@ class NiRecorder:
             session = self._connected(doing)
             if session.limits.simultaneous:
                 return 0.0
-            timing = Timing(sample_rate_hz, INPUT_TIMING.samples, INPUT_TIMING.range_v)
+            timing = TaskTiming(sample_rate_hz, INPUT_TIMING.samples, INPUT_TIMING.range_v)
             with session.explaining(doing):
                 return conversion_delay_s(session, self._wiring, timing)
 
@@ -258,7 +258,7 @@ class NiRecorder:
             raise
         return session
 
-    def _ready(self, session: NiSession, timing: Timing, doing: str) -> RecordTask:
+    def _ready(self, session: NiSession, timing: TaskTiming, doing: str) -> RecordTask:
         """The task for a record: the one of the record before where that was of the same kind."""
         if self._task is not None and self._task.timing != timing:
             task, self._task = self._task, None

@@ -84,7 +84,7 @@ READ_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Wiring:
+class InputWiring:
     """Which inputs are read, and how.
 
     inputs: Inputs of (reference, response): ``("ai0", "ai1")``.
@@ -98,7 +98,7 @@ class Wiring:
 
 
 @dataclass(frozen=True, slots=True)
-class Timing:
+class TaskTiming:
     """What a task is built for: rate in Hz, samples per channel, ranges in volts."""
 
     rate_hz: float
@@ -112,7 +112,7 @@ class RecordTask:
     Raises InstrumentError.
     """
 
-    def __init__(self, session: NiSession, wiring: Wiring, timing: Timing, operation: str) -> None:
+    def __init__(self, session: NiSession, wiring: InputWiring, timing: TaskTiming, operation: str) -> None:
         self.timing = timing
         self._session = session
         self._wiring = wiring
@@ -207,7 +207,7 @@ class RecordTask:
             failure.add_note(f"and the task could not be cleared: {second}")
 
 
-def _configure(task: Any, session: NiSession, wiring: Wiring, timing: Timing, samples: int) -> list[Any]:
+def _configure(task: Any, session: NiSession, wiring: InputWiring, timing: TaskTiming, samples: int) -> list[Any]:
     """Give a task its two channels, its sample clock and its trigger; returns the channels."""
     from nidaqmx.constants import AcquisitionType, Edge, TerminalConfiguration
 
@@ -225,7 +225,7 @@ def _configure(task: Any, session: NiSession, wiring: Wiring, timing: Timing, sa
     return channels
 
 
-def conversion_delay_s(session: NiSession, wiring: Wiring, timing: Timing) -> float | None:
+def conversion_delay_s(session: NiSession, wiring: InputWiring, timing: TaskTiming) -> float | None:
     """How much later the second input of a task is converted than the first; None where the device does not say.
 
     The task is configured and never reserved, so nothing that runs is disturbed. Raises DaqError.
@@ -239,7 +239,7 @@ def conversion_delay_s(session: NiSession, wiring: Wiring, timing: Timing) -> fl
     return 1 / rate_hz if rate_hz else None
 
 
-def check_wiring(session: NiSession, wiring: Wiring) -> None:
+def check_wiring(session: NiSession, wiring: InputWiring) -> None:
     """Refuse inputs, terminal configurations and triggers that the device has not. Raises InstrumentError."""
 
     def refuse(cause: str, remedy: str) -> InstrumentError:

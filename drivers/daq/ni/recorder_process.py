@@ -41,7 +41,7 @@ REMEDY = "check its USB cable and its power, then connect again, which starts NI
 
 
 @dataclass(frozen=True, slots=True)
-class Call:
+class RecorderCall:
     """A method of `NiRecorder` to call there, or ``"open"`` to make one."""
 
     number: int
@@ -50,7 +50,7 @@ class Call:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class RecorderAnswer:
     """The result of a call, or how it failed; `owned`: the device may be reserved."""
 
     number: int
@@ -60,7 +60,7 @@ class Answer:
 
 
 @dataclass(frozen=True, slots=True)
-class Opening:
+class RecorderOpening:
     """What `NiRecorder` is made of: its arguments, the device that must answer, and whether it was ours before."""
 
     wiring: dict[str, Any]
@@ -95,7 +95,7 @@ class ProcessRecorder:
         self._connecting = threading.Lock()
         self._closed = False
         self._process: DriverProcess | None = None
-        self._answers: dict[int, Answer] = {}
+        self._answers: dict[int, RecorderAnswer] = {}
         self._open("opening")
 
     @property
@@ -156,7 +156,7 @@ class ProcessRecorder:
         name = "the process that runs NI-DAQmx"
         self._process = DriverProcess("wavefocus.drivers.daq.ni.recorder_process", name, self._note)
         try:
-            opening = Opening(self._wiring, self._identity, self._owned)
+            opening = RecorderOpening(self._wiring, self._identity, self._owned)
             self._identity, self._ranges_v = self._call(doing, "open", opening, limit_s=OPENING_S)
         except BaseException:
             self._end()
@@ -168,7 +168,7 @@ class ProcessRecorder:
             process.close()
 
     def _note(self, message: object) -> None:
-        if isinstance(message, Answer):
+        if isinstance(message, RecorderAnswer):
             self._answers[message.number] = message
 
     def _call(self, doing: str, method: str, *arguments: Any, limit_s: float = CALL_S) -> Any:
@@ -179,7 +179,7 @@ class ProcessRecorder:
             raise InstrumentLostError(self._instrument, doing, "it is not connected", "reconnect first")
         number = next(self._numbers)
         try:
-            process.send(Call(number, method, arguments))
+            process.send(RecorderCall(number, method, arguments))
             answer = process.wait_for(lambda: self._answers.get(number), time.monotonic() + limit_s)
         except ProcessGoneError as gone:
             raise InstrumentLostError(self._instrument, doing, gone.cause, REMEDY) from None
@@ -214,7 +214,7 @@ class _Served:
     def __init__(self, pipe: MessagePipe) -> None:
         self._pipe = pipe
         self._recorder: NiRecorder | None = None
-        self._waiting: SimpleQueue[Call | None] = SimpleQueue()
+        self._waiting: SimpleQueue[RecorderCall | None] = SimpleQueue()
 
     def take_calls(self) -> None:
         while not isinstance(message := self._pipe.receive(), Close | None):
@@ -233,7 +233,7 @@ class _Served:
             self._recorder.close()
         os._exit(0)
 
-    def _carry_out(self, call: Call) -> None:
+    def _carry_out(self, call: RecorderCall) -> None:
         result, failed = None, None
         try:
             result = self._open(*call.arguments) if call.method == "open" else self._call(call)
@@ -244,11 +244,11 @@ class _Served:
             sys.stderr.flush()
             os._exit(4)
         owned = self._recorder is not None and self._recorder.owned
-        self._pipe.try_send(Answer(call.number, result, failed, owned))
+        self._pipe.try_send(RecorderAnswer(call.number, result, failed, owned))
 
-    def _open(self, opening: Opening) -> tuple[DeviceIdentity, tuple[float, ...]]:
+    def _open(self, opening: RecorderOpening) -> tuple[DeviceIdentity, tuple[float, ...]]:
         self._recorder = NiRecorder(**opening.wiring, address=None, identity=opening.identity, owned=opening.owned)
         return self._recorder.identity, self._recorder.input_ranges_v
 
-    def _call(self, call: Call) -> Any:
+    def _call(self, call: RecorderCall) -> Any:
         return getattr(self._recorder, call.method)(*call.arguments)
