@@ -90,16 +90,13 @@ def show_warning(
     say(f"warning: {one_line(str(message))}{of_arithmetic}")
 
 
-# Asks for Python's own account of an error in place of the one line, for reports of defects.
-TRACEBACK, TRACEBACK_VARIABLE = "--traceback", "WAVEFOCUS_TRACEBACK"
-
-
 def run(arguments: Sequence[str]) -> int:
     """Run one command line and return its exit code."""
-    from wavefocus.exits import Exit, exit_code, one_line
+    from wavefocus.exits import Exit, account, exit_code, one_line
 
-    rest = [one for one in arguments if one != TRACEBACK]
-    as_traceback = len(rest) < len(arguments) or bool(os.environ.get(TRACEBACK_VARIABLE))
+    # Asks for Python's own account of an error in place of the one line, for reports of defects.
+    rest = [word for word in arguments if word != "--traceback"]
+    as_traceback = len(rest) < len(arguments) or bool(os.environ.get("WAVEFOCUS_TRACEBACK"))
     try:
         from wavefocus import cli
 
@@ -123,7 +120,7 @@ def run(arguments: Sequence[str]) -> int:
                 import traceback
 
                 traceback.print_exception(failure)
-            print(f"wavefocus: {_account(failure, code, rest)}", file=sys.stderr, flush=True)
+            print(f"wavefocus: {account(failure, code, rest)}", file=sys.stderr, flush=True)
         return code
 
 
@@ -155,23 +152,6 @@ def main() -> None:
         # if it is within C++ when the interpreter goes, the process aborts. All that is to be closed has been.
         os._exit(code)
     sys.exit(code)
-
-
-def _account(failure: BaseException, code: int, arguments: Sequence[str]) -> str:
-    """The one line about an error; where its own text names no file, with the files of the command line."""
-    from pathlib import Path
-
-    from wavefocus.exits import Exit, is_foreseen, one_line, sentence
-
-    if code is Exit.STOPPED:
-        return sentence(KeyboardInterrupt())
-    if is_foreseen(failure):
-        return sentence(failure)
-    named = [one.partition("=")[2] if one.startswith("--") else one for one in arguments]
-    files = "".join(f"{one}: " for one in named if Path(one).is_file())
-    kind = "not enough memory" if isinstance(failure, MemoryError) else type(failure).__name__
-    said = "" if sentence(failure) == type(failure).__name__ else f": {sentence(failure)}"
-    return one_line(f"{files}cannot be computed: {kind}{said} ({TRACEBACK} shows where)")
 
 
 if __name__ == "__main__":

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import unicodedata
+from collections.abc import Sequence
 from enum import IntEnum
+from pathlib import Path
 
 from wavefocus.drivers.errors import InstrumentError, MissingPackageError
 from wavefocus.storage.errors import BankBusyError, InputError, WavefocusError
@@ -54,6 +56,19 @@ def sentence(failure: BaseException) -> str:
     return one_line(str(failure)) or type(failure).__name__
 
 
+def account(failure: BaseException, code: int, arguments: Sequence[str]) -> str:
+    """The one line about an error; where its own text names no file, with the files of the command line."""
+    if code is Exit.STOPPED:
+        return sentence(KeyboardInterrupt())
+    if is_foreseen(failure):
+        return sentence(failure)
+    named = [word.partition("=")[2] if word.startswith("--") else word for word in arguments]
+    files = "".join(f"{word}: " for word in named if Path(word).is_file())
+    kind = "not enough memory" if isinstance(failure, MemoryError) else type(failure).__name__
+    said = "" if sentence(failure) == type(failure).__name__ else f": {sentence(failure)}"
+    return one_line(f"{files}cannot be computed: {kind}{said} (--traceback shows where)")
+
+
 def is_foreseen(failure: BaseException) -> bool:
     """Whether the error's own text says what is wrong and what to do, so that it stands alone."""
     if isinstance(failure, ModuleNotFoundError):
@@ -83,7 +98,12 @@ def escaped(text: str) -> str:
     r"""Return a text with control and bidirectional characters as escapes (``\x1b``); line ends and tabs stay."""
     if text.isascii() and text.isprintable():
         return text
-    return "".join(_escape(one) if unicodedata.category(one) in _UNSAFE and one not in "\n\t" else one for one in text)
+    return "".join(
+        letter.encode("unicode_escape").decode()
+        if unicodedata.category(letter) in _UNSAFE and letter not in "\n\t"
+        else letter
+        for letter in text
+    )
 
 
 def one_line(text: str, longest: int = _LONGEST) -> str:
@@ -94,8 +114,3 @@ def one_line(text: str, longest: int = _LONGEST) -> str:
     head = longest // 2
     tail = longest - head - 5
     return f"{line[:head]} ... {line[-tail:]}"
-
-
-def _escape(one: str) -> str:
-    code = ord(one)
-    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,8 @@ from wavefocus.console import Report, progress, say
 from wavefocus.input_files import name_unverified, parse_positions
 from wavefocus.rendering.device import cuda_device
 from wavefocus.rendering.field.prediction import Prediction, chosen_positions, field_unit
-from wavefocus.storage.bank.reading import open_bank
-from wavefocus.storage.drive_file import read_drive
+from wavefocus.storage.bank.reading import Bank, open_bank
+from wavefocus.storage.drive_file import Drive, read_drive
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import field_in_rows
 from wavefocus.storage.output_files import replacement, require_outputs
@@ -40,14 +41,8 @@ def predict(
     """
     if device != "cpu" and (cluster or rate_hz is not None):
         raise InputError(f"--device {device} goes neither with --cluster nor with --rate")
-    require_outputs((out,), (drive_file, bank), force=force)
-    drive = read_drive(drive_file)
-    name_unverified(drive_file, verified=drive.verified)
     dtype = np.float64 if rate_hz is None else np.float32
-    with open_bank(bank) as view:
-        wanted = parse_positions(positions, view.positions) if positions else None
-        view.require_sound(wanted)
-        index = chosen_positions(drive, view, wanted)
+    with _opened(drive_file, bank, out, positions, force=force) as (drive, view, index):
         prediction = Prediction(
             drive, view, index, dtype=dtype, rate_hz=rate_hz,
             device=None if device == "cpu" else cuda_device(),
@@ -70,7 +65,7 @@ def predict(
                 writer.write(first, field)
                 peak = max(peak, float(np.abs(field).max(initial=0.0)))
         lost = prediction.lost_share()
-        if left_out := view.positions - len(index) if wanted is None else 0:
+        if left_out := 0 if positions else view.positions - len(index):
             say(f"{left_out} positions are not measured and are left out")
     say(
         f"{out}: {len(index)} positions, {prediction.samples} samples, largest response {quantity(f'{peak:.4g}', unit)}"
@@ -91,6 +86,20 @@ def predict(
             "lost_share": lost,
         }
         print(json.dumps(figures))
+
+
+@contextmanager
+def _opened(
+    drive_file: Path, bank: Path, out: Path, positions: str, *, force: bool
+) -> Iterator[tuple[Drive, Bank, NDArray[np.int64]]]:
+    """The drive, the open bank and the rows asked for, once the output may be written."""
+    require_outputs((out,), (drive_file, bank), force=force)
+    drive = read_drive(drive_file)
+    name_unverified(drive_file, verified=drive.verified)
+    with open_bank(bank) as view:
+        wanted = parse_positions(positions, view.positions) if positions else None
+        view.require_sound(wanted)
+        yield drive, view, chosen_positions(drive, view, wanted)
 
 
 def _parts(
@@ -132,13 +141,7 @@ def predict_energy(
         raise InputError(f"--out is {out}; --spectra writes an .npz file")
     if rate_hz is not None:
         raise InputError("--spectra does not go with --rate; leave it out")
-    require_outputs((out,), (drive_file, bank), force=force)
-    drive = read_drive(drive_file)
-    name_unverified(drive_file, verified=drive.verified)
-    with open_bank(bank) as view:
-        wanted = parse_positions(positions, view.positions) if positions else None
-        view.require_sound(wanted)
-        index = chosen_positions(drive, view, wanted)
+    with _opened(drive_file, bank, out, positions, force=force) as (drive, view, index):
         found = predict_spectra(drive, view, index)
     with replacement(out) as temporary, temporary.open("wb") as file:
         np.savez(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.config.scene import Output, Regularisation
-from wavefocus.console import progress, say
+from wavefocus.console import Report, progress, say
 from wavefocus.drives import RenderOptions, naming, render_by_options
 from wavefocus.input_files import input_files
 from wavefocus.rendering.drive.coil_limits import dynamic_range_db, relative_rms, strictest
@@ -173,13 +174,10 @@ def _render_streamed(job: _Job) -> _Result:
     rate_hz = float(bank.sample_rate_hz)
     with naming(job.scene_file, bank):
         streamed = StreamedDrive(
-            job.scene,
-            bank,
-            interface=interface_of(job.rig) if job.rig is not None and job.limited else None,
-            method=options.method,
-            tolerance_db=options.tolerance_db,
+            job.scene, bank, interface=interface_of(job.rig) if job.rig is not None and job.limited else None,
+            method=options.method, tolerance_db=options.tolerance_db,
             interpolation_tolerance=options.interpolation_tolerance,
-        )
+        )  # fmt: skip
         actuators, samples = streamed.shape
         size = size_words(8.0 * actuators * samples)
         seconds = samples / rate_hz
@@ -188,32 +186,22 @@ def _render_streamed(job: _Job) -> _Result:
             facts = streamed.prepare(report)
         sampled = streamed.live.sampled
         about = DriveAbout(
-            rate_hz,
-            sampled.start_s,
-            sampled.method,
-            facts.scale,
-            facts.omitted_bound,
-            *sampled.foci,
+            rate_hz, sampled.start_s, sampled.method, facts.scale, facts.omitted_bound, *sampled.foci,
             drive_unit=bank.drive_unit,
-        )
+        )  # fmt: skip
         with (
             drive_in_blocks(job.out, about, streamed.shape, force=job.force) as append,
             progress("second pass", samples) as report,
         ):
-            blocks = _kept(streamed.blocks(), append, report, samples)
+            interface_hz, full_scale_v, each = job.wav_scale
+            blocks = _written(streamed.blocks(), append, report, samples)
             if job.wav is None:
-                for _ in blocks:
-                    pass
+                deque(blocks, maxlen=0)
             else:
-                interface_hz, full_scale_v, each = job.wav_scale
                 stream_wav(
-                    job.wav,
-                    (block * each[:, np.newaxis] for block in blocks),
-                    streamed.shape,
-                    rate_hz,
-                    interface_rate_hz=interface_hz,
-                    full_scale_v=full_scale_v,
-                )
+                    job.wav, (block * each[:, np.newaxis] for block in blocks), streamed.shape, rate_hz,
+                    interface_rate_hz=interface_hz, full_scale_v=full_scale_v,
+                )  # fmt: skip
     return _Result(
         method=sampled.method,
         shape=streamed.shape,
@@ -227,11 +215,8 @@ def _render_streamed(job: _Job) -> _Result:
     )
 
 
-def _kept(
-    blocks: Iterable[Float64Array],
-    append: Callable[[Float64Array], None],
-    report: Callable[[int, int], None],
-    samples: int,
+def _written(
+    blocks: Iterable[Float64Array], append: Callable[[Float64Array], None], report: Report, samples: int
 ) -> Iterator[Float64Array]:
     """The same blocks, written on their way."""
     done = 0
