@@ -38,6 +38,8 @@ class CrosstalkWatch:
         self._rows: list[int] = []
         self._unseen = 0
         self._earlier: Int64Array | None = np.flatnonzero(bank.status == Status.VALID)
+        self._clear: set[int] = set()
+        """Positions among which a leak that must be named would have shown, and did not."""
         self.found: Crosstalk | None = None
 
     def committed(self, position: int) -> None:
@@ -53,6 +55,8 @@ class CrosstalkWatch:
     def look(self) -> tuple[Crosstalk | None, tuple[int, ...]]:
         """Measure the leak in the latest positions, and mark as poor those that have it.
 
+        Where they show one, so are marked all others that no quiet enough measurement has cleared of it.
+
         Positions of earlier sessions, which a kill may have kept from being looked at, are looked at first.
 
         Returns what the latest positions show, or else those of earlier sessions that have a leak, None where they are
@@ -63,6 +67,7 @@ class CrosstalkWatch:
             for first in range(0, len(self._earlier), TOGETHER):
                 some = self._earlier[first : first + TOGETHER]
                 found = self._measure(some)
+                self._rows[:0] = some.tolist()
                 marked += list(self._mark(some, found))
                 earlier = found if found is not None and found.is_named else earlier
             self._earlier = None
@@ -97,10 +102,13 @@ class CrosstalkWatch:
 
     def _mark(self, positions: Int64Array, found: Crosstalk | None) -> Iterator[int]:
         if found is None or not found.is_named:
+            if found is not None and found.is_resolved:
+                self._clear.update(positions.tolist())
             return
-        for position in positions[self._bank.status[positions] == Status.VALID].tolist():
-            self._bank.amend(position, status=int(Status.POOR_SIGNAL))
-            yield position
+        for position in dict.fromkeys([*positions.tolist(), *(row for row in self._rows if row not in self._clear)]):
+            if self._bank.status[position] == Status.VALID:
+                self._bank.amend(position, status=int(Status.POOR_SIGNAL))
+                yield position
 
 
 def judgement_of(found: Crosstalk, score: float = 0.0) -> Judgement:

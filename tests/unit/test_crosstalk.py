@@ -171,6 +171,27 @@ def test_leak_that_begins_in_mid_campaign_marks_the_latest_positions_and_judges_
     assert seen[2][:2] == (False, False)
 
 
+def test_leak_that_the_first_positions_are_too_few_to_show_marks_them_too_when_it_is_found(
+    banks: Callable[[str, float], Bank], tmp_path: Path
+) -> None:
+    leaking, path = banks("gel", 1e-4), tmp_path / "plate.h5"
+    places, few = leaking.position_mm, 5
+    plan = blueprint_of(virtual_rig(actuators=4, position_mm=places, run=RUN).configuration).plan
+    setup = Setup(VirtualRig().instruments, MirrorMap.straight(1000.0), (0, 1, 2, 3), 4, (10.0, 10.0), PER_VOLT)
+    unknown, figures = np.full((4, 2), np.nan), np.ones(4, np.float32)
+    create_bank(path, BankHeader(RATE_HZ, leaking.taps, (20.0, 500.0), places, unknown, "{}", "{}", "ab" * 32, "test"))
+    with BankWriter.open(path) as bank:
+        watch = CrosstalkWatch(plan, setup, bank)
+        marks = []
+        for positions in (range(few), range(few, leaking.positions)):
+            for position in positions:
+                row = np.asarray(leaking.green(position), np.float32)
+                bank.commit(position, row, PointRecord(1, 1, figures, figures, figures, figures))
+                watch.committed(position)
+            marks.append(set(watch.look()[1]))
+    assert marks == [set(), set(range(leaking.positions))]
+
+
 def test_check_calls_a_bank_with_a_leak_wrong_and_one_without_it_right(banks: Callable[[str, float], Bank]) -> None:
     named = [one for one in check_bank(banks("gel", 1e-4).path) if one.severity == "error"]
     assert [one.message.split(":")[0] for one in named] == ["crosstalk"]
