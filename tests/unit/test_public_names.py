@@ -29,12 +29,14 @@ def test_every_public_name_is_there(name: str) -> None:
     assert callable(getattr(wavefocus, name))
 
 
-@pytest.mark.parametrize("room", ["acquisition", "calibration", "config", "drivers", "mocks", "rendering", "storage"])
-def test_every_name_that_a_room_s_first_page_gives_is_there(room: str) -> None:
-    rows = re.findall(r"^`([\w.]+)` +(.*)$", str(import_module(f"wavefocus.{room}").__doc__), re.MULTILINE)
+@pytest.mark.parametrize(
+    "package", ["acquisition", "calibration", "config", "drivers", "mocks", "rendering", "storage"]
+)
+def test_every_name_that_a_package_s_first_page_gives_is_there(package: str) -> None:
+    rows = re.findall(r"^`([\w.]+)` +(.*)$", str(import_module(f"wavefocus.{package}").__doc__), re.MULTILINE)
     assert rows
     for module, words in rows:
-        own = import_module(f"wavefocus.{room}.{module}")
+        own = import_module(f"wavefocus.{package}.{module}")
         names = [name for name in re.findall(r"`(\w+)`", words.partition(";")[0]) if name[0].isupper()]
         assert all(hasattr(own, name) for name in names), (module, names)
 
