@@ -120,6 +120,7 @@ def import_bank(
                     (position, np.frombuffer(spool.read(row_bytes), np.float32).reshape(-1, taps), record)
                     for position, record in records
                 ),
+                measured.notes,
             )
     return Imported(facts, (*measured.shape[:2], taps), len(records))
 

@@ -237,8 +237,9 @@ def export_bank(
                          f"{'folder of files' if form.folder else 'file'}")  # fmt: skip
     with open_bank(bank) if isinstance(bank, str | Path) else nullcontext(bank) as view:
         inputs = [view.path, *([Path(publication)] if publication else [])]
+        beside = folder.with_name(folder.name + form.notes_ending) if form.notes_ending else None
         if not form.folder:
-            require_outputs((folder,), inputs, force=replaces)
+            require_outputs((folder, beside), inputs, force=replaces)
         view.require_sound(positions)
         texts = publication_of(view, Path(publication) if publication else None).texts
         if view.notes:
@@ -248,6 +249,8 @@ def export_bank(
         )  # fmt: skip
         writer = import_module(form.module)
         names = writer.file_names(rows) if form.folder else [folder.name]
+        if beside is not None and view.notes:
+            names.append(beside.name)
         if form.folder:
             ours = writer.older_files(folder) | set(names)
             require_replaceable_folder(folder, ours, inputs, by="export", force=replaces)

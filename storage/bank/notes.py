@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import unicodedata
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -41,6 +42,12 @@ def read_notes(file: h5py.File) -> tuple[Note, ...]:
         return tuple(Note(str(note["at"]), str(note["text"])) for note in json.loads(text))
     except (InputError, ValueError, TypeError, KeyError, RecursionError):
         return ()
+
+
+def write_notes(bank: Path, notes: Sequence[Note]) -> None:
+    """Give a bank that nobody reads yet these notes, in place of those it has."""
+    with h5py.File(bank, "r+") as file:
+        file.attrs[hdf5_digest.NOTES] = json.dumps([asdict(note) for note in notes], ensure_ascii=False)
 
 
 @checked
@@ -101,8 +108,7 @@ def add_note(path: str | Path, text: str) -> Note:
             owner.take_ownership(path, file, "bank")
             with staging_dir(path) as staging:
                 shutil.copy2(path, staging.temporary)
-                with h5py.File(staging.temporary, "r+") as copy:
-                    copy.attrs[hdf5_digest.NOTES] = json.dumps([*map(asdict, notes), asdict(note)], ensure_ascii=False)
+                write_notes(staging.temporary, (*notes, note))
                 durable.sync_path(staging.temporary)
                 staging.publish()
         except OSError as error:

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from wavefocus.storage import durable, hdf5_reading
 from wavefocus.storage.bank.layout import BankHeader, create_bank, read_layout
 from wavefocus.storage.bank.ledger import BANK, DISABLED, QUALITY_NAMES, VALID, PointRecord, encode_row, figures_of
+from wavefocus.storage.bank.notes import Note, write_notes
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.pages import is_empty
 from wavefocus.storage.ledger.writer import LedgerWriter
@@ -163,17 +164,22 @@ class BankWriter(LedgerWriter):
         return trusted
 
 
-def write_bank(path: Path, header: BankHeader, rows: Iterable[tuple[int, Float32Array, PointRecord]]) -> None:
+def write_bank(
+    path: Path, header: BankHeader, rows: Iterable[tuple[int, Float32Array, PointRecord]], notes: Sequence[Note] = ()
+) -> None:
     """Write a whole bank that is not measured here: synced once, and under its name only when it is complete.
 
     path: The bank; an older file of that name is replaced.
     header: What the bank says about itself.
     rows: Position, Green's functions, float32 (N, L), finite, and record of every position that holds something.
+    notes: Notes that it has from the start.
 
     Raises InputError: the bank cannot be written, or `rows` raises it; an older file of that name stays as it was.
     """
     with replacement(path) as temporary:
         create_bank(temporary, header)
+        if notes:
+            write_notes(temporary, notes)
         with hdf5_reading.opened(temporary) as content:
             layout = read_layout(content, temporary, contents=False)
         with durable.open_file(temporary, write=True) as file:

@@ -8,6 +8,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+CSV_NOTES = "-metadata.json"
+"""A table has no place for notes; W3C's "CSV on the Web" keeps them in a file of this ending beside it."""
+
 
 @dataclass(frozen=True, slots=True)
 class ExportFormat:
@@ -20,6 +23,8 @@ class ExportFormat:
     folder: It writes a folder of files instead of one file.
     holds_nan: It can hold rows without a measurement.
     value_bytes: Bytes per tap, position and actuator.
+    notes_ending: What is added to the file's name for a second file with the bank's notes, where the format itself has
+        no place for them.
     """
 
     module: str
@@ -28,6 +33,7 @@ class ExportFormat:
     folder: bool = False
     holds_nan: bool = True
     value_bytes: int = 4
+    notes_ending: str = ""
 
 
 EXPORTS = {
@@ -37,7 +43,9 @@ EXPORTS = {
     "mat": ExportFormat("wavefocus.storage.exchange.mat", "MATLAB", ".mat"),
     "npz": ExportFormat("wavefocus.storage.exchange.npz", "NumPy", ".npz"),
     "netcdf": ExportFormat("wavefocus.storage.exchange.netcdf", "netCDF", ".nc"),
-    "csv": ExportFormat("wavefocus.storage.exchange.places", "a table of positions", ".csv", value_bytes=0),
+    "csv": ExportFormat(
+        "wavefocus.storage.exchange.places", "a table of positions", ".csv", value_bytes=0, notes_ending=CSV_NOTES
+    ),
 }
 
 

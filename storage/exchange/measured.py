@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefocus.storage.bank.notes import Note
 from wavefocus.storage.errors import InputError, WavefocusError
 from wavefocus.storage.hdf5_reading import most_bytes
 from wavefocus.storage.units import green_unit
@@ -84,6 +85,7 @@ class Measured:
     band_hz: Measured band, where the file says one.
     status, uint8 (P,): Status bits, where the file has them.
     quality: (P, N) or (P,) arrays by their names in a bank.
+    notes: Those of the bank that the file was exported from.
     read, assumed, left_out: Sentences about the file.
     """
 
@@ -98,6 +100,7 @@ class Measured:
     band_hz: tuple[float, float] | None = None
     status: NDArray[np.uint8] | None = None
     quality: dict[str, NDArray[Any]] = field(default_factory=dict)
+    notes: tuple[Note, ...] = ()
     read: tuple[str, ...] = ()
     assumed: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
 from wavefocus.storage.errors import InputError
+from wavefocus.storage.exchange import CSV_NOTES
 from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress
 from wavefocus.storage.exchange.measured import (
     METRES,
@@ -27,8 +29,17 @@ from wavefocus.storage.text_file import read_text
 
 
 def write(path: Path, rows: ExportedRows, on_progress: OnProgress | None = None) -> None:
-    """Write a table with a line per position; figures per actuator are their medians, empty where unknown."""
+    """Write a table with a line per position; figures per actuator are their medians, empty where unknown.
+
+    Notes of the bank stand beside it, as "CSV on the Web" has them.
+    """
     write_whole(path, table(rows))
+    beside, notes = path.with_name(path.name + CSV_NOTES), [asdict(note) for note in rows.bank.notes]
+    if notes:
+        about = {"@context": "http://www.w3.org/ns/csvw", "url": path.name, "notes": notes}
+        write_whole(beside, json.dumps(about, indent=1, ensure_ascii=False))
+    else:  # of an older table
+        beside.unlink(missing_ok=True)
     if on_progress is not None:
         on_progress(len(rows.row), len(rows.row))
 

@@ -5,24 +5,29 @@ Functions (58, text and binary), nodes (15, 781, 2411), their coordinate systems
 
 from __future__ import annotations
 
+import codecs
 import math
 import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cache
+from itertools import islice
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefocus.storage.bank.notes import Note
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.measured import Float64Array, require_plain, uniform_step
 from wavefocus.storage.exchange.uff_systems import Node, SystemRecord
 from wavefocus.storage.units import green_unit, split_unit
 
 _LINE = 1 << 12
+NOTE_MARK, NOTE_PART = "wavefocus note", "note: "
+"""Begin two lines of a header (151), that of the program and the description, where it holds part of a note."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +52,7 @@ class Contents:
     nodes, systems: By their numbers, in the file's unit of length.
     per_metre, per_newton: The file's units of length in a metre, and of force in a newton.
     skipped: Number of sets of each kind that is not read.
+    note_parts: Escaped parts of the notes of our own exports, in order.
     """
 
     functions: list[Function] = field(default_factory=list)
@@ -55,6 +61,13 @@ class Contents:
     per_metre: float | None = None
     per_newton: float = 1.0
     skipped: dict[int, int] = field(default_factory=dict)
+    note_parts: dict[bytes, list[bytes]] = field(default_factory=dict)
+
+    def notes(self) -> tuple[Note, ...]:
+        """Notes of the bank that our own export was made of; what was changed so that it is none is passed over."""
+        texts = (codecs.decode(b"".join(parts), "unicode_escape", "replace") for parts in self.note_parts.values())
+        split = (text.partition(": ") for text in texts)
+        return tuple(Note(at, text) for at, _, text in split if text.strip())
 
 
 def contents(file: IO[bytes], path: Path) -> Contents:
@@ -83,7 +96,11 @@ def contents(file: IO[bytes], path: Path) -> Contents:
                     held.per_metre, held.per_newton = values[0], values[1]
             case _ if number.isdigit():
                 held.skipped[int(number)] = held.skipped.get(int(number), 0) + 1
-                for _ in _lines(file):
+                rest = _lines(file)
+                lines = list(islice(rest, 3)) if number == b"151" else []
+                if len(lines) == 3 and lines[2].startswith(NOTE_MARK.encode()):
+                    held.note_parts.setdefault(lines[2], []).append(lines[1].removeprefix(NOTE_PART.encode()))
+                for _ in rest:
                     pass
     return held
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+import pyuff
 
 import wavefocus as wf
 from tests.unit.test_bank_writer import header
@@ -145,6 +146,8 @@ def test_given_notes_then_status_shows_them_and_the_bank_is_as_it_was(
         ("wav", lambda path: json.loads((path / "bank.json").read_text())["publication"]["notes"]),
         ("netcdf", lambda path: str(h5py.File(path).attrs["notes"])),
         ("sofa", lambda path: h5py.File(path).attrs["Comment"].decode()),
+        ("uff", lambda path: pyuff.UFF(str(path)).read_sets(0)["description"]),
+        ("csv", lambda path: json.loads(path.with_name("out-metadata.json").read_text())["notes"][0]["text"]),
     ],
 )
 def test_given_a_note_then_exports_carry_it(bank: Path, to: str, read: Callable[[Path], str]) -> None:
@@ -152,6 +155,37 @@ def test_given_a_note_then_exports_carry_it(bank: Path, to: str, read: Callable[
     out = bank.with_name("out")
     wf.export_bank(bank, out, to)
     assert "bolt 3 was loose" in read(out)
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_given_notes_then_they_come_back_from_universal_files(bank: Path, binary: bool) -> None:
+    texts = [
+        "bolt 3 was loose",
+        "Schraube l\u00f6ste sich,\nline 2 \\ -1" + 9 * " a very long story of what happened",
+        "\U0001f527",
+    ]
+    for text in texts:
+        add_note(bank, text)
+    out, back = bank.with_name("out.uff"), bank.with_name("back.h5")
+    wf.export_bank(bank, out, "uff", binary=binary)
+    assert all(len(line) <= 80 for line in out.read_bytes().split(b"\n")[:30])
+    with wf.import_bank(out, back) as view, open_bank(bank, contents=True) as origin:
+        assert [note.text for note in view.notes] == texts
+        assert view.notes == origin.notes
+    with open_bank(back, contents=True):
+        assert not [one for one in check_bank(back) if one.severity == "error"]
+
+
+def test_given_a_table_without_notes_over_one_with_notes_then_those_are_gone(bank: Path) -> None:
+    out, other = bank.with_name("out.csv"), bank.with_name("other.h5")
+    other.write_bytes(bank.read_bytes())
+    add_note(bank, "bolt 3 was loose")
+    assert wf.export_bank(bank, out, "csv").files == ("out.csv", "out.csv-metadata.json")
+    out.unlink()
+    with pytest.raises(InputError, match="metadata"):
+        wf.export_bank(other, out, "csv")
+    wf.export_bank(other, out, "csv", force=True)
+    assert not bank.with_name("out.csv-metadata.json").exists()
 
 
 @pytest.mark.parametrize("text", ["", "  ", "a" * 4001, "bell\x07", "\x1b[31mred"])
