@@ -131,6 +131,22 @@ def open_window(qtbot: QtBot, memory: Settings) -> Generator[Callable[..., Windo
         window.deleteLater()
 
 
+@pytest.fixture(scope="module")
+def shared_window(qapp: QApplication, tmp_path_factory: pytest.TempPathFactory) -> Generator[Window]:
+    """One window for the tests of a module that neither close nor crash it."""
+    require_fonts()
+    folder = tmp_path_factory.mktemp("window")
+    memory = Settings(QSettings(str(folder / "memory.ini"), QSettings.Format.IniFormat))
+    memory.keep("folder/.toml", str(folder))
+    window = Window(front_door(), memory)
+    window.resize(1280, 800)
+    window.show()
+    yield window
+    window.close_at_once()
+    assert window.tracebacks == []
+    window.deleteLater()
+
+
 def tab_of(window: Window, kind: type[AnyTab]) -> AnyTab:
     """The tab of a kind in a window."""
     (tab,) = (one for one in window.tabs if isinstance(one, kind))

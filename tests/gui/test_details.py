@@ -5,35 +5,43 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from PyQt5.QtCore import Qt
+from PyQt5.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
-from tests.gui.conftest import LEFT, NO_KEY, Opens, campaign_of, click, drag, pixel, wait
+from tests.gui.conftest import LEFT, NO_KEY, click, drag, pixel, shown_tab, wait
 from wavefocus.calibration.estimator.noise_error import bank_noise_error_db
 from wavefocus.gui.campaign.quality import DAMAGED, LOOKS
 from wavefocus.gui.campaign.tab import CampaignTab
+from wavefocus.gui.window import Window
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.point_status import STATUS_WORDS
 
 CTRL = Qt.KeyboardModifier.ControlModifier
 
 
-def opened(qtbot: QtBot, open_window: Opens, bank: Path) -> CampaignTab:
-    tab = campaign_of(open_window(bank))
+@pytest.fixture
+def tab(qtbot: QtBot, shared_window: Window, measured: Path) -> CampaignTab:
+    """The Campaign tab with the measured bank; nothing is shown of a position, and none is selected."""
+    tab = shown_tab(shared_window, CampaignTab)
+    tab.follow(measured / "plate.h5")
     wait(qtbot, lambda: tab.campaign.surface is not None and len(tab.campaign.lines) > 0)
     tab.draw()
+    tab.map_panel.map.show_position(-1)
+    tab.map_panel.map.select([])
+    tab.map_panel.map.box.autoRange()
+    QApplication.processEvents()
     return tab
 
 
 def test_given_a_click_on_the_map_then_green_s_functions_quality_and_recordings_of_that_position_are_shown(
-    qtbot: QtBot, open_window: Opens, finished: Path
+    qtbot: QtBot, tab: CampaignTab
 ) -> None:
-    tab = opened(qtbot, open_window, finished)
     panel, shown = tab.position_panel, tab.map_panel.map
     click(shown, pixel(shown, 3.0, 1.5))
-    wait(qtbot, lambda: panel.greens is not None)
-    assert panel.greens.position == 6
-    with open_bank(finished) as bank:
+    wait(qtbot, lambda: panel.greens is not None and panel.greens.position == 6)
+    with open_bank(tab.campaign.surface.bank) as bank:
         np.testing.assert_array_equal(panel.greens.green, bank.green(6))
         snr_db = bank.quality["snr_db"][6, 2]
         error_db = bank_noise_error_db(bank)
@@ -52,9 +60,8 @@ def test_given_a_click_on_the_map_then_green_s_functions_quality_and_recordings_
 
 
 def test_given_arrow_keys_and_space_then_the_map_is_walked_and_selected_without_a_mouse(
-    qtbot: QtBot, open_window: Opens, finished: Path
+    qtbot: QtBot, tab: CampaignTab
 ) -> None:
-    tab = opened(qtbot, open_window, finished)
     shown = tab.map_panel.map
     for key, position in (
         (Qt.Key.Key_Right, 5),  # the middle of the grid
@@ -75,9 +82,8 @@ def test_given_arrow_keys_and_space_then_the_map_is_walked_and_selected_without_
 
 
 def test_given_ctrl_clicks_a_rectangle_and_a_lasso_then_those_positions_are_selected(
-    qtbot: QtBot, open_window: Opens, finished: Path
+    qtbot: QtBot, tab: CampaignTab
 ) -> None:
-    tab = opened(qtbot, open_window, finished)
     shown = tab.map_panel.map
     shown.box.setRange(xRange=(-2, 7), yRange=(-2, 5))
     for at_mm in ((0, 0), (4.5, 3), (3, 1.5), (3, 1.5)):  # the last click hits the mark of the one before
@@ -94,11 +100,10 @@ def test_given_ctrl_clicks_a_rectangle_and_a_lasso_then_those_positions_are_sele
 
 
 def test_given_a_figure_then_the_colour_bar_names_its_unit_and_spans_what_the_bank_holds(
-    qtbot: QtBot, open_window: Opens, finished: Path
+    qtbot: QtBot, tab: CampaignTab
 ) -> None:
-    tab = opened(qtbot, open_window, finished)
     tab.map_panel.colour_by.setCurrentIndex(1)
-    with open_bank(finished) as bank:
+    with open_bank(tab.campaign.surface.bank) as bank:
         snr_db = np.median(bank.quality["snr_db"], axis=1)
     np.testing.assert_allclose(tab.map_panel.map.levels, (snr_db.min(), snr_db.max()), rtol=1e-6)
     assert "(dB)" in tab.map_panel.bar.accessibleName()
@@ -109,9 +114,8 @@ def test_given_a_figure_then_the_colour_bar_names_its_unit_and_spans_what_the_ba
 
 
 def test_given_a_filter_then_only_events_of_that_weight_with_those_words_are_listed(
-    qtbot: QtBot, open_window: Opens, finished: Path
+    qtbot: QtBot, tab: CampaignTab
 ) -> None:
-    tab = opened(qtbot, open_window, finished)
     events = tab.events
     notes = events.lines.rowCount()
     events.weight.setCurrentIndex(0)

@@ -163,9 +163,8 @@ WRONG = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "wanted"), WRONG)
 def test_given_a_file_of_another_kind_then_it_is_refused_at_once_and_the_field_stays(
-    qtbot: QtBot, open_window: Opens, finished: Path, name: str, wanted: FileKind
+    qtbot: QtBot, open_window: Opens, finished: Path
 ) -> None:
     finished.with_name("trials.toml").write_text('[trials]\nname = "direction"\n', encoding="utf-8")
     window = open_window()
@@ -175,18 +174,19 @@ def test_given_a_file_of_another_kind_then_it_is_refused_at_once_and_the_field_s
         FileKind.BANK: campaign_of(window).bank_field,
         FileKind.SCENE: tab_of(window, VerificationTab).form.scene,
     }
-    path = finished.with_name(name)
-    type_path(fields[wanted], path)
-    assert fields[wanted].path is None
-    assert window.messages.sentence == misplaced(path, wanted)
-    assert str(path) in window.messages.sentence
-    assert str(wanted) in window.messages.sentence
-    window._pages.setCurrentIndex((window._pages.currentIndex() + 1) % 4)
-    assert window.messages.sentence == ""  # the field is out of sight, and has its former file
-    right = {FileKind.RUN: "run.toml", FileKind.RIG: "rig.toml", FileKind.BANK: "plate.h5"}.get(wanted)
-    if right is not None:
+    for name, wanted in WRONG:
+        path = finished.with_name(name)
         type_path(fields[wanted], path)
-        type_path(fields[wanted], finished.with_name(right))
+        assert (fields[wanted].path, window.messages.sentence) == (None, misplaced(path, wanted))
+        assert str(path) in window.messages.sentence
+        assert str(wanted) in window.messages.sentence
+        window._pages.setCurrentIndex((window._pages.currentIndex() + 1) % 4)
+        assert window.messages.sentence == ""  # the field is out of sight, and has its former file
+    right = {FileKind.BANK: "plate.h5", FileKind.RIG: "rig.toml", FileKind.RUN: "run.toml"}
+    for wanted, name in right.items():
+        type_path(fields[wanted], finished.with_name(next(name for name, kind in WRONG if kind is wanted)))
+        assert window.messages.sentence
+        type_path(fields[wanted], finished.with_name(name))
         assert window.messages.sentence == ""  # it holds no longer
 
 
@@ -275,29 +275,25 @@ def test_given_a_gain_then_live_sources_are_so_much_louder(qtbot: QtBot, open_wi
     assert tab.live_run._move("finger").amplitude == pytest.approx(0.001)
 
 
-@pytest.mark.parametrize(
-    ("advice", "named"),
-    [
-        ("start a new bank, or go on with --accept-drift", "Accept drift"),
-        ("more than an hour must be allowed with --allow-large", "Allow large scenes"),
-        ("2 positions; then go on with wavefocus resume", "Resume"),
-        ("muted, mirror parked; wavefocus go-on, or stop", "Continue"),
-        ("then wavefocus remeasure plate.h5 --positions 3,5-9 and resume, or go on with --accept-drift", "3,5-9"),
-        ("run wavefocus calibrate --only outputs, or correct player.full_scale_v", "Calibration"),
-    ],
+ADVICE = (
+    ("start a new bank, or go on with --accept-drift", "Accept drift"),
+    ("more than an hour must be allowed with --allow-large", "Allow large scenes"),
+    ("2 positions; then go on with wavefocus resume", "Resume"),
+    ("muted, mirror parked; wavefocus go-on, or stop", "Continue"),
+    ("then wavefocus remeasure plate.h5 --positions 3,5-9 and resume, or go on with --accept-drift", "3,5-9"),
+    ("run wavefocus calibrate --only outputs, or correct player.full_scale_v", "Calibration"),
 )
-def test_given_advice_of_a_command_then_the_window_names_what_it_has(
-    qtbot: QtBot, open_window: Opens, advice: str, named: str
+
+
+def test_given_advice_of_a_command_then_the_window_names_actions_that_it_has(
+    open_window: Opens,
 ) -> None:
     window = open_window()
-    window.messages.fault(advice)
-    assert window.messages.sentence == in_window(advice)
-    assert named in window.messages.sentence
-    assert "--" not in window.messages.sentence
-    assert "wavefocus " not in window.messages.sentence
-
-
-def test_given_actions_named_by_advice_then_they_exist(open_window: Opens) -> None:
-    window = open_window()
+    for advice, named in ADVICE:
+        window.messages.fault(advice)
+        assert window.messages.sentence == in_window(advice)
+        assert named in window.messages.sentence
+        assert "--" not in window.messages.sentence
+        assert "wavefocus " not in window.messages.sentence
     words = {action.text().replace("&", "") for tab in window.tabs for action in tab.menu_actions() if action}
     assert {"Accept drift", "Accept another calibration", "Resume", "Remeasure selected"} <= words

@@ -71,17 +71,18 @@ def test_given_every_action_of_every_menu_in_every_tab_then_no_error_is_raised(
     wait(qtbot, lambda: not (rig.session.running or rig.examination.running))
 
 
-@pytest.mark.parametrize("tab", range(4))
 def test_given_ctrl_o_in_any_tab_then_what_is_chosen_is_opened(
-    qtbot: QtBot, open_window: Opens, finished: Path, tab: int
+    qtbot: QtBot, open_window: Opens, finished: Path
 ) -> None:
     scene = write_scene(finished.parent)
     window = open_window()
-    window._pages.setCurrentIndex(tab)
-    with qtbot.waitActive(window):
-        window.activateWindow()
-    QTest.keyClick(window, Qt.Key.Key_O, Qt.KeyboardModifier.ControlModifier)
-    (dialog,) = (one for one in window.findChildren(QFileDialog) if one.isVisible())
+    for tab in range(4):
+        close_dialogs(window)
+        with qtbot.waitActive(window):
+            window.activateWindow()
+        window._pages.setCurrentIndex(tab)
+        QTest.keyClick(window, Qt.Key.Key_O, Qt.KeyboardModifier.ControlModifier)
+        (dialog,) = (dialog for dialog in window.findChildren(QFileDialog) if dialog.isVisible())
     chosen = [str(finished.with_name("run.toml")), str(finished.with_name("rig.toml")), str(scene), str(finished)]
     dialog.filesSelected.emit(chosen)
     close_dialogs(window)

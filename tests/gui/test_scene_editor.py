@@ -9,12 +9,11 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from PyQt5.QtCore import QSettings, Qt
+from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QApplication, QFileDialog
 from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import LEFT, NO_KEY, Opens, choose, click, double_click, drag, pixel, shown_tab, wait
-from wavefocus.commands.gui import front_door
 from wavefocus.config.scene import (
     CircleTable,
     FileTable,
@@ -66,35 +65,21 @@ DRAWING = """<svg xmlns="http://www.w3.org/2000/svg"><path id="first" d="M 0 0 L
 FINGER = "time_s,x_mm,y_mm\n0,-10,0\n0.5,10,0\n"
 
 
-@pytest.fixture(scope="module")
-def window(qapp: QApplication, tmp_path_factory: pytest.TempPathFactory) -> Generator[Window]:
-    """One window for all tests that neither close nor crash it."""
-    folder = tmp_path_factory.mktemp("window")
-    memory = Settings(QSettings(str(folder / "memory.ini"), QSettings.Format.IniFormat))
-    memory.keep("folder/.toml", str(folder))
-    shown = Window(front_door(), memory)
-    shown_tab(shown, SceneTab)
-    shown.show()
-    yield shown
-    shown.close_at_once()
-    shown.deleteLater()
-
-
 @pytest.fixture
-def tab(qtbot: QtBot, window: Window) -> Generator[SceneTab]:
+def tab(qtbot: QtBot, shared_window: Window) -> Generator[SceneTab]:
     """The Scene tab of the window, shown and empty."""
-    shown = shown_tab(window, SceneTab)
+    shown = shown_tab(shared_window, SceneTab)
     shown.document.clear()
     shown.document.use_bank(None)
     shown.surface.canvas.use_tool("")
     shown.surface.snaps.setChecked(False)
     shown.surface.canvas.setFocus()
-    window.messages.dismiss()
+    shared_window.messages.dismiss()
     wait(qtbot, lambda: shown.surface.canvas.isVisible() and shown.live.backdrop.surface is None and shown.live.idle)
     shown.surface.canvas.box.autoRange()
     laid_out(shown.surface.canvas)
     yield shown
-    assert window.tracebacks == []
+    assert shared_window.tracebacks == []
 
 
 @pytest.fixture

@@ -71,12 +71,14 @@ def other_bank(lab: Path, name: str, *, gain: float = 1.0, copies: int = 1) -> P
     return lab / name
 
 
-def opened(qtbot: QtBot, open_window: Opens, lab: Path) -> tuple[Window, VerificationTab]:
-    """A window that shows what a lab's verification found."""
-    window = open_window(lab / "verify" / "verify.json")
-    tab = shown_tab(window, VerificationTab)
-    wait(qtbot, lambda: tab.results is not None)
-    return window, tab
+@pytest.fixture
+def shown(qtbot: QtBot, shared_window: Window, verified: Path) -> VerificationTab:
+    """The tab as it shows the verification; its state is that of a file just opened."""
+    tab = shown_tab(shared_window, VerificationTab)
+    former = tab.results
+    shared_window.open_file(verified / "verify" / "verify.json")
+    wait(qtbot, lambda: tab.results is not None and tab.results is not former)
+    return tab
 
 
 def ready(window: Window, bank: Path) -> VerificationTab:
@@ -96,9 +98,9 @@ def cells(tab: VerificationTab, row: int) -> list[str]:
 
 @pytest.mark.smoke
 def test_given_an_earlier_verification_then_its_fields_stand_side_by_side(
-    qtbot: QtBot, open_window: Opens, verified: Path
+    qtbot: QtBot, shown: VerificationTab, verified: Path
 ) -> None:
-    _, tab = opened(qtbot, open_window, verified)
+    tab = shown
     predicted, scanned, difference = tab.maps.maps
     with h5py.File(verified / "verify" / "scan.h5", "r") as file:
         sample = round((tab.maps.time.time_s - file.attrs["start_s"]) * file.attrs["sample_rate_hz"])
@@ -116,17 +118,17 @@ def test_given_an_earlier_verification_then_its_fields_stand_side_by_side(
 
 
 def test_given_the_figures_then_they_are_those_of_the_file_with_verdict_and_definition(
-    qtbot: QtBot, open_window: Opens, verified: Path
+    qtbot: QtBot, shown: VerificationTab, verified: Path
 ) -> None:
-    _, tab = opened(qtbot, open_window, verified)
+    tab = shown
     record = json.loads((verified / "verify" / "verify.json").read_text(encoding="utf-8"))
     assert tab.figures.table.rowCount() == len(record["figures"])
     for row, figure in enumerate(record["figures"]):
-        shown = cells(tab, row)
-        assert shown[0] == figure["name"]
+        texts = cells(tab, row)
+        assert texts[0] == figure["name"]
         assert figure["definition"] in tab.figures.table.item(row, 0).toolTip()
         if figure["limit"] is not None:
-            assert shown[5] == {True: "✓ pass", False: "✗ fail", None: "– not judged"}[figure["passed"]]
+            assert texts[5] == {True: "✓ pass", False: "✗ fail", None: "– not judged"}[figure["passed"]]
     error = next(one for one in record["figures"] if one["name"] == "normalised error")
     assert cells(tab, 0)[3:5] == [f"{error['difference']:.3g} %", "≤ 5 %"]
     qtbot.mouseClick(tab.figures.buttons["copy"], LEFT)
@@ -134,10 +136,10 @@ def test_given_the_figures_then_they_are_those_of_the_file_with_verdict_and_defi
 
 
 def test_given_a_click_on_a_map_then_the_waveforms_there_and_their_figures(
-    qtbot: QtBot, open_window: Opens, verified: Path
+    qtbot: QtBot, shown: VerificationTab, verified: Path
 ) -> None:
-    window, tab = opened(qtbot, open_window, verified)
-    qtbot.waitExposed(window)
+    tab = shown
+    qtbot.waitExposed(tab.window())
     scan = tab.maps.maps[1]
     QApplication.processEvents()
     index = 7
@@ -153,9 +155,9 @@ def test_given_a_click_on_a_map_then_the_waveforms_there_and_their_figures(
 
 
 def test_given_the_time_slider_then_it_goes_from_focus_to_focus_and_the_maps_follow(
-    qtbot: QtBot, open_window: Opens, verified: Path
+    qtbot: QtBot, shown: VerificationTab, verified: Path
 ) -> None:
-    _, tab = opened(qtbot, open_window, verified)
+    tab = shown
     time, focus = tab.maps.time, tab.results.record.focus_s
     assert time.time_s == pytest.approx(focus[0], abs=1e-4)
     before = tab.maps.maps[0].values.copy()
@@ -270,7 +272,9 @@ def test_given_a_verification_of_another_process_then_it_is_followed_and_can_be_
 def test_given_a_spoilt_folder_then_one_sentence_and_what_was_shown_stays(
     qtbot: QtBot, open_window: Opens, lab: Path
 ) -> None:
-    window, tab = opened(qtbot, open_window, lab)
+    window = open_window(lab / "verify" / "verify.json")
+    tab = shown_tab(window, VerificationTab)
+    wait(qtbot, lambda: tab.results is not None)
     shown = tab.results
     record, scan = lab / "verify" / "verify.json", lab / "verify" / "scan.h5"
     scan.write_bytes(scan.read_bytes()[:3000])
