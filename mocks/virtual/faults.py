@@ -39,7 +39,7 @@ class Fault:
     position, record, attempt: The record that fails, where no call is given: this position (any, if absent), this
         record of each attempt (every, if absent), from this attempt on (1, if absent) for `count` attempts. A mirror
         has no records.
-    purpose: Only takes of this purpose; any, if absent.
+    purpose: Only records of this purpose; any, if absent.
     count: How often, > 0.
     level_db: What ``"drift"`` does to the response, and ``"faint_reference"`` to the reference; where ``"clipped"``
         cuts the response, in dB of its peak; the level of ``"hum"``, in dB of the response's rms.
@@ -79,7 +79,7 @@ class Fault:
         if (self.at_call is not None) == by_take:
             raise ValueError("a fault needs either at_call or some of position, attempt, record and purpose")
         if by_take and self.role == "mirror":
-            raise ValueError("a fault of the mirror needs at_call, for a mirror has no takes")
+            raise ValueError("a fault of the mirror needs at_call, for a mirror has no records")
         if self.count < 1 or (self.at_call is not None and self.at_call < 1):
             raise ValueError(f"fault at_call is {self.at_call}, count {self.count}; both start at 1")
         if self.kind == "unplugged" and (self.count != 1 or self.tries < 0):
