@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -261,7 +260,7 @@ def drift_over_time(points: Sequence[DriftPoint], limits: DriftLimits) -> Pictur
         axes.scatter(days, values, c=colours, s=16, zorder=3)
         _draw_limits(axes, values, warn, stop, both_sides=row < 2)
         axes.set_xlim(days[0] - room, days[-1] + room)
-        _label_clock(axes, points[0].at, with_labels=row == 2)
+        _label_clock(axes, with_labels=row == 2)
     keys = [Patch(color=colour, label=word) for word, colour in VERDICT_COLOURS.items()]
     canvas.legend(keys, 590, 440, 3)
     return canvas.picture()
@@ -280,10 +279,11 @@ def _draw_limits(axes: Axes, values: np.ndarray, warn: float, stop: float, *, bo
     axes.set_ylim(-span if both_sides else -0.04 * span, span)
 
 
-def _label_clock(axes: Axes, first: datetime, *, with_labels: bool) -> None:
+def _label_clock(axes: Axes, *, with_labels: bool) -> None:
+    from dateutil.tz import tzlocal  # matplotlib reckons with it
     from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 
-    zone = first.astimezone().tzinfo
+    zone = tzlocal()  # of each instant its own offset, also across a change of summer time
     locator = AutoDateLocator(tz=zone)  # type: ignore[no-untyped-call]
     axes.xaxis.set_major_locator(locator)
     axes.xaxis.set_major_formatter(ConciseDateFormatter(locator, tz=zone))  # type: ignore[no-untyped-call]
