@@ -34,6 +34,7 @@ Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
 
 FORMAT = "wavefocus-drive"
+_NUMBERS = ("sample_rate_hz", "start_s", "scale", "omitted_bound")
 LONG_NAMES = {
     "drive": "voltage at each actuator",
     "actuator": "index of the actuator",
@@ -112,21 +113,6 @@ class Drive:
         return drive_dataset(self)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DriveAbout:
-    """All that a drive file says besides the volts; see `Drive`."""
-
-    sample_rate_hz: float
-    start_s: float
-    method: str
-    scale: float
-    omitted_bound: float
-    focus_sample: Int64Array
-    focus_position: Int64Array
-    focus_source: Int64Array
-    drive_unit: str = "V"
-
-
 @checked
 def write_drive(path: str | Path, drive: Drive, *, force: bool = False) -> None:
     """Write a drive file; it appears under its name only when it is whole.
@@ -150,40 +136,51 @@ def write_drive(path: str | Path, drive: Drive, *, force: bool = False) -> None:
     >>> import wavefocus as wf
     >>> wf.write_drive("copy.h5", wf.read_drive("drive.h5"))
     """
-    with drive_in_blocks(path, drive, drive.drive_v.shape, force=force) as append:
+    foci = (drive.focus_sample, drive.focus_position, drive.focus_source)
+    about = {name: getattr(drive, name) for name in (*_NUMBERS, "method", "drive_unit")}
+    with drive_in_blocks(path, drive.drive_v.shape, foci=foci, force=force, **about) as append:
         append(drive.drive_v)
 
 
 @contextmanager
 def drive_in_blocks(
-    path: str | Path, about: DriveAbout | Drive, shape: tuple[int, ...], *, force: bool = False
+    path: str | Path,
+    shape: tuple[int, ...],
+    *,
+    sample_rate_hz: float,
+    start_s: float,
+    method: str,
+    scale: float,
+    omitted_bound: float,
+    foci: tuple[Int64Array, Int64Array, Int64Array],
+    drive_unit: str = "V",
+    force: bool = False,
 ) -> Iterator[Callable[[Float64Array], None]]:
     """Write a drive file block by block, as `write_drive`.
 
-    about: What it says of the drive.
     shape: Actuators and samples of the whole drive.
+    sample_rate_hz, start_s, method, scale, omitted_bound, drive_unit: See `Drive`.
+    foci: Sample, position and source of each focus.
 
     Yields a callable that writes the next block, volts as float64 (actuators, any number of samples).
     Raises InputError: the file exists and may not be replaced, or cannot be written.
     """
     path = Path(path)
     require_outputs((path,), (), force=force)
-    data_bytes = 8 * (shape[0] * shape[1] + shape[0] + shape[1] + 4 * len(about.focus_sample))
+    data_bytes = 8 * (shape[0] * shape[1] + shape[0] + shape[1] + 4 * len(foci[0]))
     with replacement(path) as temporary, created(temporary, data_bytes) as file:
         file.attrs["format"] = FORMAT
         file.attrs["format_version"] = 1
-        for name in ("sample_rate_hz", "start_s", "scale", "omitted_bound"):
-            file.attrs[name] = float(getattr(about, name))
-        file.attrs["method"] = about.method
-        file.attrs["drive_unit"] = about.drive_unit
-        volts = reserved(file, "/drive", shape, "<f8", about.drive_unit)
-        focus = dimension_scale(file, "focus/focus", np.arange(len(about.focus_sample)))
-        for name in ("sample", "position", "source"):
-            attach(filled(file, f"/focus/{name}", np.asarray(getattr(about, f"focus_{name}"), np.int64)), focus)
-        times_s = sample_times(shape[1], about.sample_rate_hz, about.start_s)
-        attach(
-            volts, dimension_scale(file, "actuator", np.arange(shape[0])), dimension_scale(file, "time_s", times_s, "s")
-        )
+        for name, number in zip(_NUMBERS, (sample_rate_hz, start_s, scale, omitted_bound), strict=True):
+            file.attrs[name] = float(number)
+        file.attrs["method"] = method
+        file.attrs["drive_unit"] = drive_unit
+        volts = reserved(file, "/drive", shape, "<f8", drive_unit)
+        focus = dimension_scale(file, "focus/focus", np.arange(len(foci[0])))
+        for name, values in zip(("sample", "position", "source"), foci, strict=True):
+            attach(filled(file, f"/focus/{name}", np.asarray(values, np.int64)), focus)
+        actuator = dimension_scale(file, "actuator", np.arange(shape[0]))
+        attach(volts, actuator, dimension_scale(file, "time_s", sample_times(shape[1], sample_rate_hz, start_s), "s"))
         set_long_names(file, LONG_NAMES)
         done = 0
 

@@ -32,7 +32,7 @@ from wavefocus.rig.limits import (
     within,
 )
 from wavefocus.storage.bank.reading import Bank, open_bank
-from wavefocus.storage.drive_file import Drive, DriveAbout, drive_in_blocks, write_drive
+from wavefocus.storage.drive_file import Drive, drive_in_blocks, write_drive
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import require_outputs, write_whole
 from wavefocus.storage.units import PLAYED_UNITS, quantity
@@ -185,12 +185,19 @@ def _render_streamed(job: _Job) -> _Result:
         with progress("first pass", samples) as report:
             facts = streamed.prepare(report)
         sampled = streamed.live.sampled
-        about = DriveAbout(
-            rate_hz, sampled.start_s, sampled.method, facts.scale, facts.omitted_bound, *sampled.foci,
-            drive_unit=bank.drive_unit,
-        )  # fmt: skip
         with (
-            drive_in_blocks(job.out, about, streamed.shape, force=job.force) as append,
+            drive_in_blocks(
+                job.out,
+                streamed.shape,
+                sample_rate_hz=rate_hz,
+                start_s=sampled.start_s,
+                method=sampled.method,
+                scale=facts.scale,
+                omitted_bound=facts.omitted_bound,
+                foci=sampled.foci,
+                drive_unit=bank.drive_unit,
+                force=job.force,
+            ) as append,
             progress("second pass", samples) as report,
         ):
             interface_hz, full_scale_v, each = job.wav_scale
