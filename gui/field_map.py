@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PyQt5.QtCore import QSize, Qt
 from PyQt5.QtWidgets import QFrame, QSizePolicy
 
-from wavefocus.gui.surface import Surface
+from wavefocus.gui.surface import PlotSurface
 from wavefocus.gui.surface_view import SurfaceView, map_colours
 from wavefocus.gui.theme import Theme, Themed, theme_axes
 from wavefocus.rendering.arrays import Float64Array
@@ -201,7 +201,7 @@ class FieldMap(SurfaceView):
         super().__init__(name)
         self.bar = ColourBar(self._colour_map)
 
-    def show_surface(self, surface: Surface | None) -> None:
+    def show_surface(self, surface: PlotSurface | None) -> None:
         self.values = np.zeros(0)
         super().show_surface(surface)
 

@@ -59,7 +59,7 @@ class Raster:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Surface:
+class PlotSurface:
     """A surface, and the attributes of its bank.
 
     position_mm, float64 (positions, 2): The grid, in any order.
@@ -94,16 +94,16 @@ class Surface:
     def actuators(self) -> int:
         return len(self.actuator_mm)
 
-    def with_rows(self, rows: NDArray[np.int64]) -> Surface:
+    def with_rows(self, rows: NDArray[np.int64]) -> PlotSurface:
         """The same surface with some of the positions, their cells without gaps, for fields."""
         position_mm = self.position_mm[rows]
         return replace(self, position_mm=position_mm, raster=raster_of(position_mm, gaps=False))
 
 
-def surface_of(bank: Bank) -> Surface:
+def surface_of(bank: Bank) -> PlotSurface:
     """Return the surface of an open bank."""
     position_mm = np.asarray(bank.position_mm, np.float64)
-    return Surface(
+    return PlotSurface(
         position_mm=position_mm,
         actuator_mm=np.asarray(bank.actuator_mm, np.float64),
         outline_mm=_outline_mm(bank.rig_json),

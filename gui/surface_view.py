@@ -9,7 +9,7 @@ from PyQt5.QtCore import QRectF, Qt, pyqtSignal
 from PyQt5.QtGui import QColor, QKeyEvent, QMouseEvent, QPainterPath, QResizeEvent
 from PyQt5.QtWidgets import QGraphicsItem, QGraphicsPathItem
 
-from wavefocus.gui.surface import Raster, Surface
+from wavefocus.gui.surface import PlotSurface, Raster
 from wavefocus.gui.theme import Themed, theme_axes
 from wavefocus.rendering.arrays import Float64Array
 
@@ -51,7 +51,7 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
     #: A position that was clicked, or reached with the arrow keys.
     picked = pyqtSignal(int)
 
-    surface: Surface | None = None
+    surface: PlotSurface | None = None
     _fits = False  # Qt resizes the widget before __init__ has ended
 
     def __init__(self, name: str) -> None:
@@ -94,7 +94,7 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
         self._linked.append(other)
         other._linked.append(self)
 
-    def show_surface(self, surface: Surface | None) -> None:
+    def show_surface(self, surface: PlotSurface | None) -> None:
         """Show another surface, or none; cells are painted by `paint`."""
         self.surface = surface
         self._cells.clear()

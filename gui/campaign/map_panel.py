@@ -14,9 +14,9 @@ from PyQt5.QtWidgets import QGraphicsPolygonItem, QLabel, QSizePolicy, QWidget
 
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.campaign.model import Campaign
-from wavefocus.gui.campaign.quality import FIGURES, LOOKS, NOT_MEASURED, Figure, look_index, status_text
+from wavefocus.gui.campaign.quality import FIGURES, LOOKS, NOT_MEASURED, QualityMetric, look_index, status_text
 from wavefocus.gui.field_map import ColourBar
-from wavefocus.gui.surface import Surface
+from wavefocus.gui.surface import PlotSurface
 from wavefocus.gui.surface_view import MARK, Keys, PointMm, Spots, SurfaceView, map_colours, rgba
 from wavefocus.gui.theme import Themed
 from wavefocus.rendering.arrays import Float32Array
@@ -64,7 +64,7 @@ class SurfaceMap(SurfaceView):
         """The position whose details are shown, -1 for none."""
         return self.marked
 
-    def show_surface(self, surface: Surface | None) -> None:
+    def show_surface(self, surface: PlotSurface | None) -> None:
         super().show_surface(surface)
         self._status = np.zeros(0 if surface is None else surface.positions, np.uint8)
         self._marked_status = b""
@@ -81,7 +81,7 @@ class SurfaceMap(SurfaceView):
         self.paint(colours[look_index(status)])
         self._draw_marks()
 
-    def show_figure(self, figure: Figure, values: Float32Array, status: NDArray[np.uint8]) -> None:
+    def show_figure(self, figure: QualityMetric, values: Float32Array, status: NDArray[np.uint8]) -> None:
         """Colour by a quality figure; positions without one look as not measured."""
         self._status = status
         known = values[np.isfinite(values)]
@@ -203,7 +203,7 @@ class MapPanel(Themed, QWidget):
         super().__init__()
         self._campaign = campaign
         self._drawn = {"surface": -1, "map": -1}
-        self.planned: Surface | None = None
+        self.planned: PlotSurface | None = None
         """What the run file describes; drawn while there is no bank."""
         self.map = SurfaceMap()
         self.bar = ColourBar(self.map.colour_map)
@@ -217,7 +217,7 @@ class MapPanel(Themed, QWidget):
         self.bar.hide()
         self.colour_by.currentIndexChanged.connect(self._redraw)
 
-    def show_plan(self, planned: Surface | None) -> None:
+    def show_plan(self, planned: PlotSurface | None) -> None:
         """Show another plan while there is no bank."""
         self.planned = planned
         if self._campaign.surface is None:

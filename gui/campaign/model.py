@@ -34,7 +34,7 @@ from wavefocus.config.messages.campaign import (
 )
 from wavefocus.gui.advice import in_window
 from wavefocus.gui.campaign.quality import DAMAGED
-from wavefocus.gui.surface import Surface
+from wavefocus.gui.surface import PlotSurface
 from wavefocus.rendering.arrays import Float32Array
 from wavefocus.storage.bank.ledger import VALID
 
@@ -216,7 +216,7 @@ class Instrument:
 class Campaign:
     """A campaign; `revision` counts the changes of each part, so that only changes are drawn."""
 
-    surface: Surface | None = None
+    surface: PlotSurface | None = None
     status: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))
     figures: Mapping[str, Float32Array] = field(default_factory=dict)
     lines: list[Line] = field(default_factory=list)
@@ -237,7 +237,7 @@ class Campaign:
     _logged_s: float = 0.0
     _asked_s: float = 0.0
 
-    def open(self, surface: Surface) -> None:
+    def open(self, surface: PlotSurface) -> None:
         """Show the bank, for the first time or after it was replaced."""
         self.surface, self.status, self.figures = surface, np.zeros(surface.positions, np.uint8), {}
         self._changed("surface", "map", "history")

@@ -19,7 +19,7 @@ from wavefocus.gui import widgets as ui
 from wavefocus.gui.campaign.model import Campaign, clock
 from wavefocus.gui.campaign.quality import status_text
 from wavefocus.gui.field_map import MOST_COLUMNS, Plot, Real, whole_ticks
-from wavefocus.gui.surface import Surface
+from wavefocus.gui.surface import PlotSurface
 from wavefocus.gui.tab import TabContext
 from wavefocus.gui.theme import Themed
 from wavefocus.storage.units import quantity
@@ -49,7 +49,7 @@ class GreenPlot(Plot):
         self._image.setColorMap(pyqtgraph.colormap.get("viridis"))
 
     def show_green(
-        self, surface: Surface, greens: Greens, actuator: int, *, waterfall: bool, own_scale: bool = False
+        self, surface: PlotSurface, greens: Greens, actuator: int, *, waterfall: bool, own_scale: bool = False
     ) -> None:
         """Draw; `actuator` is emphasised, -1 for none; with `own_scale`, each trace fills its step."""
         plot = self.getPlotItem()
@@ -87,7 +87,7 @@ class SpectrumPlot(Plot):
     def __init__(self) -> None:
         super().__init__("Spectrum", "frequency (Hz); dashed: the measured band", "level (dB)")
 
-    def show_green(self, surface: Surface, greens: Greens, actuator: int) -> None:
+    def show_green(self, surface: PlotSurface, greens: Greens, actuator: int) -> None:
         """Draw all actuators, one of them emphasised, or their mean power where none is chosen."""
         plot = self.getPlotItem()
         plot.clear()

@@ -58,7 +58,7 @@ def look_index(status: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 @dataclass(frozen=True, slots=True)
-class Figure:
+class QualityMetric:
     """A quality figure of the bank; `worst` reduces (positions, actuators) to (positions,), ignoring NaN."""
 
     key: str
@@ -72,11 +72,11 @@ class Figure:
 
 
 FIGURES = (
-    Figure("snr_db", "signal-to-noise ratio of the records, median of the actuators", "dB", np.nanmedian),
-    Figure("residual_db", "residual, worst actuator", "dB", np.nanmax),
-    Figure("coherence", "coherence, worst actuator", "", np.nanmin),
-    Figure("peak_v", "peak at the DAQ, largest of the actuators", "V", np.nanmax),
-    Figure("attempts", "attempts", "", np.nanmax),
+    QualityMetric("snr_db", "signal-to-noise ratio of the records, median of the actuators", "dB", np.nanmedian),
+    QualityMetric("residual_db", "residual, worst actuator", "dB", np.nanmax),
+    QualityMetric("coherence", "coherence, worst actuator", "", np.nanmin),
+    QualityMetric("peak_v", "peak at the DAQ, largest of the actuators", "V", np.nanmax),
+    QualityMetric("attempts", "attempts", "", np.nanmax),
 )
 
 

@@ -26,7 +26,7 @@ from wavefocus.gui.campaign.quality import NOT_GOOD
 from wavefocus.gui.files import FileKind, PathField, TomlKind, rig_of_run, runs_on_virtual_rig, toml_kind
 from wavefocus.gui.front_door import FrontDoor
 from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess
-from wavefocus.gui.surface import Surface, raster_of
+from wavefocus.gui.surface import PlotSurface, raster_of
 from wavefocus.gui.tab import Question, Tab, TabContext
 from wavefocus.rendering.verify.record import FIELD_NAMES, RECORD_NAME
 from wavefocus.storage.errors import InputError
@@ -369,7 +369,7 @@ class CampaignTab(Tab):
             work = partial(_planned, self.context.front, run)
             self.context.background.ask("plan", work, self._show_plan, self._no_plan)
 
-    def _show_plan(self, planned: tuple[Surface, float]) -> None:
+    def _show_plan(self, planned: tuple[PlotSurface, float]) -> None:
         self.context.settle("plan")
         surface, self._planned_s = planned
         self.map_panel.show_plan(surface)
@@ -422,8 +422,8 @@ class CampaignTab(Tab):
             self._start("Remeasure", "remeasure", "--positions", rows)
 
 
-def _planned(front: FrontDoor, run: Path) -> tuple[Surface, float]:
+def _planned(front: FrontDoor, run: Path) -> tuple[PlotSurface, float]:
     """Surface of a run file's campaign, and its duration, s."""
     planned = front.read_plan(run)
-    surface = Surface(planned.position_mm, planned.actuator_mm, planned.outline_mm, raster_of(planned.position_mm))
+    surface = PlotSurface(planned.position_mm, planned.actuator_mm, planned.outline_mm, raster_of(planned.position_mm))
     return surface, planned.duration_s

@@ -22,7 +22,7 @@ from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
 
 if TYPE_CHECKING:
     from wavefocus.config.scene import SceneConfig
-    from wavefocus.gui.surface import Surface
+    from wavefocus.gui.surface import PlotSurface
     from wavefocus.rendering.drive.coil_limits import DriveLimits, Limiting
 
 
@@ -33,7 +33,7 @@ _STOP_WAIT_S = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class SceneRequest:
     """A scene to be calculated, in place of all earlier ones; `place` is its file, which need not exist."""
 
     number: int
@@ -52,7 +52,7 @@ class Stop:
 
 
 @dataclass(frozen=True, slots=True)
-class Progress:
+class CalculationProgress:
     """Progress of a stage, 0 to 1."""
 
     number: int
@@ -100,7 +100,7 @@ class DriveResult:
 class PredictedField:
     """The predicted field of the measured positions; `lasts_s` is the duration of the whole response.
 
-    surface, rows, Surface, int64 (positions,): The measured positions and their bank rows.
+    surface, rows, PlotSurface, int64 (positions,): The measured positions and their bank rows.
     field, float32 (samples, positions): Low-passed below half its rate.
     finer: Instants that can be interpolated per sample.
     limit: Largest response at a focus.
@@ -108,7 +108,7 @@ class PredictedField:
     """
 
     number: int
-    surface: Surface
+    surface: PlotSurface
     rows: Int64Array
     field: Float32Array
     sample_rate_hz: float
@@ -147,8 +147,8 @@ class Finished:
     defect: str = ""
 
 
-Order = Request | Stop
-Answer = Progress | DriveResult | PredictedField | FocusFigures | Finished
+Order = SceneRequest | Stop
+Answer = CalculationProgress | DriveResult | PredictedField | FocusFigures | Finished
 
 
 class Calculation:
@@ -175,7 +175,7 @@ class Calculation:
         if self._process is None or not self._process.is_alive():
             self.close()
             self._start()
-        self._send(Request(self.number, draft, place, bank, rig, allow_large))
+        self._send(SceneRequest(self.number, draft, place, bank, rig, allow_large))
         return self.number
 
     def stop(self) -> None:

@@ -20,7 +20,7 @@ GOOD, HELD = "within", "held back"
 
 
 @dataclass(frozen=True, slots=True)
-class Figure:
+class SceneMetric:
     """One line of the table; the value is empty where unknown, the limit where there is none.
 
     The verdict is `GOOD`, `HELD` where all drives were scaled down for it, or empty.
@@ -34,7 +34,7 @@ class Figure:
     verdict: str = ""
 
 
-def drive_figures(driven: DriveResult) -> list[Figure]:
+def drive_figures(driven: DriveResult) -> list[SceneMetric]:
     """Return the figures of the drives."""
     from wavefocus.rendering.drive.coil_limits import (  # loaded by then, by another thread
         RMS_WINDOW_S,
@@ -47,19 +47,19 @@ def drive_figures(driven: DriveResult) -> list[Figure]:
     loudest, hottest = int(np.argmax(driven.peak_v)), int(np.argmax(driven.rms_v))
     peak_v, rms_v = float(driven.peak_v[loudest]), float(driven.rms_v[hottest])
     figures = [
-        Figure(
+        SceneMetric(
             "scale by the limits", _short(limiting.scale), "",
             "Factor on all drives that keeps every actuator within its limits; 1 where nothing exceeds them. Drives are"
             f" scaled, never clipped, and so the responses shrink with them. Now: {limiting}.",
             verdict=HELD if decided else GOOD,
         ),
-        Figure(
+        SceneMetric(
             "peak of the drives", _short(peak_v), driven.unit,
             f"Largest magnitude of any actuator's drive after scaling; actuator {loudest} has it. Its limit is"
             f" {limits.peak_key}.",
             _limit(limits.peak_v, driven.unit), _verdict(limits.peak_v, decided == limits.peak_key),
         ),
-        Figure(
+        SceneMetric(
             "rms of the drives", _short(rms_v), driven.unit,
             f"Largest rms of any actuator's drive over any {RMS_WINDOW_S:g} s, or over all of a shorter one, after"
             f" scaling; actuator {hottest} has it. Its limit is {limits.rms_key}.",
@@ -68,36 +68,36 @@ def drive_figures(driven: DriveResult) -> list[Figure]:
     ]  # fmt: skip
     if driven.resistance_ohm:
         power = None if limits.rms_v is None else limits.rms_v**2 / driven.resistance_ohm
-        figures.append(Figure(
+        figures.append(SceneMetric(
             "coil power", _short(rms_v**2 / driven.resistance_ohm), "W",
             f"rms² over the coil's resistance of {driven.resistance_ohm:g} ohms, by the rig file.",
             _limit(power, "W"), _verdict(power, decided == limits.rms_key),
         ))  # fmt: skip
     gain_db = range_db(driven.gain)
     figures += [
-        Figure(
+        SceneMetric(
             "dynamic range", f"{dynamic_range_db(driven.rms_v):.1f}", "dB",
             "Largest over smallest rms of all actuators that are driven at all. Saturation makes it smaller.",
         ),
-        Figure(
+        SceneMetric(
             "range of n(x)", "" if math.isnan(gain_db) else f"{gain_db:.1f}", "dB",
             "Largest over smallest n(x) of eq. (15) along the paths: how unequally well the surface can be focused on.",
         ),
-        Figure(
+        SceneMetric(
             "left out", "" if math.isnan(driven.omitted_bound) else f"{driven.omitted_bound:.2g}", "",
             "Proved bound on the relative L2 error of the drives from what is left out while you edit (-60 dB). What is"
             " saved and played leaves nothing out.",
         ),
-        Figure(
+        SceneMetric(
             "duration", f"{driven.lasts_s:.3f}", "s",
             "Of the drives, with the lead-in that time reversal needs: one Green's function's length.",
         ),
-        Figure(
+        SceneMetric(
             "method", driven.method, "",
             "exact: a continuous source moves from sample to sample (eq. 9); sampled: from path point to path point"
             " (eq. 16). Emission per point is sampled by nature.",
         ),
-        Figure(
+        SceneMetric(
             "largest snap", f"{driven.snap_mm:.2f}", "mm",
             "Largest distance of a path point from the bank's position nearest to it.",
         ),
@@ -105,32 +105,32 @@ def drive_figures(driven: DriveResult) -> list[Figure]:
     return figures
 
 
-def field_figures(found: FocusFigures, field: PredictedField) -> list[Figure]:
+def field_figures(found: FocusFigures, field: PredictedField) -> list[SceneMetric]:
     """Return the figures of the foci."""
     from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM
 
     radius = f"{FOCUS_RADIUS_MM:g} mm"
     return [
-        Figure(
+        SceneMetric(
             "response at the foci", _of(found.peak, _short), field.unit,
             f"Largest predicted response within {radius} of the path point, at the instant when it is loudest; median"
             f" of {len(found.time_s)} foci, evenly chosen.",
         ),
-        Figure(
+        SceneMetric(
             "focal width", _of(found.width_mm, lambda value: f"{value:.1f}"), "mm",
             "Full width at half maximum of the focal spot: diameter of the disk of equal area; median of the foci that"
             " lie wholly on measured positions.",
         ),
-        Figure(
+        SceneMetric(
             "focus position error", _of(found.off_mm, lambda value: f"{value:.2f}"), "mm",
             f"Distance of the largest response within {radius} from the path point on the grid; median.",
         ),
-        Figure(
+        SceneMetric(
             "artefact level", _of(found.artefact_db, lambda value: f"{value:.1f}"), "dB",
             f"Largest response further than {radius} from the focus over the largest within; median.",
         ),
         *(
-            Figure(
+            SceneMetric(
                 f"crosstalk of source {source}", f"{100 * ratio:.1f}", "%",
                 "Amplitude of the response at a focus to all other foci of the path, in the middle of its"
                 " emission, over that of its own; over at most 24 path points in the middle of the path.",
@@ -166,14 +166,14 @@ class FiguresView(Themed, QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self.figures: Sequence[Figure] = ()
+        self.figures: Sequence[SceneMetric] = ()
         self.table = ui.table(("figure", "value", "limit", "verdict"), "Figures of the scene", (0,))
         self.warnings = ui.label("Warnings of the scene", wraps=True, selectable=True)
         self.warnings.setContentsMargins(6, 4, 6, 4)
         ui.column((self.table, 1), self.warnings, owner=self)
         self.show_figures((), ())
 
-    def show_figures(self, figures: Sequence[Figure], warnings: Sequence[str]) -> None:
+    def show_figures(self, figures: Sequence[SceneMetric], warnings: Sequence[str]) -> None:
         self.figures = figures
         self.warnings.setText("\n".join(f"• {warning}" for warning in warnings))
         self.warnings.setVisible(bool(warnings))

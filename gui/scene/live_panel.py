@@ -75,7 +75,7 @@ class TrendPlot(Plot):
 
 
 @dataclass(frozen=True, slots=True)
-class Figure:
+class LiveMetric:
     """One line of the table; `wrong` marks a value that needs attention."""
 
     name: str
@@ -84,40 +84,40 @@ class Figure:
     wrong: bool = False
 
 
-def figures_of(ready: LiveReady | None, state: LiveState | None) -> list[Figure]:
+def figures_of(ready: LiveReady | None, state: LiveState | None) -> list[LiveMetric]:
     """Return the figures of a session; they have no value while there is none."""
     p999_ms = None if state is None else state.latency_p999_ms
     behind_ms = math.nan if ready is None or p999_ms is None else ready.look_ahead_ms + p999_ms + ready.interface_ms
     look_ahead = "" if ready is None else f"{ready.look_ahead_ms:g} ms; exact from {ready.sufficient_ms:.0f} ms"
     return [
-        Figure(
+        LiveMetric(
             "latency", "" if p999_ms is None else f"{p999_ms:.1f} ms",
             "99.9th percentile of the session, from a position received to the first drive sample made with it,"
             f" written; it should be at most {LATENCY_GOAL_MS:g} ms",
             p999_ms is not None and p999_ms > LATENCY_GOAL_MS,
         ),
-        Figure(
+        LiveMetric(
             "underruns", "" if state is None else str(state.underruns),
             "Blocks that came too late: the interface ran dry, and sources began anew",
             state is not None and state.underruns > 0,
         ),
-        Figure(
+        LiveMetric(
             "left out", "" if state is None else _left_out(state),
             "Parts that are left out so that computing keeps pace: first frequencies within a bound on the error of the"
             " drives, then the sources that came last",
             state is not None and state.degradation != "none",
         ),
-        Figure(
+        LiveMetric(
             "limiter", "" if state is None else _limited(state),
             "Least gain on all drives since the last figures; below 0 dB they would have exceeded the rig's limits",
             state is not None and state.limited_db < 0.0,
         ),
-        Figure(
+        LiveMetric(
             "look-ahead", look_ahead,
             "Delay by which sources follow their pointers on purpose. Below the second figure the end of a source's"
             " path is predicted from its velocity",
         ),
-        Figure(
+        LiveMetric(
             "pointer to sound", "" if math.isnan(behind_ms) else f"{behind_ms:.0f} ms",
             "Look-ahead, latency, what waits to be played, and the interface's own latency",
         ),
@@ -172,7 +172,7 @@ class LivePanel(Themed, QWidget):
         self.latency = TrendPlot("Latency over time", "latency (ms)", LATENCY_GOAL_MS)
         self.load = TrendPlot("Load over time", "load (%)", 100.0)
         self.table = ui.table(("figure", "value"), "Figures of the live session", (1,))
-        self._figures: list[Figure] = []
+        self._figures: list[LiveMetric] = []
         self.table.setRowCount(len(figures_of(None, None)))
         self.table.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.notices = ui.named(QListWidget(), "Notices of the session, the latest one first", "Notices")

@@ -19,7 +19,7 @@ from wavefocus.config.scene import FileTable, PolylineTable, SceneConfig, Source
 from wavefocus.gui.process import Background
 from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.scene.draft import build_draft, changed
-from wavefocus.gui.surface import Surface, path_line, surface_from, surface_of
+from wavefocus.gui.surface import PlotSurface, path_line, surface_from, surface_of
 from wavefocus.gui.tab import TabContext
 from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.storage.errors import InputError, WavefocusError
@@ -56,7 +56,7 @@ class Backdrop:
 
     outline_mm: Float64Array
     sample_rate_hz: float = _USUAL_RATE_HZ
-    surface: Surface | None = None
+    surface: PlotSurface | None = None
     grid: PositionGrid | None = None
     usable: NDArray[np.bool_] | None = None
 

@@ -15,11 +15,11 @@ from wavefocus.gui.files import PathField, choose_place, names_virtual_rig
 from wavefocus.gui.scene.calculation import (
     Answer,
     Calculation,
+    CalculationProgress,
     DriveResult,
     Finished,
     FocusFigures,
     PredictedField,
-    Progress,
 )
 from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.scene.draft import EMPTY
@@ -254,7 +254,7 @@ class ResultsPanel(QWidget):
 
     def _show_answer(self, answer: Answer) -> None:
         match answer:
-            case Progress():
+            case CalculationProgress():
                 self._show_progress(answer.stage, answer.share)
             case DriveResult():
                 self.driven = answer

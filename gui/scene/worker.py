@@ -19,7 +19,7 @@ import numpy as np
 
 from wavefocus.config.scene import Regularisation
 from wavefocus.gui.front_door import RigLimits
-from wavefocus.gui.scene.calculation import Answer, Finished, Order, PredictedField, Progress, Request
+from wavefocus.gui.scene.calculation import Answer, CalculationProgress, Finished, Order, PredictedField, SceneRequest
 from wavefocus.gui.scene.draft import build_draft
 from wavefocus.gui.scene.drives_and_foci import (
     focus_figures,
@@ -28,7 +28,7 @@ from wavefocus.gui.scene.drives_and_foci import (
     render_while_edited,
     summarise,
 )
-from wavefocus.gui.surface import Surface, surface_of
+from wavefocus.gui.surface import PlotSurface, surface_of
 from wavefocus.rendering.arrays import Int64Array
 from wavefocus.rendering.drive.coil_limits import DriveLimits
 from wavefocus.rendering.field.bank_spectra import LARGEST_FACTOR, PASSED, BankSpectra
@@ -52,7 +52,7 @@ _Identity = tuple[Path, int, int, int, int]
 class BankCache:
     """An open bank, and what does not depend on the scene until the file changes."""
 
-    surface: Surface
+    surface: PlotSurface
 
     def __init__(self) -> None:
         self._bank: Bank | None = None
@@ -192,7 +192,7 @@ class Calculator:
         order: Order = self._connection.recv()
         while True:
             order, complete = self._latest(order), True
-            if isinstance(order, Request):
+            if isinstance(order, SceneRequest):
                 try:
                     complete = self.calculate(order)
                 except SupersededError:
@@ -202,7 +202,7 @@ class Calculator:
                 self._connection.send(Finished(order.number))
             order = self._wait(order, complete=complete)
 
-    def calculate(self, request: Request, quiet_s: float = QUIET_S) -> bool:
+    def calculate(self, request: SceneRequest, quiet_s: float = QUIET_S) -> bool:
         """Calculate a scene; returns False where it may succeed when the bank has changed.
 
         Raises SupersededError: A newer order has arrived.
@@ -221,9 +221,9 @@ class Calculator:
         self._send(Finished(request.number))
         return True
 
-    def _calculate(self, request: Request, quiet_s: float) -> None:
+    def _calculate(self, request: SceneRequest, quiet_s: float) -> None:
         number = request.number
-        self._send(Progress(number, "scene", 0.0))
+        self._send(CalculationProgress(number, "scene", 0.0))
         scene = build_draft(request.draft, request.place, allow_large=request.allow_large)
         bank = self.cache.open(request.bank)
         if not len(self.cache.rows):
@@ -242,7 +242,7 @@ class Calculator:
     def _drives(self, number: int, scene: Scene, bank: Bank, rig: RigLimits | None) -> Drive:
         def report(done: int, total: int) -> None:
             self._check()
-            self._send(Progress(number, "drives", done / total))
+            self._send(CalculationProgress(number, "drives", done / total))
 
         report(0, 1)
         limits = DriveLimits(scene.output.limit_v, scene.output.limit_rms_v)
@@ -270,7 +270,7 @@ class Calculator:
         field = np.empty((samples, len(rows)), np.float32)
         for first in range(0, len(rows), PART_POSITIONS):
             self._check()
-            self._send(Progress(number, "field", first / len(rows)))
+            self._send(CalculationProgress(number, "field", first / len(rows)))
             part = rows[first : first + PART_POSITIONS]
             predicted = Prediction(shown, cache.spectra(first), part).field().field[:, :samples]
             field[:, first : first + len(part)] = predicted.T
@@ -291,14 +291,14 @@ class Calculator:
                 lasts_s=whole / rate_hz,
             )
         )
-        self._send(Progress(number, "figures", 0.0))
+        self._send(CalculationProgress(number, "figures", 0.0))
         self._send(focus_figures(number, looked.instants, field, rate_hz, rows, bank, scene, drive, self._check))
 
     def _wait(self, order: Order, *, complete: bool) -> Order:
         """Wait for the next order; repeat the last one when the bank may have what was missing."""
         gone = False
         while not self._connection.poll(_BANK_LOOK_EVERY_S):
-            if not isinstance(order, Request):
+            if not isinstance(order, SceneRequest):
                 continue
             try:
                 changed = self.cache.changed(order.bank)
@@ -323,7 +323,7 @@ class Calculator:
             raise SupersededError
 
     def _send(self, answer: Answer) -> None:
-        if isinstance(answer, Progress):
+        if isinstance(answer, CalculationProgress):
             now_s = time.monotonic()
             if answer.share > 0.0 and now_s - self._reported_s < _PROGRESS_EVERY_S:
                 return

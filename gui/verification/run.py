@@ -20,7 +20,7 @@ from wavefocus.gui.campaign.follower import LogTail
 from wavefocus.gui.files import TomlKind, toml_kind
 from wavefocus.gui.messages import error_text
 from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess
-from wavefocus.gui.surface import Surface, raster_of
+from wavefocus.gui.surface import PlotSurface, raster_of
 from wavefocus.gui.tab import Question, TabContext
 from wavefocus.rendering.verify.record import (
     FIELD_NAMES,
@@ -45,7 +45,7 @@ _SILENT_AFTER_S = 300.0
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class VerificationRequest:
     """The command of a verification, and the folder that it writes."""
 
     arguments: tuple[str, ...]
@@ -54,7 +54,7 @@ class Request:
 
 
 @dataclass(slots=True)
-class Progress:
+class VerificationProgress:
     """Progress of a verification; `finish_s` is when the step will end, in seconds since 1970, None where unknown."""
 
     step: str = "starting"
@@ -75,7 +75,7 @@ class VerificationRun:
         self._context, self._done = context, done
         self.own: CommandProcess | None = None
         self.out: Path | None = None
-        self.progress: Progress | None = None
+        self.progress: VerificationProgress | None = None
         self.stopping = self.is_virtual = False
         self._close: Callable[[], object] | None = None
         self._log: LogTail | None = None
@@ -88,7 +88,7 @@ class VerificationRun:
         """Whether a verification runs, this window's or that of another process."""
         return self.progress is not None
 
-    def start(self, request: Request) -> None:
+    def start(self, request: VerificationRequest) -> None:
         """Start it, unless one is running."""
         if self.running:
             self._context.messages.warn("a verification is still running; cancel it first, or wait for its end")
@@ -109,7 +109,7 @@ class VerificationRun:
             name="the verification",
             advice="its outputs ended with it, but the mirror stands where it was: run the verification again",
         )
-        self.progress, self.is_virtual = Progress(), request.is_virtual
+        self.progress, self.is_virtual = VerificationProgress(), request.is_virtual
 
     def follow(self, out: Path) -> None:
         """Follow a verification of another process in a folder, where there is one."""
@@ -124,7 +124,7 @@ class VerificationRun:
                 if self._ended is not None or not self._started:
                     self._reset()
                 else:
-                    self.progress = self.progress or Progress()
+                    self.progress = self.progress or VerificationProgress()
 
     def cancel(self) -> None:
         """Stop it: outputs muted, mirror parked."""
@@ -195,7 +195,9 @@ class VerificationRun:
                     self._request_stop()
             case VerifyStep(step=step, done=done, total=total, left_s=left_s):
                 finish_s = None if left_s is None else time.time() + left_s
-                self.progress = Progress(step, done, total, finish_s, "" if progress is None else progress.message)
+                self.progress = VerificationProgress(
+                    step, done, total, finish_s, "" if progress is None else progress.message
+                )
             case StateChanged(state=state, reason=reason) if progress is not None:
                 progress.message = "" if state is State.RUNNING else reason
             case Fault(instrument=name, cause=what) | ReconnectTried(instrument=name, outcome=what) if (
@@ -266,7 +268,7 @@ class Results:
     folder: Path
     record: VerificationRecord
     pair: FieldPair
-    surface: Surface
+    surface: PlotSurface
     focus_sample: NDArray[np.int64]
     loudest: float
     loudest_difference: float
@@ -291,7 +293,7 @@ def read_results(record_file: Path, on_progress: Callable[[int, int], object], w
     focus = np.array([pair.sample_at(time_s) for time_s in record.focus_s], np.int64)
     looked_at = focus if len(focus) else np.linspace(0, pair.samples - 1, _INSTANTS).round().astype(np.int64)
     loudest, difference = pair.loudest(looked_at, record.compared)
-    surface = Surface(
+    surface = PlotSurface(
         record.position_mm, record.actuator_places_mm,
         None if record.outline_mm is None else np.array(record.outline_mm), raster_of(record.position_mm, gaps=False),
         [np.array(source.path_mm) for source in record.sources],

@@ -21,9 +21,9 @@ from wavefocus.gui.theme import Themed
 from wavefocus.gui.verification.panels import FiguresPanel, MapsPanel, WaveformPanel
 from wavefocus.gui.verification.run import (
     Dropped,
-    Progress,
-    Request,
     Results,
+    VerificationProgress,
+    VerificationRequest,
     VerificationRun,
     dropped_kind,
     read_results,
@@ -123,7 +123,7 @@ class RequestForm(QWidget):
         words = [word for field, word in fields if field.path is None]
         return "" if not words else f"choose {', and '.join(words)}"
 
-    def request(self) -> Request:
+    def request(self) -> VerificationRequest:
         """The command of the present choices; results in the folder are kept, and a numbered folder is used instead.
 
         Raises InputError: A choice is missing, or the positions are wrong.
@@ -146,7 +146,7 @@ class RequestForm(QWidget):
             arguments += ["--against", str(earlier)]
         if positions := self._positions(bank):
             arguments += ["--positions", positions]
-        return Request(tuple(arguments), out, names_virtual_rig(rig))
+        return VerificationRequest(tuple(arguments), out, names_virtual_rig(rig))
 
     def take_drawing(self) -> None:
         """Verify the scene that is drawn in the Scene tab, unless a file was chosen since it was changed."""
@@ -267,7 +267,9 @@ class RunRow(Themed, QWidget):
         ui.row(choice, 8, *buttons, 8, self.state, (self.bar, 2), (self.figures, 3), owner=self)
         self.show_progress(None, stopping=False, missing="")
 
-    def show_progress(self, progress: Progress | None, *, stopping: bool, missing: str, reading: str = "") -> None:
+    def show_progress(
+        self, progress: VerificationProgress | None, *, stopping: bool, missing: str, reading: str = ""
+    ) -> None:
         """Show the progress, or without one what is `missing` for a verification and what is being read."""
         running = progress is not None
         self.start.setEnabled(not running and not missing)

@@ -19,7 +19,7 @@ from wavefocus.gui.scene.calculation import (
     Finished,
     FocusFigures,
     PredictedField,
-    Request,
+    SceneRequest,
     interpolate_frame,
 )
 from wavefocus.gui.scene.draft import changed, scene_toml
@@ -59,7 +59,7 @@ class Listener:
 
     def calculate(self, draft: SceneConfig, bank: Path, rig: Path | None = None) -> bool:
         self.told.clear()
-        return self.calculator.calculate(Request(1, draft, bank.with_name("scene.toml"), bank, rig), 0.0)
+        return self.calculator.calculate(SceneRequest(1, draft, bank.with_name("scene.toml"), bank, rig), 0.0)
 
     def one(self, kind):
         (found,) = [told for told in self.told if isinstance(told, kind)]
