@@ -55,7 +55,7 @@ def test_given_every_action_of_every_menu_in_every_tab_then_no_error_is_raised(
     for name, menu in menus(window).items():
         menu.aboutToShow.emit()
         for action in actions(menu):
-            if action.text() == "&Quit" or (name == "View" and tab > 0):  # drawing all anew takes seconds
+            if action.text() == "&Quit" or (name == "View" and (tab > 0 or not with_files)):  # takes seconds
                 continue
             window._pages.setCurrentIndex(tab)
             window.refresh()
