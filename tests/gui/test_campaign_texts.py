@@ -8,7 +8,8 @@ from datetime import UTC, datetime
 
 import pytest
 
-from wavefocus.commands.status import _Pace, _print_pace
+from wavefocus.campaign.status import CampaignStatus
+from wavefocus.commands.status import _print_pace
 from wavefocus.config.messages.campaign import Logged, PositionCommitted, Progress, State
 from wavefocus.gui.campaign.model import Campaign, Extra, Pace, ShownState, line_of
 from wavefocus.gui.campaign.panels import pace_text
@@ -53,6 +54,6 @@ def test_given_the_last_position_then_the_rate_stands_without_an_empty_part(caps
     progress = Progress(
         time_s=1.0, done=9, total=9, elapsed_s=1.0, remaining_s=0.0, wall_remaining_s=0.0, positions_per_hour=57_400.0
     )
-    _print_pace(_Pace(progress, datetime.now(UTC), None, None), State.RUNNING, 0)
+    _print_pace(CampaignStatus(State.RUNNING, progress=progress, progress_at=datetime.now(UTC)), 0)
     (line,) = capsys.readouterr().out.splitlines()
     assert line.startswith("57400 positions an hour (last position ")

@@ -10,7 +10,6 @@ import secrets
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
@@ -21,20 +20,16 @@ from wavefocus.config.messages.campaign import (
     CrosstalkMeasured,
     Drift,
     Event,
-    Fault,
     Logged,
     PositionCommitted,
     PositionKept,
     PositionStarted,
-    ReconnectTried,
     SessionEnded,
     SessionStarted,
-    State,
-    StateChanged,
     event_line,
     read_event,
 )
-from wavefocus.config.messages.codec import Message, from_record
+from wavefocus.config.messages.codec import from_record
 from wavefocus.console import say
 from wavefocus.storage.sidecar_files import Log, create, is_replaceable
 from wavefocus.storage.text_file import open_regular, read_regular
@@ -233,55 +228,3 @@ def read_crosstalk(bank: Path) -> CrosstalkMeasured | None:
 def suspect_rows(points: list[DriftPoint]) -> str:
     """Positions that the latest measurement of the sentinel speaks against, as ``--positions`` takes them."""
     return row_ranges(points[-1].suspect) if points else ""
-
-
-GOING_ON = frozenset({State.RUNNING, State.PAUSING, State.PAUSED, State.SUSPENDED, State.STOPPING})
-
-
-@dataclass(frozen=True)
-class Recovering(Message):
-    """The instrument that a campaign waits for, and the tries to connect to it again."""
-
-    instrument: str | None = None
-    tries: int | None = None
-    outcome: str | None = None
-    next_try_s: float | None = None
-    gives_up_s: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class CampaignState:
-    """State of a session by its log, since when, why, and the instrument it waits for."""
-
-    state: State
-    since: str | None = None
-    reason: str | None = None
-    recovering: Recovering | None = None
-
-
-def campaign_state(events: Iterator[Logged]) -> CampaignState:
-    """The state that a running process logged last; idle while it has not begun its session."""
-    recovering: Recovering | None = None
-    for logged in events:
-        match logged.event:
-            case ReconnectTried() as tried if recovering is None:
-                recovering = Recovering(
-                    tried.instrument, tried.number, tried.outcome, tried.next_try_s, tried.gives_up_s
-                )
-            case StateChanged(state=State.RECOVERING, reason=reason):
-                if recovering is None:  # before the first try has ended, the fault before names the instrument
-                    fault = next((one.event for one in events if isinstance(one.event, Fault)), None)
-                    recovering = Recovering() if fault is None else Recovering(fault.instrument)
-                return CampaignState(State.RECOVERING, instant(logged.at), reason, recovering)
-            case StateChanged(state=state, reason=reason) if state in GOING_ON:
-                return CampaignState(state, instant(logged.at), reason)
-            case StateChanged() | SessionEnded():
-                break
-            case _:
-                pass
-    return CampaignState(State.IDLE)
-
-
-def instant(at: datetime) -> str:
-    """An instant as logs have it."""
-    return at.isoformat(timespec="milliseconds")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,15 +16,12 @@ from wavefocus.acquisition.wording import a_while, hours, row_ranges
 from wavefocus.calibration.estimator.noise_error import median_noise_error_db
 from wavefocus.campaign.campaign_view import remaining
 from wavefocus.campaign.sidecar_files import (
-    CampaignState,
-    campaign_state,
     drift_path,
-    instant,
-    last_events,
     read_crosstalk,
     read_drift,
     suspect_rows,
 )
+from wavefocus.campaign.status import CampaignStatus, campaign_status, instant
 from wavefocus.campaign.supervision import (
     Word,
     give_order,
@@ -33,12 +30,6 @@ from wavefocus.campaign.supervision import (
     withdraw,
 )
 from wavefocus.config.messages.campaign import (
-    PositionKept,
-    PositionStarted,
-    Progress,
-    RecordTaken,
-    SessionEnded,
-    SessionStarted,
     State,
 )
 from wavefocus.config.messages.codec import to_record
@@ -81,13 +72,8 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
         delay_s = view.inter_channel_delay_s
     moved = row_ranges(np.flatnonzero(moved_mm > 0).tolist())
     owner, beat, drift = bank_owner(bank), read_heartbeat(bank), read_drift(bank)
-    pace = _pace(bank) if owner else _Pace()
-    progress = pace.progress
-    kept, leak = _kept(bank), read_crosstalk(bank)
-    stands = campaign_state(last_events(bank)) if owner else CampaignState(State.IDLE)
-    if stands.state is State.IDLE and owner is not None and beat is not None and beat.pid == owner.pid:
-        # The log is the quicker of the two, but a full disk may have ended it.
-        stands = CampaignState(beat.state, beat.since.isoformat() if beat.since else None, beat.reason)
+    stands, leak = campaign_status(bank, owner, beat), read_crosstalk(bank)
+    progress, record, kept = stands.progress, stands.record, stands.kept
     if plot is not None:
         _draw(bank, drift, plot)
     facts: dict[str, object] = {
@@ -106,13 +92,11 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
         "last_sign_of_life": _life_facts(beat),
         "silent": owner is not None and _is_silent(beat),
         "positions_per_hour": progress and progress.positions_per_hour,
-        "remaining_s": progress.remaining_s if progress else pace.planned_s,
+        "remaining_s": progress.remaining_s if progress else stands.planned_s,
         "wall_positions_per_hour": progress and progress.wall_positions_per_hour,
         "wall_remaining_s": progress and progress.wall_remaining_s,
-        "record": None
-        if pace.record is None
-        else {"position": pace.record.position, "number": pace.record.record, "of": pace.record.records},
-        "last_event_at": next((instant(logged.at) for logged in last_events(bank)), None),
+        "record": record and {"position": record.position, "number": record.record, "of": record.records},
+        "last_event_at": stands.last_event_at and instant(stands.last_event_at),
         "suspect_positions": suspect_rows(drift),
         "moved_positions": moved,
         "crosstalk": None if leak is None else to_record(leak),
@@ -171,18 +155,7 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
             left += " (with --rig RIG.toml where the rig file was corrected)"
         answer(f"no process owns the bank: no process is measuring{left}")
         return
-    _print_running(owner, stands, beat, pace, total - done)
-
-
-def _kept(bank: Path) -> dict[int, str]:
-    """Positions that the latest session measured and left as they were, and why."""
-    kept: dict[int, str] = {}
-    for logged in last_events(bank):
-        if isinstance(logged.event, SessionStarted):
-            break
-        if isinstance(logged.event, PositionKept):
-            kept[logged.event.position] = logged.event.reason
-    return dict(sorted(kept.items()))
+    _print_running(owner, stands, beat, total - done)
 
 
 def _names_rig_file(run_json: str | None) -> bool:
@@ -194,45 +167,15 @@ def _names_rig_file(run_json: str | None) -> bool:
     return isinstance(run, dict) and run.get("rig", "virtual") != "virtual"
 
 
-@dataclass(frozen=True, slots=True)
-class _Pace:
-    progress: Progress | None = None
-    at: datetime | None = None
-    planned_s: float | None = None
-    record: RecordTaken | None = None
-
-
-def _pace(bank: Path) -> _Pace:
-    progress: Progress | None = None
-    at: datetime | None = None
-    record: RecordTaken | None = None
-    under_way = True
-    for logged in last_events(bank):
-        match logged.event:
-            case RecordTaken() as taken if under_way and record is None:
-                record = taken
-            case PositionStarted() | SessionEnded():
-                under_way = False
-            case Progress() as made if progress is None:
-                progress, at = made, logged.at
-            case SessionStarted() as session:  # what came before was another session's
-                return _Pace(progress, at, None if progress else session.planned_s, record)
-            case _:
-                pass
-        if progress and (record is not None or not under_way):
-            break
-    return _Pace(progress, at, None, record)
-
-
-def _print_pace(pace: _Pace, state: State, to_go: int) -> None:
+def _print_pace(stands: CampaignStatus, to_go: int) -> None:
     """Report the time left; a finish only where the session goes on."""
-    progress = pace.progress
-    if progress is None or pace.at is None:
-        if pace.planned_s is not None:
-            answer(f"{to_go} positions to go, {a_while(pace.planned_s)} as planned")
+    progress = stands.progress
+    if progress is None or stands.progress_at is None:
+        if stands.planned_s is not None:
+            answer(f"{to_go} positions to go, {a_while(stands.planned_s)} as planned")
         return
-    at = pace.at.astimezone()
-    if state in (State.RUNNING, State.STOPPING):
+    at = stands.progress_at.astimezone()
+    if stands.state in (State.RUNNING, State.STOPPING):
         per_hour = progress.wall_positions_per_hour or progress.positions_per_hour
         left = f", {time_left}" if (time_left := remaining(progress)) else ""
         answer(f"{per_hour:.0f} positions an hour{left} (last position {at:%H:%M:%S})")
@@ -241,7 +184,7 @@ def _print_pace(pace: _Pace, state: State, to_go: int) -> None:
         answer(f"{to_go} positions to go, about {wall} once it goes on (last position {at:%H:%M:%S})")
 
 
-def _print_running(owner: Owner, stands: CampaignState, beat: Heartbeat | None, pace: _Pace, to_go: int) -> None:
+def _print_running(owner: Owner, stands: CampaignStatus, beat: Heartbeat | None, to_go: int) -> None:
     who = f"process {owner.pid} on {owner.host}"
     if _is_silent(beat) and beat is not None:
         silence = hours(beat.age_s())
@@ -265,12 +208,12 @@ def _print_running(owner: Owner, stands: CampaignState, beat: Heartbeat | None, 
         answer(f"{who} is {stands.state}: {stands.reason}")
     if beat is not None:
         at = "" if beat.position is None else f", at position {beat.position}"
-        if pace.record is not None and beat.position == pace.record.position:
-            at += f", record {pace.record.record} of {pace.record.records}"
+        if stands.record is not None and beat.position == stands.record.position:
+            at += f", record {stands.record.record} of {stands.record.records}"
         answer(f"last sign of life {beat.age_words()}{at}")
         if beat.fault:
             answer(f"last fault: {beat.fault}")
-    _print_pace(pace, stands.state, to_go)
+    _print_pace(stands, to_go)
 
 
 def _is_silent(beat: Heartbeat | None) -> bool:
