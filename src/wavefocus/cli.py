@@ -686,11 +686,13 @@ def run_command(arguments: Sequence[str]) -> int:
         os.environ["WAVEFOCUS_MOST_GIB"] = str(most_gib)  # for the processes that it starts, too
     name = given.pop("command")
     command = next(one for one in COMMANDS if one.name == name)
-    from wavefocus.console import named_while_silent
+    from wavefocus.console import named_while_silent, working_on
 
     # What a command imports is part of its silence.
     with named_while_silent(f"{name}: {_first_sentence(command.help)}"):
+        working_on("loading its modules")
         run = _found(command.run) if isinstance(command.run, str) else command.run
+        working_on("")
         return int(run(**given) or 0)
 
 

@@ -69,11 +69,21 @@ def people() -> Console:
 
 
 _spoken = threading.Event()
+# Of the one command of this process: the watching thread reads it.
+_step = [""]
+
+
+def working_on(step: str) -> None:
+    """Note the step that begins, as ``"opening the instruments"``: `named_while_silent` names it if it takes long."""
+    _step[0] = step
 
 
 @contextmanager
 def named_while_silent(what: str) -> Iterator[None]:
-    """Name a command on a terminal that has said nothing for `SILENT_S`; a pipe or a log file gets no such line."""
+    """Name a command, and its step, on a terminal that has said nothing for `SILENT_S`.
+
+    A pipe or a log file gets no such line.
+    """
     _spoken.clear()
     if not _StandardError().isatty():
         yield
@@ -82,13 +92,14 @@ def named_while_silent(what: str) -> Iterator[None]:
 
     def name() -> None:
         if not over.wait(SILENT_S) and not _spoken.is_set():
-            say(f"{what} ...")
+            say(f"{what}: {_step[0]} ..." if _step[0] else f"{what} ...")
 
     watcher = threading.Thread(target=name, name="named while silent", daemon=True)
     watcher.start()
     try:
         yield
     finally:
+        working_on("")
         over.set()
         watcher.join()
 

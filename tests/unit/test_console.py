@@ -77,6 +77,13 @@ def test_given_a_command_that_says_nothing_then_it_is_named(first: str, named: b
     assert ("check: verify checksums ..." in on_a_terminal(SILENT.format(first=first))) is named
 
 
+@pytest.mark.may_skip("a pseudo-terminal is POSIX")
+@posix
+def test_given_a_step_that_says_nothing_then_it_is_named_with_its_command() -> None:
+    steps = "console.working_on('opening the bank'); console.working_on('opening the instruments')"
+    assert "check: verify checksums: opening the instruments ..." in on_a_terminal(SILENT.format(first=steps))
+
+
 def test_given_no_terminal_then_a_silent_command_stays_silent() -> None:
     code = SILENT.format(first="pass")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -42,7 +42,7 @@ from wavefocus.config.messages.campaign import (
     State,
     Subscriber,
 )
-from wavefocus.console import print_line, progress, say
+from wavefocus.console import print_line, progress, say, working_on
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.ending import stop_on_signals
 from wavefocus.exits import Exit
@@ -195,6 +195,7 @@ def _session(
     """Carry out one session with log, progress and signals around it; `earlier` happened before it."""
     stop, rig_file = StopRequest(), options.rig_file
     plan = blueprint.plan
+    working_on("opening the bank")
     note_delay_in_new_bank(bank, blueprint.configuration.rig)
     with (
         _naming_resume_command(bank, rig_file),

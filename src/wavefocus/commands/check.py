@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from wavefocus.calibration.check import check_file
-from wavefocus.console import answer, say
+from wavefocus.console import answer, say, working_on
 from wavefocus.exits import Exit
 
 # So many lines of a kind are read; the rest is for programs.
@@ -16,6 +16,7 @@ MOST_LINES = 10
 
 def check(file: Path, *, as_json: bool) -> Exit:
     """Report everything that is wrong with a file; errors make the exit code 1, warnings do not."""
+    working_on("verifying every row, and comparing it with its neighbours")
     findings = check_file(file)
     errors = sum(one.severity == "error" for one in findings)
     if as_json:

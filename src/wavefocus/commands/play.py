@@ -19,7 +19,7 @@ from wavefocus.config.messages.codec import to_line
 from wavefocus.config.messages.operate import Playing
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import named_rig
-from wavefocus.console import Report, print_line, progress, say
+from wavefocus.console import Report, print_line, progress, say, working_on
 from wavefocus.drivers.protocols import Clock
 from wavefocus.drivers.timeouts import BoundedPlayer
 from wavefocus.drives import RenderOptions, naming
@@ -205,7 +205,9 @@ def play_scene(
     """
     scene = load_scene(scene_file, allow_large=allow_large)
     with open_bank(bank) as view:
+        working_on("verifying the rows of the bank")
         view.require_sound()
+        working_on("")
         if view.drive_unit not in PLAYED_UNITS:
             raise InputError(f"{bank} takes drives in {view.drive_unit}, and the player plays volts")
         rig = rig_of(rig_file, view)

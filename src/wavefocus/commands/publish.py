@@ -14,7 +14,7 @@ from wavefocus.campaign.blueprint import bank_configuration
 from wavefocus.campaign.provenance import SessionRecord, devices_of, sessions_of
 from wavefocus.config.run import Publication
 from wavefocus.configuration import Configuration, publication_of
-from wavefocus.console import progress, say
+from wavefocus.console import progress, say, working_on
 from wavefocus.crate import Crate, Part, published_files
 from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.rendering.report.bank_pictures import green_over_time, quality_map, spectrum
@@ -47,7 +47,9 @@ def publish(
     formats = _formats(to)
     require_replaceable_folder(out, published_files(out), (bank, publication), by="publish", force=force)
     with open_bank(bank) as view:
+        working_on("verifying the rows of the bank")
         view.require_sound()
+        working_on("")
         about = publication_of(view, publication)
         measured_here = view.rig_json and view.run_json and view.plan_sha256
         configuration = bank_configuration(view) if measured_here else None

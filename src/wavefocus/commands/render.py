@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.config.scene import Output, Regularisation
-from wavefocus.console import Report, progress, say
+from wavefocus.console import Report, progress, say, working_on
 from wavefocus.drives import RenderOptions, naming, render_by_options
 from wavefocus.input_files import input_files
 from wavefocus.rendering.drive.coil_limits import dynamic_range_db, relative_rms, strictest
@@ -107,7 +107,9 @@ def render(
     require_outputs((out, wav, picture), input_files(scene_file, bank, rig_file), force=force)
     scene = load_scene(scene_file, allow_large=allow_large)
     with open_bank(bank) as view:
+        working_on("verifying the rows of the bank")
         view.require_sound()
+        working_on("")
         if wav is not None and view.drive_unit not in PLAYED_UNITS:
             raise InputError(
                 f"--wav {wav}: {bank} takes drives in {view.drive_unit}, and a WAV file's full scale is in volts"

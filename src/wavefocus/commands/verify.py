@@ -30,7 +30,7 @@ from wavefocus.config.messages.codec import Message, to_line
 from wavefocus.config.messages.rig_checks import VerifyEnded, VerifyStarted, VerifyStep
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import Configuration, named_rig, plan_sha256, with_rig
-from wavefocus.console import Report, progress, say
+from wavefocus.console import Report, progress, say, working_on
 from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.ending import ended_by_file, ending_at_once
 from wavefocus.exits import Exit, exit_code, sentence
@@ -113,7 +113,9 @@ def verify(
     require_output_folder(out, results, inputs, force=force, may_exist=(LOG_NAME, STOP_NAME, *journals))
     scene = load_scene(scene_file, allow_large=allow_large)
     with open_bank(bank) as view:
+        working_on("verifying the rows of the bank")
         view.require_sound()
+        working_on("")
         configuration = bank_configuration(view)
         rig = _checked_rig(rig_file, configuration, view)
         rows = _rows(positions, scene, view, scene_file)
