@@ -319,6 +319,6 @@ class _UnfinishedError(TransientInstrumentError):
 
 def _recording(volts: NDArray[np.float64], task: RecordTask) -> Recording:
     rounded = np.empty(volts.shape, dtype=np.float32)
-    reference, response = task.scales
+    reference, response = task.converters
     over_range = (reference.quantise(volts[0], rounded[0]), response.quantise(volts[1], rounded[1]))
     return Recording(rounded, (reference.step_v, response.step_v), over_range)

@@ -122,7 +122,7 @@ class RecordTask:
             channels = _configure(self._task, session, wiring, timing, self._acquired)
             self._check(channels, operation)
             self._commit()
-            self.scales = (self._scale(channels[0], timing.range_v[0]), self._scale(channels[1], timing.range_v[1]))
+            self.converters = (self._scale(channels[0], timing.range_v[0]), self._scale(channels[1], timing.range_v[1]))
         except BaseException as failure:
             self._close_after(failure)
             raise
