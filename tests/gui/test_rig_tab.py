@@ -233,7 +233,7 @@ def test_given_deeds_of_the_doctor_then_each_is_done_or_asked_first(
     assert not tab.examination.running
     (reset, _) = window.messages.buttons()
     press(qtbot, reset)
-    wait(qtbot, lambda: "expects no USB device of that role" in window.messages.sentence)
+    wait(qtbot, lambda: "reset-usb mirror" in window.messages.sentence)
 
 
 def test_given_a_key_then_its_line_in_the_rig_file_is_found(rig: Path) -> None:
