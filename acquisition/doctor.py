@@ -292,11 +292,11 @@ class _Examination:
             self._tell("vibrometer", "response", partial(check_response, setup, rig.amplitude_v, rig.sample_rate_hz))
 
     def _tell(self, instrument: str, check: str, listen: Callable[[], list[Finding]]) -> bool:
-        """Publish the findings of a record; True where nothing failed."""
+        """Publish the findings of a record; True where nothing of that instrument failed."""
         found = self._findings.ask(instrument, check, listen, OPEN_S)
         for finding in found or ():
             self._findings.publish(finding)
-        return found is not None and all(one.verdict != "fail" for one in found)
+        return found is not None and all(one.verdict != "fail" for one in found if one.instrument == instrument)
 
     def _put_to_rest(self) -> None:
         """Mute, park and release whatever is open; only failures are reported."""

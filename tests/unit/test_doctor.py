@@ -202,6 +202,12 @@ def test_given_something_not_good_enough_then_it_is_told_with_what_to_do(
     assert all(one.remedy for one in findings if one.verdict in ("warn", "fail"))
 
 
+def test_given_a_leak_of_the_loopback_then_the_response_is_measured_all_the_same() -> None:
+    found = verdicts(examined(patient(VirtualRig(replace(SOUND, crosstalk=1e-3)))))
+    assert (found["recorder", "crosstalk"], found["player", "loopback level"]) == ("fail", "ok")
+    assert found["vibrometer", "response"] == "ok"
+
+
 class ReadingMirror:
     """A mirror that stands a little off where it is sent, and says so."""
 
