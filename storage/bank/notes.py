@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import unicodedata
 from collections.abc import Sequence
@@ -33,6 +34,15 @@ class Note:
 
     def __str__(self) -> str:
         return f"{self.at}: {self.text}"
+
+
+_BEGIN = re.compile(r"^(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:Z|[+-]\d\d:\d\d)): ", re.MULTILINE)
+
+
+def notes_of(text: str) -> tuple[Note, ...]:
+    """The notes of a text that exports carry, each begun by its time; what comes before the first is passed over."""
+    _, *parts = _BEGIN.split(text)
+    return tuple(Note(at, said.removesuffix("\n")) for at, said in zip(parts[::2], parts[1::2], strict=True))
 
 
 def read_notes(file: h5py.File) -> tuple[Note, ...]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
+from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -13,6 +14,7 @@ import numpy as np
 
 from wavefocus.storage import hdf5_reading
 from wavefocus.storage.bank.layout import QUALITY_UNITS, describe_status
+from wavefocus.storage.bank.notes import Note, notes_of
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress
 from wavefocus.storage.exchange.hdf5_arrays import compound_complex, read_arrays
@@ -120,7 +122,10 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
         how = hdf5_reading.packing_of(dataset)
         return dataset if how.is_plain else UnpackedArray(dataset, how)
 
-    return read_arrays(path, options, stack, understand)
+    notes: tuple[Note, ...] = ()
+    with hdf5_reading.opened(path) as content, suppress(InputError):  # another program may mean no text by it
+        notes = notes_of(hdf5_reading.text(content, "notes") or "")
+    return replace(read_arrays(path, options, stack, understand), notes=notes)
 
 
 def _read_classic(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:

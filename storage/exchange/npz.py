@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import zipfile
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from wavefocus.storage.bank.notes import notes_of
 from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress
 from wavefocus.storage.exchange.measured import ImportOptions, Measured, require_honest
 from wavefocus.storage.exchange.named_arrays import NamedArrays, bank_arrays, measured_arrays
@@ -44,4 +46,5 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
             array = np.lib.format.read_array(member, allow_pickle=False)
         return str(array) if dtype.kind == "U" and array.size == 1 else array
 
-    return measured_arrays(NamedArrays(path, get, members), options)
+    notes = notes_of(str(get("publication_notes") or ""))
+    return replace(measured_arrays(NamedArrays(path, get, members), options), notes=notes)

@@ -16,6 +16,7 @@ import numpy as np
 import soundfile
 from numpy.typing import NDArray
 
+from wavefocus.storage.bank.notes import Note, notes_of
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress
 from wavefocus.storage.exchange.measured import (
@@ -153,6 +154,7 @@ class _Sounds:
 
     channels: (file, channel from 0, or None of a file with one, position, actuator).
     checksums: SHA-256 of files by name, where the folder states them.
+    notes: Those of the bank that was exported.
     """
 
     channels: list[tuple[str, int | None, int, int]]
@@ -163,6 +165,7 @@ class _Sounds:
     band_hz: tuple[float, float] | None = None
     status: NDArray[np.uint8] | None = None
     checksums: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[Note, ...] = ()
 
 
 def read(folder: Path, options: ImportOptions, stack: ExitStack) -> Measured:
@@ -228,6 +231,7 @@ def read(folder: Path, options: ImportOptions, stack: ExitStack) -> Measured:
         sample_rate_hz=float(rates[0]),
         band_hz=sounds.band_hz,
         status=sounds.status,
+        notes=exported.notes if exported else (),
         read=(f"{len(files)} sound files of up to {samples} samples ({', '.join(kinds)})",),
         assumed=unverified,
         left_out=(f"{int(partly.sum())} positions without a response to every actuator",) if partly.any() else (),
@@ -307,6 +311,7 @@ def _exported(folder: Path) -> _Sounds:
         None if band is None else (float(band[0]), float(band[1])),
         status.astype(np.uint8),
         {str(entry["file"]): str(entry["sha256"]) for entry in facts["files"] if "sha256" in entry},
+        notes_of(str((facts.get("publication") or {}).get("notes", ""))),
     )
 
 

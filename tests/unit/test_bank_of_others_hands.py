@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 import h5py
 import numpy as np
@@ -157,8 +158,12 @@ def test_given_a_note_then_exports_carry_it(bank: Path, to: str, read: Callable[
     assert "bolt 3 was loose" in read(out)
 
 
-@pytest.mark.parametrize("binary", [False, True])
-def test_given_notes_then_they_come_back_from_universal_files(bank: Path, binary: bool) -> None:
+@pytest.mark.parametrize(
+    ("to", "binary"), [("uff", False), ("uff", True), ("wav", False), ("npz", False), ("netcdf", False)]
+)
+def test_given_notes_then_they_come_back_from_exports(
+    bank: Path, to: Literal["uff", "wav", "npz", "netcdf"], binary: bool
+) -> None:
     texts = [
         "bolt 3 was loose",
         "Schraube l\u00f6ste sich,\nline 2 \\ -1" + 9 * " a very long story of what happened",
@@ -166,10 +171,10 @@ def test_given_notes_then_they_come_back_from_universal_files(bank: Path, binary
     ]
     for text in texts:
         add_note(bank, text)
-    out, back = bank.with_name("out.uff"), bank.with_name("back.h5")
-    wf.export_bank(bank, out, "uff", binary=binary)
-    assert all(len(line) <= 80 for line in out.read_bytes().split(b"\n")[:30])
-    with wf.import_bank(out, back) as view, open_bank(bank, contents=True) as origin:
+    out, back = bank.with_name("out"), bank.with_name("back.h5")
+    wf.export_bank(bank, out, to, binary=binary)
+    assert to != "uff" or all(len(line) <= 80 for line in out.read_bytes().split(b"\n")[:30])
+    with wf.import_bank(out, back, to) as view, open_bank(bank, contents=True) as origin:
         assert [note.text for note in view.notes] == texts
         assert view.notes == origin.notes
     with open_bank(back, contents=True):
