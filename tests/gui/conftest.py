@@ -6,6 +6,7 @@ import itertools
 import os
 import shutil
 from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -134,8 +135,14 @@ def open_window(qtbot: QtBot, memory: Settings) -> Generator[Callable[..., Windo
 @pytest.fixture(scope="module")
 def shared_window(qapp: QApplication, tmp_path_factory: pytest.TempPathFactory) -> Generator[Window]:
     """One window for the tests of a module that neither close nor crash it."""
+    with kept_window(tmp_path_factory.mktemp("window")) as window:
+        yield window
+
+
+@contextmanager
+def kept_window(folder: Path) -> Generator[Window]:
+    """A window for several tests; `folder` has what it remembers."""
     require_fonts()
-    folder = tmp_path_factory.mktemp("window")
     memory = Settings(QSettings(str(folder / "memory.ini"), QSettings.Format.IniFormat))
     memory.keep("folder/.toml", str(folder))
     window = Window(front_door(), memory)

@@ -11,12 +11,13 @@ from PyQt5.QtTest import QTest
 from PyQt5.QtWidgets import QAbstractSpinBox, QApplication, QDoubleSpinBox, QWidget
 from pytestqt.qtbot import QtBot
 
-from tests.gui.conftest import Opens, shown_tab, tab_of
+from tests.gui.conftest import Opens, kept_window, shown_tab, tab_of
 from wavefocus.config.scene import PolylineTable
 from wavefocus.gui.number_box import NumberBox, typed_number
 from wavefocus.gui.rig.tab import RigTab
 from wavefocus.gui.scene.draft import NEW_PATHS, new_source
 from wavefocus.gui.scene.tab import SceneTab
+from wavefocus.gui.window import Window
 
 LOCALES = ("C", "en_US", "de_DE")
 # Texts, and the number that each is; None for those that are refused.
@@ -30,12 +31,15 @@ TYPED = {
 ONCE_MORE = ("0,2", "3", "1.234,5", "nan")
 
 
-@pytest.fixture(params=LOCALES)
-def locale(request: pytest.FixtureRequest) -> Generator[str]:
-    """A locale that all widgets made from now on have."""
+@pytest.fixture(scope="module", params=LOCALES)
+def window(
+    qapp: QApplication, request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Generator[Window]:
+    """A window whose widgets have a locale."""
     former = QLocale()
     QLocale.setDefault(QLocale(request.param))
-    yield request.param
+    with kept_window(tmp_path_factory.mktemp("window")) as window:
+        yield window
     QLocale.setDefault(former)
 
 
@@ -51,10 +55,7 @@ def test_given_texts_then_point_and_comma_separate_decimals_and_all_else_is_refu
     assert {text: typed_number(text) for text in TYPED} == TYPED
 
 
-def test_given_texts_typed_into_every_box_then_the_value_is_theirs_or_stays(
-    qtbot: QtBot, open_window: Opens, locale: str
-) -> None:
-    window = open_window()
+def test_given_texts_typed_into_every_box_then_the_value_is_theirs_or_stays(qtbot: QtBot, window: Window) -> None:
     boxes = window.findChildren(QAbstractSpinBox)
     assert len(boxes) > 30  # of all tabs and forms
     assert {type(box) for box in boxes if not isinstance(box, NumberBox)} == set()
@@ -102,9 +103,9 @@ def test_given_a_refused_text_then_it_stays_until_the_end_and_nothing_is_reporte
 
 
 def test_given_typed_numbers_when_a_sweep_and_a_jog_are_asked_for_then_those_are_sent(
-    qtbot: QtBot, open_window: Opens, locale: str
+    qtbot: QtBot, window: Window
 ) -> None:
-    page = shown_tab(open_window(), RigTab).manual_page
+    page = shown_tab(window, RigTab).manual_page
     sound, jog = page.sound, page.jog
     for box in (sound.level_v, jog.x_mm):
         box.setEnabled(True)
@@ -113,10 +114,8 @@ def test_given_typed_numbers_when_a_sweep_and_a_jog_are_asked_for_then_those_are
     assert (sound.level_v.value(), jog.x_mm.value()) == (0.2, 1.5)
 
 
-def test_given_vertices_then_the_table_reads_numbers_as_the_boxes_do(
-    qtbot: QtBot, open_window: Opens, locale: str
-) -> None:
-    tab = tab_of(open_window(), SceneTab)
+def test_given_vertices_then_the_table_reads_numbers_as_the_boxes_do(qtbot: QtBot, window: Window) -> None:
+    tab = tab_of(window, SceneTab)
     path = NEW_PATHS["polyline"]
     assert isinstance(path, PolylineTable)
     tab.document.edit("draw", tab.document.draft.model_copy(update={"source": (new_source(path),)}), chosen=0)
