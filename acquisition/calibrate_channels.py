@@ -37,7 +37,7 @@ SILENCE_S = 0.05
 RECORDS = 3
 TRIES = 3
 # A cable brings at least this much of the reference's level, through a summing box too; crosstalk is far below.
-LEAST_OF_REFERENCE = 0.02
+MIN_OF_REFERENCE = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +105,7 @@ class Probe:
             return False
         except ReferenceMissingError as missing:
             raise check_loopback(missing) from None
-        return abs(found.response.gain) >= LEAST_OF_REFERENCE * abs(found.reference.gain)
+        return abs(found.response.gain) >= MIN_OF_REFERENCE * abs(found.reference.gain)
 
     def _once(self, output: int | None, record: int) -> Comparison:
         recording = self._played(output, record)
@@ -133,8 +133,8 @@ def check_loopback(missing: ReferenceMissingError) -> NotMeasuredError:
 
 
 # One cable into two inputs: what differs by more is another signal, or a broken input.
-MOST_GAIN_ERROR = 0.05
-MOST_DELAY_S = 1e-3
+MAX_GAIN_ERROR = 0.05
+MAX_DELAY_S = 1e-3
 
 
 def measure_inputs(probe: Probe, operator: Operator) -> Figures:
@@ -158,13 +158,13 @@ def measure_inputs(probe: Probe, operator: Operator) -> Figures:
             raise check_loopback(missing) from None
         break
     apart = found.response_gain / found.reference_gain - 1
-    if abs(apart) > MOST_GAIN_ERROR:
+    if abs(apart) > MAX_GAIN_ERROR:
         raise NotMeasuredError(
             f"the two inputs measure the same cable {100 * apart:+.1f} % apart: check cables and terminal configuration"
         )
     # The same wave appears earlier in a channel that is sampled later.
     delay_s = -found.late_s
-    if abs(delay_s) > MOST_DELAY_S:
+    if abs(delay_s) > MAX_DELAY_S:
         raise NotMeasuredError(
             f"the inputs are sampled {1e3 * delay_s:.3f} ms apart, more than a multiplexer needs: is the signal on the "
             "response input the loopback itself?"

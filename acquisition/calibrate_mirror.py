@@ -12,7 +12,7 @@ import numpy as np
 from wavefocus.acquisition.grid import read_rows
 from wavefocus.acquisition.setup import Setup, asking
 from wavefocus.calibration import Float64Array
-from wavefocus.calibration.mirror_map import LEAST_MARKS, MirrorFit, MirrorMap, fit_mirror_map
+from wavefocus.calibration.mirror_map import MIN_MARKS, MirrorFit, MirrorMap, fit_mirror_map
 from wavefocus.config.messages.rig_checks import By, Drop, Here, Keep, MapView, Redo, To
 from wavefocus.storage.errors import InputError, WavefocusError
 
@@ -83,7 +83,7 @@ class Operator(Protocol):
 Place = tuple[float, float]
 PLACES = ["x_mm", "y_mm"]
 PLACES_AND_ANGLES = [*PLACES, "x_mrad", "y_mrad"]
-MOST_MARKS = 1000
+MAX_MARKS = 1000
 
 
 def read_fiducials(path: Path) -> tuple[tuple[Place, ...], tuple[Place, ...] | None]:
@@ -93,8 +93,8 @@ def read_fiducials(path: Path) -> tuple[tuple[Place, ...], tuple[Place, ...] | N
     Raises InputError: too few marks or too many, and as `wavefocus.acquisition.grid.read_rows`.
     """
     names, rows = read_rows(path, PLACES, PLACES_AND_ANGLES)
-    if not LEAST_MARKS <= len(rows) <= MOST_MARKS:
-        raise InputError(f"{path}: has {len(rows)} marks; a mirror map needs at least 4, and at most {MOST_MARKS}")
+    if not MIN_MARKS <= len(rows) <= MAX_MARKS:
+        raise InputError(f"{path}: has {len(rows)} marks; a mirror map needs at least 4, and at most {MAX_MARKS}")
     places = tuple((mark[0], mark[1]) for _, mark in rows)
     return places, tuple((mark[2], mark[3]) for _, mark in rows) if names == PLACES_AND_ANGLES else None
 
@@ -123,7 +123,7 @@ class MirrorFigures:
         One mark that is off bends the map towards itself, and others then seem further off. With five marks or
         fewer the others always agree, so there the mark that is missed most is suspected.
         """
-        if len(self.place_mm) <= LEAST_MARKS + 1:
+        if len(self.place_mm) <= MIN_MARKS + 1:
             return int(np.argmax(self.fit.residual_mm))
         without = [_rms_without(self.place_mm, self.angles_mrad, mark) for mark in range(len(self.place_mm))]
         return int(np.argmin(without))
@@ -171,11 +171,11 @@ def measure_mirror(
             figures = fitted_marks(marks_mm, found)
         except InputError as wrong:
             refusal = wrong
-        if len(moved) < LEAST_MARKS:  # the present map put the beam at the others, and would only be found again
+        if len(moved) < MIN_MARKS:  # the present map put the beam at the others, and would only be found again
             figures = None
             refusal = NotMeasuredError(
                 f"the beam was moved at {len(moved)} of {len(marks_mm)} marks, which decides no map; at least "
-                f"{LEAST_MARKS} must be met by moving the beam. If the spot was on every mark, the present map is right"
+                f"{MIN_MARKS} must be met by moving the beam. If the spot was on every mark, the present map is right"
             )
         match operator.judge(_view(marks_mm, figures, refusal, limit_mm)):
             case Redo(number) if 1 <= number <= len(found):
@@ -239,7 +239,7 @@ def fitted_marks(marks_mm: Sequence[Place], angles_mrad: Sequence[Place]) -> Mir
 
 def _approach(first_guess: MirrorMap, done_mm: Sequence[Place], done_mrad: Sequence[Place], place_mm: Place) -> Place:
     """Where the beam is likely to meet a mark, from the marks done so far."""
-    if len(done_mm) >= LEAST_MARKS:
+    if len(done_mm) >= MIN_MARKS:
         try:
             return _angles(fitted_marks(done_mm, done_mrad).fit.mirror_map, place_mm)
         except InputError:  # marks on a line so far: the guess will do

@@ -92,7 +92,7 @@ class Findings:
 OPEN_S, ANSWER_S = 60.0, 30.0
 SETTLE_S = 5.0
 # A mirror that reads back and stands further off than this does not meet its positions: half a millimetre at 1 m.
-MOST_ASTRAY_MRAD = 0.5
+MAX_ASTRAY_MRAD = 0.5
 WEAK_LIGHT = 0.2
 
 
@@ -229,7 +229,7 @@ class _Examination:
             astray += found
         what = f"{len(angles) - 1} corners and the middle reached, "
         what += f"read back within {max(astray):.3f} mrad" if astray else "not read back: this mirror cannot say"
-        if astray and max(astray) > MOST_ASTRAY_MRAD:
+        if astray and max(astray) > MAX_ASTRAY_MRAD:
             remedy = "see that nothing holds the mirror, and that its units are those of the rig file"
             findings.add("mirror", "corners", "fail", what, remedy)
             return False
@@ -323,9 +323,9 @@ SILENCE_S = 0.5
 SWEEP_S, DECAY_S = 0.5, 0.2
 BAND_HZ = (40.0, 400.0)
 # Quiet enough: a campaign's records want 40 dB and more between signal and silence.
-GOOD_SNR_DB, LEAST_SNR_DB = 40.0, 20.0
+GOOD_SNR_DB, MIN_SNR_DB = 40.0, 20.0
 # The level of the loopback: calibrated outputs are within 1 %, those of one model within some.
-GOOD_LEVEL, LEAST_LEVEL = 0.05, 0.5
+GOOD_LEVEL, MIN_LEVEL = 0.05, 0.5
 # Converters of one decade are within 100 ppm of each other; the estimator looks for 500.
 GOOD_PPM = 100.0
 GOOD_RESIDUAL_DB = -40.0
@@ -490,21 +490,21 @@ def _level(gain: float, amplitude_v: float, channel: int) -> Finding:
     if off <= GOOD_LEVEL:
         return Finding("player", "loopback level", "ok", what)
     remedy = "run wavefocus calibrate --only outputs, or correct player.full_scale_v and recorder.reference_gain"
-    verdict: Verdict = "warn" if off <= LEAST_LEVEL else "fail"
+    verdict: Verdict = "warn" if off <= MIN_LEVEL else "fail"
     return Finding("player", "loopback level", verdict, what, remedy, Act("calibrate", "outputs"))
 
 
 def _heard(snr_db: dict[int, float], amplitude_v: float) -> list[Finding]:
     best = max(snr_db, key=lambda actuator: snr_db[actuator])
     what = f"signal {snr_db[best]:.0f} dB above noise at the middle, actuator {best} at {amplitude_v:.3g} V"
-    if not math.isfinite(snr_db[best]) or snr_db[best] < LEAST_SNR_DB:
+    if not math.isfinite(snr_db[best]) or snr_db[best] < MIN_SNR_DB:
         remedy = "check that the beam is on the surface and in focus, the vibrometer's cable, and the amplifiers"
         return [Finding("vibrometer", "response", "fail", what, remedy)]
     verdict: Verdict = "ok" if snr_db[best] >= GOOD_SNR_DB else "warn"
     remedy = "" if verdict == "ok" else "focus the laser, put reflective film on the surface, or drive louder"
     findings: list[Finding] = [Finding("vibrometer", "response", verdict, what, remedy)]
     for actuator, ratio_db in snr_db.items():
-        if ratio_db < LEAST_SNR_DB:
+        if ratio_db < MIN_SNR_DB:
             what = f"actuator {actuator} is hardly above the noise ({ratio_db:z.0f} dB)"
             remedy = "run wavefocus calibrate --only actuators; check its cable, amplifier and coil"
             findings.append(Finding("vibrometer", "actuator", "fail", what, remedy, Act("calibrate", "actuators")))

@@ -13,7 +13,7 @@ from wavefocus.config.outline import EDGE_TOLERANCE_MM, Outline
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.text_file import read_text
 
-MOST_POSITIONS = 1_000_000
+MAX_POSITIONS = 1_000_000
 """A bound against slips of the decimal point: a million positions take years to measure."""
 
 
@@ -34,7 +34,7 @@ def surface_grid(outline: Outline, margin_mm: float, spacing_mm: float, lattice:
     lattice, {"square", "hexagonal"}: Kind of grid.
 
     Returns float64 (positions, 2): x and y in millimetres.
-    Raises InputError: no position is left inside the margin, or there would be more than `MOST_POSITIONS`.
+    Raises InputError: no position is left inside the margin, or there would be more than `MAX_POSITIONS`.
     """
     left, bottom, right, top = outline.box_mm
     length_mm, width_mm = right - left, top - bottom
@@ -43,10 +43,10 @@ def surface_grid(outline: Outline, margin_mm: float, spacing_mm: float, lattice:
             f"margin_mm = {margin_mm:g}: leaves no position on a surface of {length_mm:g} x {width_mm:g} mm; "
             f"must be below {min(length_mm, width_mm) / 2:g}"
         )
-    if outline.area_mm2 / spacing_mm > MOST_POSITIONS * spacing_mm:
+    if outline.area_mm2 / spacing_mm > MAX_POSITIONS * spacing_mm:
         raise InputError(
-            f"spacing_mm = {spacing_mm:g}: gives more than {MOST_POSITIONS:,} positions; "
-            f"must be at least {math.sqrt(outline.area_mm2 / MOST_POSITIONS):.2g} on this surface"
+            f"spacing_mm = {spacing_mm:g}: gives more than {MAX_POSITIONS:,} positions; "
+            f"must be at least {math.sqrt(outline.area_mm2 / MAX_POSITIONS):.2g} on this surface"
         )
     row_spacing_mm = spacing_mm * (1.0 if lattice == "square" else math.sqrt(0.75))
     column_mm = (np.arange(math.floor(left / spacing_mm), math.ceil(right / spacing_mm)) + 0.5) * spacing_mm
@@ -78,8 +78,8 @@ def read_positions_file(path: Path, outline: Outline) -> Float64Array:
     _, rows = read_rows(path, ["x_mm", "y_mm"])
     if not rows:
         raise InputError(f"{path}: holds no position; must have at least one line after the header")
-    if len(rows) > MOST_POSITIONS:
-        raise InputError(f"{path}: has {len(rows):,} positions; at most {MOST_POSITIONS:,} are allowed")
+    if len(rows) > MAX_POSITIONS:
+        raise InputError(f"{path}: has {len(rows):,} positions; at most {MAX_POSITIONS:,} are allowed")
     line_of: dict[tuple[float, ...], int] = {}
     for number, point in rows:
         if point in line_of:

@@ -26,7 +26,7 @@ _BAND_HZ = (40.0, 400.0)
 DECAY_S, TAPS_S = 0.2, 0.1
 # Beyond the sweep's band the harmonics are shown, up to so many times its end.
 SHOWN = 3.5
-_MOST_BINS = 500
+_MAX_BINS = 500
 _FLOOR_V = 1e-12
 
 
@@ -150,7 +150,7 @@ def _density_db(volts: Float32Array, sample_rate_hz: float, highest_hz: float) -
     power = np.square(np.abs(np.fft.rfft(volts.astype(np.float64) - float(volts.mean()))))
     power *= 2 / (len(volts) * sample_rate_hz)
     bins = max(1, math.floor(highest_hz * len(volts) / sample_rate_hz))
-    step = max(1, -(-bins // _MOST_BINS))
+    step = max(1, -(-bins // _MAX_BINS))
     used = bins // step * step
     mean = power[1 : used + 1].reshape(-1, step).mean(axis=1)
     frequency_hz = (1 + np.arange(len(mean)) * step + (step - 1) / 2) * sample_rate_hz / len(volts)

@@ -9,7 +9,7 @@ from wavefocus.storage.point_status import row_ranges
 
 __all__ = ["a_while", "finish_time", "hours", "row_ranges"]
 
-_LONGEST_S = 100 * 365.25 * 86400
+_MAX_S = 100 * 365.25 * 86400
 # Further than any campaign goes, and well within the range of dates.
 MAX_AHEAD_S = 1000 * 365.25 * 86_400
 
@@ -23,7 +23,7 @@ def hours(seconds: float) -> str:
     """A duration for people: ``2 h 05 min``, ``4 min 10 s``, ``12 s``."""
     if not math.isfinite(seconds):
         return "unknown"
-    if seconds > _LONGEST_S:
+    if seconds > _MAX_S:
         return "over 100 years"
     whole = max(0, round(seconds))
     if whole >= 3600:

@@ -23,7 +23,7 @@ WEAK_DB = -6.0
 # Responses at one distance are alike, but for the shape of the plate around them.
 UNLIKE = 0.5
 # A magnet glued a few millimetres off is this much earlier or later, at some metres a second.
-MOST_LAG_S = 1e-3
+MAX_LAG_S = 1e-3
 # Floor of a level, for a response of nothing at all.
 FLOOR_DB = -200.0
 
@@ -70,7 +70,7 @@ def compare_actuators(
     if alive.any():
         shapes = responses[alive] / np.sqrt(energy[alive])[:, np.newaxis]
         common = np.linalg.svd(shapes, full_matrices=False)[2][0]
-        found = _correlations(shapes, common, round(MOST_LAG_S * sample_rate_hz))
+        found = _correlations(shapes, common, round(MAX_LAG_S * sample_rate_hz))
         likeness[alive] = found if np.count_nonzero(found < 0) <= len(found) / 2 else -found
     verdicts = tuple(_verdict(*one) for one in zip(alive, level_db, likeness, strict=True))
     return ActuatorComparison(level_db, likeness, verdicts)

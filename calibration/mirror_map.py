@@ -89,7 +89,7 @@ def _project(homography: Float64Array, x: ArrayLike, y: ArrayLike, what: str) ->
     return np.asarray(u / scale), np.asarray(v / scale)
 
 
-LEAST_MARKS = 4
+MIN_MARKS = 4
 # Seventh over first singular value of the normalised equations: 0.1 and more where marks are spread out; with three
 # of four on a line it is 0 but for the marks' own errors, which reach 0.003 at 1 % of the spread.
 DEGENERATE = 0.01
@@ -128,8 +128,8 @@ def fit_mirror_map(place_mm: ArrayLike, angles_mrad: ArrayLike) -> MirrorFit:
     place, angles = np.asarray(place_mm, dtype=np.float64), np.asarray(angles_mrad, dtype=np.float64)
     if place.ndim != 2 or place.shape[1:] != (2,) or place.shape != angles.shape:
         raise InputError(f"marks have the shapes {place.shape} and {angles.shape}; allowed is (marks, 2) for both")
-    if len(place) < LEAST_MARKS:
-        raise InputError(f"there are {len(place)} marks; a mirror map needs at least {LEAST_MARKS}")
+    if len(place) < MIN_MARKS:
+        raise InputError(f"there are {len(place)} marks; a mirror map needs at least {MIN_MARKS}")
     if not (np.isfinite(place).all() and np.isfinite(angles).all() and np.abs(angles).max() < 500 * np.pi):
         raise InputError("marks have places or angles that are not finite, or a quarter turn off; allowed are numbers")
     seen, seen_scale = _normalised(np.tan(angles / 1000), "angles")

@@ -23,7 +23,7 @@ LEARNED_FROM = 12
 """Nearest neighbours from whose errors the expected error of a prediction is taken."""
 NEAREST, RANK = 8, 3
 """A row that differs does so far more than the third worst of its eight nearest neighbours."""
-LEAST_DIFFERENCE = 0.02
+MIN_DIFFERENCE = 0.02
 """Relative to the row; smaller differences are not looked for."""
 ALIKE = 0.002
 """No prediction is taken to be better than this."""
@@ -34,14 +34,14 @@ SOURCE_SPACINGS = 4.0
 """Nearer to an actuator than so many grid spacings, the field is not that of waves from elsewhere."""
 UNSURE = 0.06
 """Rows whose level is not predicted within this are not judged."""
-MOST_ROUNDS = 40
+MAX_ROUNDS = 40
 SEARCHES = 3
 MAX_RENEWED, MAX_RENEWED_SHARE = 30_000, 0.25
 """Predictions that are renewed at most (half a minute), and so many more per row. One differing row needs 30, a
 position that was measured elsewhere some thousands; rows that do not belong together need a hundred each."""
 MAX_OUT = 0.5
 """Where more than this share of the rows differ, none is judged: it is not the rows that are wrong."""
-LEAST_ROWS = 3
+MIN_ROWS = 3
 """So many rows of a position make a whole that can differ by one cause."""
 GAIN_SIGMAS = 8.0
 """A common factor on a position's rows is one that differs from 1 by so many of its standard deviations."""
@@ -178,7 +178,7 @@ class NeighbourJudge:
             self._leave_out_by_gain()
         sure = self._out.copy()
         for _ in range(SEARCHES):
-            for _ in range(MOST_ROUNDS):
+            for _ in range(MAX_ROUNDS):
                 tried = self._worst()
                 if self._renewed > self._most_renewed:
                     return
@@ -208,8 +208,8 @@ class NeighbourJudge:
 
     def _wrong_by_gain(self, gains: Gains) -> list[int]:
         """Positions whose factors explain their errors; next to one that is wrong otherwise, factors mean nothing."""
-        enough = (np.abs(gains.value - 1.0) > LEAST_DIFFERENCE) & (gains.sigmas > GAIN_SIGMAS)
-        enough &= self.judged.sum(axis=1) >= LEAST_ROWS
+        enough = (np.abs(gains.value - 1.0) > MIN_DIFFERENCE) & (gains.sigmas > GAIN_SIGMAS)
+        enough &= self.judged.sum(axis=1) >= MIN_ROWS
         wrong: list[int] = []
         spoiled: set[int] = set()
         for position in sorted(np.flatnonzero(enough).tolist(), key=lambda one: -gains.sigmas[one]):
@@ -262,7 +262,7 @@ class NeighbourJudge:
         misses, weight = self._misses[positions], self._weight[positions]
         # With neighbours left out, what no model of waves covers grows faster than what the kernel expects.
         fewer = np.maximum((self._variance[positions] / self._variance_of_all[positions][:, None]).mean(axis=2), 1.0)
-        least = LEAST_DIFFERENCE * fewer * (1.0 + self._near_field[positions] * fewer**3)
+        least = MIN_DIFFERENCE * fewer * (1.0 + self._near_field[positions] * fewer**3)
         factor = self._factor[positions] - 1.0
         # A wrong row may hide that its neighbours can be judged.
         judged = self.judged[positions] if strict else np.isfinite(misses)
@@ -279,10 +279,10 @@ class NeighbourJudge:
         middle = np.abs(_nanmedian(factor.real, axis=1) + 1j * _nanmedian(factor.imag, axis=1))
         count = np.maximum(sure.sum(axis=1), 1)
         spread = _nanmedian(np.where(sure, np.sqrt(usual_factor / weight), np.nan), axis=1)
-        whole = (count >= LEAST_ROWS) & (middle > _nanmedian(np.where(sure, least, np.nan), axis=1))
+        whole = (count >= MIN_ROWS) & (middle > _nanmedian(np.where(sure, least, np.nan), axis=1))
         whole &= middle * np.sqrt(count) > np.sqrt(FACTOR) * spread
         found = (found | whole[:, None]) & judged
-        mostly = (count >= LEAST_ROWS) & (2 * found.sum(axis=1) > count)
+        mostly = (count >= MIN_ROWS) & (2 * found.sum(axis=1) > count)
         return np.asarray(found | (mostly[:, None] & judged))
 
     def _usual(self, figure: Float64Array, nearest: Int64Array) -> Float64Array:
@@ -299,7 +299,7 @@ class NeighbourJudge:
         energy = np.zeros(suspect.shape)
         strength = np.abs(self._errors[some]) ** 2 / self._variance[some] / self._common
         energy[some] = strength.sum(axis=2)
-        whole = suspect.sum(axis=1) > 0.5 * max(suspect.shape[1], 2 * LEAST_ROWS)
+        whole = suspect.sum(axis=1) > 0.5 * max(suspect.shape[1], 2 * MIN_ROWS)
         total = np.where(whole, np.log1p(energy).sum(axis=1), -np.inf)
         energy[~suspect] = 0.0
         chosen = np.zeros_like(suspect)

@@ -119,7 +119,7 @@ REACH_SPACINGS = 2.6
 """Neighbours are this near, in grid spacings: 20 on a square grid, 18 on a hexagonal one."""
 FURTHEST_SPACINGS = 4.5
 """At the rim, where fewer are so near, they may be this far."""
-LEAST_NEIGHBOURS, WANTED_NEIGHBOURS, MOST_NEIGHBOURS = 8, 14, 24
+MIN_NEIGHBOURS, WANTED_NEIGHBOURS, MAX_NEIGHBOURS = 8, 14, 24
 SAME_SPACINGS = 1e-3
 THIN = 1e-3
 """Neighbours whose extent across is this part of that along lie on a line."""
@@ -235,10 +235,10 @@ def have_neighbours(position_mm: Float64Array, furthest_spacing_mm: float) -> Bo
 
 def _patches(position_mm: Float64Array, usable: BoolArray) -> tuple[dict[int, Patch], float]:
     rows = np.flatnonzero(usable).astype(np.int64)
-    if len(rows) <= LEAST_NEIGHBOURS:
+    if len(rows) <= MIN_NEIGHBOURS:
         return {}, 0.0
     place_mm = position_mm[rows]
-    distance_mm, index = _nearest(place_mm, min(2 * MOST_NEIGHBOURS, len(rows)))
+    distance_mm, index = _nearest(place_mm, min(2 * MAX_NEIGHBOURS, len(rows)))
     apart_mm = distance_mm[:, 1]
     if not np.any(apart_mm > 0):
         return {}, 0.0
@@ -269,10 +269,10 @@ def _shapes(
         # A position measured twice is no neighbour of itself.
         apart = (ring > 0) & (distance[one] <= FURTHEST_SPACINGS)
         within = int(np.count_nonzero(apart & (distance[one] <= REACH_SPACINGS)))
-        count = min(max(within, WANTED_NEIGHBOURS), MOST_NEIGHBOURS)
+        count = min(max(within, WANTED_NEIGHBOURS), MAX_NEIGHBOURS)
         order = np.lexsort((np.round(np.arctan2(fine[:, 1], fine[:, 0]), 6), ring))
         chosen = order[apart[order]][:count]
-        if len(chosen) < LEAST_NEIGHBOURS:
+        if len(chosen) < MIN_NEIGHBOURS:
             continue
         key = fine[chosen].astype(np.int64).tobytes()
         if key not in thin:

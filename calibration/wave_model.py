@@ -24,8 +24,8 @@ Disk = Callable[[Float64Array], Float64Array]
 
 DISK_RADIUS = 1.15
 """Radius a of the disk, in wave numbers: room for what the damping smears."""
-FEWEST_DIRECTIONS = 16
-LARGEST_GROWTH = 8.0
+MIN_DIRECTIONS = 16
+MAX_GROWTH = 8.0
 """Nepers over a patch beyond which damping cannot be measured: waves from one edge do not reach the other."""
 
 
@@ -170,9 +170,9 @@ def disk_integral(radians: Float64Array) -> Float64Array:
 def _resolved(wavenumber_rad_mm: Complex128Array, offset_mm: Float64Array) -> tuple[Complex128Array, Float64Array]:
     """Wave numbers, damped no more than a patch can resolve, and enough directions (2, n) for it."""
     reach_mm = max(float(np.hypot(offset_mm[..., 0], offset_mm[..., 1]).max()), 1e-300)
-    wavenumber = wavenumber_rad_mm.real + 1j * np.maximum(wavenumber_rad_mm.imag, -LARGEST_GROWTH / reach_mm)
+    wavenumber = wavenumber_rad_mm.real + 1j * np.maximum(wavenumber_rad_mm.imag, -MAX_GROWTH / reach_mm)
     # The trapezoidal rule over directions is exact once it resolves exp(j k d.x) across the patch.
-    count = 2 * int(np.ceil(np.abs(wavenumber).max() * reach_mm)) + FEWEST_DIRECTIONS
+    count = 2 * int(np.ceil(np.abs(wavenumber).max() * reach_mm)) + MIN_DIRECTIONS
     angle = 2.0 * np.pi * (np.arange(count) + 0.5) / count
     return wavenumber, np.stack([np.cos(angle), np.sin(angle)])
 

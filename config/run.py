@@ -27,7 +27,7 @@ STAGGER_OVER_RESPONSE = 1.2
 """Staggered responses come apart when each is over before the next begins; measured for this design."""
 
 DEFAULT_STAGGER_OVER_RESPONSE = 1.25
-SHORTEST_SWEEP_S = 0.05
+MIN_SWEEP_S = 0.05
 """A sweep fades in and out over 10 ms each, and must sound in between."""
 
 
@@ -54,7 +54,7 @@ class Sweep(Table):
     stop_hz: Annotated[Positive, ALWAYS] = Field(
         default=500.0, description="End of the sweep, above start_hz and below half of sample_rate_hz"
     )
-    duration_s: Annotated[Finite, Field(ge=SHORTEST_SWEEP_S, le=3600), ALWAYS] = Field(
+    duration_s: Annotated[Finite, Field(ge=MIN_SWEEP_S, le=3600), ALWAYS] = Field(
         default=1.0, description="Duration of one sweep"
     )
     amplitude_v: Annotated[Positive, ALWAYS] = Field(

@@ -232,7 +232,7 @@ def _error_number(failure: BaseException | None) -> int | None:
 
 # How long pyserial waits for bytes before the deadline is looked at again.
 POLL_S = 0.02
-LONGEST_ANSWER = 4096
+MAX_ANSWER = 4096
 
 
 class LineFailedError(Exception):
@@ -323,9 +323,9 @@ class SerialLine:
         """
         while b"\n" not in self._input:
             self._input += self._read()
-            if len(self._input) > LONGEST_ANSWER:
+            if len(self._input) > MAX_ANSWER:
                 self._input.clear()
-                raise NoAnswerError(f"more than {LONGEST_ANSWER} bytes came and no end of the line")
+                raise NoAnswerError(f"more than {MAX_ANSWER} bytes came and no end of the line")
             if time.monotonic() > deadline_s and b"\n" not in self._input:
                 got = bytes(self._input)
                 raise NoAnswerError(f"the answer broke off after {got!r}" if got else "no answer came")

@@ -19,7 +19,7 @@ from wavefocus.rendering.arrays import Float64Array
 Real = NDArray[np.float32] | NDArray[np.float64]
 
 # More columns than a screen has pixels show nothing more.
-MOST_COLUMNS = 2000
+MAX_COLUMNS = 2000
 
 
 class Plot(Themed, pyqtgraph.PlotWidget):
@@ -75,7 +75,7 @@ class Plot(Themed, pyqtgraph.PlotWidget):
 
 def decimate(x: Real, y: Real) -> tuple[Real, Real]:
     """Return the smallest and the largest value of each column of pixels, in the order of x."""
-    step = len(y) // MOST_COLUMNS
+    step = len(y) // MAX_COLUMNS
     if step < 2:
         return x, y
     used = len(y) // step * step

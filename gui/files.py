@@ -17,7 +17,7 @@ from wavefocus.gui.number_box import NumberBox, typed_number
 from wavefocus.gui.surface import VIRTUAL, is_virtual
 from wavefocus.storage.errors import InputError
 
-_MOST_RECENT = 10
+_MAX_RECENT = 10
 
 
 class Settings:
@@ -70,7 +70,7 @@ class Settings:
         """Remember that a file was opened, and where."""
         path = path.absolute()
         others = [one for one in self.recent() if one != path]
-        self.keep("recent", "\n".join(str(one) for one in [path, *others][:_MOST_RECENT]))
+        self.keep("recent", "\n".join(str(one) for one in [path, *others][:_MAX_RECENT]))
         self.keep(f"folder/{path.suffix}", str(path.parent))
 
     def forget_recent(self) -> None:

@@ -71,7 +71,7 @@ class ErrorHook(QObject):
 Answer = tuple[str, Callable[[], object]]
 _NOTE_STAYS_MS = 8000
 _LINES = 2
-_MOST_WAITING = 5
+_MAX_WAITING = 5
 
 
 class MessageBar(Themed, QFrame):
@@ -162,7 +162,7 @@ class MessageBar(Themed, QFrame):
         sentence = in_window(sentence)
         if self._kind == "question":
             others = [one for one in self._waiting if one[1] != sentence]
-            self._waiting = [*others, (kind, sentence, answers)][-_MOST_WAITING:]
+            self._waiting = [*others, (kind, sentence, answers)][-_MAX_WAITING:]
         else:
             self._show(kind, sentence, answers)
 

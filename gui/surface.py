@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 _OUTLINE_POINTS = 181
-_MOST_PIXELS = 400_000
+_MAX_PIXELS = 400_000
 _REACH = 1.5  # spacings
 # A path that goes this much further from one point to the next than along it has jumped.
 _JUMP = 1.5
@@ -127,7 +127,7 @@ def raster_of(position_mm: Float64Array, *, gaps: bool = True) -> Raster:
     spacing_mm = float(np.median(tree.query(position_mm, k=[2])[0])) if len(position_mm) > 1 else 1.0
     low, high = position_mm.min(axis=0) - spacing_mm, position_mm.max(axis=0) + spacing_mm
     size_mm = high - low
-    pixel_mm = max(spacing_mm / pixels_per_spacing, float(np.sqrt(size_mm[0] * size_mm[1] / _MOST_PIXELS)))
+    pixel_mm = max(spacing_mm / pixels_per_spacing, float(np.sqrt(size_mm[0] * size_mm[1] / _MAX_PIXELS)))
     columns, rows = (max(1, int(np.ceil(side / pixel_mm))) for side in size_mm)
     x_mm = low[0] + (np.arange(columns) + 0.5) * size_mm[0] / columns
     y_mm = low[1] + (np.arange(rows) + 0.5) * size_mm[1] / rows

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from pyqtgraph import PlotItem
 
 _DARK_BELOW = 128
-_SMALLEST_PT, _LARGEST_PT = 7, 24
+_MIN_PT, _MAX_PT = 7, 24
 _FUSION_DARKENS = 140
 
 
@@ -126,7 +126,7 @@ def theme_axes(plot: PlotItem) -> None:
 def resized_text(application: QApplication, step: int) -> int:
     """Make all text larger or smaller by some points; return its size now."""
     font = application.font()
-    size_pt = min(max(font.pointSize() + step, _SMALLEST_PT), _LARGEST_PT)
+    size_pt = min(max(font.pointSize() + step, _MIN_PT), _MAX_PT)
     font.setPointSize(size_pt)
     application.setFont(font)
     return size_pt

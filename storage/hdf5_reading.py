@@ -17,13 +17,13 @@ from wavefocus.storage.errors import InputError
 from wavefocus.storage.packing import DEFAULT_FILL, KEYS, Packing, packing
 from wavefocus.storage.text_file import require_regular
 
-_MOST_METADATA_BYTES = 64 << 20
-_LEAST_HEAP_BYTES = 4096  # of the collections that HDF5 keeps texts in
+_MAX_METADATA_BYTES = 64 << 20
+_MIN_HEAP_BYTES = 4096  # of the collections that HDF5 keeps texts in
 # A dataset may declare so many times what it holds before it counts as hollow; rows to come and compression.
 _HOLLOW = 100
 # What filters may add to a chunk that does not get smaller.
 _FILTER_BYTES = 4096
-_MOST_VARIABLE = "WAVEFOCUS_MOST_GIB"
+_MAX_VARIABLE = "WAVEFOCUS_MOST_GIB"
 _DEFAULT_MOST_GIB = 8.0
 # What rounding may put between two ways of counting samples.
 _ROUNDING_SAMPLES = 1e-2
@@ -31,13 +31,13 @@ _ROUNDING_SAMPLES = 1e-2
 
 def most_bytes() -> int:
     """Largest number of bytes that is read at once, or declared without being held: 8 GiB unless raised."""
-    words = os.environ.get(_MOST_VARIABLE, "")
+    words = os.environ.get(_MAX_VARIABLE, "")
     try:
         gib = float(words) if words else _DEFAULT_MOST_GIB
         if not 0 < gib < 1e9:
             raise ValueError
     except ValueError:
-        raise InputError(f"{_MOST_VARIABLE} is {words!r}; a number of GiB above 0 is needed") from None
+        raise InputError(f"{_MAX_VARIABLE} is {words!r}; a number of GiB above 0 is needed") from None
     return int(gib * (1 << 30))
 
 
@@ -347,7 +347,7 @@ def require_sound_texts(file: h5py.File) -> None:
     size = path.stat().st_size
     with path.open("rb") as raw:
         for start, count in [*sorted(values), (size, 0)]:
-            if _LEAST_HEAP_BYTES <= start - end <= _MOST_METADATA_BYTES:
+            if _MIN_HEAP_BYTES <= start - end <= _MAX_METADATA_BYTES:
                 raw.seek(end)
                 content = raw.read(start - end)
                 at = content.find(b"GCOL")

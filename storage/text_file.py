@@ -10,14 +10,14 @@ from typing import BinaryIO
 
 from wavefocus.storage.errors import InputError
 
-LARGEST_BYTES = 16 * 2**20
+MAX_BYTES = 16 * 2**20
 """More than any position list or configuration needs; beyond it the wrong file was named."""
 
 
 def read_text(path: Path) -> str:
     """Read a UTF-8 text file, with or without a byte-order mark.
 
-    path: The file; at most `LARGEST_BYTES` long.
+    path: The file; at most `MAX_BYTES` long.
 
     Raises InputError: the file is missing, not a regular file, not readable, too large or not UTF-8.
     """
@@ -29,8 +29,8 @@ def read_text(path: Path) -> str:
         if not path.is_file():  # a pipe or a device could block for ever or never end
             raise InputError(f"{path}: is not a regular file; a text file is needed")
         size = path.stat().st_size
-        if size > LARGEST_BYTES:
-            raise InputError(f"{path}: has {size} bytes; at most {LARGEST_BYTES} are read")
+        if size > MAX_BYTES:
+            raise InputError(f"{path}: has {size} bytes; at most {MAX_BYTES} are read")
         content = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None

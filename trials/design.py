@@ -14,8 +14,8 @@ from wavefocus.config.trials import Factor, TrialsConfig
 from wavefocus.rendering.scene.model import Scene, Source, build_path, build_signal
 from wavefocus.storage.errors import InputError
 
-MOST_STIMULI = 1000
-MOST_TRIALS = 10_000
+MAX_STIMULI = 1000
+MAX_TRIALS = 10_000
 FACTORS: tuple[Factor, ...] = ("path", "speed_mm_s", "signal", "amplitude")
 
 
@@ -131,10 +131,10 @@ def _stimuli(design: TrialsDesign) -> dict[str, Stimulus]:
             path, speed_mm_s, signal, amplitude = levels
             written = dict(zip(FACTORS, _parts(*levels), strict=True))
             name = _joined(part for factor, part in written.items() if factor != "amplitude" or len(amplitudes) > 1)
-            if name.casefold() in names or len(names) == MOST_STIMULI:
+            if name.casefold() in names or len(names) == MAX_STIMULI:
                 allowed = (
-                    f"is one too many; at most {MOST_STIMULI} stimuli are allowed"
-                    if len(names) == MOST_STIMULI
+                    f"is one too many; at most {MAX_STIMULI} stimuli are allowed"
+                    if len(names) == MAX_STIMULI
                     else "is there already; each path, speed, signal and amplitude may be combined once"
                 )
                 raise design.wrong(key, name, allowed)
@@ -181,8 +181,8 @@ def _check_order(design: TrialsDesign) -> None:
     The row in front may be full already from the block before it.
     """
     trials = design.config.trials
-    if (count := trials.repetitions * len(design.stimuli)) > MOST_TRIALS:
-        allowed = f"makes {count} trials of {len(design.stimuli)} stimuli; at most {MOST_TRIALS} are allowed"
+    if (count := trials.repetitions * len(design.stimuli)) > MAX_TRIALS:
+        allowed = f"makes {count} trials of {len(design.stimuli)} stimuli; at most {MAX_TRIALS} are allowed"
         raise design.wrong("trials.repetitions", trials.repetitions, allowed)
     if not trials.most_alike:
         return
@@ -217,8 +217,8 @@ def _check_tracks(design: TrialsDesign) -> None:
         if trials.correct != adaptive.factor and len(sides) == 1 and trials.most_alike:
             allowed = f"cannot be kept: the track {track} has one level of {trials.correct}; 0 is any number"
             raise design.wrong("trials.most_alike", trials.most_alike, allowed)
-    if len(design.tracks) * adaptive.trials > MOST_TRIALS:
-        allowed = f"makes {len(design.tracks) * adaptive.trials} trials; at most {MOST_TRIALS} are allowed"
+    if len(design.tracks) * adaptive.trials > MAX_TRIALS:
+        allowed = f"makes {len(design.tracks) * adaptive.trials} trials; at most {MAX_TRIALS} are allowed"
         raise design.wrong("adaptive.trials", adaptive.trials, allowed)
 
 

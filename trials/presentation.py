@@ -26,7 +26,7 @@ from wavefocus.rendering.verify.scan_signals import marker_v
 
 MARKER_S = 0.1
 """Long enough for a fit to a few microseconds, short beside any stimulus."""
-MOST_VOID = 3
+MAX_VOID = 3
 """Presentations of one trial that may fail passingly before the session ends."""
 MASKING_HZ = (50.0, 8000.0)
 MASKING_CREST = 5.0
@@ -137,7 +137,7 @@ class RigPresenter:
         note: Receives a sentence about each instrument that was lost, and each presentation that is repeated.
 
         Raises InstrumentError: an instrument did not come back in time, failed for good, or no presentation of
-        `MOST_VOID` had a marker on the reference channel or came to its end.
+        `MAX_VOID` had a marker on the reference channel or came to its end.
         """
         self._note = note
         sound, attempts = self._sound_of(stimulus), 0
@@ -147,17 +147,17 @@ class RigPresenter:
             attempts += 1
             return self._once(sound, RecordLabel(trial, attempts, 0, "presentation"))
 
-        for void in range(1, MOST_VOID + 1):
+        for void in range(1, MAX_VOID + 1):
             try:
                 onset = self._recovery.until_done(once)
                 return Onset(onset.at_s, onset.error_ms, onset.within_ms, attempts)
             except TransientInstrumentError as failure:
-                if void == MOST_VOID:
+                if void == MAX_VOID:
                     raise
                 note(f"{failure.instrument}: {failure.cause}: the trial is repeated")
                 self._recovery.renew_if_repeated(failure)
             except ReferenceMissingError as missing:
-                if void == MOST_VOID:
+                if void == MAX_VOID:
                     raise self._no_marker(missing) from missing
                 note(f"no marker on the reference input ({missing}): the trial is repeated")
         raise AssertionError("every presentation returns or raises")

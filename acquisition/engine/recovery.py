@@ -24,7 +24,7 @@ from wavefocus.storage.errors import WavefocusError
 
 Result = TypeVar("Result")
 
-LONGEST_BACK_OFF_S = 30.0
+MAX_BACK_OFF_S = 30.0
 # An instrument that says "lost" is believed at once; one that only fails passingly, when it does so again.
 PASSING_IN_A_ROW = 2
 # Instruments that come back but do not live to the end of one measurement are a loose plug: a person must look.
@@ -33,7 +33,7 @@ LOSSES_IN_A_ROW = 10
 
 def back_off_s(number: int) -> float:
     """Seconds to wait before try `number`, counted from 0: 0, 1, 2, 4, ... up to half a minute."""
-    return 0.0 if number == 0 else min(LONGEST_BACK_OFF_S, 2.0 ** min(number - 1, 10))
+    return 0.0 if number == 0 else min(MAX_BACK_OFF_S, 2.0 ** min(number - 1, 10))
 
 
 class Recovery:

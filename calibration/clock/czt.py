@@ -51,10 +51,10 @@ def ring_signal(spectrum: Complex128Array, turn: float, first: int, samples: int
 
 # What of a period lies outside the record may last so many periods of the highest frequency: what sounds
 # there is still determined by what sounds around it.
-MOST_MISSING = 1.3
+MAX_MISSING = 1.3
 # Relative residual at which the conjugate gradients end, and how many steps they may take.
 ENOUGH = 1e-5
-MOST_STEPS = 100
+MAX_STEPS = 100
 
 
 def require_coverage(samples: int, period: float, highest: float, what: str) -> None:
@@ -67,7 +67,7 @@ def require_coverage(samples: int, period: float, highest: float, what: str) -> 
 
     Raises InputError: more of the period is missing than its band allows.
     """
-    if (period - samples) * highest > MOST_MISSING:
+    if (period - samples) * highest > MAX_MISSING:
         raise InputError(
             f"{what} has {samples} samples, less than the period of {period:.0f}; record one period or more"
         )
@@ -108,7 +108,7 @@ def ring_spectrum(sums: Complex128Array, turn: float, samples: int) -> Complex12
     step = left.copy()
     power = _dot(left, left)
     goal = ENOUGH**2 * _dot(wanted, wanted)
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         if (power <= goal).all():
             break
         turned = leaked(step)
@@ -139,7 +139,7 @@ def _dirichlet(turn: float, samples: int, differences: Int64Array) -> Complex128
 # What lies above the kept band is folded onto it at most this strongly.
 ALIAS_DB = 70.0
 # Blocks of this many samples or fewer keep the matrix product cheaper than the transform it saves.
-LONGEST_BLOCK = 160
+MAX_BLOCK = 160
 
 
 class BandSpectrum:
@@ -216,7 +216,7 @@ def _cheapest(period: int, highest: float) -> tuple[int, int]:
         transition = 2 * np.pi * (1 / thinning - 2 * highest)
         if period % (2 * thinning) or transition <= 0:
             continue
-        for block in range(2 * thinning, LONGEST_BLOCK + 1, thinning):
+        for block in range(2 * thinning, MAX_BLOCK + 1, thinning):
             enough = 8 + 2.285 * transition * 2 * _reach(thinning, block)[1] >= ALIAS_DB
             # Products cost in proportion to the block; 50 is what the transform costs on that scale.
             if period % block == 0 and enough and (block + 50) / thinning < least:

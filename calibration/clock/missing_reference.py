@@ -17,8 +17,8 @@ RATES_HZ = (8000, 11025, 16000, 22050, 32000, 44100, 48000, 88200, 96000, 176400
 # A rate is named where the measured one is this near to it.
 SAME_RATE = 5e-4
 # Ratios looked at, and the most of them; a longer signal is cut until its width allows for it.
-SLOWEST, FASTEST, MOST_RATIOS = 0.48, 2.1, 3000
-MOST_SAMPLES = 20_000_000
+SLOWEST, FASTEST, MAX_RATIOS = 0.48, 2.1, 3000
+MAX_SAMPLES = 20_000_000
 # In units of the ratio that turns the ends of the signal's band against each other.
 RATIO_STEP = 0.4
 # The signal is there when it explains this much of the energy where it lies.
@@ -103,7 +103,7 @@ def playing_ratio(reference: Float64Array, known: Float64Array) -> tuple[float, 
     reference, known = _thinned(reference, step), _thinned(known, step)
     width = max(high - low, 1)
     step_ratio, span = RATIO_STEP / width, np.log(FASTEST / SLOWEST)
-    most = min(MOST_RATIOS, max(MOST_SAMPLES // (reference.size + known.size), 50))
+    most = min(MAX_RATIOS, max(MAX_SAMPLES // (reference.size + known.size), 50))
     if span / step_ratio > most:
         # A part of the signal resolves less.
         part = max(int(known.size * most * step_ratio / span), 64)

@@ -18,7 +18,7 @@ from wavefocus.calibration.clock.timing import CORNERS
 SEARCH_TURN = 0.6
 # The search ends where this share of the reference is explained; else the best of all that was tried counts.
 FOUND_SHARE = 0.97
-MOST_STEPS = 8
+MAX_STEPS = 8
 # What the coupling capacitors left out is computed anew while a step moves the samples by more than this.
 FAR_SAMPLES = 0.1
 # Gauss-Newton has ended when no sample moves by more.
@@ -125,7 +125,7 @@ class RingClock:
         ones = np.ones_like(values)
         coupled = np.zeros((0, values.size))
         gain, explained, coupling, far = 0.0, 0.0, np.zeros(len(self._coupling)), True
-        for step in range(MOST_STEPS):
+        for step in range(MAX_STEPS):
             waves = [self._amplitudes, self._amplitudes * self._slope]
             if far:
                 waves += list(self._amplitudes * self._coupling)
@@ -172,7 +172,7 @@ DERIVATIVE_STEP = 0.02
 SURE_PPM = 0.3
 REPEATING = 0.03
 # Fewer thinned samples than this are not enough.
-LEAST_SAMPLES = 32
+MIN_SAMPLES = 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,7 +211,7 @@ def fit_repeats(thinned: Thinned, period: float, samples: int, max_ppm: float) -
         longest = periods * period * (1 + 1e-6 * max_ppm) / thinned.step
         common = values.size - math.ceil(longest) - 2 * KERNEL_HALF
         worth = periods * math.sqrt(max(common, 0))
-        if common >= LEAST_SAMPLES and (best is None or worth > best[0]):
+        if common >= MIN_SAMPLES and (best is None or worth > best[0]):
             best = worth, periods, common
     if best is None:
         return None
@@ -224,7 +224,7 @@ def fit_repeats(thinned: Thinned, period: float, samples: int, max_ppm: float) -
 
     lag = _coarse_lag(values, first, lag, math.ceil(1e-6 * max_ppm * lag / LAG_STEP))
     left, slope = later(lag) - first, np.zeros(common)
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         slope = (later(lag + DERIVATIVE_STEP) - later(lag - DERIVATIVE_STEP)) / (2 * DERIVATIVE_STEP)
         steep = float(slope @ slope)
         if steep == 0:

@@ -24,8 +24,8 @@ from wavefocus.storage.raw.header import RawHeader
 SAME_SHARE = 0.9
 # Records cut at places at least this share of a period apart are compared, so many at most, within this of a
 # sweep's clock, or at these steps over all ratios.
-LEAST_CUT = 0.02
-MOST_CUTS = 6
+MIN_CUT = 0.02
+MAX_CUTS = 6
 CUT_REACH_PPM = 30.0
 SCAN_PPM = 20.0
 # A sweep sounds beyond its band by about so many times the root of its rate in Hz per second.
@@ -112,7 +112,7 @@ def _ratio_of_cuts(seen: Sequence[_Seen], bins: int, header: RawHeader) -> float
 
     Where one record begins and ends, another one runs on: only at the true ratio do they agree.
     """
-    first, *others = seen[:MOST_CUTS]
+    first, *others = seen[:MAX_CUTS]
     sweep_s = header.sweep_s or first.period / header.sample_rate_hz
     sweep_samples = min(round(sweep_s * header.sample_rate_hz), first.period)
     law = fit_sweep_law(
@@ -133,7 +133,7 @@ def _ratio_of_cuts(seen: Sequence[_Seen], bins: int, header: RawHeader) -> float
         guess, reach = float(tried[int(np.argmin([misfit(one, others[:2]) for one in tried]))]), SCAN_PPM
     if guess is not None:
         offsets = np.array([fit.offset_samples for fit in fits(guess, others)])
-        if np.any(np.abs(offsets) > LEAST_CUT * first.period):
+        if np.any(np.abs(offsets) > MIN_CUT * first.period):
             import scipy.optimize  # slow to load; most records are cut alike and need no search
 
             ends = guess - 1e-6 * reach, guess + 1e-6 * reach
@@ -150,7 +150,7 @@ def _ratio_of_cuts(seen: Sequence[_Seen], bins: int, header: RawHeader) -> float
 
 
 # Taken where nothing says how long a sweep is.
-SHORTEST_SWEEP_S = 0.05
+MIN_SWEEP_S = 0.05
 # A record whose autocorrelation reaches this share at some lag holds repeats.
 REPEAT_SHARE = 0.4
 # Share of the energy outside a sweep's beginning and end.
@@ -222,7 +222,7 @@ def find_sweeps(reference: Float32Array, header: RawHeader, sweep_samples: int |
     if sweep_samples is None and header.sweep_s is not None:
         sweep_samples = round(header.sweep_s * header.sample_rate_hz)
     rows, given = np.ascontiguousarray(reference[None], dtype=np.float32), shape_of(header)
-    shortest_s = SHORTEST_SWEEP_S if given is None else given.sweep_samples / header.sample_rate_hz
+    shortest_s = MIN_SWEEP_S if given is None else given.sweep_samples / header.sample_rate_hz
     thinned = thin(rows, highest_cycles(header.band_hz, shortest_s, header.sample_rate_hz))
     for shape in [given] if given is not None else _shapes(thinned, header, sweep_samples):
         found = _clock(rows, thinned, header, shape, sweep_samples)

@@ -16,7 +16,7 @@ from wavefocus.calibration.sweeps import Sweeps
 from wavefocus.storage.errors import InputError
 
 # Bins whose nominal energy is below this share of the median in band carry noise only.
-LEAST_POWER = 1e-3
+MIN_POWER = 1e-3
 FLOOR_POWER = 1e-12
 # Reference energy in the band that the nominal sweep leaves unexplained.
 REFERENCE_LIMIT = 10**-1.5
@@ -40,7 +40,7 @@ WRAP_TURN = 1.5
 REFINEMENTS = 5
 # A stretch that turns phases by less than this beyond any delay, in radians (rms) per unit, does not show in one
 # repeat.
-LEAST_BEND = 40.0
+MIN_BEND = 40.0
 # A segment begins near its sweep, so fewer bins are enough for the distance: modulo the period over this.
 SEGMENT_THIN = 8
 # The first guess of the start may be wrong by samples; it is taken from a recording thinned this close to aliasing.
@@ -89,7 +89,7 @@ class RepeatFinder:
         hertz = np.arange(nominal.size) * excitation.sample_rate_hz / base.size
         in_band = (hertz >= excitation.start_hz) & (hertz <= excitation.stop_hz)
         self.median_power = float(np.median(power[in_band]))
-        enough = np.flatnonzero(power > LEAST_POWER * self.median_power)
+        enough = np.flatnonzero(power > MIN_POWER * self.median_power)
         enough = enough[(enough > 0) & (enough < base.size / 2)]
         self.bins = slice(int(enough[0]), int(enough[-1]) + 1)
         self._spectrum = BandSpectrum(base.size, self.bins)
@@ -113,7 +113,7 @@ class RepeatFinder:
         furthest = self.omega * base.size
         bent = np.clip(stretch - np.polyval(line, self.omega), -furthest, furthest)
         bend = float(np.ptp(bent)) + 1e-30
-        self._shows_stretch = float(np.average(np.square(bent), weights=self.power)) > LEAST_BEND**2
+        self._shows_stretch = float(np.average(np.square(bent), weights=self.power)) > MIN_BEND**2
         curves = np.stack([-self.omega, stretch, *turns])[:, ::THIN]
         weighted = curves * self.power[::THIN]
         self._curves = curves.astype(np.float32)

@@ -21,7 +21,7 @@ KERNEL_BETA = 11.0
 # Over one block the places drift from its centre by so many samples at most: a cubic through four kernels then
 # errs by less than the kernel itself.
 BLOCK_DRIFT_SAMPLES = 0.05
-LONGEST_BLOCK = 4096
+MAX_BLOCK = 4096
 # Chebyshev nodes of that cubic, as shares of the drift.
 NODES = np.cos(np.pi * (np.arange(4) + 0.5) / 4)
 # Output samples that one row of the matrix product gives.
@@ -46,7 +46,7 @@ def resampled(rows: NDArray[Real], start: float, ratio: float, samples: int) -> 
     out = np.zeros((rows.shape[0], samples), dtype=rows.dtype)
     recorded = rows.shape[1]
     longest = 2 * BLOCK_DRIFT_SAMPLES / max(abs(ratio - 1), 1e-9)
-    block = STRIDE * int(min(max(longest // STRIDE, 1), LONGEST_BLOCK // STRIDE, samples // STRIDE + 1))
+    block = STRIDE * int(min(max(longest // STRIDE, 1), MAX_BLOCK // STRIDE, samples // STRIDE + 1))
     drift = (np.arange(block, dtype=np.float64) - block // 2) * (ratio - 1)
     cubic = _cubic(drift).astype(rows.dtype)
     lows = np.arange(0, samples, block)

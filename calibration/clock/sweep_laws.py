@@ -21,18 +21,18 @@ ENDS_SHARE = 0.12
 LAW_SHARE = 0.97
 # Blocks of a sweep in each of which a frequency, and later a phase, is fitted.
 BLOCKS = 400
-LEAST_BLOCK = 4
+MIN_BLOCK = 4
 # A block this far below the loudest ones is silence; a frequency this share of the band away is another sweep.
 LOUD_SHARE = 0.05
 JUMP_SHARE = 0.1
 # A run of blocks shorter than this is not enough for a law.
-LEAST_BLOCKS = 16
+MIN_BLOCKS = 16
 # How much longer than it should be a sweep of a given length may seem before its frequencies are fitted well.
 LENGTH_SHARE = 0.05
 # Laboratories choose round durations: of those that the clocks allow, the roundest is meant, in seconds.
 ROUND_S = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 LIKELY_PPM = 300.0
-MOST_STEPS = 12
+MAX_STEPS = 12
 # Coupling capacitors turn low frequencies nearly as a clock skew does: they count where they explain more than half
 # of what is left without them.
 CORNERS_SHARE = 0.5
@@ -122,9 +122,9 @@ class _Analytic:
         """The longest part in which the frequency, in a band so many cycles wide, rises all the time, or falls."""
         energy = np.square(np.abs(self.values))
         loud = np.flatnonzero(energy > LOUD_SHARE * np.quantile(energy, 0.99))
-        if loud.size < LEAST_BLOCKS * LEAST_BLOCK:
+        if loud.size < MIN_BLOCKS * MIN_BLOCK:
             return None
-        size = max((int(loud[-1]) - int(loud[0])) // BLOCKS, LEAST_BLOCK)
+        size = max((int(loud[-1]) - int(loud[0])) // BLOCKS, MIN_BLOCK)
         blocks = self.values.size // size
         rows = self.values[: blocks * size].reshape(blocks, size).astype(np.complex128)
         turn = (rows[:, 1:] * rows[:, :-1].conj()).sum(axis=1)
@@ -141,7 +141,7 @@ class _Analytic:
                 rises = direction * (frequency[last] - frequency[first]) > JUMP_SHARE * width
                 if rises and (best is None or last + 1 - first > best.stop - best.start):
                     best = slice(int(first), int(last) + 1)
-        if best is None or best.stop - best.start < LEAST_BLOCKS:
+        if best is None or best.stop - best.start < MIN_BLOCKS:
             return None
         return _Run(place[best].astype(np.float64), frequency[best], power[best])
 
@@ -228,7 +228,7 @@ def _refined(recording: _Analytic, sweeps: _Sweeps, offset: float, ratio: float)
     """Offset, ratio and explained share by least squares on the phases of blocks; at first on their frequencies."""
     size = max(round(sweeps.samples * (1 - 2 * ENDS_SHARE) * ratio / recording.step) // BLOCKS, 1)
     explained = 0.0
-    for step in range(MOST_STEPS):
+    for step in range(MAX_STEPS):
         block = max(size // BLOCK_PARTS[step], 1) if step < len(BLOCK_PARTS) else size
         rows = [part for start in sweeps.starts if (part := _phases(recording, sweeps, start, offset, ratio, block))]
         if not rows:
@@ -275,7 +275,7 @@ def _phases(
     end = offset + ratio * (start + (1 - ENDS_SHARE) * sweeps.samples)
     low = max(math.ceil((begin - recording.first) / recording.step), 0)
     high = min(math.floor((end - recording.first) / recording.step), recording.values.size)
-    if high - low < max(size, 1) * LEAST_BLOCKS:
+    if high - low < max(size, 1) * MIN_BLOCKS:
         return None
     place = recording.first + recording.step * np.arange(low, high, dtype=np.float64)
     since = (place - offset) / ratio

@@ -20,7 +20,7 @@ from wavefocus.storage.errors import InputError
 # Reference not explained by the known signal, above which a fit would be a guess.
 REFERENCE_LIMIT_DB = -10.0
 # Gauss-Newton steps at most.
-MOST_STEPS = 10
+MAX_STEPS = 10
 # Corners of coupling capacitors allowed for, as shares of the lowest frequency played.
 CORNERS = (0.1, 0.3, 1.0)
 # Share of the known signal's energy that may lie outside the bins that are looked at.
@@ -55,7 +55,7 @@ class ClockFit:
 
 # Blocks of the known signal that are looked for one by one; silent ones are left out.
 BLOCKS = 8
-LEAST_ENERGY = 0.05
+MIN_ENERGY = 0.05
 # Points per bin of the band on the way back to lags: near enough for a parabola through the envelope's top.
 OVERSAMPLING = 1.5
 # Silence around the signal where its blocks are looked for in itself.
@@ -81,7 +81,7 @@ class BlockSearch:
         edges = np.linspace(0, known.size, BLOCKS + 1).astype(int)
         spans = [(int(low), int(high)) for low, high in itertools.pairwise(edges) if high > low]
         energy = np.array([np.square(known[low:high]).sum() for low, high in spans])
-        loud = energy > LEAST_ENERGY * energy.max()
+        loud = energy > MIN_ENERGY * energy.max()
         self._spans = [span for span, is_loud in zip(spans, loud, strict=True) if is_loud]
         self._energy = energy[loud]
         # Records of one campaign are equally long.
@@ -225,7 +225,7 @@ class ClockFitter:
         cut, first = self._cut(recorded, offset)
         spectrum = scipy.fft.rfft(cut)[self._bins]
         step_ppm, gain = COARSE_PPM, 0.0
-        for _ in range(MOST_STEPS):
+        for _ in range(MAX_STEPS):
             model = self._model(step_ppm * round(1e6 * (ratio - 1) / step_ppm))
             pairs = (spectrum * self._advance(offset - first)).view(np.float64)
             factors = model.solve @ pairs

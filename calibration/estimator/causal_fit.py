@@ -143,9 +143,9 @@ def _dominant_svd(
 
 # Conjugate gradients end at this residual relative to the right-hand side, in the preconditioner's norm.
 ENOUGH = 1e-7
-MOST_STEPS = 400
+MAX_STEPS = 400
 # The penalty follows the noise (see `ToeplitzFit`), up to this: it costs strong directions 1 % at most.
-MOST_RIDGE = 1e-2
+MAX_RIDGE = 1e-2
 
 
 class ToeplitzFit:
@@ -199,7 +199,7 @@ class ToeplitzFit:
             left = self._weight * (spectrum - shown)
             variance = float(np.vdot(left, left).real) / max(self.elements - self.rank, 1)
             energy = float(green @ green) / self._taps
-            likely = min(max(variance / energy, self._ridge), MOST_RIDGE) if energy > 0 else ridge
+            likely = min(max(variance / energy, self._ridge), MAX_RIDGE) if energy > 0 else ridge
             if likely <= 2 * ridge:
                 break
             ridge = likely
@@ -235,7 +235,7 @@ def conjugate_gradients(
     start: Real,
     *,
     enough: float = ENOUGH,
-    most_steps: int = MOST_STEPS,
+    most_steps: int = MAX_STEPS,
 ) -> Real:
     """Solve ``(gram + ridge) x = wanted`` from `start`, preconditioned by `inverse`, to a relative residual."""
     goal = enough**2 * float(np.vdot(wanted, inverse(wanted)))

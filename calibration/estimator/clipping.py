@@ -15,14 +15,14 @@ from wavefocus.storage.errors import InputError
 CLIP_SHARE = 0.999
 # A flat top: this many samples within 0.1 % of the recording's own peak, and a quarter of all within 3 %.
 # A sine has 18 % of them there, noise and sweeps over resonances 5 %.
-LEAST_FLAT = 8
+MIN_FLAT = 8
 # Where a sweep is cut off, it is cut off many times running: this much on both sides of the peak shows it.
 AROUND_SAMPLES = 4096
 BELOW_SHARE = 0.97
 # Of a recording with fewer converter steps up to its peak, every top is flat.
 MIN_STEPS = 500
 # Smaller recordings have too few converter steps to distinguish a flat top from a coarse one.
-LEAST_PEAK_SHARE = 0.05
+MIN_PEAK_SHARE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,14 +69,14 @@ def _count_clipped(channel: Float32Array, peak_v: Float32Array, place: Int64Arra
     """
     count = np.zeros(channel.shape[0], dtype=np.int32)
     for record, peak in enumerate(peak_v):
-        if peak < LEAST_PEAK_SHARE * range_v:
+        if peak < MIN_PEAK_SHARE * range_v:
             continue
         level = range_v
         if peak < CLIP_SHARE * range_v:
             level = float(peak)
             around = channel[record, max(0, place[record] - AROUND_SAMPLES) : place[record] + AROUND_SAMPLES]
             top = _beyond(around, CLIP_SHARE * level)
-            if top < LEAST_FLAT or 4 * top <= _beyond(around, BELOW_SHARE * level):
+            if top < MIN_FLAT or 4 * top <= _beyond(around, BELOW_SHARE * level):
                 continue
             if converter_steps(around) < MIN_STEPS:
                 continue
@@ -101,7 +101,7 @@ def _beyond(recording: Float32Array, level_v: float) -> int:
 # Long enough for a few periods, short enough for a sweep to stay on one frequency.
 WINDOW_S = 0.0256
 # In bins of the window: below, the fundamental's skirt reaches the third harmonic.
-LEAST_BIN = 3
+MIN_BIN = 3
 # The harmonic must stand this far above the noise, which is taken from the upper half of the spectrum.
 OVER_FLOOR = 10.0
 # The stretch around the peak that is nearly as loud.
@@ -162,8 +162,8 @@ class ThirdHarmonic:
         power = np.square(spectra.real) + np.square(spectra.imag)
         rows = np.arange(which.size)
         fundamental = power[:, 1:].argmax(axis=1) + 1
-        audible = (fundamental >= LEAST_BIN) & (3 * fundamental + 2 <= length // 2)
-        fundamental = np.where(audible, fundamental, LEAST_BIN)
+        audible = (fundamental >= MIN_BIN) & (3 * fundamental + 2 <= length // 2)
+        fundamental = np.where(audible, fundamental, MIN_BIN)
         near = np.arange(-1, 2)
         whole = power[rows[:, None], fundamental[:, None] + near].sum(axis=1)
         level = power[rows[:, None], 3 * fundamental[:, None] + near].sum(axis=1)

@@ -99,12 +99,12 @@ DEAD_SHARE = 1e-6
 # What raises a record's residual by a quarter gets a closer look: in a clean one of the default run it is 13 % at
 # most. Of very few records each does, for there is none to compare with.
 SUSPICIOUS = 1.25
-LEAST_RECORDS = 3
+MIN_RECORDS = 3
 # Sweeps that differ by so many times what the fit of their mean leaves differ by more than noise, whatever the other
 # records are like: what drifts from sweep to sweep has a mean that the fit explains. Noise alone stays below 1.3 with
 # this many free bins.
 UNSTEADY = 3.0
-LEAST_FREE = 64.0
+MIN_FREE = 64.0
 # A tone below this share of the residual raises it by less than 1 dB.
 LINE_SHARE = 0.1
 # Harmonics are looked for where the response is 28 dB above what its sweeps differ by.
@@ -262,7 +262,7 @@ class DefectFinder:
             return np.asarray(left > MATTERS * whole)
         differing = differing_power.sum(axis=1, dtype=np.float64)
         matters = left + differing > MATTERS * whole
-        if len(whole) < LEAST_RECORDS:
+        if len(whole) < MIN_RECORDS:
             return np.asarray(matters)
         noise = differing / (self._averages - 1)
         unsteady = self._beyond_noise(left, noise) > 0
@@ -277,7 +277,7 @@ class DefectFinder:
 
         left, differing, float64 (records,): What the fit leaves of the mean, and what the sweeps differ by, per sweep.
         """
-        if 2 * self._omega.size * self._freedom < LEAST_FREE:
+        if 2 * self._omega.size * self._freedom < MIN_FREE:
             return np.zeros_like(differing)
         noise = left / self._freedom
         return np.where(differing > UNSTEADY * noise, differing - noise, 0.0)

@@ -80,13 +80,13 @@ WEAK = 0.1
 GARROTE = 3.0
 # Conjugate gradients end at this relative residual; they need about ten steps, a fuller record more.
 ENOUGH = 3e-5
-MOST_STEPS = 100
+MAX_STEPS = 100
 # Random signs that measure the freedom of a fit that is only known by its solutions.
 PROBES = 4
 
 
 # A joint fit keeps its directions in memory: this much, and no more.
-MOST_JOINT_BYTES = 1 << 30
+MAX_JOINT_BYTES = 1 << 30
 
 
 def joint_bytes(period: int, band_cycles: float, taps: int) -> int:
@@ -142,10 +142,10 @@ class JointFit:
         periodic: bool,
     ) -> None:
         needed = joint_bytes(period, omega.size / period, taps)
-        if needed > MOST_JOINT_BYTES:
+        if needed > MAX_JOINT_BYTES:
             raise InputError(
                 f"actuators that play at once, {taps} taps and {omega.size} frequencies need {needed / 2**30:.1f} GiB; "
-                f"at most {MOST_JOINT_BYTES / 2**30:g} GiB are taken: shorten the response, narrow the band, or let "
+                f"at most {MAX_JOINT_BYTES / 2**30:g} GiB are taken: shorten the response, narrow the band, or let "
                 "one actuator play at a time"
             )
         weight = np.sqrt(2 * power / period)
@@ -225,7 +225,7 @@ class JointFit:
             lambda left: left / (1 + penalty),
             np.zeros_like(seen),
             enough=ENOUGH,
-            most_steps=MOST_STEPS,
+            most_steps=MAX_STEPS,
         )
 
     def _probe(self) -> tuple[float, Float64Array]:

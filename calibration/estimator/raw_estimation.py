@@ -15,7 +15,7 @@ from wavefocus.calibration import Float32Array
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.clock.played import find_sweeps, learn_base, learn_sweeps, shape_of, whole_record
 from wavefocus.calibration.estimator.estimate import Channels, Estimate, PositionEstimator, Records
-from wavefocus.calibration.estimator.multichannel_fir_fit import MOST_JOINT_BYTES, joint_bytes
+from wavefocus.calibration.estimator.multichannel_fir_fit import MAX_JOINT_BYTES, joint_bytes
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.estimator.staggered import StaggeredEstimator
 from wavefocus.calibration.estimator.whole_record import WholeRecordEstimator
@@ -208,7 +208,7 @@ def _with_silence(
         return SequentialEstimator(sweeps, taps, records.channels, schedule=header.schedule, comparable=given)
     latest = round(header.schedule.delay_s[header.schedule.actuator >= 0].max() * rate)
     ring = scipy.fft.next_fast_len(2 * header.samples + latest + taps, real=True)
-    if joint_bytes(ring, (header.band_hz[1] - header.band_hz[0]) / rate, taps) <= MOST_JOINT_BYTES:
+    if joint_bytes(ring, (header.band_hz[1] - header.band_hz[0]) / rate, taps) <= MAX_JOINT_BYTES:
         return StaggeredEstimator(whole_record(found, reference, ring), records, expected_ratio=found.ratio)
 
     def clock(reference_v: Float32Array) -> tuple[float, float]:

@@ -50,9 +50,9 @@ TAIL_DB = -60.0
 BLOCKS = 50
 # A decay is fitted after the response has fallen by this, over at least as many blocks.
 FALLEN_DB = -6.0
-LEAST_BLOCKS = 5
+MIN_BLOCKS = 5
 # The response must fall by so much before noise or the last tap hides it.
-LEAST_FALL_DB = 15.0
+MIN_FALL_DB = 15.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,10 +116,10 @@ def measure_decay(green: NDArray[np.floating], sample_rate_hz: float) -> Decay:
     rate, level, floor = _fitted(place, late)
     # Energy per block that the exponential still has, summed from time 0 and from the last block on.
     fall_db = 10 / math.log(10) * (level - rate * place[0] - max(floor, level - rate * place[-1]))
-    if fall_db < LEAST_FALL_DB:
+    if fall_db < MIN_FALL_DB:
         raise InputError(
             f"the responses fall by {max(fall_db, 0):.0f} dB before noise or their last tap hides them; "
-            f"{LEAST_FALL_DB:g} dB are needed to measure their decay: record a longer silence or more sweeps"
+            f"{MIN_FALL_DB:g} dB are needed to measure their decay: record a longer silence or more sweeps"
         )
     block_s = block / sample_rate_hz
     whole = max(float(blocks.sum()) - BLOCKS * math.exp(floor), 1e-300)
@@ -134,7 +134,7 @@ def measure_decay(green: NDArray[np.floating], sample_rate_hz: float) -> Decay:
 def _first_fallen(blocks: Float64Array) -> int:
     """First block after which the energy stays below its highest by `FALLEN_DB`, leaving enough for a fit."""
     above = np.flatnonzero(blocks > 10 ** (FALLEN_DB / 10) * blocks.max())
-    return min(int(above[-1]) + 1, BLOCKS - 2 * LEAST_BLOCKS)
+    return min(int(above[-1]) + 1, BLOCKS - 2 * MIN_BLOCKS)
 
 
 def _fitted(place: Float64Array, late: Float64Array) -> tuple[float, float, float]:

@@ -19,7 +19,7 @@ from wavefocus.storage.errors import InputError
 RIDGE = 1e-6
 """Penalty on the FIRs' energy relative to the base signal's median power in band."""
 # Bins whose nominal energy is below this share of the median in band carry noise only.
-LEAST_POWER = 1e-4
+MIN_POWER = 1e-4
 # Reference energy in band that the base signal leaves unexplained.
 REFERENCE_LIMIT = 10**-1.5
 # The way from player to reference input rings for less than the inverse of this, so its factor is smooth.
@@ -30,7 +30,7 @@ BURST_OVER_MEDIAN = 12.0
 # Chance makes the loudest of 1e12 bins 40 times the median; twice that is a tone.
 LINE_OVER_MEDIAN = 80.0
 # Repeats can be compared from so many periods on.
-LEAST_PERIODS = 1.9
+MIN_PERIODS = 1.9
 
 
 class StaggeredEstimator:
@@ -58,7 +58,7 @@ class StaggeredEstimator:
         hertz = np.arange(nominal.size) * self._rate_hz / base_v.size
         in_band = (hertz >= records.band_hz[0]) & (hertz <= records.band_hz[1])
         self._median_power = float(np.median(power[in_band]))
-        enough = np.flatnonzero(power > LEAST_POWER * self._median_power)
+        enough = np.flatnonzero(power > MIN_POWER * self._median_power)
         enough = enough[(enough > 0) & (enough < base_v.size / 2)]
         self._bins = slice(int(enough[0]), int(enough[-1]) + 1)
         self._highest = self._bins.stop / base_v.size
@@ -216,7 +216,7 @@ class StaggeredEstimator:
         self, thinned: Thinned, answered: Complex128Array, turn: float, periods: float
     ) -> tuple[float, float]:
         """Coherence and repeat difference: what of the response in band is not the same in every period."""
-        if periods < LEAST_PERIODS:
+        if periods < MIN_PERIODS:
             return float("nan"), float("nan")
         inside, step = thinned.inside, thinned.step
         recorded = thinned.values[1, inside].astype(np.float64)

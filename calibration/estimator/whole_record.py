@@ -11,7 +11,7 @@ import scipy.fft
 from wavefocus.calibration import Complex128Array, Float32Array, Float64Array
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.clock.resampling import resampled
-from wavefocus.calibration.estimator.causal_fit import MOST_RIDGE, circulant_inverse, conjugate_gradients
+from wavefocus.calibration.estimator.causal_fit import MAX_RIDGE, circulant_inverse, conjugate_gradients
 from wavefocus.calibration.estimator.clipping import measure_levels
 from wavefocus.calibration.estimator.estimate import FLOOR, Estimate, Records, decibel
 from wavefocus.storage.errors import InputError
@@ -23,7 +23,7 @@ RUNNING = 2.0
 # A hit or a sweep within those first samples, many times as loud as what follows, is kept.
 LOUDER = 10.0
 # Samples beyond those taps that such a record must have, over the taps that are looked for.
-LEAST_SHARE = 1.2
+MIN_SHARE = 1.2
 
 
 class WholeRecordEstimator:
@@ -161,7 +161,7 @@ class _Fit:
     def _may_run(self) -> bool:
         """Whether the references go on after their first samples, and are long enough to leave those out."""
         rest = sum(one - self._lead for one in self._samples)
-        if min(self._samples) <= 2 * self._lead or rest <= LEAST_SHARE * self._taps * len(self._gain):
+        if min(self._samples) <= 2 * self._lead or rest <= MIN_SHARE * self._taps * len(self._gain):
             return False
         begin = sum(float(np.square(one[: self._lead]).sum()) for one in self._references) / self._lead
         later = sum(float(np.square(one[self._lead :]).sum()) for one in self._references) * len(self._samples) / rest
@@ -183,7 +183,7 @@ class _Fit:
             left = [one - shown for one, shown in zip(self._responses, self._shown(green), strict=True)]
             variance = sum(self._energy(one[first:]) for one in left) / self._free(first)
             energy = float(np.square(green).mean())
-            likely = min(max(variance / energy, ridge), MOST_RIDGE * self._median) if energy > 0 else ridge
+            likely = min(max(variance / energy, ridge), MAX_RIDGE * self._median) if energy > 0 else ridge
             if likely <= 2 * ridge:
                 break
             ridge = likely

@@ -11,7 +11,7 @@ import scipy.fft
 import scipy.linalg
 from numpy.typing import NDArray
 
-from wavefocus.calibration.estimator.causal_fit import MOST_RIDGE, ToeplitzFit
+from wavefocus.calibration.estimator.causal_fit import MAX_RIDGE, ToeplitzFit
 from wavefocus.storage.errors import InputError
 
 Float64Array = NDArray[np.float64]
@@ -20,7 +20,7 @@ ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 RIDGE = 1e-6
 """Penalty on a tap's energy relative to that of a bin, as in the estimators."""
-MOST_DENSE_TAPS = 4096
+MAX_DENSE_TAPS = 4096
 """FIRs up to this length are solved for with a matrix, of 128 MiB."""
 EARLY, LATE = 1e-2, 10**-2.5
 """Energy before zero, and in the last tenth of a period, relative to all of it, from which on frequency responses are
@@ -155,7 +155,7 @@ class CausalConverter:
         return green.astype(np.float32), left / np.where(whole > 0, whole, 1.0)
 
     def _fitted(self, values: ComplexArray, wanted: Float64Array) -> Float64Array:
-        if self.taps > MOST_DENSE_TAPS:
+        if self.taps > MAX_DENSE_TAPS:
             turn = 2 * np.pi * self._bins / self._period
             fit = ToeplitzFit(turn, np.ones(len(turn)), self._period, self.taps, RIDGE)
             largest = np.abs(values).max(axis=1, keepdims=True)
@@ -170,7 +170,7 @@ class CausalConverter:
             energy = _energy(green) / self.taps
             likely = float(np.median(variance / np.where(energy > 0, energy, np.inf)))
             if likely > 2 * RIDGE:
-                self._inverse = self._inverted(min(likely, MOST_RIDGE))
+                self._inverse = self._inverted(min(likely, MAX_RIDGE))
         return wanted @ self._inverse
 
     def _inverted(self, ridge: float) -> Float64Array:

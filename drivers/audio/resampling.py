@@ -20,7 +20,7 @@ HALF_LENGTH = 72
 PRODUCTS_AT_ONCE = 200_000
 """Few enough that OpenBLAS multiplies on this thread: its others would take the cores from the audio, spinning."""
 
-LARGEST_TERM = 1000
+MAX_TERM = 1000
 """Largest whole number in a ratio of rates; 44,100 to 48,000 is 160 / 147."""
 
 
@@ -33,11 +33,9 @@ def rate_ratio(from_hz: float, to_hz: float) -> Fraction:
     """
     ratio = Fraction(0)
     if from_hz > 0 and to_hz > 0 and math.isfinite(from_hz * to_hz):
-        ratio = (Fraction(to_hz) / Fraction(from_hz)).limit_denominator(LARGEST_TERM)
-    if not 0 < ratio.numerator <= LARGEST_TERM or abs(float(ratio) * from_hz / to_hz - 1) > 1e-12:
-        raise ValueError(
-            f"the rates {from_hz:g} Hz and {to_hz:g} Hz have no ratio of whole numbers up to {LARGEST_TERM}"
-        )
+        ratio = (Fraction(to_hz) / Fraction(from_hz)).limit_denominator(MAX_TERM)
+    if not 0 < ratio.numerator <= MAX_TERM or abs(float(ratio) * from_hz / to_hz - 1) > 1e-12:
+        raise ValueError(f"the rates {from_hz:g} Hz and {to_hz:g} Hz have no ratio of whole numbers up to {MAX_TERM}")
     return ratio
 
 
@@ -105,7 +103,7 @@ LIVE_HALF_LENGTH = 12
 """Of `LiveConversion`: flat up to 0.7 of half the lower rate, and nothing left above 1.3 of it, both to -100 dB."""
 
 
-MOST_MATRICES = 16
+MAX_MATRICES = 16
 """Blocks of one length begin at few places: 1 of 10 to 48 kHz, 2 of 10 to 44.1 kHz at 50 samples."""
 
 
@@ -142,7 +140,7 @@ class LiveConversion:
     def _matrix(self, place: int, samples: int) -> Float64Array:
         """Weights (old samples, frames) of a block whose first frame is at `place` in it, in old samples times `up`."""
         if (place, samples) not in self._matrices:
-            if len(self._matrices) >= MOST_MATRICES:
+            if len(self._matrices) >= MAX_MATRICES:
                 self._matrices.clear()
             places = np.arange(place, self._up * samples, self._down)
             reach = 2 * self.delay_samples

@@ -18,7 +18,7 @@ from wavefocus.acquisition.limits import DriftLimits
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.campaign.model import Campaign, clock
 from wavefocus.gui.campaign.quality import status_text
-from wavefocus.gui.field_map import MOST_COLUMNS, Plot, Real, whole_ticks
+from wavefocus.gui.field_map import MAX_COLUMNS, Plot, Real, whole_ticks
 from wavefocus.gui.surface import PlotSurface
 from wavefocus.gui.tab import TabContext
 from wavefocus.gui.theme import Themed
@@ -196,7 +196,7 @@ class DriftPlot(QWidget):
 
 def _columns(green: Real) -> Real:
     """The largest magnitude of each column of pixels."""
-    step = max(1, green.shape[1] // MOST_COLUMNS)
+    step = max(1, green.shape[1] // MAX_COLUMNS)
     used = green.shape[1] // step * step
     largest: Real = np.abs(green[:, :used]).reshape(len(green), -1, step).max(axis=2)
     return largest

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 # A drag makes more changes than can be seen.
 COALESCED_MS = 30
-MOST_STEPS = 500
+MAX_STEPS = 500
 _UNNAMED = "scene.toml"
 
 # A scene and the index of its chosen source.
@@ -51,7 +51,7 @@ class SceneDocument(QObject):
         self.allow_large = False
         self._restored_unsaved = False
         self.steps = QUndoStack(self)
-        self.steps.setUndoLimit(MOST_STEPS)
+        self.steps.setUndoLimit(MAX_STEPS)
         self.steps.cleanChanged.connect(self.file_changed)
         self._coalescing = QTimer(self)
         self._coalescing.setSingleShot(True)

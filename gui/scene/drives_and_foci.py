@@ -34,15 +34,15 @@ from wavefocus.storage.errors import InputError
 OnProgress = Callable[[int, int], None]
 
 TOLERANCE_DB = -60.0
-MOST_DRIVE_BYTES = 128 * 2**20
-LONGEST_S = 600.0
-MOST_GAINS = 200
-MOST_PATH_POINTS = 400
+MAX_DRIVE_BYTES = 128 * 2**20
+MAX_S = 600.0
+MAX_GAINS = 200
+MAX_PATH_POINTS = 400
 _BLOCK_SAMPLES = 8192
 _LISTED = 12
-MOST_FIGURES = 8
-MOST_CROSSTALK_POINTS = 24
-MOST_CROSSTALK_SOURCES = 4
+MAX_FIGURES = 8
+MAX_CROSSTALK_POINTS = 24
+MAX_CROSSTALK_SOURCES = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +56,7 @@ class Rendered:
 
 
 def render_while_edited(
-    scene: Scene, bank: Bank, limits: DriveLimits, on_progress: OnProgress, most_bytes: int = MOST_DRIVE_BYTES
+    scene: Scene, bank: Bank, limits: DriveLimits, on_progress: OnProgress, most_bytes: int = MAX_DRIVE_BYTES
 ) -> Rendered:
     """Render a scene to -60 dB and limit it.
 
@@ -69,10 +69,10 @@ def render_while_edited(
     """
     plain = replace(scene, output=Output(interpolation=scene.output.interpolation))
     lasts_s = max(emission_s(source, bank.sample_rate_hz) for source in scene.sources)
-    if lasts_s > LONGEST_S:
+    if lasts_s > MAX_S:
         length = hours(min(lasts_s, sys.float_info.max))
         raise InputError(
-            f"the scene lasts {length}; while it is edited, scenes of up to {hours(LONGEST_S)} are calculated."
+            f"the scene lasts {length}; while it is edited, scenes of up to {hours(MAX_S)} are calculated."
             " Shorten it, or save the drive, which may last longer"
         )
     lasts_s += (bank.taps - 1) / bank.sample_rate_hz
@@ -125,7 +125,7 @@ def summarise(
         focus_s=foci.start_s,
         focus_stop_s=foci.stop_s,
         focus_mm=position_mm[foci.position],
-        paths_mm=[path_line(source.path, MOST_PATH_POINTS) for source in scene.sources],
+        paths_mm=[path_line(source.path, MAX_PATH_POINTS) for source in scene.sources],
         snap_mm=max(snaps),
         warnings=rendered.warnings,
         unit=drive.drive_unit,
@@ -184,7 +184,7 @@ def _beginning(scene: Scene, bank: Bank, most: int, on_progress: OnProgress) -> 
 def _gains(scene: Scene, bank: Bank, drive: Drive) -> tuple[Float64Array, Float64Array]:
     """Focus instants, evenly chosen, and n(x) of eq. (15) at each."""
     order = np.argsort(drive.focus_sample, kind="stable")
-    chosen = order[evenly(len(order), MOST_GAINS)]
+    chosen = order[evenly(len(order), MAX_GAINS)]
     threshold = saturation_threshold(scene.regularisation, bank)
     positions, of_focus = np.unique(drive.focus_position[chosen], return_inverse=True)
     gain = focus_gains(bank, positions.tolist(), threshold)[of_focus]
@@ -205,7 +205,7 @@ def focus_figures(
     bank, scene, drive: Of the field.
     check: Called between the figures; what it raises ends the work.
     """
-    instants = [looked[index] for index in evenly(len(looked), MOST_FIGURES)]
+    instants = [looked[index] for index in evenly(len(looked), MAX_FIGURES)]
     time_s = np.array([one.sample for one in instants]) / drive.sample_rate_hz
     position_mm = np.asarray(bank.position_mm, np.float64)
     there = position_mm[rows]
@@ -220,7 +220,7 @@ def focus_figures(
             peak[index], off_mm[index] = abs(found.value), found.off_mm
             width_mm[index], artefact_db[index] = found.width_mm, found.artefact_db
     crosstalk = []
-    for source in range(min(len(scene.sources), MOST_CROSSTALK_SOURCES)):
+    for source in range(min(len(scene.sources), MAX_CROSSTALK_SOURCES)):
         check()
         ratio = _crosstalk(scene, source, bank, drive)
         if math.isfinite(ratio):
@@ -237,10 +237,10 @@ def _crosstalk(scene: Scene, index: int, bank: Bank, drive: Drive) -> float:
     rows: Sequence[int] = drive.focus_position[drive.focus_source == index].tolist()
     if len(rows) < 2 or source.speed_mm_s <= 0:
         return math.nan
-    begin = (len(rows) - min(len(rows), MOST_CROSSTALK_POINTS)) // 2
+    begin = (len(rows) - min(len(rows), MAX_CROSSTALK_POINTS)) // 2
     signal = source.signal.samples(bank.sample_rate_hz) if source.emission == "per_point" else None
     try:
-        responses = PathResponses(bank, rows[begin : begin + MOST_CROSSTALK_POINTS], signal, scene.regularisation)
+        responses = PathResponses(bank, rows[begin : begin + MAX_CROSSTALK_POINTS], signal, scene.regularisation)
     except InputError:
         return math.nan  # the emission is too long to be compared point by point
     return math.sqrt(responses.energy_ratio(source.speed_mm_s, source.step_mm))

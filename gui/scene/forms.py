@@ -32,7 +32,7 @@ from wavefocus.gui.scene.preview import Preview, trace_text
 from wavefocus.gui.scene.tools import anchor_of, shifted
 from wavefocus.gui.tab import TabContext
 
-_MOST_ROWS = 200
+_MAX_ROWS = 200
 _TABLE_LINES = 4
 _MOTION = ("speed_mm_s", "step_mm")
 _SATURATIONS = ("off", "saturation", "saturation_absolute")
@@ -264,7 +264,7 @@ class VertexTable(QWidget):
         if tuple(points) == self._points:
             return
         self._points = tuple(points)
-        rows = min(len(points), _MOST_ROWS)
+        rows = min(len(points), _MAX_ROWS)
         self.table.blockSignals(True)
         self.table.setRowCount(rows)
         self.table.setVerticalHeaderLabels([str(row) for row in range(rows)])

@@ -25,10 +25,10 @@ from wavefocus.gui.tab import TabContext
 from wavefocus.gui.theme import Themed
 
 LATENCY_GOAL_MS = 20.0
-_LOOK_AHEAD_MS, _LONGEST_LOOK_AHEAD_MS = 50, 2000
+_LOOK_AHEAD_MS, _MAX_LOOK_AHEAD_MS = 50, 2000
 _SHOWN_S = 60.0
 # A single peak must not hide all else.
-_MOST_GOALS = 4.0
+_MAX_GOALS = 4.0
 _AXIS_PX = 60
 _NOTICES_KEPT = 100
 _NOTICE_LINES = 3
@@ -66,7 +66,7 @@ class TrendPlot(Plot):
         largest = float(np.nanmax(values)) if np.isfinite(values).any() else 0.0
         self.setXRange(ends_s - _SHOWN_S, ends_s, padding=0.01)
         goal = self._goal.value()
-        self.setYRange(0.0, 1.2 * max(goal, min(largest, _MOST_GOALS * goal)), padding=0.0)
+        self.setYRange(0.0, 1.2 * max(goal, min(largest, _MAX_GOALS * goal)), padding=0.0)
 
     def redraw(self) -> None:
         super().redraw()
@@ -160,7 +160,7 @@ class LivePanel(Themed, QWidget):
         tip = "Let the sources fade, and mute the outputs"
         self.stop = ui.action(self, "Stop live sources", run.stop, "Shift+F8", tip=tip)
         tip = "Delay by which sources follow their pointers, so that less of their path has to be predicted (ms)"
-        self.look_ahead = ui.whole_box("Look-ahead in ms", tip, 0, _LONGEST_LOOK_AHEAD_MS, "look-ahead ", " ms")
+        self.look_ahead = ui.whole_box("Look-ahead in ms", tip, 0, _MAX_LOOK_AHEAD_MS, "look-ahead ", " ms")
         self.look_ahead.setValue(_LOOK_AHEAD_MS)
         tip = "Softer (negative) or louder than the chosen source's amplitude (dB), at once; the rig's limits hold"
         self.gain = ui.number_box("Gain of live sources in dB", tip, " dB", 1, -60.0, 60.0, prefix="gain ")

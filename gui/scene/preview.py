@@ -33,12 +33,12 @@ if TYPE_CHECKING:
 # The surface of the virtual rig, and the rate of its banks, while there is no bank.
 _USUAL_RATE_HZ = 10_000.0
 # More points than these look like a line; the figures count all of them.
-MOST_DRAWN = 2000
-_MOST_LINE_POINTS = 6000
+MAX_DRAWN = 2000
+_MAX_LINE_POINTS = 6000
 _LINE_POINTS_PER_MM = 8.0
 # Longer signals are not drawn: making them would delay editing.
-_LONGEST_DRAWN_S = 30.0
-_LARGEST_FILE = 64 * 2**20
+_MAX_DRAWN_S = 30.0
+_MAX_FILE = 64 * 2**20
 
 
 # Of a signal, or why it is not drawn.
@@ -313,8 +313,8 @@ def _samples(signal: Signal, _file_time_ns: int, rate_hz: float) -> Samples:
     """The samples of a signal at the bank's rate, or why they are not drawn."""
     file = getattr(signal, "path", None)
     try:
-        too_large = file is not None and file.stat().st_size > _LARGEST_FILE
-        if too_large or getattr(signal, "duration_s", 0.0) > _LONGEST_DRAWN_S:
+        too_large = file is not None and file.stat().st_size > _MAX_FILE
+        if too_large or getattr(signal, "duration_s", 0.0) > _MAX_DRAWN_S:
             return "too long to be drawn here; it can be rendered"
         return signal.samples(rate_hz)
     except (WavefocusError, OSError) as error:
@@ -327,7 +327,7 @@ def _drawn(source: Source, index: int, backdrop: Backdrop, signal_s: float) -> T
 
     points = point_count(source, index)
     moves = points > 1 or (source.path.length_mm > 0 and source.speed_mm_s > 0)
-    number = np.unique(np.linspace(0, points - 1, min(points, MOST_DRAWN)).astype(np.int64))
+    number = np.unique(np.linspace(0, points - 1, min(points, MAX_DRAWN)).astype(np.int64))
     if isinstance(source.path, TrajectoryPath):
         instant_s, points_mm = (part[number] for part in source.path.foci(source.start_s))
         period_s, lasts_s = 0.0, source.travel_s
@@ -347,7 +347,7 @@ def _drawn(source: Source, index: int, backdrop: Backdrop, signal_s: float) -> T
         too_far = distance_mm > backdrop.grid.spacing_mm * (1.0 + 1e-9) + 1e-9
         off, far = too_far | ~backdrop.usable[rows], int(too_far.sum())
     return Trace(
-        line_mm=path_line(source.path, int(min(_LINE_POINTS_PER_MM * source.path.length_mm, _MOST_LINE_POINTS)) + 3),
+        line_mm=path_line(source.path, int(min(_LINE_POINTS_PER_MM * source.path.length_mm, _MAX_LINE_POINTS)) + 3),
         points_mm=points_mm,
         instant_s=instant_s,
         rows=rows,

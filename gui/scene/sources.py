@@ -23,7 +23,7 @@ from wavefocus.storage.errors import WavefocusError
 
 # A drawing that is larger than the surface, or too small to be felt, is scaled to this share of its width.
 _SHARE = 0.6
-_SMALLEST_MM = 10.0
+_MIN_MM = 10.0
 _DUPLICATE_SHIFT_MM = (5.0, -5.0)
 _SVG_POINTS = 1000
 _LINES = 4
@@ -177,7 +177,7 @@ def _fitted(file: Path, size_mm: tuple[float, float], middle_mm: tuple[float, fl
     width, height = right - left, top - bottom
     largest = min(size_mm[0] / max(width, 1e-9), size_mm[1] / max(height, 1e-9))
     scale = 1.0
-    if largest < 1.0 or max(width, height) < _SMALLEST_MM:
+    if largest < 1.0 or max(width, height) < _MIN_MM:
         scale = float(f"{_SHARE * largest:.3g}")
     x, y = middle_mm[0] - scale * (left + right) / 2, middle_mm[1] - scale * (bottom + top) / 2
     return SvgTable(file=str(file), scale=scale, origin_mm=(round(x, 2) + 0.0, round(y, 2) + 0.0))

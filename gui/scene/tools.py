@@ -20,12 +20,12 @@ from wavefocus.gui.scene.draft import NEW_PATHS, PointMm, changed
 
 Box = tuple[PointMm, PointMm]
 
-_SMALLEST_MM = 0.1
+_MIN_MM = 0.1
 # As fine as any stage or laser spot; files stay short and readable.
 _DECIMALS = 2
 _SCALE_FIGURES = 5
 # A polyline of more vertices is moved as a whole.
-_MOST_VERTICES = 500
+_MAX_VERTICES = 500
 _POLYLINE_HINT = "Click each corner; double click or Enter ends, a click on the first closes, Backspace takes one back"
 
 
@@ -53,7 +53,7 @@ def handles_of(path: PathTable, box: Box | None = None) -> list[Handle]:
         case CircleTable():
             return _circle_handles(path)
         case PolylineTable():
-            points = path.points_mm if len(path.points_mm) <= _MOST_VERTICES else ()
+            points = path.points_mm if len(path.points_mm) <= _MAX_VERTICES else ()
             return [Handle(str(index), at, f"moves vertex {index}") for index, at in enumerate(points)]
         case TextTable(centre_mm=(x, y)):
             height = Handle("height", (x, y + path.height_mm / 2), "sets the height")
@@ -74,7 +74,7 @@ def with_handle_at(path: PathTable, name: str, to_mm: PointMm, box: Box | None =
     if isinstance(path, CircleTable) and name != "centre":
         return _turned(path, name, to_mm)
     if isinstance(path, TextTable) and name == "height":
-        return changed(path, height_mm=max(_SMALLEST_MM, round(2 * abs(to_mm[1] - path.centre_mm[1]), _DECIMALS)))
+        return changed(path, height_mm=max(_MIN_MM, round(2 * abs(to_mm[1] - path.centre_mm[1]), _DECIMALS)))
     if isinstance(path, SvgTable) and name == "scale":
         return _scaled(path, to_mm, box)
     return changed(path, **{f"{name}_mm": to_mm})
@@ -149,7 +149,7 @@ def _on_rim(path: CircleTable, direction_deg: float) -> PointMm:
 def _turned(path: CircleTable, name: str, to_mm: PointMm) -> CircleTable:
     x, y = to_mm[0] - path.centre_mm[0], to_mm[1] - path.centre_mm[1]
     if name == "radius":
-        return changed(path, radius_mm=max(_SMALLEST_MM, round(math.hypot(x, y), _DECIMALS)))
+        return changed(path, radius_mm=max(_MIN_MM, round(math.hypot(x, y), _DECIMALS)))
     direction_deg = math.degrees(math.atan2(y, x)) if x or y else path.start_deg
     if name == "start":
         return changed(path, start_deg=round(direction_deg % 360.0, 1))
@@ -165,7 +165,7 @@ def _far_corner(path: SvgTable, box: Box | None) -> PointMm | None:
     (left, bottom), (right, top) = box
     x, y = path.origin_mm
     corner = max(((a, b) for a in (left, right) for b in (bottom, top)), key=lambda at: math.dist(at, (x, y)))
-    return corner if math.dist(corner, (x, y)) > _SMALLEST_MM else None
+    return corner if math.dist(corner, (x, y)) > _MIN_MM else None
 
 
 def _scaled(path: SvgTable, to_mm: PointMm, box: Box | None) -> SvgTable:

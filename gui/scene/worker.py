@@ -31,7 +31,7 @@ from wavefocus.gui.scene.drives_and_foci import (
 from wavefocus.gui.surface import PlotSurface, surface_of
 from wavefocus.rendering.arrays import Int64Array
 from wavefocus.rendering.drive.coil_limits import DriveLimits
-from wavefocus.rendering.field.bank_spectra import LARGEST_FACTOR, PASSED, BankSpectra
+from wavefocus.rendering.field.bank_spectra import MAX_FACTOR, PASSED, BankSpectra
 from wavefocus.rendering.field.foci import loudest_instants
 from wavefocus.rendering.field.prediction import Prediction, field_unit, measured_positions
 from wavefocus.rendering.greens.regularisation import saturation_threshold
@@ -42,7 +42,7 @@ from wavefocus.storage.errors import InputError, WavefocusError
 
 # An edit is noticed between two parts of the field; each takes a fraction of a second.
 PART_POSITIONS = 128
-MOST_SPECTRA_BYTES = 512 * 2**20
+MAX_SPECTRA_BYTES = 512 * 2**20
 # The measured band may reach beyond its upper edge, which a sweep's fade leaves behind.
 _ROOM = 1.05
 
@@ -118,7 +118,7 @@ class BankCache:
         if self.bank.band_hz is None:
             return 1
         most = PASSED * self.bank.sample_rate_hz / 2.0 / (_ROOM * self.bank.band_hz[1])
-        return int(np.clip(most, 1, LARGEST_FACTOR))
+        return int(np.clip(most, 1, MAX_FACTOR))
 
     @property
     def rate_hz(self) -> float:
@@ -130,7 +130,7 @@ class BankCache:
         if kept is not None:
             return kept
         made = BankSpectra(self.bank, self.rows[first : first + PART_POSITIONS], rate_hz=self.rate_hz)
-        if self._spectra_bytes + made.size_bytes <= MOST_SPECTRA_BYTES:
+        if self._spectra_bytes + made.size_bytes <= MAX_SPECTRA_BYTES:
             self._spectra[first] = made
             self._spectra_bytes += made.size_bytes
         return made
@@ -146,7 +146,7 @@ def _identity_of(path: Path) -> _Identity:
 
 ReadRigLimits = Callable[[Path], RigLimits]
 
-MOST_FIELD_BYTES = 192 * 2**20
+MAX_FIELD_BYTES = 192 * 2**20
 # Fields are sampled two or three times a period; they are shown at eight times as many instants.
 FINER = 8
 # Nothing that takes long starts so soon after an edit: the next one may follow.
@@ -180,7 +180,7 @@ class Calculator:
     """
 
     def __init__(
-        self, connection: Connection, read_rig_limits: ReadRigLimits, most_field_bytes: int = MOST_FIELD_BYTES
+        self, connection: Connection, read_rig_limits: ReadRigLimits, most_field_bytes: int = MAX_FIELD_BYTES
     ) -> None:
         self._connection, self._read_rig_limits = connection, read_rig_limits
         self._most_field_bytes = most_field_bytes

@@ -186,13 +186,13 @@ TAIL_STEP_MM = 2.0
 ROOM_S = 1.0
 
 
-LONGEST_RINGING_S = 20.0
+MAX_RINGING_S = 20.0
 """What rings longer wraps: such a plate needs taps that hold its whole response."""
 
 
 def impulse_length(taps: int, sample_rate_hz: float, ringing_s: float = 0.0) -> int:
     """Samples of a transform in which impulse responses do not wrap."""
-    room_s = max(ROOM_S, min(ringing_s, LONGEST_RINGING_S))
+    room_s = max(ROOM_S, min(ringing_s, MAX_RINGING_S))
     return int(scipy.fft.next_fast_len(taps + round(room_s * sample_rate_hz), real=True))
 
 

@@ -51,7 +51,7 @@ RECIPE = 2
 ELEMENTS_PER_WAVELENGTH = 1.9
 SOLVED_STEP_HZ = 26.0
 """Distance of the frequencies that are solved for; they go on to a quarter beyond the band."""
-LEAST_NORM = 1e-10
+MIN_NORM = 1e-10
 """Directions of the projected space below this share of the strongest are dropped."""
 SMOOTHINGS = 8
 
@@ -311,7 +311,7 @@ def ritz_modes(
     space = np.concatenate([found.real, found.imag], axis=1)
     space /= np.sqrt(np.einsum("ij,ij->j", space, elements.mass @ space))
     norm, turn = eigh(space.T @ (elements.mass @ space))
-    kept = norm > LEAST_NORM * norm[-1]
+    kept = norm > MIN_NORM * norm[-1]
     space = space @ (turn[:, kept] / np.sqrt(norm[kept]))
     stiffness, turn = eigh(space.T @ (elements.stiffness @ space))
     shapes = space @ turn

@@ -64,8 +64,8 @@ class MirrorGeometry:
 
 
 # Small compared with any record, and more than outputs and converters differ.
-MOST_DELAY_S = 1e-3
-MOST_CROSSTALK_DELAY_S = 1e-2
+MAX_DELAY_S = 1e-3
+MAX_CROSSTALK_DELAY_S = 1e-2
 OUTLINE = Outline.stadium(250.0, 150.0)  # the paper, section IV.A: a stadium of 25 cm x 15 cm
 
 
@@ -172,12 +172,12 @@ class VirtualSettings:
             _require(name, getattr(self, name), getattr(self, name) > 0, "greater than 0")
         _require("crosstalk", self.crosstalk, abs(self.crosstalk) <= 1, "within +-1")
         leak_s = self.crosstalk_delay_s
-        _require("crosstalk_delay_s", leak_s, 0 <= leak_s <= MOST_CROSSTALK_DELAY_S, f"0 to {MOST_CROSSTALK_DELAY_S}")
+        _require("crosstalk_delay_s", leak_s, 0 <= leak_s <= MAX_CROSSTALK_DELAY_S, f"0 to {MAX_CROSSTALK_DELAY_S}")
         _require("clock_ppm", self.clock_ppm, abs(self.clock_ppm) <= 1000, "within +-1000")
         delay_s = self.inter_channel_delay_s
-        _require("inter_channel_delay_s", delay_s, abs(delay_s) <= MOST_DELAY_S, f"within +-{MOST_DELAY_S}")
+        _require("inter_channel_delay_s", delay_s, abs(delay_s) <= MAX_DELAY_S, f"within +-{MAX_DELAY_S}")
         decoder_s = self.vibrometer_latency_s
-        _require("vibrometer_latency_s", decoder_s, 0 <= decoder_s <= MOST_DELAY_S, f"0 to {MOST_DELAY_S}")
+        _require("vibrometer_latency_s", decoder_s, 0 <= decoder_s <= MAX_DELAY_S, f"0 to {MAX_DELAY_S}")
         _require("dropout_probability", self.dropout_probability, 0 <= self.dropout_probability <= 1, "0 to 1")
         low_s, high_s = self.latency_s
         _require("latency_s", self.latency_s, 0 <= low_s <= high_s <= 1, "0 <= shortest <= longest <= 1")
@@ -186,8 +186,8 @@ class VirtualSettings:
         _require("actuator_channels", wired, once, "one channel of its own per actuator and the loopback")
         outputs = max(wired) + 1
         late_s = self.output_latency_s or (0.0,) * outputs
-        within = len(late_s) == outputs and max(map(abs, late_s)) <= MOST_DELAY_S
-        _require("output_latency_s", late_s, within, f"one per output, {outputs} in all, within +-{MOST_DELAY_S}")
+        within = len(late_s) == outputs and max(map(abs, late_s)) <= MAX_DELAY_S
+        _require("output_latency_s", late_s, within, f"one per output, {outputs} in all, within +-{MAX_DELAY_S}")
         for name, factors, count in (
             ("output_gain", self.output_gain, outputs),
             ("actuator_strength", self.actuator_strength, self.actuators),

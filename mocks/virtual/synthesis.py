@@ -12,7 +12,7 @@ import scipy
 
 from wavefocus.drivers.protocols import Float32Array, Float64Array
 from wavefocus.mocks.plates import REFERENCE_C, Complex64Array, Complex128Array, Plate
-from wavefocus.mocks.plates.infinite import LONGEST_RINGING_S, impulse_length, phase_ramp
+from wavefocus.mocks.plates.infinite import MAX_RINGING_S, impulse_length, phase_ramp
 from wavefocus.mocks.plates.making import make_plate
 from wavefocus.mocks.virtual.settings import VirtualSettings
 from wavefocus.mocks.virtual.signals import PlayedSignal
@@ -315,7 +315,7 @@ class Synthesis:
     def _length(self, samples: int, rate_hz: float, start_ns: int, plays: Sequence[VirtualPlay]) -> int:
         """A transform long enough that neither end of anything wraps; the same for every latency."""
         first, last = 0.0, float(samples)
-        tail_s = max(TAIL_S, min(self._plate.ringing_s, LONGEST_RINGING_S))
+        tail_s = max(TAIL_S, min(self._plate.ringing_s, MAX_RINGING_S))
         for play in plays:
             requested_s = (play.requested_ns - start_ns) * 1e-9
             first = min(first, requested_s * rate_hz)

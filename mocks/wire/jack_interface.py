@@ -27,7 +27,7 @@ from wavefocus.mocks.wire.jack_capture import AudioRing, RingWriter
 
 SERVER_BYTES = 45_000_000
 """A jackd takes 42 MB of /dev/shm, however few ports it has (measured, 1.9.21)."""
-MOST_SERVERS = 7
+MAX_SERVERS = 7
 """Of eight that may be registered; a person may run one."""
 PLACE_S = 60.0
 
@@ -42,7 +42,7 @@ def server_place() -> Iterator[str]:
     import fcntl
 
     memory = os.statvfs("/dev/shm")
-    places = min(MOST_SERVERS, max(1, memory.f_blocks * memory.f_frsize // SERVER_BYTES))
+    places = min(MAX_SERVERS, max(1, memory.f_blocks * memory.f_frsize // SERVER_BYTES))
     latest_s = time.monotonic() + PLACE_S
     while True:
         for place in range(places):

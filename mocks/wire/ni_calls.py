@@ -24,7 +24,7 @@ TERMINAL_BITS = {RSE: 1, NRSE: 2, DIFFERENTIAL: 4}  # nidaqmx.constants._TermCfg
 FINITE = 10178  # nidaqmx.constants.AcquisitionType
 BY_CHANNEL = 0  # nidaqmx.constants.FillMode
 COMMIT = 3  # nidaqmx.constants.TaskMode
-FEWEST_SAMPLES = 2  # NI-DAQmx refuses a finite task of one sample
+MIN_SAMPLES = 2  # NI-DAQmx refuses a finite task of one sample
 ANALOG_INPUT = 10100  # nidaqmx.constants.ChannelType
 VOLTAGE = 10322  # nidaqmx.constants.UsageTypeAI
 PRODUCT_CATEGORY = 14646  # nidaqmx.constants.ProductCategory.USBDAQ
@@ -183,7 +183,7 @@ class NiCalls:
                 raise NiError(NiCode.INVALID_VALUE, "Property: DAQmx_SampClk_Rate")
             if request.sample_mode_raw != FINITE:
                 raise NiError(NiCode.NOT_SUPPORTED, "Property: DAQmx_SampQuant_SampMode")
-            if request.samps_per_chan < FEWEST_SAMPLES:
+            if request.samps_per_chan < MIN_SAMPLES:
                 raise NiError(NiCode.INVALID_VALUE, "Property: DAQmx_SampQuant_SampPerChan. Minimum Value: 2")
             task.rate_hz = self._box.product.coerced_rate_hz(request.rate)
             task.samples = request.samps_per_chan

@@ -30,7 +30,7 @@ BLOCKS_AHEAD = 32
 """Most blocks whose rows are loaded together."""
 TINY = 2.0**-100
 """Bounds what a window loses where single precision underflows."""
-LEAST_HOP_SAMPLES = 512
+MIN_HOP_SAMPLES = 512
 HOPS = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0, 1.5, 2.0, 3.0, 4.0)
 """Hops that are weighed, relative to how far one event reaches."""
 TRANSFORM_S = 0.35e-9
@@ -213,7 +213,7 @@ def choose_fft_samples(reach: int, span: int, actuators: int, focus_position: In
     rows = nodes * len(np.unique(focus_position))
     moves = nodes * np.count_nonzero(np.diff(focus_position))
     best, least = 0, np.inf
-    for hop in sorted({min(span, max(LEAST_HOP_SAMPLES, int(share * reach))) for share in HOPS}):
+    for hop in sorted({min(span, max(MIN_HOP_SAMPLES, int(share * reach))) for share in HOPS}):
         fft_samples = fast_length(reach + hop - 1)
         blocks = -(-span // (fft_samples - reach + 1))
         pairs = moves + nodes * blocks

@@ -19,7 +19,7 @@ ROWS_AT_ONCE = 8
 PASSED = 0.8
 """Frequencies up to this share of half the lower rate are passed."""
 STOPBAND_DB = 80.0
-LARGEST_FACTOR = 64
+MAX_FACTOR = 64
 
 
 def transform_rows(reader: RowReader, positions: Sequence[int], band: Band, device: Device) -> Any:
@@ -110,11 +110,11 @@ class Decimation:
 
     def __init__(self, rate_hz: float, lower_hz: float) -> None:
         # Beyond any rate that is allowed, quotients are not finite.
-        ratio = rate_hz / lower_hz if lower_hz >= rate_hz / (2 * LARGEST_FACTOR) else 0.0
+        ratio = rate_hz / lower_hz if lower_hz >= rate_hz / (2 * MAX_FACTOR) else 0.0
         self.factor = round(ratio)
-        if not (1 <= self.factor <= LARGEST_FACTOR and abs(ratio - self.factor) <= 1e-9 * self.factor):
+        if not (1 <= self.factor <= MAX_FACTOR and abs(ratio - self.factor) <= 1e-9 * self.factor):
             raise InputError(
-                f"rate_hz is {lower_hz:g}; allowed are {rate_hz:g} Hz over a whole number of at most {LARGEST_FACTOR}"
+                f"rate_hz is {lower_hz:g}; allowed are {rate_hz:g} Hz over a whole number of at most {MAX_FACTOR}"
             )
         self.passed_hz, self.half, self._kernel = rate_hz / 2.0, 0, np.ones(1)
         if self.factor > 1:

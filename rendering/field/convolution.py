@@ -22,7 +22,7 @@ HOST_PART_BYTES = 24 * 2**20
 SPECTRA_BYTES = 96 * 2**20
 """The drive's spectra are kept up to this size, else made anew for every part of the field."""
 BLOCKS_AT_ONCE = 64
-LEAST_HOP_SAMPLES = 512
+MIN_HOP_SAMPLES = 512
 HOPS = (0.25, 0.375, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
 """Hops that are weighed, relative to the taps."""
 PRODUCT = 2.0
@@ -149,7 +149,7 @@ class Convolution:
         taps, (actuators, samples), factor = self._reader.taps, self._drive_v.shape, self._decimation.factor
         reach = taps + self._decimation.kernel_samples - 1 + factor
         best, least = 0, np.inf
-        for hop in sorted({min(samples, max(LEAST_HOP_SAMPLES, int(part * taps))) for part in HOPS}):
+        for hop in sorted({min(samples, max(MIN_HOP_SAMPLES, int(part * taps))) for part in HOPS}):
             length = factor * fast_length(-(-(reach + hop) // factor))
             blocks = -(-samples // (length - reach))
             cost = length * np.log2(length) * (actuators + blocks / factor) + PRODUCT * length * actuators * blocks / 2

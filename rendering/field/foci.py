@@ -16,7 +16,7 @@ from wavefocus.storage.drive_file import Drive
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import Field
 
-MOST_RESPONSES_BYTES = 128 * 2**20
+MAX_RESPONSES_BYTES = 128 * 2**20
 ROWS_AT_ONCE = 64
 
 
@@ -39,7 +39,7 @@ def loudest_instants(drive: Drive, bank: GreenSource) -> LoudestInstants:
     """
     samples = drive.drive_v.shape[1] + bank.taps - 1
     windows = emission_windows(drive)
-    most = max(1, MOST_RESPONSES_BYTES // (4 * samples))
+    most = max(1, MAX_RESPONSES_BYTES // (4 * samples))
     if len(windows) > most:
         windows = tuple(windows[index] for index in np.linspace(0, len(windows) - 1, most).astype(int))
     if not windows:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 FOCUS_RADIUS_MM = 15.0
 """A focus is searched for within this distance of its path point: about one wavelength at 300 Hz."""
-MOST_INSTANTS = 64
+MAX_INSTANTS = 64
 QUIET = 0.25
 """Foci quieter than this part of the loudest one lie between two swings of the source's signal."""
 NEEDED_NEIGHBOURS = 0.9
@@ -98,7 +98,7 @@ def emission_windows(drive: Drive) -> tuple[FocusInstant, ...]:
             row = int(drive.focus_position[focus])
             last = min(max(int(following), int(first) + 1), max(end, int(first) + 1))
             windows.append(FocusInstant(int(source), row, int(first), last, int(first)))
-    return tuple(windows[index] for index in evenly(len(windows), MOST_INSTANTS))
+    return tuple(windows[index] for index in evenly(len(windows), MAX_INSTANTS))
 
 
 def focus_instants(

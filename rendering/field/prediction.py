@@ -26,10 +26,10 @@ RealArray = Float32Array | Float64Array
 OnProgress = Callable[[int, int], None]
 
 LISTED = 8
-LEAST_ROWS = 8
+MIN_ROWS = 8
 """Fewer rows are not worth a thread of their own."""
 LOOKED_AT_ROWS, LOOKED_AT_BLOCKS = 4, 8
-MOST_FOCI = 16
+MAX_FOCI = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +122,7 @@ class Prediction:
         count = len(self.position_index)
         # As many parts for each worker.
         turns = -(-count // (WORKERS * self._convolution.rows_at_once))
-        at_once = max(1, min(self._convolution.rows_at_once, max(LEAST_ROWS, -(-count // (WORKERS * turns)))))
+        at_once = max(1, min(self._convolution.rows_at_once, max(MIN_ROWS, -(-count // (WORKERS * turns)))))
         return [range(first, min(first + at_once, count)) for first in range(0, count, at_once)]
 
     def respond(self, positions: Int64Array) -> RealArray:
@@ -223,11 +223,11 @@ def chosen_positions(drive: Drive, bank: GreenSource, positions: Positions | Non
 def predicted_focus_peak(drive: Drive, bank: GreenSource) -> float | None:
     """Largest magnitude of the predicted response at a scene's foci, each while it is emitted.
 
-    In the bank's response unit, of at most `MOST_FOCI` foci; None where there is none that is finite.
+    In the bank's response unit, of at most `MAX_FOCI` foci; None where there is none that is finite.
     """
     windows = emission_windows(drive)
     foci: dict[int, list[FocusInstant]] = {}
-    for index in evenly(len(windows), MOST_FOCI).tolist():
+    for index in evenly(len(windows), MAX_FOCI).tolist():
         foci.setdefault(windows[index].row, []).append(windows[index])
     if not foci:
         return None

@@ -75,9 +75,9 @@ def _unit(green: Float64Array) -> Float64Array:
 IMPULSE_BAND_HZ = (50.0, 450.0)
 """The paper's band of impulses."""
 SPAN_MM = (20.0, 100.0)
-MOST_ROWS = 96
-FEWEST_PAIRS = 20
-LEAST_CORRELATION = 0.7
+MAX_ROWS = 96
+MIN_PAIRS = 20
+MIN_CORRELATION = 0.7
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +99,7 @@ class ImpulseTravel:
     @property
     def is_sure(self) -> bool:
         """Arrivals follow distances well enough for a velocity; in a room they do not."""
-        return self.correlation >= LEAST_CORRELATION and 3.0 * self.velocity_error_m_s <= self.group_velocity_m_s
+        return self.correlation >= MIN_CORRELATION and 3.0 * self.velocity_error_m_s <= self.group_velocity_m_s
 
 
 def impulse_travel(
@@ -122,7 +122,7 @@ def impulse_travel(
     Raises InputError: too few pairs of a measured position and an actuator of known place are that far apart.
     """
     allowed = np.flatnonzero(usable(bank)) if rows is None else np.asarray(rows, dtype=np.int64)
-    allowed = allowed[np.unique(np.linspace(0, len(allowed) - 1, min(MOST_ROWS, len(allowed))).astype(np.int64))]
+    allowed = allowed[np.unique(np.linspace(0, len(allowed) - 1, min(MAX_ROWS, len(allowed))).astype(np.int64))]
     actuator_mm = np.asarray(bank.actuator_mm, dtype=np.float64)
     distance, arrival, level, actuator = ([] for _ in range(4))
     time_s, reader = np.arange(bank.taps) / bank.sample_rate_hz, RowReader(bank)
@@ -140,10 +140,10 @@ def impulse_travel(
         level.append(10.0 * np.log10(apart_mm[near][driven] * total[driven]) + 20.0 * np.log10(2.0) * reader.exponent)
         actuator.append(near[driven])
     pairs = sum(map(len, distance))
-    if pairs < FEWEST_PAIRS:
+    if pairs < MIN_PAIRS:
         raise InputError(
             f"only {pairs} pairs of a measured position and an actuator of known place lie {span_mm[0]:g} to"
-            f" {span_mm[1]:g} mm apart; at least {FEWEST_PAIRS} are needed for a velocity"
+            f" {span_mm[1]:g} mm apart; at least {MIN_PAIRS} are needed for a velocity"
         )
     of = np.concatenate(actuator)
     arrivals = _fit(np.concatenate(distance), np.concatenate(arrival), of)

@@ -11,7 +11,7 @@ from wavefocus.rendering.greens.source import GreenSource
 from wavefocus.rendering.scene.signals import Noise, Signal, signal_size
 from wavefocus.storage.errors import InputError
 
-LONGEST_SIGNAL_S = 60.0
+MAX_SIGNAL_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +34,9 @@ def live_samples(signal: Signal, rate_hz: float) -> Float64Array:
     Raises InputError: the signal cannot be made at this rate, or is too long.
     """
     samples, _ = signal_size(signal, rate_hz)
-    if not samples <= LONGEST_SIGNAL_S * rate_hz:
+    if not samples <= MAX_SIGNAL_S * rate_hz:
         raise InputError(
-            f"a signal of {samples / rate_hz:.4g} s is too long; live sources take up to {LONGEST_SIGNAL_S:g} s"
+            f"a signal of {samples / rate_hz:.4g} s is too long; live sources take up to {MAX_SIGNAL_S:g} s"
         )
     return signal.samples(rate_hz)
 

@@ -23,10 +23,10 @@ from wavefocus.rendering.scene.signals import Signal
 from wavefocus.rendering.scene.trajectory import Trajectory
 from wavefocus.storage.errors import InputError
 
-MOST_NAMES = 64
+MAX_NAMES = 64
 """Names whose signals are kept; of more, those that were silent longest are forgotten."""
-LONGEST_NAME = 100
-LARGEST_AMPLITUDE = 1e9
+MAX_NAME = 100
+MAX_AMPLITUDE = 1e9
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,10 +160,10 @@ class LiveEngine:
         """
         if len(at_mm) != 2 or not all(map(math.isfinite, at_mm)):
             raise InputError(f"at_mm of source {name!r} is {at_mm}; two finite numbers (x, y) in mm are expected")
-        if amplitude is not None and not abs(amplitude) <= LARGEST_AMPLITUDE:
+        if amplitude is not None and not abs(amplitude) <= MAX_AMPLITUDE:
             raise InputError(
-                f"amplitude of source {name!r} is {amplitude}; it must be a number from {-LARGEST_AMPLITUDE:g} to"
-                f" {LARGEST_AMPLITUDE:g}"
+                f"amplitude of source {name!r} is {amplitude}; it must be a number from {-MAX_AMPLITUDE:g} to"
+                f" {MAX_AMPLITUDE:g}"
             )
         place, due = (float(at_mm[0]), float(at_mm[1])), self.next_sample + self._look_ahead
         sounding = self._active(due)
@@ -215,7 +215,7 @@ class LiveEngine:
         """Let a source fade and vanish. Raises InputError: none of that name sounds."""
         due = self.next_sample + self._look_ahead
         if name not in self._active(due):
-            raise InputError(f"no source {name[:LONGEST_NAME]!r} sounds; allowed are the names that do")
+            raise InputError(f"no source {name[:MAX_NAME]!r} sounds; allowed are the names that do")
         source = self._sources[name]
         source.due, self._changed = -1, True
         if source.life is not None:
@@ -337,11 +337,11 @@ class LiveEngine:
         """The source of a name, a new one with the default signal, or the given one."""
         if name in self._sources:
             return self._sources[name]
-        if not 0 < len(name) <= LONGEST_NAME:
-            raise InputError(f"a source's name has {len(name)} characters; allowed are 1 to {LONGEST_NAME}")
+        if not 0 < len(name) <= MAX_NAME:
+            raise InputError(f"a source's name has {len(name)} characters; allowed are 1 to {MAX_NAME}")
         source = _Source(self._default if emitted is None else emitted)
         active = self._active(self.next_sample + self._look_ahead)
-        while len(self._sources) >= max(MOST_NAMES, self._most_sources + 1):
+        while len(self._sources) >= max(MAX_NAMES, self._most_sources + 1):
             del self._sources[next(one for one in self._sources if one not in active)]
         self._sources[name] = source
         return source

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 
 DEFAULT_FRAMES = 240
-MOST_FRAMES = 5000
+MAX_FRAMES = 5000
 AROUND_S = 0.02
 """Time shown before the first focus and after the last."""
 TOP_SHARE = 0.999
@@ -88,9 +88,9 @@ def plan_frames(
     else:
         step_s = 1.0 / (slow * frame_rate_hz)
     frames = math.floor((end_s - begin_s) / step_s * (1 + 1e-12)) + 1
-    if frames > MOST_FRAMES:
+    if frames > MAX_FRAMES:
         raise InputError(
-            f"{field.path}: {end_s - begin_s:.3g} s, {slow:g} times slower, make {frames} frames, {MOST_FRAMES} are"
+            f"{field.path}: {end_s - begin_s:.3g} s, {slow:g} times slower, make {frames} frames, {MAX_FRAMES} are"
             " allowed; lower --slow, or choose --from-s and --to-s"
         )
     sample = np.rint((begin_s - field.start_s + step_s * np.arange(frames)) * rate_hz).astype(np.int64)
@@ -190,8 +190,8 @@ OnProgress = Callable[[int, int], None]
 
 COLOURS = "RdBu_r"
 LEFT_PX, TOP_PX, BAR_PX, BOTTOM_PX = 52, 30, 92, 42
-LEAST_WIDTH_PX = 240
-SNAPSHOT_PX, MOST_SNAPSHOTS = 346, 6
+MIN_WIDTH_PX = 240
+SNAPSHOT_PX, MAX_SNAPSHOTS = 346, 6
 
 
 def surface_of(bank: GreenSource, drive: Drive | None, outline_mm: Float64Array | None) -> Surface:
@@ -226,7 +226,7 @@ def write_movie(
     frames = read_frames(field, plan.sample)
     top = limit or colour_limit(frames, None if drive is None else Foci.of(drive).seen(field))
     with rc_context(STYLE):
-        stage = _Stage(field, surface, drive, plan, top, max(width_px, LEAST_WIDTH_PX))
+        stage = _Stage(field, surface, drive, plan, top, max(width_px, MIN_WIDTH_PX))
         with replacement(path) as temporary, temporary.open("wb") as file:
             # The first frame has half the colours at best; the palette is that of the loudest one.
             loudest = int(np.argmax(np.einsum("ij,ij->i", frames, frames)))
@@ -316,7 +316,7 @@ def snapshots(field: FieldRowReader, surface: Surface, drive: Drive) -> Picture:
     seen = foci.seen(field)
     if not len(seen.focus):
         raise InputError(f"{field.path} holds no focus of the drive; predict it from this drive, with its positions")
-    seen = seen.some(MOST_SNAPSHOTS)
+    seen = seen.some(MAX_SNAPSHOTS)
     sample, focus = seen.sample, seen.focus
     frames = read_frames(field, sample)
     top = colour_limit(frames, seen)

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from wavefocus.storage.drive_file import Drive
     from wavefocus.storage.field_file import Field
 
-MOST_SNAPSHOTS = 6
+MAX_SNAPSHOTS = 6
 
 
 def build_report(
@@ -104,7 +104,7 @@ def _pictures(
     fields = verification.fields
     every_row = np.arange(len(surface.position_mm))
     has_foci = len(fields.instant) > 0 and bool(np.any(fields.predicted_snapshot))
-    chosen = evenly(len(fields.instant), MOST_SNAPSHOTS)
+    chosen = evenly(len(fields.instant), MAX_SNAPSHOTS)
     snr_rows, snr_db, snr_caption = _signal_to_noise(verification, bank, every_row)
     with np.errstate(divide="ignore", invalid="ignore"):
         error_db = 20.0 * np.log10(fields.position_error)

@@ -95,7 +95,7 @@ SPREAD_SHARE = 0.1
 """Share of the signal's energy that cutting it into segments may move out of the band without a warning."""
 NAMED = 8
 ANY_DISTANCE_MM = (1.0, math.inf)
-LEAST_OWN_SAMPLES = 2**13
+MIN_OWN_SAMPLES = 2**13
 """A signal is padded to so many samples, so that a click has bins outside the bank's band, too."""
 
 
@@ -225,7 +225,7 @@ def _spread(source: SampledSource, share: float | None, bank: GreenSource) -> li
     if share is None or bank.band_hz is None or not moves or share <= SPREAD_SHARE:
         return []
     # In single precision, which does for a share; about 1 it neither over- nor underflows.
-    samples = fast_length(max(len(source.signal), LEAST_OWN_SAMPLES))
+    samples = fast_length(max(len(source.signal), MIN_OWN_SAMPLES))
     peak = float(np.abs(source.signal).max(initial=0.0))
     signal = (source.signal / (peak if peak > 0 else 1.0)).astype(np.float32)
     spectrum = np.fft.rfft(signal, samples)

@@ -33,10 +33,10 @@ if TYPE_CHECKING:
 
 # Without black, the colour of outlines; more sources than colours begin anew.
 SOURCE_COLOURS = COLOURS[:-1]
-MOST_NAMED = 12
+MAX_NAMED = 12
 MAP_PX = 500
 TOP_PX = 26
-MOST_LINE_POINTS = 4000
+MAX_LINE_POINTS = 4000
 UNMEASURED = "#d9d9d9"
 
 
@@ -65,7 +65,7 @@ def scene_picture(scene: Scene, bank: GreenSource, *, outline_mm: Float64Array |
     sources = _sources(scene, bank)
     surface = Surface.of(bank, [one.line_mm for one in sources], outline_mm)
     height = surface.height_px(MAP_PX)
-    lines = -(-min(len(sources), MOST_NAMED) // 2)
+    lines = -(-min(len(sources), MAX_NAMED) // 2)
     canvas = Canvas("scene", 2 * MAP_PX + 152, TOP_PX + height + 66 + 16 * lines)
     left = canvas.axes(52, TOP_PX, MAP_PX, height)
     right = canvas.axes(52 + MAP_PX + 20, TOP_PX, MAP_PX, height)
@@ -94,7 +94,7 @@ def _sources(scene: Scene, bank: GreenSource) -> list[_Drawn]:
     """Sample each source as the renderer does; the positions drawn are those that count for its foci."""
     drawn = []
     for source, sampled in zip(scene.sources, sample_scene(scene, bank, "sampled").sources, strict=True):
-        count = min(MOST_LINE_POINTS, max(2, int(4 * source.path.length_mm) + 2))
+        count = min(MAX_LINE_POINTS, max(2, int(4 * source.path.length_mm) + 2))
         focus_s = sampled.focus_sample / float(bank.sample_rate_hz)
         line_mm, rows = path_line_mm(source, count), sampled.focus_position
         drawn.append(_Drawn(source, line_mm, sampled.points_mm, focus_s, rows, sampled.snap_mm))
@@ -181,7 +181,7 @@ def _keys(sources: list[_Drawn]) -> list[object]:
     from matplotlib.lines import Line2D
 
     keys: list[object] = []
-    for index, one in enumerate(sources[:MOST_NAMED]):
+    for index, one in enumerate(sources[:MAX_NAMED]):
         source = one.source
         if len(one.rows) > 1:
             pace = f"at {source.speed_mm_s:g} mm/s" if source.speed_mm_s else f"in {source.travel_s:.3g} s"
@@ -190,8 +190,8 @@ def _keys(sources: list[_Drawn]) -> list[object]:
         else:
             x_mm, y_mm = one.points_mm[0]
             text = f"source {index}: at ({x_mm:.3g}, {y_mm:.3g}) mm, from {source.start_s:g} s"
-        if index == MOST_NAMED - 1 and len(sources) > MOST_NAMED:
-            text, colour = f"and {len(sources) - MOST_NAMED + 1} more", FAINT
+        if index == MAX_NAMED - 1 and len(sources) > MAX_NAMED:
+            text, colour = f"and {len(sources) - MAX_NAMED + 1} more", FAINT
         else:
             colour = SOURCE_COLOURS[index % len(SOURCE_COLOURS)]
         keys.append(Line2D([], [], color=colour, marker="o", mfc="none", label=text))

@@ -40,7 +40,7 @@ SPEEDS_MM_S = (40.0, 80.0, 160.0, 320.0, 640.0, 1000.0)
 EVERY = (1, 2, 4)
 """Path sample distances of the crosstalk, in grid spacings."""
 LINE_POINTS = 24
-LEAST_LINE = 8
+MIN_LINE = 8
 CORRELATION_BINS = 10
 BEFORE_S, AFTER_S = 0.02, 0.1
 """About each focus instant, the window whose spectrum is formed."""
@@ -70,7 +70,7 @@ def waves_of(scene: Scene, bank: GreenSource, fields: FieldComparison, spacing_m
         edges_mm = spacing_mm * (np.arange(CORRELATION_BINS + 1) + 0.5)
         correlation = correlation_over_distance(bank, edges_mm.tolist(), _about_the_middle(bank))
     line = line_of(np.asarray(bank.position_mm, dtype=np.float64), usable(bank), spacing_mm)
-    if len(line) >= LEAST_LINE:
+    if len(line) >= MIN_LINE:
         with suppress(InputError):
             crosstalk = crosstalk_table(
                 bank, line.tolist(), spacing_mm, SPEEDS_MM_S, EVERY, regularisation=scene.regularisation

@@ -17,7 +17,7 @@ from wavefocus.storage.errors import InputError
 PointMm = Sequence[float] | Float64Array
 """x and y in millimetres; a path keeps them as a tuple."""
 
-MOST_TURNS = 1e12
+MAX_TURNS = 1e12
 """Of more, numbers do not resolve the angle."""
 
 
@@ -162,8 +162,8 @@ class Circle:
         for name in ("turns", "start_deg"):
             if not math.isfinite(getattr(self, name)):
                 raise InputError(f"{name} is {getattr(self, name)}; it must be a finite number")
-        if abs(self.turns) > MOST_TURNS:
-            raise InputError(f"turns is {self.turns:g}; at most {MOST_TURNS:g} are allowed")
+        if abs(self.turns) > MAX_TURNS:
+            raise InputError(f"turns is {self.turns:g}; at most {MAX_TURNS:g} are allowed")
         if not math.isfinite(self.length_mm):
             raise InputError(f"radius_mm is {self.radius_mm}; the circle is longer than the range of numbers")
 
@@ -188,7 +188,7 @@ def check_point(point: PointMm, name: str) -> tuple[float, float]:
     return float(xy[0]), float(xy[1])
 
 
-MOST_LETTERS = 1000
+MAX_LETTERS = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +198,7 @@ class TextPath(DrawnPath):
     string: The text, in characters that DejaVu Sans has; it comes with matplotlib.
     height_mm: Height of the drawn outlines' bounding box, > 0.
     centre_mm: Centre of that box, in millimetres.
-    allow_large: It may have more than `MOST_LETTERS` letters.
+    allow_large: It may have more than `MAX_LETTERS` letters.
 
     Raises InputError: the text is too long, is blank or has a character without an outline, or a figure is out of
     range.
@@ -214,9 +214,9 @@ class TextPath(DrawnPath):
         if not (math.isfinite(self.height_mm) and self.height_mm > 0):
             raise InputError(f"height_mm is {self.height_mm}; it must be a finite number above 0")
         object.__setattr__(self, "centre_mm", check_point(self.centre_mm, "centre_mm"))
-        if len(self.string) > MOST_LETTERS and not self.allow_large:
+        if len(self.string) > MAX_LETTERS and not self.allow_large:
             raise InputError(
-                f"string has {len(self.string)} letters; more than {MOST_LETTERS} must be allowed with --allow-large"
+                f"string has {len(self.string)} letters; more than {MAX_LETTERS} must be allowed with --allow-large"
             )
         contours = _contours(self.string)
         corners = np.concatenate(contours)

@@ -22,15 +22,15 @@ from wavefocus.rendering.greens.source import GreenSource
 from wavefocus.rendering.scene.emission import ContinuousEmission, Emission, PointEmission
 from wavefocus.rendering.scene.model import Scene, Source
 from wavefocus.rendering.scene.paths import Point
-from wavefocus.rendering.scene.signals import MOST_SAMPLES
+from wavefocus.rendering.scene.signals import MAX_SAMPLES
 from wavefocus.rendering.scene.size import check_scene_size
 from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
 from wavefocus.storage.errors import InputError
 
 Method = Literal["sampled", "exact"]
 
-MOST_POINTS = 10**8
-LEAST_PIECE_SAMPLES = 2048
+MAX_POINTS = 10**8
+MIN_PIECE_SAMPLES = 2048
 SAMPLES_AT_ONCE = 2**16
 
 
@@ -94,8 +94,8 @@ def sample_source(
     number = np.arange(points + 1)
     arc_length: Float64Array = number[:-1] * np.float64(source.step_mm) if points > 1 else np.zeros(1)
     instants_s = source.start_s + number * source.step_mm / source.speed_mm_s if moving else np.full(2, source.start_s)
-    if instants_s[-1] * sample_rate_hz + len(signal) > MOST_SAMPLES:
-        raise InputError(f"source {index} would go on for {instants_s[-1]:.3g} s; {MOST_SAMPLES} samples are allowed")
+    if instants_s[-1] * sample_rate_hz + len(signal) > MAX_SAMPLES:
+        raise InputError(f"source {index} would go on for {instants_s[-1]:.3g} s; {MAX_SAMPLES} samples are allowed")
     focus = np.rint(instants_s * sample_rate_hz).astype(np.int64)
     exact = method == "exact" and moving and source.emission == "continuous"
     try:
@@ -115,7 +115,7 @@ def sample_source(
 
     emission: Emission
     if source.emission == "per_point" and moving:
-        emission = PointEmission(signal, focus[:-1], of_points, max(LEAST_PIECE_SAMPLES, taps))
+        emission = PointEmission(signal, focus[:-1], of_points, max(MIN_PIECE_SAMPLES, taps))
     else:
         last = int(focus[-1]) if moving else int(focus[0]) + len(signal)
         if last <= focus[0]:
@@ -205,10 +205,10 @@ def point_count(source: Source, index: int) -> int:
     if source.step_mm <= 0:
         raise InputError(f"step_mm of source {index} is {source.step_mm:g}; on a path it must be above 0")
     ratio = length / source.step_mm + 1e-9
-    if ratio > MOST_POINTS:
+    if ratio > MAX_POINTS:
         raise InputError(
             f"step_mm of source {index} is {source.step_mm:g}, which makes {ratio:.3g} path points; at most"
-            f" {MOST_POINTS} are allowed"
+            f" {MAX_POINTS} are allowed"
         )
     points = int(np.floor(ratio)) + 1
     if points > 1 and source.speed_mm_s <= 0:

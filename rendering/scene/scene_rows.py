@@ -15,8 +15,8 @@ from wavefocus.rendering.greens.interpolation.on_grid import Nearest
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.rendering.scene.paths import Path
-from wavefocus.rendering.scene.sampling import MOST_POINTS as LARGEST_POINTS
-from wavefocus.rendering.scene.size import MOST_PATH_POINTS
+from wavefocus.rendering.scene.sampling import MAX_POINTS
+from wavefocus.rendering.scene.size import MAX_PATH_POINTS
 from wavefocus.storage.errors import InputError
 
 POINTS_AT_ONCE = 4096
@@ -64,10 +64,10 @@ def _along(path: Path, spacing_mm: float, *, allow_large: bool) -> tuple[Float64
     if path.length_mm <= 0 or spacing_mm <= 0:
         return path.point_at(np.zeros(1)), 0.0
     steps = path.length_mm / spacing_mm * STEPS_PER_SPACING
-    if steps > (LARGEST_POINTS if allow_large else MOST_PATH_POINTS):
+    if steps > (MAX_POINTS if allow_large else MAX_PATH_POINTS):
         raise InputError(
             f"a path is {path.length_mm:.4g} mm long and is looked at in {steps:.4g} points; more than"
-            f" {MOST_PATH_POINTS} must be allowed with --allow-large, more than {LARGEST_POINTS} cannot be"
+            f" {MAX_PATH_POINTS} must be allowed with --allow-large, more than {MAX_POINTS} cannot be"
         )
     count = max(2, math.ceil(steps) + 1)
     along_mm = np.linspace(0.0, path.length_mm, count)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from soundfile import SoundFile as SoundFileReader
 
 
-MOST_SAMPLES = 2**31
+MAX_SAMPLES = 2**31
 """No signal and no scene may have more."""
 
 
@@ -198,8 +198,8 @@ def _resample(values: Float64Array, ratio: Fraction) -> Float64Array:
 def _sample_count(duration_s: float, sample_rate_hz: float) -> int:
     if not (math.isfinite(duration_s) and duration_s > 0):
         raise InputError(f"duration_s is {duration_s}; it must be a finite number above 0")
-    if duration_s * sample_rate_hz > MOST_SAMPLES:
-        raise InputError(f"duration_s is {duration_s}; that is more than {MOST_SAMPLES} samples")
+    if duration_s * sample_rate_hz > MAX_SAMPLES:
+        raise InputError(f"duration_s is {duration_s}; that is more than {MAX_SAMPLES} samples")
     count = round(duration_s * sample_rate_hz)
     if count < 1:
         raise InputError(f"duration_s is {duration_s}; at {sample_rate_hz:g} Hz that leaves no sample to emit")

@@ -6,14 +6,14 @@ import math
 from dataclasses import dataclass
 
 from wavefocus.rendering.scene.model import Scene, Source
-from wavefocus.rendering.scene.signals import MOST_SAMPLES, signal_size
+from wavefocus.rendering.scene.signals import MAX_SAMPLES, signal_size
 from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
 from wavefocus.storage.errors import InputError
 
-MOST_SECONDS = 3600.0
-MOST_DRIVE_BYTES = 8 * 2**30
-MOST_PATH_POINTS = 10**6
-MOST_SIGNAL_SAMPLES = 5 * 10**7
+MAX_SECONDS = 3600.0
+MAX_DRIVE_BYTES = 8 * 2**30
+MAX_PATH_POINTS = 10**6
+MAX_SIGNAL_SAMPLES = 5 * 10**7
 """Limits that `Scene.allow_large` lifts: an hour, 8 GiB of drives, some hundred MB of memory for points and signals."""
 
 
@@ -67,13 +67,13 @@ def check_scene_size(scene: Scene, *, sample_rate_hz: float, taps: int, actuator
     """
     size = scene_size(scene, sample_rate_hz=sample_rate_hz, taps=taps, actuators=actuators)
     limits = (
-        (size.seconds, MOST_SECONDS, f"{MOST_SECONDS:g} s of drives"),
-        (size.drive_bytes, MOST_DRIVE_BYTES, f"{size_words(MOST_DRIVE_BYTES)} of drives"),
-        (size.path_points, MOST_PATH_POINTS, f"{MOST_PATH_POINTS} path points"),
-        (size.signal_samples, MOST_SIGNAL_SAMPLES, f"{MOST_SIGNAL_SAMPLES} samples of signals"),
+        (size.seconds, MAX_SECONDS, f"{MAX_SECONDS:g} s of drives"),
+        (size.drive_bytes, MAX_DRIVE_BYTES, f"{size_words(MAX_DRIVE_BYTES)} of drives"),
+        (size.path_points, MAX_PATH_POINTS, f"{MAX_PATH_POINTS} path points"),
+        (size.signal_samples, MAX_SIGNAL_SAMPLES, f"{MAX_SIGNAL_SAMPLES} samples of signals"),
     )
-    if max(size.samples, size.signal_samples) > MOST_SAMPLES:
-        raise InputError(f"the scene makes {size}; at most {MOST_SAMPLES} samples are allowed")
+    if max(size.samples, size.signal_samples) > MAX_SAMPLES:
+        raise InputError(f"the scene makes {size}; at most {MAX_SAMPLES} samples are allowed")
     for value, limit, words in limits:
         if value > limit and not scene.allow_large:
             raise InputError(f"the scene makes {size}; more than {words} must be allowed with --allow-large")

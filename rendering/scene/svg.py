@@ -22,13 +22,13 @@ _NUMBER = re.compile(r"[\s,]*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)")
 _FLAG = re.compile(r"[\s,]*([01])")
 _COMMAND = re.compile(r"[\s,]*([A-Za-z])")
 _END = re.compile(r"[\s,]*\Z")
-MOST_PIECES = 10_000
-MOST_POINTS = 10**6
-LARGEST_COORDINATE = 1e100
+MAX_PIECES = 10_000
+MAX_POINTS = 10**6
+MAX_COORDINATE = 1e100
 """Squares and cubes of coordinates must stay within the range of numbers."""
 
 
-def flatten(data: str, tolerance: float, most_points: float = MOST_POINTS) -> list[Float64Array]:
+def flatten(data: str, tolerance: float, most_points: float = MAX_POINTS) -> list[Float64Array]:
     """Turn path data into polylines, one per `M` that draws something.
 
     Raises InputError: the data does not follow the path grammar, is empty, or makes too many points.
@@ -62,8 +62,8 @@ def _arguments(data: str, at: int, command: str) -> tuple[list[float], int]:
         if match is None:
             raise InputError(f"the path data goes wrong at {data[at : at + 20]!r}; {command} expects a number")
         values.append(float(match[1]))
-        if abs(values[-1]) > LARGEST_COORDINATE:
-            raise InputError(f"the path data has the number {match[1][:20]}; at most {LARGEST_COORDINATE:g} is allowed")
+        if abs(values[-1]) > MAX_COORDINATE:
+            raise InputError(f"the path data has the number {match[1][:20]}; at most {MAX_COORDINATE:g} is allowed")
         at = match.end()
     return values, at
 
@@ -136,7 +136,7 @@ class _Pen:
 
     def _pieces(self, bend: float) -> Float64Array:
         # A chord of a curve with second derivative `bend` strays by at most bend / (8 n^2).
-        count = math.ceil(min(max(math.sqrt(bend / (8.0 * self._tolerance)), 1.0), MOST_PIECES))
+        count = math.ceil(min(max(math.sqrt(bend / (8.0 * self._tolerance)), 1.0), MAX_PIECES))
         self._count(count)
         return np.arange(1, count + 1) / count
 
@@ -179,11 +179,11 @@ class _Pen:
         self._curve(points)
 
 
-MOST_BYTES = 16 * 2**20
+MAX_BYTES = 16 * 2**20
 FLATNESS_MM = 0.005
 """Largest distance of the flattened path from the curve: a thousandth of the default grid spacing."""
 
-LEAST_SCALE = 1e-100
+MIN_SCALE = 1e-100
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +197,7 @@ class SvgPath(DrawnPath):
     path_id: The `id` of the `path` element; empty: the first one.
     scale: Millimetres per drawing unit, > 0.
     origin_mm: Place of the drawing's (0, 0) on the surface, in millimetres.
-    allow_large: More points are allowed than `wavefocus.rendering.scene.svg.MOST_POINTS`.
+    allow_large: More points are allowed than `wavefocus.rendering.scene.svg.MAX_POINTS`.
 
     Raises InputError: the file cannot be read, has no such path, its path data is malformed, or it makes too many
     points.
@@ -216,9 +216,9 @@ class SvgPath(DrawnPath):
         found = _find_path(self.file, self.path_id)
         enlarged = self.scale * max(math.hypot(*found.transform[:, :2].flat), 1e-12)
         try:
-            if not LEAST_SCALE < enlarged < 1.0 / LEAST_SCALE:
+            if not MIN_SCALE < enlarged < 1.0 / MIN_SCALE:
                 raise InputError(f"scale and transforms enlarge it {enlarged:.3g} times; use a scale nearer to 1")
-            most_points = math.inf if self.allow_large else MOST_POINTS
+            most_points = math.inf if self.allow_large else MAX_POINTS
             drawn = flatten(found.data, FLATNESS_MM / enlarged, most_points)
             strokes = []
             for stroke in drawn:
@@ -258,8 +258,8 @@ def _paths_of(file: Path) -> list[_Found]:
         content = read_regular(Path(file))
     except OSError as error:
         raise InputError(f"{file} cannot be read: {error.strerror or error}") from error
-    if len(content) > MOST_BYTES:
-        raise InputError(f"{file} has {len(content)} bytes; at most {MOST_BYTES} are read")
+    if len(content) > MAX_BYTES:
+        raise InputError(f"{file} has {len(content)} bytes; at most {MAX_BYTES} are read")
     found: list[_Found] = []
     transforms: list[Float64Array] = [np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])]
 

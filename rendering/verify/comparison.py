@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from wavefocus.rendering.arrays import Complex128Array, Float32Array, Float64Array, Int64Array
 from wavefocus.rendering.field.focus_figures import FocusInstant, emission_windows, evenly, focus_instants
 from wavefocus.rendering.field.metrics import RealArray, level_db
-from wavefocus.rendering.verify.field_pair import MOST_DELAY_S, BandLimit
+from wavefocus.rendering.verify.field_pair import MAX_DELAY_S, BandLimit
 from wavefocus.rendering.verify.scan import Scan
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.point_status import Status
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 
 # Positions per step of the pass: a few MB for seconds of signal.
 CHUNK_POSITIONS = 64
-MOST_WAVEFORMS = 6
+MAX_WAVEFORMS = 6
 
 
 # Frequencies at which causes of a difference are looked for: those at which the drive is loudest.
-MOST_FREQUENCIES, MOST_HARMONICS = 128, 24
-LEAST_POWER = 1e-6
+MAX_FREQUENCIES, MAX_HARMONICS = 128, 24
+MIN_POWER = 1e-6
 """Quieter bins say nothing."""
 
 
@@ -132,7 +132,7 @@ def compare_fields(prediction: Field, scan: Field | Scan, drive: Drive, bank: Gr
     instants = focus_instants(tuple(windows), at_foci, first_sample)
     columns = np.array([one.sample - first_sample for one in instants], np.int64)
     focused = np.unique([one.row for one in instants if one.row in rows]).astype(np.int64)
-    waveform_index = focused[evenly(len(focused), MOST_WAVEFORMS)]
+    waveform_index = focused[evenly(len(focused), MAX_WAVEFORMS)]
 
     scanned_energy, predicted_energy, product, error_energy = np.zeros((4, rows.size))
     raw_error = raw_scanned = 0.0
@@ -175,7 +175,7 @@ def compare_fields(prediction: Field, scan: Field | Scan, drive: Drive, bank: Gr
         error_all_frequencies=_root_ratio(raw_error, raw_scanned),
         correlation=_ratio(product.sum(), math.sqrt(scanned_energy.sum() * predicted_energy.sum())),
         level_db=level_db(max(_ratio(product.sum(), predicted_energy.sum()), 0.0)),
-        delay_samples=band.delay_samples(cross, round(MOST_DELAY_S * rate_hz)),
+        delay_samples=band.delay_samples(cross, round(MAX_DELAY_S * rate_hz)),
         position_index=rows,
         position_mm=np.asarray(bank.position_mm, np.float64)[rows],
         position_error=position_error,
@@ -212,10 +212,10 @@ def _loudest(drive: Drive, band: BandLimit) -> tuple[Int64Array, Complex128Array
         for number in range(3):
             power[number] += np.square(np.abs(band.spectrum((signal / largest_v) ** (number + 1))))
     chosen = np.zeros(0, np.int64)
-    for of_power, most in zip(power, (MOST_FREQUENCIES, MOST_HARMONICS, MOST_HARMONICS), strict=True):
+    for of_power, most in zip(power, (MAX_FREQUENCIES, MAX_HARMONICS, MAX_HARMONICS), strict=True):
         of_power[chosen] = 0.0
         loudest = np.argsort(of_power)[::-1][:most]
-        chosen = np.union1d(chosen, loudest[of_power[loudest] > LEAST_POWER * of_power.max()])
+        chosen = np.union1d(chosen, loudest[of_power[loudest] > MIN_POWER * of_power.max()])
     chosen = chosen if chosen.size else np.zeros(1, np.int64)
     spectra = np.stack([band.spectrum(signal)[chosen] for signal in drive.drive_v]).astype(np.complex128)
     return chosen, spectra, _powers(drive.drive_v / largest_v, band, chosen).astype(np.complex128)

@@ -18,14 +18,14 @@ from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import FieldRowReader
 
 # A delay between prediction and scan is looked for within this time.
-MOST_DELAY_S = 0.02
+MAX_DELAY_S = 0.02
 
 
 class BandLimit:
     """Limits chunks of signals to a bank's band; without one, leaves them as they are."""
 
     def __init__(self, samples: int, sample_rate_hz: float, band_hz: tuple[float, float] | None) -> None:
-        silence_s = MOST_DELAY_S if band_hz is None else 2.0 / band_hz[0]
+        silence_s = MAX_DELAY_S if band_hz is None else 2.0 / band_hz[0]
         self._samples = samples
         self._padded = fast_length(samples + round(silence_s * sample_rate_hz))
         self.bins = self._padded // 2 + 1

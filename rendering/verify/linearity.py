@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from wavefocus.storage.field_file import Field
 
 QUIETER_DB = 12.0
-MOST_POSITIONS = 24
+MAX_POSITIONS = 24
 """Positions of the quieter scan; half of them are foci, where there are so many."""
 
 
@@ -33,9 +33,9 @@ def quieter(drive: Drive) -> Drive:
 def linearity_rows(drive: Drive, rows: Int64Array) -> tuple[int, ...]:
     """Bank rows of the scanned ones that the quieter scan visits: some foci, and others spread evenly."""
     foci = np.intersect1d(drive.focus_position, rows)
-    foci = foci[evenly(len(foci), MOST_POSITIONS // 2)]
+    foci = foci[evenly(len(foci), MAX_POSITIONS // 2)]
     others = np.setdiff1d(rows, foci)
-    others = others[evenly(len(others), MOST_POSITIONS - len(foci))]
+    others = others[evenly(len(others), MAX_POSITIONS - len(foci))]
     return tuple(np.union1d(foci, others).tolist())
 
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from wavefocus.calibration.wave_model import (
     DISK_RADIUS,
-    FEWEST_DIRECTIONS,
-    LARGEST_GROWTH,
+    MAX_GROWTH,
+    MIN_DIRECTIONS,
     Patch,
     PatchKernel,
     WaveModel,
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 
 PATCH = 21
 """Positions that a place is interpolated from: a lattice's, within two and a half steps."""
-LEAST_POSITIONS = 9
+MIN_POSITIONS = 9
 WAVE_PATCHES, WAVE_FREQUENCIES = 6, 9
 FIT_FREQUENCIES = 32
 MAX_OUTSIDE = 0.75
 """Grid spacings from the nearest measured position beyond which a field is not known."""
-LEAST_INSIDE = 0.5
+MIN_INSIDE = 0.5
 """Share of the positions that must show a known field."""
 COARSE_STEPS = (-1.0, -0.5, 0.0, 0.5, 1.0)
 COARSE_TURNS_DEG = (-20.0, -10.0, -5.0, 5.0, 10.0, 20.0)
@@ -85,7 +85,7 @@ class Surface:
         self.place_mm = np.asarray(bank.position_mm, np.float64)
         self.tree = cKDTree(self.place_mm[self.rows])
         there_mm = self.place_mm[self.rows]
-        two_ways = len(self.rows) >= LEAST_POSITIONS and np.linalg.matrix_rank(there_mm - there_mm[0], 1e-3) == 2
+        two_ways = len(self.rows) >= MIN_POSITIONS and np.linalg.matrix_rank(there_mm - there_mm[0], 1e-3) == 2
         self.spacing_mm = float(np.median(np.asarray(self.tree.query(there_mm, 2)[0])[:, 1])) if two_ways else 0.0
         self.usable = self.spacing_mm > 0.0
 
@@ -171,9 +171,9 @@ class Expansion:
             inverse[patch.key] @ part for patch, part in zip(patches, around, strict=True)
         ])  # fmt: skip
         reach_mm = float(np.hypot(*np.moveaxis(self._offset_mm, -1, 0)).max())
-        growth = np.maximum(waves.wavenumber_rad_mm.imag, -LARGEST_GROWTH / max(reach_mm, 1e-9))
+        growth = np.maximum(waves.wavenumber_rad_mm.imag, -MAX_GROWTH / max(reach_mm, 1e-9))
         self._wavenumber, self._share = waves.wavenumber_rad_mm.real + 1j * growth, waves.disk_share
-        count = 2 * int(np.ceil(np.abs(self._wavenumber).max() * 1.5 * reach_mm)) + FEWEST_DIRECTIONS
+        count = 2 * int(np.ceil(np.abs(self._wavenumber).max() * 1.5 * reach_mm)) + MIN_DIRECTIONS
         angle = 2.0 * np.pi * (np.arange(count) + 0.5) / count
         self._directions = np.stack([np.cos(angle), np.sin(angle)])
         waves_there = self._waves(self._offset_mm)
@@ -248,7 +248,7 @@ class MirrorFit:
         place_mm = self._displaced.place_mm
         by_mm = error.displacement_mm(place_mm)
         inside = self._inside(place_mm + by_mm)
-        if np.mean(inside) < LEAST_INSIDE:
+        if np.mean(inside) < MIN_INSIDE:
             return np.inf
         own = self._scan.difference[:, part.frequencies][inside]
         left = self._difference(part, by_mm)[inside]

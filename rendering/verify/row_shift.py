@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from wavefocus.rendering.greens.source import GreenSource
     from wavefocus.rendering.verify.comparison import FieldComparison
 
-LEAST_ERROR = 0.1
+MIN_ERROR = 0.1
 """Median relative error from which a grid row is looked at."""
 LEFT = 0.2
 """Share of the sum of squares that may be left when a shift is taken off."""
-LEAST_LINE, MOST_LOOKED_AT = 3, 64
+MIN_LINE, MAX_LOOKED_AT = 3, 64
 SAME_LINE, SAME_PLACE = 0.1, 0.1  # grid spacings
 STEPS = tuple((x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y)
 
@@ -72,7 +72,7 @@ class _Neighbours:
 
     def best_step(self, members: Int64Array) -> tuple[float, tuple[int, int] | None]:
         """The step that explains the differences of some compared positions, if one does, and the share it leaves."""
-        looked_at = members[evenly(len(members), MOST_LOOKED_AT)]
+        looked_at = members[evenly(len(members), MAX_LOOKED_AT)]
         own = self.squares(looked_at, self.rows[looked_at])
         best: tuple[float, tuple[int, int] | None] = (LEFT, None)
         for step in STEPS:
@@ -93,7 +93,7 @@ def find_shifts(fields: FieldComparison, bank: GreenSource, predict: Callable[[i
     if len(bank.position_mm) < 2:
         return Shifts()
     neighbours = _Neighbours(fields, bank, predict)
-    wrong = fields.position_error > LEAST_ERROR
+    wrong = fields.position_error > MIN_ERROR
     if np.mean(wrong) > 0.5:
         return Shifts()
     found = Shifts()
@@ -101,7 +101,7 @@ def find_shifts(fields: FieldComparison, bank: GreenSource, predict: Callable[[i
         along = neighbours.place_mm[neighbours.rows, axis] / neighbours.pitch_mm[axis]
         for level in np.unique(np.round(along[wrong] / SAME_LINE)) * SAME_LINE:
             members = np.flatnonzero(np.abs(along - level) <= SAME_LINE)
-            if len(members) >= LEAST_LINE and np.mean(wrong[members]) > 0.5:
+            if len(members) >= MIN_LINE and np.mean(wrong[members]) > 0.5:
                 left, step = neighbours.best_step(members)
                 if step is not None:
                     one = _shift(neighbours, members, step, left)

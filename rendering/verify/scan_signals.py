@@ -23,7 +23,7 @@ MARKER_START_HZ = 20.0
 MARKER_STOP_HZ = 1000.0  # the fewer bins it fills the less a fit costs; at 60 dB it gives the clock ratio to 0.1 ppm
 MARKER_FADE_S = 0.02
 # Shortest silence from which noise is measured, and the part before the drive that is not used, in samples.
-LEAST_SILENCE_SAMPLES = 50
+MIN_SILENCE_SAMPLES = 50
 SILENCE_GUARD_SAMPLES = 8
 
 
@@ -104,8 +104,8 @@ class Alignment:
         start = int(fit.offset_samples + self._delay_samples) - SILENCE_GUARD_SAMPLES
         end = int(fit.offset_samples + fit.ratio * self._samples) + SILENCE_GUARD_SAMPLES
         lead_in, tail = response[: max(start, 0)], response[end:]
-        silence = lead_in if lead_in.size >= LEAST_SILENCE_SAMPLES else tail
-        noise_v = float(np.std(silence)) if silence.size >= LEAST_SILENCE_SAMPLES else float("nan")
+        silence = lead_in if lead_in.size >= MIN_SILENCE_SAMPLES else tail
+        noise_v = float(np.std(silence)) if silence.size >= MIN_SILENCE_SAMPLES else float("nan")
         unit = self._setup.response_per_volt
         return Aligned(
             response=(on_clock * unit).astype(np.float32),
@@ -127,7 +127,7 @@ CLEAR_BINS = 2
 # window of the response, both as rms.
 NOISE_FACTOR = 6.0
 RESPONSE_SHARE = 0.02
-LEAST_WINDOWS = 8
+MIN_WINDOWS = 8
 
 
 def quiet_above_hz(response: NDArray[np.floating], rate_hz: float, band_hz: tuple[float, float] | None) -> float:
@@ -157,7 +157,7 @@ class DropoutCheck:
     def finds_one(self, response_v: Float32Array) -> bool:
         """The vibrometer lost the signal during a record."""
         windows = np.lib.stride_tricks.sliding_window_view(response_v, 2 * self._half)[:: self._half]
-        if not self._outside.size or len(windows) < LEAST_WINDOWS:
+        if not self._outside.size or len(windows) < MIN_WINDOWS:
             return False
         windows = np.ascontiguousarray(windows)
         loudest = float(_norm(windows).max()) / np.sqrt(2 * self._half)

@@ -39,7 +39,7 @@ Part = TypeVar("Part")
 Result = TypeVar("Result")
 
 LOCAL = "local"
-MOST_PROCESSES = 256
+MAX_PROCESSES = 256
 CONNECTING_S = 20.0
 LOOKS_EVERY_S = 2.0
 GIVES_UP_S = 60.0
@@ -100,8 +100,8 @@ def cluster_client(address: str, workers: int | None = None) -> Iterator[Any]:
 
 def _processes(address: str) -> int:
     wanted = address.partition(":")[2]
-    if not (wanted.isascii() and wanted.isdigit() and 1 <= int(wanted) <= MOST_PROCESSES):
-        raise InputError(f"--cluster {address}: local:N starts N processes here, 1 to {MOST_PROCESSES}")
+    if not (wanted.isascii() and wanted.isdigit() and 1 <= int(wanted) <= MAX_PROCESSES):
+        raise InputError(f"--cluster {address}: local:N starts N processes here, 1 to {MAX_PROCESSES}")
     return int(wanted)
 
 

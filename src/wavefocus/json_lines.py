@@ -21,7 +21,7 @@ from wavefocus.exits import STAND_IN, one_line
 from wavefocus.storage.errors import InputError, WavefocusError
 
 # No order is longer; a line without an end must not fill the memory.
-_MOST_BYTES = 1 << 16
+_MAX_BYTES = 1 << 16
 
 
 class LinesOut:
@@ -150,14 +150,14 @@ def input_objects() -> Iterator[tuple[Mapping[str, object] | InputError, float]]
         return
     while True:
         try:
-            block = os.read(descriptor, _MOST_BYTES)
+            block = os.read(descriptor, _MAX_BYTES)
         except OSError:
             block = b""
         read_s = time.monotonic()
         *lines, rest = (rest + block).split(b"\n")
         if not block and rest.strip():
             lines.append(rest)
-        elif len(rest) > _MOST_BYTES:
+        elif len(rest) > _MAX_BYTES:
             lines, rest = [*lines, rest], b""
         for line in lines:
             # Some programs (PowerShell) begin what they write with a byte-order mark.

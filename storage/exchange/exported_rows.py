@@ -20,7 +20,7 @@ Int64Array = NDArray[np.int64]
 OnProgress = Callable[[int, int], None]
 Per = Literal["position", "actuator"]
 
-MOST_BYTES = 4 * 2**30
+MAX_BYTES = 4 * 2**30
 """Largest array that a format which takes a bank in one piece may hold in memory."""
 
 
@@ -83,10 +83,10 @@ class ExportedRows:
         """All Green's functions at once, (rows, actuators, taps); raises InputError beyond 4 GiB."""
         shape = (len(self.row), self.bank.actuators, self.bank.taps)
         needed = int(np.prod(shape, dtype=np.int64)) * np.dtype(dtype).itemsize
-        if needed > MOST_BYTES:
+        if needed > MAX_BYTES:
             raise InputError(
                 f"{self.bank.path}: {shape[0]} positions take {needed / 2**30:.3g} GiB at once in this format, and"
-                f" {MOST_BYTES / 2**30:.3g} GiB are allowed; export some --positions at a time, or as wav"
+                f" {MAX_BYTES / 2**30:.3g} GiB are allowed; export some --positions at a time, or as wav"
             )
         green = np.empty(shape, dtype)
         for index, (_, values) in enumerate(self.each(on_progress)):

@@ -23,7 +23,7 @@ from wavefocus.storage.exchange.measured import SPARE_BYTES, UNFOLDS, ImportOpti
 from wavefocus.storage.exchange.named_arrays import NamedArrays, bank_arrays, measured_arrays
 from wavefocus.storage.output_files import replacement
 
-MOST_BYTES = 2**31 - 2**20
+MAX_BYTES = 2**31 - 2**20
 """Largest variable of the format."""
 
 
@@ -32,7 +32,7 @@ def write(path: Path, rows: ExportedRows, on_progress: OnProgress | None = None)
     from scipy.io import savemat
 
     needed = 4 * len(rows.row) * rows.bank.actuators * rows.bank.taps
-    if needed > MOST_BYTES:
+    if needed > MAX_BYTES:
         raise InputError(
             f"{path}: {len(rows.row)} positions take {needed / 2**30:.3g} GiB, and a variable of a MATLAB file holds 2;"
             " export some --positions at a time, or as npz"

@@ -145,7 +145,7 @@ RAW = LedgerFormat(
 )
 
 # One position is held in memory at a time, a few times over.
-MOST_POSITION_BYTES = 1 << 29
+MAX_POSITION_BYTES = 1 << 29
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,10 +202,10 @@ class RawHeader:
                 f"actuator_mm has {self.actuators} rows and the schedule plays {self.schedule.actuators} actuators; "
                 "one row for each is needed"
             )
-        if self.records * self.samples * 4 > MOST_POSITION_BYTES:
+        if self.records * self.samples * 4 > MAX_POSITION_BYTES:
             raise InputError(
                 f"a position has {self.records} records of {self.samples} samples; "
-                f"at most {MOST_POSITION_BYTES // 4} samples in all are read"
+                f"at most {MAX_POSITION_BYTES // 4} samples in all are read"
             )
 
     def _require_numbers(self) -> None:

@@ -14,7 +14,7 @@ from tests.gui.conftest import Opens, campaign_of, tab_of, wait, write_lab
 from wavefocus.commands.gui import front_door
 from wavefocus.config.scene import SceneConfig, TextTable
 from wavefocus.gui.campaign.position_panel import GreenPlot, Greens
-from wavefocus.gui.field_map import MOST_COLUMNS, decimate
+from wavefocus.gui.field_map import MAX_COLUMNS, decimate
 from wavefocus.gui.scene.draft import new_source
 from wavefocus.gui.scene.exports import SceneTask
 from wavefocus.gui.scene.tab import SceneTab
@@ -66,12 +66,12 @@ def test_given_virtual_typed_as_a_rig_then_it_stays_a_word(qtbot: QtBot, open_wi
     assert bar.rig_field.line.text() == "virtual"
 
 
-@pytest.mark.parametrize("length", [MOST_COLUMNS * 2, MOST_COLUMNS * 7 + 5])
+@pytest.mark.parametrize("length", [MAX_COLUMNS * 2, MAX_COLUMNS * 7 + 5])
 def test_given_a_smooth_slope_then_thinning_makes_no_ripple_and_loses_no_peak(length: int) -> None:
     x = np.linspace(0.0, 1.0, length)
     for y in (x, -x, np.exp(-5 * x)):
         few_x, few_y = decimate(x, y)
-        assert len(few_y) <= 2 * MOST_COLUMNS + 2 * length // MOST_COLUMNS
+        assert len(few_y) <= 2 * MAX_COLUMNS + 2 * length // MAX_COLUMNS
         assert (np.diff(few_x) >= 0).all()
         assert (np.diff(few_y) * np.sign(y[-1] - y[0]) >= 0).all()
         assert few_y.min() == y.min()

@@ -26,7 +26,7 @@ from wavefocus.drivers.errors import InstrumentLostError, TransientInstrumentErr
 from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.drivers.timeouts import BoundedPlayer
 from wavefocus.live_session.latency import LatencyHistogram
-from wavefocus.live_session.orders import MOST_WAITING, Inbox, UseSignal, order_of
+from wavefocus.live_session.orders import MAX_WAITING, Inbox, UseSignal, order_of
 from wavefocus.live_session.output import LiveOutput
 from wavefocus.live_session.pace import Pace
 from wavefocus.live_session.session import LiveSession
@@ -199,14 +199,14 @@ def test_given_positions_that_stop_then_the_source_fades_and_it_is_said() -> Non
 
 def test_given_a_flood_of_positions_then_the_newest_of_each_source_waits_and_the_first_arrival_counts() -> None:
     inbox = Inbox()
-    for index in range(10 * MOST_WAITING):
+    for index in range(10 * MAX_WAITING):
         inbox.put(MoveSource(f"{index % 3}", (float(index), 0.0), 2.0 if index < 3 else None), float(index))
     waiting = inbox.take()
     assert [(one.order.at_mm[0], one.order.amplitude, one.arrived_s) for one in waiting] == [
         (9999.0, 2.0, 0.0), (9997.0, 2.0, 1.0), (9998.0, 2.0, 2.0),
     ]  # fmt: skip
-    assert inbox.positions == 10 * MOST_WAITING
-    for index in range(MOST_WAITING):
+    assert inbox.positions == 10 * MAX_WAITING
+    for index in range(MAX_WAITING):
         inbox.put(EndSource(f"{index}"), 0.0)
     with pytest.raises(InputError):
         inbox.put(EndSource("one more"), 0.0)

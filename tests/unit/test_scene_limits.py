@@ -23,7 +23,7 @@ from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.report.scene_picture import scene_picture
 from wavefocus.rendering.scene.model import build_scene, read_scene
 from wavefocus.rendering.scene.scene_rows import scene_rows
-from wavefocus.rendering.scene.size import MOST_SECONDS, check_scene_size, scene_size
+from wavefocus.rendering.scene.size import MAX_SECONDS, check_scene_size, scene_size
 from wavefocus.rendering.scene.svg import SvgPath, flatten
 from wavefocus.storage.errors import InputError
 
@@ -80,7 +80,7 @@ def test_an_allowed_large_scene_is_rendered_in_the_size_that_was_stated() -> Non
         "speed_mm_s = 0.001\nstep_mm = 0.005", '{ kind = "line", start_mm = [0, 0], end_mm = [4, 0] }', IMPULSE
     )
     stated = scene_size(read(text), sample_rate_hz=RATE_HZ, taps=40, actuators=3)
-    assert stated.seconds > MOST_SECONDS
+    assert stated.seconds > MAX_SECONDS
     live = BlockDrive(read(text, allow_large=True), bank(), method="sampled")
     assert live.shape[1] == stated.samples
     assert sum(len(one.focus_sample) for one in live.sampled.sources) == stated.path_points

@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from scipy.stats import binom
 
 from wavefocus.config.trials import AdaptiveTable, TrialsTable
-from wavefocus.trials.analysis.psychometric_fit import MOST_LAPSES, fit_psychometric
+from wavefocus.trials.analysis.psychometric_fit import MAX_LAPSES, fit_psychometric
 from wavefocus.trials.analysis.report import build_report
 from wavefocus.trials.analysis.results import analysis_of, psychometric_of
 from wavefocus.trials.analysis.sensitivity import d_prime, sensitivities_of
@@ -136,14 +136,14 @@ def test_given_answers_at_levels_then_the_fit_is_the_maximum_of_the_penalised_li
         threshold, log_slope, lapse = point
         x, slope = np.log10(levels), math.exp(log_slope)
         share = np.clip(share_right(x, threshold, slope, 0.5, lapse), 1e-12, 1 - 1e-12)
-        middle = share_right(x, threshold, slope, 0.5, MOST_LAPSES / 2)
+        middle = share_right(x, threshold, slope, 0.5, MAX_LAPSES / 2)
         logistic = share_right(x, threshold, slope, 0.0, 0.0)
-        weights = of * ((0.5 - MOST_LAPSES / 2) * logistic * (1 - logistic)) ** 2 / (middle * (1 - middle))
+        weights = of * ((0.5 - MAX_LAPSES / 2) * logistic * (1 - logistic)) ** 2 / (middle * (1 - middle))
         columns = np.stack([np.ones(8), x])
         penalty = 0.5 * np.log(max(np.linalg.det(columns * weights @ columns.T), 1e-100))
         return -float(right @ np.log(share) + (of - right) @ np.log1p(-share)) - penalty
 
-    bounds = [(-2, 1), (0, 4.5), (0, MOST_LAPSES)]
+    bounds = [(-2, 1), (0, 4.5), (0, MAX_LAPSES)]
     best = minimize(loss, (-0.5, 2.0, 0.02), method="L-BFGS-B", bounds=bounds)
     fit = fit_psychometric(list(levels), list(right), list(of), guess=0.5)
     assert loss((math.log10(fit.threshold), math.log(fit.slope), fit.lapse)) <= best.fun + 1e-6

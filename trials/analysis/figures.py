@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 NAMES = {
     "speed_mm_s": "speed (mm/s)", "amplitude": "amplitude", "path": "path", "signal": "signal", "plays": "plays"
 }  # fmt: skip
-MOST_BARS = 36
-MOST_CURVES = 12
+MAX_BARS = 36
+MAX_CURVES = 12
 _COLUMNS = 4
 
 
@@ -59,7 +59,7 @@ def share_bars(name: str, shares: Sequence[Share], what: str, chance: float | No
 @drawn_in_style
 def psychometric_curves(name: str, found: Sequence[Psychometric]) -> Picture:
     """Fitted functions with the observed shares, whose area goes with the number of answers; up to twelve."""
-    shown = found[:MOST_CURVES]
+    shown = found[:MAX_CURVES]
     columns = min(len(shown), _COLUMNS)
     lines = math.ceil(len(shown) / columns)
     canvas = Canvas(name, 60 + columns * 256, 26 + lines * 236)

@@ -3,7 +3,7 @@
 The log-likelihood of the answers is penalised by half the logarithm of the determinant of Fisher's information (Firth,
 Biometrika 80 (1993), 27: Jeffreys' prior), so that estimates stay finite where all answers to the higher levels are
 right and all others at chance, and are less biased after few trials. The lapse rate is fitted between 0 and
-`MOST_LAPSES` (as Wichmann and Hill do, Percept. Psychophys. 63 (2001), 1293, up to 0.06).
+`MAX_LAPSES` (as Wichmann and Hill do, Percept. Psychophys. 63 (2001), 1293, up to 0.06).
 
 An interval holds the values whose profile of the penalised likelihood is high enough (Heinze and Schemper, Stat. Med.
 21 (2002), 2409). A parametric bootstrap sets the limit: participants with the fitted function answer at the same
@@ -31,9 +31,9 @@ Interval = tuple[float | None, float | None]
 
 # Beyond the 0.06 that Wichmann and Hill propose: with a true rate of 0.1 the slope's interval then held the truth in
 # 95 of 100 simulated participants in place of 85, and as often as before with lower rates.
-MOST_LAPSES = 0.12
-_LAPSES = np.linspace(0.0, MOST_LAPSES, 5)
-_REFERENCE_LAPSES = MOST_LAPSES / 2.0
+MAX_LAPSES = 0.12
+_LAPSES = np.linspace(0.0, MAX_LAPSES, 5)
+_REFERENCE_LAPSES = MAX_LAPSES / 2.0
 """Lapse rate of the information in the penalty, so that the penalty does not choose the lapse rate."""
 _CHI2_95 = 3.841458820694124
 """95 % quantile of chi-square with one degree of freedom."""
@@ -149,7 +149,7 @@ class _Likelihood:
         """The largest penalised likelihood within bounds: a grid, then a descent."""
         from scipy.optimize import minimize
 
-        bounds = [self._thresholds, self._log_slopes, (0.0, MOST_LAPSES)]
+        bounds = [self._thresholds, self._log_slopes, (0.0, MAX_LAPSES)]
         grid = (np.linspace(*self._thresholds, 81), np.linspace(*self._log_slopes, 41), _LAPSES)
         surface = self._penalised(self._k, *grid)
         start = [

@@ -9,14 +9,14 @@ from wavefocus.rendering.number_text import number
 from wavefocus.rendering.report.canvas import Picture
 from wavefocus.rendering.report.html import html_page
 from wavefocus.trials.analysis.figures import (
-    MOST_BARS,
-    MOST_CURVES,
+    MAX_BARS,
+    MAX_CURVES,
     NAMES,
     psychometric_curves,
     reaction_time_plot,
     share_bars,
 )
-from wavefocus.trials.analysis.psychometric_fit import MOST_LAPSES, Interval
+from wavefocus.trials.analysis.psychometric_fit import MAX_LAPSES, Interval
 from wavefocus.trials.analysis.results import Analysis
 from wavefocus.trials.analysis.shares import RIGHT, Share
 
@@ -80,8 +80,8 @@ def _notes(analysis: Analysis) -> Iterator[str]:
             yield f"The answers belong to {len(digests)} different {what}; they are pooled all the same."
     if any(function.track for function in analysis.psychometric):
         yield "Levels followed the answers: shares and d′ by level come from few trials, and are no random sample."
-    if len(analysis.psychometric) > MOST_CURVES:
-        yield f"The first {MOST_CURVES} of {len(analysis.psychometric)} psychometric functions are drawn."
+    if len(analysis.psychometric) > MAX_CURVES:
+        yield f"The first {MAX_CURVES} of {len(analysis.psychometric)} psychometric functions are drawn."
 
 
 def _shares(analysis: Analysis) -> Iterator[Section]:
@@ -93,7 +93,7 @@ def _shares(analysis: Analysis) -> Iterator[Section]:
     definition = "95 % interval: Wilson's score interval."
     drawn = _drawn(pooled)
     for (factors, outcome), shares in sorted(pooled.items(), key=lambda item: item[0] not in drawn):
-        if len(shares) > 3 * MOST_BARS:
+        if len(shares) > 3 * MAX_BARS:
             continue
         what = "right answers" if outcome == RIGHT else f"answers “{outcome}”"
         pictures, caption = [], ""
@@ -132,7 +132,7 @@ def _shares(analysis: Analysis) -> Iterator[Section]:
 
 def _drawn(pooled: Mapping[tuple[tuple[str, ...], str], Sequence[Share]]) -> set[tuple[tuple[str, ...], str]]:
     """Tables that are drawn: pairs of factors; single ones where there are no pairs."""
-    fit = [key for key, shares in pooled.items() if len(shares) <= MOST_BARS]
+    fit = [key for key, shares in pooled.items() if len(shares) <= MAX_BARS]
     pairs = {key for key in fit if len(key[0]) == 2}
     return pairs or set(fit)
 
@@ -187,7 +187,7 @@ def _psychometric(analysis: Analysis) -> Iterator[Section]:
         f"Psychometric functions of {factor}",
         "p = guess + (1 − guess − lapse) / (1 + exp(−slope (x − threshold))), x = log10 of the level; the threshold is"
         " given as a level. Maximum of the likelihood with Firth's penalty; guess held, lapse fitted between 0 and"
-        f" {percent(MOST_LAPSES)}. Intervals: profile likelihood, its limit from a parametric bootstrap. p of the"
+        f" {percent(MAX_LAPSES)}. Intervals: profile likelihood, its limit from a parametric bootstrap. p of the"
         " deviance: share of bootstrap replicates that lie as far from their function; below 0.05 the function does not"
         " describe the answers."
         + (
@@ -213,7 +213,7 @@ def _times(analysis: Analysis) -> Iterator[Section]:
     by_factor = [time for time in analysis.reaction_times if not time.participant and time.factors]
     first = tuple(by_factor[0].factors) if by_factor else ()
     drawn = [time for time in by_factor if tuple(time.factors) == first]
-    pictures = [reaction_time_plot("reaction-times", drawn)] if 1 < len(drawn) <= MOST_BARS else []
+    pictures = [reaction_time_plot("reaction-times", drawn)] if 1 < len(drawn) <= MAX_BARS else []
     yield Section(
         "Reaction times",
         "From the onset of the last presentation, as the recorder's loopback shows it, to the answer; of right answers"

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 FORMAT = "wavefocus-trials-analysis"
-FEWEST_LEVELS = 5
+MIN_LEVELS = 5
 """Levels above 0 from which a factor gets a psychometric function where the design is not adaptive."""
 
 
@@ -117,7 +117,7 @@ def psychometric_of(
 def _factor(answers: DataFrame) -> str | None:
     """The factor of constant stimuli."""
     for factor in ("amplitude", "speed_mm_s"):
-        if answers[factor][answers[factor] > 0.0].nunique() >= FEWEST_LEVELS:
+        if answers[factor][answers[factor] > 0.0].nunique() >= MIN_LEVELS:
             return factor
     return None
 

@@ -78,7 +78,7 @@ def count_scale(range_v: float, bits: int, coefficients: Sequence[float] | None)
 # The estimator finds clock ratios within 500 ppm; what the device's own divider takes of that is refused beforehand.
 RATE_TOLERANCE = 2e-4
 # NI-DAQmx refuses a finite task of one sample.
-FEWEST_SAMPLES = 2
+MIN_SAMPLES = 2
 # A finished record is in the computer's memory: reading it needs no time, but some drivers take 0 for "do not wait".
 READ_S = 2.0
 
@@ -116,7 +116,7 @@ class RecordTask:
         self.timing = timing
         self._session = session
         self._wiring = wiring
-        self._acquired = max(FEWEST_SAMPLES, timing.samples)
+        self._acquired = max(MIN_SAMPLES, timing.samples)
         self._task = session.new_task()
         try:
             channels = _configure(self._task, session, wiring, timing, self._acquired)

@@ -175,7 +175,7 @@ def scene_points(scene: Scene, most: int = POINTS_PER_SOURCE) -> Float64Array:
 
 NEIGHBOURS = 36
 """Whole rings about a position, on a square and on a hexagonal grid alike."""
-LEAST_NEIGHBOURS = 8
+MIN_NEIGHBOURS = 8
 REACH_SPACINGS = 8.0
 """Positions further than this, in grid spacings, are no neighbours: the waves there say little of those here."""
 SAME_SPACINGS = 1e-3
@@ -210,10 +210,10 @@ class Neighbourhoods:
             _, first = np.unique(np.rint(position_mm[rows] / (SAME_SPACINGS * spacing_mm)), axis=0, return_index=True)
             rows = rows[np.sort(first)]
             spacing_mm = PositionGrid(position_mm[rows]).spacing_mm
-        if len(rows) < LEAST_NEIGHBOURS or _on_a_line(position_mm[rows]):
+        if len(rows) < MIN_NEIGHBOURS or _on_a_line(position_mm[rows]):
             raise InputError(
                 f"interpolation is 'kernel', but the {len(rows)} measured positions are too few or lie on one line;"
-                f" it needs at least {LEAST_NEIGHBOURS}, spread in two directions; use 'nearest'"
+                f" it needs at least {MIN_NEIGHBOURS}, spread in two directions; use 'nearest'"
             )
         self.spacing_mm = spacing_mm
         self._rows: Int64Array = rows.astype(np.int64)
@@ -258,11 +258,11 @@ class Neighbourhoods:
         ring = np.rint(distance[near] / (SAME_SPACINGS * self.spacing_mm))
         chosen = np.lexsort((np.round(np.arctan2(fine[:, 1], fine[:, 0]), 6), ring))[: NEIGHBOURS + 1]
         offset_mm = offset_mm[chosen]
-        if len(chosen) <= LEAST_NEIGHBOURS or _on_a_line(offset_mm):
+        if len(chosen) <= MIN_NEIGHBOURS or _on_a_line(offset_mm):
             reach_mm = REACH_SPACINGS * self.spacing_mm
             raise SparseError(
                 f"position {row} at ({centre_mm[0]:.6g}, {centre_mm[1]:.6g}) mm has {len(chosen) - 1} measured"
-                f" neighbours within {reach_mm:.3g} mm; kernel interpolation needs at least {LEAST_NEIGHBOURS},"
+                f" neighbours within {reach_mm:.3g} mm; kernel interpolation needs at least {MIN_NEIGHBOURS},"
                 " spread in two directions"
             )
         # Shape to a tenth of what counts as the same place: rounding in a file must not make each patch unique.

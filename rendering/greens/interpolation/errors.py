@@ -19,7 +19,7 @@ WORTH_SAYING = 0.05
 """Error from which a render says something where no tolerance is given."""
 EMITTED_SHARE = 0.01
 """Bands with less of the scene's energy do not count."""
-MOST_POINTS = 128
+MAX_POINTS = 128
 SIGNAL_BLOCK, SIGNAL_BLOCKS = 4096, 6
 BANDS = 6
 EDGE_SHARE = 5e-3
@@ -93,7 +93,7 @@ def _errors(
     scene: Scene, bank: GreenSource, kind: Interpolation, signals: Sequence[Float64Array], *, thorough: bool
 ) -> InterpolationErrors | None:
     points_mm = scene_points(scene)
-    points_mm = points_mm[np.unique(np.linspace(0, len(points_mm) - 1, MOST_POINTS).astype(np.int64))]
+    points_mm = points_mm[np.unique(np.linspace(0, len(points_mm) - 1, MAX_POINTS).astype(np.int64))]
     name = scene.output.interpolation
     if isinstance(kind, GridInterpolation) and not _between(kind, points_mm):
         return None

@@ -38,14 +38,14 @@ PHASE_STEP = 0.35
 between them is then right to 1e-4."""
 GROWTH = 0.12
 """Towards 0 Hz, where the ridge decides, knots follow each other by this factor."""
-MOST_KNOTS = 400
+MAX_KNOTS = 400
 FADE = (1.25, 1.5)
 """Between these multiples of the band's upper end interpolated rows fade out: above its band a bank holds nothing."""
 LEFT_OUT = 1e-6
 """Where no band is stated, it ends where this share of the bank's energy is left above."""
 ROWS_LOOKED_AT = 4
 HALF_PATCH_SPACINGS = 3.2
-LEAST_ROOM_SAMPLES = 16
+MIN_ROOM_SAMPLES = 16
 ROOM = 4.0
 """Room for the weights' own ringing, in times that a wave takes to cross half a patch."""
 SAME_MM = 1e-6
@@ -130,14 +130,14 @@ class KernelRows:
         rate_hz = float(self.measured.sample_rate_hz)
         slowness_s_mm = float(np.median(waves.wavenumber_rad_mm.real / (2.0 * np.pi * waves.frequency_hz)))
         across_s = HALF_PATCH_SPACINGS * self._neighbourhoods.spacing_mm * slowness_s_mm
-        room = min(max(int(np.ceil(ROOM * across_s * rate_hz)), LEAST_ROOM_SAMPLES), self.measured.taps)
+        room = min(max(int(np.ceil(ROOM * across_s * rate_hz)), MIN_ROOM_SAMPLES), self.measured.taps)
         self._samples = int(scipy_fft.next_fast_len(self.measured.taps + room, real=True))
         bins_hz = scipy_fft.rfftfreq(self._samples, 1.0 / rate_hz)
         top_hz = self._loud_hz(bins_hz) if self.band_hz is None else self.band_hz[1]
         fade_hz = np.array(FADE) * max(top_hz, float(waves.frequency_hz[-1]))
         highest_hz = min(float(fade_hz[1]), float(bins_hz[-1]))
         bins_hz = bins_hz[: int(np.searchsorted(bins_hz, highest_hz, side="right"))]
-        widest_hz = max(PHASE_STEP / (2.0 * np.pi * across_s), highest_hz / MOST_KNOTS)
+        widest_hz = max(PHASE_STEP / (2.0 * np.pi * across_s), highest_hz / MAX_KNOTS)
         lowest_hz = min(float(waves.frequency_hz[0]), widest_hz) / 4.0
         knots_hz = [0.0, lowest_hz]
         while knots_hz[-1] < highest_hz:
@@ -198,7 +198,7 @@ LOOKS_PER_SPACING = 4
 """A path is looked at so often; where it turns by more from look to look it has a corner or a gap."""
 NARROWINGS = 40
 INSET = 1e-6
-MOST_LOOKS = 4_000_000
+MAX_LOOKS = 4_000_000
 
 
 def node_spacing_mm(wavenumber_rad_mm: float, error: float) -> float:
@@ -277,7 +277,7 @@ def _corners(path: Path, spacing_mm: float) -> Float64Array:
     """Arc lengths at which the path has a corner or a gap, ascending."""
     if isinstance(path, Circle):
         return np.zeros(0)
-    looks = min(int(np.ceil(path.length_mm / spacing_mm * LOOKS_PER_SPACING)) + 2, MOST_LOOKS)
+    looks = min(int(np.ceil(path.length_mm / spacing_mm * LOOKS_PER_SPACING)) + 2, MAX_LOOKS)
     along = np.linspace(0.0, path.length_mm, looks)
     points = path.point_at(along)
     step_mm = along[1]
@@ -309,7 +309,7 @@ FIT_PATCHES, FIT_SHAPES = 24, 4
 COMMON = 3
 """A shape that a third of the patches have is enough to fit the waves: each further one costs as much again."""
 BANDS_PER_OCTAVE = 3
-MOST_BANDS = 16
+MAX_BANDS = 16
 FAINT = 1e-4
 """Without a stated band: frequencies where the bank's power is above this part of its largest."""
 REACH_SPACINGS = 1.5
@@ -423,7 +423,7 @@ def _bands_hz(bank: GreenSource, neighbourhoods: Neighbourhoods) -> Float64Array
     """Frequencies a third of an octave apart over the bank's band."""
     low_hz, high_hz = bank.band_hz if bank.band_hz is not None else _loud_hz(bank, neighbourhoods)
     high_hz = min(high_hz, 0.499 * bank.sample_rate_hz)
-    low_hz = max(low_hz, bank.sample_rate_hz / bank.taps, high_hz / 2.0 ** (MOST_BANDS / BANDS_PER_OCTAVE))
+    low_hz = max(low_hz, bank.sample_rate_hz / bank.taps, high_hz / 2.0 ** (MAX_BANDS / BANDS_PER_OCTAVE))
     if low_hz >= high_hz:
         return np.array([high_hz])
     count = int(np.ceil(BANDS_PER_OCTAVE * np.log2(high_hz / low_hz))) + 1

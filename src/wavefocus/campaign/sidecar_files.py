@@ -38,7 +38,7 @@ from wavefocus.storage.text_file import open_regular, read_regular
 _TRIES = 5
 _PAUSE_S = 0.02
 # More than any of these files ever is.
-_MOST_BYTES = 65536
+_MAX_BYTES = 65536
 
 
 def raw_path(bank: Path) -> Path:
@@ -82,7 +82,7 @@ def read_whole(path: Path) -> dict[str, object] | None:
     """The JSON object in a file; None where there is no such file or none in it."""
     try:
         with open_regular(path) as file:
-            content = json.loads(file.read(_MOST_BYTES))
+            content = json.loads(file.read(_MAX_BYTES))
     except (OSError, ValueError, RecursionError):
         return None
     return content if isinstance(content, dict) else None

@@ -11,7 +11,7 @@ from wavefocus.console import answer, say, working_on
 from wavefocus.exits import Exit
 
 # So many lines of a kind are read; the rest is for programs.
-MOST_LINES = 10
+MAX_LINES = 10
 
 
 def check(file: Path, *, as_json: bool) -> Exit:
@@ -24,9 +24,9 @@ def check(file: Path, *, as_json: bool) -> Exit:
     line = say if as_json else answer
     by_severity = {level: [one for one in findings if one.severity == level] for level in ("error", "warning", "note")}
     for severity, some in by_severity.items():
-        for one in some[:MOST_LINES]:
+        for one in some[:MAX_LINES]:
             line(f"{severity}: {one.message}")
-        if len(some) > MOST_LINES:
-            line(f"{severity}: and {len(some) - MOST_LINES} more; --json lists all")
+        if len(some) > MAX_LINES:
+            line(f"{severity}: and {len(some) - MAX_LINES} more; --json lists all")
     line(f"{file}: {errors} errors, {len(by_severity['warning'])} warnings")
     return Exit.NOT_GOOD_ENOUGH if errors else Exit.DONE

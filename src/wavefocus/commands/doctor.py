@@ -156,7 +156,7 @@ def _plain(text: str) -> str:
 
 PACKAGES = ("wavefocus", "numpy", "scipy", "h5py", "pydantic", "pyserial", "nidaqmx", "grpcio", "sounddevice", "pyusb")
 # A campaign of 1500 positions with 20 actuators is a quarter of a gigabyte, and a log next to it.
-LEAST_FREE_BYTES = 2_000_000_000
+MIN_FREE_BYTES = 2_000_000_000
 USB_S = 60.0
 
 
@@ -207,7 +207,7 @@ def _check_packages(rig: RigConfig, findings: Findings) -> None:
 def _check_disk(folder: Path, findings: Findings) -> None:
     free = shutil.disk_usage(folder).free
     what = f"{free / 1e9:.1f} GB free at {folder}"
-    if free < LEAST_FREE_BYTES:
+    if free < MIN_FREE_BYTES:
         findings.add(
             "disk", "free space", "warn", what, "make room, or measure to another disk", Act("open-folder", str(folder))
         )

@@ -16,7 +16,7 @@ from wavefocus.storage.raw.header import RawHeader
 from wavefocus.storage.raw.writer import open_raw
 
 # So many faults are listed one by one.
-MOST_LINES = 10
+MAX_LINES = 10
 
 
 def estimate(raw: Path, bank: Path, workers: int | None, *, cluster: str = "", as_json: bool) -> None:
@@ -24,10 +24,10 @@ def estimate(raw: Path, bank: Path, workers: int | None, *, cluster: str = "", a
     with open_raw(raw) as recordings:
         header = recordings.header
         done = estimate_into(recordings, bank, workers, cluster=cluster, report=say, watch=progress)
-    for line in done.faults[:MOST_LINES]:
+    for line in done.faults[:MAX_LINES]:
         say(line)
-    if len(done.faults) > MOST_LINES:
-        say(f"and {len(done.faults) - MOST_LINES} positions more that are not valid")
+    if len(done.faults) > MAX_LINES:
+        say(f"and {len(done.faults) - MAX_LINES} positions more that are not valid")
     _print_result(bank, raw, header, done.status, done.positions, done.took_s, as_json=as_json)
 
 

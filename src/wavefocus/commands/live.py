@@ -24,11 +24,11 @@ from wavefocus.live_session.priority import raise_priority
 from wavefocus.live_session.session import LiveSession
 from wavefocus.storage.errors import InputError
 
-MOST_MESSAGES = 1000
+MAX_MESSAGES = 1000
 """A reader that does not keep up loses messages; the sound does not wait for it."""
 REFUSALS_PER_S = 10
 WRITES_WITHIN_S = 5.0
-MOST_AT_ONCE, FLOOD_PAUSE_S = 16, 0.002
+MAX_AT_ONCE, FLOOD_PAUSE_S = 16, 0.002
 """Of a flood so many lines are read at once, then none for 2 ms: reading more would slow down computing."""
 
 
@@ -77,7 +77,7 @@ def _begin(ready: LiveReady, session: LiveSession, messages: Messages, receiver:
             for content, arrived_s in input_objects():
                 receive(content, arrived_s)
                 count, last_s = count + 1 if arrived_s == last_s else 1, arrived_s
-                if count % MOST_AT_ONCE == 0:
+                if count % MAX_AT_ONCE == 0:
                     time.sleep(FLOOD_PAUSE_S)
         finally:
             session.stop()  # its starter is gone, or wants it to end
@@ -95,7 +95,7 @@ class Messages:
     """
 
     def __init__(self, *, as_json: bool) -> None:
-        self._queue: queue.Queue[Message | None] = queue.Queue(MOST_MESSAGES)
+        self._queue: queue.Queue[Message | None] = queue.Queue(MAX_MESSAGES)
         self._lines = LinesOut() if as_json else None
         self._second, self._refusals = 0, 0
         self.on_gone: Callable[[], object] = lambda: None

@@ -37,7 +37,7 @@ from wavefocus.storage.errors import InputError
 from wavefocus.storage.units import PLAYED_UNITS
 
 # What the player's process holds is kept in memory whole, so that nothing but a play that fits is begun.
-MOST_BYTES = 4 * 2**30
+MAX_BYTES = 4 * 2**30
 TELL_EVERY_S = 0.2
 # A play may take longer than its signal by the interface's latency and what opening a stream takes.
 LATE_S = 10.0
@@ -65,10 +65,10 @@ def play(drive_file: Path, rig_file: Path, *, loop: int, gain_db: float, as_json
     remedy = "use --gain-db {gain_db}, or set output.limit_v and limit_rms_v in the scene and render again"
     check_drive(drive, rig.player, str(drive_file), remedy, repeated=loop > 1, gain_db=gain_db)
     needed = _bytes_needed(drive, loop, rig)
-    if needed > MOST_BYTES:
+    if needed > MAX_BYTES:
         raise InputError(
             f"{drive_file}: {loop} times {samples / drive.sample_rate_hz:.4g} s on {actuators} actuators take"
-            f" {needed / 2**30:.3g} GiB at once, and {MOST_BYTES / 2**30:.3g} GiB are allowed: lower --loop, or play"
+            f" {needed / 2**30:.3g} GiB at once, and {MAX_BYTES / 2**30:.3g} GiB are allowed: lower --loop, or play"
             " the scene itself, with --bank: then it is rendered while it sounds"
         )
     seconds = loop * samples / drive.sample_rate_hz
@@ -134,7 +134,7 @@ def _progress_shown(report: Report, clock: Clock, seconds: float) -> Iterator[No
 AHEAD_S = 2.0
 """So much is rendered before it sounds: many times what a render takes, short enough to wait for."""
 PIECES_AHEAD = 8
-MOST_PIECE_SAMPLES = 4096
+MAX_PIECE_SAMPLES = 4096
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,7 +236,7 @@ def _play(
     watched: bool,
 ) -> dict[str, object]:
     rate_hz = float(bank.sample_rate_hz)
-    block_samples = max(1, min(MOST_PIECE_SAMPLES, round(ahead_s * rate_hz / PIECES_AHEAD)))
+    block_samples = max(1, min(MAX_PIECE_SAMPLES, round(ahead_s * rate_hz / PIECES_AHEAD)))
     streamed = StreamedDrive(
         scene,
         bank,

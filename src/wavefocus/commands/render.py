@@ -45,7 +45,7 @@ Float64Array = NDArray[np.float64]
 
 
 OUTLINE_POINTS = 400
-MOST_WHOLE_BYTES = 2 * 2**30
+MAX_WHOLE_BYTES = 2 * 2**30
 """Drives that take more are streamed without being asked: 22 minutes on 20 actuators at 10 kHz."""
 
 
@@ -346,4 +346,4 @@ def _too_large(job: _Job) -> bool:
         size = check_scene_size(
             job.scene, sample_rate_hz=float(bank.sample_rate_hz), taps=bank.taps, actuators=bank.actuators
         )
-    return size.drive_bytes > MOST_WHOLE_BYTES
+    return size.drive_bytes > MAX_WHOLE_BYTES

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from wavefocus.acquisition.limits import DriftPoint
 
 # So many positions that stayed as they were are listed one by one.
-MOST_LINES = 5
+MAX_LINES = 5
 MAX_NOTES = 10
 
 
@@ -133,10 +133,10 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
         answer(f"error of the rows from white noise, as it follows from that: median {error_db:.1f} dB")
     if moved:
         answer(f"measured up to {np.nanmax(moved_mm):.2g} mm off their position, where there was light: {moved}")
-    for position, reason in list(kept.items())[:MOST_LINES]:
+    for position, reason in list(kept.items())[:MAX_LINES]:
         answer(f"position {position} stayed as the bank had it: {reason}")
-    if len(kept) > MOST_LINES:
-        answer(f"and {len(kept) - MOST_LINES} more stayed as the bank had them: {row_ranges(list(kept))}")
+    if len(kept) > MAX_LINES:
+        answer(f"and {len(kept) - MAX_LINES} more stayed as the bank had them: {row_ranges(list(kept))}")
     if suspect := suspect_rows(drift):
         answer(
             f"the sentinel position had changed after positions {suspect} were measured: put it right, then "

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 STEP_MS = 0.05
-LARGEST_MS = 1000.0
+MAX_MS = 1000.0
 
 
 class LatencyHistogram:
-    """Counts latencies in steps of `STEP_MS`; what is beyond `LARGEST_MS` counts as that."""
+    """Counts latencies in steps of `STEP_MS`; what is beyond `MAX_MS` counts as that."""
 
     def __init__(self) -> None:
-        self._counts = np.zeros(round(LARGEST_MS / STEP_MS) + 1, dtype=np.int64)
+        self._counts = np.zeros(round(MAX_MS / STEP_MS) + 1, dtype=np.int64)
         self._largest_ms: float | None = None
 
     def add(self, latency_s: float) -> None:

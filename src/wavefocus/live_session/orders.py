@@ -16,12 +16,12 @@ from wavefocus.exits import one_line
 from wavefocus.json_lines import read_order
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.live.emitted import live_samples
-from wavefocus.rendering.live.engine import LONGEST_NAME
+from wavefocus.rendering.live.engine import MAX_NAME
 from wavefocus.rendering.scene.model import build_signal
 from wavefocus.rendering.scene.signals import Signal
 from wavefocus.storage.errors import InputError
 
-MOST_WAITING = 1000
+MAX_WAITING = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +60,8 @@ def order_of(content: Mapping[str, object], rate_hz: float, folder: Path) -> Ord
 
 def check_name(name: str) -> None:
     """Refuse a name that is empty or too long. Raises InputError."""
-    if not 0 < len(name) <= LONGEST_NAME:
-        raise InputError(f"name is {one_line(repr(name), 80)}; allowed: 1 to {LONGEST_NAME} characters")
+    if not 0 < len(name) <= MAX_NAME:
+        raise InputError(f"name is {one_line(repr(name), 80)}; allowed: 1 to {MAX_NAME} characters")
 
 
 def with_samples(order: SetSignal, rate_hz: float, folder: Path) -> UseSignal:
@@ -116,8 +116,8 @@ class Inbox:
                     latest.order = replace(order, amplitude=amplitude)
                     latest.answers.extend(answers)
                     return
-            if len(self._waiting) >= MOST_WAITING and not isinstance(order, EndLive):
-                raise InputError(f"more than {MOST_WAITING} orders came within a block; this one is left out")
+            if len(self._waiting) >= MAX_WAITING and not isinstance(order, EndLive):
+                raise InputError(f"more than {MAX_WAITING} orders came within a block; this one is left out")
             self._latest[name] = waiting = Waiting(order, arrived_s, list(answers))
             self._waiting.append(waiting)
 

@@ -17,7 +17,7 @@ BUSY = 0.8
 LOOKED_AT = 10
 LEFT_SHARE = 0.4
 """With less of it left to be played, computing has fallen behind."""
-CALM_S, MOST_CALM_S = 2.0, 60.0
+CALM_S, MAX_CALM_S = 2.0, 60.0
 RELAPSE_S = 10.0
 Change = Literal["slower", "faster"]
 
@@ -71,7 +71,7 @@ class Pace:
     def slower(self, sources: int) -> bool:
         """Step down; returns whether there was a step left."""
         if self._since_faster_s < RELAPSE_S:
-            self._needed_s = min(2 * self._needed_s, MOST_CALM_S)
+            self._needed_s = min(2 * self._needed_s, MAX_CALM_S)
         self._start_anew()
         if self._bound < len(BOUNDS_DB) - 1:
             self._bound += 1

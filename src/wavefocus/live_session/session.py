@@ -43,7 +43,7 @@ Publish = Callable[[Message], object]
 
 STATES_EVERY_S = 0.2
 NOTICES_EVERY_S = 2.0
-MOST_AHEAD_S = 1.0
+MAX_AHEAD_S = 1.0
 PACED = 0.95
 """Blocks begin so many block times apart where enough waits to be played: an interface asks for a period at a time, and
 several blocks computed in a burst would leave positions waiting for the next one."""
@@ -272,8 +272,8 @@ class LiveSession:
         if self._pace.slower(len(self.engine.state())):
             self._change_effort("slower")
         more = ""
-        if self._adapts and self._ahead_s < MOST_AHEAD_S:
-            self._ahead_s = min(2 * self._ahead_s, MOST_AHEAD_S)
+        if self._adapts and self._ahead_s < MAX_AHEAD_S:
+            self._ahead_s = min(2 * self._ahead_s, MAX_AHEAD_S)
             more = f"; from now on {1e3 * self._ahead_s:.0f} ms wait to be played"
         self._unwritten.clear()
         self._notice("underrun", f"{dry.instrument}: {dry.cause}{more}", always=True)

@@ -38,7 +38,7 @@ from wavefocus.acquisition.calibrate_mirror import (
 )
 from wavefocus.acquisition.doctor import crosstalk_alone, crosstalk_finding
 from wavefocus.acquisition.setup import Setup, identities_of, names_of
-from wavefocus.calibration.mirror_map import LEAST_MARKS, MirrorMap
+from wavefocus.calibration.mirror_map import MIN_MARKS, MirrorMap
 from wavefocus.config.calibration import (
     FORMAT,
     FORMAT_VERSION,
@@ -87,7 +87,7 @@ class Request:
     sample_rate_hz: float = 10_000.0
 
 
-LEAST_V = 1e-6
+MIN_V = 1e-6
 """No converter puts out less."""
 
 
@@ -99,8 +99,8 @@ def amplitude_v(rig: RigConfig, request: Request) -> float:
     largest_v = rig.player.largest_v
     if request.amplitude_v is None:
         return safe_amplitude_v(rig)
-    if 0 < request.amplitude_v < LEAST_V:
-        raise InputError(f"--amplitude-v {request.amplitude_v:g}: must be {LEAST_V:g} V or more")
+    if 0 < request.amplitude_v < MIN_V:
+        raise InputError(f"--amplitude-v {request.amplitude_v:g}: must be {MIN_V:g} V or more")
     if not 0 < request.amplitude_v <= largest_v:
         raise InputError(
             f"--amplitude-v {request.amplitude_v:g}: must be above 0 and at most {largest_v:g} (the rig's "
@@ -128,10 +128,10 @@ def marks(rig: RigConfig, request: Request) -> tuple[tuple[Place, ...], tuple[Pl
         else:
             guessed = list(angles)
         fitted_marks(places, guessed)
-        if len(places) == LEAST_MARKS:
+        if len(places) == MIN_MARKS:
             raise InputError(
-                f"{request.fiducials}: {LEAST_MARKS} marks decide the map alone, so that nothing shows a mark that is "
-                f"wrong; at least {LEAST_MARKS + 1} are needed"
+                f"{request.fiducials}: {MIN_MARKS} marks decide the map alone, so that nothing shows a mark that is "
+                f"wrong; at least {MIN_MARKS + 1} are needed"
             )
     return places, angles
 
@@ -150,7 +150,7 @@ def listening(rig: RigConfig, request: Request) -> tuple[float, NDArray[np.float
 
 
 # Latencies that scatter by more are reported: one record gives them a thousand times better.
-MOST_SPREAD_S = 1e-6
+MAX_SPREAD_S = 1e-6
 
 
 class CalibrationSession:
@@ -256,7 +256,7 @@ class CalibrationSession:
         if given_up:
             self.problems.append(f"outputs: {_listed(given_up)} no signal: check the cables, then --only outputs")
         for one in found:
-            if one.spread_s > MOST_SPREAD_S:
+            if one.spread_s > MAX_SPREAD_S:
                 self.problems.append(
                     f"outputs: the latency of output {one.channel} scatters by {1e6 * one.spread_s:.1f} us: check "
                     "the interface's clock and its buffer"

@@ -208,7 +208,7 @@ def _vibrometer(rig: RigConfig) -> Vibrometer:
 
 # Work buffers of linear algebra, stacks of threads, one position's records: measured 180 MiB for 20 actuators. With
 # less, OpenBLAS waits for memory for ever, in a call that nothing can interrupt.
-LEAST_BYTES = 256 << 20
+MIN_BYTES = 256 << 20
 
 
 def spare_address_space() -> int | None:
@@ -227,13 +227,13 @@ def spare_address_space() -> int | None:
 def require_address_space() -> None:
     """Refuse to open instruments where there may not be enough to put them to rest again.
 
-    Raises InputError: less than `LEAST_BYTES` are left.
+    Raises InputError: less than `MIN_BYTES` are left.
     """
     spare = spare_address_space()
-    if spare is not None and spare < LEAST_BYTES:
+    if spare is not None and spare < MIN_BYTES:
         raise InputError(
             f"{max(spare, 0) >> 20} MiB of address space are left to this process, and measuring needs "
-            f"{LEAST_BYTES >> 20}: raise its limit (ulimit -v, or the batch queue's memory); no instrument was opened"
+            f"{MIN_BYTES >> 20}: raise its limit (ulimit -v, or the batch queue's memory); no instrument was opened"
         )
 
 

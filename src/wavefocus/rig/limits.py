@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from wavefocus.config.rig import RigConfig
     from wavefocus.config.rig_instruments import PlayerSection
 
-MOST_AMPLITUDE_V = 1.0
+MAX_AMPLITUDE_V = 1.0
 # An output that puts out four times what the rig believes is still within the limit.
 SAFE_SHARE = 0.25
 
@@ -31,7 +31,7 @@ def safe_amplitude_v(rig: RigConfig) -> float:
     """A peak voltage well below the rig's limits, of volts and of rms, and below the ends of the recorder's ranges."""
     recorder = rig.recorder
     half_range_v = min(recorder.reference_range_v / recorder.reference_gain, recorder.response_range_v) / 2
-    return min(MOST_AMPLITUDE_V, SAFE_SHARE * largest_sine_v(rig.player), half_range_v)
+    return min(MAX_AMPLITUDE_V, SAFE_SHARE * largest_sine_v(rig.player), half_range_v)
 
 
 def largest_sine_v(player: PlayerSection) -> float:

@@ -45,9 +45,9 @@ from wavefocus.storage.errors import InputError
 
 SAMPLE_RATE_HZ = 10_000.0
 BAND_HZ = (TakeSweep.start_hz, TakeSweep.stop_hz)
-LONGEST_S = 10.0
+MAX_S = 10.0
 # Below the least step of any converter nothing would be played.
-LEAST_LEVEL_V = 1e-6
+MIN_LEVEL_V = 1e-6
 # No coordinate comes near it, and its square is finite.
 _LARGEST = 1e9
 # A vibrometer is asked for its light by a serial line, which takes longer than a record.
@@ -75,7 +75,7 @@ def order_of(content: Mapping[str, object], rig: RigConfig) -> Order:
                 _require("actuator", order.actuator, 0, len(rig.player.channels) - 1)
                 _require("start_hz", order.start_hz, 1.0, SAMPLE_RATE_HZ / 2)
                 _require("stop_hz", order.stop_hz, 1.0, SAMPLE_RATE_HZ / 2)
-                _require("duration_s", order.duration_s, 0.05, LONGEST_S)
+                _require("duration_s", order.duration_s, 0.05, MAX_S)
                 order = replace(order, level_v=_level_v(order.level_v, rig))
                 excitation_of(order, SAMPLE_RATE_HZ)  # refuses a band that no sweep has
     except MessageError as wrong:
@@ -111,9 +111,9 @@ def _level_v(level_v: float | None, rig: RigConfig) -> float:
     largest_v = largest_level_v(rig)
     if level_v is None:
         return _default_level_v(rig)
-    if not LEAST_LEVEL_V <= level_v <= largest_v * (1 + 1e-9):
+    if not MIN_LEVEL_V <= level_v <= largest_v * (1 + 1e-9):
         raise MessageError(
-            f"level_v is {level_v:g} V; allowed: {LEAST_LEVEL_V:g} V to at most {largest_v:.4g} V, what the "
+            f"level_v is {level_v:g} V; allowed: {MIN_LEVEL_V:g} V to at most {largest_v:.4g} V, what the "
             "rig file lets an actuator have (player.limit_v, limit_rms_v, limit_power_w)"
         )
     return level_v
