@@ -71,11 +71,11 @@ class DriftLimits:
     stop_correlation: float = 0.9
 
     def passes(self, positions: int, position_s: float) -> int:
-        """How often the sentinel is measured among so many positions of so many seconds each."""
+        """How often the sentinel is measured with so many positions of so many seconds each, at their end too."""
         if positions < 2 or position_s <= 0:
             return 0
         between = min(self.every_positions, max(1, math.ceil(self.every_s / position_s)))
-        return (positions - 1) // between
+        return (positions - 1) // between + 1
 
 
 @dataclass(frozen=True, slots=True)

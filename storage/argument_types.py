@@ -222,9 +222,13 @@ def _fits_tuple(value: Any, parts: tuple[Any, ...]) -> bool:
 
 
 def _refused(name: str, value: object, allowed: str) -> InputError:
-    text = str(value) if isinstance(value, np.dtype) else repr(value)
-    text = text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
-    return InputError(f"{name} is {' '.join(text.split())}; {allowed} is needed")
+    if isinstance(value, np.ndarray):
+        text = f"an array of {value.dtype}, of shape {value.shape}"
+    else:
+        text = str(value) if isinstance(value, np.dtype) else repr(value)
+        text = text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
+    verb = "are" if allowed.endswith("numbers") and not allowed.startswith("an ") else "is"
+    return InputError(f"{name} is {' '.join(text.split())}; {allowed} {verb} needed")
 
 
 MAX_SHOWN = 60

@@ -99,7 +99,7 @@ class CampaignReport:
         (rig, wall), (rig_s, wall_s) = self._pace, self._session.working_s()
         passes = 0
         if sentinel_of(self._plan, self._bank.status) is not None:
-            passes = self._plan.drift.passes(left, rig.position_s)
+            passes = max(1, self._plan.drift.passes(left + 1, rig.position_s))  # it is measured last, too
         remaining_s = rig.remaining_s(left, passes, rig_s if recording else None)
         wall_remaining_s = wall.remaining_s(left, passes, wall_s if recording else None)
         per_hour = [3600.0 / one.position_s if one.position_s > 0 else 0.0 for one in (rig, wall)]

@@ -18,6 +18,7 @@ import pytest
 from tests.system.captures import await_event, capture_process, held
 from tests.system.conftest import with_faults, write_lab
 from wavefocus.__main__ import run
+from wavefocus.storage.point_status import Status
 
 
 def _wavefocus(*arguments: object) -> int:
@@ -205,17 +206,18 @@ def test_given_a_changed_plate_then_resume_refuses_and_says_how_to_override(
     with_faults(
         lab,
         'role = "recorder"\noperation = "read"\nkind = "lost"\nposition = 2\npurpose = "capture"',
-        'role = "recorder"\noperation = "read"\nkind = "drift"\npurpose = "sentinel"\nlevel_db = -6.0',
+        'role = "recorder"\noperation = "read"\nkind = "drift"\npurpose = "sentinel"\nlevel_db = -6.0\ncount = 1000',
     )
     bank = lab / "plate.h5"
     assert _wavefocus("capture", lab / "run.toml", "--bank", bank) == 3
-    before = bank.read_bytes()
+    before = held(bank, "green")
     capsys.readouterr()
     assert _wavefocus("resume", bank) == 3
     told = capsys.readouterr().err.splitlines()[-1]
     assert "sentinel position 0" in told
     assert "--accept-drift" in told
-    assert bank.read_bytes() == before
+    assert held(bank, "green") == before
+    assert held(bank)[1] == Status.POOR_SIGNAL  # measured since the sentinel was last steady
 
 
 def test_given_a_second_process_then_exit_75_names_the_owner(bank: Path) -> None:

@@ -56,7 +56,7 @@ def test_given_a_plan_then_the_sentinels_measurements_are_in_its_hours(
     without_s = json.loads(capsys.readouterr().out)["duration_s"]
     _with_drift(lab)
     assert run(["plan", str(lab / "run.toml"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["duration_s"] == pytest.approx(without_s * 8 / 6)
+    assert json.loads(capsys.readouterr().out)["duration_s"] == pytest.approx(without_s * 9 / 7)
 
 
 def test_given_drift_that_a_repeat_does_not_confirm_then_the_campaign_goes_on(

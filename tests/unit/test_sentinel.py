@@ -85,8 +85,8 @@ def test_given_limits_of_ones_own_then_they_decide() -> None:
 
 
 @pytest.mark.parametrize(
-    ("positions", "position_s", "passes"), [(0, 10.0, 0), (1, 10.0, 0), (50, 1.0, 0), (51, 1.0, 1), (101, 1.0, 2),
-                                            (1500, 74.5, 30), (10, 7200.0, 9)]
+    ("positions", "position_s", "passes"), [(0, 10.0, 0), (1, 10.0, 0), (50, 1.0, 1), (51, 1.0, 2), (101, 1.0, 3),
+                                            (1500, 74.5, 31), (10, 7200.0, 10)]
 )  # fmt: skip
 def test_given_a_campaign_then_the_sentinels_measurements_are_counted(
     positions: int, position_s: float, passes: int

@@ -358,7 +358,7 @@ def test_rows_27_and_37_bank_of_any_number_type_equals_float64(convert):
 
 
 def test_rows_27_and_37_complex_bank_is_refused():
-    with pytest.raises(InputError, match="complex128; allowed are real numbers"):
+    with pytest.raises(InputError, match=r"complex128, .* real numbers are needed"):
         rendered(CONTINUOUS, make_bank(random_values() + 0j))
 
 
