@@ -105,7 +105,7 @@ figure.savefig(folder / "focus.png", dpi=120)
 foci = wf.focus_figures(drive, bank)
 (at_x_mm, at_y_mm), width_mm = foci.at_mm[0], foci.width_mm[0]
 print(f"{1e3 * foci.peak[0]:.1f} mm/s at ({at_x_mm:.1f}, {at_y_mm:.1f}) mm, {width_mm:.1f} mm wide")
-wf.write_drive(folder / "tap.h5", drive)
+wf.write_drive(folder / "tap.h5", drive, force=True)
 
 # %% [markdown]
 # The width is about half a wavelength at the band's upper end: no wave makes a smaller spot. More actuators do not

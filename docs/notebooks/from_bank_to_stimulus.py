@@ -62,7 +62,7 @@ limit_v = 2.0
 )
 scene = wf.load_scene(folder / "scene.toml")
 drive = wf.render(scene, bank)
-wf.write_drive(folder / "drive.h5", drive)
+wf.write_drive(folder / "drive.h5", drive, force=True)
 duration_s, peak_v = drive.drive_v.shape[1] / drive.sample_rate_hz, np.abs(drive.drive_v).max()
 print(f"{drive.method}: {duration_s:.2f} s, largest drive {peak_v:.3f} V, scaled by {drive.scale:.3g}")
 

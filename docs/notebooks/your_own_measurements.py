@@ -113,7 +113,7 @@ signal = wf.Noise((50.0, 450.0), 0.02, 1)
 scene = wf.Scene("stroke", (wf.Source(path, signal, speed_mm_s=100.0, step_mm=5.0, emission="per_point"),))
 drive = wf.render(scene, bank)
 foci = wf.focus_figures(drive, bank)
-wf.write_drive(folder / "drive.h5", drive)
+wf.write_drive(folder / "drive.h5", drive, force=True)
 for time_s, place_mm, width_mm in zip(foci.time_s, foci.at_mm, foci.width_mm, strict=True):
     print(f"{time_s:5.3f} s: ({place_mm[0]:5.1f}, {place_mm[1]:4.1f}) mm, {width_mm:4.1f} mm wide")
 
