@@ -46,7 +46,7 @@ def test_given_real_instruments_then_the_dry_run_asks_none_of_them(
     facts = json.loads(capsys.readouterr().out)
     assert facts["records"] == 6
     assert facts["second_looks"] == 2
-    assert facts["duration_s"] == pytest.approx(2 * 2 * (3 * (3 * 1.2 + 0.12) + 0.05))
+    assert facts["duration_s"] == pytest.approx((2 * 2 + 1) * (3 * (3 * 1.2 + 0.12) + 0.05))
     assert facts["instruments"][0] == f"mirror generic at {real_lab.as_posix()}/no-such-port, not asked"
     assert "player sounddevice no such interface, 4 outputs, not asked" in facts["instruments"]
 
