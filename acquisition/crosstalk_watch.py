@@ -36,6 +36,8 @@ class CrosstalkWatch:
     def __init__(self, plan: Plan, setup: Setup, bank: BankWriter) -> None:
         self._plan, self._setup, self._bank = plan, setup, bank
         self._rows: list[int] = []
+        self._rows_before: list[int] = []
+        """Positions of earlier sessions: marked with the others, but no part of what is measured now."""
         self._unseen = 0
         self._earlier: Int64Array | None = np.flatnonzero(bank.status == Status.VALID)
         self._clear: set[int] = set()
@@ -67,7 +69,7 @@ class CrosstalkWatch:
             for first in range(0, len(self._earlier), TOGETHER):
                 some = self._earlier[first : first + TOGETHER]
                 found = self._measure(some)
-                self._rows[:0] = some.tolist()
+                self._rows_before += some.tolist()
                 marked += list(self._mark(some, found))
                 earlier = found if found is not None and found.is_named else earlier
             self._earlier = None
@@ -105,7 +107,8 @@ class CrosstalkWatch:
             if found is not None and found.is_resolved:
                 self._clear.update(positions.tolist())
             return
-        for position in dict.fromkeys([*positions.tolist(), *(row for row in self._rows if row not in self._clear)]):
+        others = [row for row in (*self._rows_before, *self._rows) if row not in self._clear]
+        for position in dict.fromkeys([*positions.tolist(), *others]):
             if self._bank.status[position] == Status.VALID:
                 self._bank.amend(position, status=int(Status.POOR_SIGNAL))
                 yield position
