@@ -1,7 +1,6 @@
 """The window: it shows campaigns and gives orders, and never owns a run.
 
 =========================  ==================================================================
-`front_door`               opens the window once it has found a display
 `window`                   `Window`; `tab` has `Tab`, `TabContext`
 `process`                  `CommandProcess`: every command of the window
 `surface_view`             `SurfaceView`: every picture of the surface
@@ -10,6 +9,6 @@
 `trials`                   the window of perception trials, with `window` as its first module
 =========================  ==================================================================
 
-PyQt5 and pyqtgraph are imported in this package alone, and only by modules that `wavefocus.gui.front_door` imports once
-it has found a display.
+PyQt5 and pyqtgraph are imported in this package alone, and only by modules that `wavefocus.commands.gui` imports
+once it has found a display.
 """

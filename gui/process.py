@@ -7,6 +7,7 @@ import json
 import os
 import signal
 import subprocess
+import sys
 import tempfile
 import threading
 from collections.abc import Callable, Sequence
@@ -17,12 +18,12 @@ from typing import IO, Any
 
 from PyQt5.QtCore import QObject, QTimer, pyqtSignal
 
-from wavefocus.gui.front_door import FrontDoor
 from wavefocus.gui.messages import error_text
 from wavefocus.storage.sidecar_files import create
 
 Message = dict[str, object]
 
+WAVEFOCUS = (sys.executable, "-m", "wavefocus")
 STOPPED_BY_USER = 130
 _NOT_STARTED = 127
 _TAIL_BYTES = 4096
@@ -35,8 +36,8 @@ class CommandProcess(QObject):
 
     Its signals arrive in the window's thread. A command that cannot be started ends with exit code 127.
 
-    front: Starts commands.
     arguments: Command and arguments.
+    program: What they are given to.
     parent: Owner of this object; the process itself is never killed with it.
     log_file: Receives standard error, so that the process can outlive the window; without it, both outputs are read
         here.
@@ -53,10 +54,10 @@ class CommandProcess(QObject):
 
     def __init__(
         self,
-        front: FrontDoor,
         arguments: Sequence[str],
         parent: QObject,
         *,
+        program: Sequence[str] = WAVEFOCUS,
         log_file: Path | None = None,
         name: str = "",
         advice: str = "",
@@ -70,7 +71,7 @@ class CommandProcess(QObject):
         self._process: subprocess.Popen[bytes] | None = None
         self._ended.connect(self._finish)
         try:
-            self._process = self._start([*front.command, *arguments])
+            self._process = self._start([*program, *arguments])
         except OSError as failure:
             self._log_file, self._last_line = None, f"{self._name} cannot be started: {error_text(failure)}"
             QTimer.singleShot(0, lambda: self._ended.emit(_NOT_STARTED))

@@ -13,7 +13,6 @@ from PyQt5.QtGui import QDesktopServices
 from PyQt5.QtWidgets import QAction, QWidget
 
 from wavefocus.gui.files import FileKind, Settings
-from wavefocus.gui.front_door import FrontDoor
 from wavefocus.gui.messages import MessageBar, error_text
 from wavefocus.gui.process import Background, CommandProcess, Message
 from wavefocus.storage.errors import WavefocusError
@@ -58,7 +57,6 @@ class Question:
 class TabContext:
     """Services shared by the tabs of one window; `owner` is the parent of processes."""
 
-    front: FrontDoor
     messages: MessageBar
     background: Background
     settings: Settings
@@ -81,7 +79,7 @@ class TabContext:
         advice: str = "",
     ) -> CommandProcess:
         """Start a command; `received` is called with each JSON line, `done` with the process when it has ended."""
-        process = CommandProcess(self.front, arguments, self.owner, log_file=log_file, name=name, advice=advice)
+        process = CommandProcess(arguments, self.owner, log_file=log_file, name=name, advice=advice)
         if received is not None:
             process.received.connect(received)
 

@@ -13,7 +13,6 @@ from PyQt5.QtWidgets import QAction, QActionGroup, QApplication, QFileDialog, QM
 
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.files import FileKind, PathField, Settings, dropped_files, make_dialog, short_path
-from wavefocus.gui.front_door import FrontDoor
 from wavefocus.gui.messages import ErrorHook, MessageBar
 from wavefocus.gui.process import Background, CommandProcess
 from wavefocus.gui.surface import VIRTUAL
@@ -30,14 +29,14 @@ _LAB = "lab"
 class Window(QMainWindow):
     """The whole window."""
 
-    def __init__(self, front: FrontDoor, settings: Settings) -> None:
+    def __init__(self, settings: Settings) -> None:
         super().__init__()
         self.settings = settings
         self.setWindowTitle("wavefocus")
         self.setAcceptDrops(True)
         self.messages = MessageBar()
         self.background = Background(self)
-        self.context = TabContext(front, self.messages, self.background, settings, self)
+        self.context = TabContext(self.messages, self.background, settings, self)
         self._error_hook = ErrorHook(self.report_error, self.close)
         self._error_hook.install()
         application = QApplication.instance()
@@ -305,10 +304,10 @@ def require_fonts() -> None:
         )
 
 
-def show(front: FrontDoor, files: Sequence[Path]) -> int:
+def show(files: Sequence[Path]) -> int:
     """Show the window until it is closed."""
     application = make_application()
-    window = Window(front, Settings())
+    window = Window(Settings())
     for path in files:
         window.open_file(path)
     if not files:

@@ -139,14 +139,13 @@ class Pictures:
     def __init__(self, out: Path, file: Path) -> None:
         from PyQt5.QtCore import QSettings
 
-        from wavefocus.commands.gui import front_door
         from wavefocus.gui.files import Settings
         from wavefocus.gui.window import Window, make_application
 
         self.out, self.file = out, file
         self.application = make_application()
         settings = QSettings(str(file.with_name("memory.ini")), QSettings.Format.IniFormat)
-        self.window = Window(front_door(), Settings(settings))
+        self.window = Window(Settings(settings))
         self.window.open_file(file)
         self.window.choose_theme("light")
         self.window.resize(1280, 800)
@@ -338,7 +337,6 @@ def take_trials(out: Path, trials_file: Path) -> None:
     from PyQt5.QtCore import QSettings, Qt
     from PyQt5.QtTest import QTest
 
-    from wavefocus.commands.gui import front_door
     from wavefocus.gui.files import Settings
     from wavefocus.gui.trials.window import TrialsWindow
     from wavefocus.gui.window import make_application
@@ -347,7 +345,7 @@ def take_trials(out: Path, trials_file: Path) -> None:
     memory = QSettings(str(trials_file.with_name("trials.ini")), QSettings.Format.IniFormat)
     files = ["--bank", "plate.h5", "--rig", "rig.toml", "--participant", "P01", "--out", "trials"]
     os.chdir(trials_file.parent)
-    window = TrialsWindow(front_door(), [trials_file.name, *files, "--fast"], Settings(memory))
+    window = TrialsWindow([trials_file.name, *files, "--fast"], Settings(memory))
     window.resize(1000, 700)
 
     def until(*waited: str) -> None:

@@ -84,13 +84,12 @@ class OpenWindow:
     def __init__(self, bank: Path) -> None:
         from PyQt5.QtCore import QSettings
 
-        from wavefocus.commands.gui import front_door
         from wavefocus.gui.files import Settings
         from wavefocus.gui.window import Window, make_application
 
         self.application = make_application()
         settings = QSettings(str(bank.with_name("memory.ini")), QSettings.Format.IniFormat)
-        self.window: Window = Window(front_door(), Settings(settings))
+        self.window: Window = Window(Settings(settings))
         self.window.resize(1280, 800)
         self.window.open_file(bank)
         self.window.show()

@@ -12,15 +12,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from wavefocus.campaign.sidecar_files import log_path, read_drift
+from wavefocus.campaign.supervision import read_heartbeat
 from wavefocus.config.messages.campaign import Drift, Logged, PositionCommitted, SessionEnded
 from wavefocus.gui.campaign.model import Campaign, Line, read_record
 from wavefocus.gui.campaign.quality import DAMAGED, per_position
-from wavefocus.gui.front_door import FrontDoor
 from wavefocus.gui.surface import surface_of
 from wavefocus.storage.errors import WavefocusError
 from wavefocus.storage.text_file import open_regular
 
 if TYPE_CHECKING:
+    from wavefocus.acquisition.heartbeat import Heartbeat
     from wavefocus.storage.bank.reading import Bank
     from wavefocus.storage.ledger.owner import Owner
 
@@ -91,12 +93,15 @@ _ENDS_WITHIN_S = 0.2
 
 
 class Follower:
-    """Follows one bank, which may not exist yet, until it is ended."""
+    """Follows one bank, which may not exist yet, until it is ended.
 
-    def __init__(self, bank: Path, front: FrontDoor) -> None:
+    beats: Reads its heartbeat.
+    """
+
+    def __init__(self, bank: Path, beats: Callable[[Path], Heartbeat | None] = read_heartbeat) -> None:
         self.bank = bank
-        self._front = front
-        self._tail = LogTail(front.log_path(bank))
+        self._read_heartbeat = beats
+        self._tail = LogTail(log_path(bank))
         self._found: queue.SimpleQueue[Change] = queue.SimpleQueue()
         self._over = threading.Event()
         self._identity: tuple[int, int] | None = None
@@ -147,7 +152,7 @@ class Follower:
             self._stale |= not kinds.isdisjoint({PositionCommitted, SessionEnded, Line})
             self._put(Campaign.add_records, entries, anew=anew)
             if Drift in kinds:
-                self._put(Campaign.show_drift, self._front.read_drift(self.bank))
+                self._put(Campaign.show_drift, read_drift(self.bank))
         if self._stale and self._identity is not None and time.monotonic() >= self._ledger_due_s:
             with _opened(self.bank) as bank:
                 self._put_ledger(bank)
@@ -166,7 +171,7 @@ class Follower:
             with _opened(self.bank) as bank:
                 self._put(Campaign.open, surface_of(bank))
                 self._put_ledger(bank)
-            self._put(Campaign.show_drift, self._front.read_drift(self.bank))
+            self._put(Campaign.show_drift, read_drift(self.bank))
             self._identity = identity
         owner = _owner_of(self.bank)
         self._stale |= owner != self._owner
@@ -178,7 +183,7 @@ class Follower:
 
     def _put_life(self, owner: Owner | None) -> None:
         self._owner = owner
-        self._put(Campaign.show_owner, owner, self._front.read_heartbeat(self.bank), time.monotonic())
+        self._put(Campaign.show_owner, owner, self._read_heartbeat(self.bank), time.monotonic())
 
     def _put_ledger(self, bank: Bank) -> None:
         began_s = time.monotonic()

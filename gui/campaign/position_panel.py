@@ -15,6 +15,7 @@ from PyQt5.QtCore import QRectF, Qt
 from PyQt5.QtWidgets import QSizePolicy, QTabWidget, QWidget
 
 from wavefocus.acquisition.limits import DriftLimits
+from wavefocus.campaign.sidecar_files import raw_path
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.campaign.model import Campaign, clock
 from wavefocus.gui.campaign.quality import status_text
@@ -317,7 +318,7 @@ class PositionPanel(Themed, QTabWidget):
         surface = self._campaign.surface
         if surface is None or self.position < 0 or self.currentWidget() is not self.recording_plot.parentWidget():
             return
-        path, position = self._context.front.raw_path(surface.bank), self.position
+        path, position = raw_path(surface.bank), self.position
         if not path.exists():
             self._show_no_recordings(f"no recordings: there is no {path.name} (run.toml: capture.keep_raw = true)")
             return

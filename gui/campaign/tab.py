@@ -16,6 +16,7 @@ from PyQt5.QtGui import QShowEvent
 from PyQt5.QtWidgets import QAction, QWidget
 
 from wavefocus.acquisition.wording import hours
+from wavefocus.campaign.sidecar_files import said_path, session_failure
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.campaign.follower import Follower, same_file
 from wavefocus.gui.campaign.map_panel import MapPanel
@@ -24,7 +25,6 @@ from wavefocus.gui.campaign.panels import Controls, EventList, InstrumentList, P
 from wavefocus.gui.campaign.position_panel import PositionPanel
 from wavefocus.gui.campaign.quality import NOT_GOOD
 from wavefocus.gui.files import FileKind, PathField, TomlKind, rig_of_run, runs_on_virtual_rig, toml_kind
-from wavefocus.gui.front_door import FrontDoor
 from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess
 from wavefocus.gui.surface import PlotSurface, raster_of
 from wavefocus.gui.tab import Question, Tab, TabContext
@@ -73,7 +73,7 @@ class CampaignRun:
         self.own = self._context.run(
             [*arguments, *accepted],
             self._ended,
-            log_file=self._context.front.said_path(bank),
+            log_file=said_path(bank),
             name="the capture",
             advice="Resume continues from what is in the bank",
         )
@@ -158,7 +158,7 @@ class CampaignRun:
             messages.note(process.last_line or "the capture is done")
         elif process.exit_code == STOPPED_BY_USER:
             messages.note("stopped; nothing measured is lost, Resume continues")
-        elif self._context.front.session_failure(self.bank, self._started_at) == "drift":
+        elif session_failure(self.bank, self._started_at) == "drift":
             again = [*self._arguments, "--accept-drift"]
             messages.fault(failure, ("Continue anyway", lambda: self.start(again, self.bank, virtual=self._virtual)))
         else:
@@ -246,7 +246,7 @@ class CampaignTab(Tab):
         self._show_trouble("")
         self.campaign.forget()
         self.map_panel.forget()
-        self.follower = Follower(bank, self.context.front)
+        self.follower = Follower(bank)
         self.context.share(self, FileKind.BANK, bank)
 
     def poll(self) -> None:
@@ -366,8 +366,7 @@ class CampaignTab(Tab):
             state = run, 0
         if state != self._plan_of:
             self._plan_of = state
-            work = partial(_planned, self.context.front, run)
-            self.context.background.ask("plan", work, self._show_plan, self._no_plan)
+            self.context.background.ask("plan", partial(_planned, run), self._show_plan, self._no_plan)
 
     def _show_plan(self, planned: tuple[PlotSurface, float]) -> None:
         self.context.settle("plan")
@@ -422,8 +421,12 @@ class CampaignTab(Tab):
             self._start("Remeasure", "remeasure", "--positions", rows)
 
 
-def _planned(front: FrontDoor, run: Path) -> tuple[PlotSurface, float]:
+def _planned(run: Path) -> tuple[PlotSurface, float]:
     """Surface of a run file's campaign, and its duration, s."""
-    planned = front.read_plan(run)
-    surface = PlotSurface(planned.position_mm, planned.actuator_mm, planned.outline_mm, raster_of(planned.position_mm))
-    return surface, planned.duration_s
+    from wavefocus.campaign.blueprint import blueprint_from_files  # loads SciPy, and this runs in a thread
+
+    blueprint = blueprint_from_files(run)
+    rig, plan = blueprint.configuration.rig, blueprint.plan
+    outline_mm = rig.surface.outline.line(181)
+    surface = PlotSurface(plan.position_mm, plan.actuator_mm, outline_mm, raster_of(plan.position_mm))
+    return surface, plan.campaign_s(plan.order, rig.recorder)

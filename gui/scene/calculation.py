@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.gui.front_door import FrontDoor
 from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
 
 if TYPE_CHECKING:
@@ -154,8 +153,7 @@ Answer = CalculationProgress | DriveResult | PredictedField | FocusFigures | Fin
 class Calculation:
     """Has scenes calculated, one at a time, the latest; nothing here waits."""
 
-    def __init__(self, front: FrontDoor) -> None:
-        self._front = front
+    def __init__(self) -> None:
         self._process: multiprocessing.process.BaseProcess | None = None
         self._connection: Connection | None = None
         self._answers: queue.SimpleQueue[tuple[Connection, Answer | None]] = queue.SimpleQueue()
@@ -224,8 +222,7 @@ class Calculation:
     def _start(self) -> None:
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
-        arguments = (theirs, self._front.read_rig_limits)
-        process = context.Process(target=_serve, args=arguments, name="wavefocus scenes", daemon=True)
+        process = context.Process(target=_serve, args=(theirs,), name="wavefocus scenes", daemon=True)
         process.start()
         theirs.close()
         self._process, self._connection = process, ours
@@ -250,10 +247,10 @@ class Calculation:
         self._answers.put((connection, None))
 
 
-def _serve(connection: Connection, read_rig_limits: object) -> None:
+def _serve(connection: Connection) -> None:
     from wavefocus.gui.scene.worker import serve  # rendering is loaded by the process alone
 
-    serve(connection, read_rig_limits)  # type: ignore[arg-type]
+    serve(connection)
 
 
 def interpolate_frame(field: Float32Array, place: float) -> Float32Array:

@@ -152,7 +152,7 @@ class ResultsPanel(QWidget):
         super().__init__()
         self.setAccessibleName("Results of the scene")
         self._context, self._document = context, document
-        self.calculation = Calculation(context.front)
+        self.calculation = Calculation()
         self._wanted = self._stopped = False
         self.driven: DriveResult | None = None
         self.predicted: PredictedField | None = None

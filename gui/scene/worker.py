@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import time
 import traceback
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from multiprocessing.connection import Connection
@@ -17,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
+from wavefocus.config.rig_instruments import PlayerSection
 from wavefocus.config.scene import Regularisation
-from wavefocus.gui.front_door import RigLimits
 from wavefocus.gui.scene.calculation import Answer, CalculationProgress, Finished, Order, PredictedField, SceneRequest
 from wavefocus.gui.scene.draft import build_draft
 from wavefocus.gui.scene.drives_and_foci import (
@@ -30,12 +29,12 @@ from wavefocus.gui.scene.drives_and_foci import (
 )
 from wavefocus.gui.surface import PlotSurface, surface_of
 from wavefocus.rendering.arrays import Int64Array
-from wavefocus.rendering.drive.coil_limits import DriveLimits
 from wavefocus.rendering.field.bank_spectra import MAX_FACTOR, PASSED, BankSpectra
 from wavefocus.rendering.field.foci import loudest_instants
 from wavefocus.rendering.field.prediction import Prediction, field_unit, measured_positions
 from wavefocus.rendering.greens.regularisation import saturation_threshold
 from wavefocus.rendering.scene.model import Scene
+from wavefocus.rig.limits import rig_of, stricter
 from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.drive_file import Drive
 from wavefocus.storage.errors import InputError, WavefocusError
@@ -144,8 +143,6 @@ def _identity_of(path: Path) -> _Identity:
     return path, found.st_dev, found.st_ino, found.st_mtime_ns, found.st_size
 
 
-ReadRigLimits = Callable[[Path], RigLimits]
-
 MAX_FIELD_BYTES = 192 * 2**20
 # Fields are sampled two or three times a period; they are shown at eight times as many instants.
 FINER = 8
@@ -162,27 +159,24 @@ class SupersededError(Exception):
     """A newer order has arrived."""
 
 
-def serve(connection: Connection, read_rig_limits: ReadRigLimits) -> None:
+def serve(connection: Connection) -> None:
     """Calculate the latest request until the window is gone."""
     if hasattr(os, "nice"):
         with suppress(OSError):
             os.nice(_NICE)
     with suppress(EOFError, OSError, KeyboardInterrupt):
-        Calculator(connection, read_rig_limits).serve()
+        Calculator(connection).serve()
 
 
 class Calculator:
     """Calculates the latest scene that was asked for.
 
     connection: Brings orders and receives answers.
-    read_rig_limits: As `wavefocus.gui.front_door.FrontDoor` has it.
     most_field_bytes: Of a longer field only the beginning is predicted.
     """
 
-    def __init__(
-        self, connection: Connection, read_rig_limits: ReadRigLimits, most_field_bytes: int = MAX_FIELD_BYTES
-    ) -> None:
-        self._connection, self._read_rig_limits = connection, read_rig_limits
+    def __init__(self, connection: Connection, most_field_bytes: int = MAX_FIELD_BYTES) -> None:
+        self._connection = connection
         self._most_field_bytes = most_field_bytes
         self._reported_s = -1.0
         self.cache = BankCache()
@@ -228,26 +222,19 @@ class Calculator:
         bank = self.cache.open(request.bank)
         if not len(self.cache.rows):
             raise InputError(f"{bank.path} has no measured position yet; results are shown when it has")
-        rig = None if request.rig is None else self._read_rig_limits(request.rig)
-        if rig is not None and rig.actuators != bank.actuators:
-            raise InputError(
-                f"{request.rig} has {rig.actuators} actuators, {bank.path} {bank.actuators}: choose the rig that the"
-                " bank was measured with"
-            )
+        rig = None if request.rig is None else rig_of(request.rig, bank)
         self._check(quiet_s)
         scene = replace(scene, regularisation=self.cache.absolute(scene.regularisation))
-        drive = self._drives(number, scene, bank, rig)
+        drive = self._drives(number, scene, bank, None if rig is None else rig.player)
         self._field(number, scene, bank, drive)
 
-    def _drives(self, number: int, scene: Scene, bank: Bank, rig: RigLimits | None) -> Drive:
+    def _drives(self, number: int, scene: Scene, bank: Bank, player: PlayerSection | None) -> Drive:
         def report(done: int, total: int) -> None:
             self._check()
             self._send(CalculationProgress(number, "drives", done / total))
 
         report(0, 1)
-        limits = DriveLimits(scene.output.limit_v, scene.output.limit_rms_v)
-        if rig is not None:
-            limits = limits.with_limits(rig.drive)
+        limits = stricter(scene.output, player)
         try:
             rendered = render_while_edited(scene, bank, limits, report)
         except InputError as refused:
@@ -255,7 +242,8 @@ class Calculator:
                 raise InputError(missing_text(rows, str(refused))) from None
             raise
         self._check()
-        self._send(summarise(number, scene, bank, rendered, limits, None if rig is None else rig.coil_resistance_ohm))
+        ohm = None if player is None else player.coil_resistance_ohm
+        self._send(summarise(number, scene, bank, rendered, limits, ohm))
         return rendered.drive
 
     def _field(self, number: int, scene: Scene, bank: Bank, drive: Drive) -> None:

@@ -26,7 +26,6 @@ from wavefocus.config.messages.trials import (
 )
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.files import Settings
-from wavefocus.gui.front_door import FrontDoor
 from wavefocus.gui.messages import ErrorHook
 from wavefocus.gui.process import CommandProcess, Message
 from wavefocus.gui.theme import set_theme, theme_named
@@ -52,7 +51,7 @@ class TrialsWindow(QMainWindow):
 
     closed = pyqtSignal()
 
-    def __init__(self, front: FrontDoor, arguments: Sequence[str], settings: Settings) -> None:
+    def __init__(self, arguments: Sequence[str], settings: Settings) -> None:
         super().__init__()
         application = QApplication.instance()
         assert isinstance(application, QApplication)
@@ -80,7 +79,7 @@ class TrialsWindow(QMainWindow):
         self.addAction(ui.action(self, "Experimenter", lambda: self.strip.setVisible(self.strip.isHidden()), "F2"))
         screen = QApplication.primaryScreen()
         self.resize(_SIZE if screen is None else _SIZE.boundedTo(screen.availableSize() - _FRAME))
-        self.process = CommandProcess(front, ["trials", *arguments, "--lines"], self, name="wavefocus trials")
+        self.process = CommandProcess(["trials", *arguments, "--lines"], self, name="wavefocus trials")
         self.process.received.connect(self._receive)
         self.process.finished.connect(self._finished)
 
@@ -231,14 +230,14 @@ class TrialsWindow(QMainWindow):
         self.strip.show()
 
 
-def show(front: FrontDoor, arguments: Sequence[str], say: Callable[[str], object]) -> int:
+def show(arguments: Sequence[str], say: Callable[[str], object]) -> int:
     """Run the window until it is closed; return the child's exit code. It does not appear where the input is wrong.
 
     say: Receives why the child ended early, a sentence.
     """
     application = make_application()
     application.setQuitOnLastWindowClosed(False)
-    window = TrialsWindow(front, arguments, Settings())
+    window = TrialsWindow(arguments, Settings())
     window.closed.connect(application.quit)
     alive = QTimer()  # Python runs signal handlers between Qt's events
     alive.timeout.connect(lambda: None)

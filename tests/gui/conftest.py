@@ -23,11 +23,9 @@ from pytestqt.exceptions import TimeoutError
 from pytestqt.qtbot import QtBot
 
 from wavefocus.__main__ import run
-from wavefocus.commands.gui import front_door
 from wavefocus.config.scene import LineTable, Output, SceneConfig, SceneTable, SineTable, SourceTable
 from wavefocus.gui.campaign.tab import CampaignTab
 from wavefocus.gui.files import Settings
-from wavefocus.gui.front_door import FrontDoor
 from wavefocus.gui.surface_view import SurfaceView
 from wavefocus.gui.tab import Tab
 from wavefocus.gui.window import Window, require_fonts
@@ -113,8 +111,8 @@ def open_window(qtbot: QtBot, memory: Settings) -> Generator[Callable[..., Windo
     opened: list[Window] = []
     require_fonts()
 
-    def make(*files: Path, front: FrontDoor | None = None) -> Window:
-        window = Window(front or front_door(), memory)
+    def make(*files: Path) -> Window:
+        window = Window(memory)
         opened.append(window)
         for path in files:
             window.open_file(path)
@@ -145,7 +143,7 @@ def kept_window(folder: Path) -> Generator[Window]:
     require_fonts()
     memory = Settings(QSettings(str(folder / "memory.ini"), QSettings.Format.IniFormat))
     memory.keep("folder/.toml", str(folder))
-    window = Window(front_door(), memory)
+    window = Window(memory)
     window.resize(1280, 800)
     window.show()
     yield window

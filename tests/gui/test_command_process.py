@@ -5,7 +5,6 @@ from __future__ import annotations
 import signal
 import sys
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,7 +12,6 @@ from PyQt5.QtCore import QObject
 from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import SOON_MS
-from wavefocus.commands.gui import front_door
 from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess
 
 ECHO = """
@@ -33,8 +31,7 @@ while True:
 
 
 def started(script: str, owner: QObject, **options: object) -> CommandProcess:
-    front = replace(front_door(), command=(sys.executable, "-c", script))
-    return CommandProcess(front, ["echo"], owner, **options)  # type: ignore[arg-type]
+    return CommandProcess(["echo"], owner, program=(sys.executable, "-c", script), **options)  # type: ignore[arg-type]
 
 
 @pytest.fixture
@@ -84,7 +81,7 @@ def test_given_a_process_that_ignores_everything_then_stop_kills_it(qtbot: QtBot
 
 
 def test_given_a_command_that_is_not_there_then_it_ends_with_127(qtbot: QtBot, owner: QObject) -> None:
-    process = CommandProcess(replace(front_door(), command=("/nowhere/wavefocus",)), ["status"], owner)
+    process = CommandProcess(["status"], owner, program=("/nowhere/wavefocus",))
     with qtbot.waitSignal(process.finished, timeout=SOON_MS):
         pass
     assert (process.exit_code, process.pid) == (127, None)

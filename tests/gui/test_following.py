@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import threading
 import time
-from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -13,7 +12,6 @@ import numpy as np
 import pytest
 
 from wavefocus.acquisition.heartbeat import Heartbeat
-from wavefocus.commands.gui import front_door
 from wavefocus.config.messages.campaign import (
     Event,
     Fault,
@@ -202,7 +200,7 @@ def test_given_a_disk_that_hangs_then_the_follower_ends_without_waiting_for_it(t
         hangs.set()
         continues.wait(60)
 
-    follower = Follower(tmp_path / "plate.h5", replace(front_door(), read_heartbeat=hanging))
+    follower = Follower(tmp_path / "plate.h5", hanging)
     assert hangs.wait(30)
     follower.end()
     assert not continues.is_set()

@@ -26,10 +26,9 @@ from PyQt5.QtWidgets import QApplication
 from wavefocus.gui.window import make_application
 from wavefocus.gui.files import Settings
 from wavefocus.gui.window import Window
-from wavefocus.commands.gui import front_door
 application = make_application()
 assert QApplication.platformName() == "xcb", QApplication.platformName()
-window = Window(front_door(), Settings(QSettings(sys.argv[2], QSettings.Format.IniFormat)))
+window = Window(Settings(QSettings(sys.argv[2], QSettings.Format.IniFormat)))
 window.open_file(Path(sys.argv[1]))
 window.resize(1200, 760)
 window.show()
@@ -55,10 +54,9 @@ from PyQt5.QtWidgets import QApplication
 from wavefocus.gui.files import Settings
 from wavefocus.gui.trials.window import TrialsWindow
 from wavefocus.gui.window import make_application
-from wavefocus.commands.gui import front_door
 application = make_application()
 assert QApplication.platformName() == "xcb", QApplication.platformName()
-window = TrialsWindow(front_door(), sys.argv[2:], Settings(QSettings(sys.argv[1], QSettings.Format.IniFormat)))
+window = TrialsWindow(sys.argv[2:], Settings(QSettings(sys.argv[1], QSettings.Format.IniFormat)))
 window.closed.connect(application.quit)
 seen = set()
 def look():
@@ -91,10 +89,9 @@ from PyQt5.QtWidgets import QApplication
 from wavefocus.gui.files import Settings
 from wavefocus.gui.scene.tab import LIVE, SceneTab
 from wavefocus.gui.window import Window, make_application
-from wavefocus.commands.gui import front_door
 application = make_application()
 assert QApplication.platformName() == "xcb", QApplication.platformName()
-window = Window(front_door(), Settings(QSettings(sys.argv[2], QSettings.Format.IniFormat)))
+window = Window(Settings(QSettings(sys.argv[2], QSettings.Format.IniFormat)))
 tab = next(tab for tab in window.tabs if isinstance(tab, SceneTab))
 window._pages.setCurrentWidget(tab)
 window.resize(1200, 760)

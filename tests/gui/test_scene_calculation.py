@@ -11,7 +11,6 @@ import pytest
 
 from tests.gui.conftest import RIG, line_scene
 from wavefocus.__main__ import run
-from wavefocus.commands.gui import front_door
 from wavefocus.config.scene import Regularisation, SceneConfig
 from wavefocus.gui.scene.calculation import (
     Answer,
@@ -49,7 +48,7 @@ class Listener:
     def __init__(self, superseded_by: type = NoneType, **options: int) -> None:
         self.told: list[Answer] = []
         self._superseded_by = superseded_by
-        self.calculator = Calculator(self, front_door().read_rig_limits, **options)
+        self.calculator = Calculator(self, **options)
 
     def send(self, answer: Answer) -> None:
         self.told.append(answer)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,8 +10,9 @@ import pytest
 from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import Opens, campaign_of, tab_of, wait, write_lab
-from wavefocus.commands.gui import front_door
+from wavefocus.campaign.supervision import read_heartbeat
 from wavefocus.config.scene import SceneConfig, TextTable
+from wavefocus.gui.campaign.follower import Follower
 from wavefocus.gui.campaign.position_panel import GreenPlot, Greens
 from wavefocus.gui.field_map import MAX_COLUMNS, decimate
 from wavefocus.gui.scene.draft import new_source
@@ -25,11 +25,10 @@ def test_given_a_defect_while_a_bank_is_followed_then_the_window_says_so_and_goe
     qtbot: QtBot, open_window: Opens, finished: Path
 ) -> None:
     broken = [True]
-    front = front_door()
-    window = open_window(
-        finished, front=replace(front, read_heartbeat=lambda bank: 1 / 0 if broken else front.read_heartbeat(bank))
-    )
+    window = open_window()
     tab = campaign_of(window)
+    tab.bank_field.show_path(finished)
+    tab.follower = Follower(finished, lambda bank: 1 / 0 if broken else read_heartbeat(bank))
     wait(qtbot, lambda: "is not followed" in window.messages.sentence)
     assert [button.text() for button in window.messages.buttons()] == ["Copy details"]
     broken.clear()

@@ -13,7 +13,6 @@ from PyQt5.QtWidgets import QApplication, QWidget
 from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import LEFT, NO_KEY, SOON_MS
-from wavefocus.commands.gui import front_door
 from wavefocus.gui.files import Settings
 from wavefocus.gui.trials.window import TrialsWindow
 from wavefocus.gui.window import require_fonts
@@ -68,7 +67,7 @@ def start(qtbot: QtBot, memory: Settings, measured: Path, tmp_path: Path) -> Gen
         bank, rig = ("--bank", str(measured / "plate.h5")), ("--rig", str(measured / "rig.toml"))
         person = ("--participant", participant, "--out", str(tmp_path / "out"))
         arguments = [str(tmp_path / "trials.toml"), *bank, *rig, *person, "--fast"]
-        opened.append(window := TrialsWindow(front_door(), arguments, memory))
+        opened.append(window := TrialsWindow(arguments, memory))
         return window
 
     yield make

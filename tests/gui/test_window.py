@@ -26,7 +26,6 @@ from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import LEFT, NO_KEY, Opens, campaign_of, tab_of, wait, write_lab
 from tests.system.test_startup import loaded_by
-from wavefocus.commands.gui import front_door
 from wavefocus.gui.files import Settings
 from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.theme import DARK, LIGHT, BoxStyle, Theme, palette_of
@@ -41,9 +40,8 @@ from PyQt5.QtCore import QSettings
 from wavefocus.gui.window import make_application
 from wavefocus.gui.files import Settings
 from wavefocus.gui.window import Window
-from wavefocus.commands.gui import front_door
 application = make_application()
-window = Window(front_door(), Settings(QSettings(str(Path("memory.ini").absolute()), QSettings.Format.IniFormat)))
+window = Window(Settings(QSettings(str(Path("memory.ini").absolute()), QSettings.Format.IniFormat)))
 window.show()
 application.processEvents()
 assert len(window.tabs) == 4
@@ -161,7 +159,7 @@ def test_given_size_theme_text_run_and_bank_then_the_next_window_has_them_again(
     window.close()
     assert (memory.text("theme"), memory.whole("text_pt", 0)) == ("dark", size_pt + 2)
     window._resize_text(-2)
-    again = Window(front_door(), memory)
+    again = Window(memory)
     assert (again.width(), again.height()) == (780, 560)
     assert campaign_of(again).bank_field.path is None
     again.restore_settings()

@@ -51,6 +51,11 @@ def log_path(bank: Path) -> Path:
     return bank.with_suffix(".events.jsonl")
 
 
+def said_path(bank: Path) -> Path:
+    """Where a window keeps the standard error of a capture that it starts: ``plate.h5`` -> ``plate.h5.said``."""
+    return bank.with_name(f"{bank.name}.said")
+
+
 def write_whole(path: Path, content: Mapping[str, object], *, by_many: bool = False) -> None:
     """Write a JSON object so that a reader finds the old one or the new one and nothing in between.
 

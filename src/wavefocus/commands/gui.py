@@ -1,62 +1,92 @@
-"""``wavefocus gui``: opens the window."""
+"""``wavefocus gui``: opens the window, or that of trials; loads no Qt before there is a display for it."""
 
 from __future__ import annotations
 
+import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from wavefocus.campaign.sidecar_files import log_path, raw_path, session_failure
-from wavefocus.campaign.supervision import read_heartbeat
-from wavefocus.gui.front_door import FrontDoor, PlannedCampaign, RigLimits, open_window
+from wavefocus.storage.errors import InputError
 
-if TYPE_CHECKING:
-    from wavefocus.acquisition.limits import DriftPoint
+_LIBRARIES = "libgl1 libglib2.0-0 libfontconfig1 libdbus-1-3 libxkbcommon-x11-0 libxcb-icccm4 libxcb-keysyms1"
 
 
 def gui(files: Sequence[Path]) -> int:
     """Show the window until it is closed.
 
-    Raises InputError: there is no display, Qt cannot be loaded, or the system has no font.
+    files: Run files and banks to open.
+
+    Raises InputError: There is no display, Qt cannot be loaded, or the system has no font.
     """
-    return open_window(front_door(), files)
+    _require_display()
+    try:
+        from wavefocus.gui.window import show
+    except ImportError as missing:
+        raise InputError(_missing(missing)) from missing
+    return show(files)
 
 
-def front_door() -> FrontDoor:
-    """Facts of the command line that the window needs."""
-    return FrontDoor(
-        command=(sys.executable, "-m", "wavefocus"),
-        log_path=log_path,
-        raw_path=raw_path,
-        session_failure=session_failure,
-        said_path=lambda bank: bank.with_name(f"{bank.name}.said"),
-        read_drift=_drift,
-        read_heartbeat=read_heartbeat,
-        read_rig_limits=_rig_limits,
-        read_plan=_planned,
+def open_trials(arguments: Sequence[str], say: Callable[[str], object]) -> int:
+    """Run one participant's trials in a window of their own; return the command's exit code.
+
+    arguments: Of ``wavefocus trials``, without ``--lines``; the same command runs as a child with it.
+    say: Receives why the child ended early, a sentence.
+
+    Raises InputError: There is no display, Qt cannot be loaded, or the system has no font.
+    """
+    _require_display()
+    try:
+        from wavefocus.gui.trials.window import show
+    except ImportError as missing:
+        raise InputError(_missing(missing)) from missing
+    return show(arguments, say)
+
+
+def _require_display() -> None:
+    """Refuse where Qt would abort for want of a display.
+
+    Raises InputError: There is none.
+    """
+    platform = os.environ.get("QT_QPA_PLATFORM", "").partition(":")[0]
+    if not sys.platform.startswith("linux") or platform not in ("", "xcb", "wayland"):
+        return
+    display, wayland = os.environ.get("DISPLAY"), os.environ.get("WAYLAND_DISPLAY")
+    if {"": display or wayland, "xcb": display, "wayland": wayland}[platform]:
+        if platform in ("", "xcb") and display and not (wayland and not platform):
+            _require_answer(display)
+        return
+    raise InputError(
+        "the window needs a display and there is none (neither DISPLAY nor WAYLAND_DISPLAY is set): run it on the "
+        "desktop, or through ssh -X; every command works without it, wavefocus --help shows them"
     )
 
 
-def _drift(bank: Path) -> list[DriftPoint]:
-    from wavefocus.campaign.sidecar_files import read_drift  # in the window's own time: it draws pictures, too
+def _require_answer(display: str) -> None:
+    """Ask the X server of a local display for a connection; of others Qt has to find out itself."""
+    import socket
 
-    return read_drift(bank)
-
-
-def _planned(run_file: Path) -> PlannedCampaign:
-    from wavefocus.campaign.blueprint import blueprint_from_files  # in a thread of the window
-
-    blueprint = blueprint_from_files(run_file)
-    rig, plan = blueprint.configuration.rig, blueprint.plan
-    return PlannedCampaign(
-        plan.position_mm, plan.actuator_mm, rig.surface.outline.line(181), plan.campaign_s(plan.order, rig.recorder)
+    host, colon, number = display.rpartition(":")
+    number = number.partition(".")[0]
+    if not colon or host not in ("", "unix") or not number.isdigit():
+        return
+    for address in (f"/tmp/.X11-unix/X{number}", f"\0/tmp/.X11-unix/X{number}"):
+        with socket.socket(socket.AF_UNIX) as server:
+            server.settimeout(5.0)
+            try:
+                server.connect(address)
+            except OSError:
+                continue
+            return
+    raise InputError(
+        f"the window needs a display, and no X server answers at DISPLAY={display}: run it on the desktop, or through "
+        "ssh -X; every command works without it, wavefocus --help shows them"
     )
 
 
-def _rig_limits(path: Path) -> RigLimits:
-    from wavefocus.configuration import named_rig  # in the process that calculates scenes
-    from wavefocus.rig.limits import limits_of
-
-    player = named_rig(path).player
-    return RigLimits(limits_of(player), len(player.channels), player.coil_resistance_ohm)
+def _missing(missing: ImportError) -> str:
+    reason = " ".join(str(missing).split())
+    if isinstance(missing, ModuleNotFoundError):
+        return f'the window needs PyQt5 and pyqtgraph ({reason}): pip install "wavefocus[window]"'
+    install = f"sudo apt-get install {_LIBRARIES}"
+    return f"Qt cannot be loaded ({reason}): install what it needs, on Debian and Ubuntu: {install}"

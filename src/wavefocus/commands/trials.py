@@ -281,9 +281,8 @@ def _facts(design: TrialsDesign, bank: Bank, rig: RigConfig, prepared: Prepared)
 
 
 def _in_window(trials_file: Path, bank: Path, rig_file: Path, participant: str, out: Path, *, fast: bool) -> int:
-    from wavefocus.commands.gui import front_door
-    from wavefocus.gui.front_door import open_trials
+    from wavefocus.commands.gui import open_trials
 
     arguments = [str(trials_file), "--bank", str(bank), "--rig", str(rig_file), "--participant", participant]
     arguments += ["--out", str(out), *(["--fast"] if fast else [])]
-    return open_trials(front_door(), arguments, say)
+    return open_trials(arguments, say)

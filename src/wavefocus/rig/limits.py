@@ -51,9 +51,10 @@ def limits_of(player: PlayerSection) -> DriveLimits:
     )
 
 
-def stricter(output: Output, player: PlayerSection) -> DriveLimits:
-    """The limits of a scene and of a rig together."""
-    return DriveLimits(output.limit_v, output.limit_rms_v).with_limits(limits_of(player))
+def stricter(output: Output, player: PlayerSection | None) -> DriveLimits:
+    """The limits of a scene and of a rig, if there is one, together."""
+    limits = DriveLimits(output.limit_v, output.limit_rms_v)
+    return limits if player is None else limits.with_limits(limits_of(player))
 
 
 def check_drive(
@@ -97,7 +98,10 @@ def rig_of(rig_file: Path | None, bank: Bank) -> RigConfig | None:
         return None if bank.rig_json is None or bank.run_json is None else bank_configuration(bank).rig
     rig = named_rig(rig_file)
     if len(rig.player.channels) != bank.actuators:
-        raise InputError(f"{rig_file} has {len(rig.player.channels)} actuators, {bank.path} {bank.actuators}")
+        raise InputError(
+            f"{rig_file} has {len(rig.player.channels)} actuators, {bank.path} {bank.actuators}: choose the rig that"
+            " the bank was measured with"
+        )
     return rig
 
 
