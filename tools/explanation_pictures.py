@@ -14,7 +14,7 @@ import numpy as np
 from tests.system.crash.logged import INODE, LoggedFile, WithoutSecondBarrier
 from tests.system.crash.power_cuts import Disk, images
 from tests.system.test_bank_crash import green_of, header, record_of
-from tools.compare_houses import bank_of
+from tools.compare_versions import bank_of
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.sweeps import Excitation
 from wavefocus.mocks.virtual.rig import VirtualRig
@@ -148,7 +148,7 @@ def _whole_positions(path: Path, content: bytes) -> int:
 
 
 def draw_scene(folder: Path) -> None:
-    """Write scene-to-drive.png into a folder: a noise source that moves over the bank of `tools.compare_houses`."""
+    """Write scene-to-drive.png into a folder: a noise source that moves over the bank of `tools.compare_versions`."""
     from matplotlib.figure import Figure
 
     bank = bank_of()
