@@ -9,6 +9,7 @@ from datetime import datetime
 import numpy as np
 
 from wavefocus.calibration import Float32Array
+from wavefocus.calibration.numerics import parabola_vertex
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,17 +177,15 @@ def compare_sentinel(
     spectrum = np.sum(np.conj(spectra[0]) * spectra[1], axis=0)
     lagged = np.fft.irfft(spectrum, length)
     peak = int(np.argmax(lagged))
-    before, centre, after = lagged[peak - 1], lagged[peak], lagged[(peak + 1) % length]
-    curvature = before - 2.0 * centre + after
-    offset = 0.0 if curvature == 0.0 else 0.5 * (before - after) / curvature
-    delay = peak + offset if peak < length // 2 else peak + offset - length
+    delay = peak + parabola_vertex(lagged[peak - 1], lagged[peak], lagged[(peak + 1) % length])
+    delay -= 0 if peak < length // 2 else length
     signal_then, signal_now = (
         energy * (1.0 - share) for energy, share in zip(energies, np.minimum(noise, 0.9).tolist(), strict=True)
     )
     return DriftFigures(
         level_db=10.0 * np.log10(signal_now / signal_then),
         delay_samples=float(delay),
-        correlation=min(float(centre / np.sqrt(signal_then * signal_now)), 1.0),
+        correlation=min(float(lagged[peak] / np.sqrt(signal_then * signal_now)), 1.0),
         noise_db=10.0 * np.log10(1.0 + sum(noise)),
     )
 

@@ -17,6 +17,7 @@ from wavefocus.calibration import BoolArray, Complex128Array, Float64Array, Int6
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.neighbour_difference import EXPLAINED, Difference, cause_of, relative_norm, swapped, together
 from wavefocus.calibration.neighbour_prediction import Gains, RowsPredicted, common_gains
+from wavefocus.calibration.numerics import transform_at
 
 LINEAR_FREQUENCIES, OCTAVE_FREQUENCIES = 16, 16
 LEARNED_FROM = 12
@@ -85,8 +86,7 @@ class RowSpectra:
         self.frequency_hz: Float64Array = np.sort(
             np.concatenate([np.linspace(low_hz, high_hz, LINEAR_FREQUENCIES), octaves])
         )
-        turns = np.remainder(np.outer(np.arange(taps), self.frequency_hz / sample_rate_hz), 1.0)
-        self._transform = np.exp(-2j * np.pi * turns).astype(np.complex64).view(np.float32)
+        self._rate_hz = sample_rate_hz
         self.values: Complex128Array = np.zeros((positions, actuators, len(self.frequency_hz)), dtype=np.complex128)
 
     def set(self, position: int, green: NDArray[np.floating]) -> None:
@@ -95,8 +95,7 @@ class RowSpectra:
         if not 0 < peak < np.inf:
             self.values[position] = 0.0
             return
-        scaled = (green / peak).astype(np.float32)
-        self.values[position] = (scaled @ self._transform).view(np.complex64) * peak
+        self.values[position] = transform_at((green / peak).astype(np.float32), self.frequency_hz, self._rate_hz) * peak
 
 
 class NeighbourJudge:

@@ -18,6 +18,7 @@ from scipy.spatial import KDTree
 
 from wavefocus.calibration import BoolArray, Complex128Array, Float64Array, Int64Array
 from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.calibration.numerics import evenly_spread, on_a_line
 from wavefocus.calibration.wave_model import Patch, PatchKernel, WaveModel, fit_waves
 
 PENALTY = 4.0
@@ -121,8 +122,6 @@ FURTHEST_SPACINGS = 4.5
 """At the rim, where fewer are so near, they may be this far."""
 MIN_NEIGHBOURS, WANTED_NEIGHBOURS, MAX_NEIGHBOURS = 8, 14, 24
 SAME_SPACINGS = 1e-3
-THIN = 1e-3
-"""Neighbours whose extent across is this part of that along lie on a line."""
 FIT_PATCHES, FIT_SHAPES, FIT_FREQUENCIES = 12, 2, 11
 TIES = 12
 """Positions of a lattice that may be equally far; of those at the edge the first rows are taken."""
@@ -215,8 +214,8 @@ class RowsPredicted:
         """Fit the waves to patches of the commonest shapes, spread over the surface."""
         common = {key for key, _ in Counter(patch.key for patch in self.patches.values()).most_common(FIT_SHAPES)}
         patches = [patch for patch in self.patches.values() if patch.key in common]
-        spread = np.unique(np.linspace(0, len(patches) - 1, FIT_PATCHES).astype(np.int64))
-        some = np.unique(np.linspace(0, len(self.frequency_hz) - 1, FIT_FREQUENCIES).astype(np.int64))
+        spread = evenly_spread(len(patches), FIT_PATCHES)
+        some = evenly_spread(len(self.frequency_hz), FIT_FREQUENCIES)
 
         def values(rows: Int64Array) -> Complex128Array:
             return np.asarray(self.values[rows][..., some].transpose(2, 0, 1))
@@ -276,13 +275,8 @@ def _shapes(
             continue
         key = fine[chosen].astype(np.int64).tobytes()
         if key not in thin:
-            thin[key] = _on_a_line(offset[chosen])
+            thin[key] = on_a_line(offset[chosen])
         if thin[key]:
             continue
         near = np.concatenate([[one], index[one][chosen]])
         yield one, near, np.concatenate([np.zeros((1, 2)), offset[chosen]]) * spacing_mm, key
-
-
-def _on_a_line(points: Float64Array) -> bool:
-    extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(extent[1] <= THIN * extent[0])

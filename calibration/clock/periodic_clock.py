@@ -9,9 +9,10 @@ import numpy as np
 import scipy.fft
 
 from wavefocus.calibration import Complex128Array, Float64Array, Int64Array
-from wavefocus.calibration.clock.czt import fourier_sum, ring_signal
+from wavefocus.calibration.clock.czt import ring_signal
 from wavefocus.calibration.clock.resampling import KERNEL_HALF, Thinned, resampled
 from wavefocus.calibration.clock.timing import CORNERS
+from wavefocus.calibration.numerics import fourier_sum, parabola_vertex
 
 # The search steps through the clock ratios so that the signal turns this far at most, in radians, at the ends
 # of the record and the top of the band.
@@ -113,9 +114,8 @@ class RingClock:
         length = scipy.fft.next_fast_len(2 * self._spectrum.size)
         envelope = np.abs(scipy.fft.ifft(sums * self._spectrum.conj(), length))
         top = int(np.argmax(envelope))
-        before, at, after = (envelope[(top + side) % length] for side in (-1, 0, 1))
-        bend = min(before - 2 * at + after, -1e-300)
-        late = (top + 0.5 * (before - after) / bend) / length * self._period
+        peak = top + parabola_vertex(*(envelope[(top + side) % length] for side in (-1, 0, 1)))
+        late = peak / length * self._period
         return float((late - self._period if late > self._period / 2 else late) * ratio)
 
     def _gauss_newton(self, values: Float64Array, place: Int64Array, offset: float, ratio: float) -> RingFit:

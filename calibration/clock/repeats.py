@@ -9,9 +9,10 @@ import numpy as np
 import scipy.fft
 
 from wavefocus.calibration import Complex64Array, Float32Array, Float64Array, Int64Array
-from wavefocus.calibration.clock.czt import BandSpectrum, fourier_sum
+from wavefocus.calibration.clock.czt import BandSpectrum
 from wavefocus.calibration.clock.missing_reference import missing_reference
 from wavefocus.calibration.clock.timing import CORNERS, check_inside
+from wavefocus.calibration.numerics import fourier_sum, parabola_vertex
 from wavefocus.calibration.sweeps import Sweeps
 from wavefocus.storage.errors import InputError
 
@@ -227,9 +228,7 @@ class RepeatFinder:
         around = [
             np.take_along_axis(envelope, (top + step) % length, -1)[..., 0].astype(np.float64) for step in (-1, 0, 1)
         ]
-        bend = around[0] - 2 * around[1] + around[2]
-        peak = np.where(bend < 0, (around[0] - around[2]) / (2 * np.where(bend < 0, bend, 1.0)), 0.0)
-        return np.asarray((top[..., 0] + peak) % length * (self.period / (thin * length)))
+        return np.asarray((top[..., 0] + parabola_vertex(*around)) % length * (self.period / (thin * length)))
 
     def _searched_stretch(self, spectra: Complex64Array) -> Float64Array:
         """The stretch, of those tried, at which each segment (records, bins) correlates best with its sweep."""

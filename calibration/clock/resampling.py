@@ -13,7 +13,7 @@ import scipy.special
 from numpy.typing import NDArray
 
 from wavefocus.calibration import Complex128Array, Float32Array, Float64Array
-from wavefocus.calibration.clock.czt import fourier_sum
+from wavefocus.calibration.numerics import fourier_sum
 
 # Half-width and shape of the interpolating kernel: flat to -100 dB up to 0.8 of half the sample rate.
 KERNEL_HALF = 20

@@ -12,9 +12,9 @@ import scipy.fft
 from numpy.typing import ArrayLike, NDArray
 
 from wavefocus.calibration import Complex64Array, Complex128Array, Float32Array, Float64Array
-from wavefocus.calibration.clock.czt import fourier_sum
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError, missing_reference
 from wavefocus.calibration.clock.resampling import resampled
+from wavefocus.calibration.numerics import fourier_sum, parabola_vertex
 from wavefocus.storage.errors import InputError
 
 # Reference not explained by the known signal, above which a fit would be a guess.
@@ -122,9 +122,7 @@ class BlockSearch:
         near = (top + np.arange(-reach - 1, reach + 2)) % blocks.lags
         close = envelopes[:, near].astype(np.float64)
         found = 1 + np.argmax(close[:, 1:-1], axis=1)
-        before, at, after = (close[np.arange(len(close)), found + side] for side in (-1, 0, 1))
-        bend = np.minimum(before - 2 * at + after, -1e-9 * at - 1e-30)
-        late = found - reach - 1 + np.clip(0.5 * (before - after) / bend, -1, 1)
+        late = found - reach - 1 + parabola_vertex(*(close[np.arange(len(close)), found + side] for side in (-1, 0, 1)))
         return np.asarray(step * (top + late) - (blocks.length if step * top >= recorded.size else 0))
 
     def _transformed(self, recorded: int) -> _Blocks:

@@ -11,7 +11,8 @@ import scipy.fft
 import scipy.linalg
 
 from wavefocus.calibration import Complex64Array, Complex128Array, Float32Array, Float64Array
-from wavefocus.calibration.clock.czt import fourier_sum, ring_signal
+from wavefocus.calibration.clock.czt import ring_signal
+from wavefocus.calibration.numerics import fourier_sum
 
 Operator = Callable[[Float64Array], Float64Array]
 Real = TypeVar("Real", Float32Array, Float64Array)

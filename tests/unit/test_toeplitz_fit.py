@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from wavefocus.calibration.clock.czt import fourier_sum
 from wavefocus.calibration.estimator.causal_fit import (
     CausalFit,
     ToeplitzFit,
@@ -14,6 +13,7 @@ from wavefocus.calibration.estimator.causal_fit import (
     conjugate_gradients,
     toeplitz_product,
 )
+from wavefocus.calibration.numerics import fourier_sum
 
 PERIOD = 3000
 BINS = np.arange(30, 700)

@@ -1,0 +1,88 @@
+"""Small numerical tools: vertex of a parabola, evenly spread indices, Fourier transforms at chosen frequencies."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from wavefocus.calibration import Complex128Array, Float64Array, Int64Array
+
+MAX_GROWTH = 20.0
+"""Nepers to which rows at complex frequencies grow: the rest of a row that is over by then is noise."""
+
+
+def parabola_vertex(before: Any, at: Any, after: Any) -> Any:
+    """Place of the top of a parabola through three evenly spaced values, relative to the middle one.
+
+    before, at, after, float or float64 (any shape): The values; the middle one is the largest of a search.
+
+    Returns float or float64, -0.5 to 0.5 in steps of the values where the middle one is the largest, and -1 to 1 in
+    any case; 0 where the three have no top.
+    """
+    bend = np.asarray(before - 2.0 * at + after)
+    vertex = np.clip(0.5 * (before - after) / np.where(bend < 0, bend, np.inf), -1.0, 1.0)
+    return vertex if vertex.ndim else float(vertex)
+
+
+def evenly_spread(count: int, most: int) -> Int64Array:
+    """At most `most` indices of `count` items, evenly spread, the first and the last among them; count, most >= 1."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))
+
+
+def fourier_sum(signal: Float64Array | Complex128Array, turn: float, first: int, bins: int) -> Complex128Array:
+    """Fourier sum of signals at evenly spaced frequencies, by Bluestein's chirp transform.
+
+    ``sum over n of signal[..., n] * exp(-j * n * turn * (first + m))`` for m = 0 ... bins - 1. As
+    `scipy.signal.zoom_fft`, without the half second that `scipy.signal` takes to load.
+
+    signal, float64 or complex128 (..., samples): Any signals.
+    turn: Spacing of the frequencies in radians per sample.
+    first, bins: The first frequency is ``first * turn``; how many there are.
+
+    Returns complex128 (..., bins). Source: Bluestein, "A linear filtering approach to the computation of discrete
+    Fourier transform" (1970).
+    """
+    samples = signal.shape[-1]
+    index = np.arange(samples, dtype=np.float64)
+    bin_index = np.arange(bins, dtype=np.float64)
+    between = np.arange(1 - samples, bins, dtype=np.float64)
+    length = scipy.fft.next_fast_len(between.size)
+    down = signal * np.exp(-1j * turn * index * (first + 0.5 * index))
+    up = np.exp(0.5j * turn * between**2)
+    product = scipy.fft.ifft(scipy.fft.fft(down, length) * scipy.fft.fft(up, length))[..., samples - 1 : between.size]
+    return np.asarray(product * np.exp(-0.5j * turn * bin_index**2), dtype=np.complex128)
+
+
+def transform_at(
+    rows: NDArray[np.floating], frequency_hz: Float64Array | Complex128Array, rate_hz: float
+) -> NDArray[np.complexfloating]:
+    """Fourier transform of real rows at any frequencies.
+
+    rows, float32 or float64 (..., taps): FIRs or other signals.
+    frequency_hz, float64 or complex128 (frequencies,): In Hz; at complex ones growth ends at e to the `MAX_GROWTH`.
+    rate_hz: Sample rate in Hz.
+
+    Returns complex (..., frequencies) of the precision of `rows`.
+    """
+    matrix = _transform_matrix(rows.shape[-1], tuple((frequency_hz / rate_hz).tolist()), rows.dtype.char)
+    values = np.ascontiguousarray(rows).reshape(-1, rows.shape[-1]) @ matrix
+    return np.asarray(values.view(np.result_type(values, np.complex64)).reshape(*rows.shape[:-1], -1))
+
+
+@lru_cache(maxsize=8)
+def _transform_matrix(taps: int, turns_per_sample: tuple[complex, ...], dtype: str) -> NDArray[np.floating]:
+    """Real and imaginary parts of the transform in turn, (taps, 2 * frequencies): real products are twice as fast."""
+    turns = np.outer(np.arange(taps), np.array(turns_per_sample))
+    growth = np.exp(np.minimum(2.0 * np.pi * turns.imag, MAX_GROWTH))
+    matrix = growth * np.exp(-2j * np.pi * np.remainder(turns.real, 1.0))
+    return np.asarray(matrix.view(np.float64), dtype)
+
+
+def on_a_line(points: Float64Array, share: float = 1e-3) -> bool:
+    """Whether points (n, 2) extend across a line by less than `share` of their extent along it."""
+    extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(len(extent) < 2 or extent[1] <= share * extent[0])
