@@ -322,6 +322,18 @@ COMMANDS = (
         (BANK, OTHER_RIG, JSON_LINES, DRIFT, CALIBRATION),
     ),
     Command(
+        "extend", "capture:extend",
+        "Make a bank with more positions.\n\n"
+        "Valid rows of one bank, or of several of one rig and plate, are taken over; the sentinel is measured first.",
+        (
+            file("banks", metavar="BANK.h5", nargs="+", help="Banks that were measured before."),
+            file("--run", dest="run_file", metavar="RUN.toml",
+                 help="The run with the new positions; without it only what the banks hold."),
+            file("--bank", metavar="NEW.h5", required=True, help="The bank to make."),
+            JSON_LINES, DRIFT, CALIBRATION,
+        ),
+    ),
+    Command(
         "remeasure", "capture:remeasure",
         "Measure positions of a bank again.\n\n"
         "What the bank holds stays until something better is in, a valid row until one agrees.",

@@ -59,6 +59,8 @@ class BankHeader:
         it; empty where the bank was measured here.
     inter_channel_delay_s: How much later the response was sampled than the reference, as the recorder stated it when
         the bank was begun; None where the configuration says so.
+    origins: JSON text: which banks rows were taken over from, as `wavefocus.campaign.extension.Origin` states it; empty
+        where all were measured into this one.
     """
 
     sample_rate_hz: float
@@ -75,6 +77,7 @@ class BankHeader:
     directions_deg: tuple[float, float] | None = None
     import_report: str = ""
     inter_channel_delay_s: float | None = None
+    origins: str = ""
 
     def __post_init__(self) -> None:
         require_header(self)
@@ -182,6 +185,8 @@ def _lay_out(file: h5py.File, header: BankHeader) -> LedgerLayout:
         file.attrs["directions_deg"] = np.array(header.directions_deg, np.float64)
     if header.import_report:
         file.attrs["import_report"] = header.import_report
+    if header.origins:
+        file.attrs["origins"] = header.origins
     if header.inter_channel_delay_s is not None:
         file.attrs["inter_channel_delay_s"] = np.float64(header.inter_channel_delay_s)
     count, actuators, taps = header.positions, header.actuators, header.taps
@@ -265,6 +270,7 @@ def _read_header(file: h5py.File, path: Path) -> BankHeader:
             **words,
             directions_deg=hdf5_reading.pair(file, "directions_deg"),
             import_report=hdf5_reading.text(file, "import_report") or "",
+            origins=hdf5_reading.text(file, "origins") or "",
             inter_channel_delay_s=(
                 hdf5_reading.number(file, "inter_channel_delay_s") if "inter_channel_delay_s" in file.attrs else None
             ),

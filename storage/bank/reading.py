@@ -193,6 +193,7 @@ class Bank(Closing):
     unknown_attributes: Names of root attributes of a bank of this program that it does not write.
     inter_channel_delay_s: How much later the response was sampled than the reference, in s, as the recorder stated it
         when the bank was begun; None where the configuration says so.
+    origins: JSON text: which banks rows were taken over from; None where all were measured into this one.
     """
 
     path: Path
@@ -216,6 +217,7 @@ class Bank(Closing):
     notes: tuple[Note, ...] = ()
     unknown_attributes: tuple[str, ...] = ()
     inter_channel_delay_s: float | None = None
+    origins: str | None = None
 
     def __repr__(self) -> str:
         """Its size and the state of its positions, in three lines at most."""
@@ -375,6 +377,7 @@ def open_bank(path: str | Path, *, contents: bool = False) -> Bank:
         notes=notes,
         unknown_attributes=unknown,
         inter_channel_delay_s=header.inter_channel_delay_s,
+        origins=header.origins or None,
     )
 
 

@@ -26,6 +26,7 @@ STEPS: dict[str, tuple[list[list[str]], list[str], list[str]]] = {
     "capture": ([], ["capture", "run.toml", "--bank", "again.h5"], ["again.h5"]),
     "resume": ([], ["resume", BANK], []),
     "remeasure": ([], ["remeasure", BANK, "--positions", "0"], []),
+    "extend": ([], ["extend", BANK, "--run", "run.toml", "--bank", "new.h5"], ["new.h5"]),
     "status": ([], ["status", BANK], []),
     "check": ([], ["check", BANK], []),
     "note": ([], ["note", BANK, "a scratch near position 3"], []),

@@ -93,7 +93,7 @@ def blueprint_with_rig(path: Path, rig_file: Path) -> Blueprint:
     changed = blueprint_of(with_rig(own.configuration, rig, str(rig_file)))
     calibrated = rig.calibration.measured != own.configuration.rig.calibration.measured
     if changed.plan.sha256 != own.plan.sha256 and not calibrated:  # another calibration has words of its own
-        keys = _listed(plan_differences(own.configuration, changed.configuration))
+        keys = listed_differences(plan_differences(own.configuration, changed.configuration))
         raise InputError(
             f"{rig_file}: differs from the rig that {path} was measured with in {keys}; ports, addresses, device "
             "names, limits and time-outs may change, these may not: undo the change, or start a new bank"
@@ -116,12 +116,13 @@ def require_same_plan(bank: Path, configuration: Configuration, plan_sha256: str
         differences = plan_differences(bank_configuration(view), configuration)
     if differences:  # else it is of another version, and refused by its hash when it is opened
         raise InputError(
-            f"{bank} belongs to another plan; it differs in {_listed(differences)}; resume it from the bank alone, "
-            "undo the change, or name a new bank"
+            f"{bank} belongs to another plan; it differs in {listed_differences(differences)}; resume it from the bank "
+            "alone, undo the change, or name a new bank"
         )
 
 
-def _listed(differences: Sequence[Difference]) -> str:
+def listed_differences(differences: Sequence[Difference]) -> str:
+    """Keys and values of the first differences, and how many more there are."""
     more = len(differences) - MAX_DIFFERENCES
     return ", ".join(map(str, differences[:MAX_DIFFERENCES])) + (f" and {more} more" if more > 0 else "")
 

@@ -24,6 +24,8 @@ from wavefocus.campaign.blueprint import (
     ringing_of,
 )
 from wavefocus.campaign.campaign_view import CampaignView
+from wavefocus.campaign.extension import extend as extended
+from wavefocus.campaign.extension import origins_of
 from wavefocus.campaign.schedule_choice import choose_schedule, with_chosen_schedule
 from wavefocus.campaign.sidecar_files import (
     EventLines,
@@ -140,6 +142,30 @@ def _from_bank(bank: Path, options: SessionOptions) -> Blueprint:
         return blueprint_from_bank(bank)
     blueprint = blueprint_with_rig(bank, rig_file)
     return with_one_calibration(blueprint, bank, rig_file, accept=options.accept_calibration)
+
+
+def extend(
+    banks: Sequence[Path],
+    bank: Path,
+    run_file: Path | None = None,
+    *,
+    as_json: bool,
+    accept_drift: bool,
+    accept_calibration: bool = False,
+) -> Exit:
+    """Make a bank of the rows of others, with more positions, and measure those."""
+    blueprint = extended(banks, bank, run_file)
+    named = blueprint.configuration.run.rig
+    rig_file = None if named == "virtual" or run_file is None else run_file.parent / named
+    with open_bank(bank) as view:
+        for origin in origins_of(view):
+            say(f"{bank}: positions {origin.rows} are taken over from {origin.bank}")
+        left = int(np.count_nonzero(view.status == 0))
+    if not left:
+        say(f"{bank}: all {blueprint.plan.positions} positions are taken over, none is left to measure")
+        return Exit.DONE
+    say(f"{bank}: {left} positions are measured now, after the sentinel, which must be as it was")
+    return _session(blueprint, bank, None, SessionOptions(rig_file, as_json, accept_drift, accept_calibration))
 
 
 def remeasure(

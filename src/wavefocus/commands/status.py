@@ -15,6 +15,7 @@ from wavefocus.acquisition.heartbeat import Heartbeat
 from wavefocus.acquisition.wording import a_while, hours, row_ranges
 from wavefocus.calibration.estimator.noise_error import median_noise_error_db
 from wavefocus.campaign.campaign_view import remaining
+from wavefocus.campaign.extension import origins_of
 from wavefocus.campaign.sidecar_files import (
     drift_path,
     read_crosstalk,
@@ -69,7 +70,7 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
         imported = view.import_facts
         moved_mm = view.quality["moved_mm"]
         notes, unknown = view.notes, view.unknown_attributes
-        delay_s = view.inter_channel_delay_s
+        delay_s, origins = view.inter_channel_delay_s, origins_of(view)
     moved = row_ranges(np.flatnonzero(moved_mm > 0).tolist())
     owner, beat, drift = bank_owner(bank), read_heartbeat(bank), read_drift(bank)
     stands, leak = campaign_status(bank, owner, beat), read_crosstalk(bank)
@@ -103,6 +104,7 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
         "kept_positions": [{"position": position, "reason": reason} for position, reason in kept.items()],
         "plan_sha256": plan_sha256,
         "inter_channel_delay_s": delay_s,
+        "origins": [asdict(origin) for origin in origins],
         "import_report": imported or None,
         "notes": [asdict(note) for note in notes],
         "unknown_attributes": list(unknown),
@@ -114,6 +116,8 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
     answer(f"{bank}: {done} of {total} positions measured ({words})")
     if imported:
         answer(str(imported.get("paragraph", "")))
+    for origin in origins:
+        answer(f"positions {origin.rows} were taken over from {origin.bank} (plan {origin.plan_sha256[:8]})")
     for note in notes[-MAX_NOTES:]:
         answer(f"note {note.at[:16].replace('T', ' ')}: {note.text}")
     if len(notes) > MAX_NOTES:

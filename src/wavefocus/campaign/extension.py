@@ -1,0 +1,228 @@
+"""A bank with more positions: the rows of other banks of the same rig and plate are taken over, not measured again."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from wavefocus.acquisition.limits import DriftLimits, compare_sentinel
+from wavefocus.acquisition.wording import row_ranges
+from wavefocus.calibration import Float32Array, Float64Array
+from wavefocus.campaign.blueprint import (
+    Blueprint,
+    bank_configuration,
+    blueprint_from_bank,
+    blueprint_of,
+    listed_differences,
+)
+from wavefocus.campaign.schedule_choice import with_chosen_schedule
+from wavefocus.campaign.sidecar_files import raw_path
+from wavefocus.configuration import Configuration, load_run, plan_differences
+from wavefocus.input_files import parse_positions
+from wavefocus.storage.bank.ledger import QUALITY_NAMES, PointRecord
+from wavefocus.storage.bank.reading import Bank, open_bank
+from wavefocus.storage.bank.writer import write_bank
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.output_files import replacement, require_outputs
+from wavefocus.storage.point_status import Status
+from wavefocus.storage.raw.writer import RawWriter, create_raw, open_raw
+
+STEP_MM = 1e-6
+"""Positions are the same where they agree to this: they are written as whole numbers of it."""
+TAKEN = (int(Status.VALID), int(Status.DISABLED), int(Status.VALID | Status.DISABLED))
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Which bank rows were taken over from, as the bank's attribute `origins` states it.
+
+    bank: File name of the bank.
+    plan_sha256: Its plan.
+    software: Program and version that made it.
+    rows: Rows of the new bank, as ``"0-371"``.
+    """
+
+    bank: str
+    plan_sha256: str
+    software: str
+    rows: str
+
+
+def origins_of(bank: Bank) -> tuple[Origin, ...]:
+    """Where the rows of a bank come from that it did not measure itself; empty where it has none."""
+    try:
+        held = json.loads(bank.origins or "[]")
+        return tuple(Origin(**{key: str(one[key]) for key in Origin.__slots__}) for one in held)
+    except (ValueError, TypeError, KeyError, RecursionError):
+        raise InputError(f"{bank.path}: attribute origins is not as this program writes it") from None
+
+
+def extend(
+    banks: Sequence[Path], out: Path, run_file: Path | None = None, *, added_mm: Float64Array | None = None
+) -> Blueprint:
+    """Make a bank of the valid and the disabled rows of others, and of positions that are still to be measured.
+
+    The new bank has the positions of `run_file` in their order, then those taken over that are not among them. What a
+    resume must not change has to be alike but for the positions. Positions that several banks hold have to agree as a
+    repeated sentinel has to; of several banks each must share one with those before it, or nothing would show that
+    they are of one plate. That the plate is still the same is shown by the first session: it measures the sentinel,
+    which is a row that was taken over, before it adds anything.
+
+    banks: Banks that this program measured; their rows are read and verified.
+    out: The bank to write; with kept recordings also the raw file beside it.
+    run_file: The run with the new positions; by default none are added but `added_mm`.
+    added_mm, (positions, 2): Positions that are added after all others.
+
+    Returns the new bank's campaign. Raises InputError: the plans or the rows do not fit together, a checksum does not
+    hold, or an output is there; nothing is left behind.
+    """
+    require_outputs((out,), banks, force=False)
+    with ExitStack() as stack:
+        views = [stack.enter_context(open_bank(bank)) for bank in banks]
+        for view in views:
+            view.require_sound()
+        wanted = _wanted(banks, run_file)
+        for bank in banks:
+            _require_same_kind(bank, blueprint_from_bank(bank).configuration, wanted, str(run_file or banks[0]))
+        delays = {view.inter_channel_delay_s for view in views}
+        if len(delays) > 1:
+            raise InputError(f"{banks[-1]}: its recorder sampled the response later or earlier than that of {banks[0]}")
+        added = np.zeros((0, 2)) if added_mm is None else added_mm
+        grid_mm = wanted.position_mm if run_file is not None else np.zeros((0, 2))
+        taken, position_mm = _taken(views, grid_mm, added)
+        blueprint = blueprint_of(replace(wanted, position_mm=position_mm))
+        header = replace(
+            blueprint.bank_header(), inter_channel_delay_s=delays.pop(), origins=_origins(views, taken),
+        )  # fmt: skip
+        notes = sorted({note for view in views for note in view.notes}, key=lambda note: note.at)
+        if blueprint.configuration.run.capture.keep_raw:
+            _extend_raw(views, taken, blueprint, out)
+        write_bank(out, header, _rows(views, taken), notes)
+    return blueprint
+
+
+def _wanted(banks: Sequence[Path], run_file: Path | None) -> Configuration:
+    if run_file is None:
+        return blueprint_from_bank(banks[0]).configuration
+    return with_chosen_schedule(blueprint_of(load_run(run_file)), banks[0]).configuration
+
+
+def _require_same_kind(bank: Path, own: Configuration, wanted: Configuration, source: str) -> None:
+    differences = [one for one in plan_differences(own, wanted) if one.key != "position_mm"]
+    if differences:
+        raise InputError(
+            f"{source}: its rows would be of another kind than those of {bank}, which has "
+            f"{listed_differences(differences)}; only positions may be others"
+        )
+
+
+def _key(position_mm: Float64Array) -> tuple[int, int]:
+    return round(float(position_mm[0]) / STEP_MM), round(float(position_mm[1]) / STEP_MM)
+
+
+Taken = dict[int, tuple[int, int]]
+"""Row of the new bank to bank and row that it is taken from."""
+
+
+def _taken(views: Sequence[Bank], grid_mm: Float64Array, added_mm: Float64Array) -> tuple[Taken, Float64Array]:
+    """Which rows are taken from where, and all positions (P, 2)."""
+    places = [*grid_mm]
+    row_at = {_key(place): row for row, place in enumerate(places)}
+    taken: Taken = {}
+    for index, view in enumerate(views):
+        status, shared = view.status, 0
+        for own in np.flatnonzero(np.isin(status, TAKEN)).tolist():
+            key = _key(view.position_mm[own])
+            if key not in row_at:
+                row_at[key] = len(places)
+                places.append(view.position_mm[own])
+            row = row_at[key]
+            if row not in taken:
+                taken[row] = index, own
+            elif status[own] == Status.VALID == views[taken[row][0]].status[taken[row][1]]:
+                _require_alike(views[taken[row][0]], taken[row][1], view, own)
+                shared += 1
+        if index and not shared:
+            raise InputError(
+                f"{view.path}: shares no valid position with {views[0].path}, so that nothing shows that they are of "
+                "one plate; measure its positions with wavefocus extend --run instead"
+            )
+    places += [place for place in added_mm if _key(place) not in row_at]
+    return dict(sorted(taken.items())), np.array(places, np.float64).reshape(-1, 2)
+
+
+def _require_alike(first: Bank, row: int, second: Bank, other: int) -> None:
+    low, high = (edge_hz / first.sample_rate_hz for edge_hz in first.band_hz or (0.0, first.sample_rate_hz / 2))
+    figures = compare_sentinel(
+        np.asarray(first.green(row), np.float32), np.asarray(second.green(other), np.float32),
+        first.quality["snr_db"][row], second.quality["snr_db"][other], band=(low, high),
+    )  # fmt: skip
+    limits = DriftLimits(**bank_configuration(first).run.drift.model_dump())
+    if figures.speaks_against(limits):
+        raise InputError(
+            f"{second.path}: position {other} is not what position {row} of {first.path} is, at the same place "
+            f"({figures.cause(limits) or 'level changed'}): {figures}; they are not of one plate or one set-up"
+        )
+
+
+def _origins(views: Sequence[Bank], taken: Taken) -> str:
+    """JSON text of all origins; rows that an earlier extension took over keep the bank that measured them."""
+    rows: dict[tuple[str, str, str], list[int]] = {}
+    for index, view in enumerate(views):
+        measured = (view.path.name, view.plan_sha256 or "", view.software or "")
+        of_row = {
+            row: (origin.bank, origin.plan_sha256, origin.software)
+            for origin in origins_of(view)
+            for row in _parsed(origin.rows, view.positions)
+        }
+        for row, (source, own) in taken.items():
+            if source == index:
+                rows.setdefault(of_row.get(own, measured), []).append(row)
+    return json.dumps([asdict(Origin(*key, row_ranges(found))) for key, found in rows.items()])
+
+
+def _parsed(rows: str, positions: int) -> list[int]:
+    return parse_positions(rows.replace(" ", ""), positions)
+
+
+def _rows(views: Sequence[Bank], taken: Taken) -> Iterator[tuple[int, Float32Array, PointRecord]]:
+    for row, (index, own) in taken.items():
+        view = views[index]
+        yield row, np.asarray(view.green(own), np.float32), _record(view, own)
+
+
+def _record(view: Bank, row: int) -> PointRecord:
+    """A row's status and quality; what its neighbours said of it is asked again among the new ones."""
+    quality = {name: view.quality[name][row] for name in QUALITY_NAMES if name != "attempts"}
+    return PointRecord(int(view.status[row]), int(view.quality["attempts"][row]), **quality)
+
+
+def _extend_raw(views: Sequence[Bank], taken: Taken, blueprint: Blueprint, out: Path) -> None:
+    """Take over the recordings too, for a run that keeps them."""
+    path, plan, header = raw_path(out), blueprint.plan, blueprint.bank_header()
+    require_outputs((path,), [raw_path(view.path) for view in views], force=False)
+    for view in views:
+        if not raw_path(view.path).exists():
+            raise InputError(
+                f"{raw_path(view.path)} is missing, and the run has capture.keep_raw = true: put it back, or set "
+                "keep_raw = false"
+            )
+    with ExitStack() as stack:
+        temporary = stack.enter_context(replacement(path))
+        raws = [stack.enter_context(open_raw(raw_path(view.path))) for view in views]
+        create_raw(
+            temporary,
+            replace(
+                raws[0].header, position_mm=plan.position_mm, plan_sha256=plan.sha256, rig_json=header.rig_json,
+                run_json=header.run_json, software=header.software,
+            ),
+        )  # fmt: skip
+        with RawWriter.open(temporary, plan_sha256=plan.sha256) as writer:
+            for row, (index, own) in taken.items():
+                if (kept := raws[index].read(own)) is not None:
+                    writer.commit(row, kept.reference_v, kept.response_v)

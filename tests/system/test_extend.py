@@ -1,0 +1,159 @@
+"""Banks with more positions: what is taken over, what is measured, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from tests.system.captures import held
+from tests.system.conftest import POSITIONS
+from wavefocus.__main__ import run
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.bank.writer import BankWriter
+
+MORE = [[12.0, 0.0], *POSITIONS[:4], [12.0, 4.0]]
+
+
+def _write_positions(lab: Path, positions: list[list[float]]) -> None:
+    lines = "".join(f"{x_mm},{y_mm}\n" for x_mm, y_mm in positions)
+    (lab / "positions.csv").write_text("x_mm,y_mm\n" + lines, encoding="utf-8")
+
+
+def _change(file: Path, old: str, new: str) -> None:
+    text = file.read_text(encoding="utf-8")
+    assert old in text
+    file.write_text(text.replace(old, new), encoding="utf-8")
+
+
+def _scale_rows(bank: Path, rows: int, factor: float) -> None:
+    """The same bank as if the first rows had been measured with another gain."""
+    with open_bank(bank) as view:
+        plan = view.plan_sha256
+    with BankWriter.open(bank, plan_sha256=plan) as writer:
+        for row in range(rows):
+            writer.commit(row, writer.green(row) * np.float32(factor), writer.record(row))
+
+
+def _extend(lab: Path, *banks: Path, new: str = "new.h5", runs: bool = True) -> int:
+    named = ["--run", str(lab / "run.toml")] if runs else []
+    return run(["extend", *map(str, banks), *named, "--bank", str(lab / new), "--json"])
+
+
+def test_given_more_positions_then_measured_rows_are_taken_over_and_the_others_measured(
+    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["note", str(bank), "gel of Monday"]) == 0
+    _write_positions(lab, MORE)
+    assert _extend(lab, bank) == 0
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert {event["position"] for event in events if event["event"] == "position_committed"} == {0, 5}
+    assert "resume" in {event.get("occasion") for event in events if event["event"] == "drift"}
+    with open_bank(bank) as old, open_bank(lab / "new.h5") as new:
+        assert new.status.tolist() == [1] * 8
+        assert new.verify() == ()
+        assert new.position_mm.tolist() == [*MORE, *POSITIONS[4:]]
+        for row, place in enumerate(new.position_mm.tolist()):
+            if place in POSITIONS:
+                was = POSITIONS.index(place)
+                assert np.array_equal(new.green(row), old.green(was))
+                assert new.quality["attempts"][row] == old.quality["attempts"][was]
+        assert [note.text for note in new.notes] == ["gel of Monday"]
+    assert run(["status", str(lab / "new.h5"), "--json"]) == 0
+    (origin,) = json.loads(capsys.readouterr().out)["origins"]
+    assert (origin["bank"], origin["rows"]) == ("plate.h5", "1-4,6-7")
+    assert run(["check", str(lab / "new.h5")]) == 0
+    # Extended again, the rows keep the name of the bank that measured them.
+    _write_positions(lab, [*MORE, [16.0, 0.0]])
+    assert _extend(lab, lab / "new.h5", new="newer.h5") == 0
+    capsys.readouterr()
+    assert run(["status", str(lab / "newer.h5"), "--json"]) == 0
+    origins = {one["bank"]: one["rows"] for one in json.loads(capsys.readouterr().out)["origins"]}
+    assert origins == {"plate.h5": "1-4,7-8", "new.h5": "0,5"}
+
+
+def test_given_the_plate_has_changed_then_nothing_is_added(
+    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _write_positions(lab, MORE)
+    _scale_rows(bank, len(POSITIONS), 2.0)
+    assert _extend(lab, bank) == 3
+    assert "sentinel" in capsys.readouterr().err
+    assert held(lab / "new.h5") == [0, 1, 1, 1, 1, 0, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "named"),
+    [
+        ("averages = 2", "averages = 3", "capture.averages"),
+        ("taps = 1000", "taps = 900", "capture.taps"),
+        ("duration_s = 0.3", "duration_s = 0.4", "sweep.duration_s"),
+        ("[virtual]\nseed = 3", "[virtual]\nseed = 4", "seed"),
+    ],
+)
+def test_given_another_kind_of_rows_then_it_is_refused_by_its_key(
+    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, named: str
+) -> None:
+    _change(lab / "run.toml", old, new)
+    assert _extend(lab, bank) == 2
+    told = capsys.readouterr().err
+    assert named in told
+    assert not (lab / "new.h5").exists()
+
+
+def test_given_a_damaged_row_then_it_is_refused(lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with h5py.File(bank, "r+") as file:
+        file["green"][2, 0, 5] += 1
+    _write_positions(lab, MORE)
+    assert _extend(lab, bank) == 2
+    assert "position 2" in capsys.readouterr().err
+    assert not (lab / "new.h5").exists()
+
+
+def test_given_the_new_bank_is_there_or_an_input_then_it_stays(lab: Path, bank: Path) -> None:
+    before = bank.read_bytes()
+    assert _extend(lab, bank, new="plate.h5") == 2
+    shutil.copy2(bank, lab / "new.h5")
+    assert _extend(lab, bank) == 2
+    assert bank.read_bytes() == before == (lab / "new.h5").read_bytes()
+
+
+def test_given_two_banks_then_they_merge_where_a_shared_position_agrees(
+    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _write_positions(lab, [[8.0, 0.0], [12.0, 0.0], [12.0, 4.0]])
+    other = lab / "other.h5"
+    assert run(["capture", str(lab / "run.toml"), "--bank", str(other)]) == 0
+    assert _extend(lab, bank, other, runs=False) == 0
+    with open_bank(lab / "new.h5") as new, open_bank(other) as second:
+        assert new.status.tolist() == [1] * 8
+        assert new.position_mm.tolist() == [*POSITIONS, [12.0, 0.0], [12.0, 4.0]]
+        assert np.array_equal(new.green(7), second.green(2))
+    _scale_rows(other, 3, 2.0)
+    assert _extend(lab, bank, other, new="worse.h5", runs=False) == 2
+    assert "level changed" in capsys.readouterr().err
+    _write_positions(lab, [[12.0, 0.0], [12.0, 4.0]])
+    apart = lab / "apart.h5"
+    assert run(["capture", str(lab / "run.toml"), "--bank", str(apart)]) == 0
+    assert _extend(lab, bank, apart, new="worse.h5", runs=False) == 2
+    assert "shares no valid position" in capsys.readouterr().err
+
+
+def test_given_kept_recordings_then_they_are_taken_over_too(lab: Path) -> None:
+    _change(lab / "run.toml", "taps = 1000", "taps = 1000\nkeep_raw = true")
+    bank = lab / "plate.h5"
+    _write_positions(lab, POSITIONS[:3])
+    assert run(["capture", str(lab / "run.toml"), "--bank", str(bank)]) == 0
+    _write_positions(lab, POSITIONS[:4])
+    assert _extend(lab, bank) == 0
+    estimated = lab / "estimated.h5"
+    assert run(["estimate", str(lab / "new.raw.h5"), "--bank", str(estimated)]) == 0
+    with open_bank(lab / "new.h5") as new, open_bank(estimated) as again:
+        for row in range(4):
+            assert np.allclose(again.green(row), new.green(row), atol=1e-6 * np.abs(new.green(row)).max())
+    (lab / "plate.raw.h5").unlink()
+    assert _extend(lab, bank, new="newer.h5") == 2
