@@ -12,7 +12,7 @@ import numpy as np
 from wavefocus.acquisition.grid import read_rows
 from wavefocus.acquisition.setup import Setup, asking
 from wavefocus.calibration import Float64Array
-from wavefocus.calibration.mirror_map import MIN_MARKS, MirrorFit, MirrorMap, fit_mirror_map
+from wavefocus.calibration.mirror_map import MIN_MARKS, MirrorMap, MirrorMapFit, fit_mirror_map
 from wavefocus.config.messages.rig_checks import By, Drop, Here, Keep, MapView, Redo, To
 from wavefocus.storage.errors import InputError, WavefocusError
 
@@ -105,7 +105,7 @@ class MirrorFigures:
 
     place_mm: Float64Array
     angles_mrad: Float64Array
-    fit: MirrorFit
+    fit: MirrorMapFit
 
     @property
     def worst_mm(self) -> float:

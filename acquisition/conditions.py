@@ -27,7 +27,7 @@ class Sensor(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Band:
+class AllowedRange:
     """Where a condition must stay.
 
     words: What it is, for people: ``"reference level"``.
@@ -69,7 +69,7 @@ class Watch:
     give_up_after_s: Longest suspension.
     """
 
-    bands: Mapping[str, Band]
+    bands: Mapping[str, AllowedRange]
     sensors: Mapping[str, Sensor]
     probe_every_s: float = 30.0
     give_up_after_s: float = 7200.0

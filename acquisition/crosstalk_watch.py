@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from wavefocus.acquisition.attempt import AttemptResult
-from wavefocus.acquisition.defects import Cure, Defect
+from wavefocus.acquisition.defects import Cure, RecordDefect
 from wavefocus.acquisition.judgement import Judgement
 from wavefocus.acquisition.plan import Plan
 from wavefocus.acquisition.setup import Setup
@@ -117,4 +117,6 @@ class CrosstalkWatch:
 def judgement_of(found: Crosstalk, score: float = 0.0) -> Judgement:
     """Poor, because of a leak."""
     sentence = f"crosstalk: the loopback leaks into {found.rows}: {found}: {REMEDY}"
-    return Judgement(Status.POOR_SIGNAL, sentence, score, (Defect(DEFECT, found.actuators, sentence, Cure.NOTHING),))
+    return Judgement(
+        Status.POOR_SIGNAL, sentence, score, (RecordDefect(DEFECT, found.actuators, sentence, Cure.NOTHING),)
+    )

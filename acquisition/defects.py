@@ -40,7 +40,7 @@ class Cure(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Defect:
+class RecordDefect:
     """One thing that is wrong with an attempt at a position.
 
     name: Its name, the same in events, log and documentation: ``"hum"``, ``"lost sample"``.
@@ -62,7 +62,9 @@ def dead_records(estimate: Estimate) -> BoolArray:
     return np.asarray(estimate.defects["dead"] == 1)
 
 
-def named_defects(estimate: Estimate, limits: QualityLimits, distance_mm: Float64Array | None) -> tuple[Defect, ...]:
+def named_defects(
+    estimate: Estimate, limits: QualityLimits, distance_mm: Float64Array | None
+) -> tuple[RecordDefect, ...]:
     """Name what the figures of an attempt's records show.
 
     Of one record the defect that explains the others is named alone: a lost sample also leaves a burst.
@@ -110,13 +112,13 @@ class _Kind:
     over_range: bool = False
     above_limit_db: float = 0.0
 
-    def of(self, estimate: Estimate, worst: NDArray[np.intp], **more: object) -> Defect:
+    def of(self, estimate: Estimate, worst: NDArray[np.intp], **more: object) -> RecordDefect:
         """The defect of some records, the worst first."""
         record = estimate.defects[worst[0]]
         figures = {name: record[name].item() for name in estimate.defects.dtype.names or ()}
         sentence = self.sentence.format(records=listed(worst), **{**figures, **more})
         cure = Cure.MOVE if self.name == "dropout" and worst.size > 1 else self.cure
-        return Defect(self.name, tuple(worst.tolist()), sentence, cure, self.over_range)
+        return RecordDefect(self.name, tuple(worst.tolist()), sentence, cure, self.over_range)
 
 
 _DEAD = _Kind(
@@ -216,7 +218,7 @@ _KINDS = {
 """Defects by the figure that shows them; of one record the first is named."""
 
 
-def _clipped(estimate: Estimate, worst: NDArray[np.intp], kind: _Kind) -> list[Defect]:
+def _clipped(estimate: Estimate, worst: NDArray[np.intp], kind: _Kind) -> list[RecordDefect]:
     """What looks like clipping, by its cause: too few steps, a curved characteristic, or a cut one.
 
     What is cut has a third harmonic at its loudest moment that is stronger than the same residual of all sweeps; a
@@ -236,7 +238,7 @@ def _clipped(estimate: Estimate, worst: NDArray[np.intp], kind: _Kind) -> list[D
     return [one.of(estimate, worst[which]) for one, which in parts if np.any(which)]
 
 
-def _line(estimate: Estimate, worst: NDArray[np.intp]) -> Defect:
+def _line(estimate: Estimate, worst: NDArray[np.intp]) -> RecordDefect:
     """Hum, where the line is a multiple of the mains; else a tone."""
     line_hz = float(estimate.defects["line_hz"][worst[0]])
     mains = next((base for base in MAINS_HZ if _is_multiple(line_hz, base)), None)

@@ -35,7 +35,7 @@ Answer = TypeVar("Answer")
 HUNG_REMEDY = "unplug it and plug it in again, or switch it off and on; then run wavefocus doctor again"
 
 
-class Findings:
+class RigFindings:
     """Collects findings; a check that raises becomes one.
 
     publish: Gets each finding as it is made.
@@ -156,13 +156,13 @@ def examine(rig: RigUnderTest, publish: Callable[[Finding], None], *, play: bool
 
     Returns the identities of the instruments that answered, by role.
     """
-    examination = _Examination(rig, Findings(publish), play)
+    examination = _Examination(rig, RigFindings(publish), play)
     examination.run()
     return examination.identities
 
 
 class _Examination:
-    def __init__(self, rig: RigUnderTest, findings: Findings, play: bool) -> None:
+    def __init__(self, rig: RigUnderTest, findings: RigFindings, play: bool) -> None:
         self._rig, self._findings, self._play = rig, findings, play
         self._mirror: Mirror | None = None
         self._recorder: Recorder | None = None

@@ -11,7 +11,7 @@ from wavefocus.acquisition.defects import (
     NOISE_ALONE_DB,
     REFERENCE_LEVEL,
     Cure,
-    Defect,
+    RecordDefect,
     dead_records,
     listed,
     named_defects,
@@ -30,7 +30,7 @@ PER_MM = 0.6
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class PositionRow:
     """One measurement of a position.
 
     spectrum, complex128 (actuators, bins): Green's functions in the band of the sweep, as of `in_band`.
@@ -44,7 +44,7 @@ class Row:
 
 
 @dataclass(frozen=True, slots=True)
-class Difference:
+class RepeatDifference:
     """How two measurements of a position differ.
 
     actuators: Whose Green's functions differ by more than they may, the farthest beyond first; none where the two
@@ -78,7 +78,7 @@ def in_band(green: NDArray[np.floating], sample_rate_hz: float, band_hz: tuple[f
     return np.asarray(np.fft.rfft(green.astype(np.float64), axis=1)[:, inside])
 
 
-def difference(then: Row, now: Row) -> Difference:
+def difference(then: PositionRow, now: PositionRow) -> RepeatDifference:
     """Compare two measurements of a position, actuator by actuator.
 
     Each may differ by 2 %, or by `OVER_NOISE` times what the noise of both explains of it. Noise is spread over all
@@ -103,10 +103,10 @@ def difference(then: Row, now: Row) -> Difference:
     which = np.argsort(-beyond, kind="stable")
     which = which[beyond[which] > 1.0]
     if not which.size:
-        return Difference(())
+        return RepeatDifference(())
     worst = int(which[0])
     level_db = 10 * np.log10(max(energies[1][worst], tiny) / max(energies[0][worst], tiny))
-    return Difference(tuple(which.tolist()), float(level_db), float(relative[worst]))
+    return RepeatDifference(tuple(which.tolist()), float(level_db), float(relative[worst]))
 
 
 def _noise_share(snr_db: Float32Array) -> Float64Array:
@@ -126,7 +126,7 @@ class Judgement:
     status: Status
     reason: str
     score: float
-    defects: tuple[Defect, ...] = ()
+    defects: tuple[RecordDefect, ...] = ()
 
     @property
     def good(self) -> bool:
@@ -185,13 +185,15 @@ def judge(
     return Judgement(status, "; ".join(defect.sentence for defect in defects), score, tuple(defects))
 
 
-def differing(apart: Difference, score: float) -> Judgement:
+def differing(apart: RepeatDifference, score: float) -> Judgement:
     """An attempt that is good by itself and not what the bank holds of the position."""
     sentence = (
         f"it is not what the bank holds: {apart}; to have such a row replaced, where two attempts agree, name the "
         "position to wavefocus remeasure with --replace"
     )
-    return Judgement(Status.POOR_SIGNAL, sentence, score, (Defect("differs", apart.actuators, sentence, Cure.AGAIN),))
+    return Judgement(
+        Status.POOR_SIGNAL, sentence, score, (RecordDefect("differs", apart.actuators, sentence, Cure.AGAIN),)
+    )
 
 
 def _excess_db(estimate: Estimate, usable: BoolArray) -> Float64Array:
@@ -201,7 +203,7 @@ def _excess_db(estimate: Estimate, usable: BoolArray) -> Float64Array:
     return np.asarray(20.0 * np.log10(noise_v / quietest))
 
 
-def _over_range(estimate: Estimate, over_range: bool) -> list[Defect]:
+def _over_range(estimate: Estimate, over_range: bool) -> list[RecordDefect]:
     clipped = np.flatnonzero(estimate.clip_count)
     if not (over_range or clipped.size):
         return []
@@ -211,20 +213,20 @@ def _over_range(estimate: Estimate, over_range: bool) -> list[Defect]:
         f"{who} reached the end of the input range, or is cut flat below it: where no larger range helps, lower "
         "sweep.amplitude_v or choose a wider range at the vibrometer"
     )
-    return [Defect("over-range", worst, sentence, Cure.RANGE, over_range=True)]
+    return [RecordDefect("over-range", worst, sentence, Cure.RANGE, over_range=True)]
 
 
-def _unknown(unknown: BoolArray) -> list[Defect]:
+def _unknown(unknown: BoolArray) -> list[RecordDefect]:
     if not np.any(unknown):
         return []
     which = tuple(np.flatnonzero(unknown).tolist())
     sentence = f"the figures of actuator {which[0]}'s record are not numbers"
-    return [Defect("no figures", which, sentence, Cure.REPEAT)]
+    return [RecordDefect("no figures", which, sentence, Cure.REPEAT)]
 
 
 def _unexplained(
     estimate: Estimate, excess_db: Float64Array, unnamed: BoolArray, limits: QualityLimits
-) -> list[Defect]:
+) -> list[RecordDefect]:
     """Records that are bad without telling why."""
     suspect = unnamed & (excess_db > limits.excess_noise_db) & (estimate.residual_db > limits.poor_residual_db)
     if not np.any(suspect):
@@ -237,17 +239,17 @@ def _unexplained(
             f"actuator {worst}'s record is noise alone, {excess_db[worst]:.1f} dB above the position's quietest "
             "record: no light came back to the vibrometer, or its cable is loose"
         )
-        return [Defect("lost record", tuple(which.tolist()), sentence, Cure.MOVE)]
+        return [RecordDefect("lost record", tuple(which.tolist()), sentence, Cure.MOVE)]
     sentence = (
         f"actuator {worst} leaves {estimate.residual_db[worst]:.1f} dB unexplained, "
         f"{excess_db[worst]:.1f} dB above the position's quietest record"
     )
-    return [Defect("unexplained", tuple(which.tolist()), sentence, Cure.MOVE if which.size > 1 else Cure.REPEAT)]
+    return [RecordDefect("unexplained", tuple(which.tolist()), sentence, Cure.MOVE if which.size > 1 else Cure.REPEAT)]
 
 
 def _reference_level(
     estimate: Estimate, before_db: float | None, limits: QualityLimits, *, calibrated: bool
-) -> list[Defect]:
+) -> list[RecordDefect]:
     """Records whose reference is not as loud as it was: their Green's functions would be wrong by as much."""
     levels_db = estimate.reference_db.astype(np.float64)
     if not np.any(np.isfinite(levels_db)):
@@ -269,14 +271,14 @@ def _reference_level(
         f"{listed(which)}: check the loopback cable, the output's level and the input range"
         f"{steady if beyond else ''}"
     )
-    return [Defect(REFERENCE_LEVEL, tuple(which.tolist()), sentence, Cure.AGAIN)]
+    return [RecordDefect(REFERENCE_LEVEL, tuple(which.tolist()), sentence, Cure.AGAIN)]
 
 
-def _low_signal(estimate: Estimate, usable: BoolArray, limits: QualityLimits) -> list[Defect]:
+def _low_signal(estimate: Estimate, usable: BoolArray, limits: QualityLimits) -> list[RecordDefect]:
     if not np.any(usable):
         return []
     best_db = float(np.max(estimate.snr_db[usable]))
     if best_db >= limits.poor_snr_db:
         return []
     sentence = f"the best record has {best_db:.1f} dB signal-to-noise ratio (the record's, not the row's error)"
-    return [Defect("low signal", tuple(np.flatnonzero(usable).tolist()), sentence, Cure.MOVE)]
+    return [RecordDefect("low signal", tuple(np.flatnonzero(usable).tolist()), sentence, Cure.MOVE)]

@@ -9,13 +9,13 @@ from dataclasses import replace
 import numpy as np
 
 from wavefocus.acquisition.attempt import AttemptResult
-from wavefocus.acquisition.defects import Cure, Defect
-from wavefocus.acquisition.judgement import Judgement, Row, difference, differing, in_band
+from wavefocus.acquisition.defects import Cure, RecordDefect
+from wavefocus.acquisition.judgement import Judgement, PositionRow, difference, differing, in_band
 from wavefocus.acquisition.plan import Plan
 from wavefocus.acquisition.plays import MEASURED
 from wavefocus.calibration import BoolArray, Float32Array, Int64Array
-from wavefocus.calibration.neighbour_difference import Difference
-from wavefocus.calibration.neighbour_judge import NeighbourJudge, RowSpectra
+from wavefocus.calibration.neighbour_difference import NeighbourDifference
+from wavefocus.calibration.neighbour_judge import NeighbourJudge, RowsAtFrequencies
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.point_status import Status
 
@@ -30,7 +30,7 @@ SAME = 0.25
 
 
 _SENTENCE = "no neighbour can judge it: a second measurement must agree with it"
-UNCONFIRMED = Judgement(Status.POOR_SIGNAL, _SENTENCE, 0.0, (Defect("unconfirmed", (), _SENTENCE, Cure.AGAIN),))
+UNCONFIRMED = Judgement(Status.POOR_SIGNAL, _SENTENCE, 0.0, (RecordDefect("unconfirmed", (), _SENTENCE, Cure.AGAIN),))
 
 
 class NeighbourWatch:
@@ -122,7 +122,7 @@ class NeighbourWatch:
         if status & MEASURED:
             record, sweep = self._bank.record(position), self._plan.excitation
             held = in_band(self._bank.green(position), sweep.sample_rate_hz, sweep.band_hz)
-            apart = difference(Row(held, record.snr_db, record.moved_mm), row)
+            apart = difference(PositionRow(held, record.snr_db, record.moved_mm), row)
             if not apart:
                 return result
         before = None if earlier is None else self._row_of(earlier)
@@ -131,13 +131,13 @@ class NeighbourWatch:
         judgement = differing(apart, judgement.score) if apart else replace(UNCONFIRMED, score=judgement.score)
         return replace(result, judgement=judgement)
 
-    def _row_of(self, result: AttemptResult) -> Row | None:
+    def _row_of(self, result: AttemptResult) -> PositionRow | None:
         """What an attempt would put into the bank, to be compared; None where it has no estimate."""
         if result.estimate is None:
             return None
         sweep = self._plan.excitation
         spectrum = in_band(result.estimate.green, sweep.sample_rate_hz, sweep.band_hz)
-        return Row(spectrum, result.estimate.snr_db, math.hypot(*result.attempt.moved_mm))
+        return PositionRow(spectrum, result.estimate.snr_db, math.hypot(*result.attempt.moved_mm))
 
     def judge(self, position: int, green: Float32Array, before: Judgement) -> tuple[Judgement, bool]:
         """Judge a repeat that is good by its own records.
@@ -177,19 +177,21 @@ class NeighbourWatch:
 
     def _differences(
         self, rows: Int64Array, instead: dict[int, Float32Array]
-    ) -> tuple[dict[int, tuple[Difference, ...]], frozenset[int]]:
+    ) -> tuple[dict[int, tuple[NeighbourDifference, ...]], frozenset[int]]:
         """What differs, and the positions all of whose rows could be judged."""
         if not len(rows):
             return {}, frozenset()
         header = self._bank.header
-        spectra = RowSpectra(len(rows), self._plan.actuators, self._plan.taps, header.sample_rate_hz, header.band_hz)
+        spectra = RowsAtFrequencies(
+            len(rows), self._plan.actuators, self._plan.taps, header.sample_rate_hz, header.band_hz
+        )
         for number, row in enumerate(rows.tolist()):
             spectra.set(number, instead[row] if row in instead else self._bank.green(row))
         judge = NeighbourJudge(
             self._plan.position_mm[rows], self._plan.actuator_mm, spectra, np.ones(len(rows), dtype=bool)
         )
         strong = self._strong(rows)
-        found: dict[int, tuple[Difference, ...]] = {}
+        found: dict[int, tuple[NeighbourDifference, ...]] = {}
         if np.count_nonzero(judge.judged & strong) < TRUSTED * np.count_nonzero(strong):
             return found, frozenset()
         verdict = judge.find()
@@ -221,21 +223,23 @@ def mark_suspects(bank: BankWriter, positions: Sequence[int], reason: str) -> It
 
     Yields each position as it is marked; those that are not valid stay as they are.
     """
-    judgement = Judgement(Status.POOR_SIGNAL, reason, 0.0, (Defect("suspect", (), reason, Cure.NOTHING),))
+    judgement = Judgement(Status.POOR_SIGNAL, reason, 0.0, (RecordDefect("suspect", (), reason, Cure.NOTHING),))
     for position in positions:
         if bank.status[position] == Status.VALID:
             bank.amend(position, status=int(judgement.status), suspect=True, unjudgeable=False)
             yield position, judgement
 
 
-def _judgement(differences: tuple[Difference, ...]) -> Judgement:
+def _judgement(differences: tuple[NeighbourDifference, ...]) -> Judgement:
     """Poor, naming what differs."""
-    defects = tuple(Defect(f"neighbour {one.kind}", one.actuators, one.sentence, Cure.REPEAT) for one in differences)
+    defects = tuple(
+        RecordDefect(f"neighbour {one.kind}", one.actuators, one.sentence, Cure.REPEAT) for one in differences
+    )
     score = max(one.relative for one in differences)
     return Judgement(Status.POOR_SIGNAL, "; ".join(defect.sentence for defect in defects), score, defects)
 
 
-def _same(held: Float32Array, green: Float32Array, difference: Difference) -> bool:
+def _same(held: Float32Array, green: Float32Array, difference: NeighbourDifference) -> bool:
     """Whether two measurements agree in the rows that differ from the neighbours."""
     rows = list(difference.actuators)
     apart = float(np.linalg.norm(held[rows].astype(np.float64) - green[rows]))

@@ -116,7 +116,7 @@ def sentinel_of(plan: Plan, status: NDArray[np.uint8]) -> int | None:
 LATEST = 30
 
 
-class Pace:
+class CampaignPace:
     """Learns from every attempt; one clock per instance.
 
     The median of the latest attempts says how long one takes, so that single long ones (an audio server that stumbled)

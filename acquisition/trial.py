@@ -55,14 +55,14 @@ class Candidate:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class ScheduleChoice:
     """Which candidate is taken, and why."""
 
     chosen: Candidate
     reason: str
 
 
-class Band:
+class BandTransform:
     """Relative energies of Green's functions in a band.
 
     band_hz: Lowest and highest frequency in Hz.
@@ -148,7 +148,7 @@ def decibel_of_median(share: Float64Array) -> float:
     return 10 * math.log10(max(float(np.median(share)), 1e-30))
 
 
-def choose(candidates: list[Candidate], allowed_loss_db: float) -> Verdict:
+def choose(candidates: list[Candidate], allowed_loss_db: float) -> ScheduleChoice:
     """Take the quickest schedule that errs little more than sequential capture.
 
     candidates: The one that was asked for first, those with groups 0 among them.
@@ -162,8 +162,10 @@ def choose(candidates: list[Candidate], allowed_loss_db: float) -> Verdict:
     if chosen is not sequential:
         against += f", where {sequential.name} leaves {sequential.error_db:.1f} dB in {hours(sequential.campaign_s)}"
     if chosen is asked:
-        return Verdict(chosen, f"{chosen.name} pays: it leaves {against}")
-    return Verdict(chosen, f"{asked.name} does not pay: {_why(asked, candidates)}; {chosen.name} leaves {against}")
+        return ScheduleChoice(chosen, f"{chosen.name} pays: it leaves {against}")
+    return ScheduleChoice(
+        chosen, f"{asked.name} does not pay: {_why(asked, candidates)}; {chosen.name} leaves {against}"
+    )
 
 
 def _why(asked: Candidate, candidates: list[Candidate]) -> str:
@@ -188,7 +190,7 @@ TAKES = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class ScheduleTest:
     """What was tried, and what follows.
 
     candidates: The schedule that was asked for first.
@@ -199,7 +201,7 @@ class Trial:
 
     position: int
     candidates: tuple[Candidate, ...]
-    verdict: Verdict
+    verdict: ScheduleChoice
     decay: Decay | None
     took_s: float
 
@@ -210,7 +212,9 @@ def check_position(plan: Plan) -> int:
     return int(np.argmin(np.hypot(*(plan.position_mm - middle).T)))
 
 
-def run_trial(plan: Plan, setup: Setup, allowed_loss_db: float, publish: Subscriber = lambda event: None) -> Trial:
+def run_trial(
+    plan: Plan, setup: Setup, allowed_loss_db: float, publish: Subscriber = lambda event: None
+) -> ScheduleTest:
     """Measure one position by every schedule that comes into question, and choose.
 
     plan: The staggered plan that was asked for.
@@ -229,7 +233,7 @@ def run_trial(plan: Plan, setup: Setup, allowed_loss_db: float, publish: Subscri
     bench = _Bench(plan, setup, position, Session(clock, publish, StopRequest()))
     excitation = plan.excitation
     window_s = excitation.period_samples / excitation.sample_rate_hz
-    band = Band(excitation.band_hz, excitation.sample_rate_hz, plan.taps)
+    band = BandTransform(excitation.band_hz, excitation.sample_rate_hz, plan.taps)
     tried = [bench.tried(0, level_db) for level_db in (0.0, LOWER_DB)]
     full, half = (one.estimates[0] for one in tried)
     errors, reference, own = sequential_errors(
@@ -247,7 +251,7 @@ def run_trial(plan: Plan, setup: Setup, allowed_loss_db: float, publish: Subscri
     ]
     candidates = (*staggered, *sequential)
     verdict = choose(list(candidates), allowed_loss_db)
-    return Trial(position, candidates, verdict, decay, clock.now_s() - began_s)
+    return ScheduleTest(position, candidates, verdict, decay, clock.now_s() - began_s)
 
 
 def scheduled(plan: Plan, groups: int, level_db: float) -> Plan:

@@ -14,7 +14,7 @@ from wavefocus.calibration import BoolArray, Float64Array
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.crosstalk import REMEDY, crosstalk_of_bank
 from wavefocus.calibration.estimator.noise_error import bank_noise_error_db
-from wavefocus.calibration.neighbour_judge import NeighbourJudge, RowSpectra
+from wavefocus.calibration.neighbour_judge import NeighbourJudge, RowsAtFrequencies
 from wavefocus.storage.bank.ledger import VALID
 from wavefocus.storage.bank.reading import Bank, CopiedRows, VerifiedRows, open_bank
 from wavefocus.storage.drive_file import FORMAT as DRIVE
@@ -41,7 +41,7 @@ _NEIGHBOURHOOD = 9
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class BankProblem:
     """One thing that is wrong with a bank.
 
     position: The position it is about; None for the whole bank.
@@ -57,7 +57,7 @@ class Finding:
     severity: Literal["error", "warning", "note"] = "error"
 
 
-def check_bank(path: str | Path) -> list[Finding]:
+def check_bank(path: str | Path) -> list[BankProblem]:
     """Check every row of a bank.
 
     path: A bank of this program or of another; while a run is on, what is just being written is not held against it.
@@ -78,7 +78,7 @@ def check_bank(path: str | Path) -> list[Finding]:
     return sorted(findings, key=lambda finding: -1 if finding.position is None else finding.position)
 
 
-def check_ledger(rows: LedgerReader, path: Path) -> Iterator[Finding]:
+def check_ledger(rows: LedgerReader, path: Path) -> Iterator[BankProblem]:
     """Check that what follows from the ledger of a bank or raw file agrees with it, and that no crash waits for repair.
 
     Nothing is found while a process writes the file.
@@ -89,44 +89,44 @@ def check_ledger(rows: LedgerReader, path: Path) -> Iterator[Finding]:
     cut_off: Literal["error", "warning"] = "warning" if owner_path(path).exists() else "error"
     state = rows.journal_state()
     if state == "whole":
-        yield Finding(None, None, "a replacement was cut off; opening the file to resume finishes it", "warning")
+        yield BankProblem(None, None, "a replacement was cut off; opening the file to resume finishes it", "warning")
     elif state == "torn":
         message = "the journal is damaged, or a crash cut it off; opening the file to resume clears it"
-        yield Finding(None, None, message, cut_off)
+        yield BankProblem(None, None, message, cut_off)
     for position in np.flatnonzero(rows.ledger.damaged).tolist():
         message = f"the ledger row of position {position} is damaged; it has to be measured again"
-        yield Finding(position, None, message)
+        yield BankProblem(position, None, message)
     for position in rows.torn():
         message = (
             f"position {position} holds values and its ledger row is empty; a crash cut it off, or it is damaged;"
             " resume measures it again"
         )
-        yield Finding(position, None, message, cut_off)
+        yield BankProblem(position, None, message, cut_off)
     if isinstance(rows, VerifiedRows):
         for position in np.flatnonzero(rows.differing() & ~rows.ledger.damaged).tolist():
             message = (
                 f"/status or /quality of position {position} differ from the ledger;"
                 " opening the bank to resume rebuilds them"
             )
-            yield Finding(position, None, message, cut_off)
+            yield BankProblem(position, None, message, cut_off)
 
 
-def _check_file(bank: Bank) -> Iterator[Finding]:
+def _check_file(bank: Bank) -> Iterator[BankProblem]:
     if isinstance(bank.rows, CopiedRows):
         message = (
             "the bank was copied object by object, or repacked: header and rows are verified, all else is not; it can "
             "be read, and not measured into"
         )
-        yield Finding(None, None, message, "warning")
+        yield BankProblem(None, None, message, "warning")
     if bank.unknown_attributes:
         named = ", ".join(bank.unknown_attributes[:MAX_NAMES])
-        yield Finding(None, None, f"attributes that somebody has added are not looked at: {named}", "note")
+        yield BankProblem(None, None, f"attributes that somebody has added are not looked at: {named}", "note")
 
 
 MAX_NAMES = 10
 
 
-def _note_noise(bank: Bank) -> Iterator[Finding]:
+def _note_noise(bank: Bank) -> Iterator[BankProblem]:
     error_db = bank_noise_error_db(bank)
     median_db = median_of_pairs(error_db, bank.status)
     if error_db is None or median_db is None:
@@ -137,19 +137,19 @@ def _note_noise(bank: Bank) -> Iterator[Finding]:
         f"white noise leaves an error of {median_db:.1f} dB in the median row, of "
         f"{known_db[position, actuator]:.1f} dB in the worst (position {position}, actuator {actuator})"
     )
-    yield Finding(None, None, message, "note")
+    yield BankProblem(None, None, message, "note")
 
 
-def _check_positions(bank: Bank) -> Iterator[Finding]:
+def _check_positions(bank: Bank) -> Iterator[BankProblem]:
     _, first, group = np.unique(bank.position_mm, axis=0, return_index=True, return_inverse=True)
     for position, original in enumerate(first[group.reshape(-1)]):
         if position != original:
             x, y = bank.position_mm[position]
             message = f"position {position} lies at ({x:g}, {y:g}) mm like position {original}"
-            yield Finding(position, None, message, "warning")
+            yield BankProblem(position, None, message, "warning")
 
 
-def _check_moved(bank: Bank) -> Iterator[Finding]:
+def _check_moved(bank: Bank) -> Iterator[BankProblem]:
     """One warning for all rows that were measured next to their position."""
     moved_mm = bank.quality["moved_mm"]
     moved = np.flatnonzero(moved_mm > 0)
@@ -159,7 +159,7 @@ def _check_moved(bank: Bank) -> Iterator[Finding]:
             f"{len(moved)} positions were measured next to their place, where there was light: position {farthest} by "
             f"{moved_mm[farthest]:.2g} mm; /quality/moved_mm has all of them"
         )
-        yield Finding(farthest, None, message, "warning")
+        yield BankProblem(farthest, None, message, "warning")
 
 
 def suspect_positions(rows: VerifiedRows) -> list[int]:
@@ -168,7 +168,7 @@ def suspect_positions(rows: VerifiedRows) -> list[int]:
     return [int(position) for position in np.flatnonzero(marked)]
 
 
-def _check_suspects(bank: Bank) -> Iterator[Finding]:
+def _check_suspects(bank: Bank) -> Iterator[BankProblem]:
     """One finding for all rows whose scale may be another one than the sentinel's."""
     suspects = suspect_positions(bank.rows) if isinstance(bank.rows, VerifiedRows) else []
     if suspects:
@@ -176,19 +176,19 @@ def _check_suspects(bank: Bank) -> Iterator[Finding]:
             f"positions {row_ranges(suspects)} are suspect: the sentinel position had changed when it was measured"
             " after them (the vibrometer's range, a gain or the plate); put it right, then wavefocus remeasure"
         )
-        yield Finding(suspects[0], None, message)
+        yield BankProblem(suspects[0], None, message)
 
 
-def _check_rows(bank: Bank) -> Iterator[Finding]:
+def _check_rows(bank: Bank) -> Iterator[BankProblem]:
     status = _status_or_none(bank)
     rms = np.full((bank.positions, bank.actuators), np.nan)
     tail_db = np.full(bank.positions, -np.inf)
-    spectra = RowSpectra(bank.positions, bank.actuators, bank.taps, bank.sample_rate_hz, bank.band_hz)
+    spectra = RowsAtFrequencies(bank.positions, bank.actuators, bank.taps, bank.sample_rate_hz, bank.band_hz)
     for position in range(bank.positions):
         try:
             green = bank.green(position)
         except InputError as error:
-            yield Finding(position, None, str(error).removeprefix(f"{bank.path}: "))
+            yield BankProblem(position, None, str(error).removeprefix(f"{bank.path}: "))
             continue
         if status is not None and not status[position] & VALID:
             continue
@@ -202,7 +202,7 @@ def _check_rows(bank: Bank) -> Iterator[Finding]:
     yield from _check_neighbours(bank, spectra, np.isfinite(rms).all(axis=1))
 
 
-def _check_crosstalk(bank: Bank) -> Iterator[Finding]:
+def _check_crosstalk(bank: Bank) -> Iterator[BankProblem]:
     """One error for the whole bank where the loopback leaks into its rows; a note where that cannot be seen."""
     status = _status_or_none(bank)
     rows = np.arange(bank.positions) if status is None else np.flatnonzero(usable(status))
@@ -214,13 +214,13 @@ def _check_crosstalk(bank: Bank) -> Iterator[Finding]:
             "crosstalk was not looked for: it shows in rows far from actuators whose places are known, and there are "
             "too few"
         )
-        yield Finding(None, None, message, "note")
+        yield BankProblem(None, None, message, "note")
     elif found.is_named:
         message = f"crosstalk: the loopback leaks into {found.rows}: {found} ({found.sigmas:.0f} sigma): {REMEDY}"
-        yield Finding(None, None, message)
+        yield BankProblem(None, None, message)
     elif not found.is_resolved:
         message = f"crosstalk below {found.in_words(found.visible_db)} would not show in these rows"
-        yield Finding(None, None, message, "note")
+        yield BankProblem(None, None, message, "note")
 
 
 def _status_or_none(bank: Bank) -> NDArray[np.uint8] | None:
@@ -239,7 +239,7 @@ def _tail_db(energy: Float64Array) -> float:
     return float(10 * np.log10(tenths[-1] / tenths.max())) if tenths[-1] > 0 else -np.inf
 
 
-def _check_tails(tail_db: Float64Array) -> Iterator[Finding]:
+def _check_tails(tail_db: Float64Array) -> Iterator[BankProblem]:
     """One warning for all positions: where one response is too long or too noisy, its neighbours are too."""
     long = np.flatnonzero(tail_db > _TAIL_DB)
     if len(long):
@@ -248,10 +248,10 @@ def _check_tails(tail_db: Float64Array) -> Iterator[Finding]:
             f"the responses of {len(long)} of {len(tail_db)} positions are less than {-_TAIL_DB:.0f} dB down in their"
             f" last tenth, position {worst} only {-tail_db[worst]:.0f} dB; they are noisy or longer than the taps kept"
         )
-        yield Finding(worst, None, message, "warning")
+        yield BankProblem(worst, None, message, "warning")
 
 
-def _check_levels(rms: Float64Array, *, certain: bool) -> Iterator[Finding]:
+def _check_levels(rms: Float64Array, *, certain: bool) -> Iterator[BankProblem]:
     """Check each position against the median of all, each actuator against the median of the others."""
     rows = np.sqrt(np.square(rms).mean(axis=1))
     measured = np.flatnonzero(np.isfinite(rows))
@@ -260,30 +260,30 @@ def _check_levels(rms: Float64Array, *, certain: bool) -> Iterator[Finding]:
     typical = float(np.median(rows[measured]))
     for position in measured:
         if rows[position] == 0 and certain:
-            yield Finding(int(position), None, f"position {position} is marked valid and holds only zeros")
+            yield BankProblem(int(position), None, f"position {position} is marked valid and holds only zeros")
         elif typical > 0 and not 1 / _RMS_OUTLIER <= rows[position] / typical <= _RMS_OUTLIER:
             level = 20 * np.log10(rows[position] / typical) if rows[position] else -np.inf
             message = f"the response of position {position} is {level:+.0f} dB from the median of all positions"
-            yield Finding(int(position), None, message, "warning")
+            yield BankProblem(int(position), None, message, "warning")
     levels = np.median(rms[measured], axis=0)
     for actuator, level in enumerate(levels):
         if level < _DEAD_ACTUATOR * np.median(levels):
             message = f"actuator {actuator} gives less than a hundredth of the others' response; is it connected?"
-            yield Finding(None, actuator, message, "warning")
+            yield BankProblem(None, actuator, message, "warning")
 
 
-def _check_neighbours(bank: Bank, spectra: RowSpectra, measured: BoolArray) -> Iterator[Finding]:
+def _check_neighbours(bank: Bank, spectra: RowsAtFrequencies, measured: BoolArray) -> Iterator[BankProblem]:
     """Check each row against what the rows of its neighbours predict of it."""
     verdict = NeighbourJudge(bank.position_mm, bank.actuator_mm, spectra, measured).find()
     for one in verdict.differences:
         actuator = one.actuators[0] if len(one.actuators) == 1 else None
-        yield Finding(one.position, actuator, f"position {one.position}: {one.sentence}")
+        yield BankProblem(one.position, actuator, f"position {one.position}: {one.sentence}")
     if verdict.incoherent:
         message = (
             "so many Green's functions contradict those of their neighbours that none can be judged by them: the"
             " positions are not in the order of the rows, or most rows are wrong"
         )
-        yield Finding(None, None, message, "warning")
+        yield BankProblem(None, None, message, "warning")
         return
     there, judged = int(measured.sum()) * bank.actuators, int(verdict.judged.sum())
     if measured.sum() >= _NEIGHBOURHOOD and judged < there:
@@ -291,10 +291,10 @@ def _check_neighbours(bank: Bank, spectra: RowSpectra, measured: BoolArray) -> I
             f"{there - judged} of {there} Green's functions were not judged against their neighbours: too noisy, or the"
             " positions are too far apart"
         )
-        yield Finding(None, None, message, "note")
+        yield BankProblem(None, None, message, "note")
 
 
-def check_file(path: str | Path) -> list[Finding]:
+def check_file(path: str | Path) -> list[BankProblem]:
     """Check a bank, raw recordings, a drive or a field, whichever the file says that it is.
 
     path: A file of this program or of another; while it is written, what is just being written is not held against it.
@@ -316,7 +316,7 @@ def check_file(path: str | Path) -> list[Finding]:
     return check_bank(path)
 
 
-def _check_raw(path: Path, *, sealed: bool) -> Iterator[Finding]:
+def _check_raw(path: Path, *, sealed: bool) -> Iterator[BankProblem]:
     with open_raw(path) as raw:
         if isinstance(raw.rows, RawRows):
             if not sealed:
@@ -326,8 +326,8 @@ def _check_raw(path: Path, *, sealed: bool) -> Iterator[Finding]:
             try:
                 raw.read(position)
             except InputError as error:
-                yield Finding(position, None, str(error).removeprefix(f"{path}: "))
+                yield BankProblem(position, None, str(error).removeprefix(f"{path}: "))
 
 
-def _unverified(consequence: str) -> Finding:
-    return Finding(None, None, f"the file carries no checksums of its contents: {consequence}", "warning")
+def _unverified(consequence: str) -> BankProblem:
+    return BankProblem(None, None, f"the file carries no checksums of its contents: {consequence}", "warning")

@@ -96,7 +96,7 @@ DEGENERATE = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class MirrorFit:
+class MirrorMapFit:
     """A mirror map and by how much it misses each mark.
 
     mirror_map: From the surface to the mirror's angles.
@@ -112,7 +112,7 @@ class MirrorFit:
         return float(np.sqrt(np.mean(self.residual_mm**2)))
 
 
-def fit_mirror_map(place_mm: ArrayLike, angles_mrad: ArrayLike) -> MirrorFit:
+def fit_mirror_map(place_mm: ArrayLike, angles_mrad: ArrayLike) -> MirrorMapFit:
     """Fit the projective map by normalised direct linear transformation, then least squares on the surface.
 
     Hartley and Zisserman, Multiple View Geometry, algorithms 4.2 (normalised DLT) and 4.3; the error that is made
@@ -140,7 +140,7 @@ def fit_mirror_map(place_mm: ArrayLike, angles_mrad: ArrayLike) -> MirrorFit:
     to_surface = np.linalg.inv(true_scale) @ homography @ seen_scale
     residual_mm = np.hypot(*(_projected(to_surface, np.tan(angles / 1000)) - place).T)
     to_mirror = np.linalg.inv(to_surface)
-    return MirrorFit(MirrorMap(_rows(to_mirror / to_mirror[2, 2])), residual_mm)
+    return MirrorMapFit(MirrorMap(_rows(to_mirror / to_mirror[2, 2])), residual_mm)
 
 
 def _normalised(points: Float64Array, what: str) -> tuple[Float64Array, Float64Array]:

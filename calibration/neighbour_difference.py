@@ -18,7 +18,7 @@ Kind = Literal["level", "polarity", "delay", "swapped", "elsewhere", "other"]
 
 
 @dataclass(frozen=True, slots=True)
-class Difference:
+class NeighbourDifference:
     """Rows that are not what their neighbours say.
 
     position: The position.
@@ -125,22 +125,24 @@ def swapped(
     return float(left[other]), {"kind": "swapped", "other": other}
 
 
-def together(found: list[Difference], *, whole: bool) -> list[Difference]:
+def together(found: list[NeighbourDifference], *, whole: bool) -> list[NeighbourDifference]:
     """Two rows that are each other's become one difference, and all that is nameless another."""
     other_of = {one.actuators[0]: one.other for one in found if one.kind == "swapped"}
-    listed: list[Difference] = []
+    listed: list[NeighbourDifference] = []
     nameless = [one for one in found if one.kind == "other"]
     for one in found:
         actuator = one.actuators[0]
         if one.other is not None and other_of.get(one.other) == actuator:
             if actuator < one.other:
-                listed.append(Difference(one.position, (actuator, one.other), "swapped", one.relative))
+                listed.append(NeighbourDifference(one.position, (actuator, one.other), "swapped", one.relative))
         elif one.kind != "other":
             listed.append(one)
     if nameless:
         actuators = tuple(one.actuators[0] for one in nameless)
         relative = max(one.relative for one in nameless)
-        listed.append(Difference(nameless[0].position, actuators, "other", relative, whole=whole and not listed))
+        listed.append(
+            NeighbourDifference(nameless[0].position, actuators, "other", relative, whole=whole and not listed)
+        )
     return listed
 
 

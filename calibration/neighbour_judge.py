@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 
 from wavefocus.calibration import BoolArray, Complex128Array, Float64Array, Int64Array
 from wavefocus.calibration.blas import one_blas_thread
-from wavefocus.calibration.neighbour_difference import EXPLAINED, Difference, cause_of, relative_norm, swapped, together
+from wavefocus.calibration.neighbour_difference import (
+    EXPLAINED,
+    NeighbourDifference,
+    cause_of,
+    relative_norm,
+    swapped,
+    together,
+)
 from wavefocus.calibration.neighbour_prediction import Gains, RowsPredicted, common_gains
 from wavefocus.calibration.numerics import transform_at
 
@@ -51,7 +58,7 @@ PLACES, REACH = 12, (0.125, 0.25, 0.5, 0.75, 1.0, 1.5)
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class NeighbourResult:
     """All that differs in a bank.
 
     differences: By position.
@@ -60,12 +67,12 @@ class Verdict:
         none is judged.
     """
 
-    differences: tuple[Difference, ...]
+    differences: tuple[NeighbourDifference, ...]
     judged: BoolArray
     incoherent: bool = False
 
 
-class RowSpectra:
+class RowsAtFrequencies:
     """Fourier transforms of rows at some frequencies of a band.
 
     positions, actuators, taps: Size of the bank.
@@ -110,7 +117,7 @@ class NeighbourJudge:
     """
 
     def __init__(
-        self, position_mm: Float64Array, actuator_mm: Float64Array, spectra: RowSpectra, usable: BoolArray
+        self, position_mm: Float64Array, actuator_mm: Float64Array, spectra: RowsAtFrequencies, usable: BoolArray
     ) -> None:
         values, self._frequency_hz = spectra.values, spectra.frequency_hz
         usable = usable & (np.abs(values).max(axis=(1, 2), initial=0.0) > 0) & np.isfinite(position_mm).all(axis=1)
@@ -154,7 +161,7 @@ class NeighbourJudge:
         self._common = np.maximum(np.nanmedian(strength[self._all], axis=0), np.finfo(np.float64).tiny)
         self._learn(self._all)
 
-    def find(self) -> Verdict:
+    def find(self) -> NeighbourResult:
         """Find all rows that differ, the worst of each neighbourhood first, so that no row is blamed for another.
 
         What a wrong row makes of its neighbours' predictions hides it among them. So whatever is suspect is left out
@@ -164,12 +171,12 @@ class NeighbourJudge:
             with one_blas_thread():
                 self._search()
         if self._renewed > self._most_renewed or self._out.sum() > MAX_OUT * len(self._all) * self._out.shape[1]:
-            return Verdict((), np.zeros_like(self.judged), incoherent=True)
+            return NeighbourResult((), np.zeros_like(self.judged), incoherent=True)
         rows = {
             int(position): np.flatnonzero(self._out[position]) for position in np.flatnonzero(self._out.any(axis=1))
         }
         differences = [one for position, out in rows.items() for one in self._named(position, out)]
-        return Verdict(tuple(differences), self.judged)
+        return NeighbourResult(tuple(differences), self.judged)
 
     def _search(self) -> None:
         self._suspect[self._all] = self._differing(self._all, strict=False)
@@ -359,7 +366,7 @@ class NeighbourJudge:
 
     # -- what differs ---------------------------------------------------------------------------------
 
-    def _named(self, position: int, out: Int64Array) -> Iterable[Difference]:
+    def _named(self, position: int, out: Int64Array) -> Iterable[NeighbourDifference]:
         values, errors = self._values[position], self._errors[position]
         predicted, typical = values - errors, self._typical[position]
         judged = np.flatnonzero(self.judged[position] | self._out[position])
@@ -374,15 +381,15 @@ class NeighbourJudge:
             if cause is not None:
                 relative = relative_norm(errors[judged], predicted[judged])
                 whole = len(out) == len(judged)
-                return [Difference(position, tuple(judged.tolist()), relative=relative, whole=whole, **cause)]  # type: ignore[arg-type]
-        found: list[Difference] = []
+                return [NeighbourDifference(position, tuple(judged.tolist()), relative=relative, whole=whole, **cause)]  # type: ignore[arg-type]
+        found: list[NeighbourDifference] = []
         for actuator in out.tolist():
             other = swapped(actuator, values, predicted, typical)
             row = values[actuator], predicted[actuator], typical[actuator]
             cause = cause_of(*row, self._frequency_hz, [other])
             cause = cause or {"kind": "other"}
             relative = relative_norm(errors[actuator], predicted[actuator])
-            found.append(Difference(position, (actuator,), relative=relative, **cause))  # type: ignore[arg-type]
+            found.append(NeighbourDifference(position, (actuator,), relative=relative, **cause))  # type: ignore[arg-type]
         return together(found, whole=len(out) == len(judged))
 
     def _place(self, position: int, actuators: Int64Array) -> dict[str, object] | None:

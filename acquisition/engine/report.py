@@ -9,7 +9,7 @@ import numpy as np
 from wavefocus.acquisition.attempt import Attempt, AttemptResult
 from wavefocus.acquisition.engine.session import Session
 from wavefocus.acquisition.judgement import Judgement
-from wavefocus.acquisition.plan import Pace, Plan, sentinel_of
+from wavefocus.acquisition.plan import CampaignPace, Plan, sentinel_of
 from wavefocus.acquisition.setup import Setup, identities_of
 from wavefocus.calibration import Int64Array
 from wavefocus.config.messages.campaign import (
@@ -31,7 +31,7 @@ class CampaignReport:
 
     def __init__(self, plan: Plan, setup: Setup, bank: BankWriter, session: Session) -> None:
         self._plan, self._setup, self._bank, self._session = plan, setup, bank, session
-        self._pace = Pace(0.0), Pace(0.0)
+        self._pace = CampaignPace(0.0), CampaignPace(0.0)
         self._second_looks = 0
 
     def start(self, rows: Int64Array, instruments: tuple[str, ...], *, second_looks: bool) -> None:
@@ -43,7 +43,7 @@ class CampaignReport:
         self._session.publish(SessionStarted, str(self._bank.path), *size, planned_s, instruments, devices)
         self._session.enter(State.RUNNING, f"{len(rows)} positions to do")
         rig_s, wall_s = self._session.working_s()
-        self._pace = Pace(rig_s), Pace(wall_s)
+        self._pace = CampaignPace(rig_s), CampaignPace(wall_s)
 
     def begin_pass(self, positions: tuple[int, ...]) -> None:
         """A pass over all that is not valid begins."""

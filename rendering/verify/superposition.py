@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.calibration.neighbour_judge import RowSpectra
+from wavefocus.calibration.neighbour_judge import RowsAtFrequencies
 from wavefocus.rendering.arrays import Complex128Array, Float32Array, Float64Array, Int64Array
 from wavefocus.rendering.field.focus_figures import evenly
 from wavefocus.rendering.verify.results import Sentinel
@@ -148,7 +148,7 @@ def block_of(
 def sentinel_block(sentinel: Sentinel, green: Float32Array, bank: GreenSource) -> Block:
     """One response for each actuator, which alone is driven, with 1 V at all frequencies."""
     actuators, taps = green.shape
-    frequency_hz = RowSpectra(1, actuators, taps, bank.sample_rate_hz, bank.band_hz).frequency_hz
+    frequency_hz = RowsAtFrequencies(1, actuators, taps, bank.sample_rate_hz, bank.band_hz).frequency_hz
     alone = np.repeat(np.eye(actuators)[:, :, None], len(frequency_hz), axis=2).astype(np.complex128)
     response = transforms(sentinel.green, frequency_hz, bank.sample_rate_hz)
     noise = 2.0 * energies(response) * 10.0 ** (-np.asarray(sentinel.snr_db, np.float64) / 10.0)  # of both measurements

@@ -11,7 +11,7 @@ import scipy.signal
 from wavefocus.acquisition.plan import Plan
 from wavefocus.acquisition.plays import measuring_of
 from wavefocus.acquisition.setup import Setup, point_at, take_record
-from wavefocus.acquisition.trial import Band, decibel_of_median, relative, scheduled
+from wavefocus.acquisition.trial import BandTransform, decibel_of_median, relative, scheduled
 from wavefocus.calibration.estimator.schedule_error import expected_error_db
 from wavefocus.campaign.blueprint import blueprint_from_files
 from wavefocus.config.rig import Emulation
@@ -27,7 +27,7 @@ WITHIN_DB = 1.5
 def _measured_db(plan: Plan, setup: Setup, true: np.ndarray) -> float:
     """Median error over positions and actuators."""
     measuring = measuring_of(plan, setup)
-    band = Band(plan.excitation.band_hz, plan.excitation.sample_rate_hz, plan.taps)
+    band = BandTransform(plan.excitation.band_hz, plan.excitation.sample_rate_hz, plan.taps)
     shares = []
     for position in POSITIONS:
         point_at(setup, *plan.position_mm[position])

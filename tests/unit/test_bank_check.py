@@ -11,7 +11,7 @@ import pytest
 from tests.unit.plate_banks import ACTUATOR_MM, BAND_HZ, RATE_HZ, plate_bank
 from tests.unit.plate_banks import TAPS as TAPS_OF_PLATE
 from wavefocus.__main__ import run
-from wavefocus.calibration.check import Finding, check_bank
+from wavefocus.calibration.check import BankProblem, check_bank
 from wavefocus.storage.bank.layout import BankHeader
 from wavefocus.storage.bank.ledger import PointRecord
 from wavefocus.storage.bank.reading import open_bank
@@ -51,7 +51,7 @@ def flip(path: Path, dataset: str, byte: int, chunk: int | None = None) -> None:
         raw.write(bytes([found ^ 4]))
 
 
-def only(findings: list[Finding]) -> Finding:
+def only(findings: list[BankProblem]) -> BankProblem:
     assert len(findings) == 1, findings
     return findings[0]
 

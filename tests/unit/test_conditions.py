@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from wavefocus.acquisition.conditions import Band, Conditions, Watch
+from wavefocus.acquisition.conditions import AllowedRange, Conditions, Watch
 from wavefocus.acquisition.plays import Play
 from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.mirror_map import MirrorMap
@@ -32,7 +32,7 @@ class Thermometer:
         return self.value
 
 
-def _conditions(sensor: Thermometer | None = None, **bands: Band) -> Conditions:
+def _conditions(sensor: Thermometer | None = None, **bands: AllowedRange) -> Conditions:
     setup = Setup(
         instruments=VirtualRig().instruments,
         mirror_map=MirrorMap.straight(1000.0),
@@ -59,13 +59,13 @@ def _recording(reference_gain: float, noise_v: float) -> Recording:
 def test_given_a_record_then_the_reference_level_is_told_against_what_the_drive_makes(
     gain: float, level_db: float
 ) -> None:
-    conditions = _conditions(reference=Band("reference level", "dB"))
+    conditions = _conditions(reference=AllowedRange("reference level", "dB"))
     values = conditions.values([PLAY], [_recording(gain, 0.0)])
     assert values == {"reference": pytest.approx(level_db, abs=0.01)}
 
 
 def test_given_a_reference_that_is_silent_then_its_level_is_very_low() -> None:
-    conditions = _conditions(reference=Band("reference level", "dB"))
+    conditions = _conditions(reference=AllowedRange("reference level", "dB"))
     assert conditions.values([PLAY], [_recording(0.0, 0.0)])["reference"] < -100.0
 
 
@@ -73,25 +73,25 @@ def test_given_a_part_of_a_periodic_record_then_its_level_is_that_of_the_whole()
     periodic = np.tile(SIGNAL_V, 2)
     play = Play(0, {20: periodic}, slice(len(SIGNAL_V), 2 * len(SIGNAL_V)))
     volts = np.stack([0.5 * SIGNAL_V, 0 * SIGNAL_V]).astype(np.float32)
-    conditions = _conditions(reference=Band("reference level", "dB"))
+    conditions = _conditions(reference=AllowedRange("reference level", "dB"))
     values = conditions.values([play], [Recording(volts, (1e-4, 1e-4), (False, False))])
     assert values["reference"] == pytest.approx(0.0, abs=0.01)
 
 
 @pytest.mark.parametrize("noise_v", [1e-3, 0.05, 1.0])
 def test_given_noise_under_a_loud_response_then_its_rms_is_found(noise_v: float) -> None:
-    conditions = _conditions(noise=Band("noise", "V"))
+    conditions = _conditions(noise=AllowedRange("noise", "V"))
     assert conditions.values([PLAY], [_recording(0.5, noise_v)])["noise"] == pytest.approx(noise_v, rel=0.1)
 
 
 def test_given_speckle_in_one_of_many_records_then_the_noise_is_that_of_the_others() -> None:
-    conditions = _conditions(noise=Band("noise", "V"))
+    conditions = _conditions(noise=AllowedRange("noise", "V"))
     recordings = [_recording(0.5, 1e-3)] * 4 + [_recording(0.5, 1.0)]
     assert conditions.values([PLAY] * 5, recordings)["noise"] == pytest.approx(1e-3, rel=0.1)
 
 
 def test_given_a_band_then_it_is_left_on_one_threshold_and_entered_on_another() -> None:
-    band = Band("room temperature", "degrees C", 18.0, 26.0, 19.0, 25.0)
+    band = AllowedRange("room temperature", "degrees C", 18.0, 26.0, 19.0, 25.0)
     assert band.left(17.9) == "room temperature 17.9 degrees C is below 18 degrees C"
     assert band.left(26.5) == "room temperature 26.5 degrees C is above 26 degrees C"
     assert band.left(18.5) == ""
@@ -102,7 +102,7 @@ def test_given_a_band_then_it_is_left_on_one_threshold_and_entered_on_another() 
 
 def test_given_a_sensor_that_fails_then_its_value_is_unknown_and_the_failure_is_kept() -> None:
     sensor = Thermometer(None)
-    conditions = _conditions(sensor, room=Band("room temperature", "degrees C", leaves_below=18.0))
+    conditions = _conditions(sensor, room=AllowedRange("room temperature", "degrees C", leaves_below=18.0))
     assert conditions.values([], []) == {}
     assert "silent" in str(conditions.mute["room"])
     sensor.value = 15.0
@@ -112,6 +112,6 @@ def test_given_a_sensor_that_fails_then_its_value_is_unknown_and_the_failure_is_
 
 
 def test_given_several_bands_then_the_longest_settling_time_counts() -> None:
-    band = Band("a", "V", settle_s=5.0)
+    band = AllowedRange("a", "V", settle_s=5.0)
     assert _conditions(a=band, b=dataclasses.replace(band, settle_s=50.0)).settle_s == 50.0
     assert _conditions().settle_s == 0.0

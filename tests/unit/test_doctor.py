@@ -9,7 +9,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from wavefocus.acquisition.doctor import Findings, RigUnderTest, examine
+from wavefocus.acquisition.doctor import RigFindings, RigUnderTest, examine
 from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.config.messages.rig_checks import Finding
@@ -245,7 +245,7 @@ def test_given_a_mirror_that_reads_back_then_it_must_stand_where_it_was_sent(
 def test_given_a_driver_that_never_comes_back_then_it_is_a_finding_and_is_not_asked_again() -> None:
     let_go = threading.Event()
     findings: list[Finding] = []
-    collected = Findings(findings.append)
+    collected = RigFindings(findings.append)
     assert collected.ask("player", "opening", let_go.wait, 0.05) is None
     assert collected.ask("player", "identity", lambda: "a name", 60.0) is None
     assert collected.ask("mirror", "identity", lambda: "a name", 60.0) == "a name"
@@ -256,7 +256,7 @@ def test_given_a_driver_that_never_comes_back_then_it_is_a_finding_and_is_not_as
 
 def test_given_a_defect_of_a_driver_then_it_is_a_finding_too() -> None:
     findings: list[Finding] = []
-    assert Findings(findings.append).ask("recorder", "record", lambda: np.zeros(1)[3], 60.0) is None
+    assert RigFindings(findings.append).ask("recorder", "record", lambda: np.zeros(1)[3], 60.0) is None
     assert findings[0].what.startswith("IndexError: ")
     assert "report" in findings[0].remedy
 
@@ -266,7 +266,7 @@ def test_given_two_passing_faults_in_a_row_then_it_failed() -> None:
         raise TransientInstrumentError("recorder", "reading", "a short read", "try again")
 
     findings: list[Finding] = []
-    assert Findings(findings.append).ask("recorder", "record", fail, 60.0) is None
+    assert RigFindings(findings.append).ask("recorder", "record", fail, 60.0) is None
     assert [(one.verdict, one.what) for one in findings] == [("fail", "reading: a short read")]
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.unit.plate_banks import ACTUATOR_MM, BAND_HZ, RATE_HZ, SQUARE_MM, TAPS, plate_bank
-from wavefocus.calibration.neighbour_judge import NeighbourJudge, RowSpectra, Verdict
+from wavefocus.calibration.neighbour_judge import NeighbourJudge, NeighbourResult, RowsAtFrequencies
 from wavefocus.mocks.plates.thin import ThinPlate
 
 POSITIONS, ACTUATORS = len(SQUARE_MM), len(ACTUATOR_MM)
@@ -20,8 +20,10 @@ def clean() -> np.ndarray:
     return np.stack([bank.green(position) for position in range(POSITIONS)])
 
 
-def judged(greens: np.ndarray, position_mm: np.ndarray = SQUARE_MM, actuator_mm: np.ndarray = ACTUATOR_MM) -> Verdict:
-    spectra = RowSpectra(len(greens), greens.shape[1], greens.shape[2], RATE_HZ, BAND_HZ)
+def judged(
+    greens: np.ndarray, position_mm: np.ndarray = SQUARE_MM, actuator_mm: np.ndarray = ACTUATOR_MM
+) -> NeighbourResult:
+    spectra = RowsAtFrequencies(len(greens), greens.shape[1], greens.shape[2], RATE_HZ, BAND_HZ)
     for position, green in enumerate(greens):
         spectra.set(position, green)
     return NeighbourJudge(position_mm, actuator_mm, spectra, np.ones(len(greens), dtype=bool)).find()
@@ -32,7 +34,7 @@ def delayed(rows: np.ndarray, delay_s: float) -> np.ndarray:
     return np.fft.irfft(np.fft.rfft(rows) * np.exp(-2j * np.pi * turns), TAPS)
 
 
-def found(verdict: Verdict) -> list[tuple[int, str]]:
+def found(verdict: NeighbourResult) -> list[tuple[int, str]]:
     return sorted((one.position, one.kind) for one in verdict.differences)
 
 

@@ -16,7 +16,7 @@ from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.errors import InputError
 
 if TYPE_CHECKING:
-    from wavefocus.acquisition.trial import Trial
+    from wavefocus.acquisition.trial import ScheduleTest
 
 # Taps that are so many times what the responses need are worth a word.
 GENEROUS = 1.3
@@ -87,7 +87,7 @@ def _with_run(blueprint: Blueprint, run: RunConfig) -> Blueprint:
     return blueprint_of(replace(blueprint.configuration, run=run))
 
 
-def _advice(trial: Trial, capture: Capture) -> str:
+def _advice(trial: ScheduleTest, capture: Capture) -> str:
     if trial.decay is None:
         return "the decay of the responses cannot be measured at this position: noise hides it"
     needed = trial.decay.needed_taps

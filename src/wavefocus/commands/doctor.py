@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wavefocus.acquisition.doctor import Findings, RigUnderTest, examine
+from wavefocus.acquisition.doctor import RigFindings, RigUnderTest, examine
 from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.config.messages.codec import to_line
@@ -175,7 +175,7 @@ def check_surroundings(
     rig: RigConfig, folder: Path, identities: Mapping[str, DeviceIdentity], publish: Callable[[Finding], None]
 ) -> None:
     """Look at all that is not an instrument."""
-    findings = Findings(publish)
+    findings = RigFindings(publish)
     _check_packages(rig, findings)
     for registry in (MIRRORS, RECORDERS, PLAYERS, VIBROMETERS):
         for name, why in registry.failures.items():
@@ -185,7 +185,7 @@ def check_surroundings(
     _check_calibration(rig, identities, findings)
 
 
-def _check_packages(rig: RigConfig, findings: Findings) -> None:
+def _check_packages(rig: RigConfig, findings: RigFindings) -> None:
     there = versions()
     needed = {
         "pyserial": rig.mirror.port is not None or rig.vibrometer.port is not None,
@@ -204,7 +204,7 @@ def _check_packages(rig: RigConfig, findings: Findings) -> None:
     findings.add("packages", "installed", "ok", used or f"none needed, wavefocus {there['wavefocus']}")
 
 
-def _check_disk(folder: Path, findings: Findings) -> None:
+def _check_disk(folder: Path, findings: RigFindings) -> None:
     free = shutil.disk_usage(folder).free
     what = f"{free / 1e9:.1f} GB free at {folder}"
     if free < MIN_FREE_BYTES:
@@ -217,7 +217,7 @@ def _check_disk(folder: Path, findings: Findings) -> None:
         findings.add("disk", "free space", "ok", what)
 
 
-def _check_usb(rig: RigConfig, findings: Findings) -> None:
+def _check_usb(rig: RigConfig, findings: RigFindings) -> None:
     if not rig.usb:
         return
     from wavefocus.drivers.usb import find_device, list_devices
@@ -234,7 +234,7 @@ def _check_usb(rig: RigConfig, findings: Findings) -> None:
             findings.add("usb", device.role, "ok", str(found))
 
 
-def _check_calibration(rig: RigConfig, identities: Mapping[str, DeviceIdentity], findings: Findings) -> None:
+def _check_calibration(rig: RigConfig, identities: Mapping[str, DeviceIdentity], findings: RigFindings) -> None:
     record = rig.calibration.measured
     if record is None:
         if not rig.is_virtual:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Protocol
 
-from wavefocus.acquisition.conditions import Band, Sensor, Watch
+from wavefocus.acquisition.conditions import AllowedRange, Sensor, Watch
 from wavefocus.acquisition.setup import Setup, identities_of
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.config.calibration import calibrated
@@ -175,11 +175,11 @@ class RangeSensor:
         return (reading or read_vibrometer(self._section, any_level=True)).sensitivity_m_s_per_v
 
 
-def range_band(sensitivity_m_s_per_v: float) -> Band:
+def range_band(sensitivity_m_s_per_v: float) -> AllowedRange:
     """The range that a session began with, and no other."""
     least, most = ((1 + off) * sensitivity_m_s_per_v for off in (-SAME_SENSITIVITY, SAME_SENSITIVITY))
     words = f"vibrometer range (set to {sensitivity_m_s_per_v:g} m/s per V at the start)"
-    return Band(words, "m/s per V", least, most, least, most)
+    return AllowedRange(words, "m/s per V", least, most, least, most)
 
 
 class BoundedSensor:
@@ -195,9 +195,9 @@ class BoundedSensor:
         return in_time(f"sensor {self._name}", "reading", self._sensor.read, self._limit_s)
 
 
-def band_of(section: BandSection, words: str, unit: str) -> Band:
+def band_of(section: BandSection, words: str, unit: str) -> AllowedRange:
     """The band that the engine watches; a limit that is left out is infinite."""
-    return Band(
+    return AllowedRange(
         words,
         unit,
         leaves_below=-math.inf if section.leaves_below is None else section.leaves_below,
@@ -211,7 +211,7 @@ def band_of(section: BandSection, words: str, unit: str) -> Band:
 def watch_of(rig: RigConfig, opened: OpenedRig) -> Watch:
     """What a rig's configuration says is to be watched, with the sensors for it."""
     section = rig.watch
-    bands: dict[str, Band] = {}
+    bands: dict[str, AllowedRange] = {}
     sensors: dict[str, Sensor] = {}
     for name, of_name, words, unit in (
         ("reference", section.reference, "reference level", "dB"),
