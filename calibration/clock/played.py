@@ -14,7 +14,7 @@ from wavefocus.calibration.clock.czt import require_coverage, ring_spectrum
 from wavefocus.calibration.clock.missing_reference import CARRIED, playing_ratio
 from wavefocus.calibration.clock.periodic_clock import RingClock, RingFit, fit_repeats
 from wavefocus.calibration.clock.resampling import Thinned, resampled, thin
-from wavefocus.calibration.clock.sweep_laws import fit_sweep_law, roundest
+from wavefocus.calibration.clock.sweep_laws import SweepFit, SweepLaw, fit_sweep_law, roundest
 from wavefocus.calibration.estimator.estimate import MAX_PPM
 from wavefocus.calibration.sweeps import RecordedSweeps
 from wavefocus.storage.errors import InputError
@@ -45,7 +45,7 @@ def learn_base(references: Sequence[Float32Array], header: RawHeader) -> tuple[F
     sweep through the band. Where one clock played and recorded, it is 1, and the first record has the signal.
 
     references, sequence of float32 (samples,): Reference channels in volts; more of them give a cleaner base signal.
-    header: Period, rate, band and laws of the sweeps that are looked for.
+    header: Period, rate, band and law of the sweeps.
 
     Returns base signal : float64 (period,), in DAQ volts on the playback clock, its beginning arbitrary; DAQ rate over
     playback rate of the first record. Raises InputError: less than one period, a period that is no whole number of
@@ -115,10 +115,8 @@ def _ratio_of_cuts(seen: Sequence[_Seen], bins: int, header: RawHeader) -> float
     first, *others = seen[:MAX_CUTS]
     sweep_s = header.sweep_s or first.period / header.sample_rate_hz
     sweep_samples = min(round(sweep_s * header.sample_rate_hz), first.period)
-    law = fit_sweep_law(
-        first.thinned, header.sample_rate_hz, header.band_hz, sweep_samples, [0], period=first.period, laws=header.laws
-    )
-    guess = None if law is None else law.ratio
+    fit = _fit_law(first.thinned, header, sweep_samples, [0], period=first.period)
+    guess = None if fit is None else fit.ratio
 
     def fits(ratio: float, some: Sequence[_Seen]) -> list[RingFit]:
         clock = RingClock(first.spectrum(bins, ratio), first.period, MAX_PPM)
@@ -145,7 +143,7 @@ def _ratio_of_cuts(seen: Sequence[_Seen], bins: int, header: RawHeader) -> float
             return guess
     raise InputError(
         "the reference shows no clock ratio: its records are hardly longer than a period, cut at the same place, and "
-        "hold no sweep through band_hz; record at least 1.05 periods"
+        f"hold no sweep through band_hz{_of_law(header)}; record at least 1.05 periods"
     )
 
 
@@ -183,14 +181,14 @@ class FoundSweeps:
     shape: How they follow each other.
     offset: DAQ sample at which the first one begins; about, unless a law was found.
     ratio: DAQ rate over playback rate.
-    law: Their law; empty where the clocks' ratio comes from the repeats.
+    by_law: Whether the clocks' ratio comes from the law of the sweeps; else from their repeats.
     highest: Upper end of the band in cycles per sample.
     """
 
     shape: RecordShape
     offset: float
     ratio: float
-    law: str
+    by_law: bool
     highest: float
 
 
@@ -211,7 +209,7 @@ def find_sweeps(reference: Float32Array, header: RawHeader, sweep_samples: int |
     """Find the sweeps of a sequential record.
 
     reference, float32 (samples,): Reference channel in volts.
-    header: Rate, band and laws of the sweeps, and how they follow each other; where it does not say, that is found,
+    header: Rate, band and law of the sweeps, and how they follow each other; where it does not say, that is found,
         and durations are taken to be round. The silence must hold the taps.
     sweep_samples: Length of one sweep; by default that of the header, if any.
 
@@ -235,18 +233,36 @@ def find_sweeps(reference: Float32Array, header: RawHeader, sweep_samples: int |
         )
     more = "state averages, sweep_s and decay_s" if given is None else "check averages, sweep_s, decay_s and band_hz"
     raise InputError(
-        "the reference shows no clock ratio: no linear or exponential sweep from one end of band_hz to the other and "
-        f"no repeats were found in it; {more}, or same_clock = true where one clock played and recorded"
+        f"the reference shows no clock ratio: no sweep from one end of band_hz to the other{_of_law(header)} and no "
+        f"repeats were found in it; {more}, or same_clock = true where one clock played and recorded"
+    )
+
+
+def _of_law(header: RawHeader) -> str:
+    """Which law the sweeps must follow, for a message."""
+    others = '"exponential", or "other" for sweeps that repeat'
+    stated = f"sweep_law is {header.sweep_law!r}" if header.sweep_law else f"without sweep_law: linear, state {others}"
+    return f" ({stated})"
+
+
+def _fit_law(
+    thinned: Thinned, header: RawHeader, sweep_samples: int | None, starts: Sequence[int], *, period: int | None = None
+) -> SweepFit | None:
+    """SweepLaw of the header's law in a recording; None where there are none, or the law is another."""
+    if header.law is None:
+        return None
+    return fit_sweep_law(
+        thinned, header.law, header.sample_rate_hz, header.band_hz, sweep_samples, starts, period=period
     )
 
 
 def _skew_beyond(reference: Float32Array, header: RawHeader, sweep_samples: int) -> float | None:
-    """Clock skew in ppm at which a reference carries a linear or exponential sweep, where it is beyond the allowed."""
-    time = np.arange(sweep_samples) / sweep_samples
-    low, high = (one / header.sample_rate_hz * sweep_samples for one in header.band_hz)
-    turns = (low * time + 0.5 * (high - low) * time**2, low * (high / low) ** time / math.log(high / low))
-    found = [playing_ratio(reference.astype(np.float64), np.sin(2 * np.pi * one)) for one in turns]
-    ratio, share, sure_to = max(found, key=lambda one: one[1])
+    """Clock skew in ppm at which a reference carries the sweep of the header's law, where it is beyond the allowed."""
+    if header.law is None:
+        return None
+    low, high = (edge_hz / header.sample_rate_hz for edge_hz in header.band_hz)
+    turns, _ = SweepLaw(header.law, low, high, [0.0], sweep_samples).turns(np.arange(sweep_samples, dtype=np.float64))
+    ratio, share, sure_to = playing_ratio(reference.astype(np.float64), np.sin(2 * np.pi * turns))
     skew_ppm = 1e6 * (ratio - 1)
     return skew_ppm if share > CARRIED and abs(skew_ppm) > max(MAX_PPM, 1e6 * sure_to) else None
 
@@ -260,7 +276,7 @@ def learn_sweeps(found: FoundSweeps, reference: Float32Array, header: RawHeader)
     repeats = [resampled(row, start, ratio, shape.period_samples)[0] for start in inside]
     base = _low_passed(np.mean(repeats, axis=0), found.highest)
     decay = shape.period_samples - shape.sweep_samples
-    if not found.law:
+    if not found.by_law:
         # The silence may be longer than the shape says, unless the file has the shape.
         base = np.roll(base, -_start(base, decay, exact=shape_of(header) is not None))
     # An abrupt start rings before it, once it is limited to its band.
@@ -309,17 +325,17 @@ def _clock(
         cut = thin(np.ascontiguousarray(rows[:, first : first + length]), highest)
         fit = fit_repeats(cut, shape.period_samples, length, MAX_PPM)
         if fit is not None and fit.is_sure:
-            return FoundSweeps(shape, float(first), fit.ratio, "", highest)
+            return FoundSweeps(shape, float(first), fit.ratio, by_law=False, highest=highest)
     starts = [0] if shape is None else [repeat * shape.period_samples for repeat in range(shape.averages)]
-    law = fit_sweep_law(thinned, header.sample_rate_hz, header.band_hz, sweep_samples, starts, laws=header.laws)
-    if law is None:
+    fitted = _fit_law(thinned, header, sweep_samples, starts)
+    if fitted is None:
         return None
-    sweep = law.sweep_samples
+    sweep = fitted.sweep_samples
     if shape is None:
         followed = RecordShape(sweep, sweep + header.taps, 1)
     else:
         followed = RecordShape(sweep, shape.period_samples, shape.averages)
-    return FoundSweeps(followed, float(law.offset_samples), float(law.ratio), law.law, highest)
+    return FoundSweeps(followed, float(fitted.offset_samples), float(fitted.ratio), by_law=True, highest=highest)
 
 
 def _shapes(thinned: Thinned, header: RawHeader, sweep_samples: int | None) -> list[RecordShape | None]:

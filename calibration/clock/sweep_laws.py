@@ -1,4 +1,4 @@
-"""The clock from a sweep of another program: its law is given, its phase and its fades are not."""
+"""The clock from a sweep of another program: its law is stated, its phase and its fades are not."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from wavefocus.calibration import Complex64Array, Complex128Array, Float64Array
 from wavefocus.calibration.clock.resampling import Thinned
 from wavefocus.calibration.clock.timing import CORNERS
 from wavefocus.calibration.estimator.estimate import MAX_PPM
-from wavefocus.storage.raw.header import LAWS, Law
+from wavefocus.storage.raw.header import Law
 
 # Fades, and where an abrupt end rings, are left out of the fit: this share of the sweep at either end.
 ENDS_SHARE = 0.12
@@ -48,39 +48,37 @@ class SweepFit:
     offset_samples: DAQ sample at which the first sweep begins.
     ratio: DAQ rate over playback rate.
     explained: Share of the recording's energy in band, at the places that count, that the law explains.
-    law: "linear" or "exponential".
     sweep_samples: Length of a sweep in playback samples.
     """
 
     offset_samples: float
     ratio: float
     explained: float
-    law: Law
     sweep_samples: int
 
 
 def fit_sweep_law(
     thinned: Thinned,
+    law: Law,
     sample_rate_hz: float,
     band_hz: tuple[float, float],
     sweep_samples: int | None,
     starts: Sequence[int],
     *,
     period: int | None = None,
-    laws: Sequence[Law] = LAWS,
 ) -> SweepFit | None:
     """Find linear or exponential sweeps through a band, up or down, of any phase and fades.
 
-    Law, length and place of one sweep are fitted to the frequencies of the recording's moments; the phases of the
+    Length and place of one sweep are fitted to the frequencies of the recording's moments; the phases of the
     blocks of all sweeps, turned back by that law, then give offset, clock ratio and phase by least squares.
 
     thinned: One recording.
+    law: How the frequency rises.
     sample_rate_hz: Rate in Hz.
     band_hz: Where the sweeps begin and end in Hz.
     sweep_samples: Length of each; without it the roundest duration that the clocks allow is taken.
     starts: Playback samples at which sweeps begin, from the first one on.
     period: Playback samples after which all of them come again, before and after, for as long as the record lasts.
-    laws: Those that are tried.
 
     Returns SweepFit or None: none where no such sweeps are there.
     """
@@ -90,9 +88,8 @@ def fit_sweep_law(
     if run is None or not 0 < low < high:
         return None
     ends = (low, high) if run.frequency[-1] > run.frequency[0] else (high, low)
-    fits = [_fit(recording, run, law, ends, sample_rate_hz, sweep_samples, starts, period) for law in laws]
-    best = max((fit for fit in fits if fit is not None), key=lambda fit: fit.explained, default=None)
-    return best if best is not None and best.explained > LAW_SHARE else None
+    fit = _fit(recording, run, law, ends, sample_rate_hz, sweep_samples, starts, period)
+    return fit if fit is not None and fit.explained > LAW_SHARE else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +169,7 @@ def _fit(
     if sweep_samples is not None and abs(length / sweep_samples - 1) > LENGTH_SHARE:
         return None
     # One sweep by itself: place and length.
-    alone = _Sweeps(law, *ends, [0.0], float(length if sweep_samples is None else sweep_samples))
+    alone = SweepLaw(law, *ends, [0.0], float(length if sweep_samples is None else sweep_samples))
     found = _refined(recording, alone, offset, length / alone.samples)
     if found is None:
         return None
@@ -181,11 +178,11 @@ def _fit(
     ratio = ratio * alone.samples / samples
     # All sweeps together, each a whole number of playback samples after the first.
     every = _all_starts(recording, offset, ratio, samples, starts, period)
-    joint = _refined(recording, _Sweeps(law, *ends, every, float(samples)), offset, ratio)
+    joint = _refined(recording, SweepLaw(law, *ends, every, float(samples)), offset, ratio)
     if joint is None or abs(joint[1] - 1) > 1.01e-6 * MAX_PPM:
         return None
     offset, ratio, explained = joint
-    return SweepFit(offset + (min(every) if period is None else 0.0) * ratio, ratio, explained, law, samples)
+    return SweepFit(offset + (min(every) if period is None else 0.0) * ratio, ratio, explained, samples)
 
 
 def _guess(run: _Run, law: Law, first: float, last: float) -> tuple[float, float]:
@@ -205,8 +202,8 @@ def _guess(run: _Run, law: Law, first: float, last: float) -> tuple[float, float
 
 
 @dataclass(frozen=True, slots=True)
-class _Sweeps:
-    """Sweeps of one law from `first` to `last` cycles per playback sample, each `samples` long, at `starts`."""
+class SweepLaw:
+    """SweepLaw of one law from `first` to `last` cycles per playback sample, each `samples` long, at `starts`."""
 
     law: Law
     first: float
@@ -224,7 +221,7 @@ class _Sweeps:
         return (frequency - self.first) / growth, frequency
 
 
-def _refined(recording: _Analytic, sweeps: _Sweeps, offset: float, ratio: float) -> tuple[float, float, float] | None:
+def _refined(recording: _Analytic, sweeps: SweepLaw, offset: float, ratio: float) -> tuple[float, float, float] | None:
     """Offset, ratio and explained share by least squares on the phases of blocks; at first on their frequencies."""
     size = max(round(sweeps.samples * (1 - 2 * ENDS_SHARE) * ratio / recording.step) // BLOCKS, 1)
     explained = 0.0
@@ -268,7 +265,7 @@ def _least_squares(model: Float64Array, phase: Float64Array, weight: Float64Arra
 
 
 def _phases(
-    recording: _Analytic, sweeps: _Sweeps, start: float, offset: float, ratio: float, size: int
+    recording: _Analytic, sweeps: SweepLaw, start: float, offset: float, ratio: float, size: int
 ) -> tuple[Float64Array, Float64Array, Complex128Array, Float64Array] | None:
     """Blocks of one sweep: playback time since the first start, frequency, turned means, energies."""
     begin = offset + ratio * (start + ENDS_SHARE * sweeps.samples)

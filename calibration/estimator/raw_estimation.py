@@ -197,7 +197,7 @@ def _with_silence(
     reference, rate, taps = first.reference_v[0], header.sample_rate_hz, header.taps
     given = shape_of(header) is not None
     found = find_sweeps(reference, header)
-    shape, law = found.shape, f", {found.law}" if found.law else ""
+    shape, law = found.shape, f", {header.law}" if found.by_law else ""
     report(
         f"{shape.averages} sweeps of {shape.sweep_samples / rate:g} s{law}; "
         f"clocks differ by {1e6 * (found.ratio - 1):.2f} ppm"

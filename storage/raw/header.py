@@ -167,7 +167,7 @@ class RawHeader:
     averages: Sweeps of a sequential record.
     sweep_s, decay_s: Length of a sweep and of the silence after it in seconds.
     same_clock: Whether one clock played and recorded; then any excitation is allowed.
-    sweep_law: "linear", "exponential" or "other" where the file says how the sweeps run, else empty.
+    sweep_law: "linear", "exponential" or "other" where the file says how the sweeps run, else empty: linear.
     rig_json, run_json, plan_sha256, software: See `wavefocus.storage.bank.layout.BankHeader`; empty where the file
         does not say.
     """
@@ -231,9 +231,9 @@ class RawHeader:
             raise InputError(f"sweep_law is {self.sweep_law!r}; 'linear', 'exponential' or 'other' is needed")
 
     @property
-    def laws(self) -> tuple[Law, ...]:
-        """Laws that the sweeps may follow; none where the file says that they follow another."""
-        return tuple(law for law in LAWS if self.sweep_law in ("", law))
+    def law(self) -> Law | None:
+        """Law of the sweeps: linear unless the file states another; None where it states "other"."""
+        return next((law for law in LAWS if law == (self.sweep_law or "linear")), None)
 
     @property
     def positions(self) -> int:
