@@ -4,21 +4,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Protocol, TypeVar, cast, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
-from wavefocus.acquisition.setup import MAX_DELAY_DIFFERENCE_S, Setup, point_at, record_silence, take_record
+from wavefocus.acquisition.setup import (
+    MAX_DELAY_DIFFERENCE_S,
+    Openers,
+    Setup,
+    point_at,
+    record_silence,
+    take_record,
+    wired,
+)
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.clock.timing import fit_clock
 from wavefocus.calibration.crosstalk import REMEDY, Crosstalk, crosstalk_of_record
 from wavefocus.calibration.sweeps import Excitation
 from wavefocus.config.messages.rig_checks import Act, Finding, Verdict
+from wavefocus.config.rig import RigConfig
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import (
-    Clock,
     DeviceIdentity,
     Instruments,
     Mirror,
@@ -28,6 +36,7 @@ from wavefocus.drivers.protocols import (
     RecordLabel,
     StatesDelay,
 )
+from wavefocus.drivers.registry import VibrometerReading
 from wavefocus.drivers.timeouts import CallThread, HungError
 
 Answer = TypeVar("Answer")
@@ -88,6 +97,7 @@ class RigFindings:
         return None
 
 
+SAMPLE_RATE_HZ = 10_000.0
 # Longest waits, on top of what a question takes by its nature.
 OPEN_S, ANSWER_S = 60.0, 30.0
 SETTLE_S = 5.0
@@ -105,65 +115,24 @@ class ReadsBack(Protocol):
         ...
 
 
-class VibrometerFacts(Protocol):
-    """State of the vibrometer."""
-
-    @property
-    def sensitivity_m_s_per_v(self) -> float:
-        """Its sensitivity."""
-        ...
-
-    @property
-    def identity(self) -> str:
-        """Its name."""
-        ...
-
-    @property
-    def signal_level(self) -> float | None:
-        """Strength of the reflected light, 0 to 1, where it says so."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class RigUnderTest:
-    """A rig to examine: how each instrument is opened, and how they belong together.
-
-    clock: The time that the instruments live by.
-    mirror, recorder, player, vibrometer: Open the instrument, or raise InstrumentError.
-    wired: The rig of open instruments, with the vibrometer's sensitivity in m/s per V.
-    corners_mm: Places on the surface that the mirror is sent to.
-    limit_mrad: Largest angle of the mirror.
-    amplitude_v: Peak of what is played, well within the limits.
-    """
-
-    clock: Clock
-    mirror: Callable[[], Mirror]
-    recorder: Callable[[], Recorder]
-    player: Callable[[], Player]
-    vibrometer: Callable[[], VibrometerFacts]
-    wired: Callable[[Instruments, float], Setup]
-    corners_mm: Sequence[tuple[float, float]]
-    limit_mrad: float
-    amplitude_v: float
-    sample_rate_hz: float
-
-
-def examine(rig: RigUnderTest, publish: Callable[[Finding], None], *, play: bool) -> dict[str, DeviceIdentity]:
-    """Open, identify and exercise every instrument, and put it to rest.
+def examine(
+    rig: RigConfig, openers: Openers, publish: Callable[[Finding], None], *, play: bool
+) -> dict[str, DeviceIdentity]:
+    """Open, identify and exercise every instrument, and shut it down.
 
     publish: Gets every finding as it is made.
     play: Whether anything may sound.
 
     Returns the identities of the instruments that answered, by role.
     """
-    examination = _Examination(rig, RigFindings(publish), play)
+    examination = _Examination(rig, openers, RigFindings(publish), play)
     examination.run()
     return examination.identities
 
 
 class _Examination:
-    def __init__(self, rig: RigUnderTest, findings: RigFindings, play: bool) -> None:
-        self._rig, self._findings, self._play = rig, findings, play
+    def __init__(self, rig: RigConfig, openers: Openers, findings: RigFindings, play: bool) -> None:
+        self._rig, self._openers, self._findings, self._play = rig, openers, findings, play
         self._mirror: Mirror | None = None
         self._recorder: Recorder | None = None
         self._player: Player | None = None
@@ -171,10 +140,10 @@ class _Examination:
 
     def run(self) -> None:
         try:
-            sensitivity = self._open()
+            vibrometer = self._open()
             # What needs an instrument that is not there is skipped, so that nobody asks it.
             opened = cast("tuple[Mirror, Recorder, Player]", (self._mirror, self._recorder, self._player))
-            setup = self._rig.wired(Instruments(*opened, self._rig.clock), sensitivity)
+            setup = wired(self._rig, Instruments(*opened, self._openers.clock), vibrometer)
             points = self._check_mirror(setup)
             self._check_delay(setup)
             self._check_outputs(setup)
@@ -182,23 +151,23 @@ class _Examination:
         finally:
             self._put_to_rest()
 
-    def _open(self) -> float:
-        """Open and identify; an instrument that fails is left out. The vibrometer's sensitivity."""
-        rig, findings, sensitivity = self._rig, self._findings, 1.0
-        facts = findings.ask("vibrometer", "opening", rig.vibrometer, OPEN_S)
-        if facts is not None:
-            sensitivity = facts.sensitivity_m_s_per_v
-            findings.add("vibrometer", "identity", "ok", f"{facts.identity}, {sensitivity:g} m/s per V")
-            self._check_light(facts.signal_level)
-        self._mirror = findings.ask("mirror", "opening", rig.mirror, OPEN_S)
-        self._recorder = findings.ask("recorder", "opening", rig.recorder, OPEN_S)
-        self._player = findings.ask("player", "opening", rig.player, OPEN_S)
+    def _open(self) -> VibrometerReading:
+        """Open and identify; an instrument that fails is left out, and a vibrometer counts as one of 1 m/s per V."""
+        ways, findings = self._openers, self._findings
+        vibrometer = findings.ask("vibrometer", "opening", ways.vibrometer, OPEN_S)
+        if vibrometer is not None:
+            words = f"{vibrometer.identity}, {vibrometer.sensitivity_m_s_per_v:g} m/s per V"
+            findings.add("vibrometer", "identity", "ok", words)
+            self._check_light(vibrometer.signal_level)
+        self._mirror = findings.ask("mirror", "opening", ways.mirror, OPEN_S)
+        self._recorder = findings.ask("recorder", "opening", ways.recorder, OPEN_S)
+        self._player = findings.ask("player", "opening", ways.player, OPEN_S)
         for name, role in (("mirror", self._mirror), ("recorder", self._recorder), ("player", self._player)):
             sentence = None if role is None else findings.ask(name, "identity", role.identify, ANSWER_S)
             if role is not None and sentence is not None:
                 findings.add(name, "identity", "ok", sentence)
                 self.identities[name] = role.identity
-        return sensitivity
+        return vibrometer or VibrometerReading(1.0, "", None, None, "")
 
     def _check_light(self, level: float | None) -> None:
         if level is None:
@@ -209,15 +178,15 @@ class _Examination:
 
     def _check_mirror(self, setup: Setup) -> bool:
         """Send the mirror to the corners of the surface and back to its middle; True where it went there."""
-        rig, findings, mirror = self._rig, self._findings, self._mirror
+        limit_mrad, findings, mirror = self._rig.mirror.limit_mrad, self._findings, self._mirror
         if mirror is None:
             findings.skip("mirror", "corners", "the mirror is not there")
             return False
-        x_mrad, y_mrad = setup.mirror_map.angles_mrad(*np.array([*rig.corners_mm, (0.0, 0.0)]).T)
+        x_mrad, y_mrad = setup.mirror_map.angles_mrad(*np.vstack([_corners_mm(self._rig), [0.0, 0.0]]).T)
         angles = [(float(x), float(y)) for x, y in zip(x_mrad, y_mrad, strict=True)]
         reach_mrad = max(max(map(abs, pair)) for pair in angles)
-        if reach_mrad > rig.limit_mrad:
-            what = f"the surface needs {reach_mrad:.0f} mrad, mirror.limit_mrad is {rig.limit_mrad:g}"
+        if reach_mrad > limit_mrad:
+            what = f"the surface needs {reach_mrad:.0f} mrad, mirror.limit_mrad is {limit_mrad:g}"
             remedy = "raise the limit if the mirror allows it, or move the mirror back"
             findings.add("mirror", "corners", "fail", what, remedy, Act("edit-rig", "mirror.limit_mrad"))
             return False
@@ -238,7 +207,7 @@ class _Examination:
 
     def _check_delay(self, setup: Setup) -> None:
         """Compare the stated delay between the inputs with the device's conversion clock."""
-        recorder, rate_hz, stated_s = self._recorder, self._rig.sample_rate_hz, setup.inter_channel_delay_s
+        recorder, rate_hz, stated_s = self._recorder, SAMPLE_RATE_HZ, setup.inter_channel_delay_s
         if not isinstance(recorder, StatesDelay):
             return
         device_s = self._findings.ask("recorder", "input delay", partial(recorder.sampling_delay_s, rate_hz), ANSWER_S)
@@ -268,13 +237,13 @@ class _Examination:
 
     def _check_sound(self, setup: Setup, *, points: bool) -> None:
         """Records of silence, of the loopback and of actuators, as far as the instruments for them are there."""
-        rig, skip = self._rig, self._findings.skip
+        level, skip = (self._rig.safe_amplitude_v, SAMPLE_RATE_HZ), self._findings.skip
         why = ""
         if self._recorder is None:
             skip("recorder", "record", "the recorder is not there")
             why = "the recorder gave no record"
         elif not self._tell(
-            "recorder", "record", partial(check_silence, self._recorder, rig.sample_rate_hz, setup.range_v)
+            "recorder", "record", partial(check_silence, self._recorder, SAMPLE_RATE_HZ, setup.range_v)
         ):
             why = "the recorder gave no record"
         if self._player is None:
@@ -284,12 +253,12 @@ class _Examination:
         if why:
             skip("player", "loopback", why)
             skip("vibrometer", "response", why)
-        elif not self._tell("player", "loopback", partial(check_loopback, setup, rig.amplitude_v, rig.sample_rate_hz)):
+        elif not self._tell("player", "loopback", partial(check_loopback, setup, *level)):
             skip("vibrometer", "response", "without a loopback the response cannot be measured")
         elif not points:
             skip("vibrometer", "response", "the mirror does not point, so the beam may be anywhere")
         else:
-            self._tell("vibrometer", "response", partial(check_response, setup, rig.amplitude_v, rig.sample_rate_hz))
+            self._tell("vibrometer", "response", partial(check_response, setup, *level))
 
     def _tell(self, instrument: str, check: str, listen: Callable[[], list[Finding]]) -> bool:
         """Publish the findings of a record; True where nothing of that instrument failed."""
@@ -309,6 +278,20 @@ class _Examination:
             steps += [("mirror", self._mirror.park), ("mirror", self._mirror.close)]
         for name, step in steps:
             self._findings.ask(name, "putting it to rest", step, ANSWER_S)
+
+
+# Corners that the mirror is tried at: of the largest rectangle on the surface, a little within.
+CORNER_SHARE = 0.95
+SIGNS = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+
+
+def _corners_mm(rig: RigConfig) -> NDArray[np.float64]:
+    """Corners of the largest rectangle of the surface's proportions within it, (4, 2)."""
+    surface = rig.surface
+    corner_mm = np.array([surface.length_mm, surface.width_mm]) / 2
+    share = max(s for s in np.linspace(0, 1, 101) if surface.outline.contains(s * SIGNS * corner_mm).all())
+    corners_mm: NDArray[np.float64] = CORNER_SHARE * share * SIGNS * corner_mm
+    return corners_mm
 
 
 def _astray_mrad(mirror: Mirror, at_mrad: tuple[float, float]) -> list[float]:

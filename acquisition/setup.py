@@ -1,22 +1,56 @@
-"""A rig as the engine sees it: instruments, wiring and calibration; whose call failed, and how all fall silent."""
+"""A rig as the engine sees it: its instruments before and after they are opened, their wiring, and one record."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Literal, Protocol
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal, Protocol
 
-from wavefocus.acquisition.conditions import NOTHING_WATCHED, Watch
+from wavefocus.acquisition.watch import NOTHING_WATCHED, Sensor, Watch
 from wavefocus.calibration import Float64Array
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from wavefocus.drivers.protocols import DeviceIdentity, Instruments, Recorder, Recording, RecordLabel, RecordRequest
+from wavefocus.drivers.protocols import (
+    Clock,
+    DeviceIdentity,
+    Instruments,
+    Mirror,
+    Player,
+    Recorder,
+    Recording,
+    RecordLabel,
+    RecordRequest,
+)
+from wavefocus.drivers.registry import VibrometerReading
 from wavefocus.drivers.timeouts import Role
+
+if TYPE_CHECKING:
+    from wavefocus.config.rig import RigConfig
 
 # Larger differences between the stated delay of the response input and the device's are reported: 0.5 us are an error
 # of -58 dB at 400 Hz.
 MAX_DELAY_DIFFERENCE_S = 0.5e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Openers:
+    """Functions that open each instrument of a rig, independent of the others, or raise InstrumentError.
+
+    clock: The time that the instruments live by.
+    limit_s: Longest that each may take.
+    connect: Plugs the response input of a virtual rig into one of its outputs, or into the vibrometer.
+    sensors: Those of a virtual rig's surroundings.
+    """
+
+    clock: Clock
+    mirror: Callable[[], Mirror]
+    recorder: Callable[[], Recorder]
+    player: Callable[[], Player]
+    vibrometer: Callable[[], VibrometerReading]
+    limit_s: float
+    connect: Callable[[str], object] | None = None
+    sensors: Mapping[str, Sensor] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +134,25 @@ class Setup:
             raise interrupt
         if failures:
             raise ExceptionGroup("the instruments could not all be put to rest", failures)
+
+
+def wired(rig: RigConfig, instruments: Instruments, vibrometer: VibrometerReading) -> Setup:
+    """Open instruments with the wiring and the calibration of their rig file; nothing is watched."""
+    recorder = rig.recorder
+    return Setup(
+        instruments=instruments,
+        mirror_map=MirrorMap(rig.mirror.matrix),
+        actuator_channels=rig.player.channels,
+        loopback_channel=rig.player.loopback_channel,
+        range_v=(recorder.reference_range_v, recorder.response_range_v),
+        response_per_volt=vibrometer.sensitivity_m_s_per_v,
+        reference_gain=recorder.reference_gain,
+        inter_channel_delay_s=recorder.inter_channel_delay_s,
+        vibrometer_latency_s=vibrometer.latency_s or 0.0,
+        pre_roll_s=recorder.pre_roll_s,
+        post_roll_s=recorder.post_roll_s,
+        recovery_s=rig.recovery.give_up_after_s,
+    )
 
 
 @contextmanager

@@ -360,6 +360,11 @@ class Actuators(Table):
     )
 
 
+MAX_SAFE_V = 1.0
+# An output that puts out four times what the rig believes is still within the limit.
+SAFE_SHARE = 0.25
+
+
 class RigConfig(Table):
     """A validated rig file; with no argument, the built-in virtual rig."""
 
@@ -381,6 +386,13 @@ class RigConfig(Table):
     def actuator_mm(self) -> NDArray[np.float64]:
         """Actuator positions in millimetres, shape (actuators, 2)."""
         return np.array(self.actuators.position_mm, dtype=np.float64)
+
+    @property
+    def safe_amplitude_v(self) -> float:
+        """A peak in V well below the limits of volts and of rms, and below the ends of the recorder's ranges."""
+        recorder = self.recorder
+        half_range_v = min(recorder.reference_range_v / recorder.reference_gain, recorder.response_range_v) / 2
+        return min(MAX_SAFE_V, SAFE_SHARE * self.player.largest_sine_v, half_range_v)
 
     @property
     def is_virtual(self) -> bool:

@@ -230,6 +230,12 @@ class PlayerSection(DriverTable):
         return None if (rms := self.rms_limit) is None else rms[1]
 
     @property
+    def largest_sine_v(self) -> float:
+        """Largest peak of a sine or a sweep that any actuator may get for as long as one likes."""
+        rms_v = self.largest_rms_v
+        return self.largest_v if rms_v is None else min(self.largest_v, 2**0.5 * rms_v)
+
+    @property
     def rms_limit(self) -> tuple[str, float] | None:
         """The stricter limit on the rms, with the key that it comes from."""
         limits = []

@@ -7,9 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from wavefocus.acquisition.conditions import AllowedRange, Conditions, Watch
+from wavefocus.acquisition.conditions import Conditions
 from wavefocus.acquisition.plays import Play
 from wavefocus.acquisition.setup import Setup
+from wavefocus.acquisition.watch import AllowedRange, Watch
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.calibration.sweeps import Excitation
 from wavefocus.drivers.errors import InstrumentError

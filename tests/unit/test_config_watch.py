@@ -8,10 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from wavefocus.acquisition.watch import Watch
 from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.configuration import load_rig, load_run
-from wavefocus.rig.instruments import open_rig, openers
-from wavefocus.rig.setup import RoomSensor, band_of, watch_of
+from wavefocus.rig.instruments import openers
+from wavefocus.rig.setup import RoomSensor, band_of, open_rig
 from wavefocus.storage.errors import InputError
 
 REAL = """
@@ -32,6 +33,10 @@ def _rig(tmp_path: Path, text: str) -> RigConfig:
     return load_rig(tmp_path / "rig.toml")
 
 
+def watch_of(rig: RigConfig) -> Watch:
+    return open_rig(rig, openers(rig)).watch
+
+
 def test_given_one_limit_then_the_inner_threshold_lies_a_tenth_inside(tmp_path: Path) -> None:
     rig = _rig(tmp_path, "[watch.reference]\nleaves_below = -3\nleaves_above = 2.0\nsettle_s = 5")
     band = band_of(rig.watch.reference, "reference level", "dB") if rig.watch.reference else None
@@ -43,7 +48,7 @@ def test_given_one_limit_then_the_inner_threshold_lies_a_tenth_inside(tmp_path: 
 
 def test_given_no_lower_limit_then_any_low_value_is_well(tmp_path: Path) -> None:
     rig = _rig(tmp_path, "[watch.noise]\nleaves_above = 0.01")
-    watch = watch_of(rig, open_rig(openers(rig)))
+    watch = watch_of(rig)
     assert (watch.bands["noise"].leaves_below, watch.bands["noise"].returns_above) == (-math.inf, -math.inf)
     assert watch.bands["noise"].is_back(0.0)
 
@@ -80,9 +85,9 @@ def test_given_watched_conditions_then_a_bank_holds_them_and_the_plan_is_the_sam
 
 def test_given_sensors_of_the_virtual_rig_then_they_are_asked_for_what_is_watched(tmp_path: Path) -> None:
     rig = _rig(tmp_path, "[watch.room]\nleaves_below = 18\n[watch.light]\nleaves_below = 0.2")
-    watch = watch_of(rig, open_rig(openers(rig)))
+    watch = watch_of(rig)
     assert {name: sensor.read() for name, sensor in watch.sensors.items()} == {"room": 21.0, "light": 1.0}
-    assert watch_of(default_rig(), open_rig(openers(default_rig()))).sensors == {}
+    assert watch_of(default_rig()).sensors == {}
 
 
 def test_given_a_transmitter_then_its_volts_become_degrees(tmp_path: Path) -> None:

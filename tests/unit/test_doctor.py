@@ -4,56 +4,40 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from wavefocus.acquisition.doctor import RigFindings, RigUnderTest, examine
-from wavefocus.acquisition.setup import Setup
-from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.acquisition.doctor import RigFindings, examine
+from wavefocus.acquisition.setup import Openers
 from wavefocus.config.messages.rig_checks import Finding
+from wavefocus.config.rig import RigConfig
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
+from wavefocus.drivers.registry import VibrometerReading
 from wavefocus.mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
-from wavefocus.rig.instruments import Vibrometer
-
-CORNERS = ((90.0, 50.0), (-90.0, 50.0), (-90.0, -50.0), (90.0, -50.0))
 
 
-def patient(rig: VirtualRig, **changes: object) -> RigUnderTest:
-    roles = rig.instruments
-    settings = rig.settings
-    wiring = Setup(
-        instruments=roles,
-        mirror_map=MirrorMap.straight(1000.0),
-        actuator_channels=settings.channel_of_actuator,
-        loopback_channel=settings.channel_of_loopback,
-        range_v=(10.0, 10.0),
-        response_per_volt=1.0,
-        inter_channel_delay_s=settings.inter_channel_delay_s,
-    )
-    sound = RigUnderTest(
+def examined(
+    bench: VirtualRig, rig: dict[str, object] | None = None, *, play: bool = True, **ways: object
+) -> list[Finding]:
+    """RigFindings about a bench; `rig` has tables of its rig file, `ways` other openers."""
+    roles = bench.instruments
+    sound = Openers(
         clock=roles.clock,
         mirror=lambda: roles.mirror,
         recorder=lambda: roles.recorder,
         player=lambda: roles.player,
-        vibrometer=lambda: Vibrometer(settings.sensitivity_m_s_per_v, "decoder", 0.0, None),
-        wired=lambda instruments, sensitivity: replace(wiring, instruments=instruments, response_per_volt=sensitivity),
-        corners_mm=CORNERS,
-        limit_mrad=250.0,
-        amplitude_v=1.0,
-        sample_rate_hz=10_000.0,
+        vibrometer=lambda: reading(None),
+        limit_s=60.0,
     )
-    wired = {field.name: changes.pop(field.name) for field in fields(Setup) if field.name in changes}
-    if wired:
-        sound = replace(sound, wired=lambda instruments, _: replace(wiring, **wired, instruments=instruments))
-    return replace(sound, **changes)
-
-
-def examined(one: RigUnderTest, *, play: bool = True) -> list[Finding]:
     findings: list[Finding] = []
-    examine(one, findings.append, play=play)
+    examine(RigConfig.model_validate(rig or {}), replace(sound, **ways), findings.append, play=play)
     return findings
+
+
+def reading(signal_level: float | None) -> VibrometerReading:
+    return VibrometerReading(0.125, "", 0.0, signal_level, "decoder")
 
 
 def verdicts(findings: list[Finding]) -> dict[tuple[str, str], str]:
@@ -75,7 +59,7 @@ SOUND = VirtualSettings(dropout_probability=0.0)
 
 
 def test_given_a_sound_rig_then_all_is_well_and_everything_was_looked_at() -> None:
-    findings = examined(patient(VirtualRig(SOUND)))
+    findings = examined(VirtualRig(SOUND))
     assert {one.verdict for one in findings} == {"ok"}
     assert not any(one.remedy for one in findings)
     told = verdicts(findings)
@@ -109,7 +93,7 @@ class KnowsItsConverter:
 def test_given_a_stated_delay_then_it_is_compared_with_the_devices_own(device_s: float | None, verdict: str) -> None:
     rig = VirtualRig(SOUND)
     recorder = KnowsItsConverter(rig.instruments.recorder, device_s)
-    findings = examined(patient(rig, recorder=lambda: recorder, inter_channel_delay_s=5e-6), play=False)
+    findings = examined(rig, recorder=lambda: recorder, play=False)
     assert verdicts(findings).get(("recorder", "input delay")) == verdict
     if verdict == "warn":
         (finding,) = [one for one in findings if one.check == "input delay"]
@@ -119,7 +103,7 @@ def test_given_a_stated_delay_then_it_is_compared_with_the_devices_own(device_s:
 
 
 def test_given_nothing_may_be_played_then_nothing_is_and_the_rest_is_looked_at() -> None:
-    findings = examined(patient(VirtualRig(SOUND)), play=False)
+    findings = examined(VirtualRig(SOUND), play=False)
     told = verdicts(findings)
     assert told["player", "loopback"] == told["vibrometer", "response"] == "skipped"
     assert told["mirror", "corners"] == told["recorder", "record"] == "ok"
@@ -127,7 +111,7 @@ def test_given_nothing_may_be_played_then_nothing_is_and_the_rest_is_looked_at()
 
 @pytest.mark.parametrize("missing", ["vibrometer", "mirror", "recorder", "player"])
 def test_given_one_that_is_not_there_then_the_others_are_still_examined(missing: str) -> None:
-    findings = examined(patient(VirtualRig(SOUND), **{missing: absent(missing)}))
+    findings = examined(VirtualRig(SOUND), **{missing: absent(missing)})
     told = verdicts(findings)
     assert failed(findings) == {(missing, "opening")}
     (finding,) = [one for one in findings if one.verdict == "fail"]
@@ -154,7 +138,7 @@ def test_given_one_that_is_not_there_then_the_others_are_still_examined(missing:
 def test_given_an_instrument_that_fails_then_it_is_named_and_the_others_are_not_blamed(
     fault: Fault, failing: set[tuple[str, str]]
 ) -> None:
-    findings = examined(patient(VirtualRig(replace(SOUND, fault_plan=(fault,)))))
+    findings = examined(VirtualRig(replace(SOUND, fault_plan=(fault,))))
     at_rest = {key for key in failed(findings) if key[1] == "putting it to rest"}
     assert failed(findings) - at_rest == failing
     assert {name for name, _ in failed(findings)} == {fault.role if fault.kind == "lost" else "player"}
@@ -163,14 +147,14 @@ def test_given_an_instrument_that_fails_then_it_is_named_and_the_others_are_not_
 
 def test_given_a_passing_fault_then_the_second_try_counts_and_the_first_is_told() -> None:
     fault = Fault("recorder", "read", "short_read", at_call=1)
-    findings = examined(patient(VirtualRig(replace(SOUND, fault_plan=(fault,)))))
+    findings = examined(VirtualRig(replace(SOUND, fault_plan=(fault,))))
     told = [one for one in findings if one.verdict != "ok"]
     assert [(one.instrument, one.check, one.verdict) for one in told] == [("recorder", "record", "warn")]
     assert told[0].what.startswith("only at the second try")
 
 
 @pytest.mark.parametrize(
-    ("settings", "changes", "check", "verdict"),
+    ("settings", "rig", "check", "verdict"),
     [
         ({"clock_ppm": 300.0}, {}, ("player", "clock ratio"), "warn"),
         ({"latency_s": (0.09, 0.09)}, {}, ("player", "latency"), "warn"),
@@ -186,24 +170,28 @@ def test_given_a_passing_fault_then_the_second_try_counts_and_the_first_is_told(
         ({"noise_v": 0.5}, {}, ("recorder", "crosstalk"), "warn"),
         ({"noise_v": 1e-2}, {}, ("vibrometer", "response"), "warn"),
         ({"actuator_strength": (0.0, *[1.0] * 19)}, {}, ("vibrometer", "actuator"), "fail"),
-        ({}, {"range_v": (0.5, 10.0)}, ("player", "loopback level"), "fail"),
-        ({}, {"range_v": (10.0, 0.05)}, ("vibrometer", "response"), "fail"),
-        ({}, {"limit_mrad": 50.0}, ("mirror", "corners"), "fail"),
-        ({}, {"actuator_channels": tuple(range(30)), "loopback_channel": 20}, ("player", "outputs"), "fail"),
-        ({}, {"vibrometer": lambda: Vibrometer(0.125, "decoder", 0.0, 0.05)}, ("vibrometer", "signal level"), "warn"),
+        ({"output_gain": (*[1.0] * 20, 20.0)}, {}, ("player", "loopback level"), "fail"),
+        ({"sensitivity_m_s_per_v": 1e-4}, {}, ("vibrometer", "response"), "fail"),
+        ({}, {"mirror": {"limit_mrad": 50.0, "park_mrad": [0, 0]}}, ("mirror", "corners"), "fail"),
+        ({}, {"player": {"channels": list(range(1, 21)), "loopback_channel": 29}}, ("player", "outputs"), "fail"),
         ({"noise_v": 0.0, "reference_noise_v": 0.0}, {}, ("recorder", "reference noise"), "warn"),
     ],
 )
 def test_given_something_not_good_enough_then_it_is_told_with_what_to_do(
-    settings: dict[str, object], changes: dict[str, object], check: tuple[str, str], verdict: str
+    settings: dict[str, object], rig: dict[str, object], check: tuple[str, str], verdict: str
 ) -> None:
-    findings = examined(patient(VirtualRig(replace(SOUND, **settings)), **changes))
+    findings = examined(VirtualRig(replace(SOUND, **settings)), rig)
     assert verdicts(findings)[check] == verdict
     assert all(one.remedy for one in findings if one.verdict in ("warn", "fail"))
 
 
+def test_given_little_light_then_it_is_told() -> None:
+    findings = examined(VirtualRig(SOUND), vibrometer=lambda: reading(0.05), play=False)
+    assert verdicts(findings)["vibrometer", "signal level"] == "warn"
+
+
 def test_given_a_leak_of_the_loopback_then_the_response_is_measured_all_the_same() -> None:
-    found = verdicts(examined(patient(VirtualRig(replace(SOUND, crosstalk=1e-3)))))
+    found = verdicts(examined(VirtualRig(replace(SOUND, crosstalk=1e-3))))
     assert (found["recorder", "crosstalk"], found["player", "loopback level"]) == ("fail", "ok")
     assert found["vibrometer", "response"] == "ok"
 
@@ -236,7 +224,7 @@ def test_given_a_mirror_that_reads_back_then_it_must_stand_where_it_was_sent(
     off_mrad: float | None, verdict: str, told: str
 ) -> None:
     rig = VirtualRig(SOUND)
-    findings = examined(patient(rig, mirror=lambda: ReadingMirror(rig, off_mrad)))
+    findings = examined(rig, mirror=lambda: ReadingMirror(rig, off_mrad))
     (finding,) = [one for one in findings if one.check == "corners"]
     assert finding.verdict == verdict
     assert told in finding.what
@@ -272,7 +260,7 @@ def test_given_two_passing_faults_in_a_row_then_it_failed() -> None:
 
 def test_given_an_examination_then_everything_is_released_and_the_beam_parked() -> None:
     rig = VirtualRig(SOUND)
-    examined(patient(rig))
+    examined(rig)
     for role in (rig.instruments.mirror, rig.instruments.recorder, rig.instruments.player):
         with pytest.raises(InstrumentError, match="it is closed"):
             role.identify()

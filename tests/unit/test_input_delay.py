@@ -10,10 +10,11 @@ import pytest
 
 from tests.unit.test_config_calibration import AT, measured
 from tests.unit.test_doctor import KnowsItsConverter
+from wavefocus.acquisition.setup import Setup, wired
 from wavefocus.config.calibration import InputsMeasured
 from wavefocus.config.rig import RigConfig
+from wavefocus.drivers.registry import VibrometerReading
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
-from wavefocus.rig.instruments import OpenedRig
 from wavefocus.rig.setup import setup_in_use
 from wavefocus.storage.bank.layout import BankHeader
 from wavefocus.storage.bank.reading import open_bank
@@ -24,7 +25,7 @@ RATE_HZ = 10_000.0
 VIRTUAL = VirtualRig(VirtualSettings(dropout_probability=0.0)).instruments
 
 
-def opened(device_s: float | None, calibrated_s: float | None = None) -> tuple[RigConfig, OpenedRig]:
+def opened(device_s: float | None, calibrated_s: float | None = None) -> tuple[Setup, RigConfig]:
     """A rig whose file states 5 us, or a calibration another delay, and whose recorder states `device_s`."""
     section: dict[str, object] = {"actuators": {"position_mm": [[0, 0], [10, 0]]}}
     if calibrated_s is not None:
@@ -34,7 +35,7 @@ def opened(device_s: float | None, calibrated_s: float | None = None) -> tuple[R
         section["recorder"] = {"inter_channel_delay_s": calibrated_s}
     rig = RigConfig.model_validate(section)
     roles = replace(VIRTUAL, recorder=KnowsItsConverter(VIRTUAL.recorder, device_s))
-    return rig, OpenedRig(roles, 0.1, 0.0, None)
+    return wired(rig, roles, VibrometerReading(0.1, "", None, None, "typed in")), rig
 
 
 @pytest.mark.parametrize(

@@ -8,11 +8,12 @@ from dataclasses import replace
 
 import pytest
 
+from wavefocus.acquisition.setup import Openers
 from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.protocols import Mirror, Recorder
 from wavefocus.mocks.virtual.mirror import VirtualMirror
-from wavefocus.rig.instruments import Openers, open_rig, openers
+from wavefocus.rig.instruments import open_instruments, openers
 
 REAL = {
     "mirror": {"driver": "generic", "port": "/nowhere/at/all"},
@@ -29,10 +30,11 @@ def absent(name: str) -> Callable[[], Mirror]:
 
 
 def test_given_the_virtual_rig_then_its_instruments_and_its_cables_are_there() -> None:
-    opened = open_rig(openers(default_rig()))
-    assert opened.patch_bay is not None
-    assert opened.sensitivity_m_s_per_v == 0.125
-    assert opened.instruments.player.channels == 21
+    ways = openers(default_rig())
+    assert ways.connect is not None
+    opened, vibrometer = open_instruments(ways)
+    assert vibrometer.sensitivity_m_s_per_v == 0.125
+    assert opened.player.channels == 21
 
 
 @pytest.mark.parametrize("missing", ["vibrometer", "mirror", "recorder", "player"])
@@ -42,7 +44,7 @@ def test_given_one_that_cannot_be_opened_then_those_before_it_are_released(missi
     before = {name: getattr(ways, name)() for name in roles}
     broken: Openers = replace(ways, **{missing: absent(missing)})
     with pytest.raises(InstrumentError, match=f"{missing}: opening: it is not there; plug it in"):
-        open_rig(broken)
+        open_instruments(broken)
     opened_before = () if missing == "vibrometer" else roles[: roles.index(missing)]
     for name, role in before.items():
         if name in opened_before:
@@ -58,7 +60,7 @@ def test_given_a_mirror_opened_and_nothing_else_then_it_is_parked_before_it_is_r
     mirror = ways.mirror()
     mirror.move_to(10.0, 10.0)
     with pytest.raises(InstrumentError):
-        open_rig(replace(ways, recorder=absent("recorder")))
+        open_instruments(replace(ways, recorder=absent("recorder")))
     later_ns = round((ways.clock.now_s() + 1) * 1e9)
     assert isinstance(mirror, VirtualMirror)
     assert mirror.motion.aims(later_ns, later_ns + 1) == [(later_ns, rig.mirror.park_mrad)]
@@ -83,5 +85,5 @@ def test_given_a_driver_that_hangs_while_it_is_opened_then_it_is_named_and_nothi
 
     ways = replace(openers(default_rig()), mirror=lambda: threading.Event().wait(), recorder=note, limit_s=0.05)
     with pytest.raises(InstrumentLostError, match=r"mirror: opening: the call did not come back within 0\.05 s"):
-        open_rig(ways)
+        open_instruments(ways)
     assert opened == []

@@ -21,10 +21,10 @@ from wavefocus.ending import ending_at_once
 from wavefocus.exits import Exit
 from wavefocus.json_lines import LinesIn, LinesOut
 from wavefocus.rig.calibration_session import CalibrationSession, Request, marks
-from wavefocus.rig.instruments import open_rig, openers
+from wavefocus.rig.instruments import openers
 from wavefocus.rig.operation import SAMPLE_RATE_HZ, faulted
 from wavefocus.rig.operators import LinesOperator, TerminalOperator, forget_typed
-from wavefocus.rig.setup import setup_in_use
+from wavefocus.rig.setup import open_rig, setup_in_use
 from wavefocus.storage.errors import InputError
 
 
@@ -44,9 +44,9 @@ def calibrate(
         lines(Begin(request.parts, marks(rig, request)[0]))
     with ending_at_once():
         try:
-            opened = open_rig(openers(rig))
-            with setup_in_use(rig, opened, request.sample_rate_hz) as setup:
-                session.carry_out(setup, _operator(setup, lines), opened.patch_bay)
+            ways = openers(rig)
+            with setup_in_use(open_rig(rig, ways), rig, request.sample_rate_hz) as setup:
+                session.carry_out(setup, _operator(setup, lines), ways.connect)
         except InstrumentError as failure:
             if lines is not None:
                 lines(faulted(failure))

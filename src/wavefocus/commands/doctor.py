@@ -11,11 +11,7 @@ from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-import numpy as np
-
-from wavefocus.acquisition.doctor import RigFindings, RigUnderTest, examine
-from wavefocus.acquisition.setup import Setup
-from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.acquisition.doctor import RigFindings, examine
 from wavefocus.config.messages.codec import to_line
 from wavefocus.config.messages.rig_checks import Act, Examination, Finding, FindingMade
 from wavefocus.config.rig import RigConfig
@@ -28,15 +24,10 @@ from wavefocus.ending import ending_at_once
 from wavefocus.exits import Exit
 from wavefocus.rig.calibration_validity import calibration_warnings
 from wavefocus.rig.instruments import openers
-from wavefocus.rig.limits import safe_amplitude_v
 from wavefocus.rig.messages import message_findings
 from wavefocus.storage.durable import is_network_mount
 from wavefocus.storage.errors import InputError
 
-SAMPLE_RATE_HZ = 10_000.0
-# Corners that the mirror is tried at: of the largest rectangle on the surface, a little within.
-CORNER_SHARE = 0.95
-SIGNS = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
 STYLES = {"ok": "green", "warn": "yellow", "fail": "bold red", "skipped": "dim"}
 
 
@@ -72,7 +63,7 @@ def doctor(
                 status.update(f"examining; {finding.instrument}: {finding.check}: {finding.verdict}")
 
         with ending_at_once():
-            identities = examine(_patient(rig), publish, play=play)
+            identities = examine(rig, openers(rig), publish, play=play)
         check_surroundings(rig, folder, identities, publish)
         for finding in message_findings(rig, rig_file.name, send=test_message):
             publish(finding)
@@ -97,38 +88,6 @@ def _reset(rig: RigConfig, rig_file: Path, role: str) -> None:
         roles = ", ".join(sorted({device.role for device in rig.usb})) or "none"
         raise InputError(f"--reset-usb {role}: {rig_file} has no [[usb]] table of that role; it has {roles}")
     say(f"{role}: reset; it is now {reset_device(**device.model_dump())}")
-
-
-def _patient(rig: RigConfig) -> RigUnderTest:
-    ways = openers(rig)
-    recorder, player, surface = rig.recorder, rig.player, rig.surface
-    outline, corner_mm = surface.outline, np.array([[surface.length_mm, surface.width_mm]]) / 2
-    # The largest rectangle of the surface's proportions within it.
-    share = max(share for share in np.linspace(0, 1, 101) if outline.contains(share * SIGNS * corner_mm).all())
-    x_mm, y_mm = (CORNER_SHARE * share * corner_mm[0]).tolist()
-    return RigUnderTest(
-        clock=ways.clock,
-        mirror=ways.mirror,
-        recorder=ways.recorder,
-        player=ways.player,
-        vibrometer=ways.vibrometer,
-        wired=lambda instruments, sensitivity: Setup(
-            instruments=instruments,
-            mirror_map=MirrorMap(rig.mirror.matrix),
-            actuator_channels=player.channels,
-            loopback_channel=player.loopback_channel,
-            range_v=(recorder.reference_range_v, recorder.response_range_v),
-            response_per_volt=sensitivity,
-            reference_gain=recorder.reference_gain,
-            inter_channel_delay_s=recorder.inter_channel_delay_s,
-            pre_roll_s=recorder.pre_roll_s,
-            post_roll_s=recorder.post_roll_s,
-        ),
-        corners_mm=((x_mm, y_mm), (-x_mm, y_mm), (-x_mm, -y_mm), (x_mm, -y_mm)),
-        limit_mrad=rig.mirror.limit_mrad,
-        amplitude_v=safe_amplitude_v(rig),
-        sample_rate_hz=SAMPLE_RATE_HZ,
-    )
 
 
 def _show(findings: list[Finding]) -> None:

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from wavefocus.acquisition.conditions import Sensor
+from wavefocus.acquisition.watch import Sensor
 from wavefocus.config.messages.operate import Done, End, Ended, Mute, Opening, Refused
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import named_rig
@@ -17,9 +17,9 @@ from wavefocus.drivers.timeouts import BoundedPlayer, CallThread, HungError
 from wavefocus.ending import ending_at_once
 from wavefocus.exits import Exit
 from wavefocus.json_lines import LinesIn, LinesOut, ReadingFailedError
-from wavefocus.rig.instruments import OpenedRig, open_rig, openers
+from wavefocus.rig.instruments import openers
 from wavefocus.rig.operation import SAMPLE_RATE_HZ, Operation, faulted, order_of
-from wavefocus.rig.setup import BoundedSensor, LightSensor, setup_in_use
+from wavefocus.rig.setup import BoundedSensor, LightSensor, open_rig, setup_in_use
 from wavefocus.storage.errors import InputError
 
 # So often it is looked whether anybody still reads, while no order comes.
@@ -56,11 +56,11 @@ def operate(rig_file: Path) -> Exit:
 
 def _operate(rig: RigConfig, publish: LinesOut) -> None:
     """Open the rig, obey, and put it to rest however that ends."""
-    opened = open_rig(openers(rig))
-    with setup_in_use(rig, opened, SAMPLE_RATE_HZ) as setup:
+    ways = openers(rig)
+    with setup_in_use(open_rig(rig, ways), rig, SAMPLE_RATE_HZ) as setup:
         player = setup.instruments.player
         assert isinstance(player, BoundedPlayer)  # as every player of a set-up
-        operation = Operation(rig, setup, player, _light(rig, opened), publish)
+        operation = Operation(rig, setup, player, _light(rig, ways.sensors), publish)
         operation.introduce()
         _carry_out(operation, player, rig, publish)
 
@@ -116,8 +116,8 @@ def _done(content: Mapping[str, object]) -> Done:
     return Done(word if isinstance(word, str) else None, number if isinstance(number, str | int | float) else None)
 
 
-def _light(rig: RigConfig, opened: OpenedRig) -> Sensor | None:
-    sensor = opened.virtual_sensors.get("light")
+def _light(rig: RigConfig, virtual_sensors: Mapping[str, Sensor]) -> Sensor | None:
+    sensor = virtual_sensors.get("light")
     if sensor is None and rig.vibrometer.driver == "polytec-ofv5000":
         sensor = LightSensor(rig.vibrometer)
     return None if sensor is None else BoundedSensor("light", sensor, rig.recovery.hung_after_s)

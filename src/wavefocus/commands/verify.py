@@ -66,7 +66,7 @@ from wavefocus.rendering.verify.scan import Scan, ScanPlan, scan
 from wavefocus.rendering.verify.scan_signals import marker_v
 from wavefocus.rendering.verify.sentinel import drift_sentence, measure_sentinel
 from wavefocus.rendering.verify.verdict import Tolerances, Verification, compare
-from wavefocus.rig.limits import check_drive, safe_amplitude_v
+from wavefocus.rig.limits import check_drive
 from wavefocus.rig.setup import open_setup
 from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.drive_file import Drive, write_drive
@@ -258,7 +258,7 @@ class _Work:
         try:
             with self._step("crosstalk", 1) as report:
                 rate_hz = self.bank.sample_rate_hz
-                found = crosstalk_alone(setup, place_mm.tolist(), safe_amplitude_v(self.rig), rate_hz)
+                found = crosstalk_alone(setup, place_mm.tolist(), self.rig.safe_amplitude_v, rate_hz)
                 report(1, 1)
         except TransientInstrumentError as failure:
             say(f"warning: crosstalk is not measured: {failure}")

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,11 +58,7 @@ from wavefocus.config.messages.rig_checks import MapView
 from wavefocus.config.outline import default_marks_mm
 from wavefocus.config.rig import RigConfig
 from wavefocus.console import progress
-from wavefocus.rig.limits import safe_amplitude_v
 from wavefocus.storage.errors import InputError
-
-if TYPE_CHECKING:
-    from wavefocus.mocks.virtual.laboratory import PatchBay
 
 # The listening distance, as a share of the surface's width.
 DISTANCE_SHARE = 0.2
@@ -98,7 +94,7 @@ def amplitude_v(rig: RigConfig, request: Request) -> float:
     """
     largest_v = rig.player.largest_v
     if request.amplitude_v is None:
-        return safe_amplitude_v(rig)
+        return rig.safe_amplitude_v
     if 0 < request.amplitude_v < MIN_V:
         raise InputError(f"--amplitude-v {request.amplitude_v:g}: must be {MIN_V:g} V or more")
     if not 0 < request.amplitude_v <= largest_v:
@@ -173,8 +169,10 @@ class CalibrationSession:
         self.measured: list[str] = []
         self.problems: list[str] = []
 
-    def carry_out(self, setup: Setup, operator: Operator, patch_bay: PatchBay | None = None) -> None:
+    def carry_out(self, setup: Setup, operator: Operator, plug: Callable[[str], object] | None = None) -> None:
         """Measure every part asked for; one that cannot be measured does not keep the others from it.
+
+        plug: Plugs the response input of a virtual rig, see `Openers`.
 
         Raises InputError: angles that no map can be fitted through, or an operator who is gone. Raises InstrumentError:
         of the instrument that failed for good.
@@ -187,7 +185,7 @@ class CalibrationSession:
             "mirror": self._mirror,
             "actuators": self._actuators,
         }
-        cables = Cables(operator, patch_bay)
+        cables = Cables(operator, plug)
         try:
             for part in PARTS:
                 if part not in self._request.parts:
@@ -378,8 +376,8 @@ class CalibrationSession:
 class Cables:
     """An operator who remembers what is plugged into the response input; on a virtual rig it is plugged with that."""
 
-    def __init__(self, operator: Operator, patch_bay: PatchBay | None) -> None:
-        self._operator, self._patch_bay = operator, patch_bay
+    def __init__(self, operator: Operator, plug: Callable[[str], object] | None) -> None:
+        self._operator, self._plug = operator, plug
         self.source = VIBROMETER
 
     def report(self, line: str) -> None:
@@ -388,8 +386,8 @@ class Cables:
     def connect(self, source: str) -> None:
         self.source = ""  # neither the one nor the other until it is done
         self._operator.connect(source)
-        if self._patch_bay is not None:
-            self._patch_bay.connect(source)
+        if self._plug is not None:
+            self._plug(source)
         self.source = source
 
     def back_to_vibrometer(self) -> None:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
 
-from wavefocus.acquisition.conditions import Sensor
+from wavefocus.acquisition.setup import Openers
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.rig_instruments import VibrometerSection
 from wavefocus.config.run import Virtual
@@ -28,53 +27,8 @@ from wavefocus.drivers.registry import (
 from wavefocus.drivers.timeouts import RECONNECTING, BoundedPlayer, in_time
 from wavefocus.storage.errors import InputError
 
-if TYPE_CHECKING:
-    from wavefocus.mocks.virtual.laboratory import PatchBay
-
-
-Opened = TypeVar("Opened")
-
 # A decoder's range is a round number; what differs by more is another range.
 SAME_SENSITIVITY = 1e-3
-
-
-@dataclass(frozen=True, slots=True)
-class Vibrometer:
-    """Sensitivity, name and latency of the vibrometer; `signal_level` 0 to 1, None where it is not reported."""
-
-    sensitivity_m_s_per_v: float
-    identity: str
-    latency_s: float
-    signal_level: float | None
-
-
-@dataclass(frozen=True, slots=True)
-class Openers:
-    """Functions that open each instrument of a rig, independent of the others, or raise InstrumentError.
-
-    `limit_s` is the longest that each may take, `patch_bay` is where the virtual rig's cables are plugged,
-    `virtual_sensors` are those of its room.
-    """
-
-    clock: Clock
-    mirror: Callable[[], Mirror]
-    recorder: Callable[[], Recorder]
-    player: Callable[[], Player]
-    vibrometer: Callable[[], Vibrometer]
-    limit_s: float
-    patch_bay: PatchBay | None = None
-    virtual_sensors: Mapping[str, Sensor] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
-class OpenedRig:
-    """The instruments of a rig, all open, and the vibrometer's figures; the rest as of `Openers`."""
-
-    instruments: Instruments
-    sensitivity_m_s_per_v: float
-    vibrometer_latency_s: float
-    patch_bay: PatchBay | None
-    virtual_sensors: Mapping[str, Sensor] = field(default_factory=dict)
 
 
 def openers(rig: RigConfig, virtual: Virtual | None = None, *, realtime: bool = False, outputs: int = 0) -> Openers:
@@ -96,7 +50,7 @@ def openers(rig: RigConfig, virtual: Virtual | None = None, *, realtime: bool = 
             lambda: roles.player,
             lambda: _vibrometer(rig),
             limit_s,
-            bench.patch_bay,
+            bench.patch_bay.connect,
             bench.sensors,
         )
     clock = WallClock()
@@ -110,8 +64,8 @@ def openers(rig: RigConfig, virtual: Virtual | None = None, *, realtime: bool = 
     )
 
 
-def open_rig(ways: Openers) -> OpenedRig:
-    """Open every instrument, one after the other; when one fails, those before it are put to rest.
+def open_instruments(ways: Openers) -> tuple[Instruments, VibrometerReading]:
+    """Open every instrument, one after the other; when one fails, those before it are shut down.
 
     Raises InstrumentError: an instrument cannot be opened, or its driver hangs meanwhile. Raises InputError: the
     process's address space is limited to less than measuring needs.
@@ -125,11 +79,8 @@ def open_rig(ways: Openers) -> OpenedRig:
         recorder = in_time("recorder", "opening", ways.recorder, ways.limit_s)
         opened.callback(recorder.close)
         player = in_time("player", "opening", ways.player, ways.limit_s)
-        opened.pop_all()  # from here on the caller who opened the rig puts them to rest
-    instruments = Instruments(mirror, recorder, player, ways.clock)
-    return OpenedRig(
-        instruments, vibrometer.sensitivity_m_s_per_v, vibrometer.latency_s, ways.patch_bay, ways.virtual_sensors
-    )
+        opened.pop_all()  # from here on the caller shuts them down
+    return Instruments(mirror, recorder, player, ways.clock), vibrometer
 
 
 def _mirror(rig: RigConfig, clock: Clock) -> Mirror:
@@ -187,15 +138,15 @@ def read_vibrometer(section: VibrometerSection, *, any_level: bool = False) -> V
         return driver.read(section.port or "", baud=section.baud, identity=section.identity, any_level=any_level)
 
 
-def _vibrometer(rig: RigConfig) -> Vibrometer:
-    """Sensitivity and name of the vibrometer, the two sensitivities held against each other where there are two."""
+def _vibrometer(rig: RigConfig) -> VibrometerReading:
+    """The vibrometer's reading with the rig file's latency; two sensitivities are held against each other."""
     vibrometer = rig.vibrometer
     configured = vibrometer.sensitivity_m_s_per_v
     if vibrometer.port is None:
-        return Vibrometer(configured or 0.0, "vibrometer, its sensitivity typed in", vibrometer.latency_s or 0.0, None)
+        name = "vibrometer, its sensitivity typed in"
+        return VibrometerReading(configured or 0.0, "", vibrometer.latency_s, None, name)
     reading = read_vibrometer(vibrometer)
-    read = reading.sensitivity_m_s_per_v
-    if configured is not None and abs(read / configured - 1) > SAME_SENSITIVITY:
+    if configured is not None and abs(reading.sensitivity_m_s_per_v / configured - 1) > SAME_SENSITIVITY:
         raise InstrumentError(
             f"vibrometer ({vibrometer.driver} at {vibrometer.port})",
             "reading its sensitivity",
@@ -203,7 +154,7 @@ def _vibrometer(rig: RigConfig) -> Vibrometer:
             "set the range that the campaign needs, or correct vibrometer.sensitivity_m_s_per_v",
         )
     latency_s = reading.latency_s if vibrometer.latency_s is None else vibrometer.latency_s
-    return Vibrometer(read, f"{reading.identity}, {reading.range_text}", latency_s or 0.0, reading.signal_level)
+    return replace(reading, latency_s=latency_s, identity=f"{reading.identity}, {reading.range_text}")
 
 
 # Work buffers of linear algebra, stacks of threads, one position's records: measured 180 MiB for 20 actuators. With

@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from wavefocus.acquisition.conditions import Sensor
 from wavefocus.acquisition.manual import ManualMeasurements, excitation_of
 from wavefocus.acquisition.setup import Setup, asking, names_of, silence
+from wavefocus.acquisition.watch import Sensor
 from wavefocus.config.messages.codec import Message, MessageError
 from wavefocus.config.messages.operate import (
     ORDERS,
@@ -40,7 +40,6 @@ from wavefocus.config.rig import RigConfig
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.timeouts import BoundedPlayer, ShutError
 from wavefocus.json_lines import read_order, wrong_order
-from wavefocus.rig.limits import largest_sine_v, safe_amplitude_v
 from wavefocus.storage.errors import InputError
 
 SAMPLE_RATE_HZ = 10_000.0
@@ -100,11 +99,11 @@ def _require(key: str, value: float | None, low: float, high: float) -> None:
 def largest_level_v(rig: RigConfig) -> float:
     """Largest peak of a sweep: within the actuators' limits and what the loopback's output can put out."""
     player = rig.player
-    return min(largest_sine_v(player), player.output_full_scale_v[player.loopback_channel])
+    return min(player.largest_sine_v, player.output_full_scale_v[player.loopback_channel])
 
 
 def _default_level_v(rig: RigConfig) -> float:
-    return min(safe_amplitude_v(rig), largest_level_v(rig))
+    return min(rig.safe_amplitude_v, largest_level_v(rig))
 
 
 def _level_v(level_v: float | None, rig: RigConfig) -> float:

@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Protocol
 
-from wavefocus.acquisition.conditions import AllowedRange, Sensor, Watch
-from wavefocus.acquisition.setup import Setup, identities_of
-from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.acquisition.setup import Openers, Setup, identities_of, wired
+from wavefocus.acquisition.watch import AllowedRange, Sensor, Watch
 from wavefocus.config.calibration import calibrated
 from wavefocus.config.rig import BandSection, RigConfig, RoomSection
 from wavefocus.config.rig_instruments import VibrometerSection
 from wavefocus.config.run import RunConfig
 from wavefocus.console import say, working_on
 from wavefocus.drivers.errors import InstrumentError
-from wavefocus.drivers.protocols import OffersRanges
+from wavefocus.drivers.protocols import OffersRanges, Recorder
 from wavefocus.drivers.registry import VibrometerReading
 from wavefocus.drivers.timeouts import bounded, in_time
 from wavefocus.rig.calibration_validity import calibration_warnings
 from wavefocus.rig.input_delay import with_input_delay
-from wavefocus.rig.instruments import SAME_SENSITIVITY, OpenedRig, open_rig, openers, read_vibrometer
+from wavefocus.rig.instruments import SAME_SENSITIVITY, open_instruments, openers, read_vibrometer
 from wavefocus.storage.bank.writer import BankWriter
 
 
@@ -47,7 +47,7 @@ def open_setup(
     virtual = None if run is None else run.virtual
     ways = openers(rig, virtual, realtime=realtime, outputs=outputs)
     rate_hz = None if run is None else run.capture.sample_rate_hz
-    with setup_in_use(rig, open_rig(ways), rate_hz, bank) as setup:
+    with setup_in_use(open_rig(rig, ways), rig, rate_hz, bank) as setup:
         working_on("")
         if rig.calibration.measured is not None:
             say(f"{rig.calibration.file}: {calibrated(rig.calibration.measured)}, in place of the rig file's")
@@ -58,7 +58,7 @@ def open_setup(
 
 @contextmanager
 def setup_in_use(
-    rig: RigConfig, opened: OpenedRig, sample_rate_hz: float | None, bank: BankWriter | None = None
+    setup: Setup, rig: RigConfig, sample_rate_hz: float | None, bank: BankWriter | None = None
 ) -> Iterator[Setup]:
     """Use instruments that are open; on the way out they are muted, parked and released.
 
@@ -67,42 +67,33 @@ def setup_in_use(
 
     Raises InstrumentError, InputError: see `open_setup`.
     """
-    setup = setup_of(rig, opened)
-    with put_to_rest(setup):
+    with shut_down(setup):
         yield setup if sample_rate_hz is None else with_input_delay(setup, rig, sample_rate_hz, bank)
 
 
-def setup_of(rig: RigConfig, opened: OpenedRig) -> Setup:
-    """Open instruments with the wiring and the calibration of their rig."""
-    instruments = bounded(opened.instruments, rig.recovery.hung_after_s)
-    return Setup(
-        instruments=instruments,
-        mirror_map=MirrorMap(rig.mirror.matrix),
-        actuator_channels=rig.player.channels,
-        loopback_channel=rig.player.loopback_channel,
-        range_v=(rig.recorder.reference_range_v, rig.recorder.response_range_v),
-        response_per_volt=opened.sensitivity_m_s_per_v,
-        reference_gain=rig.recorder.reference_gain,
-        inter_channel_delay_s=rig.recorder.inter_channel_delay_s,
-        vibrometer_latency_s=opened.vibrometer_latency_s,
-        pre_roll_s=rig.recorder.pre_roll_s,
-        post_roll_s=rig.recorder.post_roll_s,
-        recovery_s=rig.recovery.give_up_after_s,
-        watch=watch_of(rig, opened),
-        response_ranges_v=_response_ranges_v(rig, opened),
+def open_rig(rig: RigConfig, ways: Openers) -> Setup:
+    """Open every instrument of a rig, with its wiring, its calibration and what is watched.
+
+    Raises InstrumentError, InputError: see `wavefocus.rig.instruments.open_instruments`.
+    """
+    opened, vibrometer = open_instruments(ways)
+    setup = wired(rig, bounded(opened, rig.recovery.hung_after_s), vibrometer)
+    return replace(
+        setup,
+        watch=watch_of(rig, opened.recorder, vibrometer, ways.sensors),
+        response_ranges_v=_response_ranges_v(rig, opened.recorder),
     )
 
 
-def _response_ranges_v(rig: RigConfig, opened: OpenedRig) -> tuple[float, ...]:
+def _response_ranges_v(rig: RigConfig, recorder: Recorder) -> tuple[float, ...]:
     """Ranges that the response may step up to: the rig file's, or all that the recorder says it has."""
-    recorder = opened.instruments.recorder
     if rig.recorder.response_ranges_v is not None:
         return rig.recorder.response_ranges_v
     return recorder.input_ranges_v if isinstance(recorder, OffersRanges) else ()
 
 
 @contextmanager
-def put_to_rest(setup: Setup) -> Iterator[None]:
+def shut_down(setup: Setup) -> Iterator[None]:
     """Mute, park and release the instruments on the way out, whatever happens before.
 
     Raises InstrumentError: one of them could not be put to rest, and nothing else had failed.
@@ -208,7 +199,9 @@ def band_of(section: BandSection, words: str, unit: str) -> AllowedRange:
     )
 
 
-def watch_of(rig: RigConfig, opened: OpenedRig) -> Watch:
+def watch_of(
+    rig: RigConfig, recorder: Recorder, vibrometer: VibrometerReading, virtual_sensors: Mapping[str, Sensor]
+) -> Watch:
     """What a rig's configuration says is to be watched, with the sensors for it."""
     section = rig.watch
     bands: dict[str, AllowedRange] = {}
@@ -223,14 +216,14 @@ def watch_of(rig: RigConfig, opened: OpenedRig) -> Watch:
             bands[name] = band_of(of_name, words, unit)
     for name in sorted(bands.keys() & {"light", "room"}):
         if rig.is_virtual:
-            sensors[name] = opened.virtual_sensors[name]
+            sensors[name] = virtual_sensors[name]
         elif name == "light":
             sensors[name] = LightSensor(rig.vibrometer)
         elif section.room is not None:
-            sensors[name] = RoomSensor(opened.instruments.recorder, section.room)  # type: ignore[arg-type]
+            sensors[name] = RoomSensor(recorder, section.room)  # type: ignore[arg-type]
     if rig.vibrometer.port is not None and not rig.is_virtual:
         light = sensors.get("light")
-        bands["range"] = range_band(opened.sensitivity_m_s_per_v)
+        bands["range"] = range_band(vibrometer.sensitivity_m_s_per_v)
         sensors["range"] = RangeSensor(rig.vibrometer, light if isinstance(light, LightSensor) else None)
     bounded = {name: BoundedSensor(name, one, rig.recovery.hung_after_s) for name, one in sensors.items()}
     return Watch(bands, bounded, section.probe_every_s, section.give_up_after_s)
