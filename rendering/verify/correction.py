@@ -1,0 +1,221 @@
+"""Correction of a drive by scans of its control places: what the bank does not know of the plate is learnt from them.
+
+Per frequency, with the drives' spectra F (N,), the bank's rows at the control places B (M, N), the wanted responses
+w = B F of the uncorrected drive and the scanned ones z (M,):
+
+    B <- B + W (z - B F) F* / |F|^2              Broyden's update: B F = z afterwards, where z is above its noise
+    F <- F + B* (B B* + lambda I)^-1 (w - z)     the smallest step that removes the error
+
+W = max(0, 1 - |e|^2 / |z - B F|^2), e the scan's noise. A step without the update converges as |1 - T / B|, T the
+plate: not at all beneath a finger whose mass makes its place 20 dB harder to move; with it T = alpha B takes one round.
+lambda is the least with which the energy of the drives stays within its cap. Source: Broyden, Mathematics of
+Computation 19, 577 (1965).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import scipy.fft
+
+from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
+from wavefocus.rendering.drive.coil_limits import DriveLimits, limit_drive
+from wavefocus.rendering.verify.scan import Scan
+from wavefocus.storage.drive_file import Drive
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.point_status import Status
+
+if TYPE_CHECKING:
+    from wavefocus.rendering.greens.source import GreenSource
+
+MIN_POWER = 1e-4
+"""Frequencies at which the drive has less, relative to its loudest, are left alone: the scan says nothing there."""
+RIDGES = 10.0 ** np.arange(-3.0, 2.25, 0.25)
+"""lambda over the mean power of a row, from the most to the least thorough step."""
+NO_BETTER = 0.95
+"""A round that leaves more than this of the error is the last."""
+MAX_ENERGY = 5.0
+"""Energy of corrected drives over that of the uncorrected one, by default."""
+MAX_MATRIX_BYTES = 2 << 30
+
+StopReason = Literal["rounds", "noise", "no better", "limit", "dropouts"]
+
+
+@dataclass(frozen=True)
+class CorrectionRound:
+    """A scan of the control places.
+
+    error: ``||scan - wanted|| / ||wanted||`` at the frequencies of the drive, over the usable control places.
+    noise: What of it the scan's noise makes.
+    energy: Of the drives played, over that of the uncorrected ones.
+    peak_v: Largest voltage played.
+    positions: Usable control places.
+    """
+
+    error: float
+    noise: float
+    energy: float
+    peak_v: float
+    positions: int
+
+
+@dataclass(frozen=True)
+class Correction:
+    """The scans of a correction, the uncorrected drive's first; the best of them; why there was no further one."""
+
+    rounds: tuple[CorrectionRound, ...]
+    best: int
+    stopped: StopReason
+
+
+def correct_drive(
+    drive: Drive,
+    bank: GreenSource,
+    rows: Int64Array,
+    measure: Callable[[Drive], Scan],
+    rounds: int,
+    *,
+    limits: DriveLimits,
+    max_energy: float = MAX_ENERGY,
+    first: Scan | None = None,
+) -> tuple[Drive, Correction]:
+    """Correct a drive by scans of control places, at most so many times, and keep the best.
+
+    rows: Bank rows of the control places, valid ones.
+    measure: Plays a drive and scans the control places, or more.
+    rounds: Corrections, each with a scan, >= 1.
+    limits: What no actuator may exceed.
+    max_energy: Largest energy of the drives over that of `drive`, > 1.
+    first: A scan of `drive` that is there already.
+
+    Returns the best drive, `drive` itself where no other is better, and what was found. Raises InputError: the scene is
+    too long for so many control places.
+    """
+    model = _Model(drive, bank, rows)
+    played, best, found = drive, drive, []
+    scan = measure(drive) if first is None else first
+    stopped: StopReason = "rounds"
+    for number in range(rounds + 1):
+        state = model.learn(played, scan)
+        if state is None:
+            stopped = "dropouts"
+            break
+        found.append(state)
+        if number and state.error > NO_BETTER * min(one.error for one in found[:-1]):
+            best = played if state.error < min(one.error for one in found[:-1]) else best
+            stopped = "no better"
+            break
+        best = played
+        if state.error**2 <= 2.0 * state.noise**2:
+            stopped = "noise"
+            break
+        if number == rounds:
+            break
+        corrected = model.next_drive(played, limits, max_energy)
+        if corrected is None:
+            stopped = "limit"
+            break
+        played = corrected
+        scan = measure(played)
+    if not found:
+        raise InputError("fewer than half of the control places have a usable record: nothing can be corrected")
+    errors = [one.error for one in found]
+    return best, Correction(tuple(found), int(np.argmin(errors)), stopped)
+
+
+class _Model:
+    """What is known of the plate at the control places, per frequency."""
+
+    def __init__(self, drive: Drive, bank: GreenSource, rows: Int64Array) -> None:
+        self._rows, self._drive = rows, drive
+        samples = drive.drive_v.shape[1]
+        self._length = scipy.fft.next_fast_len(samples + bank.taps - 1, real=True)
+        frequency_hz = np.fft.rfftfreq(self._length, 1.0 / drive.sample_rate_hz)
+        low_hz, high_hz = bank.band_hz or (0.0, drive.sample_rate_hz / 2)
+        power = np.square(np.abs(scipy.fft.rfft(drive.drive_v, self._length))).sum(axis=0)
+        power[(frequency_hz < low_hz) | (frequency_hz > high_hz)] = 0.0
+        self._bins = np.flatnonzero(power > MIN_POWER * power.max())
+        needed = 16 * self._bins.size * rows.size * len(drive.drive_v)
+        if needed > MAX_MATRIX_BYTES:
+            raise InputError(
+                f"a correction at {rows.size} control places takes {needed / 2**30:.1f} GiB for a scene of this "
+                f"length, more than {MAX_MATRIX_BYTES / 2**30:g}; shorten the scene"
+            )
+        self._green = np.empty((self._bins.size, rows.size, len(drive.drive_v)), np.complex128)
+        for index, row in enumerate(rows.tolist()):
+            self._green[:, index] = self._spectra(np.asarray(bank.green(row), np.float64)).T
+        self._wanted = self._respond(self._spectra(drive.drive_v).T)
+        self._error = np.zeros_like(self._wanted)
+        self._energy = float(np.square(drive.drive_v).sum())
+
+    def learn(self, played: Drive, scan: Scan) -> CorrectionRound | None:
+        """Update what is known by a scan of a drive; None where too few places have a usable record."""
+        at = np.searchsorted(scan.position_index, self._rows)
+        usable: BoolArray = scan.status[at] == Status.VALID
+        if 2 * np.count_nonzero(usable) < usable.size:
+            return None
+        drives = self._spectra(played.drive_v).T
+        expected = self._respond(drives)
+        scanned = np.where(usable, self._spectra(scan.field[at].astype(np.float64)).T, expected)
+        noise = np.where(usable, np.nan_to_num(scan.noise_rms[at]) ** 2 * scan.field.shape[1], 0.0)
+        missed = scanned - expected
+        power = np.square(np.abs(drives)).sum(axis=1, keepdims=True)
+        weight = np.maximum(0.0, 1.0 - noise / np.maximum(np.square(np.abs(missed)), 1e-300))
+        self._green += (weight * missed)[:, :, None] * (drives.conj() / power)[:, None, :]
+        self._error = np.where(usable, self._wanted - scanned, 0.0)
+        wanted = float(np.square(np.abs(self._wanted[:, usable])).sum())
+        return CorrectionRound(
+            error=float(np.sqrt(np.square(np.abs(self._error)).sum() / wanted)),
+            noise=float(np.sqrt(noise.sum() * self._bins.size / wanted)),
+            energy=float(np.square(played.drive_v).sum()) / self._energy,
+            peak_v=float(np.abs(played.drive_v).max()),
+            positions=int(np.count_nonzero(usable)),
+        )
+
+    def next_drive(self, played: Drive, limits: DriveLimits, max_energy: float) -> Drive | None:
+        """The corrected drive of the least error within energy and limits; None where they leave no room."""
+        gram = self._green @ self._green.conj().transpose(0, 2, 1)
+        scale = float(np.einsum("bmm->", gram).real) / (gram.shape[0] * gram.shape[1])
+        eye = np.eye(gram.shape[1])
+        step_v = np.zeros_like(played.drive_v)
+        for ridge in RIDGES:
+            strength = np.linalg.solve(gram + ridge * scale * eye, self._error[:, :, None])
+            step_v = self._signals((self._green.conj().transpose(0, 2, 1) @ strength)[:, :, 0].T, played)
+            if np.square(played.drive_v + step_v).sum() <= max_energy * self._energy:
+                break
+        share = self._largest_share(played.drive_v, step_v, played.sample_rate_hz, limits, max_energy)
+        return None if share < 0.01 else replace(played, drive_v=played.drive_v + share * step_v)
+
+    def _largest_share(
+        self, drive_v: Float64Array, step_v: Float64Array, rate_hz: float, limits: DriveLimits, max_energy: float
+    ) -> float:
+        """How much of a step limits and energy allow, to 1/256."""
+
+        def fits(share: float) -> bool:
+            candidate = drive_v + share * step_v
+            if np.square(candidate).sum() > max_energy * self._energy:
+                return False
+            return limit_drive(candidate, rate_hz, limits).scale == 1.0
+
+        if fits(1.0):
+            return 1.0
+        low, high = 0.0, 1.0
+        for _ in range(8):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if fits(middle) else (low, middle)
+        return low
+
+    def _spectra(self, signals: Float64Array) -> Complex128Array:
+        return np.asarray(scipy.fft.rfft(signals, self._length)[:, self._bins])
+
+    def _respond(self, drives: Complex128Array) -> Complex128Array:
+        return np.asarray((self._green @ drives[:, :, None])[:, :, 0])
+
+    def _signals(self, spectra: Complex128Array, played: Drive) -> Float64Array:
+        """Signals of spectra at the drive's frequencies, cut to the drive's samples."""
+        whole = np.zeros((len(spectra), self._length // 2 + 1), np.complex128)
+        whole[:, self._bins] = spectra
+        return np.asarray(scipy.fft.irfft(whole, self._length)[:, : played.drive_v.shape[1]])

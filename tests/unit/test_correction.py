@@ -1,0 +1,138 @@
+"""Corrections of drives by scans: how far, how loud, and when they stop."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.unit.plate_banks import RATE_HZ, TAPS, plate_bank
+from wavefocus.rendering.drive.coil_limits import DriveLimits
+from wavefocus.rendering.verify.correction import correct_drive
+from wavefocus.rendering.verify.scan import Scan
+from wavefocus.storage.drive_file import Drive
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.point_status import Status
+
+PLACES_MM = [[0.0, 0.0], [20.0, 0.0], [-20.0, 4.0], [0.0, 16.0]]
+ROWS = np.arange(len(PLACES_MM))
+ANY = DriveLimits()
+
+
+def _focused(bank, samples=400):
+    """Noise within the band, focused at the first place by time reversal."""
+    spectrum = np.fft.rfft(np.random.default_rng(1).standard_normal(samples))
+    frequency = np.fft.rfftfreq(samples, 1 / RATE_HZ)
+    spectrum[(frequency < 80) | (frequency > 400)] = 0
+    signal = np.fft.irfft(spectrum, samples)
+    drive_v = np.stack([np.convolve(signal, green[::-1]) for green in bank.green(0)])
+    drive_v *= 0.5 / np.abs(drive_v).max()
+    none = np.zeros(1, np.int64)
+    return Drive(drive_v, RATE_HZ, -(TAPS - 1) / RATE_HZ, "exact", 1.0, 0.0, none, none, none)
+
+
+def _finger(bank, strength=0.8):
+    """The plate as a finger on the first place makes it: what it moves there sends waves everywhere."""
+    greens = np.stack([bank.green(row) for row in ROWS])
+    late = np.zeros_like(greens[0])
+    late[:, 3:] = greens[0][:, :-3]
+    touched = greens - strength * 0.15 * late
+    touched[0] = greens[0] - strength * (0.6 * greens[0] + 0.25 * late)
+    return touched
+
+
+class _Rig:
+    """Plays drives on a plate, and counts."""
+
+    def __init__(self, greens, noise_rms=0.0, lost=()):
+        self.greens, self.noise_rms, self.lost, self.played = greens, noise_rms, lost, []
+        self._rng = np.random.default_rng(7)
+
+    def __call__(self, drive):
+        self.played.append(drive)
+        field = np.array(
+            [sum(np.convolve(drive.drive_v[i], green[i]) for i in range(len(green))) for green in self.greens]
+        )
+        field += self.noise_rms * self._rng.standard_normal(field.shape)
+        status = np.full(len(field), Status.VALID, np.uint8)
+        status[list(self.lost)] = Status.POOR_SIGNAL
+        field[list(self.lost)] = 0
+        ones = np.ones(len(field))
+        return Scan(
+            field.astype(np.float32), ROWS, RATE_HZ, drive.start_s, "m/s", status, ones.astype(np.int64),
+            self.noise_rms * ones, ones, ones,
+        )  # fmt: skip
+
+
+def _error(rig, drive, bank):
+    """Within the frequencies that the drive has: the relative difference from what the bank predicts of `first`."""
+    first = rig.played[0]
+    wanted = _Rig(np.stack([bank.green(row) for row in ROWS]))(first).field
+    quiet = _Rig(rig.greens)(drive).field
+    bins = slice(*np.searchsorted(np.fft.rfftfreq(wanted.shape[1], 1 / RATE_HZ), (90, 390)))
+    spectra = [np.fft.rfft(field, axis=1)[:, bins] for field in (wanted, quiet)]
+    return np.linalg.norm(spectra[1] - spectra[0]) / np.linalg.norm(spectra[0])
+
+
+@pytest.mark.parametrize("strength", [0.2, 0.8])
+def test_a_finger_on_the_focus_is_corrected_to_a_quarter_within_the_energy(strength: float) -> None:
+    bank = plate_bank(PLACES_MM)
+    rig = _Rig(_finger(bank, strength), noise_rms=1e-6)
+    drive, found = correct_drive(_focused(bank), bank, ROWS, rig, 2, limits=ANY)
+    before, after = (_error(rig, one, bank) for one in (rig.played[0], drive))
+    assert before > 0.05
+    assert after < before / 4
+    assert found.rounds[found.best].error == pytest.approx(after, rel=0.5)
+    assert max(one.energy for one in found.rounds) <= 5.0 + 1e-9
+    assert len(rig.played) <= 3
+
+
+def test_a_plate_as_the_bank_has_it_is_left_alone() -> None:
+    bank = plate_bank(PLACES_MM)
+    rig = _Rig(np.stack([bank.green(row) for row in ROWS]), noise_rms=1e-5)
+    first = _focused(bank)
+    drive, found = correct_drive(first, bank, ROWS, rig, 3, limits=ANY)
+    assert drive is first
+    assert found.stopped == "noise"
+    assert len(rig.played) == 1
+
+
+@pytest.mark.parametrize("noise", [0.3, 1.0, 3.0])
+def test_a_scan_that_is_noisier_than_its_error_never_makes_it_worse(noise: float) -> None:
+    bank = plate_bank(PLACES_MM)
+    greens = _finger(bank, 0.1)
+    loud = np.sqrt(np.mean(_Rig(greens)(_focused(bank)).field[0] ** 2))
+    rig = _Rig(greens, noise_rms=noise * loud)
+    drive, found = correct_drive(_focused(bank), bank, ROWS, rig, 3, limits=ANY)
+    assert _error(rig, drive, bank) <= 1.05 * _error(rig, rig.played[0], bank)
+    assert found.stopped in ("noise", "no better")
+
+
+def test_energy_and_limits_hold_and_a_drive_at_its_limit_is_kept() -> None:
+    bank = plate_bank(PLACES_MM)
+    rig = _Rig(_finger(bank))
+    first = _focused(bank)
+    drive, found = correct_drive(first, bank, ROWS, rig, 3, limits=ANY, max_energy=1.5)
+    assert max(one.energy for one in found.rounds) <= 1.5 + 1e-9
+    assert found.rounds[found.best].error < found.rounds[0].error
+    peak_v = float(np.abs(first.drive_v).max())
+    drive, found = correct_drive(first, bank, ROWS, _Rig(_finger(bank)), 3, limits=DriveLimits(peak_v=1.2 * peak_v))
+    assert np.abs(drive.drive_v).max() <= 1.2 * peak_v
+    assert found.rounds[found.best].error < found.rounds[0].error
+    drive, found = correct_drive(first, bank, ROWS, _Rig(_finger(bank)), 3, limits=DriveLimits(peak_v=peak_v))
+    assert np.abs(drive.drive_v).max() <= peak_v
+
+
+def test_dropouts_are_left_out_and_too_many_refused() -> None:
+    bank = plate_bank(PLACES_MM)
+    rig = _Rig(_finger(bank), lost=(2,))
+    _, found = correct_drive(_focused(bank), bank, ROWS, rig, 2, limits=ANY)
+    assert found.rounds[0].positions == 3
+    assert found.rounds[found.best].error < found.rounds[0].error / 4
+    with pytest.raises(InputError):
+        correct_drive(_focused(bank), bank, ROWS, _Rig(_finger(bank), lost=(0, 2, 3)), 2, limits=ANY)
+
+
+def test_a_scene_too_long_for_its_places_is_refused() -> None:
+    bank = plate_bank(PLACES_MM)
+    with pytest.raises(InputError, match="shorten"):
+        correct_drive(_focused(bank), bank, np.tile(ROWS, 20_000), _Rig(_finger(bank)), 1, limits=ANY)
