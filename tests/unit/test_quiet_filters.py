@@ -1,0 +1,171 @@
+"""Filters of least energy, against the equations evaluated densely, and stiff cases."""
+
+import numpy as np
+import pytest
+
+from wavefocus.rendering.drive.quiet_filters import (
+    LARGEST,
+    Focus,
+    Moment,
+    find_multipliers,
+    focusing,
+    least_energy,
+    of_rows,
+    reversed_power,
+)
+
+BINS, ACTUATORS = 12, 6
+
+
+def rows(count, seed=0, *, actuators=ACTUATORS, scale=1.0):
+    parts = np.random.default_rng(seed).standard_normal((2, BINS, count, actuators))
+    return scale * (parts[0] + 1j * parts[1])
+
+
+def moment_of(row, quiet, place, power=None, sigma=None):
+    power = np.ones(BINS) if power is None else power
+    foci = [Focus(row, quiet, place, sigma)]
+    return Moment(foci, power[None, None].astype(complex), quiet, place, np.ones((1, place.max() + 1), bool))
+
+
+def filters_of(focus, found, power):
+    z, d = least_energy(focus, of_rows(found.of_place, focus.place))
+    return z * focusing(reversed_power(focus), d, found.slack, power)[:, None]
+
+
+def dense(h, q, multiplier):
+    """w = A^-1 h* a / (h A^-1 h*), one frequency at a time, A as it is written."""
+    w = np.empty_like(h)
+    for bin_, (one, some) in enumerate(zip(h, q, strict=True)):
+        normal = np.eye(len(one), dtype=complex)
+        for row, m in zip(some, multiplier, strict=True):
+            normal += m * np.outer(row.conj(), row)
+        z = np.linalg.inv(normal) @ one.conj()
+        w[bin_] = z * (one @ one.conj()) / (one @ z)
+    return w
+
+
+@pytest.mark.parametrize("count", [1, 3, ACTUATORS, 9])
+def test_given_multipliers_then_the_filters_are_those_of_a_dense_solution(count):
+    h, q, multiplier = rows(1)[:, 0], rows(count, 1), np.geomspace(0.1, 30.0, count)
+    focus = Focus(h, q, np.arange(count))
+    z, d = least_energy(focus, multiplier)
+    w = z * focusing(reversed_power(focus), d, 0.0, np.ones(BINS))[:, None]
+    np.testing.assert_allclose(w, dense(h, q, multiplier), rtol=1e-9)
+    np.testing.assert_allclose((h * w).sum(axis=1), np.square(np.abs(h)).sum(axis=1), rtol=1e-12)
+
+
+def test_given_levels_then_no_filters_of_less_energy_meet_them():
+    """Weak duality: no filters that meet the bounds have less energy than the dual function, for any multipliers."""
+    h, q, place, level = rows(1)[:, 0], rows(3, 1), np.array([0, 1, 1]), np.array([1e-3, 1e-2])
+    power = np.linspace(0.5, 2.0, BINS)
+    found = find_multipliers([moment_of(h, q, place, power)], level)
+    w = filters_of(Focus(h, q, place), found, power)
+    there = (power[:, None] * np.square(np.abs((q @ w[..., None])[..., 0]))).sum(axis=0)
+    at_focus = power @ np.square(np.abs((h * w).sum(axis=1)))
+    reached = np.array([there[0], there[1:].mean()]) / at_focus
+    np.testing.assert_allclose(reached, level, rtol=0.01)
+    np.testing.assert_allclose(found.level, reached, rtol=1e-9)
+    least = 0.0
+    for one, some, weight in zip(h, q, power, strict=True):
+        normal = np.eye(ACTUATORS) + some.conj().T @ np.diag(found.of_place[place] / [1, 2, 2]) @ some
+        least += weight * np.square((one @ one.conj()).real) / (one @ np.linalg.inv(normal) @ one.conj()).real
+    dual = least - found.of_place @ (level * at_focus)
+    assert power @ np.square(np.abs(w)).sum(axis=1) == pytest.approx(dual, rel=1e-3)
+
+
+def test_given_saturation_then_it_is_the_same_problem_in_other_variables():
+    h, q, place = rows(1)[:, 0], rows(2, 1), np.arange(2)
+    sigma = np.linspace(0.2, 1.0, ACTUATORS)
+    plain = moment_of(h * np.sqrt(sigma), q * np.sqrt(sigma), place)
+    level = np.full(2, 1e-3)
+    saturated = find_multipliers([moment_of(h, q, place, sigma=sigma)], level)
+    np.testing.assert_allclose(saturated.of_place, find_multipliers([plain], level).of_place, rtol=0.02)
+    w = filters_of(Focus(h, q, place, sigma), saturated, np.ones(BINS))
+    scaled = filters_of(plain.foci[0], saturated, np.ones(BINS)) * np.sqrt(sigma)
+    np.testing.assert_allclose(w, scaled, rtol=1e-9)
+
+
+@pytest.mark.parametrize("error", [0.02, 0.1, 0.5])
+def test_given_a_response_error_then_it_is_used_and_saves_energy(error):
+    h, q, place = rows(1)[:, 0], rows(4, 1), np.arange(4)
+    moment, level = moment_of(h, q, place), np.full(4, 1e-4)
+    exact, free = (find_multipliers([moment], level, response_error=one) for one in (0.0, error))
+    w = filters_of(Focus(h, q, place), free, np.ones(BINS))
+    a = np.square(np.abs(h)).sum(axis=1)
+    response = (h * w).sum(axis=1)
+    assert np.linalg.norm(response - a) / np.linalg.norm(a) == pytest.approx(error, rel=0.02)
+    assert (response @ a).real == pytest.approx(a @ a, rel=1e-9)  # the amplitude stays
+    assert free.energy < exact.energy
+    np.testing.assert_allclose(free.level, level, rtol=0.02)
+
+
+STIFF = {
+    "one place twice": (lambda: np.repeat(rows(1, 1), 2, axis=1), 1e-3, True),
+    "two places that are nearly one": (lambda: rows(1, 1) * (1.0 + 1e-9 * np.arange(2))[:, None], 1e-3, True),
+    "more places than actuators": (lambda: rows(24, 1), 1e-3, False),
+    "fifty places": (lambda: rows(50, 1), 1e-3, False),
+    "nearly the focus": (lambda: rows(1) * (1 + 1e-7) + 1e-7 * rows(1, 1), 1e-3, False),
+    "no energy there": (lambda: 0.0 * rows(2, 1), 1e-3, True),
+    "a level beyond reach": (lambda: rows(2, 1), 1e-30, False),
+    "tiny rows": (lambda: 1e-60 * rows(2, 1), 1e-3, True),
+}
+
+
+@pytest.mark.parametrize("name", STIFF)
+def test_given_a_stiff_case_then_the_filters_are_finite_and_keep_to_the_energy(name):
+    make, level, reachable = STIFF[name]
+    h, q = rows(1)[:, 0], make()
+    place = np.arange(q.shape[1])
+    found = find_multipliers([moment_of(h, q, place)], np.full(len(place), level), most_energy=10.0)
+    assert np.isfinite(found.level).all()
+    assert np.isfinite(found.of_place).all()
+    assert found.energy <= 10.0 * (1 + 1e-9)
+    assert bool((found.level <= level * 1.01).all()) == reachable
+    w = filters_of(Focus(h, q, place), found, np.ones(BINS))
+    np.testing.assert_allclose((h * w).sum(axis=1), np.square(np.abs(h)).sum(axis=1), rtol=1e-6)
+
+
+def test_given_one_actuator_then_nothing_changes():
+    h, q = rows(1, actuators=1)[:, 0], rows(3, 1, actuators=1)
+    found = find_multipliers([moment_of(h, q, np.arange(3))], np.full(3, 1e-3), most_energy=10.0)
+    np.testing.assert_allclose(found.level, found.plain_level, rtol=1e-9)
+    np.testing.assert_allclose(filters_of(Focus(h, q, np.arange(3)), found, np.ones(BINS)), h.conj(), rtol=1e-9)
+
+
+def test_given_bins_without_energy_then_the_filters_there_are_zero_and_finite():
+    h, q = rows(1)[:, 0], rows(2, 1)
+    h[3], q[5] = 0.0, 0.0
+    found = find_multipliers([moment_of(h, q, np.arange(2))], np.full(2, 1e-3))
+    w = filters_of(Focus(h, q, np.arange(2)), found, np.ones(BINS))
+    assert not w[3].any()
+    np.testing.assert_allclose(w[5], h[5].conj(), rtol=1e-12)
+
+
+def test_given_an_infeasible_place_then_the_others_are_still_quiet():
+    h = rows(1)[:, 0]
+    q = np.concatenate([h[:, None] * (1 + 1e-9), rows(2, 1)], axis=1)
+    found = find_multipliers([moment_of(h, q, np.arange(3))], np.full(3, 1e-3), most_energy=10.0)
+    assert found.level[0] > 0.9
+    np.testing.assert_allclose(found.level[1:], 1e-3, rtol=0.05)
+    assert found.of_place.max() < LARGEST
+
+
+def test_given_sources_that_sound_alike_then_their_sum_is_kept_within_the_level():
+    h, q, level = rows(2), rows(1, 1), np.array([1e-3])
+    place, ones = np.zeros(1, np.int64), np.ones((2, 2, BINS), complex)
+    foci = [Focus(h[:, j], q, place, source=j) for j in range(2)]
+    found = find_multipliers([Moment(foci, ones, q, place, np.ones((2, 1), bool))], level)
+    w = sum(filters_of(focus, found, np.ones(BINS)) for focus in foci)
+    at_foci = [np.square(np.abs((h[:, j] * w).sum(axis=1))).sum() for j in range(2)]
+    assert np.square(np.abs((q[:, 0] * w).sum(axis=1))).sum() / max(at_foci) == pytest.approx(1e-3, rel=0.01)
+
+
+def test_given_opposite_sources_at_one_place_then_nothing_is_driven_and_nothing_fails():
+    h, q, place = rows(1), rows(1, 1), np.zeros(1, np.int64)
+    opposite = np.array([[1.0, -1.0], [-1.0, 1.0]])[..., None] * np.ones(BINS)
+    foci = [Focus(h[:, 0], q, place, source=j) for j in range(2)]
+    moment = Moment(foci, opposite.astype(complex), q, place, np.ones((2, 1), bool))
+    found = find_multipliers([moment], np.array([1e-3]), most_energy=10.0)
+    assert np.isfinite(found.of_place).all()
+    assert np.isfinite(found.energy)
