@@ -13,6 +13,7 @@ import os
 import re
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
@@ -38,7 +39,7 @@ class Argument(NamedTuple):
 
 
 class Command(NamedTuple):
-    """One command.
+    """One command; a name of two words, as ``queue add``, is a command of a group, see `GROUPS`.
 
     `run` is ``"module:function"`` in `wavefocus.commands` or an adapter in this module; the first paragraph of `help`
     stands in the list of commands; `arguments` are in the order of the help.
@@ -247,6 +248,11 @@ def _live(**given: Any) -> int:
     return command.live(options=LiveOptions(**options), **given)
 
 
+QUEUE = file("queue", metavar="QUEUE.json", help="The queue file.")
+RUN_NUMBER = "Number of the run, as `queue list` shows it."
+GROUPS = {"queue": "Carry out several runs, one after the other, with nobody there."}
+"""Commands of two words: their first word, and its help."""
+
 COMMANDS = (
     Command(
         "init", "init:init", "Write rig.toml, run.toml, scene.toml and trials.toml, commented.",
@@ -353,6 +359,38 @@ COMMANDS = (
             BANK, FORCE, JSON,
             file("--plot", metavar="FILE.png", help="Draw the sentinel position's drift over time."),
         ),
+    ),
+    Command(
+        "queue add", "queue:add",
+        "Add a run to a queue.\n\n"
+        "What may be queued: capture, resume, remeasure, verify, estimate, render, predict, check, export, publish.\n\n"
+        "wavefocus queue add night.json capture run.toml --bank plate.h5\n\n"
+        "wavefocus queue add night.json verify scene.toml --bank plate.h5 --rig rig.toml --out verify\n\n"
+        "The queue file is made where missing. Names of files count from the present folder.",
+        (
+            JSON, QUEUE,
+            argument("words", nargs="...", metavar="COMMAND ...", help="The command, as after `wavefocus`."),
+        ),
+    ),
+    Command("queue list", "queue:list_runs", "Show the runs of a queue, with their finish times.", (QUEUE, JSON)),
+    Command(
+        "queue move", "queue:move",
+        "Move a run to another place among those that wait.\n\nA run that has ended waits again then.",
+        (
+            QUEUE, argument("number", type=int, metavar="RUN", help=RUN_NUMBER),
+            argument("place", type=int, metavar="PLACE", help="Place among the runs that wait, from 1."), JSON,
+        ),
+    ),
+    Command(
+        "queue remove", "queue:remove", "Remove runs from a queue.",
+        (QUEUE, argument("numbers", type=int, nargs="+", metavar="RUN", help=RUN_NUMBER), JSON),
+    ),
+    Command(
+        "queue run", "queue:run",
+        "Carry out the runs of a queue that wait.\n\n"
+        "A run that fails does not end the queue; the same command goes on where it was stopped or killed. Ctrl-C "
+        "finishes the position; twice stops at once.",
+        (QUEUE, JSON_LINES),
     ),
     Command("pause", _order("pause"), "Pause a running capture after its position.", (BANK, WAIT, JSON)),
     Command("go-on", _order("go-on"), "Let a paused capture go on.", (BANK, WAIT, JSON)),
@@ -623,6 +661,7 @@ class _Parser(argparse.ArgumentParser):
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(formatter_class=_Formatter, allow_abbrev=False, **settings)
+        self.of_commands: dict[str, argparse.ArgumentParser] = {}
         self._negative_number_matcher = re.compile(r"-(\d|\.\d|inf|nan)")
 
     def error(self, message: str) -> NoReturn:
@@ -641,8 +680,7 @@ class _Parser(argparse.ArgumentParser):
 
     def refuse(self, extra: Sequence[str], command: str) -> NoReturn:
         """Refuse what is left over of a command line, with the option that may have been meant."""
-        under = next(one.choices[command] for one in self._actions if isinstance(one, argparse._SubParsersAction))
-        known = [name for one in under._actions for name in one.option_strings]
+        known = [name for one in self.of_commands[command]._actions for name in one.option_strings]
         option = next((one for one in extra if one.startswith("-")), extra[0])
         guess = nearest(option.partition("=")[0], known) if option.startswith("-") else ""
         raise UsageError(f"{command}: {option} is not known{guess} (wavefocus {command} --help shows what there is)")
@@ -674,13 +712,38 @@ def parser(commands: Sequence[Command] = COMMANDS) -> _Parser:
     )
     most = number("--most-gib", help="Largest part of a file that is read at once, in GiB; 8 by default.")
     whole.add_argument(*most.names, **most.settings)
-    chosen = whole.add_subparsers(dest="command", metavar="COMMAND", title="commands", required=True)
+    chosen = {"": _subcommands(whole)}
     for one in commands:
+        group, _, last = one.name.rpartition(" ")
+        if group not in chosen:
+            chosen[group] = _subcommands(chosen[""].add_parser(group, help=GROUPS[group], description=GROUPS[group]))
         first = one.help.partition("\n\n")[0]
-        under = chosen.add_parser(one.name, help=first, description=one.help)
+        under = whole.of_commands[one.name] = chosen[group].add_parser(last, help=first, description=one.help)
+        under.set_defaults(command=one.name)
         for each in one.arguments:
             under.add_argument(*each.names, **each.settings)
     return whole
+
+
+def _subcommands(under: _Parser) -> argparse._SubParsersAction[_Parser]:
+    return under.add_subparsers(dest="command", metavar="COMMAND", title="commands", required=True)
+
+
+def parsed(arguments: Sequence[str]) -> tuple[Command, dict[str, Any]]:
+    """Read one command line: the command, and its arguments by their names in Python.
+
+    Raises UsageError: the command line is wrong.
+    """
+    whole = parser(COMMANDS)
+    read, extra = whole.parse_known_args(arguments)
+    given = vars(read)
+    name = given.pop("command")
+    if extra:
+        whole.refuse(extra, name)
+    del given["traceback"]
+    if (most_gib := given.pop("most_gib")) is not None:
+        os.environ["WAVEFOCUS_MOST_GIB"] = str(most_gib)  # for the processes that it starts, too
+    return next(one for one in COMMANDS if one.name == name), given
 
 
 def run_command(arguments: Sequence[str]) -> int:
@@ -688,24 +751,25 @@ def run_command(arguments: Sequence[str]) -> int:
 
     Returns the exit code. Raises UsageError: the command line is wrong.
     """
-    whole = parser(COMMANDS)
-    parsed, extra = whole.parse_known_args(arguments)
-    given = vars(parsed)
-    if extra:
-        whole.refuse(extra, given["command"])
-    del given["traceback"]
-    if (most_gib := given.pop("most_gib")) is not None:
-        os.environ["WAVEFOCUS_MOST_GIB"] = str(most_gib)  # for the processes that it starts, too
-    name = given.pop("command")
-    command = next(one for one in COMMANDS if one.name == name)
+    command, given = parsed(arguments)
+    name = command.name
     from wavefocus.console import named_while_silent, working_on
 
     # What a command imports is part of its silence.
-    with named_while_silent(f"{name}: {_first_sentence(command.help)}"):
+    with _ended_with_input(), named_while_silent(f"{name}: {_first_sentence(command.help)}"):
         working_on("loading its modules")
         run = _found(command.run) if isinstance(command.run, str) else command.run
         working_on("")
         return int(run(**given) or 0)
+
+
+def _ended_with_input() -> AbstractContextManager[None]:
+    """End the command when standard input closes, where the process that started it asks for that."""
+    if not os.environ.pop("WAVEFOCUS_WATCHED", ""):
+        return nullcontext()
+    from wavefocus.ending import ended_by_input  # most commands are not watched
+
+    return ended_by_input()
 
 
 def _first_sentence(text: str) -> str:

@@ -5,11 +5,18 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
 
 from wavefocus.config.loading import parse_toml
 from wavefocus.console import say
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.text_file import read_text
+
+if TYPE_CHECKING:
+    from wavefocus.rendering.scene.model import Scene
 
 
 def input_files(*files: Path | None) -> list[Path]:
@@ -62,6 +69,31 @@ def parse_positions(text: str, count: int) -> list[int]:
             raise InputError(f"--positions: {part.strip()} is outside the bank's rows 0 to {count - 1}")
         rows.update(dict.fromkeys(range(first, last + 1)))
     return list(rows)
+
+
+def scan_rows(
+    positions: str, scene: Scene, position_mm: NDArray[np.float32 | np.float64], scene_file: Path
+) -> list[int] | None:
+    """Bank rows to scan: all (None), those that are named, one of every few, or those that the scene needs.
+
+    Raises InputError: `positions` is something else, or the scene leaves the grid.
+    """
+    count = len(position_mm)
+    if not positions:
+        return None
+    if positions == "path":
+        from wavefocus.rendering.scene.scene_rows import scene_rows  # with it comes what renders
+
+        try:
+            return [int(row) for row in scene_rows(scene, np.asarray(position_mm, np.float64)).all]
+        except InputError as wrong:
+            raise InputError(f"{scene_file}: {wrong}") from None
+    if positions.startswith("every:"):
+        step = positions.removeprefix("every:")
+        if not (step.isascii() and step.isdecimal() and len(step) < 10 and 0 < int(step) <= count):
+            raise InputError(f"--positions: {positions} is not every:N with N from 1 to {count}")
+        return list(range(0, count, int(step)))
+    return parse_positions(positions, count)
 
 
 def name_unverified(path: Path, *, verified: bool) -> None:

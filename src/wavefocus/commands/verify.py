@@ -34,14 +34,13 @@ from wavefocus.console import Report, progress, say, working_on
 from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.ending import ended_by_file, ending_at_once
 from wavefocus.exits import Exit, exit_code, sentence
-from wavefocus.input_files import input_files, parse_positions
+from wavefocus.input_files import input_files, scan_rows
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.field.metrics import grid_spacing_mm
 from wavefocus.rendering.field.prediction import predict as predict_field
 from wavefocus.rendering.number_text import percent
 from wavefocus.rendering.report.page import build_report
 from wavefocus.rendering.scene.model import Scene, load_scene
-from wavefocus.rendering.scene.scene_rows import scene_rows
 from wavefocus.rendering.verify import symptom_words
 from wavefocus.rendering.verify.changes import change_lines, changes_since
 from wavefocus.rendering.verify.linearity import linearity_rows, quieter
@@ -118,7 +117,7 @@ def verify(
         working_on("")
         configuration = bank_configuration(view)
         rig = _checked_rig(rig_file, configuration, view)
-        rows = _rows(positions, scene, view, scene_file)
+        rows = scan_rows(positions, scene, view.position_mm, scene_file)
         out.mkdir(parents=True, exist_ok=True)
         with ending_at_once(), ended_by_file(out / STOP_NAME), VerifyLog(out) as log:
             with staged_folder(out, RECORD_NAME, results) as staged:
@@ -321,23 +320,6 @@ class _Work:
                 logged(done, total)
 
             yield report
-
-
-def _rows(positions: str, scene: Scene, bank: Bank, scene_file: Path) -> list[int] | None:
-    """Which bank rows to scan: all (None), those that are named, one of every few, or those that the scene needs."""
-    if not positions:
-        return None
-    if positions == "path":
-        try:
-            return [int(row) for row in scene_rows(scene, np.asarray(bank.position_mm, np.float64)).all]
-        except InputError as wrong:
-            raise InputError(f"{scene_file}: {wrong}") from None
-    if positions.startswith("every:"):
-        step = positions.removeprefix("every:")
-        if not (step.isascii() and step.isdecimal() and len(step) < 10 and 0 < int(step) <= bank.positions):
-            raise InputError(f"--positions: {positions} is not every:N with N from 1 to {bank.positions}")
-        return list(range(0, bank.positions, int(step)))
-    return parse_positions(positions, bank.positions)
 
 
 def _tolerances(configuration: Configuration, bank: Bank) -> Tolerances:

@@ -1,0 +1,56 @@
+"""Names that one process of this computer holds at a time: an instrument, a rig, a queue."""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from wavefocus.storage import durable
+from wavefocus.storage.errors import BankBusyError
+from wavefocus.storage.ledger import owner
+from wavefocus.storage.sidecar_files import create
+
+_LOOKS_EVERY_S = 0.05
+
+
+@contextmanager
+def claimed(name: str, *, wait_s: float = 0.0) -> Iterator[None]:
+    """Hold a name while the block runs; the lock is the system's, so a process that is killed releases it.
+
+    name: What is held, as messages state it, with full names of files.
+    wait_s: Longest wait for another process to release it, in seconds.
+
+    Raises BankBusyError: another process holds it; the message names host and process id.
+    """
+    path = _lock_file(name)
+    with suppress(FileExistsError):
+        create(path).close()
+    with durable.open_file(path) as file:
+        given_up_s = time.monotonic() + wait_s
+        while not file.try_lock():
+            if time.monotonic() >= given_up_s:
+                holder = claim_holder(name) or owner.Owner("this computer", 0)
+                raise BankBusyError(
+                    f"{name} is held by process {holder.pid or 'unknown'} on {holder.host}; wait until it has finished "
+                    "or stop it, then try again"
+                )
+            time.sleep(_LOOKS_EVERY_S)
+        owner.write_owner(path)
+        try:
+            yield
+        finally:
+            owner.remove_owner(path)
+
+
+def claim_holder(name: str) -> owner.Owner | None:
+    """The process that holds a name now; None where none does."""
+    path = _lock_file(name)
+    return owner.bank_owner(path) if path.is_file() else None
+
+
+def _lock_file(name: str) -> Path:
+    return Path(tempfile.gettempdir()) / f"wavefocus-{hashlib.sha256(name.encode()).hexdigest()[:20]}.lock"
