@@ -174,6 +174,11 @@ class Progress(Event):
     positions_per_hour: float
     wall_positions_per_hour: float = 0.0
 
+    @property
+    def per_hour(self) -> float:
+        """Positions an hour by the wall's clock; by the rig's in logs of the first version."""
+        return self.wall_positions_per_hour or self.positions_per_hour
+
 
 @dataclass(frozen=True, slots=True)
 class Fault(Event):

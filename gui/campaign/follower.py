@@ -12,22 +12,22 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from wavefocus.campaign.control import read_heartbeat
 from wavefocus.campaign.sidecar_files import log_path, read_drift
-from wavefocus.campaign.supervision import read_heartbeat
 from wavefocus.config.messages.campaign import Drift, Logged, PositionCommitted, SessionEnded
-from wavefocus.gui.campaign.model import Campaign, Line, read_record
+from wavefocus.gui.campaign.model import CampaignModel, EventLine, read_record
 from wavefocus.gui.campaign.quality import DAMAGED, per_position
 from wavefocus.gui.surface import surface_of
 from wavefocus.storage.errors import WavefocusError
 from wavefocus.storage.text_file import open_regular
 
 if TYPE_CHECKING:
-    from wavefocus.acquisition.heartbeat import Heartbeat
+    from wavefocus.campaign.status import Heartbeat
     from wavefocus.storage.bank.reading import Bank
     from wavefocus.storage.ledger.owner import Owner
 
 #: A change of what the window shows of the campaign, found in the thread and made in the window's.
-Change = Callable[[Campaign], object]
+Change = Callable[[CampaignModel], object]
 
 
 # What is read at once: larger blocks leave the memory of their many small objects behind.
@@ -117,7 +117,7 @@ class Follower:
         self._over.set()
         self._thread.join(_ENDS_WITHIN_S)
 
-    def change(self, campaign: Campaign, most: int) -> None:
+    def change(self, campaign: CampaignModel, most: int) -> None:
         """Make the changes found since the last call, at most so many."""
         for _ in range(most):
             if self._found.empty():
@@ -148,11 +148,11 @@ class Follower:
         records, anew = self._tail.read()
         if records or anew:
             entries = [read_record(record) for record in records]
-            kinds = {type(entry.event) if isinstance(entry, Logged) else Line for entry in entries}
-            self._stale |= not kinds.isdisjoint({PositionCommitted, SessionEnded, Line})
-            self._put(Campaign.add_records, entries, anew=anew)
+            kinds = {type(entry.event) if isinstance(entry, Logged) else EventLine for entry in entries}
+            self._stale |= not kinds.isdisjoint({PositionCommitted, SessionEnded, EventLine})
+            self._put(CampaignModel.add_records, entries, anew=anew)
             if Drift in kinds:
-                self._put(Campaign.show_drift, read_drift(self.bank))
+                self._put(CampaignModel.show_drift, read_drift(self.bank))
         if self._stale and self._identity is not None and time.monotonic() >= self._ledger_due_s:
             with _opened(self.bank) as bank:
                 self._put_ledger(bank)
@@ -169,9 +169,9 @@ class Follower:
         identity = (found.st_dev, found.st_ino)
         if identity != self._identity:
             with _opened(self.bank) as bank:
-                self._put(Campaign.open, surface_of(bank))
+                self._put(CampaignModel.open, surface_of(bank))
                 self._put_ledger(bank)
-            self._put(Campaign.show_drift, read_drift(self.bank))
+            self._put(CampaignModel.show_drift, read_drift(self.bank))
             self._identity = identity
         owner = _owner_of(self.bank)
         self._stale |= owner != self._owner
@@ -183,14 +183,14 @@ class Follower:
 
     def _put_life(self, owner: Owner | None) -> None:
         self._owner = owner
-        self._put(Campaign.show_owner, owner, self._read_heartbeat(self.bank), time.monotonic())
+        self._put(CampaignModel.show_owner, owner, self._read_heartbeat(self.bank), time.monotonic())
 
     def _put_ledger(self, bank: Bank) -> None:
         began_s = time.monotonic()
         status = bank.status
         figures = per_position(bank.quality, status > 0)
         status[bank.broken] = DAMAGED
-        self._put(Campaign.show_ledger, status, figures)
+        self._put(CampaignModel.show_ledger, status, figures)
         took_s = time.monotonic() - began_s
         self._ledger_due_s = time.monotonic() + max(_LEDGER_EVERY_S, took_s / _LEDGER_SHARE)
         self._stale = False
@@ -198,7 +198,7 @@ class Follower:
     def _report(self, sentence: str, details: str = "") -> None:
         if sentence != self._trouble:
             self._trouble = sentence
-            self._put(Campaign.show_trouble, sentence, details)
+            self._put(CampaignModel.show_trouble, sentence, details)
 
 
 def same_file(one: Path, other: Path) -> bool:

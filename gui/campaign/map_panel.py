@@ -13,7 +13,7 @@ from PyQt5.QtGui import QKeyEvent, QPolygonF
 from PyQt5.QtWidgets import QGraphicsPolygonItem, QLabel, QSizePolicy, QWidget
 
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.campaign.model import Campaign
+from wavefocus.gui.campaign.model import CampaignModel
 from wavefocus.gui.campaign.quality import FIGURES, LOOKS, NOT_MEASURED, QualityMetric, look_index, status_text
 from wavefocus.gui.field_map import ColourBar
 from wavefocus.gui.surface import PlotSurface
@@ -96,10 +96,10 @@ class SurfaceMap(SurfaceView):
         self.paint(map_colours(self.colour_map, values, (low, high), self.theme.cell))
         self._draw_marks()
 
-    def show_current(self, position: int) -> None:
-        """Ring the position that is being measured; -1 for none."""
+    def show_current(self, position: int | None) -> None:
+        """Ring the position that is being measured."""
         for ring in (self._current_rim, self._current):
-            self._put(ring, [position] if position >= 0 else [])
+            self._put(ring, [] if position is None else [position])
 
     def show_position(self, position: int) -> None:
         """Mark the position whose details are shown; -1 for none."""
@@ -199,7 +199,7 @@ _SIGNS = {"d": "◆", "+": "+", "x": "×", "s": "■", "t": "▼", "": "&nbsp;"}
 class MapPanel(Themed, QWidget):
     """Draws the campaign's map, and below it the statuses with their counts, or a colour bar."""
 
-    def __init__(self, campaign: Campaign) -> None:
+    def __init__(self, campaign: CampaignModel) -> None:
         super().__init__()
         self._campaign = campaign
         self._drawn = {"surface": -1, "map": -1}
@@ -263,7 +263,7 @@ class MapPanel(Themed, QWidget):
             self.bar.show_range(figure.title, figure.unit, self.map.levels or (0.0, 1.0), self.map.beyond)
         self.counts.setVisible(self.map.levels is None)
         self.bar.setVisible(self.map.levels is not None)
-        self.map.show_current(campaign.current)
+        self.map.show_current(campaign.session.position)
 
 
 def _counts_text(status: NDArray[np.uint8]) -> str:

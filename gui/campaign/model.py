@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.acquisition.event_wording import sentence
+from wavefocus.campaign.status import CampaignStatus
 from wavefocus.config.messages.campaign import (
     CrosstalkMeasured,
     Drift,
@@ -39,8 +40,8 @@ from wavefocus.rendering.arrays import Float32Array
 from wavefocus.storage.bank.ledger import VALID
 
 if TYPE_CHECKING:
-    from wavefocus.acquisition.heartbeat import Heartbeat
     from wavefocus.acquisition.limits import DriftPoint
+    from wavefocus.campaign.status import Heartbeat
     from wavefocus.storage.ledger.owner import Owner
 
 _LONGEST = 200
@@ -56,7 +57,7 @@ class Weight(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class EventLine:
     """One line of the event list: seconds since 1970 or NaN, and the bank row concerned or -1."""
 
     at_s: float
@@ -65,7 +66,7 @@ class Line:
     position: int = -1
 
 
-def read_record(record: Mapping[str, object]) -> Logged | Line:
+def read_record(record: Mapping[str, object]) -> Logged | EventLine:
     """Read a record of the log; one of another version becomes a line that holds whatever it says."""
     logged = event_of(record)
     if logged is not None:
@@ -76,7 +77,7 @@ def read_record(record: Mapping[str, object]) -> Logged | Line:
         at_s = datetime.fromisoformat(str(record.get("at"))).timestamp()
     except ValueError:
         at_s = math.nan
-    return Line(at_s, Weight.DETAIL, text[:_LONGEST])
+    return EventLine(at_s, Weight.DETAIL, text[:_LONGEST])
 
 
 def clock(at_s: float) -> str:
@@ -84,13 +85,13 @@ def clock(at_s: float) -> str:
     return "" if math.isnan(at_s) else datetime.fromtimestamp(at_s).astimezone().strftime("%a %H:%M:%S")
 
 
-def line_of(logged: Logged) -> Line | None:
+def line_of(logged: Logged) -> EventLine | None:
     """Line of an event; None for progress, which is shown otherwise."""
     if isinstance(logged.event, Progress | RecordTaken):
         return None
     position: int | None = getattr(logged.event, "position", None)
     text = in_window(sentence(logged.event))
-    return Line(logged.at.timestamp(), _weight(logged.event), text, -1 if position is None else position)
+    return EventLine(logged.at.timestamp(), _weight(logged.event), text, -1 if position is None else position)
 
 
 def _weight(event: Event) -> Weight:
@@ -115,9 +116,6 @@ _DROPPED_AT = 22_000
 _ASKED_AFTER_S = 0.05
 _ROLES = ("mirror", "recorder", "player")
 
-GOING = frozenset({State.RUNNING, State.PAUSING, State.PAUSED, State.SUSPENDED, State.RECOVERING, State.STOPPING})
-_OVER = frozenset({State.IDLE, State.STOPPED, State.FINISHED, State.FAILED})
-
 
 class Extra(StrEnum):
     """States that only the window sees."""
@@ -129,8 +127,8 @@ class Extra(StrEnum):
     GONE = "gone"
 
 
-class Order(StrEnum):
-    """Orders of the buttons."""
+class CampaignAction(StrEnum):
+    """What the buttons ask for."""
 
     START = "start"
     PAUSE = "pause"
@@ -140,16 +138,16 @@ class Order(StrEnum):
     REMEASURE = "remeasure"
 
 
-_ORDERS: dict[State | Extra, frozenset[Order]] = {
-    State.RUNNING: frozenset({Order.PAUSE, Order.STOP}),
-    State.RECOVERING: frozenset({Order.PAUSE, Order.STOP}),
-    State.PAUSING: frozenset({Order.CONTINUE, Order.STOP}),
-    State.PAUSED: frozenset({Order.CONTINUE, Order.STOP}),
-    State.SUSPENDED: frozenset({Order.PAUSE, Order.STOP}),
+_ACTIONS: dict[State | Extra, frozenset[CampaignAction]] = {
+    State.RUNNING: frozenset({CampaignAction.PAUSE, CampaignAction.STOP}),
+    State.RECOVERING: frozenset({CampaignAction.PAUSE, CampaignAction.STOP}),
+    State.PAUSING: frozenset({CampaignAction.CONTINUE, CampaignAction.STOP}),
+    State.PAUSED: frozenset({CampaignAction.CONTINUE, CampaignAction.STOP}),
+    State.SUSPENDED: frozenset({CampaignAction.PAUSE, CampaignAction.STOP}),
     State.STOPPING: frozenset(),
     Extra.STARTING: frozenset(),
-    Extra.PREPARING: frozenset({Order.STOP}),
-    Extra.SILENT: frozenset({Order.STOP}),
+    Extra.PREPARING: frozenset({CampaignAction.STOP}),
+    Extra.SILENT: frozenset({CampaignAction.STOP}),
 }
 
 
@@ -163,7 +161,7 @@ class ShownState:
     @property
     def measuring(self) -> bool:
         """Whether a process owns the bank, in whatever state."""
-        return self.word in _ORDERS
+        return self.word in _ACTIONS
 
     @property
     def going_on(self) -> bool:
@@ -171,16 +169,20 @@ class ShownState:
         return self.word is State.RUNNING
 
 
-def possible_orders(state: ShownState, *, has_run: bool, has_bank: bool, left: int) -> frozenset[Order]:
-    """Orders that make sense: `has_run` with a run file and a bank name, `left` positions not measured."""
+def possible_actions(state: ShownState, *, has_run: bool, has_bank: bool, left: int) -> frozenset[CampaignAction]:
+    """Actions that make sense: `has_run` with a run file and a bank name, `left` positions not measured."""
     if state.measuring:
-        return _ORDERS[state.word]
-    allowed = {Order.START: has_run, Order.REMEASURE: has_bank, Order.RESUME: has_bank and left > 0}
-    return frozenset(order for order, makes_sense in allowed.items() if makes_sense)
+        return _ACTIONS[state.word]
+    allowed = {
+        CampaignAction.START: has_run,
+        CampaignAction.REMEASURE: has_bank,
+        CampaignAction.RESUME: has_bank and left > 0,
+    }
+    return frozenset(action for action, makes_sense in allowed.items() if makes_sense)
 
 
 @dataclass(frozen=True, slots=True)
-class Attempt:
+class PastAttempt:
     """One line of a position's quality history; `status` 0 and NaN where nothing was committed."""
 
     at_s: float
@@ -192,18 +194,8 @@ class Attempt:
     reason: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Pace:
-    """Progress and rate of the session, as the capture last reported; its finish in seconds since 1970."""
-
-    done: int
-    total: int
-    per_hour: float
-    finish_s: float
-
-
 @dataclass(slots=True)
-class Instrument:
+class InstrumentState:
     """One instrument: ``"in use"``, ``"at rest"`` (the session is over), ``"faulty"`` or ``"away"``."""
 
     name: str
@@ -213,19 +205,19 @@ class Instrument:
 
 
 @dataclass(eq=False)
-class Campaign:
+class CampaignModel:
     """A campaign; `revision` counts the changes of each part, so that only changes are drawn."""
 
     surface: PlotSurface | None = None
     status: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))
     figures: Mapping[str, Float32Array] = field(default_factory=dict)
-    lines: list[Line] = field(default_factory=list)
+    lines: list[EventLine] = field(default_factory=list)
     trimmed: int = 0
-    history: dict[int, list[Attempt]] = field(default_factory=dict)
-    instruments: list[Instrument] = field(default_factory=list)
+    history: dict[int, list[PastAttempt]] = field(default_factory=dict)
+    instruments: list[InstrumentState] = field(default_factory=list)
     drift: list[DriftPoint] = field(default_factory=list)
-    pace: Pace | None = None
-    current: int = -1
+    session: CampaignStatus = field(default_factory=CampaignStatus)
+    """As the log has it."""
     owner: Owner | None = None
     heartbeat: Heartbeat | None = None
     trouble: tuple[str, str] = "", ""
@@ -233,7 +225,6 @@ class Campaign:
     revision: dict[str, int] = field(
         default_factory=lambda: dict.fromkeys(("surface", "map", "lines", "instruments", "drift", "history"), 0)
     )
-    _logged: ShownState = field(default_factory=lambda: ShownState(State.IDLE))
     _logged_s: float = 0.0
     _asked_s: float = 0.0
 
@@ -242,7 +233,7 @@ class Campaign:
         self.surface, self.status, self.figures = surface, np.zeros(surface.positions, np.uint8), {}
         self._changed("surface", "map", "history")
 
-    def add_records(self, records: Sequence[Logged | Line], *, anew: bool) -> None:
+    def add_records(self, records: Sequence[Logged | EventLine], *, anew: bool) -> None:
         """Add new records of the log; `anew` when the log was replaced."""
         if anew:
             self._forget_log()
@@ -279,15 +270,16 @@ class Campaign:
 
     def state(self, *, starting: bool = False) -> ShownState:
         """State of the campaign; `starting` while a capture of this window has not opened the bank yet."""
-        owner, beat, logged = self.owner, self.heartbeat, self._logged
+        owner, beat, session = self.owner, self.heartbeat, self.session
+        logged = ShownState(session.state, session.reason)
         if owner is not None:
             if beat is not None and beat.is_silent() and beat.pid == owner.pid:
                 reason = f"process {owner.pid} on {owner.host} is stopped, or its machine is asleep or hung"
                 return ShownState(Extra.SILENT, reason)
-            if logged.word in _OVER:
+            if not session.goes_on:
                 return ShownState(Extra.PREPARING, "checking the bank and the instruments")
             return logged
-        if logged.word in GOING:
+        if session.goes_on:
             if self._asked_s <= self._logged_s + _ASKED_AFTER_S:
                 return logged
             if not starting:
@@ -301,13 +293,12 @@ class Campaign:
         self.lines.clear()
         self.history.clear()
         self.instruments.clear()
-        self.pace, self.current = None, -1
-        self._logged = ShownState(State.IDLE)
+        self.session = CampaignStatus()
         self.trimmed += 1
         self._changed("lines", "history", "instruments", "map")
 
-    def _take_record(self, record: Logged | Line) -> None:
-        line = record if isinstance(record, Line) else line_of(record)
+    def _take_record(self, record: Logged | EventLine) -> None:
+        line = record if isinstance(record, EventLine) else line_of(record)
         if line is not None:
             self.lines.append(line)
             if len(self.lines) > _DROPPED_AT:
@@ -316,38 +307,30 @@ class Campaign:
             self._changed("lines")
         self._logged_s = time.monotonic()
         if isinstance(record, Logged):
+            former, self.session = self.session, self.session.after(record)
+            if self.session.position != former.position:
+                self._changed("map")
             self._take_event(record.event, record.at.timestamp(), "" if line is None else line.text)
 
     def _take_event(self, event: Event, at_s: float, text: str) -> None:
         match event:
             case SessionStarted():
-                self._logged, self.pace = ShownState(State.IDLE), None
-                self.instruments = [Instrument(name) for name in event.instruments]
+                self.instruments = [InstrumentState(name) for name in event.instruments]
                 self._changed("instruments")
-            case StateChanged(state=state, reason=reason):
-                self._logged = ShownState(state, reason)
-                if state in _OVER:
-                    self.current = -1
-                    self._changed("map")
-                    self._change_instruments({"in use"}, "at rest")
-            case PositionStarted(position=position):
-                self.current = position
-                self._changed("map")
+            case StateChanged() if not self.session.goes_on:
+                self._change_instruments({"in use"}, "at rest")
             case PositionCommitted():
                 self._commit(event, at_s)
                 self._change_instruments({"at rest", "faulty", "away"}, "in use")  # it used all of them
             case PositionRepeated(position=position, attempt=attempt, reason=reason):
-                self._note(position, Attempt(at_s, attempt, f"repeated: {reason}"))
+                self._note(position, PastAttempt(at_s, attempt, f"repeated: {reason}"))
             case PositionKept(position=position, attempt=attempt, reason=reason):
-                self._note(position, Attempt(at_s, attempt, f"earlier measurement kept: {reason}"))
+                self._note(position, PastAttempt(at_s, attempt, f"earlier measurement kept: {reason}"))
             case Fault(instrument=name):
                 role = next((role for role in _ROLES if role in name), "")
                 self._change_instrument(name, role, "faulty", text, at_s)
             case ReconnectTried(instrument=name, role=role, connected=connected):
                 self._change_instrument(name, role, "in use" if connected else "away", text, at_s)
-            case Progress():
-                per_hour = event.wall_positions_per_hour or event.positions_per_hour  # old logs have only the latter
-                self.pace = Pace(event.done, event.total, per_hour, at_s + event.wall_remaining_s)
 
     def _commit(self, event: PositionCommitted, at_s: float) -> None:
         position, status = event.position, event.status
@@ -356,9 +339,9 @@ class Campaign:
             self.status[position] = status
         self._changed("map")
         quality = status, event.snr_db, event.residual_db
-        self._note(position, Attempt(at_s, event.attempts, "committed", *quality, reason=event.reason))
+        self._note(position, PastAttempt(at_s, event.attempts, "committed", *quality, reason=event.reason))
 
-    def _note(self, position: int, attempt: Attempt) -> None:
+    def _note(self, position: int, attempt: PastAttempt) -> None:
         self.history.setdefault(position, []).append(attempt)
         self._changed("history")
 
@@ -368,7 +351,7 @@ class Campaign:
         known = (one for part in wanted for one in self.instruments if part in one.name or one.name in part)
         instrument = next(known, None)
         if instrument is None:
-            self.instruments.append(instrument := Instrument(name))
+            self.instruments.append(instrument := InstrumentState(name))
         instrument.state, instrument.message, instrument.at_s = state, text.removeprefix(f"{name}: "), at_s
         self._changed("instruments")
 

@@ -11,10 +11,11 @@ from PyQt5.QtGui import QColor
 from PyQt5.QtWidgets import QAbstractItemView, QAction, QHeaderView, QLineEdit, QTableView, QToolButton, QWidget
 
 from wavefocus.acquisition.wording import hours
+from wavefocus.campaign.status import GOING_ON, CampaignStatus
 from wavefocus.config.messages.campaign import State
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.advice import in_window
-from wavefocus.gui.campaign.model import GOING, Campaign, Extra, Line, Order, Pace, ShownState, Weight, clock
+from wavefocus.gui.campaign.model import CampaignAction, CampaignModel, EventLine, Extra, ShownState, Weight, clock
 from wavefocus.gui.theme import Themed
 
 # Name, text, key and tooltip.
@@ -47,15 +48,15 @@ class Controls(QWidget):
             parts += [self.buttons[name], 10 if name in ("plan", "stop") else 0]
         ui.row(*parts, None, owner=self)
 
-    def show_possible(self, orders: frozenset[Order], *, has_run: bool, selected: int, poor: int) -> None:
+    def show_possible(self, orders: frozenset[CampaignAction], *, has_run: bool, selected: int, poor: int) -> None:
         """Enable what makes sense, and show how many positions would be measured again."""
-        paused, remeasures = Order.CONTINUE in orders, Order.REMEASURE in orders
+        paused, remeasures = CampaignAction.CONTINUE in orders, CampaignAction.REMEASURE in orders
         for name, enabled, text in (
             ("plan", has_run, "Dry run"),
-            ("start", Order.START in orders, "Start"),
-            ("resume", Order.RESUME in orders, "Resume"),
-            ("pause", paused or Order.PAUSE in orders, "Continue" if paused else "Pause"),
-            ("stop", Order.STOP in orders, "Stop after this position"),
+            ("start", CampaignAction.START in orders, "Start"),
+            ("resume", CampaignAction.RESUME in orders, "Resume"),
+            ("pause", paused or CampaignAction.PAUSE in orders, "Continue" if paused else "Pause"),
+            ("stop", CampaignAction.STOP in orders, "Stop after this position"),
             ("selected", remeasures and selected > 0, f"Remeasure selected{f' ({selected})' if selected else ''}"),
             ("poor", remeasures and poor > 0, f"Remeasure poor{f' ({poor})' if poor else ''}"),
         ):
@@ -81,7 +82,7 @@ class ProgressRow(Themed, QWidget):
         theme, word = self.theme, state.word
         colour = (
             theme.fault if word in (State.FAILED, Extra.GONE, Extra.SILENT)
-            else theme.warning if word in GOING and word is not State.RUNNING
+            else theme.warning if word in GOING_ON and word is not State.RUNNING
             else theme.good if state.measuring or word is State.FINISHED
             else theme.faint
         )  # fmt: skip
@@ -90,26 +91,30 @@ class ProgressRow(Themed, QWidget):
         ui.put(self.reason, reason)
         self.reason.setToolTip(f"{reason}\n{owner}".strip())
 
-    def show_progress(self, measured: int, total: int, pace: Pace | None, *, going_on: bool) -> None:
-        """Show the progress of the bank, or of the session while it runs and has a pace."""
-        done, of = (measured, total) if pace is None else (pace.done, pace.total)
+    def show_progress(self, measured: int, total: int, session: CampaignStatus, state: ShownState) -> None:
+        """Show the progress of the bank, or of the session while it runs and has measured a position."""
+        paced = state.measuring and session.progress is not None
+        done, of = (session.done, session.total) if paced else (measured, total)
         self.bar.setTextVisible(of > 0)  # without a bank and a plan there is nothing to count
         if (self.bar.value(), self.bar.maximum()) != (done, max(of, 1)):
             self.bar.setMaximum(max(of, 1))
             self.bar.setValue(done)
-        ui.put(self.figures, "" if pace is None else pace_text(pace, going_on=going_on))
+        ui.put(self.figures, pace_text(session, going_on=state.going_on) if paced else "")
 
     def show_plan(self, positions: int, duration_s: float) -> None:
         """Show what the run file plans; nothing is measured yet."""
-        self.show_progress(0, positions, None, going_on=False)
+        self.show_progress(0, positions, CampaignStatus(), ShownState(Extra.NO_BANK))
         ui.put(self.figures, f"planned: {positions} positions, {hours(duration_s)}")
 
 
-def pace_text(pace: Pace, *, going_on: bool) -> str:
+def pace_text(session: CampaignStatus, *, going_on: bool) -> str:
     """Rate and finish of a session; the finish only while it is going on, for a pause may last."""
-    parts = [] if math.isnan(pace.per_hour) else [f"{pace.per_hour:.0f} positions an hour"]
-    if going_on and not math.isnan(pace.finish_s):
-        parts.append(ui.finish_text(pace.finish_s))
+    progress, at = session.progress, session.progress_at
+    if progress is None or at is None:
+        return ""
+    parts = [] if math.isnan(progress.per_hour) else [f"{progress.per_hour:.0f} positions an hour"]
+    if going_on and not math.isnan(progress.wall_remaining_s):
+        parts.append(ui.finish_text(at.timestamp() + progress.wall_remaining_s))
     return "  ·  ".join(parts)
 
 
@@ -122,10 +127,10 @@ _STATE_MARKS = {"in use": "●", "at rest": "○", "faulty": "▲", "away": "✕
 class EventTable(QAbstractTableModel):
     """Lines that pass the filter."""
 
-    def __init__(self, campaign: Campaign) -> None:
+    def __init__(self, campaign: CampaignModel) -> None:
         super().__init__()
         self._campaign = campaign
-        self.shown: list[Line] = []
+        self.shown: list[EventLine] = []
         self._taken = self._trimmed = 0
         self._least = Weight.NOTE
         self._text = ""
@@ -177,7 +182,7 @@ class EventTable(QAbstractTableModel):
         self._taken, self._trimmed = len(self._campaign.lines), self._campaign.trimmed
         self.endResetModel()
 
-    def _passes(self, line: Line) -> bool:
+    def _passes(self, line: EventLine) -> bool:
         return line.weight >= self._least and (not self._text or self._text in line.text.casefold())
 
 
@@ -186,7 +191,7 @@ class EventList(Themed, QWidget):
 
     position_wanted = pyqtSignal(int)
 
-    def __init__(self, campaign: Campaign) -> None:
+    def __init__(self, campaign: CampaignModel) -> None:
         super().__init__()
         self._campaign = campaign
         self._drawn = -1
@@ -255,7 +260,7 @@ class EventList(Themed, QWidget):
 class InstrumentList(Themed, QWidget):
     """State and last message of each instrument."""
 
-    def __init__(self, campaign: Campaign) -> None:
+    def __init__(self, campaign: CampaignModel) -> None:
         super().__init__()
         self._campaign = campaign
         self._drawn = -1

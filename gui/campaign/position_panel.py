@@ -17,7 +17,7 @@ from PyQt5.QtWidgets import QSizePolicy, QTabWidget, QWidget
 from wavefocus.acquisition.limits import DriftLimits
 from wavefocus.campaign.sidecar_files import raw_path
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.campaign.model import Campaign, clock
+from wavefocus.gui.campaign.model import CampaignModel, clock
 from wavefocus.gui.campaign.quality import status_text
 from wavefocus.gui.field_map import MAX_COLUMNS, Plot, Real, whole_ticks
 from wavefocus.gui.surface import PlotSurface
@@ -219,7 +219,7 @@ Raw = tuple["Recordings | None", float]
 class PositionPanel(Themed, QTabWidget):
     """Shows one position; files are read in the background."""
 
-    def __init__(self, context: TabContext, campaign: Campaign) -> None:
+    def __init__(self, context: TabContext, campaign: CampaignModel) -> None:
         super().__init__()
         self.setDocumentMode(True)
         self.setAccessibleName("Details of the position")

@@ -20,7 +20,7 @@ from wavefocus.campaign.sidecar_files import said_path, session_failure
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.campaign.follower import Follower, same_file
 from wavefocus.gui.campaign.map_panel import MapPanel
-from wavefocus.gui.campaign.model import Campaign, Extra, Order, possible_orders
+from wavefocus.gui.campaign.model import CampaignAction, CampaignModel, Extra, possible_actions
 from wavefocus.gui.campaign.panels import Controls, EventList, InstrumentList, ProgressRow
 from wavefocus.gui.campaign.position_panel import PositionPanel
 from wavefocus.gui.campaign.quality import NOT_GOOD
@@ -180,7 +180,7 @@ class CampaignTab(Tab):
 
     def __init__(self, context: TabContext) -> None:
         super().__init__(context)
-        self.campaign = Campaign()
+        self.campaign = CampaignModel()
         self.follower: Follower | None = None
         self.run = CampaignRun(context, self)
         self._trouble = ""
@@ -270,15 +270,13 @@ class CampaignTab(Tab):
         who = f"process {owner.pid} on {owner.host} owns the bank" if owner else ""
         self.progress.show_state(state, report, who)
         measured, total = campaign.measured, campaign.surface.positions if campaign.surface else 0
-        self.progress.show_progress(
-            measured, total, campaign.pace if state.measuring else None, going_on=state.going_on
-        )
+        self.progress.show_progress(measured, total, campaign.session, state)
         if campaign.surface is None and self.map_panel.planned is not None:
             self.progress.show_plan(self.map_panel.planned.positions, self._planned_s)
-        orders = possible_orders(
+        orders = possible_actions(
             state, has_run=has_run and bank is not None, has_bank=campaign.surface is not None, left=total - measured
         )
-        self._paused = Order.CONTINUE in orders
+        self._paused = CampaignAction.CONTINUE in orders
         poor = int(((campaign.status & NOT_GOOD) > 0).sum())
         self.controls.show_possible(orders, has_run=has_run, selected=selected, poor=poor)
         for part in (self.map_panel, self.position_panel, self.events, self.instruments):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from datetime import UTC, datetime
 
 import pytest
@@ -11,7 +10,7 @@ import pytest
 from wavefocus.campaign.status import CampaignStatus
 from wavefocus.commands.status import _print_pace
 from wavefocus.config.messages.campaign import Logged, PositionCommitted, Progress, State
-from wavefocus.gui.campaign.model import Campaign, Extra, Pace, ShownState, line_of
+from wavefocus.gui.campaign.model import CampaignModel, Extra, ShownState, line_of
 from wavefocus.gui.campaign.panels import pace_text
 from wavefocus.storage.bank.ledger import VALID
 
@@ -29,7 +28,7 @@ def test_given_a_position_without_figures_then_its_reason_is_said_and_no_nan() -
     assert line is not None
     assert line.text.endswith(": no sweep found in record 3")
     assert "nan" not in line.text
-    campaign = Campaign()
+    campaign = CampaignModel()
     campaign.add_records([logged], anew=False)
     assert campaign.history[7][0].reason == "no sweep found in record 3"
     good = line_of(committed(VALID, 41.25, -52.0))
@@ -38,16 +37,19 @@ def test_given_a_position_without_figures_then_its_reason_is_said_and_no_nan() -
     assert "-52.0 dB" in good.text
 
 
+def paced(per_hour: float, left_s: float) -> CampaignStatus:
+    return CampaignStatus().after(Logged(datetime.now(UTC), Progress(0.0, 3, 10, 1.0, left_s, left_s, per_hour)))
+
+
 @pytest.mark.parametrize("state", [*State, *Extra])
 def test_given_a_state_then_a_remaining_time_is_shown_only_while_positions_are_measured(state: State | Extra) -> None:
-    pace = Pace(done=3, total=10, per_hour=120.0, finish_s=time.time() + 4.0)
-    text = pace_text(pace, going_on=ShownState(state).going_on)
+    text = pace_text(paced(120.0, 4.0), going_on=ShownState(state).going_on)
     assert ("left" in text) is (state is State.RUNNING)
     assert text.startswith("120 positions an hour")
 
 
 def test_given_a_rate_that_is_not_known_then_nothing_is_said_about_it() -> None:
-    assert pace_text(Pace(0, 10, math.nan, math.nan), going_on=True) == ""
+    assert pace_text(paced(math.nan, math.nan), going_on=True) == ""
 
 
 def test_given_the_last_position_then_the_rate_stands_without_an_empty_part(capsys: pytest.CaptureFixture[str]) -> None:

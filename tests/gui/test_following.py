@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wavefocus.acquisition.heartbeat import Heartbeat
+from wavefocus.campaign.status import Heartbeat
 from wavefocus.config.messages.campaign import (
     Event,
     Fault,
@@ -28,14 +28,14 @@ from wavefocus.config.messages.campaign import (
 from wavefocus.gui.campaign.follower import Follower, LogTail
 from wavefocus.gui.campaign.model import (
     KEPT_LINES,
-    Campaign,
+    CampaignAction,
+    CampaignModel,
+    EventLine,
     Extra,
-    Line,
-    Order,
     ShownState,
     Weight,
     line_of,
-    possible_orders,
+    possible_actions,
     read_record,
 )
 from wavefocus.gui.campaign.quality import per_position
@@ -72,18 +72,18 @@ def test_given_a_log_that_was_replaced_then_it_is_read_anew(tmp_path: Path) -> N
     assert tail.read() == ([], True)
 
 
-def _said(campaign: Campaign, *events: Event) -> None:
+def _said(campaign: CampaignModel, *events: Event) -> None:
     campaign.add_records([Logged(AT, event) for event in events], anew=False)
 
 
-def _asked(campaign: Campaign, *, owned: bool, silent: bool = False) -> None:
+def _asked(campaign: CampaignModel, *, owned: bool, silent: bool = False) -> None:
     owner = Owner("here", 7) if owned else None
     at = datetime.now(UTC) - timedelta(seconds=60 if silent else 0)
     campaign.show_owner(owner, Heartbeat(at, 7, "here", State.RUNNING), time.monotonic() + 1.0)
 
 
 def test_given_events_and_an_owner_then_the_state_says_who_measures_and_who_is_gone() -> None:
-    campaign = Campaign()
+    campaign = CampaignModel()
     assert campaign.state().word is Extra.NO_BANK
     assert campaign.state(starting=True).word is Extra.STARTING
     _asked(campaign, owned=True)
@@ -101,23 +101,23 @@ def test_given_events_and_an_owner_then_the_state_says_who_measures_and_who_is_g
 @pytest.mark.parametrize(
     ("word", "left", "orders"),
     [
-        (State.RUNNING, 3, {Order.PAUSE, Order.STOP}),
-        (State.PAUSED, 3, {Order.CONTINUE, Order.STOP}),
+        (State.RUNNING, 3, {CampaignAction.PAUSE, CampaignAction.STOP}),
+        (State.PAUSED, 3, {CampaignAction.CONTINUE, CampaignAction.STOP}),
         (State.STOPPING, 3, set()),
-        (State.STOPPED, 3, {Order.START, Order.RESUME, Order.REMEASURE}),
-        (State.FINISHED, 0, {Order.START, Order.REMEASURE}),
-        (Extra.GONE, 3, {Order.START, Order.RESUME, Order.REMEASURE}),
+        (State.STOPPED, 3, {CampaignAction.START, CampaignAction.RESUME, CampaignAction.REMEASURE}),
+        (State.FINISHED, 0, {CampaignAction.START, CampaignAction.REMEASURE}),
+        (Extra.GONE, 3, {CampaignAction.START, CampaignAction.RESUME, CampaignAction.REMEASURE}),
         (Extra.STARTING, 3, set()),
     ],
 )
 def test_given_a_state_then_only_orders_that_make_sense_are_possible(
-    word: State | Extra, left: int, orders: set[Order]
+    word: State | Extra, left: int, orders: set[CampaignAction]
 ) -> None:
-    assert possible_orders(ShownState(word), has_run=True, has_bank=True, left=left) == orders
+    assert possible_actions(ShownState(word), has_run=True, has_bank=True, left=left) == orders
 
 
 def test_given_faults_then_the_instrument_they_name_is_shown_with_its_last_message() -> None:
-    campaign = Campaign()
+    campaign = CampaignModel()
     _said(
         campaign, SessionStarted(0.0, "plate.h5", 6, 3, 0, 6, 60.0, ("virtual mirror, 250 mrad", "virtual recorder, 2"))
     )
@@ -137,7 +137,7 @@ def test_given_faults_then_the_instrument_they_name_is_shown_with_its_last_messa
 
 
 def test_given_a_week_of_events_then_no_more_than_so_many_lines_are_kept() -> None:
-    campaign = Campaign()
+    campaign = CampaignModel()
     for _ in range(30):
         _said(campaign, *[PositionRepeated(0.0, 1, 1, "a burst")] * 1000)
     assert KEPT_LINES <= len(campaign.lines) <= 1.1 * KEPT_LINES
@@ -156,9 +156,9 @@ def test_given_a_week_of_events_then_no_more_than_so_many_lines_are_kept() -> No
 def test_given_a_record_of_a_later_version_then_it_is_a_plain_line_and_changes_nothing(
     record: dict[str, object],
 ) -> None:
-    campaign = Campaign()
+    campaign = CampaignModel()
     line = read_record({"at": AT.isoformat(), **record})
-    assert isinstance(line, Line)
+    assert isinstance(line, EventLine)
     assert (line.weight, line.at_s) == (Weight.DETAIL, AT.timestamp())
     assert all(str(value) in line.text for key, value in record.items() if key != "time_s")
     campaign.add_records([line], anew=False)
@@ -204,7 +204,7 @@ def test_given_a_disk_that_hangs_then_the_follower_ends_without_waiting_for_it(t
     assert hangs.wait(30)
     follower.end()
     assert not continues.is_set()
-    campaign = Campaign()
+    campaign = CampaignModel()
     follower.change(campaign, 9)
-    assert campaign.revision == Campaign().revision
+    assert campaign.revision == CampaignModel().revision
     continues.set()

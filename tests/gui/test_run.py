@@ -34,7 +34,7 @@ def test_given_a_run_of_another_process_then_it_is_followed_live_and_left_alone_
     with subprocess.Popen(command, stderr=subprocess.DEVNULL) as other:
         wait(qtbot, lambda: tab.progress.state.text() == "running" and tab.campaign.measured > 3)
         assert not tab.controls.buttons["start"].isEnabled()
-        assert tab.campaign.current >= 0
+        assert tab.campaign.session.position is not None
         assert "positions an hour" in tab.progress.figures.text()
         assert window.close()
         assert other.wait(timeout=60) == 0

@@ -10,7 +10,7 @@ import pytest
 from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import Opens, campaign_of, tab_of, wait, write_lab
-from wavefocus.campaign.supervision import read_heartbeat
+from wavefocus.campaign.control import read_heartbeat
 from wavefocus.config.scene import SceneConfig, TextTable
 from wavefocus.gui.campaign.follower import Follower
 from wavefocus.gui.campaign.position_panel import GreenPlot, Greens

@@ -16,7 +16,7 @@ import pytest
 from tests.system.captures import Listener, capture
 from wavefocus.__main__ import run
 from wavefocus.campaign.blueprint import bank_configuration
-from wavefocus.campaign.supervision import give_order, orders_path
+from wavefocus.campaign.control import give_order, orders_path
 from wavefocus.commands.demo import compare_with_truth
 from wavefocus.config.run import Virtual
 from wavefocus.console import finish_clock

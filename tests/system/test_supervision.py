@@ -26,8 +26,8 @@ from tests.system.captures import (
 )
 from tests.system.conftest import with_faults
 from wavefocus.__main__ import run
+from wavefocus.campaign.control import read_heartbeat
 from wavefocus.campaign.sidecar_files import last_events
-from wavefocus.campaign.supervision import read_heartbeat
 from wavefocus.config.messages.campaign import (
     PositionCommitted,
     SessionEnded,

@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 
 from wavefocus.acquisition.engine.session import StopRequest
-from wavefocus.acquisition.heartbeat import Heartbeat
-from wavefocus.campaign.supervision import (
+from wavefocus.campaign.control import (
     CampaignControl,
     give_order,
     heartbeat_path,
@@ -23,8 +22,10 @@ from wavefocus.campaign.supervision import (
     withdraw,
     write_heartbeat,
 )
+from wavefocus.campaign.status import CampaignStatus, Heartbeat
 from wavefocus.config.messages.campaign import (
     Fault,
+    Logged,
     PositionStarted,
     Progress,
     SessionEnded,
@@ -75,7 +76,7 @@ def test_given_a_heartbeat_that_is_none_then_there_is_none(tmp_path: Path, text:
 
 
 def test_given_events_then_the_next_beat_tells_them() -> None:
-    beat = Heartbeat.of_this_process()
+    status = CampaignStatus()
     for event in (
         SessionStarted(0.0, "plate.h5", 9, 3, 2, 7, 70.0, ()),
         StateChanged(0.0, State.RUNNING, "7 positions to do"),
@@ -83,10 +84,12 @@ def test_given_events_then_the_next_beat_tells_them() -> None:
         Fault(1.0, "mirror", "moving", "it is gone", "plug it in", 5, 1, True),
         Progress(2.0, 3, 9, 2.0, 120.0, 60.0, 100.0),
     ):
-        beat = beat.after(event)
+        status = status.after(Logged(datetime.now(UTC), event))
+    beat = Heartbeat.of(status)
     assert (beat.state, beat.reason, beat.position, beat.done, beat.total) == ("running", "7 positions to do", 5, 3, 9)
     assert (beat.remaining_s, beat.fault) == (60.0, "mirror: moving: it is gone")
-    assert beat.after(SessionEnded(3.0, State.STOPPED, 3, 9, {})).position is None
+    ended = status.after(Logged(datetime.now(UTC), SessionEnded(3.0, State.STOPPED, 3, 9, {})))
+    assert Heartbeat.of(ended).position is None
 
 
 def test_given_an_order_then_it_is_taken_once(tmp_path: Path) -> None:
@@ -156,7 +159,7 @@ def test_given_a_heartbeat_that_cannot_be_written_then_it_is_told_once_and_order
 
 
 def test_given_a_beat_then_every_field_is_plain_json(tmp_path: Path) -> None:
-    write_heartbeat(tmp_path / "plate.h5", Heartbeat.of_this_process())
+    write_heartbeat(tmp_path / "plate.h5", Heartbeat.of(CampaignStatus()))
     content = json.loads(heartbeat_path(tmp_path / "plate.h5").read_text(encoding="utf-8"))
     assert set(content) == {one.name for one in dataclasses.fields(Heartbeat)} | {"finish_at"}
 

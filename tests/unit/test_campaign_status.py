@@ -7,9 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from wavefocus.acquisition.heartbeat import Heartbeat
 from wavefocus.campaign.sidecar_files import log_path
-from wavefocus.campaign.status import CampaignStatus, Recovering, campaign_status
+from wavefocus.campaign.status import CampaignStatus, Heartbeat, Recovering, campaign_status
 from wavefocus.config.messages.campaign import (
     Event,
     Fault,
@@ -63,7 +62,7 @@ def test_given_events_then_the_state_is_that_of_the_latest_session(
 ) -> None:
     status = after(tmp_path / "plate.h5", *events)
     assert (status.state, status.recovering) == (state, recovering)
-    assert (status.since is None) == (status.reason is None) == (state is State.IDLE)
+    assert (status.since is None) == (status.reason == "") == (state is State.IDLE)
 
 
 def test_given_a_session_under_way_then_progress_record_and_what_is_kept_are_known(tmp_path: Path) -> None:

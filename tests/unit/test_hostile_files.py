@@ -14,8 +14,8 @@ import pytest
 import soundfile
 
 from wavefocus.__main__ import run
+from wavefocus.campaign.control import heartbeat_path, orders_path, read_heartbeat, take_order
 from wavefocus.campaign.sidecar_files import drift_path, last_events, log_path, read_drift
-from wavefocus.campaign.supervision import heartbeat_path, orders_path, read_heartbeat, take_order
 from wavefocus.config.loading import MAX_KEY_PARTS, parse_toml
 from wavefocus.input_files import input_files
 from wavefocus.rendering.verify.record import read_record

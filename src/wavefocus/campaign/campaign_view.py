@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
+
 from wavefocus.acquisition.event_wording import sentence
 from wavefocus.acquisition.wording import a_while, hours
+from wavefocus.campaign.status import CampaignStatus
 from wavefocus.config.messages.campaign import (
     ConditionsSeen,
     CrosstalkMeasured,
     Drift,
     Event,
     Fault,
+    Logged,
     PassStarted,
     PositionCommitted,
     PositionKept,
@@ -38,26 +42,25 @@ class CampaignView:
 
     def __init__(self, report: Report) -> None:
         self._report = report
-        self._done, self._total, self._left = 0, 0, ""
+        self._status = CampaignStatus()
         self._repeats = 0
-        self._former = State.IDLE
 
     def __call__(self, event: Event) -> None:
         """Show one event."""
+        former = self._status.state
+        self._status = self._status.after(Logged(datetime.now(UTC), event))
         match event:
             case SessionStarted():
-                self._done, self._total = event.done, event.positions
                 say(sentence(event))
                 for instrument in event.instruments:
                     say(f"  {instrument}")
             case StateChanged():
-                self._state(event)
+                self._show_state(event, former)
             case Progress():
-                self._done, self._total, self._left = event.done, event.total, remaining(event)
-                self._report(self._done, self._total, self._left)
+                self._show_bar(self._left)
             case RecordTaken():
                 at = f"position {event.position}: record {event.record} of {event.records}"
-                self._report(self._done, self._total, f"{at}; {self._left}" if self._left else at)
+                self._show_bar(f"{at}; {self._left}" if self._left else at)
             case SessionEnded():
                 say(f"{sentence(event)}, {self._repeats} repeats")
             case _:
@@ -65,15 +68,22 @@ class CampaignView:
                 if _is_shown(event):
                     say(sentence(event))
 
-    def _state(self, event: StateChanged) -> None:
+    @property
+    def _left(self) -> str:
+        progress = self._status.progress
+        return "" if progress is None else remaining(progress)
+
+    def _show_bar(self, note: str) -> None:
+        self._report(self._status.done, self._status.total, note)
+
+    def _show_state(self, event: StateChanged, former: State) -> None:
         """Report a state; while nothing is measured, no time is left that could be told."""
         if event.state in _WAITING:
-            self._report(self._done, self._total, str(event.state))
-        elif self._former in _WAITING and event.state is State.RUNNING:
-            self._report(self._done, self._total, self._left)
-        if event.state in _TOLD or (event.state is State.RUNNING and self._former in _TOLD):
+            self._show_bar(str(event.state))
+        elif former in _WAITING and event.state is State.RUNNING:
+            self._show_bar(self._left)
+        if event.state in _TOLD or (event.state is State.RUNNING and former in _TOLD):
             say(sentence(event))
-        self._former = event.state
 
 
 def remaining(event: Progress) -> str:

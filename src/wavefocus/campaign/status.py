@@ -1,13 +1,15 @@
-"""Status of a campaign, folded from the events that its latest session has logged."""
+"""Status of a campaign folded from the events of its latest session, and the heartbeat that is made of it."""
 
 from __future__ import annotations
 
+import os
+import socket
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 
-from wavefocus.acquisition.heartbeat import Heartbeat
+from wavefocus.acquisition.wording import finish_time, hours
 from wavefocus.campaign.sidecar_files import last_events
 from wavefocus.config.messages.campaign import (
     Fault,
@@ -41,50 +43,61 @@ class Recovering(Message):
 
 @dataclass(frozen=True, slots=True)
 class CampaignStatus:
-    """State of a session, since when and why; idle while it has not begun or is over.
+    """State of a session, since when and why; idle before it has begun.
 
     recovering: The instrument it waits for.
+    done, total: Positions measured, and all; by the latest progress.
     progress, progress_at: The latest progress, and when it was logged; None before the first position.
     planned_s: Seconds that the session was to take when it began.
-    record: The latest record of the position being measured.
+    position: The position being measured.
+    record: The latest record of it.
     kept: Positions that were measured and stay as the bank had them, and why.
     last_event_at: When the latest event was logged.
-    faulty: The instrument that failed last.
+    fault: The latest fault.
     """
 
     state: State = State.IDLE
-    since: str | None = None
-    reason: str | None = None
+    since: datetime | None = None
+    reason: str = ""
     recovering: Recovering | None = None
+    done: int = 0
+    total: int = 0
     progress: Progress | None = None
     progress_at: datetime | None = None
     planned_s: float | None = None
+    position: int | None = None
     record: RecordTaken | None = None
     kept: Mapping[int, str] = field(default_factory=dict)
     last_event_at: datetime | None = None
-    faulty: str | None = None
+    fault: Fault | None = None
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether the session is under way, by its events alone."""
+        return self.state in GOING_ON
 
     def after(self, logged: Logged) -> CampaignStatus:
         """The status once another event is logged."""
         match logged.event:
-            case SessionStarted(planned_s=planned_s):
-                return CampaignStatus(planned_s=planned_s)
-            case StateChanged(state=state, reason=reason) if state in GOING_ON:
-                recovering = Recovering(self.faulty) if state is State.RECOVERING else None
-                return replace(self, state=state, since=instant(logged.at), reason=reason, recovering=recovering)
-            case StateChanged():
-                return replace(self, state=State.IDLE, since=None, reason=None, recovering=None)
-            case SessionEnded():
-                return replace(self, state=State.IDLE, since=None, reason=None, recovering=None, record=None)
+            case SessionStarted(planned_s=planned_s, done=done, positions=total):
+                return CampaignStatus(planned_s=planned_s, done=done, total=total)
+            case StateChanged(state=state, reason=reason):
+                recovering = None
+                if state is State.RECOVERING:
+                    recovering = Recovering(None if self.fault is None else self.fault.instrument)
+                changed = replace(self, state=state, since=logged.at, reason=reason, recovering=recovering)
+                return changed if changed.goes_on else replace(changed, position=None)
+            case SessionEnded(state=state, done=done):
+                return replace(self, state=state, recovering=None, done=done, position=None, record=None)
             case ReconnectTried() as tried if self.state is State.RECOVERING:
                 figures = tried.instrument, tried.number, tried.outcome, tried.next_try_s, tried.gives_up_s
                 return replace(self, recovering=Recovering(*figures))
-            case Fault(instrument=instrument):
-                return replace(self, faulty=instrument)
-            case Progress() as progress:
-                return replace(self, progress=progress, progress_at=logged.at)
-            case PositionStarted():
-                return replace(self, record=None)
+            case Fault() as fault:
+                return replace(self, fault=fault)
+            case Progress(done=done, total=total) as progress:
+                return replace(self, done=done, total=total, progress=progress, progress_at=logged.at)
+            case PositionStarted(position=position):
+                return replace(self, position=position, record=None)
             case RecordTaken() as record:
                 return replace(self, record=record)
             case PositionKept(position=position, reason=reason):
@@ -93,7 +106,7 @@ class CampaignStatus:
 
 
 def campaign_status(bank: Path, owner: Owner | None, beat: Heartbeat | None) -> CampaignStatus:
-    """Status by the log of a bank; without an owner nothing goes on, and what the latest session did is left.
+    """Status by the log of a bank; idle without an owner, and what the latest session did is left.
 
     The log is the quicker of the two, but a full disk may have ended it: then the heartbeat of the owner is used.
     """
@@ -108,10 +121,78 @@ def campaign_status(bank: Path, owner: Owner | None, beat: Heartbeat | None) -> 
     status = replace(status, last_event_at=session[0].at if session else None, kept=dict(sorted(status.kept.items())))
     if owner is None:
         return CampaignStatus(kept=status.kept, last_event_at=status.last_event_at)
-    if status.state is State.IDLE and beat is not None and beat.pid == owner.pid:
-        since = beat.since.isoformat() if beat.since else None
-        return replace(status, state=beat.state, since=since, reason=beat.reason)
-    return status
+    if status.goes_on:
+        return status
+    if beat is not None and beat.pid == owner.pid:
+        return replace(status, state=beat.state, since=beat.since, reason=beat.reason)
+    return replace(status, state=State.IDLE, since=None, reason="")
+
+
+# A machine that is busy may miss some beats.
+SILENT_AFTER_S = 15.0
+
+
+@dataclass(frozen=True)
+class Heartbeat(Message):
+    """State of a running capture, written every second.
+
+    `since` is when it entered its state, `position` the one being measured, `remaining_s` by the wall's clock (None
+    before the first position), `fault` the latest in words and `order` the number of the latest order taken, both
+    empty where there was none.
+    """
+
+    at: datetime
+    pid: int
+    host: str
+    state: State = State.IDLE
+    reason: str = ""
+    since: datetime | None = None
+    position: int | None = None
+    done: int = 0
+    total: int = 0
+    remaining_s: float | None = None
+    fault: str = ""
+    order: str = ""
+
+    @property
+    def finish_at(self) -> datetime | None:
+        """When it will have finished, if nothing holds it up."""
+        return None if self.remaining_s is None else finish_time(self.remaining_s, self.at).astimezone(UTC)
+
+    def age_s(self, now: datetime | None = None) -> float:
+        """Seconds since then; below 0 where the clock was set back since, or is another machine's."""
+        return ((now or datetime.now(UTC)) - self.at).total_seconds()
+
+    def is_silent(self, now: datetime | None = None) -> bool:
+        """Whether a process that lives would have written another one since.
+
+        One that lives writes the time of now: a heartbeat from far ahead was written before the clock was set back.
+        """
+        return abs(self.age_s(now)) > SILENT_AFTER_S
+
+    def age_words(self, now: datetime | None = None) -> str:
+        """Its age for people: ``12 s ago``, or that its time is still to come."""
+        age_s = self.age_s(now)
+        return f"{hours(age_s)} ago" if age_s > -1 else f"{hours(-age_s)} ahead of this computer's clock"
+
+    @classmethod
+    def of(cls, status: CampaignStatus, order: str = "") -> Heartbeat:
+        """The heartbeat of this process now."""
+        fault, progress = status.fault, status.progress
+        return cls(
+            at=datetime.now(UTC),
+            pid=os.getpid(),
+            host=socket.gethostname(),
+            state=status.state,
+            reason=status.reason,
+            since=status.since,
+            position=status.position,
+            done=status.done,
+            total=status.total,
+            remaining_s=None if progress is None else progress.wall_remaining_s,
+            fault="" if fault is None else f"{fault.instrument}: {fault.operation}: {fault.cause}",
+            order=order,
+        )
 
 
 def instant(at: datetime) -> str:

@@ -24,6 +24,7 @@ from wavefocus.campaign.blueprint import (
     ringing_of,
 )
 from wavefocus.campaign.campaign_view import CampaignView
+from wavefocus.campaign.control import CampaignControl, resume_line
 from wavefocus.campaign.extension import extend as extended
 from wavefocus.campaign.extension import origins_of
 from wavefocus.campaign.schedule_choice import choose_schedule, with_chosen_schedule
@@ -36,7 +37,6 @@ from wavefocus.campaign.sidecar_files import (
     read_drift,
     unvouched_rows,
 )
-from wavefocus.campaign.supervision import CampaignControl, resume_line
 from wavefocus.config.messages.campaign import (
     CrosstalkMeasured,
     Drift,

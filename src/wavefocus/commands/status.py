@@ -5,16 +5,21 @@ from __future__ import annotations
 import json
 import time
 from dataclasses import asdict
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wavefocus.acquisition.heartbeat import Heartbeat
 from wavefocus.acquisition.wording import a_while, hours, row_ranges
 from wavefocus.calibration.estimator.noise_error import median_noise_error_db
 from wavefocus.campaign.campaign_view import remaining
+from wavefocus.campaign.control import (
+    Word,
+    give_order,
+    read_heartbeat,
+    resume_line,
+    withdraw,
+)
 from wavefocus.campaign.extension import origins_of
 from wavefocus.campaign.sidecar_files import (
     drift_path,
@@ -22,14 +27,7 @@ from wavefocus.campaign.sidecar_files import (
     read_drift,
     suspect_rows,
 )
-from wavefocus.campaign.status import CampaignStatus, campaign_status, instant
-from wavefocus.campaign.supervision import (
-    Word,
-    give_order,
-    read_heartbeat,
-    resume_line,
-    withdraw,
-)
+from wavefocus.campaign.status import CampaignStatus, Heartbeat, campaign_status, instant
 from wavefocus.config.messages.campaign import (
     State,
 )
@@ -86,8 +84,8 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
         "median_snr_db": snr_db,
         "median_noise_error_db": error_db,
         "state": stands.state,
-        "state_since": stands.since,
-        "state_reason": stands.reason,
+        "state_since": stands.since and instant(stands.since),
+        "state_reason": stands.reason if stands.since else None,
         "recovering": None if stands.recovering is None else to_record(stands.recovering),
         "owner": {"host": owner.host, "pid": owner.pid} if owner else None,
         "last_sign_of_life": _life_facts(beat),
@@ -180,9 +178,8 @@ def _print_pace(stands: CampaignStatus, to_go: int) -> None:
         return
     at = stands.progress_at.astimezone()
     if stands.state in (State.RUNNING, State.STOPPING):
-        per_hour = progress.wall_positions_per_hour or progress.positions_per_hour
         left = f", {time_left}" if (time_left := remaining(progress)) else ""
-        answer(f"{per_hour:.0f} positions an hour{left} (last position {at:%H:%M:%S})")
+        answer(f"{progress.per_hour:.0f} positions an hour{left} (last position {at:%H:%M:%S})")
     else:
         wall = a_while(progress.wall_remaining_s)
         answer(f"{to_go} positions to go, about {wall} once it goes on (last position {at:%H:%M:%S})")
@@ -199,8 +196,8 @@ def _print_running(owner: Owner, stands: CampaignStatus, beat: Heartbeat | None,
             f"or hung; it last said {beat.state}: {beat.reason}"
         )
         return
-    if stands.state is State.RECOVERING:
-        since = datetime.fromisoformat(str(stands.since)).astimezone()
+    if stands.state is State.RECOVERING and stands.since is not None:
+        since = stands.since.astimezone()
         tries = (stands.recovering and stands.recovering.tries) or "no"
         answer(
             f"{who} is recovering since {since:%H:%M:%S}: {stands.reason} "

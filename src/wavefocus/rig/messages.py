@@ -15,7 +15,7 @@ from types import TracebackType
 
 from wavefocus.acquisition.event_wording import sentence
 from wavefocus.acquisition.wording import hours
-from wavefocus.campaign.supervision import resume_line
+from wavefocus.campaign.control import resume_line
 from wavefocus.config.messages.campaign import (
     Drift,
     Event,

@@ -1,4 +1,4 @@
-"""Supervision of a running capture: orders to it, its heartbeat, and the thread that attends to both."""
+"""Control of a running capture: orders to it, its heartbeat, and the thread that attends to both."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import time
 import uuid
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Literal
 
 from wavefocus.acquisition.engine.session import StopRequest
-from wavefocus.acquisition.heartbeat import Heartbeat
 from wavefocus.campaign.sidecar_files import read_whole, write_whole
-from wavefocus.config.messages.campaign import Event, SessionEnded, StateChanged
+from wavefocus.campaign.status import CampaignStatus, Heartbeat
+from wavefocus.config.messages.campaign import Event, Logged, SessionEnded, StateChanged
 from wavefocus.config.messages.codec import Message, MessageError, from_record, to_record
 from wavefocus.console import say
 
@@ -27,7 +27,7 @@ Word = Literal["pause", "go-on", "stop"]
 
 
 @dataclass(frozen=True)
-class Order(Message):
+class CampaignOrder(Message):
     """An order to a running capture; its heartbeat repeats the number once the order was taken."""
 
     order: Word
@@ -39,17 +39,17 @@ def orders_path(bank: Path) -> Path:
     return bank.with_name(bank.name + ".orders")
 
 
-def give_order(bank: Path, word: Word) -> Order:
+def give_order(bank: Path, word: Word) -> CampaignOrder:
     """Lay an order; one that was not yet taken is replaced.
 
     Raises OSError: the file cannot be written.
     """
-    order = Order(word, uuid.uuid4().hex)
+    order = CampaignOrder(word, uuid.uuid4().hex)
     write_whole(orders_path(bank), to_record(order), by_many=True)
     return order
 
 
-def take_order(bank: Path) -> Order | None:
+def take_order(bank: Path) -> CampaignOrder | None:
     """Take the order that is there, if any; what is no order is taken away too.
 
     Raises OSError: it cannot be taken away.
@@ -58,7 +58,7 @@ def take_order(bank: Path) -> Order | None:
     return _order(_taken(path)) if path.exists() else None
 
 
-def withdraw(bank: Path, order: Order) -> None:
+def withdraw(bank: Path, order: CampaignOrder) -> None:
     """Take an order back that nobody took."""
     path = orders_path(bank)
     if _order(read_whole(path) or {}) == order:
@@ -67,9 +67,9 @@ def withdraw(bank: Path, order: Order) -> None:
             write_whole(path, taken, by_many=True)
 
 
-def _order(record: Mapping[str, object]) -> Order | None:
+def _order(record: Mapping[str, object]) -> CampaignOrder | None:
     with suppress(MessageError):
-        return from_record(Order, record)
+        return from_record(CampaignOrder, record)
     return None
 
 
@@ -123,8 +123,7 @@ class CampaignControl:
     def __init__(self, bank: Path, stop: StopRequest) -> None:
         self._bank = bank
         self._stop = stop
-        self._latest = Heartbeat.of_this_process()
-        self._lock = threading.Lock()  # events come from the campaign's thread, orders from this one's
+        self._status, self._order = CampaignStatus(), ""
         self._wake = threading.Event()
         self._over = False
         self._failures = 0
@@ -132,8 +131,7 @@ class CampaignControl:
 
     def __call__(self, event: Event) -> None:
         """Take an event; the thread writes a change of state at once."""
-        with self._lock:
-            self._latest = self._latest.after(event)
+        self._status = self._status.after(Logged(datetime.now(UTC), event))
         if isinstance(event, StateChanged | SessionEnded):
             self._wake.set()
 
@@ -164,12 +162,11 @@ class CampaignControl:
         self._take()
         self._beat()
 
-    def _carry_out(self, order: Order) -> None:
+    def _carry_out(self, order: CampaignOrder) -> None:
         {"pause": self._stop.pause, "go-on": self._stop.go_on, "stop": self._stop.finish_position}[order.order]()
-        with self._lock:
-            self._latest = replace(self._latest, order=order.number)
+        self._order = order.number
 
-    def _take(self) -> Order | None:
+    def _take(self) -> CampaignOrder | None:
         try:
             return take_order(self._bank)
         except OSError as failure:
@@ -180,7 +177,7 @@ class CampaignControl:
 
     def _beat(self) -> None:
         try:
-            write_heartbeat(self._bank, replace(self._latest, at=datetime.now(UTC)))
+            write_heartbeat(self._bank, Heartbeat.of(self._status, self._order))
         except OSError as failure:
             self._report_failure(
                 f"the heartbeat of {self._bank} cannot be written ({failure.strerror}); the campaign goes on"
