@@ -18,7 +18,7 @@ import pytest
 
 from tests.system.captures import held
 from wavefocus.__main__ import run
-from wavefocus.campaign.supervision import read_heartbeat
+from wavefocus.campaign.control import read_heartbeat
 from wavefocus.storage.ledger.owner import bank_owner
 
 RUNNER = [sys.executable, "-m", "wavefocus", "queue", "run"]

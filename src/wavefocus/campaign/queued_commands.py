@@ -11,7 +11,7 @@ from typing import Any
 from wavefocus.acquisition.plan import POSITION_OVERHEAD_S, Plan
 from wavefocus.acquisition.run_queue import EntryState, QueueEntry, add_entry, file_digests, finish_times, read_queue
 from wavefocus.campaign.blueprint import Blueprint, blueprint_from_bank, blueprint_from_files, needed_by
-from wavefocus.campaign.supervision import read_heartbeat
+from wavefocus.campaign.control import read_heartbeat
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import named_rig
 from wavefocus.input_files import input_files, scan_rows
