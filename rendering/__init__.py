@@ -4,8 +4,7 @@
 `scene.model`              `Scene`, `Source`, `load_scene`; paths and signals next to it
 `greens.source`            `GreenSource`, `GreenArray`: the bank as the renderer reads it
 `greens.interpolation`     the bank between its positions
-`drive.rendering`          `render`, `render_with_report`: a scene into the drives of all actuators
-`drive.streamed`           `StreamedDrive`, `BlockDrive`: drives of scenes, block by block
+`drive.rendering`          `SceneRenderer`, `render_with_report`: a scene into the drives of all actuators
 `live.engine`              `LiveEngine`: drives of sources whose positions arrive while they sound
 `field.prediction`         `predict`, `Prediction`: drives into the field
 `verify.scan`              `ScanPlan`, `scan`: the field measured again

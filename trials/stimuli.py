@@ -14,7 +14,7 @@ import numpy as np
 
 from wavefocus.config.loading import printable
 from wavefocus.config.scene import Output
-from wavefocus.rendering.drive.coil_limits import DriveLimits, Reached, largest_rms, peaks, strictest
+from wavefocus.rendering.drive.coil_limits import DriveLimits, levels_of, peaks, strictest
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.drive.wav import Interface
 from wavefocus.rendering.scene.model import Scene
@@ -136,14 +136,10 @@ class _Renderer:
 
 
 def _check_limits(drive: Drive, stimulus: Stimulus, limits: DriveLimits, interface: Interface) -> None:
-    reached = [interface.between_samples(drive.drive_v, drive.sample_rate_hz)]
-    if limits.peak_v is not None:
-        reached.append(Reached(limits.peak_key, limits.peak_v, peaks(drive.drive_v)))
-    if limits.rms_v is not None:
-        # As if plays and trials followed each other without a pause.
-        rms_v = largest_rms(drive.drive_v, drive.sample_rate_hz, repeated=True)
-        reached.append(Reached(limits.rms_key, limits.rms_v, rms_v, summed=True))
-    limiting = strictest(reached)
+    # As if plays and trials followed each other without a pause.
+    levels = levels_of(drive.drive_v, drive.sample_rate_hz, limits, repeated=True)
+    between = interface.reached(interface.between_v(drive.drive_v, drive.sample_rate_hz))
+    limiting = strictest([between, *levels])
     if limiting.decided_by is not None:
         raise InputError(
             f"actuator {limiting.actuator} would reach {limiting.reached_v:.4g} V, more than {limiting.decided_by} ="

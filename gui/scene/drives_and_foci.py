@@ -15,8 +15,7 @@ from wavefocus.gui.scene.calculation import DriveResult, FocusFigures, interpola
 from wavefocus.gui.surface import path_line
 from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
 from wavefocus.rendering.drive.coil_limits import DriveLimits, Limiting, largest_rms, limit_drive
-from wavefocus.rendering.drive.rendering import render_with_report
-from wavefocus.rendering.drive.streamed import BlockDrive
+from wavefocus.rendering.drive.rendering import SceneRenderer, render_with_report
 from wavefocus.rendering.field.crosstalk import PathResponses
 from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusInstant, evenly
 from wavefocus.rendering.field.metrics import focus_spot, grid_spacing_mm
@@ -38,7 +37,6 @@ MAX_DRIVE_BYTES = 128 * 2**20
 MAX_S = 600.0
 MAX_GAINS = 200
 MAX_PATH_POINTS = 400
-_BLOCK_SAMPLES = 8192
 _LISTED = 12
 MAX_FIGURES = 8
 MAX_CROSSTALK_POINTS = 24
@@ -163,16 +161,16 @@ def emission_s(source: Source, sample_rate_hz: float) -> float:
 
 def _beginning(scene: Scene, bank: Bank, most: int, on_progress: OnProgress) -> Drive:
     """The first samples of a drive that is not made as a whole."""
-    live = BlockDrive(scene, bank, block_samples=_BLOCK_SAMPLES, single=True)
-    drive_v, filled = np.zeros((bank.actuators, min(most, live.shape[1]))), 0
-    for block in live.blocks():
+    renderer = SceneRenderer(scene, bank, tolerance_db=TOLERANCE_DB)
+    drive_v, filled = np.zeros((bank.actuators, min(most, renderer.shape[1]))), 0
+    for block in renderer.unlimited_blocks():
         taken = block[:, : drive_v.shape[1] - filled]
         drive_v[:, filled : filled + taken.shape[1]] = taken
         filled += taken.shape[1]
         on_progress(filled, drive_v.shape[1])
         if filled == drive_v.shape[1]:
             break
-    sampled = live.sampled
+    sampled = renderer.sampled
     sample, position, source = sampled.foci
     there = sample < round(sampled.start_s * bank.sample_rate_hz) + filled
     return Drive(

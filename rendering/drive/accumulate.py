@@ -1,16 +1,17 @@
 """The block frequency accumulator: drives from windows of the source and time-reversed bank rows.
 
 The drive of eqs. (9) and (16) is a sum over bank rows of linear convolutions of what the row emits with its
-time-reversed Green's functions. Time is cut into blocks; within a block, everything that one row emits is one
-window, however many path points it comes from; its spectrum is multiplied with the row's, and a single
-inverse transform per block and actuator gives the drives (overlap-add). Cost follows the number of (block,
-row) pairs.
+time-reversed Green's functions. Time is cut into blocks, the same for all sources; within a block, everything that one
+row emits for one source is one window, however many path points it comes from; its spectrum is multiplied with the
+row's, and a single inverse transform per block and actuator gives the drives (overlap-add). Cost follows the number of
+(block, row) pairs.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,11 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.rendering.arrays import Float64Array, Int64Array
-from wavefocus.rendering.band import Band, norm_of
+from wavefocus.rendering.band import Band
 from wavefocus.rendering.device import WORKERS, Device, fast_length, host_device, in_order
 from wavefocus.rendering.drive.windows import RowSpectra, Windows
 from wavefocus.rendering.greens.regularisation import BankRows
-from wavefocus.rendering.scene.sampling import SampledSource
+from wavefocus.rendering.scene.emission import Emission
+from wavefocus.rendering.scene.sampling import SampledScene
 
 WINDOWS_AT_ONCE = 32
 """Windows that are transformed together: about as many as stay in the cache of one core."""
@@ -30,6 +32,7 @@ BLOCKS_AHEAD = 32
 """Most blocks whose rows are loaded together."""
 TINY = 2.0**-100
 """Bounds what a window loses where single precision underflows."""
+MAX_SILENCE_SAMPLES = 4096
 MIN_HOP_SAMPLES = 512
 HOPS = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0, 1.5, 2.0, 3.0, 4.0)
 """Hops that are weighed, relative to how far one event reaches."""
@@ -41,14 +44,13 @@ touches. Measured with scipy's transforms in float64 on a 2.5 GHz Xeon; only the
 
 
 @dataclass(frozen=True, slots=True)
-class Accumulated:
-    """What one emission cost and left out.
+class SourceStatistics:
+    """What one source cost, and where its energy lies.
 
-    error: Bound on the norm of the error from single precision; 0 in double precision.
-    band_energy, energy: Energy of all windows within the band asked about, and in all.
+    pairs: (Block, row) pairs that were multiplied.
+    band_energy, energy: Energy of all windows within the bank's band, and in all.
     """
 
-    error: float
     pairs: int
     band_energy: float
     energy: float
@@ -56,167 +58,170 @@ class Accumulated:
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """Drives of one block (actuators, samples) before overlap-add, and its share of the figures."""
+    """Drives of one block (actuators, samples) before overlap-add, and its share of the figures.
+
+    error: Bound on the norm of the error from single precision; 0 in double precision.
+    figures, float64 (sources, 3): Pairs, energy within the band, energy.
+    """
 
     samples: NDArray[Any]
     error: float
-    pairs: int
-    band_energy: float
-    energy: float
+    figures: Float64Array
 
 
-class SourceDrives:
-    """The drives of one source, as they come.
+class BlockAccumulator:
+    """The drives of all sources of a scene, block by block.
 
     single: Compute in single precision, with a proved bound on the error.
-    on_block: Called with blocks done and blocks in all.
-    live: Load the rows of no more than one block at a time.
     device: Where to compute, by default on this processor.
     """
 
     block_samples: int
     """Samples of drive that one block makes: those within which an event reaches, and a hop to the next block."""
+    error: float = 0.0
+    """Bound on the norm of the error from single precision in all blocks given so far."""
 
     def __init__(
-        self,
-        source: SampledSource,
-        rows: BankRows,
-        *,
-        single: bool = False,
-        on_block: Callable[[int, int], None] | None = None,
-        live: bool = False,
-        device: Device | None = None,
+        self, scene: SampledScene, rows: BankRows, *, single: bool = False, device: Device | None = None
     ) -> None:
-        self._emission = emission = source.emission
-        self._rows, self._single = rows, single
-        reach = rows.bank.taps + emission.event_samples - 1
-        span = emission.stop_event - emission.first_sample
-        self.block_samples = choose_fft_samples(reach, span, rows.bank.actuators, source.focus_position, source.nodes)
+        self._rows, self._single, self._samples = rows, single, scene.samples
+        self._emissions = [source.emission for source in scene.sources]
+        reach = rows.bank.taps + max(emission.event_samples for emission in self._emissions) - 1
+        first = min(emission.first_sample for emission in self._emissions)
+        stop = max(emission.stop_event for emission in self._emissions)
+        self.block_samples = choose_fft_samples(
+            reach, stop - first, rows.bank.actuators,
+            [(source.focus_position, source.nodes) for source in scene.sources],
+        )  # fmt: skip
         self._hop = self.block_samples - reach + 1
-        self._starts = range(emission.first_sample, emission.stop_event, self._hop)
-        self._on_block, self._blocks_ahead = on_block, 1 if live else BLOCKS_AHEAD
+        self._starts = range(first, stop, self._hop)
         self._device = host_device() if device is None else device
-        self._piece_spectra = emission.piece_spectra(self.block_samples)
+        self._piece_spectra = [emission.piece_spectra(self.block_samples) for emission in self._emissions]
         self._inside = slice(0, 0)
         if (band_hz := rows.bank.band_hz) is not None:
             frequency_hz = np.fft.rfftfreq(self.block_samples, 1.0 / rows.bank.sample_rate_hz)
             edges = np.searchsorted(frequency_hz, [band_hz[0], np.nextafter(band_hz[1], np.inf)])
             self._inside = slice(*edges.tolist())
-        self._facts: Accumulated | None = None
+        self._figures = np.zeros((len(self._emissions), 3))
 
     @property
-    def facts(self) -> Accumulated:
-        """What all of it cost and left out, when the last piece was given."""
-        if self._facts is None:
-            raise RuntimeError("the drives were not made to their end")
-        return self._facts
+    def statistics(self) -> list[SourceStatistics]:
+        """Statistics of each source, of all blocks given so far."""
+        return [SourceStatistics(int(pairs), *energies) for pairs, *energies in self._figures.tolist()]
 
-    def pieces(self) -> Generator[tuple[int, Float64Array], None, None]:
-        """Give drives that nothing more is added to, without gaps and in order.
+    def blocks(self, ahead: int = BLOCKS_AHEAD) -> Iterator[Float64Array]:
+        """Yield finished drives in order, (actuators, some samples), from the lead-in's first sample to the last.
 
-        Returns iterator of tuples: first sample, in an array of drives that begins with the bank's lead-in, and drives
-        (actuators, samples) over 2**`BankRows.drive_exponent`.
+        They are over 2**`BankRows.drive_exponent`.
+
+        ahead: Most blocks whose rows are loaded together.
+
+        Raises InputError: a row on a path cannot be used.
         """
         spectra = RowSpectra(self._rows, Band.whole(self.block_samples, single=self._single), self._device)
-        count = len(self._starts)
+        self._figures, errors = np.zeros_like(self._figures), 0.0
+        # A sample lies in so many blocks.
+        overlap = -(-self.block_samples // self._hop)
         tail: Float64Array = np.zeros((self._rows.bank.actuators, self.block_samples - self._hop))
-        errors, pairs, band_energy, energy = [], 0, 0.0, 0.0
-        for number, block in enumerate(self._blocks(spectra), 1):
+        yield from self._silence(self._starts[0])
+        for start, block in zip(self._starts, self._blocks(spectra, ahead), strict=True):
             summed = block.samples.astype(np.float64, copy=False)
             summed[:, : tail.shape[1]] += tail
             tail = summed[:, self._hop :]
-            errors.append(block.error)
-            pairs += block.pairs
-            band_energy += block.band_energy
-            energy += block.energy
-            done = summed if number == count else summed[:, : self._hop]
-            yield self._starts[number - 1], done
-            if self._on_block is not None:
-                self._on_block(number, count)
-        # A sample lies in so many blocks.
-        overlap = -(-self.block_samples // self._hop)
-        error = math.sqrt(overlap) * norm_of(np.array([errors]))
-        self._facts = Accumulated(error, pairs, band_energy, energy)
+            errors = math.hypot(errors, block.error)
+            self.error = math.sqrt(overlap) * errors
+            self._figures += block.figures
+            yield summed[:, : min(self._hop, self._samples - start)]
+        end = self._starts[-1] + self._hop
+        yield tail[:, : max(self._samples - end, 0)]
+        yield from self._silence(self._samples - end - tail.shape[1])
 
-    def add_to(self, drive_v: Float64Array) -> Accumulated:
-        """Make all of it and add it to drives (actuators, samples) whose first sample is at -(taps - 1)."""
-        for first, samples in self.pieces():
-            last = min(first + samples.shape[1], drive_v.shape[1])
-            drive_v[:, first:last] += samples[:, : last - first]
-        return self.facts
+    def _silence(self, samples: int) -> Iterator[Float64Array]:
+        for first in range(0, samples, MAX_SILENCE_SAMPLES):
+            yield np.zeros((self._rows.bank.actuators, min(MAX_SILENCE_SAMPLES, samples - first)))
 
-    def _blocks(self, spectra: RowSpectra) -> Iterator[_Block]:
+    def _blocks(self, spectra: RowSpectra, ahead: int) -> Iterator[_Block]:
         """Sum all blocks, in order; some of them side by side, as far as their rows fit into memory together."""
-        planned: list[Windows] = []
+        planned: list[list[Windows | None]] = []
         needed: dict[int, None] = {}
         for start in self._starts:
-            windows = self._windows(start)
-            more = dict.fromkeys(windows.pairs[0].tolist())
-            if planned and (len(planned) >= self._blocks_ahead or len(needed | more) > spectra.most_rows):
+            block = [self._windows(emission, start) for emission in self._emissions]
+            more = dict.fromkeys(row for windows in block if windows is not None for row in windows.pairs[0].tolist())
+            if planned and (len(planned) >= ahead or len(needed | more) > spectra.most_rows):
                 yield from self._together(planned, list(needed), spectra)
                 planned, needed = [], {}
-            planned.append(windows)
+            planned.append(block)
             needed |= more
         yield from self._together(planned, list(needed), spectra)
 
-    def _windows(self, start: int) -> Windows:
-        return Windows(self._emission.events(start, min(start + self._hop, self._emission.stop_event)))
+    def _windows(self, emission: Emission, start: int) -> Windows | None:
+        """Windows of a source in the block from a sample on, None where no event begins in it."""
+        first, stop = max(start, emission.first_sample), min(start + self._hop, emission.stop_event)
+        return Windows(emission.events(first, stop), first - start) if first < stop else None
 
-    def _together(self, planned: Sequence[Windows], rows: Sequence[int], spectra: RowSpectra) -> Iterator[_Block]:
+    def _together(
+        self, planned: Sequence[Sequence[Windows | None]], rows: Sequence[int], spectra: RowSpectra
+    ) -> Iterator[_Block]:
         fits = len(rows) <= spectra.most_rows
         if fits:
             spectra.load(rows)
-        for windows in planned:
-            windows.weigh(self._rows.weigh)
+        for windows in itertools.chain.from_iterable(planned):
+            if windows is not None:
+                windows.weigh(self._rows.weigh)
         workers = WORKERS if self._device.is_host and len(planned) > 1 else 1
-        yield from in_order(lambda windows: self._sum(windows, spectra, loaded=fits), planned, workers)
+        yield from in_order(lambda block: self._sum(block, spectra, loaded=fits), planned, workers)
 
     @np.errstate(over="ignore", invalid="ignore")
-    def _sum(self, windows: Windows, spectra: RowSpectra, *, loaded: bool) -> _Block:
+    def _sum(self, block: Sequence[Windows | None], spectra: RowSpectra, *, loaded: bool) -> _Block:
         """Windows times their time-reversed rows, added up and transformed back."""
-        xp, band = self._device.xp, spectra.band
-        total = xp.zeros((self._rows.bank.actuators, band.bins), dtype=self._device.dtype(band.complex))
-        energy = band_energy = coherent = 0.0
+        xp, band, actuators = self._device.xp, spectra.band, self._rows.bank.actuators
+        figures, coherent = np.zeros((len(block), 3)), 0.0
+        total = xp.zeros((actuators, band.bins), dtype=self._device.dtype(band.complex))
         at_once = WINDOWS_AT_ONCE if loaded else min(WINDOWS_AT_ONCE, spectra.most_rows)
-        for first in range(0, len(windows), at_once):
-            last = min(first + at_once, len(windows))
-            rows = windows.rows[first:last].tolist()
-            if not loaded:
-                spectra.load(list(dict.fromkeys(rows)))
-            emitted = windows.spectra(first, last, self.block_samples, self._piece_spectra)
-            power = np.square(emitted.real) + np.square(emitted.imag)
-            energy += float(power.sum())
-            band_energy += float(power[:, self._inside].sum())
-            driven = xp.asarray(emitted.astype(band.complex, copy=False))
-            for place, (row, by) in enumerate(zip(rows, windows.regularised_by[first:last].tolist(), strict=True)):
-                product = spectra[row].values * driven[place, :]
-                if by >= 0:
-                    product *= xp.asarray(self._rows.sigma(by), dtype=self._device.dtype(band.real))[:, None]
-                total += product
-                if band.single:
-                    # Saturation only lessens a row.
-                    coherent += (math.sqrt(float(power[place].max())) + TINY) * spectra[row].norm
+        for source, windows in enumerate(block):
+            if windows is None:
+                continue
+            for first in range(0, len(windows), at_once):
+                last = min(first + at_once, len(windows))
+                rows = windows.rows[first:last].tolist()
+                if not loaded:
+                    spectra.load(list(dict.fromkeys(rows)))
+                emitted = windows.spectra(first, last, self.block_samples, self._piece_spectra[source])
+                power = np.square(emitted.real) + np.square(emitted.imag)
+                figures[source] += last - first, power[:, self._inside].sum(), power.sum()
+                driven = xp.asarray(emitted.astype(band.complex, copy=False))
+                for place, (row, by) in enumerate(zip(rows, windows.regularised_by[first:last].tolist(), strict=True)):
+                    product = spectra[row].values * driven[place, :]
+                    if by >= 0:
+                        product *= xp.asarray(self._rows.sigma(by), dtype=self._device.dtype(band.real))[:, None]
+                    total += product
+                    if band.single:
+                        # Saturation only lessens a row.
+                        coherent += (math.sqrt(float(power[place].max())) + TINY) * spectra[row].norm
+        pairs = int(figures[:, 0].sum())
+        if not pairs:
+            return _Block(np.zeros((actuators, self.block_samples)), 0.0, figures)
         samples = self._device.to_host(self._device.fft(single=band.single).irfft(total, n=self.block_samples, axis=1))
-        return _Block(samples, band.rounding_error(coherent, len(windows)), len(windows), band_energy, energy)
+        return _Block(samples, band.rounding_error(coherent, pairs), figures)
 
 
-def choose_fft_samples(reach: int, span: int, actuators: int, focus_position: Int64Array, nodes: int) -> int:
+def choose_fft_samples(reach: int, span: int, actuators: int, paths: Sequence[tuple[Int64Array, int]]) -> int:
     """Choose the transform length by what transforms, products and overlap-add will cost.
 
     Long blocks waste less on their overlap, short ones less on rows that emit briefly.
 
     reach: Samples of drive that one event makes.
     span: Samples over which events begin.
-    focus_position, int64 (points,): Row of each path point.
-    nodes: Rows that make one path point.
+    paths: Of each source, the row of each path point, int64 (points,), and how many rows make one path point.
     """
-    rows = nodes * len(np.unique(focus_position))
-    moves = nodes * np.count_nonzero(np.diff(focus_position))
+    rows = sum(nodes * len(np.unique(position)) for position, nodes in paths)
+    moves = sum(nodes * np.count_nonzero(np.diff(position)) for position, nodes in paths)
+    staying = sum(nodes for _, nodes in paths)
     best, least = 0, np.inf
     for hop in sorted({min(span, max(MIN_HOP_SAMPLES, int(share * reach))) for share in HOPS}):
         fft_samples = fast_length(reach + hop - 1)
         blocks = -(-span // (fft_samples - reach + 1))
-        pairs = moves + nodes * blocks
+        pairs = moves + staying * blocks
         transform_s = TRANSFORM_S * fft_samples * np.log2(fft_samples)
         cost_s = (
             transform_s * (actuators * (rows + blocks) + pairs)

@@ -83,21 +83,11 @@ class RunningLevels:
         self._limits = limits
         self.peaks_v: Float64Array = np.zeros(actuators)
         self.norms: Float64Array = np.zeros(actuators)
-        self._rms: _SlidingRms | None = None
-        if limits.rms_v is not None:
-            window = max(1, min(samples, round(RMS_WINDOW_S * sample_rate_hz)))
-            # In the limit's unit, squares overflow only where a drive is far beyond it.
-            self._rms = _SlidingRms(window, np.full(actuators, limits.rms_v))
-
-    @property
-    def rms_v(self) -> Float64Array:
-        """Largest rms over any window so far, (actuators,); zeros where no limit asks for it."""
-        return np.zeros(len(self.peaks_v)) if self._rms is None else self._rms.largest
+        window = max(1, min(samples, round(RMS_WINDOW_S * sample_rate_hz)))
+        self._rms = None if limits.rms_v is None else _SlidingRms(actuators, window)
 
     def add(self, block: Float64Array) -> None:
-        """Take the next block, (actuators, any number of samples), finite."""
-        if not block.shape[1]:
-            return
+        """Take the next block, (actuators, any number of samples)."""
         self.peaks_v = np.maximum(self.peaks_v, peaks(block))
         self.norms = np.hypot(self.norms, row_norms(block))
         if self._rms is not None:
@@ -105,36 +95,39 @@ class RunningLevels:
 
     def reached(self) -> list[Reached]:
         """Levels reached so far, one for each limit."""
-        found = []
-        if self._limits.peak_v is not None:
-            found.append(Reached(self._limits.peak_key, self._limits.peak_v, self.peaks_v))
-        if self._limits.rms_v is not None:
-            found.append(Reached(self._limits.rms_key, self._limits.rms_v, self.rms_v, summed=True))
-        return found
+        return _against(self._limits, self.peaks_v, None if self._rms is None else self._rms.largest)
 
 
 class _SlidingRms:
-    """Largest rms of signals over any `window` samples; a unit for each, (actuators,), keeps squares in range."""
+    """Largest rms of signals over any `window` samples.
 
-    def __init__(self, window: int, unit: Float64Array) -> None:
-        self._unit, self._window = unit, window
-        self._squares = np.zeros((len(unit), window))
-        self._largest = np.zeros(len(unit))
+    Squares are of values over a power of two for each signal, which grows with its peak, so that they stay in range.
+    """
+
+    def __init__(self, signals: int, window: int) -> None:
+        self._window = window
+        self._exponent = np.full(signals, -1100)
+        self._squares = np.zeros((signals, window))
+        self._largest = np.zeros(signals)
 
     @property
     def largest(self) -> Float64Array:
-        return np.sqrt(self._largest / self._window) * self._unit
+        return np.asarray(np.ldexp(np.sqrt(self._largest / self._window), self._exponent))
 
+    @np.errstate(over="ignore", under="ignore", invalid="ignore")
     def add(self, block: Float64Array) -> None:
+        peak = peaks(block)
+        exponent = np.maximum(self._exponent, np.where(peak > 0, np.frexp(peak)[1], -1100))
+        grown = 2 * (self._exponent - exponent)
+        self._squares, self._largest = np.ldexp(self._squares, grown[:, None]), np.ldexp(self._largest, grown)
+        self._exponent = exponent
         for first in range(0, block.shape[1], self._window):
-            self._slide(block[:, first : first + self._window])
+            self._slide(np.square(np.ldexp(block[:, first : first + self._window], -exponent[:, None])))
 
-    def _slide(self, block: Float64Array) -> None:
+    def _slide(self, fresh: Float64Array) -> None:
         """Move over at most one window; its sum is made anew here, so that no error adds up."""
-        count = block.shape[1]
-        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-            fresh = np.square(block / self._unit[:, None])
-            sums = np.cumsum(fresh - self._squares[:, :count], axis=1) + self._squares.sum(axis=1)[:, None]
+        count = fresh.shape[1]
+        sums = np.cumsum(fresh - self._squares[:, :count], axis=1) + self._squares.sum(axis=1)[:, None]
         self._largest = np.maximum(self._largest, sums.max(axis=1))
         self._squares = np.concatenate([self._squares[:, count:], fresh], axis=1)
 
@@ -156,12 +149,28 @@ def largest_rms(
     if repeated and samples < whole:
         drive_v = np.tile(drive_v, -(-whole // samples))
     window = min(drive_v.shape[1], whole)
-    most = peaks(drive_v)
-    rms = _SlidingRms(window, np.where(most > 0, most, 1.0))
+    rms = _SlidingRms(len(drive_v), window)
     rms.add(drive_v)
     if repeated:
         rms.add(drive_v[:, : window - 1])
     return rms.largest
+
+
+def levels_of(
+    drive_v: Float64Array, sample_rate_hz: float, limits: DriveLimits, *, repeated: bool = False
+) -> list[Reached]:
+    """Levels that a drive (actuators, samples), finite, reaches, one for each limit; see `largest_rms`."""
+    rms_v = None if limits.rms_v is None else largest_rms(drive_v, sample_rate_hz, repeated=repeated)
+    return _against(limits, peaks(drive_v), rms_v)
+
+
+def _against(limits: DriveLimits, peaks_v: Float64Array, rms_v: Float64Array | None) -> list[Reached]:
+    reached = []
+    if limits.peak_v is not None:
+        reached.append(Reached(limits.peak_key, limits.peak_v, peaks_v))
+    if limits.rms_v is not None and rms_v is not None:
+        reached.append(Reached(limits.rms_key, limits.rms_v, rms_v, summed=True))
+    return reached
 
 
 def relative_rms(drive_v: Float64Array) -> Float64Array:
@@ -181,10 +190,7 @@ def limit_drive(drive_v: Float64Array, sample_rate_hz: float, limits: DriveLimit
 
     Raises InputError: a limit is not a finite number above 0, or no factor reaches so far.
     """
-    levels = [Reached(limits.peak_key, limits.peak_v, peaks(drive_v))] if limits.peak_v is not None else []
-    if limits.rms_v is not None:
-        levels.append(Reached(limits.rms_key, limits.rms_v, largest_rms(drive_v, sample_rate_hz), summed=True))
-    limiting = strictest(levels)
+    limiting = strictest(levels_of(drive_v, sample_rate_hz, limits))
     if limiting.decided_by is not None:
         drive_v *= limiting.scale
     return limiting

@@ -20,7 +20,16 @@ import numpy as np
 from wavefocus.config.scene import Regularisation
 from wavefocus.rendering.arrays import Complex128Array, Float64Array, Int64Array
 from wavefocus.rendering.device import fast_length
-from wavefocus.rendering.drive.coil_limits import DriveLimits, Limiting, limit_drive, require_finite
+from wavefocus.rendering.drive.coil_limits import (
+    DriveLimits,
+    Limiting,
+    levels_of,
+    peaks,
+    relative_rms,
+    require_finite,
+    strictest,
+)
+from wavefocus.rendering.drive.wav import Interface
 from wavefocus.rendering.field.metrics import band_weights
 from wavefocus.rendering.greens.interpolation.base import Nodes
 from wavefocus.rendering.greens.regularisation import BankRows
@@ -60,6 +69,7 @@ class InverseReport:
     misfit: float
     cut_share: float
     limiting: Limiting
+    relative_rms_drive: Float64Array
 
     @property
     def scale(self) -> float:
@@ -74,7 +84,11 @@ class InverseReport:
 
 
 def inverse_filter(
-    scene: Scene, bank: GreenSource, *, regularisation_db: float = REGULARISATION_DB
+    scene: Scene,
+    bank: GreenSource,
+    *,
+    regularisation_db: float = REGULARISATION_DB,
+    interface: Interface | None = None,
 ) -> tuple[Drive, InverseReport]:
     """Make the drives of a scene by inverse filtering at its path points.
 
@@ -85,6 +99,7 @@ def inverse_filter(
 
     scene: Sources; their interpolation and limit. Saturation belongs to time reversal and is not applied.
     regularisation_db: lambda over the largest mean power at a control point, in dB, < 0.
+    interface: As of `wavefocus.rendering.drive.rendering.SceneRenderer`.
 
     Raises InputError: the scene does not fit the bank, or there are too many control points.
     """
@@ -126,7 +141,12 @@ def inverse_filter(
     # Without normalisation in `rows`, their exponent is the bank's; an inverse is over it.
     drive_v = apply_exponent(drive_v, -rows.drive_exponent)
     require_finite(drive_v)
-    limiting = limit_drive(drive_v, rate_hz, DriveLimits(scene.output.limit_v, scene.output.limit_rms_v))
+    levels = levels_of(drive_v, rate_hz, DriveLimits(scene.output.limit_v, scene.output.limit_rms_v))
+    if interface is None:
+        limiting = strictest(levels)
+    else:
+        limiting = interface.strictest(levels, peaks(drive_v), interface.between_v(drive_v, rate_hz))
+    drive_v *= limiting.scale
     drive = Drive(
         drive_v, rate_hz, sampled.start_s, "inverse-filter", limiting.scale, 0.0, *sampled.foci,
         drive_unit=drive_unit(bank),
@@ -143,6 +163,7 @@ def inverse_filter(
         misfit=misfit,
         cut_share=cut_share,
         limiting=limiting,
+        relative_rms_drive=relative_rms(drive_v),
     )
     return drive, _with_warnings(report, scene)
 

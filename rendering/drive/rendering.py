@@ -1,22 +1,29 @@
-"""Scenes into drives: eqs. (9) and (16) over a measured bank."""
+"""Scenes into drives: eqs. (9) and (16) over a measured bank, block by block, within limits."""
 
 from __future__ import annotations
 
 import math
-import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from wavefocus.rendering.arrays import Float64Array
-from wavefocus.rendering.band import norm_of, relative_bound, row_norms, tolerance_of
+from wavefocus.rendering.band import norm_of, relative_bound, tolerance_of
 from wavefocus.rendering.device import Device
-from wavefocus.rendering.drive.accumulate import Accumulated, SourceDrives
-from wavefocus.rendering.drive.coil_limits import DriveLimits, limit_drive, require_finite
+from wavefocus.rendering.drive.accumulate import BLOCKS_AHEAD, BlockAccumulator
+from wavefocus.rendering.drive.coil_limits import (
+    DriveLimits,
+    Limiting,
+    Reached,
+    RunningLevels,
+    require_finite,
+    strictest,
+)
+from wavefocus.rendering.drive.wav import Interface, InterfaceRate, largest_of
 from wavefocus.rendering.greens.interpolation.errors import judged_errors
 from wavefocus.rendering.greens.regularisation import BankRows
 from wavefocus.rendering.greens.source import GreenSource, apply_exponent, drive_unit
-from wavefocus.rendering.report.render_report import RenderReport, RenderWarning, report_render
+from wavefocus.rendering.report.render_report import RenderReport, report_render
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.rendering.scene.sampling import Method, SampledScene, sample_scene
 from wavefocus.storage.drive_file import Drive
@@ -24,40 +31,19 @@ from wavefocus.storage.errors import InputError
 
 OnProgress = Callable[[int, int], None]
 
-SOURCE_PARTS = 100
-"""Steps of progress for each source."""
+ROUNDING = 1e-9
+"""Drives that are made anew may come so far beyond a limit, relatively."""
+PIECE_SAMPLES = 4096
 
 
-def render(
-    scene: Scene,
-    bank: GreenSource,
-    *,
-    method: Method | None = None,
-    tolerance_db: float | None = None,
-    interpolation_tolerance: float | None = None,
-    on_progress: OnProgress | None = None,
-) -> Drive:
-    """Render a scene; warnings are issued as `RenderWarning`. See `render_with_report`."""
-    drive, report = render_with_report(
-        scene, bank, method=method, tolerance_db=tolerance_db, interpolation_tolerance=interpolation_tolerance,
-        on_progress=on_progress,
-    )  # fmt: skip
-    for text in report.warnings:
-        warnings.warn(text, RenderWarning, stacklevel=2)
-    return drive
+class SceneRenderer:
+    """The drives of a scene, block by block, scaled by one factor to stay within its limits.
 
-
-def render_with_report(
-    scene: Scene,
-    bank: GreenSource,
-    *,
-    method: Method | None = None,
-    tolerance_db: float | None = None,
-    interpolation_tolerance: float | None = None,
-    on_progress: OnProgress | None = None,
-    device: Device | None = None,
-) -> tuple[Drive, RenderReport]:
-    """Render a scene into the drives of all actuators.
+    By how much a drive has to be scaled is found when all of it was made. A limiter that acts while it plays would
+    change the waveforms, and with them the focus; a bound that is proved before is far from what is reached. So all
+    drives are made once to find the factor: `collect` keeps them in memory; `prepare` keeps only levels, and `blocks`
+    makes them once more. Beside the drives, memory holds some blocks, the spectra of rows, and the sources' own signals
+    and path points.
 
     The drive starts at -(L - 1) samples of scene time, L the taps of the bank, even if all sources start later, and
     ends with the last emitted sample. A continuous emission lasts until n_M, silence included.
@@ -68,67 +54,184 @@ def render_with_report(
     interpolation_tolerance: Largest relative error of the Green's functions between the bank's positions, > 0: the
         median along the paths, in every band that the scene makes use of. Without it an error above 5 % is warned
         about.
-    on_progress: Called with blocks done and blocks in all.
+    interface: Outputs whose full scale is not to be exceeded between the samples of the drives either, as long as the
+        limits keep the samples themselves within it.
+    gain: Factor on the drives before they are limited, > 0.
     device: Where to compute, by the array API; by default on this processor.
 
-    Raises InputError: the scene does not fit the bank: a path off the grid, an unmeasured row on it, an empty signal, a
-    drive that does not fit into float64, an interpolation beyond its tolerance.
+    Raises InputError: the scene does not fit the bank, or a parameter is out of range.
     """
-    tolerance = tolerance_of(tolerance_db)
-    sampled = sample_scene(scene, bank, method)
-    signals = [source.signal for source in sampled.sources]
-    errors, remarks = judged_errors(scene, bank, sampled.kind, signals, interpolation_tolerance)
-    rows = BankRows(sampled.kind.rows_of(bank), scene.regularisation)
-    try:
-        drive_v, accumulated, norms, bound = _accumulated(sampled, rows, tolerance, on_progress, device)
-    except MemoryError as error:
-        size = sampled.samples * bank.actuators * 8 / 2**30
-        raise InputError(f"the drive takes {size:.3g} GiB, which do not fit into memory; shorten the scene") from error
-    finite = bool(np.isfinite(norms).all())
-    if not finite:
-        require_finite(drive_v)
-    limits = DriveLimits(scene.output.limit_v, scene.output.limit_rms_v)
-    limiting = limit_drive(drive_v, float(bank.sample_rate_hz), limits)
-    drive = Drive(
-        drive_v, float(bank.sample_rate_hz), sampled.start_s, sampled.method, limiting.scale, bound, *sampled.foci,
-        drive_unit=drive_unit(bank), known_finite=finite,
-    )  # fmt: skip
-    report = report_render(
-        scene, rows, sampled.sources, accumulated, norms,
-        limiting=limiting, omitted_bound=bound, errors=errors, remarks=remarks,
-    )  # fmt: skip
-    return drive, report
 
+    sampled: SampledScene
+    shape: tuple[int, int]
+    """Actuators and samples of the whole drive."""
+    latency_samples: int
+    """How much later than a drive sample the source samples may be that it is made of, lead-in included."""
 
-def _accumulated(
-    scene: SampledScene, rows: BankRows, tolerance: float, on_progress: OnProgress | None, device: Device | None
-) -> tuple[Float64Array, list[Accumulated], Float64Array, float]:
-    """Drives, what each source cost, norms of the drives, and the bound on what was left out."""
-    for single in (True, False) if tolerance > 0 else (False,):
-        drive_v = np.zeros((rows.bank.actuators, scene.samples))
-        accumulated: list[Accumulated] = []
+    def __init__(
+        self,
+        scene: Scene,
+        bank: GreenSource,
+        *,
+        method: Method | None = None,
+        tolerance_db: float | None = None,
+        interpolation_tolerance: float | None = None,
+        interface: Interface | None = None,
+        gain: float = 1.0,
+        device: Device | None = None,
+    ) -> None:
+        if not (math.isfinite(gain) and gain > 0):
+            raise InputError(f"gain is {gain}; it must be a finite number above 0")
+        self._scene, self._bank, self._gain, self._device = scene, bank, gain, device
+        self._tolerance, self._interpolation_tolerance = tolerance_of(tolerance_db), interpolation_tolerance
+        self._limits = DriveLimits(scene.output.limit_v, scene.output.limit_rms_v)
+        self._interface, self._rate_hz = interface, float(bank.sample_rate_hz)
+        self._rate = None if interface is None else InterfaceRate(self._rate_hz, interface.rate_hz)
+        self.sampled = sample_scene(scene, bank, method)
+        self.shape = bank.actuators, self.sampled.samples
+        self._rows = BankRows(self.sampled.kind.rows_of(bank), scene.regularisation, self.sampled.naming)
+        self._single = self._tolerance > 0
+        self._accumulator = self._new_accumulator()
+        self.latency_samples = 2 * self._accumulator.block_samples
+        self._report: RenderReport | None = None
 
-        with np.errstate(over="ignore", invalid="ignore"):
-            for source in scene.sources:
-                rows.needed_by = source.naming
-                made = SourceDrives(
-                    source, rows, single=single, on_block=_counted(on_progress, source.index, scene),
-                    device=device,
-                )  # fmt: skip
-                accumulated.append(made.add_to(drive_v))
-        norms = row_norms(drive_v)
-        bound = relative_bound(math.fsum(item.error for item in accumulated), norm_of(norms))
-        if bound <= tolerance:
-            break
-    drive_v = apply_exponent(drive_v, rows.drive_exponent)
-    norms = row_norms(drive_v)
-    return drive_v, accumulated, norms, bound
+    @property
+    def report(self) -> RenderReport:
+        """Figures of the render, once all drives were made."""
+        if self._report is None:
+            raise RuntimeError("the drives were not made yet")
+        return self._report
 
+    @property
+    def peak_v(self) -> float:
+        """Largest magnitude of the drives within their limits."""
+        return float(self._levels.peaks_v.max()) * self._gain * self.report.scale
 
-def _counted(on_progress: OnProgress | None, source: int, scene: SampledScene) -> OnProgress | None:
-    """Progress of one source as a part of the whole."""
-    if on_progress is None:
+    def collect(self, on_progress: OnProgress | None = None) -> Drive:
+        """Make all drives in memory. Raises InputError: as `prepare`, or they do not fit into memory."""
+        try:
+            drive_v = np.empty(self.shape)
+            report = self.prepare(on_progress, drive_v)
+        except MemoryError as error:
+            size = 8 * self.shape[0] * self.shape[1] / 2**30
+            raise InputError(
+                f"the drive takes {size:.3g} GiB, which do not fit into memory; shorten the scene"
+            ) from error
+        if self._gain * report.scale != 1.0:
+            drive_v *= self._gain * report.scale
+        sampled, finite = self.sampled, bool(np.isfinite(self._levels.norms).all())
+        return Drive(
+            drive_v, self._rate_hz, sampled.start_s, sampled.method, report.scale, report.omitted_bound, *sampled.foci,
+            drive_unit=drive_unit(self._bank), known_finite=finite,
+        )  # fmt: skip
+
+    def prepare(self, on_progress: OnProgress | None = None, keep_v: Float64Array | None = None) -> RenderReport:
+        """Make all drives once and find by how much they have to be scaled.
+
+        on_progress: Called with samples done and samples in all.
+        keep_v: Takes the drives without gain and limits, of `shape`.
+
+        Raises InputError: a row on a path cannot be used, a drive does not fit into float64, or an interpolation is
+        beyond its tolerance.
+        """
+        signals = [source.signal for source in self.sampled.sources]
+        errors, remarks = judged_errors(
+            self._scene, self._bank, self.sampled.kind, signals, self._interpolation_tolerance
+        )
+        between = self._first_pass(on_progress, keep_v)
+        if self._bound() > self._tolerance:
+            self._single = False
+            self._accumulator = self._new_accumulator()
+            between = self._first_pass(on_progress, keep_v)
+        self._report = report_render(
+            self._scene, self._rows, self.sampled.sources, self._accumulator.statistics, self._levels.norms,
+            limiting=self._limiting(between), omitted_bound=self._bound(), errors=errors, remarks=remarks,
+        )  # fmt: skip
+        return self._report
+
+    def blocks(self) -> Iterator[Float64Array]:
+        """Yield the drives within their limits, (actuators, some samples); `prepare` comes first.
+
+        Raises InputError: the bank changed, so that a drive exceeds a limit.
+        """
+        factor, first, levels = self._gain * self.report.scale, 0, self._new_levels()
+        for made in self.unlimited_blocks():
+            block = made * factor
+            levels.add(block)
+            if (limiting := strictest(levels.reached())).scale < 1.0 - ROUNDING:
+                raise InputError(f"from sample {first} on, the drive would have to be {limiting}")
+            yield block
+            first += block.shape[1]
+
+    def unlimited_blocks(self, ahead: int = 1) -> Iterator[Float64Array]:
+        """Yield the drives without gain and limits, in single precision where a tolerance is given.
+
+        ahead: Most blocks whose rows are loaded together.
+        """
+        for block in self._accumulator.blocks(ahead):
+            yield apply_exponent(block, self._rows.drive_exponent)
+
+    def _new_accumulator(self) -> BlockAccumulator:
+        return BlockAccumulator(self.sampled, self._rows, single=self._single, device=self._device)
+
+    def _new_levels(self) -> RunningLevels:
+        return RunningLevels(*self.shape, self._rate_hz, self._limits)
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def _first_pass(self, on_progress: OnProgress | None, keep_v: Float64Array | None) -> Float64Array | None:
+        """Make all drives, and find their levels; returns the largest magnitudes at the interface's rate."""
+        self._levels = self._new_levels()
+        blocks = self._watched(on_progress, keep_v)
+        if self._rate is not None:
+            return largest_of(self._rate.pieces(blocks, *self.shape, PIECE_SAMPLES), self.shape[0])
+        for _ in blocks:
+            pass
         return None
-    return lambda done, total: on_progress(
-        source * SOURCE_PARTS + SOURCE_PARTS * done // total, len(scene.sources) * SOURCE_PARTS
-    )
+
+    def _watched(self, on_progress: OnProgress | None, keep_v: Float64Array | None) -> Iterator[Float64Array]:
+        done, samples = 0, self.shape[1]
+        for block in self.unlimited_blocks(1 if keep_v is None else BLOCKS_AHEAD):
+            self._levels.add(block)
+            # Where single precision overflows, all is made again.
+            if not (self._single or np.isfinite(self._levels.norms).all()):
+                require_finite(block)
+            if keep_v is not None:
+                keep_v[:, done : done + block.shape[1]] = block
+            done += block.shape[1]
+            yield block
+            if on_progress is not None:
+                on_progress(done, samples)
+
+    def _bound(self) -> float:
+        """Bound on the relative error of the drives made last."""
+        norms = apply_exponent(self._levels.norms, -self._rows.drive_exponent)
+        return relative_bound(self._accumulator.error, norm_of(norms))
+
+    def _limiting(self, between_v: Float64Array | None) -> Limiting:
+        reached = [Reached(one.key, one.limit_v, one.each_v * self._gain, one.summed) for one in self._levels.reached()]
+        if self._interface is None or between_v is None:
+            return strictest(reached)
+        return self._interface.strictest(reached, self._levels.peaks_v * self._gain, between_v * self._gain)
+
+
+def render_with_report(
+    scene: Scene,
+    bank: GreenSource,
+    *,
+    method: Method | None = None,
+    tolerance_db: float | None = None,
+    interpolation_tolerance: float | None = None,
+    interface: Interface | None = None,
+    device: Device | None = None,
+    on_progress: OnProgress | None = None,
+) -> tuple[Drive, RenderReport]:
+    """Render a scene into the drives of all actuators, in memory; see `SceneRenderer`.
+
+    on_progress: Called with samples done and samples in all.
+    """
+    renderer = SceneRenderer(
+        scene, bank, method=method, tolerance_db=tolerance_db, interpolation_tolerance=interpolation_tolerance,
+        interface=interface, device=device,
+    )  # fmt: skip
+    drive = renderer.collect(on_progress)
+    return drive, renderer.report

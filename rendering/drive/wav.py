@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from wavefocus.drivers.audio.resampling import HALF_LENGTH, converted, lead_samples, rate_ratio
 from wavefocus.rendering.arrays import Float64Array
-from wavefocus.rendering.drive.coil_limits import Reached
+from wavefocus.rendering.drive.coil_limits import Limiting, Reached, peaks, strictest
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.wav import sound_failures
 from wavefocus.storage.output_files import replacement, require_room
@@ -31,16 +31,27 @@ class Interface:
     rate_hz: int
     full_scale_v: Float64Array
 
-    def between_samples(self, drive_v: Float64Array, sample_rate_hz: float) -> Reached:
-        """Peak of a drive at the interface's rate: between its samples a waveform may be larger than at them.
+    def strictest(self, levels: Sequence[Reached], peaks_v: Float64Array, between_v: Float64Array) -> Limiting:
+        """Find the factor for some levels, and for the full scale between samples.
+
+        A drive that is beyond full scale at its samples, although it is within its limits, is not scaled for it: it is
+        refused where it is played or written.
+
+        peaks_v, between_v: Largest magnitudes at the samples and at the interface's rate, (actuators,).
+        """
+        limiting = strictest(levels)
+        if (peaks_v * limiting.scale > self.full_scale_v).any():
+            return limiting
+        return strictest([*levels, self.reached(between_v)])
+
+    def between_v(self, drive_v: Float64Array, sample_rate_hz: float) -> Float64Array:
+        """Largest magnitudes of a drive at the interface's rate, (actuators,): between samples it may be larger.
 
         Raises InputError: the rates have no ratio of small whole numbers.
         """
+        rate = InterfaceRate(sample_rate_hz, self.rate_hz)
         actuators, samples = drive_v.shape
-        pieces = InterfaceRate(sample_rate_hz, self.rate_hz).pieces(
-            in_chunks(drive_v), actuators, samples, CHUNK_SAMPLES
-        )
-        return self.reached(largest_of(pieces, actuators))
+        return largest_of(rate.pieces(in_chunks([drive_v]), actuators, samples, CHUNK_SAMPLES), actuators)
 
     def reached(self, largest_v: Float64Array) -> Reached:
         """Largest magnitudes at the interface's rate, (actuators,), and the outputs' full scale."""
@@ -103,7 +114,7 @@ def largest_of(pieces: Iterable[Float64Array], actuators: int) -> Float64Array:
     """Largest magnitude of each actuator over all pieces, (actuators,)."""
     largest = np.zeros(actuators)
     for piece in pieces:
-        largest = np.maximum(largest, np.maximum(piece.max(axis=1, initial=0.0), -piece.min(axis=1, initial=0.0)))
+        largest = np.maximum(largest, peaks(piece))
     return largest
 
 
@@ -139,8 +150,8 @@ def stream_wav(
         with soundfile.SoundFile(
             temporary, "w", samplerate=interface_rate_hz, channels=actuators, subtype="FLOAT", format="WAV"
         ) as file:
-            for played_v in rate.pieces(blocks, actuators, samples, chunk_samples):
-                peak_v = float(max(played_v.max(initial=0.0), -played_v.min(initial=0.0)))
+            for played_v in rate.pieces(in_chunks(blocks), actuators, samples, chunk_samples):
+                peak_v = float(peaks(played_v).max())
                 if peak_v > full_scale_v:
                     raise InputError(
                         f"{path}: the drive reaches {peak_v:.3g} V, beyond the interface's full scale of"
@@ -151,7 +162,8 @@ def stream_wav(
     return largest_v
 
 
-def in_chunks(drive_v: Float64Array) -> Iterator[Float64Array]:
-    """A drive (actuators, samples) in pieces that do not take much memory when they are converted."""
-    for begin in range(0, drive_v.shape[1], CHUNK_SAMPLES):
-        yield drive_v[:, begin : begin + CHUNK_SAMPLES]
+def in_chunks(blocks: Iterable[Float64Array]) -> Iterator[Float64Array]:
+    """Drives (actuators, samples) in pieces that do not take much memory when they are converted."""
+    for block in blocks:
+        for begin in range(0, block.shape[1], CHUNK_SAMPLES):
+            yield block[:, begin : begin + CHUNK_SAMPLES]

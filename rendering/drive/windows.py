@@ -48,6 +48,8 @@ class Windows:
     """Windows of one block: what one row emits, one saturation at a time.
 
     Before `weigh` is called there are only the pairs of a row and a regularising row.
+
+    delay: Samples from the block's start to the one from which the events are counted.
     """
 
     pairs: tuple[Int64Array, Int64Array]
@@ -57,12 +59,12 @@ class Windows:
     regularised_by: Int64Array
     """The row whose sigma each window takes, -1 where no actuator is saturated."""
 
-    def __init__(self, events: Events) -> None:
+    def __init__(self, events: Events, delay: int = 0) -> None:
         nodes = events.rows.shape[1]
         self._amount = (events.weights * events.values[:, None]).T.ravel()
         key = (events.rows * SPAN + events.regularised_by[:, None]).T.ravel()
         key[self._amount == 0] = -1
-        self._sample = np.concatenate([events.sample] * nodes)
+        self._sample = np.concatenate([events.sample + delay] * nodes)
         self._piece = None if events.piece is None else np.concatenate([events.piece] * nodes)
         # Runs of one key are few: what takes long is done with them alone.
         begins = np.concatenate([[0], np.flatnonzero(key[1:] != key[:-1]) + 1])[: len(key)]

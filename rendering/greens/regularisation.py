@@ -153,14 +153,18 @@ def _rms(green: Float64Array) -> Float64Array:
 
 
 class BankRows:
-    """The rows that a scene visits, read, judged and regularised."""
+    """The rows that a scene visits, read, judged and regularised.
 
-    needed_by: Callable[[int, Float64Array], str]
-    """Source and path point that need a row at a place, for a message."""
+    needed_by: Says which source and path point need a row at a place, for a message.
+    """
 
-    def __init__(self, bank: GreenSource, regularisation: Regularisation) -> None:
-        self.bank = bank
-        self.needed_by = lambda row, at_mm: "the scene"
+    def __init__(
+        self,
+        bank: GreenSource,
+        regularisation: Regularisation,
+        needed_by: Callable[[int, Float64Array], str] = lambda row, at_mm: "the scene",
+    ) -> None:
+        self.bank, self._needed_by = bank, needed_by
         self.status = np.asarray(bank.status)
         self._position_mm = np.asarray(bank.position_mm, dtype=np.float64)
         self._reader = RowReader(bank)
@@ -197,7 +201,7 @@ class BankRows:
             x, y = self._position_mm[row]
             raise InputError(
                 f"position {row} at ({x:.6g}, {y:.6g}) mm is {reason or 'all zeros, so not measured'}, but"
-                f" {self.needed_by(row, self._position_mm[row])} needs it; remeasure the position or move"
+                f" {self._needed_by(row, self._position_mm[row])} needs it; remeasure the position or move"
                 " the path"
             )
         if row not in self._weights:

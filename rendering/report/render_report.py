@@ -10,7 +10,7 @@ import numpy as np
 
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.device import fast_length
-from wavefocus.rendering.drive.accumulate import Accumulated
+from wavefocus.rendering.drive.accumulate import SourceStatistics
 from wavefocus.rendering.drive.coil_limits import Limiting, dynamic_range_db
 from wavefocus.rendering.field.metrics import band_weights
 from wavefocus.rendering.field.wave_figures import impulse_travel
@@ -150,7 +150,7 @@ def report_render(
     scene: Scene,
     rows: BankRows,
     sources: Sequence[SampledSource],
-    accumulated: Sequence[Accumulated],
+    statistics: Sequence[SourceStatistics],
     norms: Float64Array,
     *,
     limiting: Limiting,
@@ -161,7 +161,7 @@ def report_render(
     """Collect the figures and warnings of a render."""
     measured: GreenSource = getattr(rows.bank, "measured", rows.bank)
     peak = float(norms.max())
-    outside = tuple(1.0 - item.band_energy / item.energy if item.energy > 0 else None for item in accumulated)
+    outside = tuple(1.0 - item.band_energy / item.energy if item.energy > 0 else None for item in statistics)
     bank_rows = [row for row in rows.used if row < measured.positions]
     tail = response_tail(measured, bank_rows)
     warnings = [
@@ -183,7 +183,7 @@ def report_render(
         out_of_band=outside,
         omitted_bound=omitted_bound,
         single=omitted_bound > 0,
-        pairs=sum(item.pairs for item in accumulated),
+        pairs=sum(item.pairs for item in statistics),
         interpolation_errors=errors,
         tail=tail,
     )

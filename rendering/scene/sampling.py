@@ -56,14 +56,9 @@ class SampledSource:
     signal: Float64Array
     nodes: int
 
-    def naming(self, row: int, at_mm: Float64Array) -> str:
-        """Say which path point needs a row at `at_mm`: the first that is snapped to it, else the closest."""
-        hits = np.flatnonzero(self.focus_position == row)
-        if len(hits):
-            point, how = int(hits[0]), ""
-        else:
-            point, how = int(np.argmin(np.hypot(*(self.points_mm - at_mm).T))), "the path near "
-        return f"{how}path point {point} of source {self.index} at {show_mm(self.points_mm[point])} mm"
+    def point_words(self, point: int) -> str:
+        """Number, source and place of a path point."""
+        return f"{point} of source {self.index} at {show_mm(self.points_mm[point])} mm"
 
 
 def sample_source(
@@ -242,6 +237,16 @@ class SampledScene:
             np.concatenate([source.focus_position for source in self.sources]),
             np.concatenate([np.full(len(one.focus_sample), one.index, dtype=np.int64) for one in self.sources]),
         )
+
+    def naming(self, row: int, at_mm: Float64Array) -> str:
+        """Say which path point needs a row at `at_mm`: the first that is snapped to it, else the closest."""
+        for source in self.sources:
+            hits = np.flatnonzero(source.focus_position == row)
+            if len(hits):
+                return f"path point {source.point_words(int(hits[0]))}"
+        apart_mm = [np.hypot(*(source.points_mm - at_mm).T) for source in self.sources]
+        source = self.sources[int(np.argmin([distances.min() for distances in apart_mm]))]
+        return f"the path near path point {source.point_words(int(np.argmin(apart_mm[source.index])))}"
 
 
 def sample_scene(scene: Scene, bank: GreenSource, method: str | None = None) -> SampledScene:

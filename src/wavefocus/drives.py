@@ -20,6 +20,7 @@ from wavefocus.storage.field_file import Field, read_field
 
 if TYPE_CHECKING:
     from wavefocus.rendering.drive.inverse_filter import InverseReport
+    from wavefocus.rendering.drive.wav import Interface
     from wavefocus.rendering.field.foci import FocusResults
     from wavefocus.rendering.greens.source import GreenSource
     from wavefocus.rendering.report.render_report import RenderReport
@@ -259,14 +260,21 @@ def naming(scene_file: str | Path, bank: GreenSource) -> Iterator[None]:
 
 
 def render_by_options(
-    scene: Scene, bank: GreenSource, options: RenderOptions, on_progress: OnProgress | None = None
+    scene: Scene,
+    bank: GreenSource,
+    options: RenderOptions,
+    on_progress: OnProgress | None = None,
+    interface: Interface | None = None,
 ) -> tuple[Drive, RenderReport | InverseReport]:
-    """Render a scene as the options say. Raises InputError: the scene does not fit the bank."""
+    """Render a scene as the options say, for an `interface` as of `SceneRenderer`.
+
+    Raises InputError: the scene does not fit the bank.
+    """
     if options.focusing == "inverse":
         from wavefocus.rendering.drive.inverse_filter import REGULARISATION_DB, inverse_filter
 
         regularisation_db = REGULARISATION_DB if options.regularisation_db is None else options.regularisation_db
-        return inverse_filter(scene, bank, regularisation_db=regularisation_db)
+        return inverse_filter(scene, bank, regularisation_db=regularisation_db, interface=interface)
     from wavefocus.rendering.device import cuda_device
     from wavefocus.rendering.drive.rendering import render_with_report
 
@@ -277,5 +285,6 @@ def render_by_options(
         tolerance_db=options.tolerance_db,
         interpolation_tolerance=options.interpolation_tolerance,
         on_progress=on_progress,
+        interface=interface,
         device=None if options.device == "cpu" else cuda_device(),
     )

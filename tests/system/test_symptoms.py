@@ -15,12 +15,11 @@ import pytest
 from tests.system.conftest import RUN
 from wavefocus.__main__ import run
 from wavefocus.campaign.blueprint import bank_configuration, blueprint_of
-from wavefocus.commands.render import rendered
 from wavefocus.config.loading import validated
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import with_rig
+from wavefocus.drives import render
 from wavefocus.rendering.field.prediction import predict
-from wavefocus.rendering.scene.model import load_scene
 from wavefocus.rendering.verify.scan import ScanPlan, scan
 from wavefocus.rendering.verify.sentinel import measure_sentinel
 from wavefocus.rendering.verify.symptom_words import sentence
@@ -65,7 +64,7 @@ def verified(bank: Bank, emulation: str, rows: list[int] | None = None, *, again
     configuration = bank_configuration(bank)
     rig = validated(RigConfig, tomllib.loads(f"{RIG}\n[emulation]\n{emulation}\n"), "rig.toml")
     scene_file = bank.path.parent / "scene.toml"
-    drive, _ = rendered(scene_file, load_scene(scene_file), bank)
+    drive = render(scene_file, bank)
     prediction = predict(drive, bank, rows, dtype=np.float32)
     plan = blueprint_of(with_rig(configuration, rig, "rig.toml")).plan
     with open_setup(rig, configuration.run) as setup:

@@ -70,9 +70,9 @@ def test_a_tolerance_that_is_not_below_zero_is_refused(tolerance_db):
 @given(reach=st.integers(1, 5000), span=st.integers(1, 10**6), actuators=st.integers(1, 64), rows=st.integers(1, 300))
 @settings(max_examples=60, deadline=None)
 def test_a_transform_holds_what_an_event_reaches(reach, span, actuators, rows):
-    assert choose_fft_samples(reach, span, actuators, np.arange(rows), 1) >= reach
+    assert choose_fft_samples(reach, span, actuators, [(np.arange(rows), 1)]) >= reach
 
 
 def test_rows_that_emit_briefly_get_shorter_transforms_than_rows_that_stay():
-    brief = choose_fft_samples(2000, 100_000, 20, np.arange(5000) % 1500, 1)
-    assert brief < choose_fft_samples(2000, 100_000, 20, np.zeros(1, np.int64), 1)
+    brief = choose_fft_samples(2000, 100_000, 20, [(np.arange(5000) % 1500, 1)])
+    assert brief < choose_fft_samples(2000, 100_000, 20, [(np.zeros(1, np.int64), 1)])

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wavefocus.config.scene import Output, Regularisation
-from wavefocus.rendering.drive.rendering import render, render_with_report
+from wavefocus.drives import render
+from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.field.prediction import predict
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.report.render_report import RenderWarning

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.unit.plate_banks import SPACING_MM, plate_bank
-from wavefocus.rendering.drive.rendering import render
+from wavefocus.drives import render
 from wavefocus.rendering.field.foci import focus_figures, predicted_at
 from wavefocus.rendering.field.prediction import predict
 from wavefocus.rendering.scene.model import Scene, Source

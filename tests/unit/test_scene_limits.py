@@ -16,8 +16,7 @@ from pydantic import ValidationError
 
 from wavefocus.config.scene import Regularisation, SceneConfig
 from wavefocus.rendering.drive.inverse_filter import inverse_filter
-from wavefocus.rendering.drive.rendering import render_with_report
-from wavefocus.rendering.drive.streamed import BlockDrive, StreamedDrive
+from wavefocus.rendering.drive.rendering import SceneRenderer, render_with_report
 from wavefocus.rendering.greens.regularisation import BankRows
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.report.scene_picture import scene_picture
@@ -63,8 +62,7 @@ def test_a_large_scene_is_refused_by_its_size_before_anything_is_made(name: str)
     try:
         for make in (
             lambda: render_with_report(scene, small),
-            lambda: StreamedDrive(scene, small),
-            lambda: BlockDrive(scene, small),
+            lambda: SceneRenderer(scene, small),
             lambda: inverse_filter(scene, small),
             lambda: scene_picture(scene, small),
         ):
@@ -81,11 +79,11 @@ def test_an_allowed_large_scene_is_rendered_in_the_size_that_was_stated() -> Non
     )
     stated = scene_size(read(text), sample_rate_hz=RATE_HZ, taps=40, actuators=3)
     assert stated.seconds > MAX_SECONDS
-    live = BlockDrive(read(text, allow_large=True), bank(), method="sampled")
+    live = SceneRenderer(read(text, allow_large=True), bank(), method="sampled")
     assert live.shape[1] == stated.samples
     assert sum(len(one.focus_sample) for one in live.sampled.sources) == stated.path_points
     with pytest.raises(InputError, match="--allow-large"):
-        BlockDrive(read(text), bank(), method="sampled")
+        SceneRenderer(read(text), bank(), method="sampled")
 
 
 @pytest.mark.parametrize("turns", [1e9, 1e12])

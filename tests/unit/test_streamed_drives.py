@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 
 from wavefocus.config.scene import Output, Regularisation
 from wavefocus.rendering.drive.coil_limits import DriveLimits, RunningLevels, largest_rms
-from wavefocus.rendering.drive.rendering import render_with_report
-from wavefocus.rendering.drive.streamed import BlockDrive, StreamedDrive
-from wavefocus.rendering.drive.wav import Interface, InterfaceRate, in_chunks, stream_wav
+from wavefocus.rendering.drive.rendering import SceneRenderer, render_with_report
+from wavefocus.rendering.drive.wav import Interface, InterfaceRate, stream_wav
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.scene.model import Scene, Source
 from wavefocus.rendering.scene.paths import Circle, Line, Point
@@ -34,25 +33,31 @@ def make_bank(scale=1.0):
     return GreenArray(values * scale, position_mm, RATE_HZ)
 
 
-@pytest.mark.parametrize("block_samples", [1, 7, 100, 5000])
 @pytest.mark.parametrize("tolerance_db", [None, -30.0])
-def test_one_source_comes_in_blocks_to_the_same_bits_as_in_one_piece(block_samples, tolerance_db):
+def test_one_source_comes_in_blocks_to_the_same_bits_as_in_one_piece(tolerance_db):
     scene = Scene("s", (MOVING,))
-    whole, _ = render_with_report(scene, make_bank(), tolerance_db=tolerance_db)
-    live = BlockDrive(scene, make_bank(), block_samples=block_samples, single=tolerance_db is not None)
-    blocks = list(live.blocks())
-    assert {block.shape[1] for block in blocks[:-1]} <= {block_samples}
+    whole, report = render_with_report(scene, make_bank(), tolerance_db=tolerance_db)
+    assert report.single == (tolerance_db is not None)
+    renderer = SceneRenderer(scene, make_bank(), tolerance_db=tolerance_db)
+    blocks = list(renderer.unlimited_blocks())
+    assert len(blocks) > 2
     np.testing.assert_array_equal(np.concatenate(blocks, axis=1), whole.drive_v)
-    assert (live.shape, live.sampled.start_s) == (whole.drive_v.shape, whole.start_s)
+    assert (renderer.shape, renderer.sampled.start_s) == (whole.drive_v.shape, whole.start_s)
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-200])
-def test_several_sources_come_in_blocks_as_in_one_piece(scale):
-    scene = Scene("s", (MOVING, REPEATING, STANDING), output=Output(interpolation="bilinear"))
-    whole, _ = render_with_report(scene, make_bank(scale))
-    blocks = np.concatenate(list(BlockDrive(scene, make_bank(scale), block_samples=64).blocks()), axis=1)
-    assert blocks.shape == whole.drive_v.shape
-    np.testing.assert_allclose(blocks, whole.drive_v, rtol=0, atol=1e-13 * np.abs(whole.drive_v).max())
+def test_drives_of_several_sources_are_the_sum_of_each_source_s(scale):
+    """Sources that begin and end at other times and of other lengths share blocks and transforms."""
+    output, bank = Output(interpolation="bilinear"), make_bank(scale)
+    sources = (MOVING, REPEATING, STANDING, Source(Point((-3, 5)), Impulse(), 9.0))
+    whole, _ = render_with_report(Scene("s", sources, output=output), bank)
+    summed = np.zeros_like(whole.drive_v)
+    for source in sources:
+        drive, _ = render_with_report(Scene("s", (source,), output=output), bank)
+        summed[:, : drive.drive_v.shape[1]] += drive.drive_v
+    np.testing.assert_allclose(whole.drive_v, summed, rtol=0, atol=1e-13 * np.abs(summed).max())
+    blocks = np.concatenate(list(SceneRenderer(Scene("s", sources, output=output), bank).unlimited_blocks()), axis=1)
+    np.testing.assert_array_equal(blocks, whole.drive_v)
 
 
 def test_blocks_come_before_the_scene_is_rendered_to_its_end():
@@ -63,44 +68,33 @@ def test_blocks_come_before_the_scene_is_rendered_to_its_end():
     status[last] = 8
     bank = GreenArray(bank.values, bank.position_mm, RATE_HZ, status=status)
     source = Source(Line((-15, -11), (15, 10)), Noise((50, 400), 60.0, 4), 0.0, 0.6, 0.3)
-    blocks = BlockDrive(Scene("s", (source,)), bank, method="sampled").blocks()
+    blocks = SceneRenderer(Scene("s", (source,)), bank, method="sampled").unlimited_blocks()
     assert len(list(itertools.islice(blocks, 3))) == 3
     with pytest.raises(InputError, match="marked as failed"):
         list(blocks)
 
 
-def test_a_drive_beyond_the_limit_is_refused_and_a_gain_keeps_it_below():
-    scene = Scene("s", (MOVING,), output=Output(limit_v=1e-3))
-    whole, report = render_with_report(scene, make_bank())
-    with pytest.raises(InputError, match="more than limit_v"):
-        list(BlockDrive(scene, make_bank()).blocks())
-    with pytest.raises(InputError, match=r"V rms from sample .* more than limit_rms_v"):
-        list(BlockDrive(Scene("s", (MOVING,), output=Output(limit_rms_v=1e-3)), make_bank()).blocks())
-    live = BlockDrive(scene, make_bank())
-    live.gain = report.scale
-    blocks = np.concatenate(list(live.blocks()), axis=1)
-    np.testing.assert_allclose(blocks, whole.drive_v, rtol=1e-12, atol=1e-18)
-
-
-@pytest.mark.parametrize("options", [{"block_samples": 0}, {"method": "fast"}])
-def test_what_cannot_be_given_out_is_refused(options):
-    with pytest.raises(InputError):
-        BlockDrive(Scene("s", (MOVING,)), make_bank(), **options)
+def test_a_bank_that_is_louder_the_second_time_is_refused():
+    scene, bank = Scene("s", (MOVING,), Regularisation(normalise=False), Output(limit_v=1e-3)), make_bank()
+    renderer = SceneRenderer(scene, bank)
+    assert renderer.prepare().scale < 1.0
+    bank.values[...] *= 1.01
+    with pytest.raises(InputError, match=r"from sample 10 on.*limit_v"):
+        list(renderer.blocks())
 
 
 @pytest.mark.parametrize("interface_rate_hz", [1000, 4800, 44_100])
-@pytest.mark.parametrize("block_samples", [97, 4096])
-def test_a_streamed_wav_is_the_whole_one(tmp_path, interface_rate_hz, block_samples):
+def test_a_streamed_wav_is_the_whole_one(tmp_path, interface_rate_hz):
     scene = Scene("s", (MOVING, REPEATING))
     whole, _ = render_with_report(scene, make_bank())
     scale_v = 1.5 * float(np.abs(whole.drive_v).max())
-    live = BlockDrive(scene, make_bank(), block_samples=block_samples)
+    renderer = SceneRenderer(scene, make_bank())
     stream_wav(
-        tmp_path / "a.wav", in_chunks(whole.drive_v), live.shape, RATE_HZ,
+        tmp_path / "a.wav", [whole.drive_v], renderer.shape, RATE_HZ,
         interface_rate_hz=interface_rate_hz, full_scale_v=scale_v,
     )  # fmt: skip
     stream_wav(
-        tmp_path / "b.wav", live.blocks(), live.shape, RATE_HZ,
+        tmp_path / "b.wav", renderer.unlimited_blocks(), renderer.shape, RATE_HZ,
         interface_rate_hz=interface_rate_hz, full_scale_v=scale_v, chunk_samples=128,
     )  # fmt: skip
     expected, rate_hz = soundfile.read(tmp_path / "a.wav")
@@ -110,9 +104,10 @@ def test_a_streamed_wav_is_the_whole_one(tmp_path, interface_rate_hz, block_samp
 
 
 def test_a_streamed_wav_beyond_full_scale_is_refused_and_leaves_no_file(tmp_path):
-    live = BlockDrive(Scene("s", (MOVING,)), make_bank())
+    renderer = SceneRenderer(Scene("s", (MOVING,)), make_bank())
+    blocks = renderer.unlimited_blocks()
     with pytest.raises(InputError, match="beyond the interface's full scale"):
-        stream_wav(tmp_path / "b.wav", live.blocks(), live.shape, RATE_HZ, interface_rate_hz=1000, full_scale_v=1e-9)
+        stream_wav(tmp_path / "b.wav", blocks, renderer.shape, RATE_HZ, interface_rate_hz=1000, full_scale_v=1e-9)
     assert not list(tmp_path.iterdir())
 
 
@@ -124,7 +119,7 @@ LIMITS = [Output(limit_v=1e-3), Output(limit_rms_v=2e-4), Output(limit_v=1e-3, l
 def test_a_streamed_drive_is_the_whole_one_scaled_by_the_same_limits(output, tolerance_db):
     scene = Scene("s", (MOVING, REPEATING, STANDING), Regularisation(saturation=0.5), output)
     whole, report = render_with_report(scene, make_bank(), tolerance_db=tolerance_db)
-    streamed = StreamedDrive(scene, make_bank(), tolerance_db=tolerance_db, block_samples=97)
+    streamed = SceneRenderer(scene, make_bank(), tolerance_db=tolerance_db)
     told = streamed.prepare()
     drive_v = np.concatenate(list(streamed.blocks()), axis=1)
     assert drive_v.shape == streamed.shape == whole.drive_v.shape
@@ -143,9 +138,9 @@ def test_a_streamed_drive_is_the_whole_one_scaled_by_the_same_limits(output, tol
 
 
 def test_a_streamed_drive_stays_within_full_scale_between_its_samples():
-    scene = Scene("s", (MOVING, REPEATING))
-    interface = Interface(4800, np.array([1e-3, 5e-4, 2e-3]))
-    streamed = StreamedDrive(scene, make_bank(), interface=interface)
+    scene = Scene("s", (MOVING, REPEATING), output=Output(limit_v=5e-4))
+    interface = Interface(4800, np.array([6e-4, 5e-4, 5e-4]))
+    streamed = SceneRenderer(scene, make_bank(), interface=interface)
     told = streamed.prepare()
     played_v = np.concatenate(
         list(InterfaceRate(RATE_HZ, 4800).pieces(streamed.blocks(), *streamed.shape, 4096)), axis=1
@@ -159,18 +154,18 @@ def test_a_streamed_drive_stays_within_full_scale_between_its_samples():
 
 def test_a_gain_comes_before_the_limits():
     scene = Scene("s", (MOVING,))
-    plain, louder = StreamedDrive(scene, make_bank()), StreamedDrive(scene, make_bank(), gain=3.0)
+    plain, louder = SceneRenderer(scene, make_bank()), SceneRenderer(scene, make_bank(), gain=3.0)
     assert plain.prepare().scale == louder.prepare().scale == 1.0
     assert louder.peak_v == pytest.approx(3 * plain.peak_v, rel=1e-12)
-    limited = StreamedDrive(Scene("s", (MOVING,), output=Output(limit_v=2 * plain.peak_v)), make_bank(), gain=3.0)
+    limited = SceneRenderer(Scene("s", (MOVING,), output=Output(limit_v=2 * plain.peak_v)), make_bank(), gain=3.0)
     assert limited.prepare().scale == pytest.approx(2 / 3, rel=1e-12)
     assert np.abs(np.concatenate(list(limited.blocks()), axis=1)).max() <= 2 * plain.peak_v
 
 
-@pytest.mark.parametrize("options", [{"gain": 0.0}, {"gain": float("nan")}, {"block_samples": 0}])
+@pytest.mark.parametrize("options", [{"gain": 0.0}, {"gain": float("nan")}, {"method": "fast"}])
 def test_what_cannot_be_streamed_is_refused(options):
     with pytest.raises(InputError):
-        StreamedDrive(Scene("s", (MOVING,)), make_bank(), **options)
+        SceneRenderer(Scene("s", (MOVING,)), make_bank(), **options)
 
 
 def test_memory_does_not_grow_with_the_drives():
@@ -178,7 +173,7 @@ def test_memory_does_not_grow_with_the_drives():
     most = {}
     for turns in (2.0, 32.0):
         source = Source(Circle((0, 0), 10.0, turns), Sine(70, 1.0), 0.0, 40.0, 3.0)
-        streamed = StreamedDrive(Scene("s", (source,), output=Output(limit_v=1e-3, limit_rms_v=1e-3)), make_bank())
+        streamed = SceneRenderer(Scene("s", (source,), output=Output(limit_v=1e-3, limit_rms_v=1e-3)), make_bank())
         tracemalloc.start()
         streamed.prepare()
         given_out = sum(block.shape[1] for block in streamed.blocks())
@@ -195,21 +190,23 @@ def test_memory_does_not_grow_with_the_drives():
     cuts=st.lists(st.integers(1, 399), max_size=6),
     seed=st.integers(0, 2**32 - 1),
     rate_hz=st.sampled_from([50.0, 100.0, 1000.0]),
+    scale=st.sampled_from([1e-200, 1.0, 1e200]),
 )
-def test_running_levels_are_those_of_the_whole(samples, cuts, seed, rate_hz):
+def test_running_levels_are_those_of_the_whole(samples, cuts, seed, rate_hz, scale):
     random = np.random.default_rng(seed)
-    drive_v = random.standard_normal((3, samples)) * np.exp(random.uniform(-12, 3, samples))
+    plain_v = random.standard_normal((3, samples)) * np.exp(random.uniform(-12, 3, samples))
+    drive_v = plain_v * scale
     levels = RunningLevels(3, samples, rate_hz, DriveLimits(peak_v=1.0, rms_v=0.3))
     for block in np.split(drive_v, sorted(cut for cut in cuts if cut < samples), axis=1):
         levels.add(block)
     np.testing.assert_array_equal(levels.peaks_v, np.abs(drive_v).max(axis=1))
-    np.testing.assert_allclose(levels.norms, np.linalg.norm(drive_v, axis=1), rtol=1e-12)
-    np.testing.assert_allclose(levels.rms_v, largest_rms(drive_v, rate_hz), rtol=1e-10)
+    np.testing.assert_allclose(levels.norms / scale, np.linalg.norm(plain_v, axis=1), rtol=1e-12)
+    np.testing.assert_allclose(levels.reached()[1].each_v / scale, largest_rms(plain_v, rate_hz), rtol=1e-10)
 
 
 def test_a_scene_of_one_sample_is_streamed():
     scene = Scene("s", (Source(Point((3, 3)), Impulse(), 0.0),), output=Output(limit_rms_v=1e-3))
     whole, _ = render_with_report(scene, make_bank())
-    streamed = StreamedDrive(scene, make_bank())
+    streamed = SceneRenderer(scene, make_bank())
     streamed.prepare()
     np.testing.assert_allclose(np.concatenate(list(streamed.blocks()), axis=1), whole.drive_v, rtol=1e-9, atol=1e-18)

@@ -10,8 +10,7 @@ import pytest
 from tests.unit.plate_banks import plate_bank
 from wavefocus.config.scene import Output, Regularisation
 from wavefocus.rendering.drive.inverse_filter import inverse_filter
-from wavefocus.rendering.drive.rendering import render_with_report
-from wavefocus.rendering.drive.streamed import BlockDrive
+from wavefocus.rendering.drive.rendering import SceneRenderer, render_with_report
 from wavefocus.rendering.greens.interpolation.base import interpolation_method
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.report.scene_picture import scene_picture
@@ -69,7 +68,7 @@ def test_given_a_trajectory_then_all_that_looks_at_paths_takes_it():
     scene = scene_of(MOVING, Source(Point((0.0, 0.0)), Sine(70.0, 0.1)))
     whole, _ = render_with_report(scene, bank())
     sampled, _ = render_with_report(scene, bank(), method="sampled")
-    blocks = list(BlockDrive(scene, bank(), block_samples=33).blocks())
+    blocks = list(SceneRenderer(scene, bank()).unlimited_blocks())
     size = scene_size(scene, sample_rate_hz=RATE_HZ, taps=60, actuators=3)
     assert size.samples == pytest.approx(whole.drive_v.shape[1], abs=1)
     assert size.path_points == len(whole.focus_sample)

@@ -26,7 +26,7 @@ from wavefocus.drives import RenderOptions, naming
 from wavefocus.ending import ended_by_input, ending_at_once
 from wavefocus.exits import Exit
 from wavefocus.input_files import name_unverified
-from wavefocus.rendering.drive.streamed import StreamedDrive
+from wavefocus.rendering.drive.rendering import SceneRenderer
 from wavefocus.rendering.drive.wav import InterfaceRate
 from wavefocus.rendering.scene.model import Scene, load_scene
 from wavefocus.rig.instruments import open_player
@@ -237,41 +237,40 @@ def _play(
 ) -> dict[str, object]:
     rate_hz = float(bank.sample_rate_hz)
     block_samples = max(1, min(MAX_PIECE_SAMPLES, round(ahead_s * rate_hz / PIECES_AHEAD)))
-    streamed = StreamedDrive(
+    renderer = SceneRenderer(
         scene,
         bank,
         interface=interface_of(rig),
         gain=10.0 ** (gain_db / 20.0),
-        block_samples=block_samples,
         method=options.method,
         tolerance_db=options.tolerance_db,
         interpolation_tolerance=options.interpolation_tolerance,
     )
-    actuators, samples = streamed.shape
+    actuators, samples = renderer.shape
     begun_s = time.monotonic()
     with progress("first pass", samples) as report:
-        facts = streamed.prepare(report)
+        facts = renderer.prepare(report)
     prepared_s = time.monotonic() - begun_s
     for warning in facts.warnings:
         say(f"warning: {warning}")
     if facts.limiting.decided_by is not None:
         say(limited_words(facts.limiting, rig_file))
     rate = InterfaceRate(rate_hz, rig.player.interface_rate_hz)
-    looked_ahead = streamed.live.latency_samples + 2 * block_samples + rate.around_samples
+    looked_ahead = renderer.latency_samples + 2 * block_samples + rate.around_samples
     with open_player(rig) as (player, _):
         latency = Latency(looked_ahead / rate_hz, ahead_s, player.latency_s)
         seconds = samples / rate_hz
-        say(f"{player.identify()}: {hours(seconds)} on {actuators} actuators, at most {streamed.peak_v:.3g} V")
+        say(f"{player.identify()}: {hours(seconds)} on {actuators} actuators, at most {renderer.peak_v:.3g} V")
         if watched:
             print_line(to_line(Playing(seconds)))
         say(f"found the scale in {prepared_s:.1f} s; {latency}")
-        pieces = rate.pieces(streamed.blocks(), actuators, samples, block_samples)
+        pieces = rate.pieces(renderer.blocks(), actuators, samples, block_samples)
         least_s = _sounding(player, rig, pieces, ahead_s, seconds)
     if least_s is not None:
         say(f"rendering was never less than {1e3 * least_s:.0f} ms ahead of the sound")
     return {
         "seconds": seconds,
-        "peak_v": streamed.peak_v,
+        "peak_v": renderer.peak_v,
         "scale": facts.scale,
         "limited_by": facts.limiting.decided_by,
         "prepared_s": round(prepared_s, 3),

@@ -24,7 +24,6 @@ from wavefocus.calibration.crosstalk import Crosstalk, crosstalk_of_bank
 from wavefocus.campaign.blueprint import bank_configuration, blueprint_of
 from wavefocus.campaign.campaign_view import CampaignView
 from wavefocus.campaign.sidecar_files import EventLines, read_drift
-from wavefocus.commands.render import rendered
 from wavefocus.config.messages.campaign import Event, Subscriber
 from wavefocus.config.messages.codec import Message, to_line
 from wavefocus.config.messages.rig_checks import VerifyEnded, VerifyStarted, VerifyStep
@@ -32,6 +31,7 @@ from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import Configuration, named_rig, plan_sha256, with_rig
 from wavefocus.console import Report, progress, say, working_on
 from wavefocus.drivers.errors import TransientInstrumentError
+from wavefocus.drives import RenderOptions, naming, render_by_options
 from wavefocus.ending import ended_by_file, ending_at_once
 from wavefocus.exits import Exit, exit_code, sentence
 from wavefocus.input_files import input_files, scan_rows
@@ -167,8 +167,8 @@ class _Work:
     ) -> Verification:
         """Render, predict, scan, compare, also with an `earlier` file, and report into `out`; return what was found."""
         out, bank = self.out, self.bank
-        with self._step("render", 1) as report:
-            drive, facts = rendered(self.scene_file, self.scene, bank)
+        with self._step("render", 1) as report, naming(self.scene_file, bank):
+            drive, facts = render_by_options(self.scene, bank, RenderOptions())
             report(1, 1)
         for warning in facts.warnings:
             say(f"warning: {warning}")

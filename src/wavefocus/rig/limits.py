@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wavefocus.config.scene import Output
-from wavefocus.rendering.drive.coil_limits import DriveLimits, Limiting, largest_rms
+from wavefocus.rendering.drive.coil_limits import DriveLimits, Limiting, levels_of
 from wavefocus.rendering.drive.wav import Interface
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.storage.bank.reading import Bank
@@ -51,19 +51,14 @@ def check_drive(
         raise InputError(
             f"{source} is in {drive.drive_unit}, and the player plays volts; render it from a bank in volts"
         )
-    limits = limits_of(player)
-    reached = [("", limits.peak_v, limits.peak_key, np.abs(drive.drive_v).max(axis=1, initial=0.0))]
-    if limits.rms_v is not None:
-        rms_v = largest_rms(drive.drive_v, drive.sample_rate_hz, repeated=repeated)
-        reached.append((" rms", limits.rms_v, limits.rms_key, rms_v))
-    for kind, limit_v, key, each_v in reached:
-        actuator = int(np.argmax(each_v))
-        most_v = float(each_v[actuator])
-        if limit_v is not None and most_v > limit_v * (1 + 1e-9):
+    for reached in levels_of(drive.drive_v, drive.sample_rate_hz, limits_of(player), repeated=repeated):
+        actuator, kind = int(np.argmax(reached.each_v)), " rms" if reached.summed else ""
+        most_v, limit_v = float(reached.each_v[actuator]), reached.limit_v
+        if most_v > limit_v * (1 + 1e-9):
             enough_db = math.floor(100 * (gain_db + 20 * math.log10(limit_v / most_v))) / 100
             raise InputError(
                 f"{source}: the drive of actuator {actuator} reaches {most_v:.4g} V{kind}; the rig's actuators may get"
-                f" {limit_v:.4g} V{kind} ({key}): {remedy.format(gain_db=f'{enough_db:.2f}')}"
+                f" {limit_v:.4g} V{kind} ({reached.key}): {remedy.format(gain_db=f'{enough_db:.2f}')}"
             )
 
 
