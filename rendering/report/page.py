@@ -23,6 +23,7 @@ from wavefocus.rendering.report.waves import wave_figures, waves_of, waves_pictu
 from wavefocus.rendering.report.words import figure_lines, remarks
 from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
 from wavefocus.rendering.verify.changes import change_lines
+from wavefocus.rendering.verify.correction import correction_lines
 from wavefocus.rendering.verify.record import PATH_POINTS, REPORT_NAME, path_line_mm
 from wavefocus.rendering.verify.symptom_words import remedy, sentence
 from wavefocus.rendering.verify.verdict import Verification
@@ -76,6 +77,7 @@ def build_report(
         sentence=sentence,
         remedy=remedy,
         changes=verification.changes and change_lines(verification.changes),
+        correction=verification.correction and correction_lines(verification.correction),
         pictures=pictures,
         figures=[
             *figure_lines(verification, metrics.range_db(gain)),

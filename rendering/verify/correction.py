@@ -15,14 +15,16 @@ Computation 19, 577 (1965).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.fft
 
 from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
 from wavefocus.rendering.drive.coil_limits import DriveLimits, limit_drive
+from wavefocus.rendering.number_text import percent
+from wavefocus.rendering.verify.results import Correction, CorrectionRound, StopReason
 from wavefocus.rendering.verify.scan import Scan
 from wavefocus.storage.drive_file import Drive
 from wavefocus.storage.errors import InputError
@@ -30,6 +32,7 @@ from wavefocus.storage.point_status import Status
 
 if TYPE_CHECKING:
     from wavefocus.rendering.greens.source import GreenSource
+    from wavefocus.rendering.scene.model import Scene
 
 MIN_POWER = 1e-4
 """Frequencies at which the drive has less, relative to its loudest, are left alone: the scan says nothing there."""
@@ -40,35 +43,6 @@ NO_BETTER = 0.95
 MAX_ENERGY = 5.0
 """Energy of corrected drives over that of the uncorrected one, by default."""
 MAX_MATRIX_BYTES = 2 << 30
-
-StopReason = Literal["rounds", "noise", "no better", "limit", "dropouts"]
-
-
-@dataclass(frozen=True)
-class CorrectionRound:
-    """A scan of the control places.
-
-    error: ``||scan - wanted|| / ||wanted||`` at the frequencies of the drive, over the usable control places.
-    noise: What of it the scan's noise makes.
-    energy: Of the drives played, over that of the uncorrected ones.
-    peak_v: Largest voltage played.
-    positions: Usable control places.
-    """
-
-    error: float
-    noise: float
-    energy: float
-    peak_v: float
-    positions: int
-
-
-@dataclass(frozen=True)
-class Correction:
-    """The scans of a correction, the uncorrected drive's first; the best of them; why there was no further one."""
-
-    rounds: tuple[CorrectionRound, ...]
-    best: int
-    stopped: StopReason
 
 
 def correct_drive(
@@ -120,10 +94,34 @@ def correct_drive(
             break
         played = corrected
         scan = measure(played)
-    if not found:
-        raise InputError("fewer than half of the control places have a usable record: nothing can be corrected")
     errors = [one.error for one in found]
-    return best, Correction(tuple(found), int(np.argmin(errors)), stopped)
+    return best, Correction(tuple(found), int(np.argmin(errors)) if errors else None, stopped)
+
+
+STOPPED_WORDS = {
+    "rounds": "all corrections that were asked for are made",
+    "noise": "what is left is the scan's noise",
+    "no better": "the last correction made it no better",
+    "limit": "limits or energy leave no room for a correction: lower the amplitude of the scene",
+    "dropouts": "fewer than half of the control places had a usable record",
+}
+
+
+def correction_lines(correction: Correction) -> list[str]:
+    """A line for each scan, and one for the end."""
+    lines = [
+        f"{'uncorrected' if not number else f'correction {number}'}: error {percent(one.error)} at "
+        f"{one.positions} control places (noise {percent(one.noise)}), energy {one.energy:.3g} times, "
+        f"peak {one.peak_v:.3g} V"
+        for number, one in enumerate(correction.rounds)
+    ]
+    kept = "the uncorrected drive is kept" if not correction.best else f"correction {correction.best} is kept"
+    return [*lines, f"{STOPPED_WORDS[correction.stopped]}; {kept}"]
+
+
+def control_rows(scene: Scene, drive: Drive, position_mm: Float64Array) -> Int64Array:
+    """Bank rows at which a correction is judged: those of the scene's foci."""
+    return np.unique(drive.focus_position)
 
 
 class _Model:
@@ -177,13 +175,17 @@ class _Model:
 
     def next_drive(self, played: Drive, limits: DriveLimits, max_energy: float) -> Drive | None:
         """The corrected drive of the least error within energy and limits; None where they leave no room."""
-        gram = self._green @ self._green.conj().transpose(0, 2, 1)
-        scale = float(np.einsum("bmm->", gram).real) / (gram.shape[0] * gram.shape[1])
+        green, adjoint = self._green, self._green.conj().transpose(0, 2, 1)
+        many = green.shape[1] > green.shape[2]  # then (B* B + lambda I)^-1 B* is the same and smaller
+        gram = adjoint @ green if many else green @ adjoint
+        right = (adjoint @ self._error[:, :, None]) if many else self._error[:, :, None]
+        scale = float(np.square(np.abs(green)).sum()) / (green.shape[0] * green.shape[1])
         eye = np.eye(gram.shape[1])
         step_v = np.zeros_like(played.drive_v)
         for ridge in RIDGES:
-            strength = np.linalg.solve(gram + ridge * scale * eye, self._error[:, :, None])
-            step_v = self._signals((self._green.conj().transpose(0, 2, 1) @ strength)[:, :, 0].T, played)
+            solved = np.linalg.solve(gram + ridge * scale * eye, right)
+            spectra: Complex128Array = np.asarray(solved if many else adjoint @ solved)[:, :, 0].T
+            step_v = self._signals(spectra, played)
             if np.square(played.drive_v + step_v).sum() <= max_energy * self._energy:
                 break
         share = self._largest_share(played.drive_v, step_v, played.sample_rate_hz, limits, max_energy)

@@ -15,7 +15,16 @@ import numpy as np
 
 from wavefocus.config.messages.codec import Message, MessageError, from_record, to_record
 from wavefocus.rendering.arrays import BoolArray, Float64Array, Int64Array
-from wavefocus.rendering.verify.results import ActuatorFigures, Changes, Drift, Figure, PointMm, SourceFigures, Symptom
+from wavefocus.rendering.verify.results import (
+    ActuatorFigures,
+    Changes,
+    Correction,
+    Drift,
+    Figure,
+    PointMm,
+    SourceFigures,
+    Symptom,
+)
 from wavefocus.rendering.verify.symptom_words import with_words
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import write_whole
@@ -28,6 +37,7 @@ if TYPE_CHECKING:
     from wavefocus.storage.field_file import Field
 
 DRIVE_NAME = "drive.h5"
+CORRECTED_NAME = "drive-corrected.h5"
 PREDICTION_NAME = "prediction.h5"
 SCAN_NAME = "scan.h5"
 FIELD_NAMES = (DRIVE_NAME, PREDICTION_NAME, SCAN_NAME)
@@ -108,6 +118,7 @@ class VerificationRecord(Message, format="wavefocus-verification"):
         have none.
     drift: Of the bank's sentinel position; None where it was not measured again.
     changes: Since an earlier verification; None where none was named.
+    correction: Of the drive by further scans; None where none was asked for.
     """
 
     format_version: int
@@ -133,6 +144,7 @@ class VerificationRecord(Message, format="wavefocus-verification"):
     source_figures: tuple[SourceFigures, ...] = ()
     drift: Drift | None = None
     changes: Changes | None = None
+    correction: Correction | None = None
 
     @cached_property
     def position_index(self) -> Int64Array:
@@ -224,6 +236,7 @@ def write_record(
         source_figures=verification.sources,
         drift=verification.drift,
         changes=verification.changes,
+        correction=verification.correction,
     )
     path = out_dir / RECORD_NAME
     content: dict[str, Any] = to_record(record)

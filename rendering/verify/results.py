@@ -144,3 +144,33 @@ class SourceFigures:
 
     error: float | None
     focus_mm: float | None
+
+
+StopReason = Literal["rounds", "noise", "no better", "limit", "dropouts"]
+
+
+@dataclass(frozen=True)
+class CorrectionRound:
+    """A scan of the control places.
+
+    error: ``||scan - wanted|| / ||wanted||`` at the frequencies of the drive, over the usable control places.
+    noise: What of it the scan's noise makes.
+    energy: Of the drives played, over that of the uncorrected ones.
+    peak_v: Largest voltage played.
+    positions: Usable control places.
+    """
+
+    error: float
+    noise: float
+    energy: float
+    peak_v: float
+    positions: int
+
+
+@dataclass(frozen=True)
+class Correction:
+    """The scans of a correction, the uncorrected drive's first; the best of them; why there was no further one."""
+
+    rounds: tuple[CorrectionRound, ...]
+    best: int | None
+    stopped: StopReason

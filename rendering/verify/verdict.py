@@ -22,6 +22,7 @@ from wavefocus.rendering.verify.record import finite
 from wavefocus.rendering.verify.results import (
     ActuatorFigures,
     Changes,
+    Correction,
     Drift,
     Figure,
     Sentinel,
@@ -70,6 +71,7 @@ class Verification:
     diagnosis: What is wrong with the rig or the bank, as far as the scan shows it.
     drift: Of the bank's sentinel position; None where it was not measured again.
     changes: Since an earlier verification; None where there is none to compare with.
+    correction: Of the drive by further scans; None where none was asked for.
     """
 
     fields: FieldComparison
@@ -80,6 +82,7 @@ class Verification:
     diagnosis: Diagnosis
     drift: Drift | None = None
     changes: Changes | None = None
+    correction: Correction | None = None
 
     @property
     def symptoms(self) -> tuple[Symptom, ...]:
@@ -162,6 +165,7 @@ class Verification:
             "changes": None
             if self.changes is None
             else dataclasses.asdict(self.changes) | {"made": self.changes.made.isoformat()},
+            "correction": None if self.correction is None else dataclasses.asdict(self.correction),
             "sources": [dataclasses.asdict(one) for one in self.sources],
             "checks": [
                 {name: getattr(check, name) for name in keys} | {"value": finite(check.value)} for check in self.checks

@@ -541,6 +541,11 @@ COMMANDS = (
             file("--against", metavar="verify.json",
                  help="Also state what has changed since this earlier verification."),
             switch("--linearity", help="Also play the scene 12 dB quieter, at up to 24 positions, and compare."),
+            number("--correct", 1, 20, whole=True, dest="corrections", default=0, metavar="N",
+                   help="Correct the drive by scans of foci and quiet places, at most N times; the best is kept in "
+                   "drive-corrected.h5."),
+            argument("--control", choices=("scene", "all"), default="scene",
+                     help="Where a correction is judged: foci and quiet places, or all scanned positions."),
             switch("--no-sentinel", "sentinel", off=True,
                    help="Do not measure the bank's sentinel position again."),
             LARGE, FORCE, JSON,

@@ -63,6 +63,41 @@ def test_given_some_positions_then_only_those_are_scanned(lab: Path, bank: Path)
         assert list(file["position_index"]) == [1, 4]
 
 
+@pytest.mark.parametrize(("control", "smaller"), [("scene", 4), ("all", 2)])  # six places are many for three actuators
+def test_given_a_finger_on_the_plate_then_the_drive_is_corrected_by_scans(
+    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str], control: str, smaller: int
+) -> None:
+    rig = lab / "rig.toml"
+    finger = "[emulation.finger]\nplace_mm = [0.0, 0.0]\nmass_kg = 2e-4\n"
+    rig.write_text(rig.read_text(encoding="utf-8") + finger, encoding="utf-8")
+    scene = lab / "scene.toml"
+    scene.write_text(
+        scene.read_text(encoding="utf-8").replace("step_mm", "amplitude = 3e-4\nstep_mm"), encoding="utf-8"
+    )
+    assert _verify(lab, bank, "--correct", "2", "--control", control) == 1
+    printed = json.loads(capsys.readouterr().out)["correction"]
+    before, *after = [found["error"] for found in printed["rounds"]]
+    assert before > 0.1
+    assert after[printed["best"] - 1] < before / smaller
+    assert max(found["energy"] for found in printed["rounds"]) <= 5.0
+    with h5py.File(lab / "verify" / "drive-corrected.h5") as file, h5py.File(lab / "verify" / "drive.h5") as first:
+        assert file["drive"].shape == first["drive"].shape
+        assert file.attrs["start_s"] == first.attrs["start_s"]
+        assert np.abs(file["drive"][...]).max() <= 1.0
+    record = read_record(lab / "verify" / "verify.json")
+    assert record.correction is not None
+    assert len(record.correction.rounds) == len(printed["rounds"])
+    assert "Correction of the drive" in (lab / "verify" / "report.html").read_text(encoding="utf-8")
+
+
+def test_given_nothing_to_correct_then_one_scan_says_so(
+    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _verify(lab, bank, "--correct", "3") == 0
+    found = json.loads(capsys.readouterr().out)["correction"]
+    assert found["rounds"][found["best"]]["error"] < 0.02
+
+
 def test_given_a_rig_with_other_actuators_then_it_is_refused(
     lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -43,8 +43,10 @@ from wavefocus.rendering.report.page import build_report
 from wavefocus.rendering.scene.model import Scene, load_scene
 from wavefocus.rendering.verify import symptom_words
 from wavefocus.rendering.verify.changes import change_lines, changes_since
+from wavefocus.rendering.verify.correction import control_rows, correct_drive, correction_lines
 from wavefocus.rendering.verify.linearity import linearity_rows, quieter
 from wavefocus.rendering.verify.record import (
+    CORRECTED_NAME,
     DRIVE_NAME,
     FIELD_NAMES,
     JOURNAL_NAME,
@@ -60,12 +62,12 @@ from wavefocus.rendering.verify.record import (
     read_record,
     write_record,
 )
-from wavefocus.rendering.verify.results import Figure, Sentinel
+from wavefocus.rendering.verify.results import Correction, Figure, Sentinel
 from wavefocus.rendering.verify.scan import Scan, ScanPlan, scan
 from wavefocus.rendering.verify.scan_signals import marker_v
 from wavefocus.rendering.verify.sentinel import drift_sentence, measure_sentinel
 from wavefocus.rendering.verify.verdict import Tolerances, Verification, compare
-from wavefocus.rig.limits import check_drive
+from wavefocus.rig.limits import check_drive, stricter
 from wavefocus.rig.setup import open_setup
 from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.drive_file import Drive, write_drive
@@ -90,6 +92,8 @@ def verify(
     *,
     against: Path | None = None,
     linearity: bool = False,
+    corrections: int = 0,
+    control: str = "scene",
     sentinel: bool = True,
     force: bool = False,
     allow_large: bool = False,
@@ -98,14 +102,15 @@ def verify(
     """Check the focusing of a scene against a new scan; exit code 1 when it is not good enough.
 
     With an earlier record to compare `against`, what has changed since is stated; with `linearity` the scene is also
-    played 12 dB quieter at some positions.
+    played 12 dB quieter at some positions; with `corrections` the drive is corrected by further scans, so many at most,
+    of the scene's foci and quiet places, or of `control` "all".
     The bank's sentinel position is measured again first, unless `sentinel` is false; its drift is stated.
 
     A scan that was interrupted goes on where it was.
 
     A file ``verify.stop`` in the folder ends it as Ctrl-C does: outputs muted, mirror parked, exit code 130.
     """
-    results = (RECORD_NAME, REPORT_NAME, *FIELD_NAMES, *PICTURE_NAMES)
+    results = (RECORD_NAME, REPORT_NAME, *FIELD_NAMES, CORRECTED_NAME, *PICTURE_NAMES)
     inputs = input_files(scene_file, bank, rig_file, against)
     before = None if against is None else read_record(against)
     journals = JOURNAL_NAME, QUIET_JOURNAL_NAME
@@ -122,6 +127,7 @@ def verify(
         with ending_at_once(), ended_by_file(out / STOP_NAME), VerifyLog(out) as log:
             with staged_folder(out, RECORD_NAME, results) as staged:
                 work = _Work(scene_file, scene, view, configuration, rig, staged, log, out, linearity, sentinel, force)
+                work = replace(work, corrections=corrections, control=control)
                 earlier = None if before is None else (str(against), before)
                 verification = work.run(rows, str(rig_file), earlier)
             for name in journals:
@@ -138,6 +144,8 @@ def verify(
         say("error {}: noise {}, model {}".format(*parts))
     if verification.drift is not None:
         say(drift_sentence(verification.drift))
+    for line in correction_lines(verification.correction) if verification.correction is not None else ():
+        say(line)
     if (changes := verification.changes) is not None:
         say(f"since {changes.made:%Y-%m-%d %H:%M} ({changes.against}):")
         for line in change_lines(changes):
@@ -161,6 +169,8 @@ class _Work:
     linearity: bool
     sentinel: bool
     force: bool
+    corrections: int = 0
+    control: str = "scene"
 
     def run(
         self, rows: list[int] | None, rig_name: str, earlier: tuple[str, VerificationRecord] | None
@@ -179,7 +189,7 @@ class _Work:
         with self._step("predict", bank.positions if rows is None else len(rows)) as report:
             prediction = predict_field(drive, bank, rows, dtype=np.float32, on_progress=report)
         write_field(out / PREDICTION_NAME, prediction)
-        measured, quiet, sentinel, leak, marker, scan_s = self._scanned(drive, prediction)
+        measured, quiet, sentinel, leak, marker, scan_s, correction = self._scanned(drive, prediction)
         write_field(out / SCAN_NAME, measured.as_field())
         outline_mm = self.rig.surface.outline.line(OUTLINE_POINTS)
         with self._step("compare and report", 3) as report:
@@ -196,6 +206,7 @@ class _Work:
                 leak=leak,
                 marker_v=marker,
             )
+            verification = replace(verification, correction=correction)
             names = {"scene_file": str(self.scene_file), "bank": str(bank.path), "rig": rig_name}
             if earlier is not None:
                 file, record = earlier
@@ -231,7 +242,7 @@ class _Work:
 
     def _scanned(
         self, drive: Drive, prediction: Field
-    ) -> tuple[Scan, Scan | None, Sentinel | None, Crosstalk | None, Float64Array | None, float]:
+    ) -> tuple[Scan, Scan | None, Sentinel | None, Crosstalk | None, Float64Array | None, float, Correction | None]:
         with open_setup(self.rig, self.configuration.run) as setup:
             sentinel = self._sentinel(setup) if self.sentinel else None
             started_s = setup.instruments.clock.now_s()
@@ -242,6 +253,7 @@ class _Work:
                 rows = linearity_rows(drive, measured.position_index)
                 some = ScanPlan(rows, purpose="linearity")
                 quiet = self._scan(some, setup, quieter(drive), self.journals / QUIET_JOURNAL_NAME)
+            correction = self._corrected(setup, drive, measured) if self.corrections else None
             took_s = setup.instruments.clock.now_s() - started_s
             leak = self._leak(setup, prediction)
             marker: Float64Array | None = marker_v(setup, measured.field.shape[1], drive.sample_rate_hz)
@@ -249,7 +261,30 @@ class _Work:
             with self._step("crosstalk in the bank", 1) as report:
                 leak, marker = crosstalk_of_bank(self.bank, np.flatnonzero(usable(self.bank.status))), None
                 report(1, 1)
-        return measured, quiet, sentinel, leak, marker, took_s
+        return measured, quiet, sentinel, leak, marker, took_s, correction
+
+    def _corrected(self, setup: Setup, drive: Drive, measured: Scan) -> Correction:
+        """Correct the drive by scans of the control places, and keep the best; raises InputError: there is none."""
+        bank = self.bank
+        rows = measured.position_index
+        if self.control == "scene":
+            rows = control_rows(self.scene, drive, np.asarray(bank.position_mm, np.float64))
+        rows = rows[usable(bank.status)[rows]]
+        if not rows.size:
+            raise InputError(f"{self.scene_file}: no position at its foci is valid in {bank.path}")
+        plan = ScanPlan(tuple(rows.tolist()), purpose="correction")
+
+        def measure(played: Drive) -> Scan:
+            with self._step("correction", rows.size) as report:
+                return scan(plan, setup, played, bank, on_progress=report, publish=self._publisher(report))
+
+        best, correction = correct_drive(
+            drive, bank, rows, measure, self.corrections,
+            limits=stricter(self.scene.output, self.rig.player),
+            first=measured if np.isin(rows, measured.position_index).all() else None,
+        )  # fmt: skip
+        write_drive(self.out / CORRECTED_NAME, best)
+        return correction
 
     def _leak(self, setup: Setup, prediction: Field) -> Crosstalk | None:
         """How much of the loopback leaks into the response input now; None where it cannot be measured."""
