@@ -25,7 +25,7 @@ from wavefocus.calibration.comparison import (
 )
 from wavefocus.calibration.estimator.estimate import Estimate
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
-from wavefocus.calibration.sweeps import Excitation
+from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.drivers.protocols import Recording, RecordLabel
 
@@ -67,7 +67,7 @@ class Probe:
         self._setup = setup
         self._rate_hz = sample_rate_hz
         band_hz = LOWEST_HZ, HIGHEST_SHARE * sample_rate_hz
-        excitation = Excitation(sample_rate_hz, *band_hz, DURATION_S, SILENCE_S, amplitude_v, averages=1)
+        excitation = PlayedExcitation(sample_rate_hz, *band_hz, DURATION_S, SILENCE_S, amplitude_v, averages=1)
         self.amplitude_v = amplitude_v
         self._signal_v: Float64Array = excitation.signal_v()
         self._comparer = ChannelComparer(self._signal_v, sample_rate_hz)
@@ -336,7 +336,7 @@ def measure_actuators(task: ActuatorsTask, setup: Setup, progress: Callable[[int
     Raises NotMeasuredError: no signal from the loopback, or a response is too loud for its input. InstrumentError: of
     the instrument that failed for good.
     """
-    excitation = Excitation(task.sample_rate_hz, *BAND_HZ, DURATION_S, DECAY_S, task.amplitude_v, averages=1)
+    excitation = PlayedExcitation(task.sample_rate_hz, *BAND_HZ, DURATION_S, DECAY_S, task.amplitude_v, averages=1)
     estimator = SequentialEstimator(excitation, round(RESPONSE_S * task.sample_rate_hz), channels_of(setup))
     estimates: list[Estimate] = []
     for actuator, (x_mm, y_mm) in enumerate(task.position_mm):
@@ -348,7 +348,7 @@ def measure_actuators(task: ActuatorsTask, setup: Setup, progress: Callable[[int
     return compare_actuators(green, np.array([one.snr_db[0] for one in estimates]), task.sample_rate_hz)
 
 
-def _best_of(setup: Setup, excitation: Excitation, estimator: SequentialEstimator, actuator: int) -> Estimate:
+def _best_of(setup: Setup, excitation: PlayedExcitation, estimator: SequentialEstimator, actuator: int) -> Estimate:
     """The best of a few records of one actuator; the first that is good enough ends it."""
     best: Estimate | None = None
     for attempt in range(1, TRIES + 1):
@@ -366,7 +366,7 @@ def _best_of(setup: Setup, excitation: Excitation, estimator: SequentialEstimato
     return best
 
 
-def _once(setup: Setup, excitation: Excitation, estimator: SequentialEstimator, label: RecordLabel) -> Estimate:
+def _once(setup: Setup, excitation: PlayedExcitation, estimator: SequentialEstimator, label: RecordLabel) -> Estimate:
     signals_v = setup.signals_v(excitation.signal_v(), label.position)
     recording = take_record(setup, signals_v, excitation.sample_rate_hz, label)
     if any(recording.over_range):

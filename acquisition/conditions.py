@@ -10,7 +10,7 @@ import numpy as np
 from wavefocus.acquisition.plays import Play
 from wavefocus.acquisition.setup import Setup
 from wavefocus.acquisition.watch import Watch
-from wavefocus.calibration.sweeps import Excitation
+from wavefocus.calibration.excitation import Excitation
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.protocols import Recording
 

@@ -22,7 +22,7 @@ from wavefocus.acquisition.setup import (
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.clock.timing import fit_clock
 from wavefocus.calibration.crosstalk import REMEDY, Crosstalk, crosstalk_of_record
-from wavefocus.calibration.sweeps import Excitation
+from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.config.messages.rig_checks import Act, Finding, Verdict
 from wavefocus.config.rig import RigConfig
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
@@ -456,8 +456,8 @@ def _in_band_v(recording: Recording, sample_rate_hz: float) -> float:
     return math.sqrt(2 * float(np.sum(np.abs(np.fft.rfft(volts)[band]) ** 2))) / len(volts) + 1e-9
 
 
-def _sweep(amplitude_v: float, sample_rate_hz: float) -> Excitation:
-    return Excitation(sample_rate_hz, *BAND_HZ, SWEEP_S, DECAY_S, amplitude_v, averages=1)
+def _sweep(amplitude_v: float, sample_rate_hz: float) -> PlayedExcitation:
+    return PlayedExcitation(sample_rate_hz, *BAND_HZ, SWEEP_S, DECAY_S, amplitude_v, averages=1)
 
 
 def _figure(check: str, what: str, good: bool, remedy: str, act: Act | None = None) -> Finding:

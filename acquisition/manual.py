@@ -15,7 +15,7 @@ from wavefocus.calibration import Float32Array, Float64Array
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
-from wavefocus.calibration.sweeps import Excitation
+from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.config.messages.operate import ChannelLevel, Defect, InputLevels, SweepFigures, SweepTaken, TakeSweep
 from wavefocus.drivers.protocols import Recording, RecordLabel
 from wavefocus.storage.errors import InputError
@@ -30,10 +30,10 @@ _MAX_BINS = 500
 _FLOOR_V = 1e-12
 
 
-def excitation_of(order: TakeSweep, sample_rate_hz: float) -> Excitation:
+def excitation_of(order: TakeSweep, sample_rate_hz: float) -> PlayedExcitation:
     """The signal of an order whose level is given; raises InputError where no signal can be made for it."""
     band_hz = order.start_hz, order.stop_hz
-    return Excitation(sample_rate_hz, *band_hz, order.duration_s, DECAY_S, order.level_v or 0.0, averages=1)
+    return PlayedExcitation(sample_rate_hz, *band_hz, order.duration_s, DECAY_S, order.level_v or 0.0, averages=1)
 
 
 class ManualMeasurements:
@@ -46,13 +46,13 @@ class ManualMeasurements:
         self._setup, self._rate_hz = setup, sample_rate_hz
         self._number = 0
         self._sound: tuple[int, Float64Array] | None = None
-        self._estimator: tuple[Excitation, SequentialEstimator] | None = None
+        self._estimator: tuple[PlayedExcitation, SequentialEstimator] | None = None
 
     def sound(self, actuator: int | None, amplitude_v: float = 0.0) -> None:
         """Choose what plays while levels are measured: an actuator at a peak of so many volts, or nothing."""
         self._sound = None
         if actuator is not None:
-            sweep = Excitation(self._rate_hz, *_BAND_HZ, LISTENS_S, 0.0, amplitude_v, averages=1, fade_s=_FADE_S)
+            sweep = PlayedExcitation(self._rate_hz, *_BAND_HZ, LISTENS_S, 0.0, amplitude_v, averages=1, fade_s=_FADE_S)
             self._sound = actuator, sweep.signal_v()
 
     def level(self) -> InputLevels:
@@ -104,7 +104,7 @@ class ManualMeasurements:
         label = RecordLabel(0, 1, self._number, purpose)
         return take_record(self._setup, self._setup.signals_v(signal_v, actuator), self._rate_hz, label)
 
-    def _figures(self, actuator: int, excitation: Excitation, record: Recording) -> SweepFigures:
+    def _figures(self, actuator: int, excitation: PlayedExcitation, record: Recording) -> SweepFigures:
         setup = self._setup
         with one_blas_thread():
             if self._estimator is None or self._estimator[0] != excitation:

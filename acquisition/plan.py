@@ -13,7 +13,7 @@ from wavefocus.acquisition.limits import DriftLimits, QualityLimits
 from wavefocus.acquisition.setup import Rolls, record_samples
 from wavefocus.calibration import Float64Array, Int64Array
 from wavefocus.calibration.estimator.schedule_error import expected_error_db
-from wavefocus.calibration.sweeps import Excitation, StaggeredSignal
+from wavefocus.calibration.excitation import PlayedExcitation, StaggeredSignal
 
 # Time of a mirror move, of starting a task and of a commit, for the estimate before a run.
 POSITION_OVERHEAD_S = 0.05
@@ -43,7 +43,7 @@ class Plan:
     position_mm: Float64Array
     actuator_mm: Float64Array
     order: Int64Array
-    excitation: Excitation
+    excitation: PlayedExcitation
     taps: int
     sha256: str
     quality: QualityLimits = field(default_factory=QualityLimits)

@@ -131,6 +131,7 @@ def raw_header(plan: Plan, setup: Setup, *, rig_json: str, run_json: str, softwa
         inter_channel_delay_s=channels.inter_channel_delay_s,
         volts_per_count=(setup.range_v[0] / COUNTS, setup.range_v[1] / COUNTS),
         averages=excitation.averages if signal is None else None,
+        sweep_law="" if excitation.waveform == "linear" else "other",
         sweep_s=excitation.duration_s if signal is None else signal.period_samples / rate,
         decay_s=excitation.decay_s if signal is None else None,
         rig_json=rig_json,

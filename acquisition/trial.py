@@ -22,7 +22,7 @@ from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.estimator.estimate import Estimate
 from wavefocus.calibration.estimator.noise_error import noise_error_db
 from wavefocus.calibration.estimator.schedule_error import Decay, measure_decay
-from wavefocus.calibration.sweeps import StaggeredSignal
+from wavefocus.calibration.excitation import StaggeredSignal
 from wavefocus.config.messages.campaign import Subscriber
 from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.drivers.protocols import Recording

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from wavefocus.benchmarks import nights
 from wavefocus.benchmarks.harness import Findings, Mark, Point, band_error_db, measure
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
-from wavefocus.calibration.sweeps import Excitation
+from wavefocus.calibration.excitation import PlayedExcitation
 
 TAPS = 2000
 OFFSET = 200
@@ -42,7 +42,7 @@ Method = Callable[[NDArray[np.float32], NDArray[np.float32]], NDArray[Any]]
 class Workload:
     """Records with their true Green's functions."""
 
-    excitation: Excitation
+    excitation: PlayedExcitation
     truth: NDArray[np.float64]
     reference: NDArray[np.float32]
     response: NDArray[np.float32]
@@ -95,7 +95,7 @@ def run(out: Path, *, quick: bool = False) -> Findings:
 def make_workload(records: int, seed: int = 0) -> Workload:
     """Records of random damped modes, clocks in step, noise on both channels."""
     draw = np.random.default_rng(seed)
-    excitation = Excitation(10_000.0, 20.0, 500.0, 3.0, 0.5, 1.0, 3)
+    excitation = PlayedExcitation(10_000.0, 20.0, 500.0, 3.0, 0.5, 1.0, 3)
     time_s = np.arange(TAPS) / excitation.sample_rate_hz
     truth = np.zeros((records, TAPS))
     for record in range(records):
@@ -143,7 +143,7 @@ def _limit_db(work: Workload, estimator: SequentialEstimator) -> NDArray[np.floa
     return np.asarray(10 * np.log10(work.noise_v**2 * variance / (np.abs(wanted) ** 2).sum(axis=1)))
 
 
-def _repeats(recording: NDArray[np.float32], excitation: Excitation) -> NDArray[np.float32]:
+def _repeats(recording: NDArray[np.float32], excitation: PlayedExcitation) -> NDArray[np.float32]:
     """Repeats (records, averages, period), cut at their true start."""
     length = excitation.averages * excitation.period_samples
     return recording[:, OFFSET : OFFSET + length].reshape(recording.shape[0], excitation.averages, -1)
@@ -153,7 +153,7 @@ def _ours(estimator: SequentialEstimator) -> Method:
     return lambda x, y: estimator.estimate(x, y, range_v=(10.0, 1e3)).green
 
 
-def _plain_h1(excitation: Excitation) -> Method:
+def _plain_h1(excitation: PlayedExcitation) -> Method:
     hertz = np.arange(excitation.period_samples // 2 + 1) * excitation.sample_rate_hz / excitation.period_samples
     mask = ((hertz >= excitation.start_hz) & (hertz <= excitation.stop_hz)).astype(np.float32)
 
@@ -166,7 +166,7 @@ def _plain_h1(excitation: Excitation) -> Method:
     return method
 
 
-def _welch_h1(excitation: Excitation) -> Method:
+def _welch_h1(excitation: PlayedExcitation) -> Method:
     period = excitation.period_samples
     hertz = np.arange(period // 2 + 1) * excitation.sample_rate_hz / period
     mask = (hertz >= excitation.start_hz) & (hertz <= excitation.stop_hz)
@@ -182,7 +182,7 @@ def _welch_h1(excitation: Excitation) -> Method:
     return method
 
 
-def _pyfar_methods(excitation: Excitation) -> dict[str, Method]:
+def _pyfar_methods(excitation: PlayedExcitation) -> dict[str, Method]:
     import pyfar
 
     rate, band = excitation.sample_rate_hz, excitation.band_hz
@@ -205,7 +205,7 @@ def _pyfar_methods(excitation: Excitation) -> dict[str, Method]:
     }
 
 
-def _pyfrf_method(excitation: Excitation) -> dict[str, Method]:
+def _pyfrf_method(excitation: PlayedExcitation) -> dict[str, Method]:
     import pyFRF
 
     rate, period = excitation.sample_rate_hz, excitation.period_samples

@@ -15,8 +15,8 @@ from wavefocus.acquisition.grid import surface_grid
 from wavefocus.acquisition.limits import QualityLimits
 from wavefocus.acquisition.plan import Plan
 from wavefocus.acquisition.setup import Setup
+from wavefocus.calibration.excitation import PlayedExcitation, StaggeredSignal
 from wavefocus.calibration.mirror_map import MirrorMap
-from wavefocus.calibration.sweeps import Excitation, StaggeredSignal
 from wavefocus.config.messages.campaign import Subscriber
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.rendering.field.metrics import band_weights
@@ -92,7 +92,7 @@ def sweep_plan(
 ) -> Plan:
     """The default campaign at some positions: three sweeps of 1 s per actuator, or one period of staggered ones."""
     actuator_mm = np.asarray(rig.settings.actuator_mm, dtype=np.float64)
-    sweep = Excitation(RATE_HZ, *BAND_HZ, sweep_s, TAPS / RATE_HZ, 1.0, averages)
+    sweep = PlayedExcitation(RATE_HZ, *BAND_HZ, sweep_s, TAPS / RATE_HZ, 1.0, averages)
     stagger = round(STAGGER_S * RATE_HZ)
     signal = StaggeredSignal(sweep, rig.settings.actuators, TAPS, stagger, 1, periods) if staggered else None
     # Scattered positions of a grid would all be measured twice, which the whole grid is not.

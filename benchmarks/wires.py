@@ -24,8 +24,8 @@ from wavefocus.acquisition.setup import Setup, record_samples, take_record
 from wavefocus.benchmarks.harness import Findings, Mark, Point
 from wavefocus.benchmarks.rig_bank import RATE_HZ, TAPS, measure
 from wavefocus.calibration.clock.timing import ClockFitter
+from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.calibration.mirror_map import MirrorMap
-from wavefocus.calibration.sweeps import Excitation
 from wavefocus.config.messages.campaign import Event, Fault, PositionStarted
 from wavefocus.drivers.audio.resampling import converted, lead_samples, rate_ratio
 from wavefocus.drivers.audio.stream.player import StreamPlayer
@@ -59,9 +59,9 @@ def settings() -> VirtualSettings:
     return VirtualSettings(actuator_mm=ACTUATOR_MM, reference_noise_v=REFERENCE_NOISE_V, dropout_probability=0.0)
 
 
-def excitation(sweep_s: float, averages: int) -> Excitation:
+def excitation(sweep_s: float, averages: int) -> PlayedExcitation:
     """Signal of each record."""
-    return Excitation(RATE_HZ, 20.0, 500.0, sweep_s, 0.2, SWEEP_V, averages)
+    return PlayedExcitation(RATE_HZ, 20.0, 500.0, sweep_s, 0.2, SWEEP_V, averages)
 
 
 def serve_instruments(period_frames: int) -> None:
@@ -152,7 +152,7 @@ def opened(sides: EmulatedInstruments, post_roll_s: float = POST_ROLL_S) -> Iter
         setup.close()
 
 
-def positions_s(setup: Setup, positions: int, sweep: Excitation) -> tuple[NDArray[np.float64], int]:
+def positions_s(setup: Setup, positions: int, sweep: PlayedExcitation) -> tuple[NDArray[np.float64], int]:
     """Seconds from one undisturbed position's start to the next, and of how many a record was repeated."""
     position_mm = np.column_stack([4.0 * np.arange(positions), np.zeros(positions)])
     plan = Plan(position_mm, np.array(ACTUATOR_MM), np.arange(positions), sweep, TAPS, "0" * 64)
@@ -174,7 +174,7 @@ def positions_s(setup: Setup, positions: int, sweep: Excitation) -> tuple[NDArra
 
 
 def clock_errors(
-    setup: Setup, sides: EmulatedInstruments, records: int, sweep: Excitation
+    setup: Setup, sides: EmulatedInstruments, records: int, sweep: PlayedExcitation
 ) -> tuple[Float64Array, Float64Array]:
     """Errors of the clock ratio in ppm and of the start offset in samples, of each record."""
     signal_v = sweep.signal_v()

@@ -1,7 +1,7 @@
 """From recordings to Green's functions.
 
 =============================  ==================================================================
-`sweeps`                       `Excitation`, `StaggeredSignal`: what plays
+`excitation`                   `PlayedExcitation`, `StaggeredSignal`: what plays; `waveforms` has a module for each
 `clock.timing`                 `ClockFitter`, `to_playback_clock`: start offset and clock ratio
 `clock.played`                 what another program played, from its reference channel alone
 `estimator.sequential`         `SequentialEstimator`; `estimator.staggered` has `StaggeredEstimator`

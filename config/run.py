@@ -27,6 +27,9 @@ STAGGER_OVER_RESPONSE = 1.2
 """Staggered responses come apart when each is over before the next begins; measured for this design."""
 
 DEFAULT_STAGGER_OVER_RESPONSE = 1.25
+Waveform = Literal["linear", "multisine"]
+"""The modules of `wavefocus.calibration.waveforms`."""
+
 MIN_SWEEP_S = 0.05
 """A sweep fades in and out over 10 ms each, and must sound in between."""
 
@@ -48,9 +51,9 @@ class Grid(Table):
 
 
 class Sweep(Table):
-    """The linear sweep that drives each actuator."""
+    """The sweep that drives each actuator, or another waveform that fills a band."""
 
-    start_hz: Annotated[Positive, ALWAYS] = Field(default=20.0, description="Start of the linear sweep")
+    start_hz: Annotated[Positive, ALWAYS] = Field(default=20.0, description="Start of the sweep")
     stop_hz: Annotated[Positive, ALWAYS] = Field(
         default=500.0, description="End of the sweep, above start_hz and below half of sample_rate_hz"
     )
@@ -59,6 +62,10 @@ class Sweep(Table):
     )
     amplitude_v: Annotated[Positive, ALWAYS] = Field(
         default=1.0, description="Peak of the sweep, at most the rig's player.limit_v"
+    )
+
+    waveform: Waveform = Field(
+        default="linear", description="A linear sweep, or a multisine: all frequencies of the band throughout"
     )
 
     @model_validator(mode="after")

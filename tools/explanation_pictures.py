@@ -16,7 +16,7 @@ from tests.system.crash.power_cuts import Disk, images
 from tests.system.test_bank_crash import green_of, header, record_of
 from tools.compare_versions import bank_of
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
-from wavefocus.calibration.sweeps import Excitation
+from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.field.prediction import predict
@@ -37,7 +37,7 @@ def draw_recording(folder: Path) -> None:
     """Write recording-to-green.png into a folder."""
     from matplotlib.figure import Figure
 
-    excitation = Excitation(RATE_HZ, 20.0, 500.0, 1.0, 0.2, 1.0, 3)
+    excitation = PlayedExcitation(RATE_HZ, 20.0, 500.0, 1.0, 0.2, 1.0, 3)
     truth = VirtualRig().truth(*PLACE_MM, TAPS)[ACTUATOR] / M_S_PER_V
     reference, response = _record(excitation, truth)
     found = SequentialEstimator(excitation, TAPS).estimate(reference[None], response[None], range_v=(10.0, 10.0))
@@ -88,7 +88,7 @@ def draw_recording(folder: Path) -> None:
     print(f"residual {found.residual_db[0]:.1f} dB, error {error_db:.1f} dB")
 
 
-def _record(excitation: Excitation, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _record(excitation: PlayedExcitation, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Reference and response of one record on the DAQ's clock, with noise: float32 (samples,) each."""
     from scipy.interpolate import CubicSpline
     from scipy.signal import resample

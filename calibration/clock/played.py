@@ -16,7 +16,7 @@ from wavefocus.calibration.clock.periodic_clock import RingClock, RingFit, fit_r
 from wavefocus.calibration.clock.resampling import Thinned, resampled, thin
 from wavefocus.calibration.clock.sweep_laws import SweepFit, SweepLaw, fit_sweep_law, roundest
 from wavefocus.calibration.estimator.estimate import MAX_PPM
-from wavefocus.calibration.sweeps import RecordedSweeps
+from wavefocus.calibration.excitation import RecordedExcitation
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.raw.header import RawHeader
 
@@ -267,7 +267,7 @@ def _skew_beyond(reference: Float32Array, header: RawHeader, sweep_samples: int)
     return skew_ppm if share > CARRIED and abs(skew_ppm) > max(MAX_PPM, 1e6 * sure_to) else None
 
 
-def learn_sweeps(found: FoundSweeps, reference: Float32Array, header: RawHeader) -> RecordedSweeps:
+def learn_sweeps(found: FoundSweeps, reference: Float32Array, header: RawHeader) -> RecordedExcitation:
     """The mean of the sweeps of a record, on the playback clock; what `find_sweeps` found, and what it was found in."""
     shape, ratio = found.shape, found.ratio
     starts = found.offset + ratio * shape.period_samples * np.arange(shape.averages)
@@ -281,7 +281,7 @@ def learn_sweeps(found: FoundSweeps, reference: Float32Array, header: RawHeader)
         base = np.roll(base, -_start(base, decay, exact=shape_of(header) is not None))
     # An abrupt start rings before it, once it is limited to its band.
     base = np.roll(base, min(round(1 / found.highest), max(decay - header.taps, 0) // 2))
-    return RecordedSweeps(base, header.sample_rate_hz, *header.band_hz, decay, shape.averages)
+    return RecordedExcitation(base, header.sample_rate_hz, *header.band_hz, decay, shape.averages)
 
 
 def whole_record(found: FoundSweeps, reference: Float32Array, samples: int) -> Float64Array:

@@ -12,8 +12,8 @@ from wavefocus.calibration import Complex64Array, Float32Array, Float64Array, In
 from wavefocus.calibration.clock.czt import BandSpectrum
 from wavefocus.calibration.clock.missing_reference import missing_reference
 from wavefocus.calibration.clock.timing import CORNERS, check_inside
+from wavefocus.calibration.excitation import Excitation
 from wavefocus.calibration.numerics import fourier_sum, parabola_vertex
-from wavefocus.calibration.sweeps import Sweeps
 from wavefocus.storage.errors import InputError
 
 # Bins whose nominal energy is below this share of the median in band carry noise only.
@@ -30,7 +30,7 @@ MISPLACED_SAMPLES = 4.0
 GUARD_SAMPLES = 8
 # The clock is known far better than needed, so that every eighth bin is enough for it.
 THIN = 8
-# Sweeps go upwards when the mean delay rises over so many parts of the band.
+# Excitation go upwards when the mean delay rises over so many parts of the band.
 DELAY_PARTS = 8
 # Where a clock skew turns the ends of the band by more than this against its middle, in radians, phases wrap and the
 # skew is searched for in such steps.
@@ -75,7 +75,7 @@ class RepeatFinder:
     max_ppm: Largest clock skew in parts per million.
     """
 
-    def __init__(self, excitation: Sweeps, room_samples: int, max_ppm: float) -> None:
+    def __init__(self, excitation: Excitation, room_samples: int, max_ppm: float) -> None:
         base = excitation.base_v()
         self.period = base.size
         self.averages = excitation.averages
@@ -105,6 +105,7 @@ class RepeatFinder:
         # Whether higher frequencies come later, eighth of the band by eighth: so that bins stand for times.
         delays = [part.mean() for part in np.array_split(-stretch / self.omega, DELAY_PARTS)]
         self.delay_rises = bool(np.all(np.diff(delays) > 0))
+        self.is_swept = self.delay_rises or bool(np.all(np.diff(delays) < 0))
         # Coupling capacitors turn low frequencies; unmodelled, a corner of 2 Hz passes for 20 ppm.
         lowest = 2 * np.pi * excitation.start_hz / excitation.sample_rate_hz
         turns = [np.arctan(share * lowest / self.omega) for share in CORNERS]

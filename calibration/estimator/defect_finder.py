@@ -169,6 +169,7 @@ class DefectFinder:
     taps: Length L of the response.
     freedom: Share of white noise that the fit leaves unexplained, 0 to 1.
     delay_rises: Whether the sweep goes upwards, so that higher bins come later.
+    is_swept: Whether each moment has one frequency, so that its harmonics are not played.
     """
 
     def __init__(
@@ -182,6 +183,7 @@ class DefectFinder:
         *,
         freedom: float,
         delay_rises: bool,
+        is_swept: bool,
     ) -> None:
         self._freedom = freedom
         self._omega = omega.astype(np.float32)
@@ -199,6 +201,7 @@ class DefectFinder:
         self._line_limit = _chance_limit(averages)
         self._parts = np.linspace(0, omega.size, (SLIP_PARTS if delay_rises else 1) + 1).astype(int)[:-1]
         self._jumps = _jumps(averages, self._parts.size)
+        self._is_swept = is_swept
         self._harmonic = ThirdHarmonic(sample_rate_hz, period)
         after = int(np.ceil(taps / self._cell)) + 1
         third = (int(RING_SHARE * self._length) - after) // 3
@@ -220,7 +223,7 @@ class DefectFinder:
         self._lines(power, whole, defects)
         # What is cut where the response stays loud for long bends the fit and leaves nothing.
         left = unexplained if differing_power is None else differing_power
-        loud = np.flatnonzero(whole > LOUD * left.sum(axis=1, dtype=np.float64))
+        loud = np.flatnonzero(self._is_swept & (whole > LOUD * left.sum(axis=1, dtype=np.float64)))
         defects["harmonic_db"] = np.nan
         defects["harmonic_db"][loud] = self._harmonic(spectra.response_v, spectra.levels.loudest, loud)
         look = np.flatnonzero(self._suspicious(unexplained, differing_power, whole))

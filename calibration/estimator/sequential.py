@@ -12,7 +12,7 @@ from wavefocus.calibration.estimator.causal_fit import CausalFit, ToeplitzFit
 from wavefocus.calibration.estimator.clipping import measure_levels
 from wavefocus.calibration.estimator.defect_finder import DefectFinder, Residuals, energy, few_steps
 from wavefocus.calibration.estimator.estimate import DIRECT, EDGE, FLOOR, MAX_PPM, Channels, Estimate, decibel
-from wavefocus.calibration.sweeps import Sweeps
+from wavefocus.calibration.excitation import Excitation
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.raw.header import Schedule
 
@@ -41,7 +41,7 @@ class SequentialEstimator:
 
     def __init__(
         self,
-        excitation: Sweeps,
+        excitation: Excitation,
         taps: int,
         channels: Channels = DIRECT,
         *,
@@ -85,6 +85,7 @@ class SequentialEstimator:
             taps,
             freedom=1 - self._fit.rank / self._fit.elements,
             delay_rises=self._finder.delay_rises,
+            is_swept=self._finder.is_swept,
         )
         late = channels.inter_channel_delay_s * excitation.sample_rate_hz
         self._in_time = np.exp(-1j * omega * late).astype(np.complex64)

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.comparison import ChannelComparer, ResponseMissingError
-from wavefocus.calibration.sweeps import Excitation
+from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.mocks.virtual.signals import PlayedSignal
 
 RATE_HZ = 10_000.0
-SWEEP = Excitation(RATE_HZ, 200.0, 4000.0, 0.5, 0.05, 1.0, 1)
+SWEEP = PlayedExcitation(RATE_HZ, 200.0, 4000.0, 0.5, 0.05, 1.0, 1)
 COMPARER = ChannelComparer(SWEEP.signal_v(), RATE_HZ)
 NOISE_V = 1e-4
 

@@ -11,14 +11,14 @@ from wavefocus.acquisition.conditions import Conditions
 from wavefocus.acquisition.plays import Play
 from wavefocus.acquisition.setup import Setup
 from wavefocus.acquisition.watch import AllowedRange, Watch
+from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.calibration.mirror_map import MirrorMap
-from wavefocus.calibration.sweeps import Excitation
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.protocols import Recording
 from wavefocus.mocks.virtual.rig import VirtualRig
 
 RATE_HZ = 10_000.0
-EXCITATION = Excitation(RATE_HZ, 20.0, 500.0, 1.0, 0.2, 1.0, 1)
+EXCITATION = PlayedExcitation(RATE_HZ, 20.0, 500.0, 1.0, 0.2, 1.0, 1)
 SIGNAL_V = EXCITATION.signal_v()
 PLAY = Play(0, {0: SIGNAL_V, 20: SIGNAL_V})
 

@@ -18,19 +18,19 @@ from wavefocus.acquisition.limits import QualityLimits
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.estimator.estimate import Channels, Estimate
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
-from wavefocus.calibration.sweeps import Excitation, RecordedSweeps, Sweeps
+from wavefocus.calibration.excitation import Excitation, PlayedExcitation, RecordedExcitation
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.point_status import Status
 
 # A quarter of the default in every length, for quick tests; one below runs the default itself.
-SMALL = Excitation(10_000.0, 40.0, 800.0, 0.3, 0.06, 1.0, 3)
+SMALL = PlayedExcitation(10_000.0, 40.0, 800.0, 0.3, 0.06, 1.0, 3)
 TAPS = 500
 ESTIMATOR = SequentialEstimator(SMALL, TAPS)
 RANGE = (10.0, 200.0)
 Float64Array = NDArray[np.float64]
 
 
-def damped_modes(records: int, taps: int, excitation: Excitation, seed: int = 0) -> Float64Array:
+def damped_modes(records: int, taps: int, excitation: PlayedExcitation, seed: int = 0) -> Float64Array:
     draw = np.random.default_rng(seed)
     time_s = np.arange(taps) / excitation.sample_rate_hz
     slowest = 6 / time_s[-1]
@@ -77,7 +77,7 @@ class Records:
 
 def records_of(
     green: Float64Array,
-    excitation: Sweeps = SMALL,
+    excitation: Excitation = SMALL,
     *,
     snr_db: float | None = 40.0,
     offset: float = 100.4,
@@ -105,19 +105,19 @@ def records_of(
     return Records(x, y, noise_v)
 
 
-def band_spectrum(green: NDArray[Any], excitation: Excitation) -> NDArray[np.complex128]:
+def band_spectrum(green: NDArray[Any], excitation: PlayedExcitation) -> NDArray[np.complex128]:
     period = excitation.period_samples
     hertz = np.arange(period // 2 + 1) * excitation.sample_rate_hz / period
     band = (hertz >= excitation.start_hz) & (hertz <= excitation.stop_hz)
     return np.asarray(scipy.fft.rfft(np.asarray(green, dtype=np.float64), period)[:, band])
 
 
-def error_db(found: NDArray[Any], truth: Float64Array, excitation: Excitation = SMALL) -> Float64Array:
+def error_db(found: NDArray[Any], truth: Float64Array, excitation: PlayedExcitation = SMALL) -> Float64Array:
     wrong, right = band_spectrum(found - truth, excitation), band_spectrum(truth, excitation)
     return np.asarray(10 * np.log10((np.abs(wrong) ** 2).sum(axis=1) / (np.abs(right) ** 2).sum(axis=1)))
 
 
-def limit_db(records: Records, truth: Float64Array, excitation: Excitation = SMALL) -> Float64Array:
+def limit_db(records: Records, truth: Float64Array, excitation: PlayedExcitation = SMALL) -> Float64Array:
     """In-band error that least squares for a causal FIR must have: its covariance, noise-free reference."""
     period, taps = excitation.period_samples, truth.shape[1]
     drive = scipy.fft.rfft(excitation.base_v())[:, None]
@@ -142,7 +142,7 @@ def test_error_is_within_1_db_of_the_noise_limit_at_any_clock_ratio(kind: str, p
 
 
 def test_default_campaign_is_within_a_third_of_a_db_of_no_skew_at_200_ppm() -> None:
-    default = Excitation(10_000.0, 20.0, 500.0, 1.0, 0.2, 1.0, 3)
+    default = PlayedExcitation(10_000.0, 20.0, 500.0, 1.0, 0.2, 1.0, 3)
     estimator = SequentialEstimator(default, 2000)
     truth = damped_modes(6, 2000, default)
     options: dict[str, Any] = {"offset": 200.3, "post_roll": 1000}
@@ -354,7 +354,7 @@ def repeated_signals() -> dict[str, Float64Array]:
 def test_any_repeated_excitation_of_the_band_is_estimated(name: str, ppm: float) -> None:
     signal = repeated_signals()[name]
     base_v = np.pad(signal / np.abs(signal).max(), (0, SMALL.decay_samples))
-    excitation = RecordedSweeps(base_v, SMALL.sample_rate_hz, *SMALL.band_hz, SMALL.decay_samples, SMALL.averages)
+    excitation = RecordedExcitation(base_v, SMALL.sample_rate_hz, *SMALL.band_hz, SMALL.decay_samples, SMALL.averages)
     truth = damped_modes(2, TAPS, SMALL)
     estimate = records_of(truth, excitation, ppm=ppm, snr_db=None).estimate(SequentialEstimator(excitation, TAPS))
     assert 1e6 * (estimate.clock_ratio - 1) == pytest.approx([ppm, ppm], abs=2)
@@ -425,7 +425,7 @@ def test_records_that_cannot_be_are_refused() -> None:
 
 @pytest.mark.parametrize("ppm", [60.0, -300.0])
 def test_given_an_audio_band_then_a_clock_that_turns_the_phases_many_times_is_found(ppm: float) -> None:
-    audio = Excitation(48_000.0, 50.0, 18_000.0, 0.8, 0.1, 1.0, 2)
+    audio = PlayedExcitation(48_000.0, 50.0, 18_000.0, 0.8, 0.1, 1.0, 2)
     truth = damped_modes(2, 4000, audio)
     estimate = records_of(truth, audio, snr_db=50.0, offset=300.4, ppm=ppm).estimate(SequentialEstimator(audio, 4000))
     assert 1e6 * (estimate.clock_ratio - 1) == pytest.approx(np.full(2, ppm), abs=0.1)

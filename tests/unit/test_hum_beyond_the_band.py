@@ -10,11 +10,11 @@ from wavefocus.acquisition.limits import QualityLimits
 from wavefocus.calibration.estimator.estimate import Estimate, Records
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.estimator.staggered import StaggeredEstimator
-from wavefocus.calibration.sweeps import Excitation, StaggeredSignal
+from wavefocus.calibration.excitation import PlayedExcitation, StaggeredSignal
 from wavefocus.storage.point_status import Status
 
 RATE_HZ, BAND_HZ, TAPS, ACTUATORS = 10_000.0, (50.0, 500.0), 1000, 3
-SWEEP = Excitation(RATE_HZ, *BAND_HZ, duration_s=0.5, decay_s=0.1, amplitude_v=1.0, averages=2)
+SWEEP = PlayedExcitation(RATE_HZ, *BAND_HZ, duration_s=0.5, decay_s=0.1, amplitude_v=1.0, averages=2)
 SIGNAL = StaggeredSignal(SWEEP, ACTUATORS, TAPS, 1250)
 RANGE_V = (100.0, 100.0)
 

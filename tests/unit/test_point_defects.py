@@ -14,8 +14,8 @@ from wavefocus.acquisition.limits import QualityLimits
 from wavefocus.acquisition.setup import Setup, point_at, take_record
 from wavefocus.calibration.estimator.estimate import Channels
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
+from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.calibration.mirror_map import MirrorMap
-from wavefocus.calibration.sweeps import Excitation
 from wavefocus.drivers.protocols import RecordLabel
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
 from wavefocus.storage.point_status import Status
@@ -36,8 +36,8 @@ def estimator(averages: int, taps: int) -> SequentialEstimator:
     return SequentialEstimator(excitation(averages), taps, Channels(inter_channel_delay_s=5e-6))
 
 
-def excitation(averages: int) -> Excitation:
-    return Excitation(RATE_HZ, 20.0, 500.0, 1.0, 0.2, 1.0, averages)
+def excitation(averages: int) -> PlayedExcitation:
+    return PlayedExcitation(RATE_HZ, 20.0, 500.0, 1.0, 0.2, 1.0, averages)
 
 
 @cache

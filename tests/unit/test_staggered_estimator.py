@@ -14,14 +14,14 @@ from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.clock.resampling import thin
 from wavefocus.calibration.estimator.estimate import Channels, Estimate, Records
 from wavefocus.calibration.estimator.staggered import StaggeredEstimator
-from wavefocus.calibration.sweeps import Excitation, StaggeredSignal
+from wavefocus.calibration.excitation import PlayedExcitation, StaggeredSignal
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.raw.header import EMPTY, Schedule, sequential, staggered
 
 RATE_HZ = 2000.0
 BAND_HZ = (20.0, 400.0)
 TAPS = 100
-SWEEP = Excitation(RATE_HZ, *BAND_HZ, 0.5, 0.05, 1.0, 1)
+SWEEP = PlayedExcitation(RATE_HZ, *BAND_HZ, 0.5, 0.05, 1.0, 1)
 SIGNAL = StaggeredSignal(SWEEP, actuators=5, taps=TAPS, stagger_samples=120)
 
 

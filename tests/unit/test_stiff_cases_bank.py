@@ -10,7 +10,7 @@ import scipy.fft
 
 from tests.unit.plate_banks import SQUARE_MM, errors_at, plate_bank
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
-from wavefocus.calibration.sweeps import Excitation
+from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.config.scene import Output, Regularisation
 from wavefocus.mocks.plates.thin import ThinPlate
 from wavefocus.rendering.drive.inverse_filter import inverse_filter
@@ -126,7 +126,7 @@ def test_rows_22_and_23_a_tail_at_minus_40_db_is_the_limit():
 
 def test_row_24_the_estimate_does_not_divide_by_the_sweep_outside_its_band(record_property):
     """At 60 dB plain division is 200 % wrong (noise where nothing was played); least squares at most 1 %."""
-    excitation = Excitation(10_000.0, 20.0, 500.0, 0.5, 0.2, 1.0, 3)
+    excitation = PlayedExcitation(10_000.0, 20.0, 500.0, 0.5, 0.2, 1.0, 3)
     taps, rng = 2000, np.random.default_rng(5)
     time_s = np.arange(taps) / 10_000.0
     modes_hz = rng.uniform(40.0, 450.0, 20)

@@ -190,7 +190,7 @@ def test_given_a_key_without_a_comment_then_it_is_explained_and_others_stay() ->
     assert with_explanations(text, RunConfig).splitlines() == [
         "a = 1",
         "[sweep]",
-        "start_hz = 20.0                # Start of the linear sweep (Hz, above 0)",
+        "start_hz = 20.0                # Start of the sweep (Hz, above 0)",
         "# duration_s = 0.5             # Duration of one sweep (s, 0.05 to 3600)",
         "duration_s = 1  # mine",
     ]

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.clock.timing import ClockFit, ClockFitter, fit_clock, to_playback_clock
-from wavefocus.calibration.sweeps import Excitation
+from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.storage.errors import InputError, WavefocusError
 
 SAMPLES = 37_200
-KNOWN = Excitation(10_000.0, 20.0, 500.0, 1.0, 0.2, 1.0, 3).signal_v()
+KNOWN = PlayedExcitation(10_000.0, 20.0, 500.0, 1.0, 0.2, 1.0, 3).signal_v()
 
 
 def played(signal: NDArray[np.float64], samples: int, offset: float, ratio: float) -> NDArray[np.float64]:

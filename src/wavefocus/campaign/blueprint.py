@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from wavefocus.acquisition.limits import DriftLimits, QualityLimits
 from wavefocus.acquisition.plan import Plan
-from wavefocus.calibration.sweeps import Excitation, StaggeredSignal
+from wavefocus.calibration.excitation import PlayedExcitation, StaggeredSignal
 from wavefocus.configuration import (
     Configuration,
     Difference,
@@ -146,7 +146,7 @@ def blueprint_of(configuration: Configuration) -> Blueprint:
     """
     run, rig = configuration.run, configuration.rig
     capture = run.capture
-    excitation = Excitation(
+    excitation = PlayedExcitation(
         sample_rate_hz=capture.sample_rate_hz,
         start_hz=run.sweep.start_hz,
         stop_hz=run.sweep.stop_hz,
@@ -154,6 +154,7 @@ def blueprint_of(configuration: Configuration) -> Blueprint:
         decay_s=capture.decay_s,
         amplitude_v=run.sweep.amplitude_v * 10 ** (capture.level_db / 20),
         averages=capture.averages,
+        waveform=run.sweep.waveform,
     )
     staggered = None
     if capture.excitation == "staggered":

@@ -374,7 +374,7 @@ def _facts(configuration: Configuration, bank: Bank, scan_s: float) -> dict[str,
         "Bank": str(bank.path),
         "Positions measured": f"{np.count_nonzero(bank.status)} of {bank.positions}",
         "Excitation": (
-            f"{capture.averages} linear sweeps of {sweep.duration_s:g} s, {sweep.start_hz:g}-{sweep.stop_hz:g} Hz, "
+            f"{capture.averages} x {sweep.duration_s:g} s, {sweep.waveform}, {sweep.start_hz:g}-{sweep.stop_hz:g} Hz, "
             f"{sweep.amplitude_v:g} V, each followed by {capture.decay_s:g} s"
         ),
         "Rig": configuration.rig.rig.name,

@@ -1,20 +1,49 @@
-"""What a record plays: sweeps one after the other, or one periodic sweep with actuators staggered."""
+"""What a record plays: a base signal several times with silence after each, or a periodic one, actuators staggered."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
 from wavefocus.calibration import Float64Array
+from wavefocus.calibration.waveforms import waveform_of
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.raw.header import EMPTY, Schedule, staggered
 
 
+class Excitation(Protocol):
+    """A base signal and the silence after it, which a record holds `averages` times."""
+
+    @property
+    def sample_rate_hz(self) -> float:
+        """Rate in Hz."""
+
+    @property
+    def start_hz(self) -> float:
+        """Lower end of the band in Hz."""
+
+    @property
+    def stop_hz(self) -> float:
+        """Upper end of the band in Hz."""
+
+    @property
+    def decay_samples(self) -> int:
+        """Samples of silence after each base signal."""
+
+    @property
+    def averages(self) -> int:
+        """Base signals in a record."""
+
+    def base_v(self) -> Float64Array:
+        """One base signal and its silence in volts, float64 (period,)."""
+
+
 @dataclass(frozen=True, slots=True)
-class Excitation:
-    """A linear sweep followed by silence, played `averages` times without a gap.
+class PlayedExcitation:
+    """A waveform with fades, followed by silence, played `averages` times without a gap.
 
     A linear sweep spreads its energy evenly over the band, which for white noise gives Green's functions
     3 dB better than a logarithmic one.
@@ -26,6 +55,7 @@ class Excitation:
     amplitude_v: Peak of the sweep in volts, > 0.
     averages: Number of sweeps in a record, >= 1.
     fade_s: Length of each half-cosine fade in seconds, 0 to half of `duration_s`.
+    waveform: One of `wavefocus.calibration.waveforms.WAVEFORMS`.
 
     Raises InputError: a value outside the range above.
     """
@@ -38,6 +68,7 @@ class Excitation:
     amplitude_v: float
     averages: int
     fade_s: float = 0.01
+    waveform: str = "linear"
 
     def __post_init__(self) -> None:
         for name in ("sample_rate_hz", "start_hz", "stop_hz", "duration_s", "amplitude_v"):
@@ -64,6 +95,7 @@ class Excitation:
                 f"sweep duration_s is {self.duration_s:g}; allowed is at least "
                 f"{4 / (self.stop_hz - self.start_hz):g} for a band of {self.stop_hz - self.start_hz:g} Hz"
             )
+        waveform_of(self.waveform)
 
     @property
     def sweep_samples(self) -> int:
@@ -89,14 +121,13 @@ class Excitation:
         """One sweep and its silence in volts, shape (period_samples,); peak `amplitude_v`, mean exactly 0."""
         samples = self.sweep_samples
         time_s = np.arange(samples) / self.sample_rate_hz
-        slope = (self.stop_hz - self.start_hz) / (2 * self.duration_s)
         envelope = np.ones(samples)
         fade = round(self.fade_s * self.sample_rate_hz)
         if fade:
             ramp = np.sin(np.pi / 2 * (np.arange(fade) + 0.5) / fade) ** 2
             envelope[:fade] = ramp
             envelope[samples - fade :] *= ramp[::-1]
-        sweep = envelope * np.sin(2 * np.pi * (self.start_hz + slope * time_s) * time_s)
+        sweep = envelope * waveform_of(self.waveform)(time_s, self.band_hz, self.duration_s)
         # A coil must not hold a direct voltage; the sweep's tiny mean goes where the envelope hides it.
         sweep -= envelope * (sweep.sum() / envelope.sum())
         base = np.zeros(self.period_samples)
@@ -109,7 +140,7 @@ class Excitation:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RecordedSweeps:
+class RecordedExcitation:
     """The sweeps of another program's sequential record as its reference channel carried them.
 
     base, float64 (period,): One sweep and its silence in DAQ volts, on the playback clock.
@@ -131,9 +162,6 @@ class RecordedSweeps:
         return self.base
 
 
-Sweeps = Excitation | RecordedSweeps
-
-
 # A record is longer than its periods by this share, twice what the fastest clock allowed takes.
 MARGIN_SHARE = 1e-3
 
@@ -142,7 +170,7 @@ MARGIN_SHARE = 1e-3
 class StaggeredSignal:
     """The records of a position in which all actuators, or a group of them, sound at once.
 
-    The base signal is one linear sweep through the band that lasts a whole period; slot k of a record plays it
+    The base signal is one waveform that fills the band and lasts a whole period; slot k of a record plays it
     k staggers later, round the period. It must have been running for one response before what is
     recorded counts.
 
@@ -156,7 +184,7 @@ class StaggeredSignal:
     Raises InputError: a value outside the range above, or a period too short for its band.
     """
 
-    sweep: Excitation
+    sweep: PlayedExcitation
     actuators: int
     taps: int
     stagger_samples: int
@@ -189,7 +217,7 @@ class StaggeredSignal:
         """Samples of a record that count: its periods, and a little more whatever the clocks do."""
         return self.periods * self.period_samples + math.ceil(MARGIN_SHARE * self.periods * self.period_samples)
 
-    def period_sweep(self) -> Excitation:
+    def period_sweep(self) -> PlayedExcitation:
         """One sweep as long as the period, without silence."""
         duration_s = self.period_samples / self.sweep.sample_rate_hz
         return replace(self.sweep, duration_s=duration_s, decay_s=0.0, averages=1)

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 
-from wavefocus.calibration.sweeps import Excitation
+from wavefocus.calibration.estimator.sequential import SequentialEstimator
+from wavefocus.calibration.excitation import PlayedExcitation
+from wavefocus.calibration.waveforms import WAVEFORMS
+from wavefocus.config.run import Waveform
 from wavefocus.storage.errors import InputError
 
-DEFAULT = Excitation(10_000.0, 20.0, 500.0, 1.0, 0.2, 0.5, 3)
+DEFAULT = PlayedExcitation(10_000.0, 20.0, 500.0, 1.0, 0.2, 0.5, 3)
 
 
 def test_default_excitation_has_three_periods_of_sweep_and_silence() -> None:
@@ -57,6 +60,7 @@ def test_sweep_starts_and_ends_softly() -> None:
         ({"averages": -1}, "averages"),
         ({"averages": 1.5}, "averages"),
         ({"duration_s": 0.0}, "duration_s"),
+        ({"waveform": "square"}, "waveform"),
         ({"duration_s": 0.001, "fade_s": 0.0}, "duration_s"),
         ({"decay_s": -0.1}, "decay_s"),
         ({"amplitude_v": float("nan")}, "amplitude_v"),
@@ -68,3 +72,36 @@ def test_sweep_starts_and_ends_softly() -> None:
 def test_nonsense_is_refused_by_name(change: dict[str, Any], named: str) -> None:
     with pytest.raises(InputError, match=named):
         dataclasses.replace(DEFAULT, **change)
+
+
+def test_every_waveform_can_be_chosen_in_a_run_file() -> None:
+    assert set(get_args(Waveform)) == set(WAVEFORMS)
+
+
+@pytest.mark.parametrize("waveform", WAVEFORMS)
+def test_given_a_waveform_then_it_fills_its_band_at_its_peak_and_the_response_is_found(waveform: str) -> None:
+    excitation = dataclasses.replace(DEFAULT, waveform=waveform, averages=2)
+    base = excitation.base_v()
+    assert np.abs(base).max() == pytest.approx(0.5, abs=1e-12)
+    # A linear sweep has 3.0 dB of peak over rms; random phases would have 12.
+    assert 20 * np.log10(0.5 / np.std(base[: excitation.sweep_samples])) < 6.0
+    power = np.abs(np.fft.rfft(base)) ** 2
+    hertz = np.arange(power.size) / 1.2
+    assert power[(hertz > 20) & (hertz < 500)].sum() > 0.99 * power.sum()
+
+    draw = np.random.default_rng(0)
+    green = draw.standard_normal(600) * np.exp(-np.arange(600) / 100)
+    reference = np.pad(excitation.signal_v(), (150, 300))
+    response = np.convolve(reference, green)[: reference.size]
+    noise_v = 1e-3 * np.std(response)
+    channels = [
+        (channel + scale * draw.standard_normal(channel.size)).astype(np.float32)[None]
+        for channel, scale in ((reference, 1e-4), (response, noise_v))
+    ]
+    found = SequentialEstimator(excitation, 600).estimate(*channels, range_v=(10.0, 10.0))
+    spectra = [np.fft.rfft(row, 4000)[14:196] for row in (found.green[0], green)]
+    assert np.linalg.norm(spectra[0] - spectra[1]) < 3e-3 * np.linalg.norm(spectra[1])
+    assert found.residual_db[0] < -50
+    assert found.coherence[0] > 0.9999
+    harmonics = found.defects["harmonic_db"][0]
+    assert not harmonics > -60
