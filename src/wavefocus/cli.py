@@ -183,7 +183,7 @@ def _bundling(run: str, keyword: str, kind: str) -> Callable[..., Any]:
 def _calibrate(
     rig_file: Path, only: str, out: Path | None, *, as_json: bool, operator: str, use: bool, **asked: Any
 ) -> int:
-    from wavefocus.commands import calibrate as command
+    from wavefocus.commands.rig import calibrate as command
     from wavefocus.rig.calibration_session import Request
 
     request = Request(parts=command.parts_named(only), **asked)
@@ -191,7 +191,7 @@ def _calibrate(
 
 
 def _import(names: Sequence[tuple[str, str]], **given: Any) -> None:
-    _bundling("import_bank:import_bank", "options", "import_bank:ImportOptions")(names=dict(names), **given)
+    _bundling("bank.import_bank:import_bank", "options", "bank.import_bank:ImportOptions")(names=dict(names), **given)
 
 
 def _order(word: Any) -> Callable[..., int]:
@@ -263,7 +263,7 @@ COMMANDS = (
         ),
     ),
     Command(
-        "doctor", "doctor:doctor", "Check every instrument, and say what to do about each fault.",
+        "doctor", "rig.doctor:doctor", "Check every instrument, and say what to do about each fault.",
         (
             RIG, JSON,
             switch("--no-play", "play", off=True, help="Play nothing."),
@@ -295,7 +295,7 @@ COMMANDS = (
         ),
     ),
     Command(
-        "operate", "operate:operate",
+        "operate", "rig.operate:operate",
         "Operate a rig by hand, by JSON lines.\n\n"
         "Orders are read from standard input, answers written to standard output:\n\n"
         '{"order": "jog", "x_mm": 10, "y_mm": 5} moves the beam; or x_mrad, y_mrad.\n\n'
@@ -307,7 +307,7 @@ COMMANDS = (
         "answer.",
         (RIG,),
     ),
-    Command("emulate", "emulate:emulate", "Emulate instruments at the ends of a rig's wires.", (RIG, JSON)),
+    Command("emulate", "rig.emulate:emulate", "Emulate instruments at the ends of a rig's wires.", (RIG, JSON)),
     Command(
         "plan", "plan:plan", "Dry run: positions, hours, bytes, limits, finish time.",
         (
@@ -396,15 +396,15 @@ COMMANDS = (
     Command("go-on", _order("go-on"), "Let a paused capture go on.", (BANK, WAIT, JSON)),
     Command("stop", _order("stop"), "End a running capture after its position.", (BANK, WAIT, JSON)),
     Command(
-        "check", "check:check", "Verify checksums and, of banks, every row's plausibility.",
+        "check", "bank.check:check", "Verify checksums and, of banks, every row's plausibility.",
         (file("file", metavar="FILE.h5", help="A bank, raw recordings, a drive or a field."), JSON),
     ),
     Command(
-        "note", "note:note", "Add a dated note to a bank; `status` shows it, exports carry it.",
+        "note", "bank.note:note", "Add a dated note to a bank; `status` shows it, exports carry it.",
         (BANK, argument("text", metavar="TEXT", help="The note, in quotes."), JSON),
     ),
     Command(
-        "estimate", "estimate:estimate",
+        "estimate", "bank.estimate:estimate",
         "Estimate Green's functions from kept recordings.\n\nGoes on where a stopped estimate left off.",
         (
             file("raw", metavar="RAW.h5", help="The file of raw recordings."),
@@ -552,7 +552,7 @@ COMMANDS = (
         ),
     ),
     Command(
-        "export", "export:export",
+        "export", "bank.export:export",
         "Write a bank in the format of another field.\n\n"
         "Title, people and licence come from [publication] of the bank's run file, or from --publication.",
         (
@@ -613,7 +613,7 @@ COMMANDS = (
         ),
     ),
     Command(
-        "publish", "publish:publish",
+        "publish", "bank.publish:publish",
         "Write a folder for a data repository: exports, README, pictures, RO-Crate, checksums.\n\n"
         "Title, people and licence come from [publication] of the bank's run file, or from --publication.",
         (

@@ -17,7 +17,7 @@ import pytest
 from tests.wire.emulated import free_port, rig_text
 from tests.wire.serial_bench import DIALECTS, LOCAL
 from tests.wire.serial_bench import wire as serial_wire
-from wavefocus.commands.emulate import wiring_of
+from wavefocus.commands.rig.emulate import wiring_of
 from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.configuration import load_rig
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError

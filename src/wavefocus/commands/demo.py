@@ -17,10 +17,11 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from wavefocus.commands import check, init, plan, status
+from wavefocus.commands import init, plan, status
 from wavefocus.commands import predict as prediction
 from wavefocus.commands import render as rendering
 from wavefocus.commands import verify as verification
+from wavefocus.commands.bank import check
 from wavefocus.config.messages.campaign import Logged, Progress, read_event
 from wavefocus.config.run import Virtual
 from wavefocus.configuration import load_run

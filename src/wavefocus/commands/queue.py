@@ -21,8 +21,8 @@ from wavefocus.acquisition.run_queue import (
 )
 from wavefocus.acquisition.wording import hours
 from wavefocus.campaign.control import command_line
-from wavefocus.campaign.queue_runner import run_queue
-from wavefocus.campaign.queued_commands import add_command, entry_finish_times
+from wavefocus.commands.queue_runner import run_queue
+from wavefocus.commands.queued_commands import add_command, entry_finish_times
 from wavefocus.config.messages.codec import Message, to_line, to_record
 from wavefocus.console import answer, print_line, say
 from wavefocus.exits import Exit

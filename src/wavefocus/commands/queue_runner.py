@@ -27,7 +27,7 @@ from wavefocus.acquisition.run_queue import (
     queue_claim,
     read_queue,
 )
-from wavefocus.campaign.queued_commands import instrument_names
+from wavefocus.commands.queued_commands import instrument_names
 from wavefocus.config.messages.codec import Message
 from wavefocus.console import say
 from wavefocus.ending import WATCHED_VARIABLE, stop_on_signals

@@ -1,0 +1,1 @@
+"""Commands about a bank that is there: checked, estimated, exported, imported, published."""

@@ -1,0 +1,1 @@
+"""Commands about instruments: examined, calibrated, operated by hand, emulated."""
