@@ -45,7 +45,7 @@ class Stimulus:
 
     def level(self, factor: str) -> str:
         """Level of a factor as names write it (empty: it has none); the stimulus' own name for ``stimulus``."""
-        return self.name if factor == "stimulus" else _written(getattr(self, factor))
+        return self.name if factor == "stimulus" else written_level(getattr(self, factor))
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +146,7 @@ def _stimuli(design: TrialsDesign) -> dict[str, Stimulus]:
                 )  # fmt: skip
             correct, track = None, ""
             if factor := config.trials.correct:
-                level = _written(dict(zip(FACTORS, levels, strict=True))[factor])
+                level = written_level(dict(zip(FACTORS, levels, strict=True))[factor])
                 correct = config.trials.correct_levels.get(level, level)
             if config.adaptive is not None:
                 apart = (config.adaptive.factor, config.trials.correct)
@@ -231,5 +231,6 @@ def _joined(parts: Iterable[str]) -> str:
     return "-".join(part for part in parts if part)
 
 
-def _written(level: str | float | None) -> str:
+def written_level(level: str | float | None) -> str:
+    """A level as names of stimuli and `correct_levels` write it."""
     return "" if level is None else level if isinstance(level, str) else f"{level:g}"

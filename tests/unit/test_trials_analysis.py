@@ -239,3 +239,37 @@ def test_given_no_right_answers_then_shares_of_each_answer_are_tabled():
     assert shares == {"left": 20, "right": 10}
     html, _ = build_report(analysis_of(rows, DESIGN), [])
     assert "30 answers" in html
+
+
+def test_given_four_fingers_then_the_confusion_matrix_counts_each_pair():
+    fingers = ("thumb", "index", "middle", "ring")
+    rng = np.random.default_rng(5)
+    rights, given, rows = [], [], []
+    for trial in range(120):
+        right = fingers[rng.integers(4)]
+        answer = right if rng.random() < 0.7 else fingers[rng.integers(4)]
+        rights.append(right)
+        given.append(answer)
+        rows.append(
+            row(trial + 1, path=f"{right}-place", answer=answer, correct=answer == right, participant=f"P{trial % 2}")
+        )
+    design = TrialsTable(
+        question="?", answers=fingers, correct="path", correct_levels={f"{name}-place": name for name in fingers}
+    )
+    analysis = analysis_of(rows, design)
+    whole, *own = analysis.confusions
+    plain = [[sum(r == a and g == b for r, g in zip(rights, given, strict=True)) for b in fingers] for a in fingers]
+    assert [list(counts) for counts in whole.counts] == plain
+    assert whole.right == sum(r == g for r, g in zip(rights, given, strict=True))
+    assert np.array_equal(np.sum([matrix.counts for matrix in own], axis=0), whole.counts)
+    page, _ = build_report(analysis, [])
+    assert "Confusion matrix" in page
+    assert analysis.document()["confusions"][0]["counts"] == whole.counts
+
+
+def test_given_an_answer_never_given_then_its_column_is_zeros():
+    design = TrialsTable(question="?", answers=("left", "right", "none"), correct="path")
+    (matrix,) = analysis_of(
+        [row(1, path="left"), row(2, path="right", correct=False, answer="left")], design
+    ).confusions
+    assert matrix.counts == ((1, 0, 0), (1, 0, 0), (0, 0, 0))

@@ -20,6 +20,9 @@ from wavefocus.trials.analysis.psychometric_fit import MAX_LAPSES, Interval
 from wavefocus.trials.analysis.results import Analysis
 from wavefocus.trials.analysis.shares import RIGHT, Share
 
+MIN_ANSWERS = 3
+"""With two answers, hits and false alarms are the whole confusion matrix."""
+
 
 @dataclass(frozen=True, slots=True)
 class PageTable:
@@ -46,7 +49,13 @@ def build_report(analysis: Analysis, facts: Sequence[tuple[str, str]]) -> tuple[
 
     facts: Names and values of the last table.
     """
-    sections = [*_psychometric(analysis), *_shares(analysis), *_sensitivity(analysis), *_times(analysis)]
+    sections = [
+        *_psychometric(analysis),
+        *_shares(analysis),
+        *_sensitivity(analysis),
+        *_confusion(analysis),
+        *_times(analysis),
+    ]
     sections += _onsets(analysis)
     html = html_page(
         "analysis.html.jinja", "wavefocus.trials", analysis=analysis, headlines=list(_headlines(analysis)),
@@ -154,6 +163,23 @@ def _sensitivity(analysis: Analysis) -> Iterator[Section]:
         "d′ = z(H) − z(F), c = −(z(H) + z(F)) / 2, log-linear correction (Hautus 1995); interval by the variance of"
         " Gourevitch and Galanter (1967). With all answers right, d′ is a lower bound that grows with the trials.",
         [PageTable(head, rows, 2)],
+    )
+
+
+def _confusion(analysis: Analysis) -> Iterator[Section]:
+    if len(analysis.answers) < MIN_ANSWERS or not analysis.confusions:
+        return
+    tables = []
+    for matrix in analysis.confusions:
+        of = [sum(row) for row in matrix.counts]
+        rows = [
+            [right, *(f"{count} ({percent(count / total)})" if total else "-" for count in row), str(total)]
+            for right, row, total in zip(analysis.answers, matrix.counts, of, strict=True)
+        ]
+        head = [f"right: {matrix.participant or 'all participants'}", *analysis.answers, "trials"]
+        tables.append(PageTable(head, rows, 1))
+    yield Section(
+        "Confusion matrix", "Rows: the right answer. Columns: the answer given, with its share of the row.", tables
     )
 
 

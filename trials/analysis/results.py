@@ -10,6 +10,7 @@ import numpy as np
 
 from wavefocus.config.trials import AdaptiveTable, TrialsTable
 from wavefocus.trials.adaptive import UpDown
+from wavefocus.trials.analysis.confusion import Confusion, confusions_of
 from wavefocus.trials.analysis.psychometric_fit import PsychometricFit, fit_psychometric
 from wavefocus.trials.analysis.sensitivity import Sensitivity, sensitivities_of
 from wavefocus.trials.analysis.shares import Share, factors_of, groups, shares_of, table_of
@@ -60,6 +61,7 @@ class Analysis:
     shares: tuple[Share, ...]
     sensitivities: tuple[Sensitivity, ...]
     psychometric: tuple[Psychometric, ...]
+    confusions: tuple[Confusion, ...]
     reaction_times: tuple[ReactionTime, ...]
     onset_errors: OnsetErrors | None
     replays: int
@@ -82,6 +84,7 @@ def analysis_of(rows: Sequence[Row], design: TrialsTable, adaptive: AdaptiveTabl
         shares_of(answers),
         sensitivities_of(answers, design.answers),
         psychometric_of(answers, design.answers, adaptive),
+        confusions_of(answers, design),
         reaction_times_of(answers),
         onset_errors_of(answers),
         int(answers.replays.sum()),
