@@ -100,7 +100,7 @@ def playing_ratio(reference: Float64Array, known: Float64Array) -> tuple[float, 
     low, high = (int(np.searchsorted(below, edge)) for edge in (0.005, 0.995))
     # So many samples that twice the highest frequency is still there.
     step = max(1, int(known.size / (2 * FASTEST * max(high, 1)) / 1.05))
-    reference, known = _thinned(reference, step), _thinned(known, step)
+    reference, known = _decimated(reference, step), _decimated(known, step)
     width = max(high - low, 1)
     step_ratio, span = RATIO_STEP / width, np.log(FASTEST / SLOWEST)
     most = min(MAX_RATIOS, max(MAX_SAMPLES // (reference.size + known.size), 50))
@@ -132,7 +132,7 @@ def playing_ratio(reference: Float64Array, known: Float64Array) -> tuple[float, 
     return best, explained(best), 0.1 * step_ratio
 
 
-def _thinned(signal: Float64Array, step: int) -> Float64Array:
+def _decimated(signal: Float64Array, step: int) -> Float64Array:
     """Every `step`-th sample of a signal, low-passed before that."""
     kept = -(-signal.size // step)
     padded = np.pad(signal, (0, kept * step - signal.size))

@@ -9,9 +9,9 @@ import numpy as np
 import scipy.fft
 
 from wavefocus.calibration import Complex128Array, Float64Array, Int64Array
-from wavefocus.calibration.clock.czt import ring_signal
-from wavefocus.calibration.clock.resampling import KERNEL_HALF, Thinned, resampled
-from wavefocus.calibration.clock.timing import CORNERS
+from wavefocus.calibration.clock.known_signal import CORNERS
+from wavefocus.calibration.clock.period_spectrum import periodic_signal
+from wavefocus.calibration.clock.resampling import KERNEL_HALF, Decimated, resampled
 from wavefocus.calibration.numerics import fourier_sum, parabola_vertex
 
 # The search steps through the clock ratios so that the signal turns this far at most, in radians, at the ends
@@ -27,7 +27,7 @@ ENOUGH_SAMPLES = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
-class RingFit:
+class PeriodicFit:
     """The recording is ``gain * base((n - offset) / ratio)`` at its sample n, coupling capacitors apart.
 
     offset_samples: DAQ sample at which a period starts, of those the one nearest to the first sample.
@@ -44,7 +44,7 @@ class RingFit:
     coupling: Float64Array
 
 
-class RingClock:
+class PeriodicClock:
     """Fits the clock of records of one periodic signal.
 
     spectrum, complex128 (bins,): Discrete Fourier transform of one period on the playback clock, bins 0 and on; what is
@@ -69,27 +69,27 @@ class RingClock:
         self._all_coupling = 1 / (1 + 1j * np.arange(spectrum.size) / corners[:, None])
         self._coupling = self._all_coupling[:, self._first :]
 
-    def coupled(self, fit: RingFit) -> Complex128Array:
+    def coupled(self, fit: PeriodicFit) -> Complex128Array:
         """Spectrum of the base signal (bins,) as the reference channel carries it, but for the offset."""
         return np.asarray(self._whole * (fit.gain + fit.coupling @ self._all_coupling))
 
-    def fit(self, thinned: Thinned, expected: float = 1.0, *, search: bool = True) -> RingFit:
+    def fit(self, decimated: Decimated, expected: float = 1.0, *, search: bool = True) -> PeriodicFit:
         """Find offset and ratio, first near the expected ratio, then further and further away.
 
-        thinned: One recording of the reference.
+        decimated: One recording of the reference.
         expected: Clock ratio that is tried first.
         search: Whether others are tried after it.
 
-        Returns RingFit: the best there is; its `explained` shows how good it is.
+        Returns PeriodicFit: the best there is; its `explained` shows how good it is.
         """
-        inside = thinned.inside
-        values = thinned.values[0, inside].astype(np.float64)
-        place = thinned.first + thinned.step * np.arange(inside.start, inside.stop)
+        inside = decimated.inside
+        values = decimated.values[0, inside].astype(np.float64)
+        place = decimated.first + decimated.step * np.arange(inside.start, inside.stop)
         # One period is enough to begin with, and lets the search take wider steps.
-        short = math.ceil(self._period / thinned.step)
+        short = math.ceil(self._period / decimated.step)
         short = values.size if values.size < 1.5 * short else short
         step = 2 * SEARCH_TURN / (math.pi * self._highest * (place[short - 1] - place[0]))
-        best: RingFit | None = None
+        best: PeriodicFit | None = None
         for turn in range(2 * math.ceil(1e-6 * self._max_ppm / step) + 1 if search else 1):
             ratio = expected + (turn // 2 + turn % 2) * (1 if turn % 2 else -1) * step
             if turn and abs(ratio - 1) > 1e-6 * self._max_ppm + step:
@@ -118,7 +118,7 @@ class RingClock:
         late = peak / length * self._period
         return float((late - self._period if late > self._period / 2 else late) * ratio)
 
-    def _gauss_newton(self, values: Float64Array, place: Int64Array, offset: float, ratio: float) -> RingFit:
+    def _gauss_newton(self, values: Float64Array, place: Int64Array, offset: float, ratio: float) -> PeriodicFit:
         energy = float(values @ values)
         middle = 0.5 * (place[0] + place[-1])
         lever = (place - middle) / max(place[-1] - middle, 1.0)
@@ -154,24 +154,24 @@ class RingClock:
             if step and abs(moved) + abs(stretched) < ENOUGH_SAMPLES:
                 break
         period = self._period * ratio
-        return RingFit(offset - period * round(offset / period), ratio, gain, explained, coupling)
+        return PeriodicFit(offset - period * round(offset / period), ratio, gain, explained, coupling)
 
     def _waves_at(self, amplitudes: Complex128Array, place: Int64Array, offset: float, ratio: float) -> Float64Array:
         """Ring signals (rows, values) at places of the recording."""
         turn = 2 * np.pi / (self._period * ratio)
         bins = self._first + np.arange(amplitudes.shape[1])
         moved = amplitudes * np.exp(1j * turn * (place[0] - offset) * bins)
-        return ring_signal(moved, turn * float(place[1] - place[0]), self._first, place.size)
+        return periodic_signal(moved, turn * float(place[1] - place[0]), self._first, place.size)
 
 
-# Lags looked at are so many thinned samples apart: a thirtieth of a period of the highest frequency.
+# Lags looked at are so many decimated samples apart: a thirtieth of a period of the highest frequency.
 LAG_STEP = 0.1
-# Step over which a derivative is taken, in thinned samples.
+# Step over which a derivative is taken, in decimated samples.
 DERIVATIVE_STEP = 0.02
 # A clock fitted to the signal's own repeats must be as sure as this; 1 ppm would cost 1 dB at -63 dB.
 SURE_PPM = 0.3
 REPEATING = 0.03
-# Fewer thinned samples than this are not enough.
+# Fewer decimated samples than this are not enough.
 MIN_SAMPLES = 32
 
 
@@ -194,21 +194,21 @@ class RepeatFit:
         return self.sigma_ppm < SURE_PPM and self.misfit < REPEATING
 
 
-def fit_repeats(thinned: Thinned, period: float, samples: int, max_ppm: float) -> RepeatFit | None:
+def fit_repeats(decimated: Decimated, period: float, samples: int, max_ppm: float) -> RepeatFit | None:
     """Compare a recording with itself some periods later.
 
-    thinned: One recording of a signal that repeats throughout it.
+    decimated: One recording of a signal that repeats throughout it.
     period: The period in playback samples.
-    samples: Length of the unthinned recording.
+    samples: Length of the undecimated recording.
     max_ppm: Largest clock skew in parts per million.
 
     Returns RepeatFit or None: None where the recording is hardly longer than a period.
     """
-    values = thinned.values[0, thinned.inside].astype(np.float64)
+    values = decimated.values[0, decimated.inside].astype(np.float64)
     values = values - values.mean()
     best: tuple[float, int, int] | None = None
     for periods in range(1, math.floor(samples / period) + 1):
-        longest = periods * period * (1 + 1e-6 * max_ppm) / thinned.step
+        longest = periods * period * (1 + 1e-6 * max_ppm) / decimated.step
         common = values.size - math.ceil(longest) - 2 * KERNEL_HALF
         worth = periods * math.sqrt(max(common, 0))
         if common >= MIN_SAMPLES and (best is None or worth > best[0]):
@@ -216,7 +216,7 @@ def fit_repeats(thinned: Thinned, period: float, samples: int, max_ppm: float) -
     if best is None:
         return None
     _, periods, common = best
-    lag = periods * period / thinned.step
+    lag = periods * period / decimated.step
     first = values[KERNEL_HALF : KERNEL_HALF + common]
 
     def later(by: float) -> Float64Array:
@@ -234,7 +234,7 @@ def fit_repeats(thinned: Thinned, period: float, samples: int, max_ppm: float) -
         left = later(lag) - first
         if abs(moved) < 1e-7 * lag:
             break
-    ratio = lag * thinned.step / (periods * period)
+    ratio = lag * decimated.step / (periods * period)
     sigma = math.sqrt(float(left @ left) / common / steep) / lag
     energy = float(first @ first) + 1e-300
     return RepeatFit(ratio, 1e6 * sigma, float(left @ left) / energy)

@@ -9,9 +9,9 @@ import numpy as np
 import scipy.fft
 
 from wavefocus.calibration import Complex64Array, Float32Array, Float64Array, Int64Array
-from wavefocus.calibration.clock.czt import BandSpectrum
-from wavefocus.calibration.clock.missing_reference import missing_reference
-from wavefocus.calibration.clock.timing import CORNERS, check_inside
+from wavefocus.calibration.clock.known_signal import CORNERS, REFERENCE_LIMIT, filled_bins, require_found
+from wavefocus.calibration.clock.period_spectrum import BandSpectrum
+from wavefocus.calibration.clock.timing import check_inside
 from wavefocus.calibration.excitation import Excitation
 from wavefocus.calibration.numerics import fourier_sum, parabola_vertex
 from wavefocus.storage.errors import InputError
@@ -19,8 +19,6 @@ from wavefocus.storage.errors import InputError
 # Bins whose nominal energy is below this share of the median in band carry noise only.
 MIN_POWER = 1e-3
 FLOOR_POWER = 1e-12
-# Reference energy in the band that the nominal sweep leaves unexplained.
-REFERENCE_LIMIT = 10**-1.5
 # Repeats that are not evenly spaced mean that the player slipped; then each sweep's own stretch counts. Two
 # are always even, and are held against their own stretch instead.
 SLIP_SAMPLES = 0.05
@@ -29,7 +27,7 @@ SLIP_PPM = 25.0
 MISPLACED_SAMPLES = 4.0
 GUARD_SAMPLES = 8
 # The clock is known far better than needed, so that every eighth bin is enough for it.
-THIN = 8
+BIN_STEP = 8
 # Excitation go upwards when the mean delay rises over so many parts of the band.
 DELAY_PARTS = 8
 # Where a clock skew turns the ends of the band by more than this against its middle, in radians, phases wrap and the
@@ -43,8 +41,8 @@ REFINEMENTS = 5
 # repeat.
 MIN_BEND = 40.0
 # A segment begins near its sweep, so fewer bins are enough for the distance: modulo the period over this.
-SEGMENT_THIN = 8
-# The first guess of the start may be wrong by samples; it is taken from a recording thinned this close to aliasing.
+SEGMENT_BIN_STEP = 8
+# The first guess of the start may be wrong by samples; it is taken from a recording decimated this close to aliasing.
 GUESS_BANDS = 2.2
 
 
@@ -87,18 +85,14 @@ class RepeatFinder:
         nominal = scipy.fft.rfft(base)
         slope = -1j * scipy.fft.rfft(np.arange(base.size) * base)
         power = np.abs(nominal) ** 2
-        hertz = np.arange(nominal.size) * excitation.sample_rate_hz / base.size
-        in_band = (hertz >= excitation.start_hz) & (hertz <= excitation.stop_hz)
-        self.median_power = float(np.median(power[in_band]))
-        enough = np.flatnonzero(power > MIN_POWER * self.median_power)
-        enough = enough[(enough > 0) & (enough < base.size / 2)]
-        self.bins = slice(int(enough[0]), int(enough[-1]) + 1)
+        band_hz = excitation.start_hz, excitation.stop_hz
+        self.bins, self.median_power = filled_bins(power, base.size, band_hz, excitation.sample_rate_hz, MIN_POWER)
         self._spectrum = BandSpectrum(base.size, self.bins)
         most = max(1, int(base.size / (GUESS_BANDS * self.bins.stop)))
-        self._guess_thinning = max(step for step in range(1, most + 1) if base.size % step == 0)
+        self._guess_decimation = max(step for step in range(1, most + 1) if base.size % step == 0)
         self.omega = 2 * np.pi * np.arange(nominal.size)[self.bins] / base.size
         self._nominal = nominal[self.bins].astype(np.complex64)
-        self._omega32 = self.omega[::THIN].astype(np.float32)
+        self._omega32 = self.omega[::BIN_STEP].astype(np.float32)
         # Bins without any of the excitation, as those between the lines of a multisine may be, weigh nothing.
         self.power = np.maximum(power[self.bins], FLOOR_POWER * self.median_power)
         stretch = self.omega * np.imag(slope[self.bins] * nominal[self.bins].conj() / self.power)
@@ -116,8 +110,8 @@ class RepeatFinder:
         bent = np.clip(stretch - np.polyval(line, self.omega), -furthest, furthest)
         bend = float(np.ptp(bent)) + 1e-30
         self._shows_stretch = float(np.average(np.square(bent), weights=self.power)) > MIN_BEND**2
-        curves = np.stack([-self.omega, stretch, *turns])[:, ::THIN]
-        weighted = curves * self.power[::THIN]
+        curves = np.stack([-self.omega, stretch, *turns])[:, ::BIN_STEP]
+        weighted = curves * self.power[::BIN_STEP]
         self._curves = curves.astype(np.float32)
         steps = math.floor(1e-6 * max_ppm * bend / WRAP_TURN)
         self._tried = WRAP_TURN / bend * np.array(sorted(range(-steps, steps + 1), key=abs))
@@ -175,19 +169,9 @@ class RepeatFinder:
             )
         offset, ratio = self._clock(starts + delay, stretch)
         for record in range(records):
-            if not explained[record] > 1 - REFERENCE_LIMIT or abs(ratio[record] - 1) > 1.01e-6 * self.max_ppm:
-                found = (
-                    f"explained {100 * explained[record]:.0f} % in band, allowed {100 - 100 * REFERENCE_LIMIT:.0f} %"
-                )
-                name = f"the reference of record {first_record + record}"
-                raise missing_reference(reference[record], self._base, name, found, self.max_ppm)
-            check_inside(
-                offset[record],
-                ratio[record],
-                self._least,
-                samples,
-                f"the reference of record {first_record + record}",
-            )
+            name = f"the reference of record {first_record + record}"
+            require_found(explained[record], ratio[record], reference[record], self._base, name, self.max_ppm)
+            check_inside(offset[record], ratio[record], self._least, samples, name)
         return Repeats(starts, spectra, offset, ratio)
 
     def segment_spectra(self, recording: Float32Array, starts: Int64Array) -> Complex64Array:
@@ -196,9 +180,9 @@ class RepeatFinder:
 
     def _first_guess(self, reference: Float32Array) -> Float64Array:
         records, samples = reference.shape
-        folded = np.zeros((records, self.period // self._guess_thinning), dtype=np.float32)
+        folded = np.zeros((records, self.period // self._guess_decimation), dtype=np.float32)
         for begin in range(0, samples, self.period):
-            piece = reference[:, begin : begin + self.period : self._guess_thinning]
+            piece = reference[:, begin : begin + self.period : self._guess_decimation]
             folded[:, : piece.shape[1]] += piece
         guess = self._coarse_delay(scipy.fft.rfft(folded, overwrite_x=True)[:, self.bins])
         length = self._least
@@ -217,11 +201,11 @@ class RepeatFinder:
         return np.clip(starts, 0, samples - self.period)
 
     def _coarse_delay(
-        self, spectra: Complex64Array, thin: int = 1, nominal: Complex64Array | None = None
+        self, spectra: Complex64Array, bin_step: int = 1, nominal: Complex64Array | None = None
     ) -> Float64Array:
-        """Delay in samples, 0 to the period over `thin`, from the envelope of the cross-correlation."""
-        length = scipy.fft.next_fast_len(2 * -(-self.omega.size // thin))
-        cross = spectra[..., ::thin] * (self._nominal if nominal is None else nominal)[..., ::thin].conj()
+        """Delay in samples, 0 to the period over `bin_step`, from the envelope of the cross-correlation."""
+        length = scipy.fft.next_fast_len(2 * -(-self.omega.size // bin_step))
+        cross = spectra[..., ::bin_step] * (self._nominal if nominal is None else nominal)[..., ::bin_step].conj()
         correlation = scipy.fft.ifft(cross, length, overwrite_x=True)
         # The square has its top where the envelope has it, at a tenth of the cost.
         envelope = np.square(correlation.real) + np.square(correlation.imag)
@@ -229,11 +213,11 @@ class RepeatFinder:
         around = [
             np.take_along_axis(envelope, (top + step) % length, -1)[..., 0].astype(np.float64) for step in (-1, 0, 1)
         ]
-        return np.asarray((top[..., 0] + parabola_vertex(*around)) % length * (self.period / (thin * length)))
+        return np.asarray((top[..., 0] + parabola_vertex(*around)) % length * (self.period / (bin_step * length)))
 
     def _searched_stretch(self, spectra: Complex64Array) -> Float64Array:
         """The stretch, of those tried, at which each segment (records, bins) correlates best with its sweep."""
-        cross = spectra[:, ::THIN] * self._nominal[::THIN].conj()
+        cross = spectra[:, ::BIN_STEP] * self._nominal[::BIN_STEP].conj()
         length = scipy.fft.next_fast_len(2 * cross.shape[1])
         best, highest = np.zeros(len(spectra)), np.zeros(len(spectra))
         for tried in self._tried.tolist():
@@ -253,19 +237,19 @@ class RepeatFinder:
         nominal = self._nominal
         if near.any():
             nominal = np.stack([self._stretched(one) for one in near.tolist()])[:, None]
-        coarse = self._coarse_delay(spectra, SEGMENT_THIN, nominal)
-        span = self.period / SEGMENT_THIN
+        coarse = self._coarse_delay(spectra, SEGMENT_BIN_STEP, nominal)
+        span = self.period / SEGMENT_BIN_STEP
         coarse = np.where(coarse > span / 2, coarse - span, coarse)
-        thinned = spectra[..., ::THIN]
-        cross = thinned * nominal[..., ::THIN].conj()
+        decimated = spectra[..., ::BIN_STEP]
+        cross = decimated * nominal[..., ::BIN_STEP].conj()
         cross *= np.exp(1j * self._omega32 * coarse[..., None].astype(np.float32))
         # Crossed wires turn every phase by half a turn.
         cross *= np.where(cross.real.sum(axis=-1, keepdims=True) < 0, -1, 1).astype(np.float32)
         fitted = np.angle(cross) @ self._solve
         turn = np.exp(-1j * (fitted.astype(np.float32) @ self._curves))
         matched = (cross * turn).real.sum(axis=-1).astype(np.float64)
-        energy = (np.square(thinned.real) + np.square(thinned.imag)).sum(axis=-1).astype(np.float64)
-        share = matched**2 / np.maximum(energy * self.power[::THIN].sum(), 1e-300)
+        energy = (np.square(decimated.real) + np.square(decimated.imag)).sum(axis=-1).astype(np.float64)
+        share = matched**2 / np.maximum(energy * self.power[::BIN_STEP].sum(), 1e-300)
         return coarse + fitted[..., 0], fitted[..., 1] + near[:, None], share.min(axis=-1)
 
     def _stretched(self, stretch: float) -> Complex64Array:

@@ -95,12 +95,12 @@ def _cubic(drift: Float64Array) -> Float64Array:
 
 # What lies above the kept band is folded onto it at most this strongly; as even is the filter in the band.
 ALIAS_DB = 96.0
-# The thinned rate is about so many times the highest frequency: less costs a longer filter.
+# The decimated rate is about so many times the highest frequency: less costs a longer filter.
 RATE_OVER_HIGHEST = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class Thinned:
+class Decimated:
     """Recordings, low-pass filtered without delay, every so many samples, silence taken beyond their ends.
 
     values, float32 (records, kept): The filtered recordings.
@@ -117,7 +117,7 @@ class Thinned:
     inside: slice
 
     def spectrum(self, turn: float, first: int, bins: int) -> Complex128Array:
-        """Fourier sums of the unthinned recordings at ``turn * (first + m)`` radians per sample, in the band.
+        """Fourier sums of the undecimated recordings at ``turn * (first + m)`` radians per sample, in the band.
 
         turn: Spacing of the frequencies in radians per sample of the recordings.
         first, bins: The first is ``first * turn``; how many.
@@ -128,17 +128,17 @@ class Thinned:
         return np.asarray(found * (self.step * np.exp(-1j * turn * self.first * np.arange(first, first + bins))))
 
 
-def thin(recordings: Float32Array, highest: float) -> Thinned:
-    """Thin recordings (records, samples) to a band from 0 to `highest` cycles per sample, 0 to 0.5."""
+def decimate(recordings: Float32Array, highest: float) -> Decimated:
+    """Decimate recordings (records, samples) to a band from 0 to `highest` cycles per sample, 0 to 0.5."""
     filter_, step = _low_pass(highest)
     samples, half = recordings.shape[1], filter_.size // 2
     values = recordings
     if step > 1:
-        import scipy.signal  # half a second of start; most commands thin nothing
+        import scipy.signal  # half a second of start; most commands decimate nothing
 
         values = scipy.signal.upfirdn(filter_, recordings, down=step, axis=1)
     # Output k looks at samples step * k - 2 * half ... step * k.
-    return Thinned(values, -half, step, highest, slice(-(-2 * half // step), (samples - 1) // step + 1))
+    return Decimated(values, -half, step, highest, slice(-(-2 * half // step), (samples - 1) // step + 1))
 
 
 @lru_cache(maxsize=8)

@@ -10,8 +10,8 @@ import numpy as np
 import scipy.fft
 
 from wavefocus.calibration import Complex64Array, Complex128Array, Float64Array
-from wavefocus.calibration.clock.resampling import Thinned
-from wavefocus.calibration.clock.timing import CORNERS
+from wavefocus.calibration.clock.known_signal import CORNERS
+from wavefocus.calibration.clock.resampling import Decimated
 from wavefocus.calibration.estimator.estimate import MAX_PPM
 from wavefocus.storage.raw.header import Law
 
@@ -58,7 +58,7 @@ class SweepFit:
 
 
 def fit_sweep_law(
-    thinned: Thinned,
+    decimated: Decimated,
     law: Law,
     sample_rate_hz: float,
     band_hz: tuple[float, float],
@@ -72,7 +72,7 @@ def fit_sweep_law(
     Length and place of one sweep are fitted to the frequencies of the recording's moments; the phases of the
     blocks of all sweeps, turned back by that law, then give offset, clock ratio and phase by least squares.
 
-    thinned: One recording.
+    decimated: One recording.
     law: How the frequency rises.
     sample_rate_hz: Rate in Hz.
     band_hz: Where the sweeps begin and end in Hz.
@@ -82,7 +82,7 @@ def fit_sweep_law(
 
     Returns SweepFit or None: none where no such sweeps are there.
     """
-    recording = _Analytic(thinned)
+    recording = _Analytic(decimated)
     low, high = band_hz[0] / sample_rate_hz, band_hz[1] / sample_rate_hz
     run = recording.longest_run(high - low)
     if run is None or not 0 < low < high:
@@ -104,16 +104,16 @@ class _Run:
 class _Analytic:
     """A recording with its negative frequencies taken out."""
 
-    def __init__(self, thinned: Thinned) -> None:
-        values = thinned.values[0]
+    def __init__(self, decimated: Decimated) -> None:
+        values = decimated.values[0]
         length = scipy.fft.next_fast_len(values.size)
         spectrum = scipy.fft.rfft(values.astype(np.float64), length)
-        cycles = np.arange(spectrum.size) / (length * thinned.step)
-        spectrum[(cycles == 0) | (cycles > thinned.highest)] = 0
+        cycles = np.arange(spectrum.size) / (length * decimated.step)
+        spectrum[(cycles == 0) | (cycles > decimated.highest)] = 0
         both = np.zeros(length, dtype=np.complex128)
         both[: spectrum.size] = 2 * spectrum
         self.values: Complex64Array = scipy.fft.ifft(both)[: values.size].astype(np.complex64)
-        self.first, self.step = thinned.first, thinned.step
+        self.first, self.step = decimated.first, decimated.step
 
     def longest_run(self, width: float) -> _Run | None:
         """The longest part in which the frequency, in a band so many cycles wide, rises all the time, or falls."""

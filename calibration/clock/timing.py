@@ -12,6 +12,7 @@ import scipy.fft
 from numpy.typing import ArrayLike, NDArray
 
 from wavefocus.calibration import Complex64Array, Complex128Array, Float32Array, Float64Array
+from wavefocus.calibration.clock.known_signal import CORNERS
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError, missing_reference
 from wavefocus.calibration.clock.resampling import resampled
 from wavefocus.calibration.numerics import fourier_sum, parabola_vertex
@@ -21,8 +22,6 @@ from wavefocus.storage.errors import InputError
 REFERENCE_LIMIT_DB = -10.0
 # Gauss-Newton steps at most.
 MAX_STEPS = 10
-# Corners of coupling capacitors allowed for, as shares of the lowest frequency played.
-CORNERS = (0.1, 0.3, 1.0)
 # Share of the known signal's energy that may lie outside the bins that are looked at.
 BAND_SHARE = 1e-9
 # Silence around the known signal that the fit may look at, for a first guess that is off and for tails.

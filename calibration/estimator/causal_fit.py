@@ -11,7 +11,7 @@ import scipy.fft
 import scipy.linalg
 
 from wavefocus.calibration import Complex64Array, Complex128Array, Float32Array, Float64Array
-from wavefocus.calibration.clock.czt import ring_signal
+from wavefocus.calibration.clock.period_spectrum import periodic_signal
 from wavefocus.calibration.numerics import fourier_sum
 
 Operator = Callable[[Float64Array], Float64Array]
@@ -188,7 +188,7 @@ class ToeplitzFit:
         turn = self._turn * ratio
 
         def responses(amplitudes: Complex128Array) -> Float64Array:
-            return ring_signal(amplitudes, turn, self._first, self._taps)
+            return periodic_signal(amplitudes, turn, self._first, self._taps)
 
         kernel = responses(self._square.astype(np.complex128))
         wanted = responses(self._square * spectrum)

@@ -12,8 +12,8 @@ import numpy as np
 import scipy.fft
 
 from wavefocus.calibration import Float32Array
+from wavefocus.calibration.clock.foreign_excitation import find_sweeps, learn_base, learn_sweeps, shape_of, whole_record
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
-from wavefocus.calibration.clock.played import find_sweeps, learn_base, learn_sweeps, shape_of, whole_record
 from wavefocus.calibration.estimator.estimate import Channels, Estimate, PositionEstimator, Records
 from wavefocus.calibration.estimator.multichannel_fir_fit import MAX_JOINT_BYTES, joint_bytes
 from wavefocus.calibration.estimator.sequential import SequentialEstimator

@@ -6,10 +6,10 @@ import numpy as np
 import scipy.fft
 
 from wavefocus.calibration import Complex64Array, Complex128Array, Float32Array, Float64Array
-from wavefocus.calibration.clock.czt import require_coverage, ring_signal, ring_spectrum
-from wavefocus.calibration.clock.missing_reference import missing_reference
-from wavefocus.calibration.clock.periodic_clock import RingClock, RingFit
-from wavefocus.calibration.clock.resampling import Thinned, thin
+from wavefocus.calibration.clock.known_signal import filled_bins, require_found
+from wavefocus.calibration.clock.period_spectrum import period_spectrum, periodic_signal, require_coverage
+from wavefocus.calibration.clock.periodic_clock import PeriodicClock, PeriodicFit
+from wavefocus.calibration.clock.resampling import Decimated, decimate
 from wavefocus.calibration.estimator.clipping import measure_levels
 from wavefocus.calibration.estimator.defect_finder import LEAKS, not_looked_at
 from wavefocus.calibration.estimator.estimate import EDGE, FLOOR, MAX_PPM, Estimate, Records, decibel
@@ -20,8 +20,6 @@ RIDGE = 1e-6
 """Penalty on the FIRs' energy relative to the base signal's median power in band."""
 # Bins whose nominal energy is below this share of the median in band carry noise only.
 MIN_POWER = 1e-4
-# Reference energy in band that the base signal leaves unexplained.
-REFERENCE_LIMIT = 10**-1.5
 # The way from player to reference input rings for less than the inverse of this, so its factor is smooth.
 SMOOTH_HZ = 10.0
 # The residual is looked at in moments of this length; chance makes the loudest of thousands six times the median.
@@ -55,18 +53,15 @@ class StaggeredEstimator:
         self._rate_hz, self._period, self._base_v = records.sample_rate_hz, base_v.size, base_v
         nominal = scipy.fft.rfft(base_v)
         power = np.abs(nominal) ** 2
-        hertz = np.arange(nominal.size) * self._rate_hz / base_v.size
-        in_band = (hertz >= records.band_hz[0]) & (hertz <= records.band_hz[1])
-        self._median_power = float(np.median(power[in_band]))
-        enough = np.flatnonzero(power > MIN_POWER * self._median_power)
-        enough = enough[(enough > 0) & (enough < base_v.size / 2)]
-        self._bins = slice(int(enough[0]), int(enough[-1]) + 1)
+        filled = filled_bins(power, base_v.size, records.band_hz, self._rate_hz, MIN_POWER)
+        self._bins, self._median_power = filled
         self._highest = self._bins.stop / base_v.size
-        self._clock = RingClock(nominal[: self._bins.stop], base_v.size, MAX_PPM)
+        self._clock = PeriodicClock(nominal[: self._bins.stop], base_v.size, MAX_PPM)
         self._nominal_power = power[self._bins]
         # What the sweep excites beyond its band is fitted and not judged: what hums there does no harm.
         edges = records.band_hz[0] * (1 - EDGE), records.band_hz[1] * (1 + EDGE)
-        low, high = np.searchsorted(hertz[self._bins], edges)
+        hertz = np.arange(self._bins.start, self._bins.stop) * self._rate_hz / base_v.size
+        low, high = np.searchsorted(hertz, edges)
         self._in_band = slice(int(low), int(high))
         self._share = (self._in_band.stop - self._in_band.start) / (self._bins.stop - self._bins.start)
         self._omega = 2 * np.pi * np.arange(self._bins.start, self._bins.stop) / base_v.size
@@ -119,18 +114,19 @@ class StaggeredEstimator:
         samples = channels.shape[1]
         if self._runs_on:
             require_coverage(samples, self._period, self._highest, name)
-        thinned = thin(channels, self._highest)
-        clock = self._found_clock(thinned, channels[0], name)
+        decimated = decimate(channels, self._highest)
+        clock = self._clock.fit(decimated, self._expected_ratio)
+        require_found(clock.explained, clock.ratio, channels[0], self._base_v, f"the reference of {name}", MAX_PPM)
         turn = 2 * np.pi / (self._period * clock.ratio)
-        sums = thinned.spectrum(turn, 0, self._bins.stop)
-        reference, answered = ring_spectrum(sums, turn, samples) if self._runs_on else sums * (2 / self._period)
+        sums = decimated.spectrum(turn, 0, self._bins.stop)
+        reference, answered = period_spectrum(sums, turn, samples) if self._runs_on else sums * (2 / self._period)
         base = self._cleaned(reference[self._bins], clock)
         transfer = answered[self._bins] * base.conj() / np.maximum(np.square(np.abs(base)), FLOOR)
         data = (fit.weight * self._in_time * transfer).astype(np.complex64)
         solution = fit.solve(data)
 
         periods = samples / (self._period * clock.ratio)
-        coherence, repeat_db = self._repeatability(thinned, answered, turn, periods)
+        coherence, repeat_db = self._repeatability(decimated, answered, turn, periods)
         here = self._in_band
         whole, unexplained = (float(np.vdot(one[here], one[here]).real) for one in (data, solution.left))
         variance = unexplained / (self._share * fit.left_share * fit.elements)
@@ -194,15 +190,7 @@ class StaggeredEstimator:
         hertz = (self._bins.start + highest) * self._rate_hz / self._period
         return float(decibel(energy / visible, whole)), hertz
 
-    def _found_clock(self, thinned: Thinned, reference_v: Float32Array, name: str) -> RingFit:
-        clock = self._clock.fit(thinned, self._expected_ratio)
-        if not clock.explained > 1 - REFERENCE_LIMIT or abs(clock.ratio - 1) > 1.01e-6 * MAX_PPM:
-            found = f"explained {100 * clock.explained:.0f} % in band, allowed {100 - 100 * REFERENCE_LIMIT:.0f} %"
-            named = f"the reference of {name}"
-            raise missing_reference(reference_v, self._base_v, named, found, MAX_PPM)
-        return clock
-
-    def _cleaned(self, reference: Complex128Array, clock: RingFit) -> Complex128Array:
+    def _cleaned(self, reference: Complex128Array, clock: PeriodicFit) -> Complex128Array:
         """Amplitudes of the base signal as the reference channel carries it, all but free of its noise."""
         delayed = np.exp(-1j * self._omega * clock.offset_samples / clock.ratio) * (2 / self._period)
         fitted = self._clock.coupled(clock)[self._bins] * delayed
@@ -213,16 +201,16 @@ class StaggeredEstimator:
         return np.asarray(fitted * alike / np.maximum(around, FLOOR))
 
     def _repeatability(
-        self, thinned: Thinned, answered: Complex128Array, turn: float, periods: float
+        self, decimated: Decimated, answered: Complex128Array, turn: float, periods: float
     ) -> tuple[float, float]:
         """Coherence and repeat difference: what of the response in band is not the same in every period."""
         if periods < MIN_PERIODS:
             return float("nan"), float("nan")
-        inside, step = thinned.inside, thinned.step
-        recorded = thinned.values[1, inside].astype(np.float64)
-        place = thinned.first + step * inside.start
+        inside, step = decimated.inside, decimated.step
+        recorded = decimated.values[1, inside].astype(np.float64)
+        place = decimated.first + step * inside.start
         bins = np.arange(answered.size)
-        repeated = ring_signal(answered * np.exp(1j * turn * place * bins), turn * step, 0, recorded.size)
+        repeated = periodic_signal(answered * np.exp(1j * turn * place * bins), turn * step, 0, recorded.size)
         length = scipy.fft.next_fast_len(recorded.size, real=True)
         cycles = np.arange(length // 2 + 1) / (length * step)
         first, last = (self._bins.start + edge for edge in (self._in_band.start, self._in_band.stop))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wavefocus.calibration.clock.played import highest_cycles
-from wavefocus.calibration.clock.resampling import thin
+from wavefocus.calibration.clock.foreign_excitation import highest_cycles
+from wavefocus.calibration.clock.resampling import decimate
 from wavefocus.calibration.clock.sweep_laws import fit_sweep_law
 
 
@@ -34,8 +34,8 @@ def recorded(rate_hz, law, band_hz, duration_s, ppm, *, starts=(0,), phase=1.0, 
 
 
 def fitted(reference, rate_hz, band_hz, sweep_samples, starts=(0,), law="linear"):
-    thinned = thin(reference[None], highest_cycles(band_hz, 0.5, rate_hz))
-    return fit_sweep_law(thinned, law, rate_hz, band_hz, sweep_samples, starts)
+    decimated = decimate(reference[None], highest_cycles(band_hz, 0.5, rate_hz))
+    return fit_sweep_law(decimated, law, rate_hz, band_hz, sweep_samples, starts)
 
 
 @pytest.mark.parametrize(

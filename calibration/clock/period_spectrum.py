@@ -10,7 +10,7 @@ from wavefocus.calibration.numerics import fourier_sum
 from wavefocus.storage.errors import InputError
 
 
-def ring_signal(spectrum: Complex128Array, turn: float, first: int, samples: int) -> Float64Array:
+def periodic_signal(spectrum: Complex128Array, turn: float, first: int, samples: int) -> Float64Array:
     """Real signals made of evenly spaced frequencies: what `fourier_sum` is the adjoint of.
 
     ``real part of sum over m of spectrum[..., m] * exp(j * n * turn * (first + m))`` for n = 0 ... samples - 1.
@@ -50,7 +50,7 @@ def require_coverage(samples: int, period: float, highest: float, what: str) -> 
         )
 
 
-def ring_spectrum(sums: Complex128Array, turn: float, samples: int) -> Complex128Array:
+def period_spectrum(sums: Complex128Array, turn: float, samples: int) -> Complex128Array:
     """Amplitudes of the ring's frequencies by least squares, from the Fourier sums of recordings at them.
 
     Over whole periods these would be proportional; over any other length the frequencies leak into each
@@ -122,7 +122,7 @@ MAX_BLOCK = 160
 class BandSpectrum:
     """Discrete Fourier transform of segments of one period, in some low bins alone.
 
-    The segment, taken as periodic, is low-pass filtered and thinned in one matrix product, then transformed.
+    The segment, taken as periodic, is low-pass filtered and decimated in one matrix product, then transformed.
     A response and its reference go through the same filter; the spectra are corrected for it all the same.
 
     period: Samples of a segment.
@@ -132,26 +132,26 @@ class BandSpectrum:
     def __init__(self, period: int, bins: slice) -> None:
         self.period = period
         self.bins = bins
-        self._thinning, self._block = _cheapest(period, bins.stop / period)
+        self._decimation, self._block = _cheapest(period, bins.stop / period)
         self._matrix = np.zeros((0, 0), dtype=np.float32)
         self._correction = np.ones(bins.stop - bins.start, dtype=np.complex64)
-        if self._thinning > 1:
+        if self._decimation > 1:
             self._design()
 
     def _design(self) -> None:
-        thinning, block = self._thinning, self._block
-        shift, half = _reach(thinning, block)
+        decimation, block = self._decimation, self._block
+        shift, half = _reach(decimation, block)
         around = np.arange(-half, half + 1)
-        transition = 2 * np.pi * (1 / thinning - 2 * self.bins.stop / self.period)
+        transition = 2 * np.pi * (1 / decimation - 2 * self.bins.stop / self.period)
         attenuation = 8 + 2.285 * transition * 2 * half
-        filter_ = np.sinc(around / thinning) * np.kaiser(around.size, 0.1102 * (attenuation - 8.7))
-        both = np.zeros((2 * block, block // thinning))
-        for output in range(block // thinning):
-            both[output * thinning + shift + around, output] = filter_
+        filter_ = np.sinc(around / decimation) * np.kaiser(around.size, 0.1102 * (attenuation - 8.7))
+        both = np.zeros((2 * block, block // decimation))
+        for output in range(block // decimation):
+            both[output * decimation + shift + around, output] = filter_
         self._matrix = np.concatenate([both[:block], both[block:]], axis=1).astype(np.float32)
         omega = 2 * np.pi * np.arange(self.bins.start, self.bins.stop) / self.period
         passed = np.cos(omega[:, None] * around) @ filter_
-        self._correction = (thinning * np.exp(-1j * omega * shift) / passed).astype(np.complex64)
+        self._correction = (decimation * np.exp(-1j * omega * shift) / passed).astype(np.complex64)
 
     def __call__(self, recording: Float32Array, starts: Int64Array) -> Complex64Array:
         """Spectra of segments of recordings.
@@ -161,13 +161,13 @@ class BandSpectrum:
 
         Returns complex64 (records, segments, bins).
         """
-        if self._thinning == 1:
+        if self._decimation == 1:
             segments = np.empty((*starts.shape, self.period), dtype=np.float32)
             for record, row in enumerate(starts):
                 for segment, start in enumerate(row):
                     segments[record, segment] = recording[record, start : start + self.period]
             return np.ascontiguousarray(scipy.fft.rfft(segments, overwrite_x=True)[..., self.bins])
-        blocks, width = self.period // self._block, self._block // self._thinning
+        blocks, width = self.period // self._block, self._block // self._decimation
         product = np.empty((*starts.shape, blocks, 2 * width), dtype=np.float32)
         for record, row in enumerate(starts):
             for segment, start in enumerate(row):
@@ -180,22 +180,22 @@ class BandSpectrum:
         return np.asarray(spectra[..., self.bins] * self._correction)
 
 
-def _reach(thinning: int, block: int) -> tuple[int, int]:
+def _reach(decimation: int, block: int) -> tuple[int, int]:
     """Where the first output of a block lies, and how far its filter reaches inside two blocks."""
-    shift = (block + thinning) // 2
-    return shift, min(shift, block + thinning - 1 - shift)
+    shift = (block + decimation) // 2
+    return shift, min(shift, block + decimation - 1 - shift)
 
 
 def _cheapest(period: int, highest: float) -> tuple[int, int]:
     """Thinning and block length that divide the period and cost least; (1, period) if none will do."""
     best, least = (1, period), np.inf
-    for thinning in range(2, 33):
-        transition = 2 * np.pi * (1 / thinning - 2 * highest)
-        if period % (2 * thinning) or transition <= 0:
+    for decimation in range(2, 33):
+        transition = 2 * np.pi * (1 / decimation - 2 * highest)
+        if period % (2 * decimation) or transition <= 0:
             continue
-        for block in range(2 * thinning, MAX_BLOCK + 1, thinning):
-            enough = 8 + 2.285 * transition * 2 * _reach(thinning, block)[1] >= ALIAS_DB
+        for block in range(2 * decimation, MAX_BLOCK + 1, decimation):
+            enough = 8 + 2.285 * transition * 2 * _reach(decimation, block)[1] >= ALIAS_DB
             # Products cost in proportion to the block; 50 is what the transform costs on that scale.
-            if period % block == 0 and enough and (block + 50) / thinning < least:
-                best, least = (thinning, block), (block + 50) / thinning
+            if period % block == 0 and enough and (block + 50) / decimation < least:
+                best, least = (decimation, block), (block + 50) / decimation
     return best

@@ -10,10 +10,10 @@ import numpy as np
 import scipy.fft
 
 from wavefocus.calibration import Complex128Array, Float32Array, Float64Array
-from wavefocus.calibration.clock.czt import require_coverage, ring_spectrum
 from wavefocus.calibration.clock.missing_reference import CARRIED, playing_ratio
-from wavefocus.calibration.clock.periodic_clock import RingClock, RingFit, fit_repeats
-from wavefocus.calibration.clock.resampling import Thinned, resampled, thin
+from wavefocus.calibration.clock.period_spectrum import period_spectrum, require_coverage
+from wavefocus.calibration.clock.periodic_clock import PeriodicClock, PeriodicFit, fit_repeats
+from wavefocus.calibration.clock.resampling import Decimated, decimate, resampled
 from wavefocus.calibration.clock.sweep_laws import SweepFit, SweepLaw, fit_sweep_law, roundest
 from wavefocus.calibration.estimator.estimate import MAX_PPM
 from wavefocus.calibration.excitation import RecordedExcitation
@@ -59,7 +59,7 @@ def learn_base(references: Sequence[Float32Array], header: RawHeader) -> tuple[F
         )
     bins = math.ceil(highest_cycles(header.band_hz, header.sweep_s or period / rate_hz, rate_hz) * period)
     bins = min(bins, (period + 1) // 2)
-    seen = [_Seen(reference, bins / period, period) for reference in references if np.any(reference)]
+    seen = [_ReferenceAnalysis(reference, bins / period, period) for reference in references if np.any(reference)]
     if not seen:
         raise InputError("the reference channel is silent; a base signal is needed")
     require_coverage(seen[0].samples, period * (1 - 1e-6 * MAX_PPM), bins / period, "the reference")
@@ -70,8 +70,8 @@ def learn_base(references: Sequence[Float32Array], header: RawHeader) -> tuple[F
     start = sure.index(True) if any(sure) else 0
     fit = seen[start].repeats
     ratio = fit.ratio if fit is not None and sure[start] else _ratio_of_cuts(seen, bins, header)
-    clock = RingClock(seen[start].spectrum(bins, ratio), period, MAX_PPM)
-    matches = [clock.fit(record.thinned, ratio) for record in seen]
+    clock = PeriodicClock(seen[start].spectrum(bins, ratio), period, MAX_PPM)
+    matches = [clock.fit(record.decimated, ratio) for record in seen]
     same = [match.explained > SAME_SHARE for match in matches]
     off = [
         (one.repeats.ratio / match.ratio - 1, one.repeats.sigma_ppm)
@@ -91,23 +91,23 @@ def learn_base(references: Sequence[Float32Array], header: RawHeader) -> tuple[F
     return scipy.fft.irfft(total / level, period), matches[0].ratio * stretch
 
 
-class _Seen:
-    """A reference recording, thinned, and what it says of the clocks by itself."""
+class _ReferenceAnalysis:
+    """A reference recording, decimated, and what it says of the clocks by itself."""
 
     def __init__(self, reference: Float32Array, highest: float, period: int) -> None:
         self.samples, self.period = reference.size, period
-        self.thinned = thin(np.ascontiguousarray(reference[None], dtype=np.float32), highest)
-        self.repeats = fit_repeats(self.thinned, period, reference.size, MAX_PPM)
+        self.decimated = decimate(np.ascontiguousarray(reference[None], dtype=np.float32), highest)
+        self.repeats = fit_repeats(self.decimated, period, reference.size, MAX_PPM)
 
     def spectrum(self, bins: int, ratio: float) -> Complex128Array:
         """Transform of one period, at a clock ratio, beginning with the record."""
         turn = 2 * np.pi / (self.period * ratio)
-        found = ring_spectrum(self.thinned.spectrum(turn, 0, bins), turn, self.samples)[0] * (self.period / 2)
+        found = period_spectrum(self.decimated.spectrum(turn, 0, bins), turn, self.samples)[0] * (self.period / 2)
         found[0] *= 2
         return np.asarray(found)
 
 
-def _ratio_of_cuts(seen: Sequence[_Seen], bins: int, header: RawHeader) -> float:
+def _ratio_of_cuts(seen: Sequence[_ReferenceAnalysis], bins: int, header: RawHeader) -> float:
     """Clock ratio of records that are hardly longer than a period, by a sweep, or cut at different places.
 
     Where one record begins and ends, another one runs on: only at the true ratio do they agree.
@@ -115,14 +115,14 @@ def _ratio_of_cuts(seen: Sequence[_Seen], bins: int, header: RawHeader) -> float
     first, *others = seen[:MAX_CUTS]
     sweep_s = header.sweep_s or first.period / header.sample_rate_hz
     sweep_samples = min(round(sweep_s * header.sample_rate_hz), first.period)
-    fit = _fit_law(first.thinned, header, sweep_samples, [0], period=first.period)
+    fit = _fit_law(first.decimated, header, sweep_samples, [0], period=first.period)
     guess = None if fit is None else fit.ratio
 
-    def fits(ratio: float, some: Sequence[_Seen]) -> list[RingFit]:
-        clock = RingClock(first.spectrum(bins, ratio), first.period, MAX_PPM)
-        return [clock.fit(record.thinned, ratio, search=False) for record in some]
+    def fits(ratio: float, some: Sequence[_ReferenceAnalysis]) -> list[PeriodicFit]:
+        clock = PeriodicClock(first.spectrum(bins, ratio), first.period, MAX_PPM)
+        return [clock.fit(record.decimated, ratio, search=False) for record in some]
 
-    def misfit(ratio: float, some: Sequence[_Seen]) -> float:
+    def misfit(ratio: float, some: Sequence[_ReferenceAnalysis]) -> float:
         return -sum(fit.explained for fit in fits(ratio, some))
 
     reach = CUT_REACH_PPM
@@ -221,9 +221,9 @@ def find_sweeps(reference: Float32Array, header: RawHeader, sweep_samples: int |
         sweep_samples = round(header.sweep_s * header.sample_rate_hz)
     rows, given = np.ascontiguousarray(reference[None], dtype=np.float32), shape_of(header)
     shortest_s = MIN_SWEEP_S if given is None else given.sweep_samples / header.sample_rate_hz
-    thinned = thin(rows, highest_cycles(header.band_hz, shortest_s, header.sample_rate_hz))
-    for shape in [given] if given is not None else _shapes(thinned, header, sweep_samples):
-        found = _clock(rows, thinned, header, shape, sweep_samples)
+    decimated = decimate(rows, highest_cycles(header.band_hz, shortest_s, header.sample_rate_hz))
+    for shape in [given] if given is not None else _shapes(decimated, header, sweep_samples):
+        found = _clock(rows, decimated, header, shape, sweep_samples)
         if found is not None:
             return found
     if sweep_samples is not None and (skew_ppm := _skew_beyond(reference, header, sweep_samples)) is not None:
@@ -246,13 +246,18 @@ def _of_law(header: RawHeader) -> str:
 
 
 def _fit_law(
-    thinned: Thinned, header: RawHeader, sweep_samples: int | None, starts: Sequence[int], *, period: int | None = None
+    decimated: Decimated,
+    header: RawHeader,
+    sweep_samples: int | None,
+    starts: Sequence[int],
+    *,
+    period: int | None = None,
 ) -> SweepFit | None:
-    """SweepLaw of the header's law in a recording; None where there are none, or the law is another."""
+    """Sweeps of the header's law in a recording; None where there are none, or the law is another."""
     if header.law is None:
         return None
     return fit_sweep_law(
-        thinned, header.law, header.sample_rate_hz, header.band_hz, sweep_samples, starts, period=period
+        decimated, header.law, header.sample_rate_hz, header.band_hz, sweep_samples, starts, period=period
     )
 
 
@@ -311,10 +316,10 @@ def _start(base: Float64Array, decay: int, *, exact: bool) -> int:
 
 
 def _clock(
-    rows: Float32Array, thinned: Thinned, header: RawHeader, shape: RecordShape | None, sweep_samples: int | None
+    rows: Float32Array, decimated: Decimated, header: RawHeader, shape: RecordShape | None, sweep_samples: int | None
 ) -> FoundSweeps | None:
     """The sweeps of a record of one shape, or one sweep without it; None where it does not hold them."""
-    samples, highest = rows.shape[1], thinned.highest
+    samples, highest = rows.shape[1], decimated.highest
     if shape is not None and shape.averages > 1:
         # Compared where all of its repeats are, so that what is compared repeats throughout.
         length = min(shape.averages * shape.period_samples, samples)
@@ -322,12 +327,12 @@ def _clock(
         within = energy[length:] - energy[:-length]
         last = int(np.flatnonzero(within > (1 - END_ENERGY) * within.max())[-1])
         first = max(last - (shape.period_samples - shape.sweep_samples) // 4, 0)
-        cut = thin(np.ascontiguousarray(rows[:, first : first + length]), highest)
+        cut = decimate(np.ascontiguousarray(rows[:, first : first + length]), highest)
         fit = fit_repeats(cut, shape.period_samples, length, MAX_PPM)
         if fit is not None and fit.is_sure:
             return FoundSweeps(shape, float(first), fit.ratio, by_law=False, highest=highest)
     starts = [0] if shape is None else [repeat * shape.period_samples for repeat in range(shape.averages)]
-    fitted = _fit_law(thinned, header, sweep_samples, starts)
+    fitted = _fit_law(decimated, header, sweep_samples, starts)
     if fitted is None:
         return None
     sweep = fitted.sweep_samples
@@ -338,12 +343,12 @@ def _clock(
     return FoundSweeps(followed, float(fitted.offset_samples), float(fitted.ratio), by_law=True, highest=highest)
 
 
-def _shapes(thinned: Thinned, header: RawHeader, sweep_samples: int | None) -> list[RecordShape | None]:
+def _shapes(decimated: Decimated, header: RawHeader, sweep_samples: int | None) -> list[RecordShape | None]:
     """Shapes that a record may have, by its energy and its repeats; None is one sweep."""
-    values = thinned.values[0].astype(np.float64)
+    values = decimated.values[0].astype(np.float64)
     length = scipy.fft.next_fast_len(2 * values.size, real=True)
     correlation = scipy.fft.irfft(np.abs(scipy.fft.rfft(values, length)) ** 2, length)[: values.size]
-    shortest = math.ceil(header.taps / thinned.step)
+    shortest = math.ceil(header.taps / decimated.step)
     lag, share = 0, 0.0
     if shortest < values.size:
         lag = shortest + int(np.argmax(correlation[shortest:]))
@@ -351,8 +356,8 @@ def _shapes(thinned: Thinned, header: RawHeader, sweep_samples: int | None) -> l
     if share <= REPEAT_SHARE:
         return [None]
     energy = np.cumsum(np.square(values))
-    ends = np.searchsorted(energy / energy[-1], [END_ENERGY, 1 - END_ENERGY]) * thinned.step
+    ends = np.searchsorted(energy / energy[-1], [END_ENERGY, 1 - END_ENERGY]) * decimated.step
     averages = round(1 / (1 - share))
-    period = roundest(lag * thinned.step, header.sample_rate_hz, thinned.step / (lag * thinned.step))
+    period = roundest(lag * decimated.step, header.sample_rate_hz, decimated.step / (lag * decimated.step))
     sweep = sweep_samples or round((1 + MARGIN_SHARE) * (ends[1] - ends[0] - (averages - 1) * period))
     return [RecordShape(min(max(sweep, 1), max(period - header.taps, 1)), period, averages), None]
