@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
-from wavefocus.calibration.clock.resampling import thin
+from wavefocus.calibration.clock.resampling import decimate
 from wavefocus.calibration.estimator.estimate import Channels, Estimate, Records
 from wavefocus.calibration.estimator.staggered import StaggeredEstimator
 from wavefocus.calibration.excitation import PlayedExcitation, StaggeredSignal
@@ -214,8 +214,8 @@ def test_thinning_keeps_every_frequency_of_its_band(highest: float, cycles: floa
     samples, turn = 2000, 2 * np.pi * cycles * highest
     window = np.hanning(samples)
     tone = (window * np.cos(turn * np.arange(samples))).astype(np.float32)[None]
-    thinned = thin(tone, highest)
-    assert thinned.values.shape[1] <= tone.shape[1] + 2 * abs(thinned.first) + 1
-    found = thinned.spectrum(turn, 1, 1)[0, 0]
+    decimated = decimate(tone, highest)
+    assert decimated.values.shape[1] <= tone.shape[1] + 2 * abs(decimated.first) + 1
+    found = decimated.spectrum(turn, 1, 1)[0, 0]
     right = (tone[0] * np.exp(-1j * turn * np.arange(samples))).sum()
     assert abs(found - right) < 1e-3 * abs(right)
