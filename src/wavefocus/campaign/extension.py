@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,7 @@ from wavefocus.campaign.sidecar_files import raw_path
 from wavefocus.configuration import Configuration, load_run, plan_differences
 from wavefocus.input_files import parse_positions
 from wavefocus.storage.bank.ledger import QUALITY_NAMES, PointRecord
+from wavefocus.storage.bank.origins import Origin, origins_of
 from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.bank.writer import write_bank
 from wavefocus.storage.errors import InputError
@@ -35,31 +36,6 @@ from wavefocus.storage.raw.writer import RawWriter, create_raw, open_raw
 STEP_MM = 1e-6
 """Positions are the same where they agree to this: they are written as whole numbers of it."""
 TAKEN = (int(Status.VALID), int(Status.DISABLED), int(Status.VALID | Status.DISABLED))
-
-
-@dataclass(frozen=True, slots=True)
-class Origin:
-    """Which bank rows were taken over from, as the bank's attribute `origins` states it.
-
-    bank: File name of the bank.
-    plan_sha256: Its plan.
-    software: Program and version that made it.
-    rows: Rows of the new bank, as ``"0-371"``.
-    """
-
-    bank: str
-    plan_sha256: str
-    software: str
-    rows: str
-
-
-def origins_of(bank: Bank) -> tuple[Origin, ...]:
-    """Where the rows of a bank come from that it did not measure itself; empty where it has none."""
-    try:
-        held = json.loads(bank.origins or "[]")
-        return tuple(Origin(**{key: str(one[key]) for key in Origin.__slots__}) for one in held)
-    except (ValueError, TypeError, KeyError, RecursionError):
-        raise InputError(f"{bank.path}: attribute origins is not as this program writes it") from None
 
 
 def extend(

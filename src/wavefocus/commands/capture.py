@@ -26,7 +26,6 @@ from wavefocus.campaign.blueprint import (
 from wavefocus.campaign.campaign_view import CampaignView
 from wavefocus.campaign.control import CampaignControl, resume_line
 from wavefocus.campaign.extension import extend as extended
-from wavefocus.campaign.extension import origins_of
 from wavefocus.campaign.schedule_choice import choose_schedule, with_chosen_schedule
 from wavefocus.campaign.sidecar_files import (
     EventLines,
@@ -53,6 +52,7 @@ from wavefocus.rig.calibration_validity import refuse_other_devices, with_one_ca
 from wavefocus.rig.input_delay import note_delay_in_new_bank
 from wavefocus.rig.messages import messenger_for
 from wavefocus.rig.setup import open_setup
+from wavefocus.storage.bank.origins import origins_of
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter, create_bank
 from wavefocus.storage.durable import is_network_mount

@@ -20,7 +20,6 @@ from wavefocus.campaign.control import (
     resume_line,
     withdraw,
 )
-from wavefocus.campaign.extension import origins_of
 from wavefocus.campaign.sidecar_files import (
     drift_path,
     read_crosstalk,
@@ -34,6 +33,7 @@ from wavefocus.config.messages.campaign import (
 from wavefocus.config.messages.codec import to_record
 from wavefocus.console import answer, say
 from wavefocus.exits import Exit
+from wavefocus.storage.bank.origins import origins_of
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.owner import Owner, bank_owner
