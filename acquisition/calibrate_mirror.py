@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from wavefocus.acquisition.grid import read_rows
-from wavefocus.acquisition.setup import Setup, asking
+from wavefocus.acquisition.setup import Setup, naming_role
 from wavefocus.calibration import Float64Array
 from wavefocus.calibration.mirror_map import MIN_MARKS, MirrorMap, MirrorMapFit, fit_mirror_map
 from wavefocus.config.messages.rig_checks import By, Drop, Here, Keep, MapView, Redo, To
@@ -259,6 +259,6 @@ def _angles(mirror_map: MirrorMap, place_mm: Place) -> Place:
 
 
 def _point(setup: Setup, at_mrad: Place) -> None:
-    with asking("mirror"):
+    with naming_role("mirror"):
         setup.instruments.mirror.move_to(*at_mrad)
         setup.instruments.mirror.wait_settled(setup.settle_timeout_s)

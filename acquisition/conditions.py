@@ -34,11 +34,11 @@ class Conditions:
         self._setup = setup
         self._rate_hz = excitation.sample_rate_hz
         self._above_hz = ABOVE_BAND * excitation.stop_hz
-        self.mute: dict[str, InstrumentError] = {}
+        self.silent_sensors: dict[str, InstrumentError] = {}
         """Sensors that did not answer at the last look, and what they said."""
 
     def values(self, plays: Sequence[Play], recordings: Sequence[Recording]) -> dict[str, float]:
-        """Values after these records; a sensor that fails is listed in `mute`.
+        """Values after these records; a sensor that fails is listed in `silent_sensors`.
 
         plays, recordings: What was played, and what was recorded of it.
         """
@@ -49,12 +49,12 @@ class Conditions:
         if NOISE in self.watch.bands and self._above_hz < self._rate_hz / 2:
             # Speckle hides the surface for milliseconds of one record; what lasts is in most of them.
             values[NOISE] = float(np.median([self._noise_v(one) for one in recordings]))
-        self.mute.clear()
+        self.silent_sensors.clear()
         for name, sensor in self.watch.sensors.items():
             try:
                 values[name] = sensor.read()
             except InstrumentError as failure:
-                self.mute[name] = failure
+                self.silent_sensors[name] = failure
         return values
 
     def left(self, values: Mapping[str, float]) -> str:

@@ -228,7 +228,7 @@ def measure_again(
     Raises InstrumentError: of the instrument that failed.
     """
     try:
-        recordings = recovery.until_done(lambda: records.take(attempt, "sentinel"), attempt)
+        recordings = recovery.retry_after_reconnect(lambda: records.take(attempt, "sentinel"), attempt)
     except TransientInstrumentError as fault:
         retried = attempt.of_session < max_attempts
         session.fault(fault, attempt, retried=retried)

@@ -255,7 +255,7 @@ def _reference_level(
     if not np.any(np.isfinite(levels_db)):
         return []
     before_db = float(np.nanmedian(levels_db)) if before_db is None else before_db
-    # In units of what is allowed; not looked at is not judged.
+    # Ratio to the limit; NaN (not measured) counts as 0.
     from_calibration = calibrated * np.nan_to_num(np.abs(levels_db)) / (CALIBRATION_SPARE * limits.reference_db)
     from_before = np.nan_to_num(np.abs(levels_db - before_db)) / limits.reference_db
     worst_first = np.argsort(-np.maximum(from_calibration, from_before), kind="stable")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.acquisition.limits import DriftLimits, QualityLimits
-from wavefocus.acquisition.setup import Rolls, record_samples
+from wavefocus.acquisition.setup import RecordMargins, record_samples
 from wavefocus.calibration import Float64Array, Int64Array
 from wavefocus.calibration.estimator.schedule_error import expected_error_db
 from wavefocus.calibration.excitation import PlayedExcitation, StaggeredSignal
@@ -70,20 +70,20 @@ class Plan:
         left: Int64Array = self.order[status[self.order] == 0]
         return left
 
-    def record_s(self, rolls: Rolls) -> float:
+    def record_s(self, margins: RecordMargins) -> float:
         """Seconds that one record takes."""
         rate = self.excitation.sample_rate_hz
         if self.staggered is None:
-            return record_samples(rolls, self.excitation.averages * self.excitation.period_samples, rate) / rate
-        return rolls.pre_roll_s + (lead_samples(self.staggered, rolls) + self.staggered.used_samples) / rate
+            return record_samples(margins, self.excitation.averages * self.excitation.period_samples, rate) / rate
+        return margins.pre_roll_s + (lead_samples(self.staggered, margins) + self.staggered.used_samples) / rate
 
-    def position_s(self, rolls: Rolls) -> float:
+    def position_s(self, margins: RecordMargins) -> float:
         """Seconds that one position takes: its records and the overhead around them."""
-        return self.records * self.record_s(rolls) + POSITION_OVERHEAD_S
+        return self.records * self.record_s(margins) + POSITION_OVERHEAD_S
 
-    def campaign_s(self, rows: Int64Array, rolls: Rolls, speed_m_s: float = GEL_SPEED_M_S) -> float:
+    def campaign_s(self, rows: Int64Array, margins: RecordMargins, speed_m_s: float = GEL_SPEED_M_S) -> float:
         """Seconds that some positions take, sentinel and second looks included."""
-        position_s = self.position_s(rolls)
+        position_s = self.position_s(margins)
         count = len(rows) + self.second_looks(rows, speed_m_s)
         return (count + self.drift.passes(count, position_s)) * position_s
 
@@ -101,9 +101,9 @@ class Plan:
         return len(rows) - int(np.count_nonzero(have_neighbours(self.position_mm[rows], apart_mm)))
 
 
-def lead_samples(signal: StaggeredSignal, rolls: Rolls) -> int:
+def lead_samples(signal: StaggeredSignal, margins: RecordMargins) -> int:
     """Samples that a periodic signal plays before it counts: the player's latency, and one response to build up."""
-    return round(rolls.post_roll_s * signal.sweep.sample_rate_hz) + signal.taps
+    return round(margins.post_roll_s * signal.sweep.sample_rate_hz) + signal.taps
 
 
 def sentinel_of(plan: Plan, status: NDArray[np.uint8]) -> int | None:
@@ -197,7 +197,7 @@ def schedule_name(plan: Plan) -> str:
     return name + (f", groups of {signal.slots}" if signal.groups > 1 else "")
 
 
-def expect(plan: Plan, rolls: Rolls, snr_db: float = ASSUMED_SNR_DB) -> Expectation:
+def expect(plan: Plan, margins: RecordMargins, snr_db: float = ASSUMED_SNR_DB) -> Expectation:
     """Expect hours and errors of a plan under both models of noise.
 
     rolls: How long a record is before and after its signal.
@@ -214,5 +214,5 @@ def expect(plan: Plan, rolls: Rolls, snr_db: float = ASSUMED_SNR_DB) -> Expectat
         )
         for loudness in (1, together)
     )
-    seconds = plan.positions * plan.position_s(rolls)
+    seconds = plan.positions * plan.position_s(margins)
     return Expectation(schedule_name(plan), seconds, additive_db, proportional_db)

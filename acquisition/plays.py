@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.acquisition.plan import Plan, lead_samples
-from wavefocus.acquisition.setup import Rolls, Setup, record_samples
+from wavefocus.acquisition.setup import RecordMargins, Setup, record_samples
 from wavefocus.calibration import Float64Array
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.estimator.estimate import Channels, PositionEstimator, Records
@@ -73,11 +73,11 @@ def position_estimator(plan: Plan, channels: Channels) -> PositionEstimator:
         return SequentialEstimator(plan.excitation, plan.taps, channels)
 
 
-def used_samples(plan: Plan, rolls: Rolls) -> slice | None:
+def used_samples(plan: Plan, margins: RecordMargins) -> slice | None:
     """Which samples of a record count: of staggered ones, those where all that was silent before has died away."""
     if plan.staggered is None:
         return None
-    first = round(rolls.pre_roll_s * plan.excitation.sample_rate_hz) + lead_samples(plan.staggered, rolls)
+    first = round(margins.pre_roll_s * plan.excitation.sample_rate_hz) + lead_samples(plan.staggered, margins)
     return slice(first, first + plan.staggered.used_samples)
 
 

@@ -156,7 +156,7 @@ def wired(rig: RigConfig, instruments: Instruments, vibrometer: VibrometerReadin
 
 
 @contextmanager
-def asking(role: Role) -> Iterator[None]:
+def naming_role(role: Role) -> Iterator[None]:
     """Note the role on an error that its instrument raises: drivers name devices, recovery needs the role.
 
     role: Whose methods are called inside.
@@ -168,7 +168,7 @@ def asking(role: Role) -> Iterator[None]:
         raise
 
 
-def as_lost(failure: InstrumentError, cause: str) -> InstrumentLostError:
+def to_lost_error(failure: InstrumentError, cause: str) -> InstrumentLostError:
     """A failure in the words of a loss, of the same role."""
     lost = InstrumentLostError(failure.instrument, failure.operation, cause, failure.remedy)
     lost.role = failure.role
@@ -182,14 +182,14 @@ def names_of(instruments: Instruments) -> tuple[str, str, str]:
     opened. InstrumentError: it says that it is another.
     """
     try:
-        with asking("mirror"):
+        with naming_role("mirror"):
             mirror = instruments.mirror.identify()
-        with asking("recorder"):
+        with naming_role("recorder"):
             recorder = instruments.recorder.identify()
-        with asking("player"):
+        with naming_role("player"):
             return mirror, recorder, instruments.player.identify()
     except TransientInstrumentError as failure:
-        raise as_lost(failure, failure.cause) from failure
+        raise to_lost_error(failure, failure.cause) from failure
 
 
 def silence(instruments: Instruments) -> list[InstrumentError]:
@@ -201,7 +201,7 @@ def silence(instruments: Instruments) -> list[InstrumentError]:
     roles: tuple[Role, Role] = ("player", "recorder")
     for role, quieten in zip(roles, (instruments.player.mute, instruments.recorder.abort), strict=True):
         try:
-            with asking(role):
+            with naming_role(role):
                 quieten()
         except InstrumentError as failure:
             failures.append(failure)
@@ -214,7 +214,7 @@ Step = Literal["starting", "started", "playing"]
 ANSWER_MARGIN_S = 5.0
 
 
-class Rolls(Protocol):
+class RecordMargins(Protocol):
     """How long a record is before and after its signal; a `Setup` says so, and so does a rig's configuration."""
 
     @property
@@ -228,9 +228,9 @@ class Rolls(Protocol):
         ...
 
 
-def record_samples(rolls: Rolls, signal_samples: int, sample_rate_hz: float) -> int:
+def record_samples(margins: RecordMargins, signal_samples: int, sample_rate_hz: float) -> int:
     """Samples per channel of a record around a signal, pre-roll and post-roll included."""
-    return round((rolls.pre_roll_s + rolls.post_roll_s) * sample_rate_hz) + signal_samples
+    return round((margins.pre_roll_s + margins.post_roll_s) * sample_rate_hz) + signal_samples
 
 
 def take_record(
@@ -269,20 +269,20 @@ def take_record(
     player, recorder = setup.instruments.player, setup.instruments.recorder
     try:
         reached("starting")
-        with asking("recorder"):
+        with naming_role("recorder"):
             recorder.start(request)
         reached("started")
         setup.instruments.clock.sleep(setup.pre_roll_s)
-        with asking("player"):
+        with naming_role("player"):
             player.play(signals_v, sample_rate_hz)
             reached("playing")
             player.wait(timeout_s)
-        with asking("recorder"):
+        with naming_role("recorder"):
             return recorder.read(timeout_s)
     except BaseException as failure:
         for also in silence(setup.instruments):
             if isinstance(failure, TransientInstrumentError):
-                raise as_lost(also, also.cause) from failure
+                raise to_lost_error(also, also.cause) from failure
             failure.add_note(str(also))
         raise
 
@@ -292,7 +292,7 @@ def record_silence(
 ) -> Recording:
     """Record for a while, > 0 s, while nothing plays; raises InstrumentError of the recorder, which was stopped."""
     request = RecordRequest(max(1, round(seconds * sample_rate_hz)), sample_rate_hz, range_v, label)
-    with asking("recorder"):
+    with naming_role("recorder"):
         try:
             recorder.start(request)
             return recorder.read(request.duration_s + ANSWER_MARGIN_S)
@@ -307,7 +307,7 @@ def start_move(setup: Setup, x_mm: float, y_mm: float) -> None:
     Raises InstrumentError: of the mirror.
     """
     x_mrad, y_mrad = setup.mirror_map.angles_mrad(x_mm, y_mm)
-    with asking("mirror"):
+    with naming_role("mirror"):
         setup.instruments.mirror.move_to(float(x_mrad), float(y_mrad))
 
 
@@ -317,7 +317,7 @@ def point_at(setup: Setup, x_mm: float, y_mm: float) -> None:
     Raises InstrumentError: of the mirror.
     """
     start_move(setup, x_mm, y_mm)
-    with asking("mirror"):
+    with naming_role("mirror"):
         setup.instruments.mirror.wait_settled(setup.settle_timeout_s)
 
 

@@ -305,7 +305,7 @@ class _Bench:
             self._number += 1
             attempt, last = Attempt(self._position, self._number, tries), tries == plan.quality.max_attempts
             try:
-                recordings = self._recovery.until_done(lambda: records.take(attempt, "trial"), attempt)  # noqa: B023
+                recordings = self._recovery.retry_after_reconnect(lambda: records.take(attempt, "trial"), attempt)  # noqa: B023
             except TransientInstrumentError as fault:
                 self._session.fault(fault, attempt, retried=not last)
                 if last:

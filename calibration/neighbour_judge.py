@@ -33,7 +33,7 @@ NEAREST, RANK = 8, 3
 """A row that differs does so far more than the third worst of its eight nearest neighbours."""
 MIN_DIFFERENCE = 0.02
 """Relative to the row; smaller differences are not looked for."""
-ALIKE = 0.002
+MIN_PREDICTION_ERROR = 0.002
 """No prediction is taken to be better than this."""
 MISSES, FACTOR = 6.0, 30.0
 """Limits of the mean square of the errors and of the common factor's square over their expectations; on clean banks
@@ -252,7 +252,7 @@ class NeighbourJudge:
             smooth = typical.copy()
             smooth[..., 1:-1] = 0.25 * (typical[..., :-2] + typical[..., 2:]) + 0.5 * typical[..., 1:-1]
             errors, values = self._errors[some], self._values[some]
-            typical = np.maximum(smooth * self._variance[some], np.square(ALIKE * np.abs(values)))
+            typical = np.maximum(smooth * self._variance[some], np.square(MIN_PREDICTION_ERROR * np.abs(values)))
             typical = np.maximum(typical, np.finfo(np.float64).tiny)
             predicted = values - errors
             weight = (np.square(np.abs(predicted)) / typical).sum(axis=2)

@@ -15,7 +15,7 @@ import scipy.fft
 
 from wavefocus.acquisition.engine.recovery import Recovery
 from wavefocus.acquisition.engine.session import Session, StopRequest
-from wavefocus.acquisition.setup import Setup, Step, asking, silence, take_record
+from wavefocus.acquisition.setup import Setup, Step, naming_role, silence, take_record
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.clock.timing import ClockFitter
 from wavefocus.config.messages.campaign import Event, Fault, ReconnectTried, State
@@ -127,7 +127,7 @@ class RigPresenter:
         session = Session(setup.instruments.clock, self._follow, StopRequest())
         session.enter(State.RUNNING, "trials")
         self._recovery = Recovery(setup, session)
-        with asking("mirror"):
+        with naming_role("mirror"):
             setup.instruments.mirror.park()
 
     def present(self, stimulus: str, trial: int, note: Callable[[str], object]) -> Onset:
@@ -149,7 +149,7 @@ class RigPresenter:
 
         for void in range(1, MAX_VOID + 1):
             try:
-                onset = self._recovery.until_done(once)
+                onset = self._recovery.retry_after_reconnect(once)
                 return Onset(onset.at_s, onset.error_ms, onset.within_ms, attempts)
             except TransientInstrumentError as failure:
                 if void == MAX_VOID:

@@ -132,7 +132,7 @@ class Campaign:
         self._judged = again or self._neighbours.is_done(self._covered)
         state, reason = State.FINISHED, "every position is committed"
         try:
-            names = self._recovery.until_done(lambda: names_of(self._setup.instruments))
+            names = self._recovery.retry_after_reconnect(lambda: names_of(self._setup.instruments))
             self._report.start(rows, names, second_looks=not self._judged)
             with one_blas_thread(), self._worker:
                 self._walk()
@@ -301,7 +301,7 @@ class Campaign:
                 self._collect()
             self._session.follow_requests()
 
-        return self._recovery.until_done(lambda: self._records.take(attempt, "capture", taken), attempt)
+        return self._recovery.retry_after_reconnect(lambda: self._records.take(attempt, "capture", taken), attempt)
 
     # -- judging and committing ---------------------------------------------------------------
 

@@ -10,7 +10,7 @@ from typing import TypeVar
 from wavefocus.acquisition.attempt import Attempt, PositionRecords
 from wavefocus.acquisition.conditions import Conditions
 from wavefocus.acquisition.engine.session import LOOKED_FOR_S, Session
-from wavefocus.acquisition.setup import Setup, as_lost, asking, silence
+from wavefocus.acquisition.setup import Setup, naming_role, silence, to_lost_error
 from wavefocus.acquisition.wording import hours
 from wavefocus.config.messages.campaign import ConditionsSeen, ReconnectTried, State
 from wavefocus.drivers.errors import (
@@ -47,7 +47,7 @@ class Recovery:
         self._passing: Counter[str] = Counter()
         self._losses = 0
 
-    def until_done(self, measure: Callable[[], Result], attempt: Attempt | None = None) -> Result:
+    def retry_after_reconnect(self, measure: Callable[[], Result], attempt: Attempt | None = None) -> Result:
         """Measure, from the beginning again after each instrument that was lost and came back.
 
         measure: Points, plays and records; what it did before an interruption must not matter.
@@ -55,7 +55,7 @@ class Recovery:
 
         Raises StoppedWhileWaitingError: a person asked for a stop. InstrumentLostError: the instrument did not come
         back in time, or did not stay; or its failure is unknown to its driver and recurred after one fresh connection.
-        InstrumentError: any other failure, at once; passing ones are for :meth:`renew_if_repeated`.
+        InstrumentError: any other failure, at once; passing ones are for `renew_if_repeated`.
         """
         while True:
             try:
@@ -74,7 +74,10 @@ class Recovery:
                 return result
 
     def renew_if_repeated(self, fault: TransientInstrumentError) -> None:
-        """Give an instrument a fresh connection when it fails passingly again and again; raises as `until_done`."""
+        """Give an instrument a fresh connection when it fails passingly again and again.
+
+        Raises as `retry_after_reconnect`.
+        """
         self._passing[fault.role] += 1
         if self._passing[fault.role] >= PASSING_IN_A_ROW:
             self._bring_back(fault)
@@ -83,7 +86,7 @@ class Recovery:
         """Note a failure that its driver does not know; raises it where it recurs."""
         if isinstance(failure, UnknownFaultError):
             if failure.role in self._unknown:
-                raise as_lost(failure, f"{failure.cause}; again after a fresh connection") from failure
+                raise to_lost_error(failure, f"{failure.cause}; again after a fresh connection") from failure
             self._unknown.add(failure.role)
 
     def _bring_back(self, failure: InstrumentError) -> None:
@@ -91,7 +94,7 @@ class Recovery:
         self._losses += 1
         if self._losses > LOSSES_IN_A_ROW:
             cause = f"{failure.cause}, also after {LOSSES_IN_A_ROW} fresh connections in a row"
-            raise as_lost(failure, cause) from failure
+            raise to_lost_error(failure, cause) from failure
         came_from, since_s = self._session.state, self._clock.now_s()
         gives_up_wall_s = time.monotonic() + self._setup.recovery_s
         self._session.enter(State.RECOVERING, f"{failure.instrument}: {failure.cause}")
@@ -105,7 +108,7 @@ class Recovery:
             away_s = self._clock.now_s() - since_s
             if lost and away_s >= self._setup.recovery_s:
                 also = next(iter(lost.values()))
-                raise as_lost(also, f"{also.cause}; not cured within {hours(away_s)}") from also
+                raise to_lost_error(also, f"{also.cause}; not cured within {hours(away_s)}") from also
         self._session.enter(came_from, f"{failure.instrument} is connected again after {hours(away_s)}")
 
     def _silence(self, lost: dict[str, InstrumentError]) -> None:
@@ -116,7 +119,7 @@ class Recovery:
     def _reconnect(self, role: str, failure: InstrumentError, since_s: float, gives_up_wall_s: float) -> None:
         """Try for a fresh connection until there is one, a person stops it or the time is over, on either clock.
 
-        A call that hangs takes its time from the wall's clock, whatever clock the rig lives by.
+        Hung calls count against wall-clock time, even on a virtual clock.
         """
         until_s = since_s + self._setup.recovery_s
         while True:
@@ -137,7 +140,7 @@ class Recovery:
                     wall_s = time.monotonic() - gives_up_wall_s + self._setup.recovery_s
                     waited = hours(max(self._clock.now_s() - since_s, wall_s))
                     tries = f"{self._tries[role]} tries (last: {absent.cause})"
-                    raise as_lost(failure, f"{failure.cause}; not back within {waited}, {tries}") from absent
+                    raise to_lost_error(failure, f"{failure.cause}; not back within {waited}, {tries}") from absent
             except InstrumentError as other:
                 self._publish_try(failure, other.cause, 0.0)
                 raise
@@ -201,7 +204,7 @@ class Suspension:
         if not self._conditions.watch.bands:
             return ""
         reason = self._conditions.left(self._conditions.values(self._records.plays, recordings))
-        self._report_mute_sensors(attempt)
+        self._report_silent_sensors(attempt)
         if not reason:
             self._last_good = attempt.position
         elif self._last_good not in (None, attempt.position) and not self._conditions.left(self._probe(attempt)):
@@ -243,26 +246,26 @@ class Suspension:
         position = attempt.position if self._last_good is None else self._last_good
         probing = Attempt(position, attempt.number, attempt.of_session)
         try:
-            recording = self._recovery.until_done(lambda: self._records.probe(probing), probing)
+            recording = self._recovery.retry_after_reconnect(lambda: self._records.probe(probing), probing)
         except InstrumentError as failure:
             self._session.fault(failure, probing, retried=False)
             raise
         values = self._conditions.values(self._records.plays[:1], [recording])
-        self._report_mute_sensors(attempt)
+        self._report_silent_sensors(attempt)
         return values
 
     def _rest(self) -> None:
         """Mute and park; an instrument that fails at that is met again, and waited for, when it is needed."""
         failures = silence(self._setup.instruments)
         try:
-            with asking("mirror"):
+            with naming_role("mirror"):
                 self._setup.instruments.mirror.park()
         except InstrumentError as failure:
             failures.append(failure)
         for one in failures:
             self._session.fault(one, None, retried=True)
 
-    def _report_mute_sensors(self, attempt: Attempt) -> None:
+    def _report_silent_sensors(self, attempt: Attempt) -> None:
         """Publish sensors that do not answer; measuring goes on without them."""
-        for failure in self._conditions.mute.values():
+        for failure in self._conditions.silent_sensors.values():
             self._session.fault(failure, attempt, retried=True)

@@ -30,7 +30,7 @@ def periodic_signal(spectrum: Complex128Array, turn: float, first: int, samples:
 # there is still determined by what sounds around it.
 MAX_MISSING = 1.3
 # Relative residual at which the conjugate gradients end, and how many steps they may take.
-ENOUGH = 1e-5
+CG_TOLERANCE = 1e-5
 MAX_STEPS = 100
 
 
@@ -84,7 +84,7 @@ def period_spectrum(sums: Complex128Array, turn: float, samples: int) -> Complex
     left = wanted - leaked(found)
     step = left.copy()
     power = _dot(left, left)
-    goal = ENOUGH**2 * _dot(wanted, wanted)
+    goal = CG_TOLERANCE**2 * _dot(wanted, wanted)
     for _ in range(MAX_STEPS):
         if (power <= goal).all():
             break

@@ -169,8 +169,8 @@ LAG_STEP = 0.1
 # Step over which a derivative is taken, in decimated samples.
 DERIVATIVE_STEP = 0.02
 # A clock fitted to the signal's own repeats must be as sure as this; 1 ppm would cost 1 dB at -63 dB.
-SURE_PPM = 0.3
-REPEATING = 0.03
+MAX_SIGMA_PPM = 0.3
+MAX_MISFIT = 0.03
 # Fewer decimated samples than this are not enough.
 MIN_SAMPLES = 32
 
@@ -191,7 +191,7 @@ class RepeatFit:
     @property
     def is_sure(self) -> bool:
         """Whether it repeats so well that its own clock can be used."""
-        return self.sigma_ppm < SURE_PPM and self.misfit < REPEATING
+        return self.sigma_ppm < MAX_SIGMA_PPM and self.misfit < MAX_MISFIT
 
 
 def fit_repeats(decimated: Decimated, period: float, samples: int, max_ppm: float) -> RepeatFit | None:

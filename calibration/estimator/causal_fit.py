@@ -143,7 +143,7 @@ def _dominant_svd(
 
 
 # Conjugate gradients end at this residual relative to the right-hand side, in the preconditioner's norm.
-ENOUGH = 1e-7
+CG_TOLERANCE = 1e-7
 MAX_STEPS = 400
 # The penalty follows the noise (see `ToeplitzFit`), up to this: it costs strong directions 1 % at most.
 MAX_RIDGE = 1e-2
@@ -235,7 +235,7 @@ def conjugate_gradients(
     inverse: Callable[[Real], Real],
     start: Real,
     *,
-    enough: float = ENOUGH,
+    enough: float = CG_TOLERANCE,
     most_steps: int = MAX_STEPS,
 ) -> Real:
     """Solve ``(gram + ridge) x = wanted`` from `start`, preconditioned by `inverse`, to a relative residual."""

@@ -92,12 +92,12 @@ TAIL_SHARE = 0.3
 TAIL_OVER_NOISE = 3.0
 # Delays at the end of the ring belong to what comes too early, and to the window's leakage.
 RING_SHARE = 0.95
-# What every sweep leaves at one place is alike in all of them but for the noise.
-ALIKE_DB = 6.0
+# A gap common to all sweeps has the same energy in each, within this.
+REPEATED_GAP_SPREAD_DB = 6.0
 # A channel is constant when its energy in band is this small against its largest sample's.
 DEAD_SHARE = 1e-6
 # What raises a record's residual by a quarter gets a closer look: in a clean one of the default run it is 13 % at
-# most. Of very few records each does, for there is none to compare with.
+# most. With fewer than `MIN_RECORDS` records all are examined: there is no reference.
 SUSPICIOUS = 1.25
 MIN_RECORDS = 3
 # Sweeps that differ by so many times what the fit of their mean leaves differ by more than noise, whatever the other
@@ -108,7 +108,7 @@ MIN_FREE = 64.0
 # A tone below this share of the residual raises it by less than 1 dB.
 LINE_SHARE = 0.1
 # Harmonics are looked for where the response is 28 dB above what its sweeps differ by.
-LOUD = 10**2.8
+MIN_OVER_NOISE = 10**2.8
 # A tone beyond the band that is so many times all that is left in it is what leaks into it.
 LEAKS = 3.0
 # Steps of a converter are blurred by noise of more than this share of one. Rounding alone has 0.29 of one, and where
@@ -117,7 +117,7 @@ BLURS = 0.36
 # With 500 steps rounding is at -64 dB of the response.
 STEPS_MATTER_DB = -64.0
 # Residuals below -75 dB of the response are left alone.
-MATTERS = 10**-7.5
+MIN_RESIDUAL_SHARE = 10**-7.5
 FLOOR = 1e-30
 
 
@@ -221,9 +221,9 @@ class DefectFinder:
         unexplained = energy(missed) * spectra.reference_power
         power = unexplained if differing_power is None else unexplained + differing_power
         self._lines(power, whole, defects)
-        # What is cut where the response stays loud for long bends the fit and leaves nothing.
+        # Clipping during a long loud stretch is absorbed by the fit, so the third harmonic is checked by itself.
         left = unexplained if differing_power is None else differing_power
-        loud = np.flatnonzero(self._is_swept & (whole > LOUD * left.sum(axis=1, dtype=np.float64)))
+        loud = np.flatnonzero(self._is_swept & (whole > MIN_OVER_NOISE * left.sum(axis=1, dtype=np.float64)))
         defects["harmonic_db"] = np.nan
         defects["harmonic_db"][loud] = self._harmonic(spectra.response_v, spectra.levels.loudest, loud)
         look = np.flatnonzero(self._suspicious(unexplained, differing_power, whole))
@@ -262,9 +262,9 @@ class DefectFinder:
         """
         left = unexplained.sum(axis=1, dtype=np.float64)
         if differing_power is None:
-            return np.asarray(left > MATTERS * whole)
+            return np.asarray(left > MIN_RESIDUAL_SHARE * whole)
         differing = differing_power.sum(axis=1, dtype=np.float64)
-        matters = left + differing > MATTERS * whole
+        matters = left + differing > MIN_RESIDUAL_SHARE * whole
         if len(whole) < MIN_RECORDS:
             return np.asarray(matters)
         noise = differing / (self._averages - 1)
@@ -299,7 +299,7 @@ class DefectFinder:
             each = within[rows, :, place]
             strongest = together[rows, place]
             found = strongest > self._cut_limit * _median(together[:, :: 3 * self._window])
-            found &= each.min(axis=1) > 10 ** (-0.1 * ALIKE_DB) * each.max(axis=1)
+            found &= each.min(axis=1) > 10 ** (-0.1 * REPEATED_GAP_SPREAD_DB) * each.max(axis=1)
             defects["cut_db"] = np.where(found, _db(strongest * scale, whole), -np.inf)
             defects["cut_s"] = (place + 0.5 * self._window) * self._cell / self._rate_hz
             cut = found[:, None] & (np.abs(np.arange(within.shape[2]) - place[:, None]) <= 2 * self._window)

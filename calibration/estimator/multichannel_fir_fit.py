@@ -79,7 +79,7 @@ CUT = 1e-2
 WEAK = 0.1
 GARROTE = 3.0
 # Conjugate gradients end at this relative residual; they need about ten steps, a fuller record more.
-ENOUGH = 3e-5
+CG_TOLERANCE = 3e-5
 MAX_STEPS = 100
 # Random signs that measure the freedom of a fit that is only known by its solutions.
 PROBES = 4
@@ -224,7 +224,7 @@ class JointFit:
             penalty,
             lambda left: left / (1 + penalty),
             np.zeros_like(seen),
-            enough=ENOUGH,
+            enough=CG_TOLERANCE,
             most_steps=MAX_STEPS,
         )
 

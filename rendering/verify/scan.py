@@ -201,7 +201,7 @@ class _ScanRun:
     def _visit(self, visit: _Visit, worker: ThreadPoolExecutor) -> _Pending | None:
         try:
             attempt = Attempt(visit.row, visit.attempt, visit.attempt)
-            recording = self._recovery.until_done(lambda: self._record(visit), attempt)
+            recording = self._recovery.retry_after_reconnect(lambda: self._record(visit), attempt)
         except TransientInstrumentError as failure:
             self._recovery.renew_if_repeated(failure)
             self._try_again(visit, failure)

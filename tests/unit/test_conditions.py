@@ -105,10 +105,10 @@ def test_given_a_sensor_that_fails_then_its_value_is_unknown_and_the_failure_is_
     sensor = Thermometer(None)
     conditions = _conditions(sensor, room=AllowedRange("room temperature", "degrees C", leaves_below=18.0))
     assert conditions.values([], []) == {}
-    assert "silent" in str(conditions.mute["room"])
+    assert "silent" in str(conditions.silent_sensors["room"])
     sensor.value = 15.0
     values = conditions.values([], [])
-    assert conditions.mute == {}
+    assert conditions.silent_sensors == {}
     assert "below 18" in conditions.left(values)
 
 

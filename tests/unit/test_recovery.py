@@ -87,7 +87,7 @@ def test_given_an_instrument_that_comes_back_then_the_interrupted_work_is_done_a
             done.append(x_mm)
         return "measured"
 
-    assert watched.recovery.until_done(measure) == "measured"
+    assert watched.recovery.retry_after_reconnect(measure) == "measured"
     assert done == [1.0, 1.0, 2.0]
     assert watched.states == [State.RUNNING, State.RECOVERING, State.RUNNING]
     assert [one.connected for one in watched.tries] == [False, False, True]
@@ -101,7 +101,7 @@ def test_given_an_instrument_that_stays_away_then_the_last_try_is_when_the_time_
     setup = setup_of(LOST, recovery_s=recovery_s)
     watched = Watched(setup)
     with pytest.raises(InstrumentLostError, match=f"not back within .*, {len(waits)} tries") as caught:
-        watched.recovery.until_done(lambda: point_at(setup, 0.0, 0.0))
+        watched.recovery.retry_after_reconnect(lambda: point_at(setup, 0.0, 0.0))
     assert "mirror: moving to" in str(caught.value)
     assert "check its cable" in caught.value.remedy
     assert [one.next_try_s for one in watched.tries] == pytest.approx(waits)
@@ -117,7 +117,7 @@ def test_given_an_instrument_that_is_lost_again_and_again_then_it_is_not_connect
         raise lost("player")
 
     with pytest.raises(InstrumentLostError, match=f"also after {LOSSES_IN_A_ROW} fresh connections in a row"):
-        watched.recovery.until_done(measure)
+        watched.recovery.retry_after_reconnect(measure)
     assert len(watched.tries) == LOSSES_IN_A_ROW
     # Each is waited for longer than the one before, so that nothing spins.
     assert setup.instruments.clock.now_s() == pytest.approx(sum(map(back_off_s, range(LOSSES_IN_A_ROW))))
@@ -138,11 +138,11 @@ def test_given_a_failure_that_no_driver_knows_then_it_is_tried_once_more_and_fin
 
     # Cured by a fresh connection, twice in one campaign.
     for _ in range(2):
-        assert watched.recovery.until_done(lambda: measure(lambda call: call % 2 == 1)) == "measured"
+        assert watched.recovery.retry_after_reconnect(lambda: measure(lambda call: call % 2 == 1)) == "measured"
     assert [(one.role, one.connected) for one in watched.tries] == [("recorder", True)] * 2
     calls.clear()
     with pytest.raises(InstrumentLostError) as caught:
-        watched.recovery.until_done(lambda: measure(lambda call: True))
+        watched.recovery.retry_after_reconnect(lambda: measure(lambda call: True))
     assert (len(calls), len(watched.tries)) == (2, 3)
     assert caught.value.role == "recorder"
     assert "code -1" in caught.value.cause
@@ -153,7 +153,7 @@ def test_given_a_player_that_cannot_be_muted_then_its_fresh_connections_come_to_
     setup = setup_of(Fault("mirror", "move_to", "unplugged", at_call=1, tries=0), mute, recovery_s=60.0)
     watched = Watched(setup)
     with pytest.raises(InstrumentLostError, match=r"player: muting: .*not cured within"):
-        watched.recovery.until_done(lambda: point_at(setup, 0.0, 0.0))
+        watched.recovery.retry_after_reconnect(lambda: point_at(setup, 0.0, 0.0))
     assert 60.0 <= setup.instruments.clock.now_s() < 120.0
 
 
@@ -164,7 +164,7 @@ def test_given_a_loss_that_nobody_owns_then_it_is_passed_on():
         raise InstrumentLostError("somebody", "working", "it is gone", "look for it")
 
     with pytest.raises(InstrumentLostError, match="somebody"):
-        watched.recovery.until_done(measure)
+        watched.recovery.retry_after_reconnect(measure)
     assert watched.tries == []
 
 
@@ -172,7 +172,7 @@ def test_given_a_loss_that_nobody_owns_then_it_is_passed_on():
 def test_given_an_instrument_that_does_not_say_its_name_then_it_is_connected_afresh(role):
     setup = setup_of(Fault(role, "identify", "timeout", at_call=1))
     watched = Watched(setup)
-    assert len(watched.recovery.until_done(lambda: names_of(setup.instruments))) == 3
+    assert len(watched.recovery.retry_after_reconnect(lambda: names_of(setup.instruments))) == 3
     assert [(one.role, one.connected) for one in watched.tries] == [(role, True)]
 
 
@@ -181,7 +181,7 @@ def test_given_a_measurement_between_two_losses_then_the_waits_begin_anew():
     setup = setup_of(*faults)
     watched = Watched(setup)
     for _ in range(2):
-        watched.recovery.until_done(lambda: point_at(setup, 0.0, 0.0))
+        watched.recovery.retry_after_reconnect(lambda: point_at(setup, 0.0, 0.0))
     assert [one.number for one in watched.tries] == [1, 2, 1, 2]
 
 
@@ -198,7 +198,7 @@ def test_given_another_device_in_its_place_then_nobody_waits_for_it():
         raise lost()
 
     with pytest.raises(InstrumentError, match="it says it is a printer"):
-        watched.recovery.until_done(measure)
+        watched.recovery.retry_after_reconnect(measure)
     assert [(one.connected, one.next_try_s) for one in watched.tries] == [(False, None)]
 
 
@@ -211,7 +211,7 @@ def test_given_a_stop_while_an_instrument_is_waited_for_then_the_waiting_ends():
 
     watched = Watched(setup, stop_soon)
     with pytest.raises(StoppedWhileWaitingError, match="virtual mirror was gone"):
-        watched.recovery.until_done(lambda: point_at(setup, 0.0, 0.0))
+        watched.recovery.retry_after_reconnect(lambda: point_at(setup, 0.0, 0.0))
     # The next try, two seconds later, was not waited for.
     assert len(watched.tries) == 2
 
@@ -225,7 +225,7 @@ def test_given_a_signal_to_end_while_an_instrument_is_waited_for_then_it_is_hear
 
     watched = Watched(setup, end_soon)
     with stop_on_signals(watched.stop), pytest.raises(KeyboardInterrupt):
-        watched.recovery.until_done(lambda: point_at(setup, 0.0, 0.0))
+        watched.recovery.retry_after_reconnect(lambda: point_at(setup, 0.0, 0.0))
     assert len(watched.tries) == 2
 
 
@@ -234,7 +234,7 @@ def test_given_a_stop_asked_for_before_then_a_lost_instrument_is_not_waited_for(
     watched = Watched(setup)
     watched.stop.finish_position()
     with pytest.raises(StoppedWhileWaitingError):
-        watched.recovery.until_done(lambda: point_at(setup, 0.0, 0.0))
+        watched.recovery.retry_after_reconnect(lambda: point_at(setup, 0.0, 0.0))
     assert watched.tries == []
 
 

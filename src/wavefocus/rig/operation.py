@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from wavefocus.acquisition.manual import ManualMeasurements, excitation_of
-from wavefocus.acquisition.setup import Setup, asking, names_of, silence
+from wavefocus.acquisition.setup import Setup, names_of, naming_role, silence
 from wavefocus.acquisition.watch import Sensor
 from wavefocus.config.messages.codec import Message, MessageError
 from wavefocus.config.messages.operate import (
@@ -175,7 +175,7 @@ class Operation:
             case Jog():
                 self._jog(order)
             case Park():
-                with asking("mirror"):
+                with naming_role("mirror"):
                     self._setup.instruments.mirror.park()
                 self._move_spot(self._rig.mirror.park_mrad, parked=True)
             case ShowLevel():
@@ -193,7 +193,7 @@ class Operation:
                 self._publish(LevelsSwitched(self._every_s is not None))
                 self._publish(self._spot)
             case Reconnect():
-                with asking(order.instrument):
+                with naming_role(order.instrument):
                     getattr(self._setup.instruments, order.instrument).reconnect()
                 self._publish(Reconnected(order.instrument))
 
@@ -210,7 +210,7 @@ class Operation:
                 f"jog: ({x_mrad:.3f}, {y_mrad:.3f}) mrad is beyond mirror.limit_mrad, {limit_mrad:g}: not moved"
             )
         mirror = self._setup.instruments.mirror
-        with asking("mirror"):
+        with naming_role("mirror"):
             mirror.move_to(x_mrad, y_mrad)
             mirror.wait_settled(self._setup.settle_timeout_s)
         self._move_spot((x_mrad, y_mrad), parked=False)
