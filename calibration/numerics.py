@@ -6,7 +6,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 from wavefocus.calibration import Complex128Array, Float64Array, Int64Array
@@ -46,6 +45,8 @@ def fourier_sum(signal: Float64Array | Complex128Array, turn: float, first: int,
     Returns complex128 (..., bins). Source: Bluestein, "A linear filtering approach to the computation of discrete
     Fourier transform" (1970).
     """
+    import scipy.fft  # 0.2 s to load, which a render does not wait for
+
     samples = signal.shape[-1]
     index = np.arange(samples, dtype=np.float64)
     bin_index = np.arange(bins, dtype=np.float64)

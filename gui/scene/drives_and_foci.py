@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wavefocus.acquisition.wording import hours
+from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.config.scene import Output
 from wavefocus.gui.scene.calculation import DriveResult, FocusFigures, interpolate_frame
 from wavefocus.gui.surface import path_line
@@ -17,7 +18,7 @@ from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
 from wavefocus.rendering.drive.coil_limits import DriveLimits, Limiting, largest_rms, limit_drive
 from wavefocus.rendering.drive.rendering import SceneRenderer, render_with_report
 from wavefocus.rendering.field.crosstalk import PathResponses
-from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusInstant, evenly
+from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusInstant
 from wavefocus.rendering.field.metrics import focus_spot, grid_spacing_mm
 from wavefocus.rendering.greens.regularisation import focus_gains, saturation_threshold
 from wavefocus.rendering.greens.source import refusal
@@ -180,9 +181,9 @@ def _beginning(scene: Scene, bank: Bank, most: int, on_progress: OnProgress) -> 
 
 
 def _gains(scene: Scene, bank: Bank, drive: Drive) -> tuple[Float64Array, Float64Array]:
-    """Focus instants, evenly chosen, and n(x) of eq. (15) at each."""
+    """Focus instants chosen, and n(x) of eq. (15) at each."""
     order = np.argsort(drive.focus_sample, kind="stable")
-    chosen = order[evenly(len(order), MAX_GAINS)]
+    chosen = order[evenly_spread(len(order), MAX_GAINS)]
     threshold = saturation_threshold(scene.regularisation, bank)
     positions, of_focus = np.unique(drive.focus_position[chosen], return_inverse=True)
     gain = focus_gains(bank, positions.tolist(), threshold)[of_focus]
@@ -203,7 +204,7 @@ def focus_figures(
     bank, scene, drive: Of the field.
     check: Called between the figures; what it raises ends the work.
     """
-    instants = [looked[index] for index in evenly(len(looked), MAX_FIGURES)]
+    instants = [looked[index] for index in evenly_spread(len(looked), MAX_FIGURES)]
     time_s = np.array([one.sample for one in instants]) / drive.sample_rate_hz
     position_mm = np.asarray(bank.position_mm, np.float64)
     there = position_mm[rows]

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PyQt5.QtCore import QObject, pyqtSignal
 
+from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.config.loading import read_toml
 from wavefocus.config.scene import FileTable, PolylineTable, SceneConfig, SourceTable, TextTable
 from wavefocus.gui.process import Background
@@ -327,7 +328,7 @@ def _drawn(source: Source, index: int, backdrop: Backdrop, signal_s: float) -> T
 
     points = point_count(source, index)
     moves = points > 1 or (source.path.length_mm > 0 and source.speed_mm_s > 0)
-    number = np.unique(np.linspace(0, points - 1, min(points, MAX_DRAWN)).astype(np.int64))
+    number = evenly_spread(points, MAX_DRAWN)
     if isinstance(source.path, TrajectoryPath):
         instant_s, points_mm = (part[number] for part in source.path.foci(source.start_s))
         period_s, lasts_s = 0.0, source.travel_s

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.config.messages.campaign import Fault, ReconnectTried, State, StateChanged
 from wavefocus.config.messages.codec import MessageError, message_of
 from wavefocus.config.messages.rig_checks import VERIFY_MESSAGES, VerifyEnded, VerifyStarted, VerifyStep
@@ -291,7 +292,7 @@ def read_results(record_file: Path, on_progress: Callable[[int, int], object], w
             f"{folder / PREDICTION_NAME} has other positions than {record_file}; run the verification again"
         )
     focus = np.array([pair.sample_at(time_s) for time_s in record.focus_s], np.int64)
-    looked_at = focus if len(focus) else np.linspace(0, pair.samples - 1, _INSTANTS).round().astype(np.int64)
+    looked_at = focus if len(focus) else evenly_spread(pair.samples, _INSTANTS)
     loudest, difference = pair.loudest(looked_at, record.compared)
     surface = PlotSurface(
         record.position_mm, record.actuator_places_mm,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusInstant, emission_windows, focus_instants
 from wavefocus.rendering.field.metrics import focus_spot, grid_spacing_mm
@@ -41,7 +42,7 @@ def loudest_instants(drive: Drive, bank: GreenSource) -> LoudestInstants:
     windows = emission_windows(drive)
     most = max(1, MAX_RESPONSES_BYTES // (4 * samples))
     if len(windows) > most:
-        windows = tuple(windows[index] for index in np.linspace(0, len(windows) - 1, most).astype(int))
+        windows = tuple(windows[index] for index in evenly_spread(len(windows), most))
     if not windows:
         return LoudestInstants((), np.zeros(0))
     rows, place = np.unique([one.row for one in windows], return_inverse=True)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
 from wavefocus.rendering.field import metrics
 
@@ -80,11 +81,6 @@ def median_or_none(values: Float64Array) -> float | None:
     return float(np.median(finite)) if finite.size else None
 
 
-def evenly(count: int, most: int) -> Int64Array:
-    """At most so many indices of `count` items, evenly spread, the first and the last among them."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
-
-
 def emission_windows(drive: Drive) -> tuple[FocusInstant, ...]:
     """The scene's foci with their emission windows, at most 64 of them, each at its first sample."""
     end = round(drive.start_s * drive.sample_rate_hz) + drive.drive_v.shape[1]
@@ -98,7 +94,7 @@ def emission_windows(drive: Drive) -> tuple[FocusInstant, ...]:
             row = int(drive.focus_position[focus])
             last = min(max(int(following), int(first) + 1), max(end, int(first) + 1))
             windows.append(FocusInstant(int(source), row, int(first), last, int(first)))
-    return tuple(windows[index] for index in evenly(len(windows), MAX_INSTANTS))
+    return tuple(windows[index] for index in evenly_spread(len(windows), MAX_INSTANTS))
 
 
 def focus_instants(

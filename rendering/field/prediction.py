@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
 from wavefocus.rendering.device import WORKERS, Device, fast_length, host_device, in_order
 from wavefocus.rendering.field.bank_spectra import BankSpectra, Decimation
 from wavefocus.rendering.field.convolution import Convolution
-from wavefocus.rendering.field.focus_figures import FocusInstant, emission_windows, evenly
+from wavefocus.rendering.field.focus_figures import FocusInstant, emission_windows
 from wavefocus.rendering.greens.source import GreenSource, RowReader, drive_unit, refusal, usable
 from wavefocus.storage.argument_types import Positions, bank_rows, float_type
 from wavefocus.storage.drive_file import Drive
@@ -139,13 +140,13 @@ class Prediction:
         hop = samples - taps + 1
         window = np.hanning(hop + 2)[1:-1]
         blocks = []
-        for start in _spread(max(drive_v.shape[1] - hop, 0), LOOKED_AT_BLOCKS):
+        for start in evenly_spread(max(drive_v.shape[1] - hop, 0) + 1, LOOKED_AT_BLOCKS).tolist():
             block = drive_v[:, start : start + hop]
             blocks.append(np.fft.rfft(block * window[: block.shape[1]], samples, axis=1))
         above = np.fft.rfftfreq(samples, 1.0 / rate_hz) > self.passed_hz
         shares = [0.0]
         reader = RowReader(self._bank)
-        for position in self.position_index[_spread(len(self.position_index) - 1, LOOKED_AT_ROWS)].tolist():
+        for position in self.position_index[evenly_spread(len(self.position_index), LOOKED_AT_ROWS)].tolist():
             green = np.fft.rfft(reader.read(position), samples, axis=1)
             energy = sum(np.square(np.abs((green * block).sum(axis=0))) for block in blocks)
             total = float(np.sum(energy))
@@ -227,7 +228,7 @@ def predicted_focus_peak(drive: Drive, bank: GreenSource) -> float | None:
     """
     windows = emission_windows(drive)
     foci: dict[int, list[FocusInstant]] = {}
-    for index in evenly(len(windows), MAX_FOCI).tolist():
+    for index in evenly_spread(len(windows), MAX_FOCI).tolist():
         foci.setdefault(windows[index].row, []).append(windows[index])
     if not foci:
         return None
@@ -240,8 +241,3 @@ def predicted_focus_peak(drive: Drive, bank: GreenSource) -> float | None:
                 part = response[one.start_sample - begin : one.stop_sample - begin]
                 peak = max(peak, float(part.max(initial=0.0)))
     return peak if math.isfinite(peak) else None
-
-
-def _spread(last: int, count: int) -> list[int]:
-    """At most so many different numbers from 0 to `last`, evenly spread."""
-    return [int(one) for one in np.unique(np.linspace(0, last, count).astype(int))]

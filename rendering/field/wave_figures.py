@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.rendering.device import fast_length
 from wavefocus.rendering.field.metrics import band_limited
@@ -122,7 +123,7 @@ def impulse_travel(
     Raises InputError: too few pairs of a measured position and an actuator of known place are that far apart.
     """
     allowed = np.flatnonzero(usable(bank)) if rows is None else np.asarray(rows, dtype=np.int64)
-    allowed = allowed[np.unique(np.linspace(0, len(allowed) - 1, min(MAX_ROWS, len(allowed))).astype(np.int64))]
+    allowed = allowed[evenly_spread(len(allowed), MAX_ROWS)]
     actuator_mm = np.asarray(bank.actuator_mm, dtype=np.float64)
     distance, arrival, level, actuator = ([] for _ in range(4))
     time_s, reader = np.arange(bank.taps) / bank.sample_rate_hz, RowReader(bank)

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
-from wavefocus.rendering.field.focus_figures import evenly
 from wavefocus.rendering.greens.source import GreenSource
 from wavefocus.rendering.report.canvas import (
     FAINT,
@@ -159,9 +159,9 @@ class Seen:
     peak: Float64Array
 
     def some(self, most: int) -> Seen:
-        """Some of them, evenly chosen in time."""
+        """Some of them chosen in time."""
         order = np.argsort(self.sample, kind="stable")
-        chosen = order[evenly(len(order), most)]
+        chosen = order[evenly_spread(len(order), most)]
         return Seen(self.focus[chosen], self.sample[chosen], self.peak[chosen])
 
 
@@ -306,7 +306,7 @@ class _Stage:
 
 @drawn_in_style
 def snapshots(field: FieldRowReader, surface: Surface, drive: Drive) -> Picture:
-    """Draw the field at focus instants, evenly chosen among them, all on one symmetric colour scale.
+    """Draw the field at focus instants chosen among them, all on one symmetric colour scale.
 
     The instant is where the response at the focus is largest between its emission and the next one of its source.
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.acquisition.limits import DriftLimits, DriftPoint
+from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.rendering.field import metrics
-from wavefocus.rendering.field.focus_figures import evenly
 from wavefocus.rendering.greens.regularisation import focus_gain_map
 from wavefocus.rendering.number_text import number
 from wavefocus.rendering.report import figures as report_figures
@@ -106,7 +106,7 @@ def _pictures(
     fields = verification.fields
     every_row = np.arange(len(surface.position_mm))
     has_foci = len(fields.instant) > 0 and bool(np.any(fields.predicted_snapshot))
-    chosen = evenly(len(fields.instant), MAX_SNAPSHOTS)
+    chosen = evenly_spread(len(fields.instant), MAX_SNAPSHOTS)
     snr_rows, snr_db, snr_caption = _signal_to_noise(verification, bank, every_row)
     with np.errstate(divide="ignore", invalid="ignore"):
         error_db = 20.0 * np.log10(fields.position_error)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.device import fast_length
 from wavefocus.rendering.drive.accumulate import SourceStatistics
@@ -65,7 +66,7 @@ def response_tail(bank: GreenSource, rows: Sequence[int]) -> ResponseTail | None
     if not len(rows) or bank.taps < 10:
         return None
     found: ResponseTail | None = None
-    chosen = [rows[index] for index in np.unique(np.linspace(0, len(rows) - 1, min(ROWS, len(rows))).astype(np.int64))]
+    chosen = [rows[index] for index in evenly_spread(len(rows), ROWS)]
     reader = RowReader(bank)
     green = np.stack([to_single(reader.read(row)) for row in chosen])
     kinds = [green]

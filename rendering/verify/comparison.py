@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.arrays import Complex128Array, Float32Array, Float64Array, Int64Array
-from wavefocus.rendering.field.focus_figures import FocusInstant, emission_windows, evenly, focus_instants
+from wavefocus.rendering.field.focus_figures import FocusInstant, emission_windows, focus_instants
 from wavefocus.rendering.field.metrics import RealArray, level_db
 from wavefocus.rendering.verify.field_pair import MAX_DELAY_S, BandLimit
 from wavefocus.rendering.verify.scan import Scan
@@ -132,7 +133,7 @@ def compare_fields(prediction: Field, scan: Field | Scan, drive: Drive, bank: Gr
     instants = focus_instants(tuple(windows), at_foci, first_sample)
     columns = np.array([one.sample - first_sample for one in instants], np.int64)
     focused = np.unique([one.row for one in instants if one.row in rows]).astype(np.int64)
-    waveform_index = focused[evenly(len(focused), MAX_WAVEFORMS)]
+    waveform_index = focused[evenly_spread(len(focused), MAX_WAVEFORMS)]
 
     scanned_energy, predicted_energy, product, error_energy = np.zeros((4, rows.size))
     raw_error = raw_scanned = 0.0

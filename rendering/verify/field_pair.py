@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefocus.calibration.numerics import parabola_vertex
 from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float32Array, Int64Array
 from wavefocus.rendering.device import fast_length
 from wavefocus.rendering.field.metrics import RealArray, band_weights, correlation, level_db, normalised_error
@@ -62,9 +63,7 @@ class BandLimit:
         peak = int(np.argmax(near))
         if peak in (0, near.size - 1):
             return float(peak - most)
-        before, at, after = near[peak - 1 : peak + 2]
-        curvature = before - 2.0 * at + after
-        return float(peak - most + (0.5 * (before - after) / curvature if curvature < 0.0 else 0.0))
+        return float(peak - most + parabola_vertex(*near[peak - 1 : peak + 2]))
 
 
 LOUDEST_SHARE = 0.999

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.arrays import Int64Array
-from wavefocus.rendering.field.focus_figures import evenly
 from wavefocus.rendering.field.metrics import level_db
 from wavefocus.rendering.verify.field_pair import BandLimit
 from wavefocus.rendering.verify.results import Figure
@@ -33,9 +33,9 @@ def quieter(drive: Drive) -> Drive:
 def linearity_rows(drive: Drive, rows: Int64Array) -> tuple[int, ...]:
     """Bank rows of the scanned ones that the quieter scan visits: some foci, and others spread evenly."""
     foci = np.intersect1d(drive.focus_position, rows)
-    foci = foci[evenly(len(foci), MAX_POSITIONS // 2)]
+    foci = foci[evenly_spread(len(foci), MAX_POSITIONS // 2)]
     others = np.setdiff1d(rows, foci)
-    others = others[evenly(len(others), MAX_POSITIONS - len(foci))]
+    others = others[evenly_spread(len(others), MAX_POSITIONS - len(foci))]
     return tuple(np.union1d(foci, others).tolist())
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.calibration.wave_model import (
     DISK_RADIUS,
     MAX_GROWTH,
@@ -20,7 +21,6 @@ from wavefocus.calibration.wave_model import (
     fit_waves,
 )
 from wavefocus.rendering.arrays import Complex128Array, Float64Array, Int64Array
-from wavefocus.rendering.field.focus_figures import evenly
 from wavefocus.rendering.verify.superposition import Block, energy, transforms
 from wavefocus.storage.point_status import Status
 
@@ -102,7 +102,7 @@ class Surface:
         bank = self.bank
         low_hz, high_hz = bank.band_hz or (0.0, bank.sample_rate_hz / 4.0)
         frequency_hz = np.geomspace(max(low_hz, high_hz / 20.0), high_hz, WAVE_FREQUENCIES)
-        patches = [self.patch(int(self.rows[index])) for index in evenly(len(self.rows), WAVE_PATCHES)]
+        patches = [self.patch(int(self.rows[index])) for index in evenly_spread(len(self.rows), WAVE_PATCHES)]
         return fit_waves(patches, frequency_hz, self._values(frequency_hz), self.spacing_mm)
 
     @property
@@ -209,7 +209,7 @@ class MirrorFit:
 
     def __init__(self, surface: Surface, scan: Block, rows: Int64Array) -> None:
         self._surface, self._displaced, self._scan = surface, DisplacedBlock(surface, scan, rows), scan
-        chosen = evenly(len(scan.frequency_hz), FIT_FREQUENCIES)
+        chosen = evenly_spread(len(scan.frequency_hz), FIT_FREQUENCIES)
         low = chosen[scan.frequency_hz[chosen] <= np.median(scan.frequency_hz[chosen])][::2]
         self._fine, self._coarse = self._part(chosen), self._part(low)
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.arrays import Complex128Array, Float64Array, Int64Array
-from wavefocus.rendering.field.focus_figures import evenly
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.verify.results import Symptom
 from wavefocus.storage.point_status import Status
@@ -72,7 +72,7 @@ class _Neighbours:
 
     def best_step(self, members: Int64Array) -> tuple[float, tuple[int, int] | None]:
         """The step that explains the differences of some compared positions, if one does, and the share it leaves."""
-        looked_at = members[evenly(len(members), MAX_LOOKED_AT)]
+        looked_at = members[evenly_spread(len(members), MAX_LOOKED_AT)]
         own = self.squares(looked_at, self.rows[looked_at])
         best: tuple[float, tuple[int, int] | None] = (LEFT, None)
         for step in STEPS:

@@ -17,6 +17,7 @@ from wavefocus.acquisition.engine.session import Session, StopRequest
 from wavefocus.acquisition.setup import Setup, point_at, take_record
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
+from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.config.messages.campaign import State, Subscriber
 from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.drivers.protocols import Recording, RecordLabel
@@ -269,7 +270,7 @@ def _quiet_above_hz(drive: Drive, bank: GreenSource, rows: Int64Array) -> float:
     """Frequency above which the responses expected at these rows have no energy; half the rate where there are none."""
     if not rows.size:
         return drive.sample_rate_hz / 2
-    some = rows[np.unique(np.linspace(0, rows.size - 1, PREDICTED_ROWS).astype(int))]
+    some = rows[evenly_spread(rows.size, PREDICTED_ROWS)]
     expected = predict(drive, bank, some.tolist(), dtype=np.float32).field
     return quiet_above_hz(expected, drive.sample_rate_hz, bank.band_hz)
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.calibration.neighbour_judge import RowsAtFrequencies
+from wavefocus.calibration.numerics import evenly_spread, transform_at
 from wavefocus.rendering.arrays import Complex128Array, Float32Array, Float64Array, Int64Array
-from wavefocus.rendering.field.focus_figures import evenly
 from wavefocus.rendering.verify.results import Sentinel
 
 if TYPE_CHECKING:
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 LOUD = 3.0
 """Power over that of the noise from which a Green's function is more than noise."""
-MAX_GROWTH = 20.0
 """Nepers by which a vibration may be made to decay less; beyond, noise is all that is left."""
 ALLOWED = 0.01
 """Error of a sound bank, relative to the response."""
@@ -83,14 +82,14 @@ class Block:
         """The same with some of the responses, or all where they share their rows, at some of the frequencies."""
         block = self
         if frequencies is not None:
-            at = evenly(len(self.frequency_hz), frequencies)
+            at = evenly_spread(len(self.frequency_hz), frequencies)
             block = replace(
                 self, frequency_hz=self.frequency_hz[at], green=self.green[..., at], drive=self.drive[..., at],
                 response=self.response[..., at],
             )  # fmt: skip
         if len(self.rows) <= most:
             return block
-        chosen = evenly(len(self.rows), most)
+        chosen = evenly_spread(len(self.rows), most)
         drive = block.drive if len(block.drive) == 1 else block.drive[chosen]
         return replace(
             block, rows=block.rows[chosen], row_of=np.arange(len(chosen)), weight=block.weight[chosen],
@@ -112,12 +111,8 @@ Blocks = tuple[Block, ...]
 
 
 def transforms(rows: NDArray[Any], frequency_hz: Float64Array | Complex128Array, rate_hz: float) -> Complex128Array:
-    """Fourier transforms (..., K) of real rows (..., taps) at any frequencies, complex ones too."""
-    turns = np.outer(np.arange(rows.shape[-1]), frequency_hz / rate_hz)
-    growth = np.exp(np.minimum(2.0 * np.pi * turns.imag, MAX_GROWTH)) if np.iscomplexobj(turns) else 1.0
-    matrix = (growth * np.exp(-2j * np.pi * np.remainder(turns.real, 1.0))).astype(np.complex64).view(np.float32)
-    values = np.ascontiguousarray(rows, np.float32).reshape(-1, rows.shape[-1]) @ matrix
-    return np.asarray(values.view(np.complex64).reshape(*rows.shape[:-1], -1), np.complex128)
+    """Fourier transforms (..., K) of rows (..., taps) as of `transform_at`, made in single precision."""
+    return transform_at(np.asarray(rows, np.float32), frequency_hz, rate_hz).astype(np.complex128)
 
 
 def block_of(

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy.optimize
 
+from wavefocus.calibration.numerics import evenly_spread, parabola_vertex
 from wavefocus.rendering.arrays import Complex128Array, Float64Array, Int64Array
-from wavefocus.rendering.field.focus_figures import evenly
 from wavefocus.rendering.verify.actuator_errors import ActuatorErrors, joint_errors, solved
 from wavefocus.rendering.verify.distortion import driven_powers, fit_distortion, response_powers
 from wavefocus.rendering.verify.mirror_error import ALL, ROTATION, SCALE, SHIFT, MirrorError, MirrorFit, Surface
@@ -232,7 +232,7 @@ class _Search:
         rows = self.shifts.bank_rows(fields.position_index)
         usable = np.flatnonzero(rows >= 0)
         most = int(np.clip(ROWS_BYTES // (4 * bank.actuators * bank.taps), MIN_ROWS, MAX_ROWS))
-        self._chosen = usable[evenly(len(usable), most)]
+        self._chosen = usable[evenly_spread(len(usable), most)]
         self._rows: list[Int64Array] = [rows[self._chosen]]
         blocks: Blocks = (self._block(self._chosen, self._rows[0]),)
         if sentinel is not None and bank.actuators <= MAX_SENTINEL_ACTUATORS:
@@ -287,7 +287,7 @@ class _Search:
     def _mirror_causes(self, state: _State) -> Iterator[_Cause]:
         if state is not self.state or len(self._bank.position_mm) < 2 or not self._surface.usable:
             return
-        chosen = evenly(len(self._rows[0]), MIRROR_ROWS)
+        chosen = evenly_spread(len(self._rows[0]), MIRROR_ROWS)
         some, rows = state.blocks[0].some(MIRROR_ROWS), self._rows[0][chosen]
         fit = MirrorFit(self._surface, some, rows)
         plain: list[tuple[MirrorError, float]] = [fit.best(free) for free in (SHIFT, ROTATION, SCALE)]
@@ -442,10 +442,8 @@ def _delays(
         # A tone has a peak in each period: the smallest delay of those that do as well.
         good = peaks[column[peaks] >= column[peaks].max() - TIE * abs(column[peaks].max())]
         peak = int(good[np.argmin(np.abs(delays_s[good]))])
-        before, at, after = column[peak - 1 : peak + 2]
-        curvature = before - 2.0 * at + after
-        offset = 0.5 * (before - after) / curvature if curvature < 0.0 else 0.0
-        found.append((float(delays_s[peak] + offset * finest_s), float(at)))
+        offset = parabola_vertex(*column[peak - 1 : peak + 2])
+        found.append((float(delays_s[peak] + offset * finest_s), float(column[peak])))
     return found[: len(own) - (len(own) == 2)]
 
 

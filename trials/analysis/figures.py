@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.report.canvas import COLOURS, FAINT, INK, Canvas, Picture, drawn_in_style
 from wavefocus.trials.analysis.results import Psychometric
 from wavefocus.trials.analysis.shares import Share
@@ -115,5 +116,5 @@ def _curve(axes: Axes, function: Psychometric) -> None:
     axes.set_xlim(low / 1.3, high * 1.3)
     axes.set_ylim(-4, 104)
     axes.minorticks_off()
-    ticks = levels if len(levels) <= 4 else np.unique(levels[np.linspace(0, len(levels) - 1, 4).round().astype(int)])
+    ticks = levels[evenly_spread(len(levels), 4)]
     axes.set_xticks(ticks, [f"{tick:.2g}" for tick in ticks])

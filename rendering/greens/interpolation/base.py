@@ -14,6 +14,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from wavefocus.calibration.numerics import evenly_spread, on_a_line
 from wavefocus.calibration.wave_model import Patch
 from wavefocus.config.interpolations import INTERPOLATIONS
 from wavefocus.rendering.arrays import BoolArray, Float64Array, Int64Array
@@ -166,7 +167,7 @@ def scene_points(scene: Scene, most: int = POINTS_PER_SOURCE) -> Float64Array:
         length_mm, step_mm = source.path.length_mm, source.step_mm
         if length_mm > 0 and step_mm > 0 and source.emission == "per_point":
             last = int(min(length_mm / step_mm + 1e-9, 2**53))
-            along_mm = step_mm * np.unique(np.linspace(0, last, min(most, last + 1)).astype(np.int64))
+            along_mm = step_mm * evenly_spread(last + 1, most)
         else:
             along_mm = np.linspace(0.0, length_mm, most) if length_mm > 0 else np.zeros(1)
         parts.append(source.path.point_at(along_mm))
@@ -180,8 +181,6 @@ REACH_SPACINGS = 8.0
 """Positions further than this, in grid spacings, are no neighbours: the waves there say little of those here."""
 SAME_SPACINGS = 1e-3
 """Positions nearer to one another than about this, in grid spacings, count once."""
-THIN = 1e-3
-"""Positions whose extent across is this part of that along lie on a line."""
 
 
 class SparseError(InputError):
@@ -210,7 +209,7 @@ class Neighbourhoods:
             _, first = np.unique(np.rint(position_mm[rows] / (SAME_SPACINGS * spacing_mm)), axis=0, return_index=True)
             rows = rows[np.sort(first)]
             spacing_mm = PositionGrid(position_mm[rows]).spacing_mm
-        if len(rows) < MIN_NEIGHBOURS or _on_a_line(position_mm[rows]):
+        if len(rows) < MIN_NEIGHBOURS or on_a_line(position_mm[rows]):
             raise InputError(
                 f"interpolation is 'kernel', but the {len(rows)} measured positions are too few or lie on one line;"
                 f" it needs at least {MIN_NEIGHBOURS}, spread in two directions; use 'nearest'"
@@ -234,7 +233,7 @@ class Neighbourhoods:
 
     def some_rows(self, most: int) -> list[int]:
         """At most so many of the rows, evenly chosen."""
-        chosen = np.unique(np.linspace(0, len(self._rows) - 1, min(most, len(self._rows))).astype(np.int64))
+        chosen = evenly_spread(len(self._rows), most)
         return [int(row) for row in self._rows[chosen]]
 
     def patch(self, row: int) -> Patch:
@@ -258,7 +257,7 @@ class Neighbourhoods:
         ring = np.rint(distance[near] / (SAME_SPACINGS * self.spacing_mm))
         chosen = np.lexsort((np.round(np.arctan2(fine[:, 1], fine[:, 0]), 6), ring))[: NEIGHBOURS + 1]
         offset_mm = offset_mm[chosen]
-        if len(chosen) <= MIN_NEIGHBOURS or _on_a_line(offset_mm):
+        if len(chosen) <= MIN_NEIGHBOURS or on_a_line(offset_mm):
             reach_mm = REACH_SPACINGS * self.spacing_mm
             raise SparseError(
                 f"position {row} at ({centre_mm[0]:.6g}, {centre_mm[1]:.6g}) mm has {len(chosen) - 1} measured"
@@ -268,8 +267,3 @@ class Neighbourhoods:
         # Shape to a tenth of what counts as the same place: rounding in a file must not make each patch unique.
         key = np.rint(offset_mm / (0.1 * SAME_SPACINGS * self.spacing_mm)).astype(np.int64).tobytes()
         return Patch(self._rows[index[chosen]], offset_mm, key)
-
-
-def _on_a_line(points_mm: Float64Array) -> bool:
-    extent = np.linalg.svd(points_mm - points_mm.mean(axis=0), compute_uv=False)
-    return bool(len(extent) < 2 or extent[1] <= THIN * extent[0])

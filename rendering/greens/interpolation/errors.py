@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.arrays import BoolArray, Float64Array
 from wavefocus.rendering.greens.interpolation.base import GridInterpolation, Interpolation, OffGridError, scene_points
 from wavefocus.rendering.greens.interpolation.error_estimates import ErrorBands, expected_errors
@@ -93,7 +94,7 @@ def _errors(
     scene: Scene, bank: GreenSource, kind: Interpolation, signals: Sequence[Float64Array], *, thorough: bool
 ) -> InterpolationErrors | None:
     points_mm = scene_points(scene)
-    points_mm = points_mm[np.unique(np.linspace(0, len(points_mm) - 1, MAX_POINTS).astype(np.int64))]
+    points_mm = points_mm[evenly_spread(len(points_mm), MAX_POINTS)]
     name = scene.output.interpolation
     if isinstance(kind, GridInterpolation) and not _between(kind, points_mm):
         return None
@@ -194,7 +195,7 @@ class _Emitted:
             # Cut from a longer signal, blocks fade in and out: else their edges pass for high frequencies.
             short = len(signal) <= SIGNAL_BLOCK
             last = max(len(signal) - SIGNAL_BLOCK, 0)
-            for begin in np.unique(np.linspace(0, last, SIGNAL_BLOCKS).astype(np.int64)).tolist():
+            for begin in evenly_spread(last + 1, SIGNAL_BLOCKS).tolist():
                 part = signal[begin : begin + SIGNAL_BLOCK]
                 peak = float(max(part.max(), -part.min()))
                 if peak > 0:

@@ -14,6 +14,7 @@ from scipy import fft as scipy_fft
 from scipy.spatial import cKDTree
 
 from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.calibration.wave_model import Patch, PatchKernel, WaveModel, fit_waves
 from wavefocus.rendering.arrays import Complex128Array, Float64Array, Int64Array
 from wavefocus.rendering.greens.interpolation.base import (
@@ -415,7 +416,7 @@ class KernelInterpolation(Interpolation):
         shapes = Counter(patch.key for patch in patches).most_common(FIT_SHAPES)
         common = {shape for shape, _ in (shapes[:1] if COMMON * shapes[0][1] >= len(patches) else shapes)}
         patches = [patch for patch in patches if patch.key in common]
-        chosen = np.unique(np.linspace(0, len(patches) - 1, FIT_PATCHES).astype(np.int64))
+        chosen = evenly_spread(len(patches), FIT_PATCHES)
         return [patches[index] for index in chosen]
 
 
