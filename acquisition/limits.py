@@ -9,6 +9,7 @@ from datetime import datetime
 import numpy as np
 
 from wavefocus.calibration import Float32Array
+from wavefocus.calibration.numerics import parabola_vertex
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,8 +154,6 @@ def compare_sentinel(
 
     Returns figures pooled over the clear responses, so that the strong ones, which carry the information, decide.
     """
-    from wavefocus.calibration.numerics import parabola_vertex  # with it comes SciPy
-
     first, second = then.astype(np.float64), now.astype(np.float64)
     snr_db = [
         np.full(len(first), np.inf) if one is None else np.nan_to_num(one.astype(np.float64), nan=np.inf)
