@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from pydantic import Field, model_validator
 
@@ -36,15 +36,19 @@ class PointTable(Table):
     """A source that stands still."""
 
     kind: Literal["point"] = "point"
-    at_mm: PointMm = Field(title="At", description="Position on the surface, x to the right and y up from its centre")
+    at_mm: PointMm = Field(
+        title="At",
+        description="Position on the surface, x to the right and y up from its centre",
+        examples=[(0.0, 0.0)],
+    )
 
 
 class LineTable(Table):
     """A straight line."""
 
     kind: Literal["line"] = "line"
-    start_mm: PointMm = Field(title="Start", description="Start of the line")
-    end_mm: PointMm = Field(title="End", description="End of the line")
+    start_mm: PointMm = Field(title="Start", description="Start of the line", examples=[(-30.0, 0.0)])
+    end_mm: PointMm = Field(title="End", description="End of the line", examples=[(30.0, 0.0)])
 
 
 class CircleTable(Table):
@@ -52,7 +56,7 @@ class CircleTable(Table):
 
     kind: Literal["circle"] = "circle"
     centre_mm: PointMm = Field(default=(0.0, 0.0), title="Centre", description="Centre of the circle")
-    radius_mm: NonNegative = Field(title="Radius", description="Radius of the circle")
+    radius_mm: NonNegative = Field(title="Radius", description="Radius of the circle", examples=[20.0])
     turns: Finite = Field(default=1.0, title="Turns", description="Number of turns; negative: clockwise")
     start_deg: Finite = Field(
         default=0.0, title="Start angle", description="Direction of the start from the centre, anticlockwise from x"
@@ -64,7 +68,11 @@ class PolylineTable(Table):
 
     kind: Literal["polyline"] = "polyline"
     points_mm: tuple[PointMm, ...] = Field(
-        title="Vertices", description="Corners in order", min_length=1, max_length=1_000_000
+        title="Vertices",
+        description="Corners in order",
+        min_length=1,
+        max_length=1_000_000,
+        examples=[((-20.0, -10.0), (0.0, 20.0), (20.0, -10.0))],
     )
     closed: Switch = Field(
         default=False, title="Closed", description="Whether a last line leads back to the first vertex"
@@ -75,7 +83,7 @@ class SvgTable(Table):
     """A path of an SVG file."""
 
     kind: Literal["svg"] = "svg"
-    file: Text = Field(title="File", description="SVG file, relative to the scene file")
+    file: Text = Field(title="File", description="SVG file, relative to the scene file", examples=[""])
     path_id: str = Field(default="", title="Path", description="Id of the path in the drawing; empty: the first one")
     scale: Positive = Field(default=1.0, title="Scale", description="Millimetres per unit of the drawing")
     origin_mm: PointMm = Field(
@@ -87,8 +95,10 @@ class TextTable(Table):
     """The strokes of a text."""
 
     kind: Literal["text"] = "text"
-    string: Text = Field(title="Text", description="Letters and signs of DejaVu Sans")
-    height_mm: Positive = Field(title="Height", description="Height of the drawn letters, from lowest to highest point")
+    string: Text = Field(title="Text", description="Letters and signs of DejaVu Sans", examples=["text"])
+    height_mm: Positive = Field(
+        title="Height", description="Height of the drawn letters, from lowest to highest point", examples=[20.0]
+    )
     centre_mm: PointMm = Field(default=(0.0, 0.0), title="Centre", description="Centre of the text")
 
 
@@ -100,6 +110,7 @@ class TrajectoryTable(Table):
         title="File",
         description="CSV file with the header time_s,x_mm,y_mm or time_s,x_mm,y_mm,amplitude, relative to the scene"
         " file; times count from start_s",
+        examples=[""],
     )
 
 
@@ -114,9 +125,9 @@ class SineTable(Table):
 
     kind: Literal["sine"] = "sine"
     frequency_hz: Positive = Field(
-        title="Frequency", description="Frequency of the sine, below half the bank's sample rate"
+        title="Frequency", description="Frequency of the sine, below half the bank's sample rate", examples=[200.0]
     )
-    duration_s: Positive = Field(title="Duration", description="Duration of the sine")
+    duration_s: Positive = Field(title="Duration", description="Duration of the sine", examples=[0.1])
 
 
 class NoiseTable(Table):
@@ -124,11 +135,18 @@ class NoiseTable(Table):
 
     kind: Literal["noise"] = "noise"
     band_hz: tuple[NonNegative, Positive] = Field(
-        title="Band", description="Lower and upper edge of the band, up to half the bank's sample rate"
+        title="Band",
+        description="Lower and upper edge of the band, up to half the bank's sample rate",
+        examples=[(50.0, 450.0)],
     )
-    duration_s: Positive = Field(title="Duration", description="Duration of the noise")
+    duration_s: Positive = Field(title="Duration", description="Duration of the noise", examples=[0.015])
     seed: Whole = Field(
-        default=0, title="Seed", description="The same seed gives the same noise on every computer", ge=0, le=2**63 - 1
+        default=0,
+        title="Seed",
+        description="The same seed gives the same noise on every computer",
+        ge=0,
+        le=2**63 - 1,
+        examples=[1],
     )
 
     @model_validator(mode="after")
@@ -142,16 +160,22 @@ class FileTable(Table):
     """A sound file, resampled and scaled to peak 1."""
 
     kind: Literal["file"] = "file"
-    path: Text = Field(title="File", description="Sound file, relative to the scene file")
+    path: Text = Field(title="File", description="Sound file, relative to the scene file", examples=[""])
 
 
+# `examples` of a field are what the window begins a new path or signal with.
 PathTable = Annotated[
-    PointTable | LineTable | CircleTable | PolylineTable | SvgTable | TextTable | TrajectoryTable,
+    PointTable | LineTable | CircleTable | PolylineTable | TextTable | SvgTable | TrajectoryTable,
     Field(discriminator="kind"),
 ]
 WITHOUT_SPEED = ("point", "trajectory")
 """Kinds of paths that need neither a speed nor a step."""
 SignalTable = Annotated[ImpulseTable | SineTable | NoiseTable | FileTable, Field(discriminator="kind")]
+
+
+def tables_by_kind(union: Any) -> dict[str, Any]:
+    """The tables of `PathTable` or `SignalTable` by their kind."""
+    return {table.model_fields["kind"].default: table for table in get_args(get_args(union)[0])}
 
 
 class SourceTable(Table):

@@ -4,28 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from wavefocus.config.fields import Table, toml_table
 from wavefocus.config.loading import parse_toml, validated
 from wavefocus.config.scene import (
-    CircleTable,
     FileTable,
-    ImpulseTable,
-    LineTable,
-    NoiseTable,
     Output,
     PathTable,
-    PointTable,
-    PolylineTable,
     SceneConfig,
     SignalTable,
-    SineTable,
     SourceTable,
     SvgTable,
-    TextTable,
     TrajectoryTable,
     regularisation_toml,
+    tables_by_kind,
 )
 from wavefocus.storage.errors import InputError
 
@@ -36,28 +29,17 @@ if TYPE_CHECKING:
 PointMm = tuple[float, float]
 AnyTable = TypeVar("AnyTable", bound=Table)
 
+
+def _new(table: Any) -> Any:
+    """A table with the examples of its fields; nothing about them is checked, as a file's name is still to be chosen."""
+    return table.model_construct(
+        **{key: field.examples[0] for key, field in table.model_fields.items() if field.examples}
+    )
+
+
 #: What a new path or signal is until it is edited, by kind.
-NEW_PATHS: dict[str, PathTable] = {
-    path.kind: path
-    for path in (
-        PointTable(at_mm=(0.0, 0.0)),
-        LineTable(start_mm=(-30.0, 0.0), end_mm=(30.0, 0.0)),
-        CircleTable(radius_mm=20.0),
-        PolylineTable(points_mm=((-20.0, -10.0), (0.0, 20.0), (20.0, -10.0))),
-        TextTable(string="text", height_mm=20.0),
-        SvgTable.model_construct(file=""),
-        TrajectoryTable.model_construct(file=""),
-    )
-}
-NEW_SIGNALS: dict[str, SignalTable] = {
-    signal.kind: signal
-    for signal in (
-        ImpulseTable(),
-        SineTable(frequency_hz=200.0, duration_s=0.1),
-        NoiseTable(band_hz=(50.0, 450.0), duration_s=0.015, seed=1),
-        FileTable.model_construct(path=""),
-    )
-}
+NEW_PATHS: dict[str, PathTable] = {kind: _new(table) for kind, table in tables_by_kind(PathTable).items()}
+NEW_SIGNALS: dict[str, SignalTable] = {kind: _new(table) for kind, table in tables_by_kind(SignalTable).items()}
 _SPEED_MM_S, _STEP_MM = 80.0, 4.0
 NEW_AMPLITUDE = 0.01
 """Amplitude of a new source, in the bank's response unit: 10 mm/s is felt, and a rig of this kind can play it."""

@@ -11,13 +11,11 @@ from PyQt5.QtWidgets import QFormLayout, QHeaderView, QSizePolicy, QTableWidget,
 
 from wavefocus.config.scene import (
     FileTable,
-    NoiseTable,
     Output,
     PointTable,
     PolylineTable,
     Regularisation,
     SceneTable,
-    SineTable,
     SourceTable,
     SvgTable,
     TrajectoryTable,
@@ -146,8 +144,9 @@ class SourceForm(QWidget):
         if source is None or source.signal.kind == kind:
             return
         signal, former = NEW_SIGNALS[kind], source.signal
-        if isinstance(signal, SineTable | NoiseTable) and isinstance(former, SineTable | NoiseTable):
-            signal = changed(signal, duration_s=former.duration_s)
+        lasts_s = getattr(former, "duration_s", None)
+        if lasts_s is not None and hasattr(signal, "duration_s"):
+            signal = changed(signal, duration_s=lasts_s)
         self._document.edit_source("edit", signal=signal)
         if kind == "file":
             self.sound.open_dialog()

@@ -14,19 +14,17 @@ from wavefocus.config.fields import toml_table
 from wavefocus.config.loading import printable
 from wavefocus.config.scene import (
     FileTable,
-    ImpulseTable,
-    NoiseTable,
     Output,
     Regularisation,
     SceneTable,
     SignalTable,
-    SineTable,
     SourceTable,
     TrajectoryTable,
     regularisation_toml,
+    tables_by_kind,
 )
 from wavefocus.rendering.live.engine import RecordedLife
-from wavefocus.rendering.scene.signals import Impulse, Noise, Signal, Sine
+from wavefocus.rendering.scene.signals import SIGNALS, Signal
 from wavefocus.rendering.scene.trajectory import Trajectory
 from wavefocus.storage import durable
 from wavefocus.storage.durable import Closing
@@ -141,14 +139,12 @@ class SessionRecording(Closing):
 
     def _signal(self, life: RecordedLife) -> tuple[SignalTable, float]:
         """The table of a signal, and the amplitude that goes with it."""
-        match signal := life.signal:
-            case Impulse():
-                return ImpulseTable(), 1.0
-            case Sine():
-                return SineTable(frequency_hz=signal.frequency_hz, duration_s=signal.duration_s), 1.0
-            case Noise():
-                return NoiseTable(band_hz=signal.band_hz, duration_s=signal.duration_s, seed=signal.seed), 1.0
-        return self._sound(signal, self._folder / f"signal-{life.number}.wav")
+        signal = life.signal
+        kind = next((kind for kind, made in SIGNALS.items() if made is type(signal)), "file")
+        if kind == "file":
+            return self._sound(signal, self._folder / f"signal-{life.number}.wav")
+        keys = {key: getattr(signal, key) for key in tables_by_kind(SignalTable)[kind].model_fields if key != "kind"}
+        return tables_by_kind(SignalTable)[kind](**keys), 1.0
 
     def _sound(self, signal: Signal, file: Path) -> tuple[SignalTable, float]:
         import soundfile  # loaded where a sound was used

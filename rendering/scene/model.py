@@ -181,13 +181,7 @@ PATHS: Mapping[str, Callable[..., paths.Path]] = {
     "text": paths.TextPath,
     "trajectory": read_trajectory,
 }
-SIGNALS: Mapping[str, Callable[..., Signal]] = {
-    "impulse": signals.Impulse,
-    "sine": signals.Sine,
-    "noise": signals.Noise,
-    "file": signals.SoundFile,
-}
-"""Classes by the kind of a table, whose keys are their parameters."""
+"""Paths by the kind of a table, whose keys are their parameters; `signals.SIGNALS` has the signals."""
 
 
 def build_path(table: PathTable, file: Path, key: str, *, allow_large: bool = False) -> paths.Path:
@@ -198,7 +192,7 @@ def build_path(table: PathTable, file: Path, key: str, *, allow_large: bool = Fa
 
 def build_signal(table: SignalTable, file: Path, key: str) -> Signal:
     """Make the signal of a table named `key` in `file`. Raises InputError: a file that it names is missing."""
-    return SIGNALS[table.kind](**_parameters(table, file, key))
+    return signals.SIGNALS[table.kind](**_parameters(table, file, key))
 
 
 def _parameters(table: PathTable | SignalTable, scene_file: Path, key: str) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
@@ -165,13 +165,17 @@ class SoundFile:
             raise InputError(f"{self.path} cannot be read as a sound file: {error}") from error
 
 
+SIGNALS: Mapping[str, Callable[..., Signal]] = {"impulse": Impulse, "sine": Sine, "noise": Noise, "file": SoundFile}
+"""Signals by the kind of a table of `wavefocus.config.scene`, whose keys are their parameters."""
+
+
 def signal_size(signal: Signal, sample_rate_hz: float) -> tuple[float, float]:
     """Samples of a signal at a rate, and the most that are held while it is made; found without making it.
 
     Raises InputError: a sound file cannot be read.
     """
-    if isinstance(signal, Sine | Noise):
-        samples = signal.duration_s * sample_rate_hz
+    if (duration_s := getattr(signal, "duration_s", None)) is not None:
+        samples = duration_s * sample_rate_hz
         return samples, samples
     if isinstance(signal, SoundFile):
         frames, rate_hz = signal.declared()
