@@ -31,7 +31,7 @@ AnyTable = TypeVar("AnyTable", bound=Table)
 
 
 def _new(table: Any) -> Any:
-    """A table with the examples of its fields; nothing about them is checked, as a file's name is still to be chosen."""
+    """A table with the examples of its fields; they are not checked, for a file's name is still to be chosen."""
     return table.model_construct(
         **{key: field.examples[0] for key, field in table.model_fields.items() if field.examples}
     )
