@@ -11,8 +11,9 @@ from tests.unit.plate_banks import SPACING_MM, SQUARE_MM, errors_at, plate_bank,
 from wavefocus.calibration.wave_model import DISK_RADIUS, PatchKernel, WaveModel, disk_kernel
 from wavefocus.mocks.plates.soft import SOFT_PLATE
 from wavefocus.rendering.greens.interpolation.base import Neighbourhoods, OffGridError
-from wavefocus.rendering.greens.interpolation.error_estimates import RowValues, left_out_errors
+from wavefocus.rendering.greens.interpolation.error_estimates import left_out_errors
 from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation, PathNodes, node_spacing_mm
+from wavefocus.rendering.greens.interpolation.row_values import RowValues
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.scene.paths import Circle, Line, Polyline, Strokes
 from wavefocus.storage.errors import InputError

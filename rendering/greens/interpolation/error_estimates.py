@@ -3,37 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wavefocus.calibration.numerics import transform_at
 from wavefocus.calibration.wave_model import PatchKernel
 from wavefocus.rendering.arrays import Complex128Array, Float64Array, Int64Array
 from wavefocus.rendering.greens.interpolation.base import GridInterpolation, Nodes
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
+from wavefocus.rendering.greens.interpolation.row_values import RowValues
 from wavefocus.rendering.greens.source import GreenSource, RowReader, usable
-from wavefocus.storage.errors import InputError
 
 if TYPE_CHECKING:
     from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
-
-
-def transform_at(
-    values: NDArray[np.floating], frequency_hz: Float64Array, rate_hz: float
-) -> NDArray[np.complexfloating]:
-    """Transform FIRs (..., taps) at frequencies (n,); complex (..., n) of the precision of `values`."""
-    both = values @ _cos_sin(values.shape[-1], tuple((frequency_hz / rate_hz).tolist()), values.dtype.char)
-    count = len(frequency_hz)
-    return np.asarray(both[..., :count] + 1j * both[..., count:])
-
-
-@lru_cache(maxsize=8)
-def _cos_sin(taps: int, turns_per_sample: tuple[float, ...], dtype: str) -> NDArray[np.floating]:
-    """Real and imaginary parts of the transform, (taps, 2 * frequencies): real products are twice as fast."""
-    phase = -2.0 * np.pi * np.remainder(np.outer(np.arange(taps), np.array(turns_per_sample)), 1.0)
-    return np.concatenate([np.cos(phase), np.sin(phase)], axis=1).astype(dtype)
 
 
 PAIRS = 4
@@ -162,39 +145,6 @@ class ErrorBands:
     worst: Float64Array
     power: Float64Array
     kernel: Float64Array
-
-
-class RowValues:
-    """Fourier transforms of a bank's rows at frequencies (n,), each row read once.
-
-    Values are the bank's over one power of two, the same for all rows, so that a bank in any unit fits.
-    """
-
-    def __init__(self, bank: GreenSource, frequency_hz: Float64Array) -> None:
-        self._bank = bank
-        self.frequency_hz = frequency_hz
-        self._cached: dict[int, Complex128Array] = {}
-        self._reader = RowReader(bank)
-
-    def of(self, rows: Int64Array) -> Complex128Array:
-        """Values of rows, (frequencies, rows, actuators).
-
-        Raises InputError where a row is all zeros, or holds NaN or infinity.
-        """
-        for row in rows.tolist():
-            if row not in self._cached:
-                self._cached[row] = self._read(row)
-        return np.stack([self._cached[row] for row in rows.tolist()], axis=1)
-
-    def _read(self, row: int) -> Complex128Array:
-        green = self._reader.read(row)
-        if not green.any():
-            x, y = np.asarray(self._bank.position_mm)[row]
-            raise InputError(
-                f"position {row} at ({x:.6g}, {y:.6g}) mm is all zeros, so not measured, but interpolation"
-                " needs it; remeasure or disable the position"
-            )
-        return np.ascontiguousarray(transform_at(green, self.frequency_hz, self._bank.sample_rate_hz).T)
 
 
 UNRESOLVED = 0.3

@@ -11,7 +11,7 @@ from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.arrays import BoolArray, Float64Array
 from wavefocus.rendering.greens.interpolation.base import GridInterpolation, Interpolation, OffGridError, scene_points
-from wavefocus.rendering.greens.interpolation.error_estimates import ErrorBands, expected_errors
+from wavefocus.rendering.greens.interpolation.error_estimates import ErrorBands, expected_errors, left_out_errors
 from wavefocus.rendering.greens.source import GreenSource
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.storage.errors import InputError
@@ -155,8 +155,8 @@ def _thorough(
 ) -> ErrorBands | None:
     if not thorough and isinstance(kind, GridInterpolation):
         return None
-    from wavefocus.rendering.greens.interpolation.error_estimates import RowValues, left_out_errors
     from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
+    from wavefocus.rendering.greens.interpolation.row_values import RowValues
 
     kernel, nodes = kind, None
     if not isinstance(kernel, KernelInterpolation):

@@ -28,8 +28,8 @@ from wavefocus.rendering.greens.interpolation.base import (
     near,
     show_mm,
 )
-from wavefocus.rendering.greens.interpolation.error_estimates import RowValues
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
+from wavefocus.rendering.greens.interpolation.row_values import RowValues
 from wavefocus.rendering.greens.source import DOUBTFUL_BITS, GreenSource, RowReader, apply_exponent, usable
 from wavefocus.rendering.scene.paths import Circle, Path
 from wavefocus.storage.point_status import Status
