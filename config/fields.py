@@ -30,7 +30,8 @@ class PlanMark:
     meaning: str
 
 
-FREE = PlanMark("may change in a campaign, or is hashed in another form")
+FREE = PlanMark("may change in a campaign")
+DERIVED = PlanMark("hashed in another form, as the positions that follow from a grid")
 ALWAYS = PlanMark("hashed at its default too, as the first banks were")
 """A key without a mark is hashed where it is not at its default, so that a new key changes no older bank's hash."""
 
@@ -41,11 +42,11 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     def plan_values(self) -> dict[str, Any]:
-        """Keys that a resume must not change, as JSON has them: all that are not marked `FREE`."""
+        """Keys that a resume must not change, as JSON has them: all that are not marked `FREE` or `DERIVED`."""
         values, plain, unused = {}, self.model_dump(), self._unused_in_plan()
         for key, field in type(self).model_fields.items():
             mark, value, default = plan_mark(field), getattr(self, key), self._plan_default(key)
-            if mark is FREE or key in unused:
+            if mark in (FREE, DERIVED) or key in unused:
                 continue
             if isinstance(value, Table):
                 if (nested := value.plan_values()) or default is None:

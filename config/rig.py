@@ -10,7 +10,19 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from wavefocus.config.calibration import CalibrationRecord, with_calibration
-from wavefocus.config.fields import ALWAYS, FREE, Finite, NonNegative, PointMm, Positive, Table, Text, Whole, mistake
+from wavefocus.config.fields import (
+    ALWAYS,
+    DERIVED,
+    FREE,
+    Finite,
+    NonNegative,
+    PointMm,
+    Positive,
+    Table,
+    Text,
+    Whole,
+    mistake,
+)
 from wavefocus.config.outline import Kind, Outline
 from wavefocus.config.plate import PlateKeys
 from wavefocus.config.rig_instruments import (
@@ -355,7 +367,7 @@ class Surface(Table):
 class Actuators(Table):
     """Where the actuators touch the plate; their order is the bank's."""
 
-    position_mm: Annotated[tuple[PointMm, ...], Field(min_length=1, max_length=1024), FREE] = Field(
+    position_mm: Annotated[tuple[PointMm, ...], Field(min_length=1, max_length=1024), DERIVED] = Field(
         description="[x, y] of each actuator, on the surface; their order is the bank's"
     )
 

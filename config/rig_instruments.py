@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from wavefocus.config.drivers import DriverTable, with_drivers
-from wavefocus.config.fields import ALWAYS, FREE, Finite, NonNegative, Positive, Text, Whole, like, mistake
+from wavefocus.config.fields import ALWAYS, DERIVED, FREE, Finite, NonNegative, Positive, Text, Whole, like, mistake
 from wavefocus.drivers.daq.nidaqmx import ANALOG_INPUT
 from wavefocus.drivers.registry import MIRRORS, PLAYERS, RECORDERS, VIBROMETERS
 
@@ -39,11 +39,11 @@ class MirrorSection(DriverTable):
     identity: Annotated[Text | None, FREE] = Field(
         default=None, description="Text that the device's own identification must contain"
     )
-    distance_mm: Annotated[Positive, FREE] = Field(
+    distance_mm: Annotated[Positive, DERIVED] = Field(
         default=DEFAULT_DISTANCE_MM,
         description="Distance from the mirror to the surface's centre, the beam square to it",
     )
-    map: Annotated[Matrix | None, FREE] = Field(
+    map: Annotated[Matrix | None, DERIVED] = Field(
         default=None, description="In place of distance_mm: H of (tan x, tan y, 1) ~ H (x_mm, y_mm, 1)"
     )
     settle_s: Annotated[NonNegative, FREE] = Field(default=0.005, description="Time that the beam swings after a move")

@@ -10,6 +10,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from wavefocus.config.fields import (
     ALWAYS,
+    DERIVED,
     FREE,
     Finite,
     NonNegative,
@@ -37,15 +38,15 @@ MIN_SWEEP_S = 0.05
 class Grid(Table):
     """Where to measure: a grid inside the surface, or a list of positions in its place."""
 
-    lattice: Annotated[Literal["square", "hexagonal"], FREE] = Field(
+    lattice: Annotated[Literal["square", "hexagonal"], DERIVED] = Field(
         default="square",
         description='Arrangement of the positions; hexagonal needs fewer, and interpolation "nearest" or "kernel"',
     )
-    spacing_mm: Annotated[Positive, FREE] = Field(default=4.0, description="Distance of neighbouring positions")
-    margin_mm: Annotated[NonNegative, FREE] = Field(
+    spacing_mm: Annotated[Positive, DERIVED] = Field(default=4.0, description="Distance of neighbouring positions")
+    margin_mm: Annotated[NonNegative, DERIVED] = Field(
         default=14.3, description="Distance kept from the outline, less than half the surface's width"
     )
-    positions_file: Annotated[Text | None, FREE] = Field(
+    positions_file: Annotated[Text | None, DERIVED] = Field(
         default=None, description="CSV file with the header x_mm,y_mm, in place of a lattice"
     )
 

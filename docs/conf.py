@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+import sys
 from collections.abc import Iterator
 from importlib.metadata import version as version_of
 from pathlib import Path
@@ -12,6 +13,9 @@ from pygments.lexers.special import TextLexer
 from sphinx.application import Sphinx
 from sphinx.highlighting import lexers
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from tools import key_tables, python_reference
 from wavefocus.cli import COMMANDS, Argument, Command
 
 project = "wavefocus"
@@ -39,13 +43,17 @@ def setup(app: Sphinx) -> None:
 
 
 def complete(app: Sphinx, page: str, text: list[str]) -> None:
-    """Add to three pages what stands in the program or in the folder already."""
+    """Add to the pages what stands in the program or in the folder already."""
     if page == "README":
         text[0] += "".join(navigation(text[0]))
     elif page == "decisions/README":
         text[0] += "\n```{toctree}\n:glob:\n\n0*\n```\n"
     elif page == "reference/commands":
         text[0] += "".join(map(section, COMMANDS))
+    elif page == "reference/python":
+        text[0] += python_reference.entries()
+    else:
+        text[0] = key_tables.with_tables(text[0])
 
 
 def navigation(index: str) -> Iterator[str]:

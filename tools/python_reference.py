@@ -1,46 +1,15 @@
-"""Writes docs/reference/python.md from the signatures and docstrings of the public names.
-
-    python -m tools.python_reference
-
-A test fails when the page is not what this writes.
-"""
+"""Reference of the public names from their signatures and docstrings; docs/conf.py puts it into reference/python.md."""
 
 from __future__ import annotations
 
 import inspect
 import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import wavefocus
 
-PAGE = Path(__file__).parents[1] / "docs" / "reference" / "python.md"
-HEAD = """# Python
-
-`import wavefocus as wf` gives the functions below, and the classes of what they take and return. Where a function takes
-a bank, a scene, a drive or a field, it takes an open one or the path of its file. Wrong input raises `wf.InputError`
-with one sentence that names what is wrong and what is allowed. Names are loaded when they are used first, and all are
-typed. [Four notebooks](../notebooks/README.md) use them.
-
-```python
-import wavefocus as wf
-
-bank = wf.open_bank("plate.h5")
-drive = wf.render("scene.toml", bank)
-field = wf.predict(drive, bank, [3, 4])
-```
-
-`bank.to_xarray()`, `drive.to_xarray()` and `field.to_xarray()` give an `xarray.Dataset` with the names, dimensions and
-units of the file (`pip install 'wavefocus[exchange]'`); a bank's rows are read when they are used:
-
-```python
-green = bank.to_xarray()["green"].sel(actuator=0, time_s=slice(0, 0.02))
-```
-
-<!-- Written by tools/python_reference.py from the docstrings: change those. -->
-"""
 FUNCTIONS = {
     "Banks": ("open_bank", "virtual_rig", "import_bank", "export_bank", "add_note"),
     "Scenes, drives and fields": ("load_scene", "render", "predict", "focus_figures"),
@@ -72,9 +41,9 @@ CALLED = {"GreenArray", "Drive", "Field", *CLASSES["Scenes"]}
 WIDTH = 88
 
 
-def page() -> str:
-    """The page's text."""
-    parts = [HEAD]
+def entries() -> str:
+    """All functions and classes, as Markdown."""
+    parts = [""]
     for title, names in FUNCTIONS.items():
         parts.append(f"## {title}\n")
         parts += [function_entry(name) for name in names]
@@ -178,8 +147,3 @@ def listed(text: str) -> str:
 def paragraph(text: str) -> str:
     """Lines joined to one."""
     return " ".join(text.split())
-
-
-if __name__ == "__main__":
-    PAGE.write_text(page(), encoding="utf-8", newline="\n")
-    print(PAGE)

@@ -1,0 +1,97 @@
+"""Tables of the keys of configuration files, as Markdown; docs/conf.py puts them into the reference pages.
+
+A line ``<!-- keys: rig mirror -->`` of a page stands for the table of the rig file's [mirror].
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import MISSING, fields
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
+
+from wavefocus.config.drivers import DriverTable
+from wavefocus.config.fields import FREE, explanation, fields_of, plan_mark
+from wavefocus.config.rig import RigConfig
+from wavefocus.config.run import RunConfig
+from wavefocus.config.scene import SceneConfig
+from wavefocus.config.trials import TrialsConfig
+
+FILES: dict[str, type[BaseModel]] = {"rig": RigConfig, "run": RunConfig, "scene": SceneConfig, "trials": TrialsConfig}
+PLACE = re.compile(r"^<!-- keys: (\w+) ?([\w.]*) -->$", re.MULTILINE)
+
+
+def with_tables(page: str) -> str:
+    """A page with its tables of keys."""
+    return PLACE.sub(lambda place: table(place[1], place[2]), page)
+
+
+def table(file: str, heading: str = "") -> str:
+    """The keys of a table of a file; ``rig``, ``watch.room``. Those that a plan's hash includes are marked #."""
+    section = _section(FILES[file], heading)
+    drivers = section.drivers if section is not None and issubclass(section, DriverTable) else {}
+    defaults = _defaults(section)
+    whole = FILES[file].model_fields.get(heading.partition(".")[0])
+    in_plan = file in ("rig", "run") and (whole is None or plan_mark(whole) is not FREE)
+    lines = ["| key | default |" + (" drivers |" if drivers else "") + " meaning |"]
+    lines.append("|---|---|---|" + ("---|" if drivers else ""))
+    for key, field in fields_of(FILES[file], heading).items():
+        if not (field.description or key == "driver"):  # a table of its own, or of a bank alone
+            continue
+        owners = {name: driver for name, driver in drivers.items() if key in {own.name for own in fields(driver)}}
+        default = _default(defaults.get(key, PydanticUndefined), field)
+        if owners:
+            own = {
+                name: next(own.default for own in fields(driver) if own.name == key) for name, driver in owners.items()
+            }
+            default = ", ".join(
+                dict.fromkeys(filter(None, ("needed" if one is MISSING else _shown(one) for one in own.values())))
+            )
+        mark = " #" if in_plan and plan_mark(field) is not FREE else ""
+        meaning = explanation(key, field).removeprefix(": ")
+        cells = [f"`{key}`{mark}", default, *([", ".join(owners)] if drivers else []), meaning]
+        lines.append("| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |")
+    return "\n".join(lines)
+
+
+def _section(model: type[BaseModel], heading: str) -> type[BaseModel] | None:
+    """The model of a table; None of the file itself, and where a key is no table."""
+    found: type[BaseModel] | None = None
+    for name in heading.split(".") if heading else ():
+        found = _model(model.model_fields[name].annotation)
+        if found is None:
+            return None
+        model = found
+    return found
+
+
+def _model(annotation: Any) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next(filter(None, map(_model, get_args(annotation))), None)
+
+
+def _defaults(section: type[BaseModel] | None) -> dict[str, object]:
+    """What a table without keys becomes; empty where it needs some."""
+    try:
+        return dict(section.model_validate({})) if section is not None else {}
+    except ValidationError:
+        return {}
+
+
+def _default(value: object, field: FieldInfo) -> str:
+    if value is PydanticUndefined:
+        value = field.get_default(call_default_factory=True)
+    return "needed" if value is PydanticUndefined else _shown(value)
+
+
+def _shown(value: object) -> str:
+    """A value as a file has it; nothing where there is none, or where it is too long for a table."""
+    if value is None or value == () or isinstance(value, BaseModel):
+        return ""
+    text = json.dumps(value, default=str)
+    return text if len(text) <= 60 else f"{text[:40]} …"
