@@ -22,6 +22,7 @@ from wavefocus.config.messages.campaign import (
     SessionStarted,
     StateChanged,
 )
+from wavefocus.config.messages.codec import tag
 from wavefocus.storage.point_status import status_words
 
 
@@ -75,7 +76,7 @@ def sentence(event: Event) -> str:
                 f"{event.state}: {event.done} of {event.total} positions ({counts}); "
                 f"{hours(event.time_s)} on the rig's clock"
             )
-    return event.tag["event"]
+    return tag(event)
 
 
 def _quality(event: PositionCommitted) -> list[str]:

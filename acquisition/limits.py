@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from datetime import datetime
 
 import numpy as np
 
 from wavefocus.calibration import Float32Array
 from wavefocus.calibration.numerics import parabola_vertex
+from wavefocus.config.messages.codec import Instant, Number
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,9 +200,9 @@ class DriftPoint:
     suspect: Positions measured since it was last steady, where the verdict is to stop.
     """
 
-    at: datetime
-    level_db: float
-    delay_samples: float
-    correlation: float
+    at: Instant
+    level_db: Number
+    delay_samples: Number
+    correlation: Number
     verdict: str
     suspect: tuple[int, ...] = ()

@@ -6,13 +6,14 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
 
+from msgspec.structs import replace
+
 from wavefocus.acquisition.wording import finish_time
-from wavefocus.config.messages.codec import Message, MessageError, from_record, to_record
+from wavefocus.config.messages.codec import EventMessage, Instant, Message, MessageError, from_record, to_record
 from wavefocus.storage.claims import claim_holder, claimed
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.owner import Owner
@@ -35,8 +36,7 @@ class EntryState(StrEnum):
     STOPPED = "stopped"
 
 
-@dataclass(frozen=True)
-class QueueEntry(Message):
+class QueueEntry(Message, frozen=True):
     """One run of a queue.
 
     number: Its number, which it keeps.
@@ -51,13 +51,13 @@ class QueueEntry(Message):
     words: tuple[str, ...]
     folder: str
     files: Mapping[str, str]
-    added_at: datetime
+    added_at: Instant
     expected_s: float | None = None
     state: EntryState = EntryState.WAITING
     code: int | None = None
     said: str = ""
-    started_at: datetime | None = None
-    ended_at: datetime | None = None
+    started_at: Instant | None = None
+    ended_at: Instant | None = None
 
     @property
     def to_do(self) -> bool:
@@ -69,8 +69,7 @@ class QueueEntry(Message):
         return replace(self, state=EntryState.WAITING, code=None, said="", started_at=None, ended_at=None)
 
 
-@dataclass(frozen=True)
-class QueueRunStarted(Message, event="run_started"):
+class QueueRunStarted(EventMessage, frozen=True, tag="run_started"):
     """A run begins; `changed` are its input files that are not as they were when it was added."""
 
     number: int
@@ -78,8 +77,7 @@ class QueueRunStarted(Message, event="run_started"):
     changed: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class QueueRunEnded(Message, event="run_ended"):
+class QueueRunEnded(EventMessage, frozen=True, tag="run_ended"):
     """A run has ended, with its exit code and its last line of standard error."""
 
     number: int
@@ -88,8 +86,7 @@ class QueueRunEnded(Message, event="run_ended"):
     said: str = ""
 
 
-@dataclass(frozen=True)
-class QueueEnded(Message, event="queue_ended"):
+class QueueEnded(EventMessage, frozen=True, tag="queue_ended"):
     """Nothing is left to do, or the queue was stopped; numbers of runs in each state."""
 
     done: int

@@ -5,12 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Set
 from contextlib import suppress
-from dataclasses import replace
 from datetime import UTC, datetime
 from enum import Enum
 from typing import Any, ClassVar, Protocol
 
-from wavefocus.config.messages.codec import Message
+from msgspec.structs import replace
+
+from wavefocus.config.messages.codec import Message, Refused, tag
 from wavefocus.config.messages.trials import (
     Answer,
     AnswerStored,
@@ -19,7 +20,6 @@ from wavefocus.config.messages.trials import (
     Phase,
     Presented,
     Replay,
-    TrialsRefused,
     TrialsState,
     Waiting,
     Welcome,
@@ -267,7 +267,7 @@ class TrialsSession:
             if isinstance(order, kinds):
                 return order
             if order is not None:
-                self._refuse(f"{order.tag['order']} is not for now; allowed: {_named(*kinds, EndTrials)}")
+                self._refuse(f"{tag(order)} is not for now; allowed: {_named(*kinds, EndTrials)}")
 
     def _refuse_orders(self, seconds: float) -> None:
         """Let time pass in which nothing may be ordered but the end."""
@@ -276,7 +276,7 @@ class TrialsSession:
             while True:
                 order = self._next(max(0.0, until_s - time.monotonic()))
                 if order is not None:
-                    self._refuse(f"{order.tag['order']} is not for now: the stimulus comes first; allowed: end")
+                    self._refuse(f"{tag(order)} is not for now: the stimulus comes first; allowed: end")
 
     def _next(self, timeout_s: float | None) -> Message | None:
         """The next order; None where it was wrong. Raises TimeoutError, _EndedError."""
@@ -290,7 +290,7 @@ class TrialsSession:
         return order
 
     def _refuse(self, sentence: str) -> None:
-        self._publish(TrialsRefused(sentence))
+        self._publish(Refused(sentence))
 
     def _enter(self, state: State) -> None:
         """Change the state; raises IllegalStateError where the table does not have this change."""
@@ -307,4 +307,4 @@ class TrialsSession:
 
 
 def _named(*kinds: type[Message]) -> str:
-    return ", ".join(kind.tag["order"] for kind in kinds)
+    return ", ".join(tag(kind) for kind in kinds)

@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from enum import StrEnum
+from typing import Any
 
-from wavefocus.config.messages.codec import Message, MessageError, message_of, to_record
+import msgspec
+
+from wavefocus.config.messages.codec import EventMessage, MessageError, Number, from_record, tag, to_record
 from wavefocus.drivers.protocols import DeviceIdentity
 
 
@@ -28,34 +31,27 @@ class State(StrEnum):
     FAILED = "failed"
 
 
-_KINDS: dict[str, type[Event]] = {}
+def _snake_case(name: str) -> str:
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
 
 
-@dataclass(frozen=True, slots=True)
-class Event(Message):
+class Event(EventMessage, frozen=True, tag=_snake_case):
     """Something that happened, at `time_s` seconds on the rig's clock since the session began.
 
     The key ``event`` of its JSON object is the name of its class in snake case.
     """
 
-    time_s: float
-
-    def __init_subclass__(cls) -> None:
-        name = re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
-        cls.tag = {"event": name}
-        _KINDS[name] = cls
+    time_s: Number
 
 
-@dataclass(frozen=True, slots=True)
-class StateChanged(Event):
+class StateChanged(Event, frozen=True):
     """The campaign entered `state`; `reason` says why in words."""
 
     state: State
     reason: str
 
 
-@dataclass(frozen=True, slots=True)
-class SessionStarted(Event):
+class SessionStarted(Event, frozen=True):
     """A session of the campaign begins: `done` of `positions` are committed, `to_do` are left.
 
     `instruments` describe mirror, recorder and player with their settings; `devices` are who they are, by role.
@@ -66,13 +62,12 @@ class SessionStarted(Event):
     actuators: int
     done: int
     to_do: int
-    planned_s: float
+    planned_s: Number
     instruments: tuple[str, ...]
-    devices: dict[str, DeviceIdentity] = field(default_factory=dict)
+    devices: dict[str, DeviceIdentity] = msgspec.field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
-class ScheduleSettled(Event):
+class ScheduleSettled(Event, frozen=True):
     """A trial before the first session has settled how positions are measured; `time_s` is how long it took.
 
     `candidates` are name, groups (0: one actuator after the other), level, seconds of the whole campaign and error
@@ -82,22 +77,20 @@ class ScheduleSettled(Event):
     position: int
     chosen: str
     reason: str
-    hours: float
-    candidates: tuple[dict[str, object], ...]
+    hours: Number
+    candidates: tuple[dict[str, Any], ...]
 
 
-@dataclass(frozen=True, slots=True)
-class PositionStarted(Event):
+class PositionStarted(Event, frozen=True):
     """The first record of a position begins."""
 
     position: int
     attempt: int
-    x_mm: float
-    y_mm: float
+    x_mm: Number
+    y_mm: Number
 
 
-@dataclass(frozen=True, slots=True)
-class RecordTaken(Event):
+class RecordTaken(Event, frozen=True):
     """A record of a position is in: `record` of `records`, counted from 1; not where a position has only one."""
 
     position: int
@@ -106,8 +99,7 @@ class RecordTaken(Event):
     records: int
 
 
-@dataclass(frozen=True, slots=True)
-class PositionCommitted(Event):
+class PositionCommitted(Event, frozen=True):
     """A position is durably in the bank, with the contract's status bits and its quality.
 
     Where it is not valid, `reason` says why and `defects` names it. `response_range_v` is the input range where it
@@ -117,18 +109,17 @@ class PositionCommitted(Event):
     position: int
     status: int
     attempts: int
-    snr_db: float
-    residual_db: float
-    clock_ppm: float
-    start_offset_samples: float
+    snr_db: Number
+    residual_db: Number
+    clock_ppm: Number
+    start_offset_samples: Number
     reason: str = ""
     defects: tuple[str, ...] = ()
     response_range_v: float | None = None
-    moved_mm: tuple[float, float] = (0.0, 0.0)
+    moved_mm: tuple[Number, Number] = (0.0, 0.0)
 
 
-@dataclass(frozen=True, slots=True)
-class PositionRepeated(Event):
+class PositionRepeated(Event, frozen=True):
     """An attempt was not good enough and the position is measured again.
 
     `defects` names what was wrong, `response_range_v` and `moved_mm` say what is tried, as of `PositionCommitted`.
@@ -139,11 +130,10 @@ class PositionRepeated(Event):
     reason: str
     defects: tuple[str, ...] = ()
     response_range_v: float | None = None
-    moved_mm: tuple[float, float] = (0.0, 0.0)
+    moved_mm: tuple[Number, Number] = (0.0, 0.0)
 
 
-@dataclass(frozen=True, slots=True)
-class PositionKept(Event):
+class PositionKept(Event, frozen=True):
     """A new attempt was no better than what the bank holds, which therefore stays."""
 
     position: int
@@ -152,15 +142,13 @@ class PositionKept(Event):
     defects: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class PassStarted(Event):
+class PassStarted(Event, frozen=True):
     """All that is not valid is measured again: these `positions` of the bank."""
 
     positions: tuple[int, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Progress(Event):
+class Progress(Event, frozen=True):
     """How far the campaign is; times by the rig's clock, those that begin with ``wall`` by the wall's.
 
     What remains follows from the latest positions, with their repeats and with the sentinel's measurements to come.
@@ -168,11 +156,11 @@ class Progress(Event):
 
     done: int
     total: int
-    elapsed_s: float
-    remaining_s: float
-    wall_remaining_s: float
-    positions_per_hour: float
-    wall_positions_per_hour: float = 0.0
+    elapsed_s: Number
+    remaining_s: Number
+    wall_remaining_s: Number
+    positions_per_hour: Number
+    wall_positions_per_hour: Number = 0.0
 
     @property
     def per_hour(self) -> float:
@@ -180,8 +168,7 @@ class Progress(Event):
         return self.wall_positions_per_hour or self.positions_per_hour
 
 
-@dataclass(frozen=True, slots=True)
-class Fault(Event):
+class Fault(Event, frozen=True):
     """An instrument failed; `retried` says whether the engine tries again by itself.
 
     `position` and `attempt` are None where no position was being measured.
@@ -196,8 +183,7 @@ class Fault(Event):
     retried: bool
 
 
-@dataclass(frozen=True, slots=True)
-class ReconnectTried(Event):
+class ReconnectTried(Event, frozen=True):
     """A lost instrument was asked for a fresh connection.
 
     `number` counts the tries since it last did its work; `connected` says whether this one succeeded and
@@ -214,8 +200,7 @@ class ReconnectTried(Event):
     gives_up_s: float | None
 
 
-@dataclass(frozen=True, slots=True)
-class Drift(Event):
+class Drift(Event, frozen=True):
     """The sentinel position measured again: what changed since it was first measured.
 
     `occasion` is ``"resume"``, ``"run"`` or ``"repeat"`` (of a stop during a run, to be sure), `cause` what figures
@@ -224,17 +209,16 @@ class Drift(Event):
     """
 
     position: int
-    level_db: float
-    delay_samples: float
-    correlation: float
+    level_db: Number
+    delay_samples: Number
+    correlation: Number
     verdict: str
     occasion: str
     cause: str
     suspect: tuple[int, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class CrosstalkMeasured(Event):
+class CrosstalkMeasured(Event, frozen=True):
     """How much of the loopback voltage leaks into the response input, by the latest positions.
 
     `level_db` is re the loopback, `share` in V per V and `sigmas` in standard errors of it. `named` says that it is
@@ -242,27 +226,25 @@ class CrosstalkMeasured(Event):
     as long as it lasts. `actuators` are those whose rows show it, where not all do.
     """
 
-    level_db: float
-    delay_s: float
-    share: float
-    sigmas: float
+    level_db: Number
+    delay_s: Number
+    share: Number
+    sigmas: Number
     named: bool
     actuators: tuple[int, ...] = ()
     marked: tuple[int, ...] = ()
     reason: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class ConditionsSeen(Event):
+class ConditionsSeen(Event, frozen=True):
     """Values of the watched conditions while the campaign is suspended; `back` says whether all are back."""
 
-    values: dict[str, float]
+    values: dict[str, Number]
     back: bool
     reason: str
 
 
-@dataclass(frozen=True, slots=True)
-class SessionEnded(Event):
+class SessionEnded(Event, frozen=True):
     """The session is over.
 
     `counts` are positions per status word. `failure` is empty unless the session failed: ``"drift"``,
@@ -276,6 +258,7 @@ class SessionEnded(Event):
     failure: str = ""
 
 
+_KINDS = {tag(kind): kind for kind in Event.__subclasses__()}
 Subscriber = Callable[[Event], None]
 
 
@@ -303,8 +286,8 @@ def read_event(line: bytes) -> Logged | None:
 def event_of(record: Mapping[str, object]) -> Logged | None:
     """The event of a log's JSON object; None for one of another version that is not understood."""
     try:
-        at, kind = datetime.fromisoformat(record["at"]), _KINDS[record["event"]]  # type: ignore[arg-type, index]
-        event = message_of(record, (kind,))
+        at = datetime.fromisoformat(record["at"])  # type: ignore[arg-type]
+        event = from_record(_KINDS[record["event"]], record)  # type: ignore[index]
     except (KeyError, TypeError, ValueError, MessageError):
         return None
-    return None if event is None or at.tzinfo is None else Logged(at, event)
+    return None if at.tzinfo is None else Logged(at, event)

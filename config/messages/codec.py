@@ -1,51 +1,66 @@
-"""Frozen dataclasses as JSON objects, one on a line: the only writer and the only reader of messages.
-
-Standard library only: ``wavefocus status`` reads a log in less time than pydantic takes to import.
-"""
+"""Messages between processes as JSON objects, one on a line, by msgspec: their only writer and their only reader."""
 
 from __future__ import annotations
 
 import json
 import math
+import numbers
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import is_dataclass
 from datetime import datetime
 from enum import Enum
-from functools import cache
 from types import NoneType, UnionType
-from typing import Any, ClassVar, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import msgspec
+import msgspec.inspect
+from msgspec import Meta, Struct
+
+if TYPE_CHECKING:
+    Number = float
+else:
+    # JSON has no NaN: msgspec hands the values of any type but its own to `_number`.
+    Number = numbers.Real
+"""A figure of a message: null in JSON where it is NaN or infinite, and NaN where JSON has null."""
+
+Instant = Annotated[datetime, Meta(tz=True)]
 
 
 class MessageError(ValueError):
     """A JSON object is not a message that is expected; the text names key, value and what is allowed."""
 
 
-@dataclass(frozen=True)
-class Message:
-    """Base class of messages; keywords of a subclass are its fixed keys: ``class Muted(Message, event="muted")``.
+class Message(Struct, frozen=True):
+    """Base class of messages and of their parts."""
 
-    Of a `sparse` message the keys that are None are left out.
-    """
 
-    tag: ClassVar[Mapping[str, str]] = {}
-    sparse: ClassVar[bool] = False
+class EventMessage(Message, frozen=True, tag_field="event"):
+    """Base class of what a command reports; the class keyword `tag` is the value of its key ``event``."""
 
-    def __init_subclass__(cls, **tag: str) -> None:
-        super().__init_subclass__()
-        if tag:
-            cls.tag = tag
+
+class OrderMessage(Message, frozen=True, tag_field="order", forbid_unknown_fields=True, omit_defaults=True):
+    """Base class of what a command is ordered to do; the class keyword `tag` is the value of its key ``order``."""
+
+
+class Refused(EventMessage, frozen=True, tag="refused"):
+    """An order or an answer is wrong; the sentence says what is allowed."""
+
+    sentence: str
 
 
 AnyMessage = TypeVar("AnyMessage", bound=Message)
 Content = TypeVar("Content")
 
 
-def to_record(message: Message) -> dict[str, object]:
+def tag(kind: type[Message] | Message) -> str:
+    """The value of a message's fixed key."""
+    return str(kind.__struct_config__.tag)
+
+
+def to_record(message: Message) -> dict[str, Any]:
     """A message as a JSON-ready object; figures that are not finite become None, for JSON has no NaN."""
-    content = _plain_fields(message)
-    if message.sparse:
-        content = {key: value for key, value in content.items() if value is not None}
-    return {**message.tag, **content}
+    record: dict[str, Any] = _json_ready(msgspec.to_builtins(message, builtin_types=(datetime,), enc_hook=_builtin))
+    return record
 
 
 def to_line(message: Message) -> str:
@@ -53,23 +68,16 @@ def to_line(message: Message) -> str:
     return json.dumps(to_record(message), allow_nan=False) + "\n"
 
 
-def from_record(kind: type[Content], record: Mapping[str, object], *, strict: bool = False) -> Content:
-    """An object as an instance of a dataclass; figures that are None become NaN.
+def from_record(kind: type[Content], record: Mapping[str, object]) -> Content:
+    """An object as a message or another data class.
 
-    Keys that are not fields are passed over, for a later version may have added them, or refused if `strict`.
+    Keys that are not fields are passed over, for a later version may have added them, but in orders.
     Raises MessageError.
     """
-    types: dict[str, Any] = _field_types(kind)  # type: ignore[arg-type]
-    tag: Mapping[str, str] = getattr(kind, "tag", {})
-    if strict and (unknown := [key for key in record if key not in types and key not in tag]):
-        raise MessageError(f"{unknown[0]} is not known; allowed: {', '.join(types) or 'none'}")
-    found = {}
-    for field in fields(kind):  # type: ignore[arg-type]
-        if field.name in record:
-            found[field.name] = _read(types[field.name], record[field.name], field.name)
-        elif field.default is MISSING and field.default_factory is MISSING:
-            raise MessageError(f"{field.name} is missing")
-    return kind(**found)
+    try:
+        return msgspec.convert(record, kind, dec_hook=_number)
+    except msgspec.ValidationError as wrong:
+        raise _wrong_key(kind, record) or MessageError(str(wrong)) from None
 
 
 def message_of(record: Mapping[str, object], kinds: Iterable[type[AnyMessage]]) -> AnyMessage | None:
@@ -78,98 +86,88 @@ def message_of(record: Mapping[str, object], kinds: Iterable[type[AnyMessage]]) 
     Raises MessageError: its kind is expected, its content is wrong.
     """
     for kind in kinds:
-        if all(record.get(key) == value for key, value in kind.tag.items()):
+        key = kind.__struct_config__.tag_field
+        if key is None or record.get(key) == kind.__struct_config__.tag:
             return from_record(kind, record)
     return None
 
 
-@cache
-def _field_types(kind: type) -> dict[str, Any]:
-    hints = get_type_hints(kind)
-    return {field.name: hints[field.name] for field in fields(kind)}
-
-
-def _plain_fields(content: Any) -> dict[str, object]:
-    return {field.name: _plain(getattr(content, field.name)) for field in fields(content)}
-
-
-def _plain(value: Any) -> object:
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, datetime):
-        return value.isoformat()
-    if isinstance(value, list | tuple):
-        return [_plain(one) for one in value]
-    if isinstance(value, Mapping):
-        return {key: _plain(one) for key, one in value.items()}
-    return _plain_fields(value) if is_dataclass(value) else value
-
-
-_SIMPLE: Mapping[type, tuple[tuple[type, ...], str]] = {
-    float: ((int, float), "a finite number"),
-    int: ((int,), "a whole number"),
-    str: ((str,), "text"),
-    bool: ((bool,), "true, false"),
-    NoneType: ((NoneType,), "null"),
-}
-
-
-def _read(kind: Any, value: Any, key: str) -> Any:
-    """A value as a field's type; MessageError where it is none."""
-    origin, parts = get_origin(kind), get_args(kind)
-    if kind is Any or kind is object:
-        return value
-    if kind in _SIMPLE:
-        types, allowed = _SIMPLE[kind]
-        if kind is float and value is None:
-            return math.nan
-        if not isinstance(value, types) or (isinstance(value, bool) and kind is not bool):
-            raise MessageError(f"{key} is {value!r}; allowed: {allowed}")
-        try:
-            return float(value) if kind is float else value  # type: ignore[arg-type]
-        except OverflowError:
-            raise MessageError(f"{key} is {value!r}; allowed: {allowed}") from None
-    if origin in (Union, UnionType):
-        return _first_of(parts, value, key)
-    if origin is Literal:
-        if value not in parts:
-            raise MessageError(f"{key} is {value!r}; allowed: {', '.join(str(part) for part in parts)}")
-        return value
-    if origin is tuple:
-        if not isinstance(value, list | tuple) or (parts[-1] is not ... and len(value) != len(parts)):
-            raise MessageError(f"{key} is {value!r}; allowed: a list")
-        each = [parts[0]] * len(value) if parts[-1] is ... else parts
-        return tuple(_read(part, one, key) for part, one in zip(each, value, strict=True))
-    if not isinstance(kind if origin is None else origin, type):
-        raise TypeError(f"{key}: a message cannot hold {kind}")
-    if issubclass(origin or kind, Mapping):
-        if not isinstance(value, Mapping):
-            raise MessageError(f"{key} is {value!r}; allowed: an object")
-        return {name: _read(parts[1], one, key) for name, one in value.items()} if parts else value
+def _number(kind: type, value: object) -> float:
+    if value is None:
+        return math.nan
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(value)
     try:
-        if issubclass(kind, Enum):
-            return kind(value)
-        if issubclass(kind, datetime):
-            at = datetime.fromisoformat(value)
-            if at.tzinfo is None:
-                raise ValueError(value)
-            return at
-    except (ValueError, TypeError, OverflowError):
-        allowed = ", ".join(one.value for one in kind) if issubclass(kind, Enum) else "an instant with a time zone"
-        raise MessageError(f"{key} is {value!r}; allowed: {allowed}") from None
-    if not isinstance(value, Mapping):
-        raise MessageError(f"{key} is {value!r}; allowed: an object")
-    return from_record(kind, value)
+        return float(value)
+    except OverflowError:
+        raise ValueError(value) from None
 
 
-def _first_of(kinds: Iterable[Any], value: Any, key: str) -> Any:
-    # None first: a number that may be missing is None then, not NaN.
-    if value is None and NoneType in kinds:
-        return None
-    failures = []
-    for kind in kinds:
-        try:
-            return _read(kind, value, key)
-        except MessageError as failure:
-            failures.append(failure)
-    raise failures[0]
+def _builtin(value: object) -> object:
+    if isinstance(value, float):  # of NumPy
+        return float(value)
+    if isinstance(value, Mapping):
+        return dict(value)
+    raise TypeError(f"a message cannot hold {value!r}")
+
+
+def _json_ready(value: Any) -> Any:
+    match value:
+        case float():
+            return value if math.isfinite(value) else None
+        case dict():
+            return {key: _json_ready(part) for key, part in value.items()}
+        case list() | tuple():
+            return [_json_ready(part) for part in value]
+        case datetime():
+            return value.isoformat()
+    return value
+
+
+def _wrong_key(kind: Any, record: Mapping[str, object]) -> MessageError | None:
+    """The first key that is wrong, and what is allowed."""
+    form, types = msgspec.inspect.type_info(kind), get_type_hints(kind, include_extras=True)
+    required = {field.name: field.required for field in form.fields}  # type: ignore[attr-defined]
+    if getattr(form, "forbid_unknown_fields", False):
+        for key in record:
+            if key not in required and key != form.tag_field:  # type: ignore[attr-defined]
+                return MessageError(f"{key} is not known; allowed: {', '.join(required) or 'none'}")
+    for key, needed in required.items():
+        if key not in record:
+            if needed:
+                return MessageError(f"{key} is missing")
+            continue
+        if wrong := _wrong_value(types[key], record[key], key):
+            return wrong
+    return None
+
+
+def _wrong_value(kind: Any, value: object, key: str) -> MessageError | None:
+    try:
+        msgspec.convert(value, kind, dec_hook=_number)
+    except msgspec.ValidationError:
+        inner = [part for part in get_args(kind) if part is not NoneType] or [kind]
+        if isinstance(value, Mapping) and (is_dataclass(inner[0]) or hasattr(inner[0], "__struct_fields__")):
+            return _wrong_key(inner[0], value)
+        within = (_wrong_value(inner[0], part, key) for part in value) if isinstance(value, list) else ()
+        return next(filter(None, within), None) or MessageError(f"{key} is {value!r}; allowed: {_allowed(kind)}")
+    return None
+
+
+_WORDS = {int: "a whole number", str: "text", bool: "true, false", Instant: "an instant with a time zone"}
+
+
+def _allowed(kind: Any) -> str:
+    """What values of a type are, in words."""
+    parts = [part for part in get_args(kind) if part is not NoneType]
+    if kind in _WORDS:
+        return _WORDS[kind]
+    if kind in (float, numbers.Real):
+        return "a finite number"
+    if get_origin(kind) is Literal:
+        return ", ".join(map(str, parts))
+    if get_origin(kind) in (Union, UnionType):
+        return _allowed(parts[0])
+    if isinstance(kind, type) and issubclass(kind, Enum):
+        return ", ".join(str(member.value) for member in kind)
+    return "a list" if get_origin(kind) is tuple else "an object"

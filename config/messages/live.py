@@ -3,53 +3,46 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
-from wavefocus.config.messages.codec import Message
+from wavefocus.config.messages.codec import EventMessage, Message, Number, OrderMessage, Refused
 
 PointMm = tuple[float, float]
 
 
-@dataclass(frozen=True)
-class MoveSource(Message, order="move"):
+class MoveSource(OrderMessage, frozen=True, tag="move"):
     """A position of a source as it is now; a name that does not sound yet begins to sound.
 
     amplitude: As of a scene's source; None: as before, 1 at first.
     """
 
-    sparse = True
     name: str
     at_mm: PointMm
     amplitude: float | None = None
 
 
-@dataclass(frozen=True)
-class SetSignal(Message, order="signal"):
+class SetSignal(OrderMessage, frozen=True, tag="signal"):
     """The signal of a source, a table as in a scene file; what sounds with another fades first."""
 
     name: str
-    signal: Mapping[str, object]
+    signal: Mapping[str, Any]
     repeat: bool = True
 
 
-@dataclass(frozen=True)
-class EndSource(Message, order="end_source"):
+class EndSource(OrderMessage, frozen=True, tag="end_source"):
     """Let a source fade and vanish."""
 
     name: str
 
 
-@dataclass(frozen=True)
-class EndLive(Message, order="end"):
+class EndLive(OrderMessage, frozen=True, tag="end"):
     """Let all sources fade, mute, and end."""
 
 
 ORDERS = (MoveSource, SetSignal, EndSource, EndLive)
 
 
-@dataclass(frozen=True)
-class LiveReady(Message, event="ready"):
+class LiveReady(EventMessage, frozen=True, tag="ready"):
     """It plays, silence at first.
 
     look_ahead_ms: By how much sources lag what is ordered; sufficient_ms: look-ahead from which nothing is predicted.
@@ -61,22 +54,21 @@ class LiveReady(Message, event="ready"):
     player: str
     bank: str
     actuators: int
-    block_ms: float
-    look_ahead_ms: float
-    sufficient_ms: float
-    interface_ms: float
+    block_ms: Number
+    look_ahead_ms: Number
+    sufficient_ms: Number
+    interface_ms: Number
     x_mm: PointMm
     y_mm: PointMm
     osc: str = ""
 
 
-@dataclass(frozen=True)
-class SoundingSource:
+class SoundingSource(Message, frozen=True):
     """A source as it sounds now; `fading` where its positions are late or it was ended."""
 
     name: str
     at_mm: PointMm
-    amplitude: float
+    amplitude: Number
     fading: bool = False
 
 
@@ -84,8 +76,7 @@ Degradation = Literal["none", "bins", "sources"]
 NoticeCode = Literal["degraded", "recovered", "underrun", "limited", "late", "lost", "reconnected", "recording"]
 
 
-@dataclass(frozen=True)
-class LiveState(Message, event="state"):
+class LiveState(EventMessage, frozen=True, tag="state"):
     """Figures of the session, five times a second.
 
     played_s: Time since it began.
@@ -98,46 +89,37 @@ class LiveState(Message, event="state"):
     limited_db: Least gain of the limiter since the last line, 0 where it did nothing.
     """
 
-    played_s: float
+    played_s: Number
     latency_ms: float | None
     latency_p999_ms: float | None
-    load: float
+    load: Number
     underruns: int
     degradation: Degradation
     bound_db: float | None
     dropped: tuple[str, ...]
-    limited_db: float
+    limited_db: Number
     sources: tuple[SoundingSource, ...]
 
 
-@dataclass(frozen=True)
-class LiveRefused(Message, event="refused"):
-    """An order was wrong: what, and what is allowed."""
-
-    sentence: str
-
-
-@dataclass(frozen=True)
-class LiveNotice(Message, event="notice"):
+class LiveNotice(EventMessage, frozen=True, tag="notice"):
     """Something that a person should read: degraded, recovered, ran dry, limited."""
 
     code: NoticeCode
     sentence: str
 
 
-@dataclass(frozen=True)
-class LiveEnded(Message, event="ended"):
+class LiveEnded(EventMessage, frozen=True, tag="ended"):
     """The last line; the outputs are muted.
 
     recorded: Scene file of the session, or an empty text.
     """
 
-    played_s: float
+    played_s: Number
     positions: int
     latency_p999_ms: float | None
     underruns: int
-    limited_s: float
+    limited_s: Number
     recorded: str = ""
 
 
-EVENTS = (LiveReady, LiveState, LiveRefused, LiveNotice, LiveEnded)
+EVENTS = (LiveReady, LiveState, Refused, LiveNotice, LiveEnded)

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Literal
 
-from wavefocus.config.messages.codec import Message
+from wavefocus.config.messages.codec import EventMessage, Message, Number, OrderMessage, Refused
 
 Role = Literal["mirror", "recorder", "player"]
-Numbers = tuple[float, float]
+Numbers = tuple[Number, Number]
 
 
-@dataclass(frozen=True)
-class Order(Message):
+class RigOrder(OrderMessage, frozen=True, kw_only=True):
     """Base class of orders; the `done` that ends one repeats its `id`."""
 
-    sparse = True
-    id: str | int | float | None = field(default=None, kw_only=True)
+    id: str | int | float | None = None
 
 
-@dataclass(frozen=True)
-class Jog(Order, order="jog"):
+class Jog(RigOrder, frozen=True, tag="jog"):
     """Send the beam to a place on the surface, or to angles."""
 
     x_mm: float | None = None
@@ -30,13 +26,11 @@ class Jog(Order, order="jog"):
     y_mrad: float | None = None
 
 
-@dataclass(frozen=True)
-class Park(Order, order="park"):
+class Park(RigOrder, frozen=True, tag="park"):
     """Send the beam to the safe direction."""
 
 
-@dataclass(frozen=True)
-class ShowLevel(Order, order="level"):
+class ShowLevel(RigOrder, frozen=True, tag="level"):
     """Stream levels, or stop; one actuator plays short sweeps meanwhile, where one is named."""
 
     on: bool = True
@@ -45,8 +39,7 @@ class ShowLevel(Order, order="level"):
     level_v: float | None = None
 
 
-@dataclass(frozen=True)
-class TakeSweep(Order, order="sweep"):
+class TakeSweep(RigOrder, frozen=True, tag="sweep"):
     """Record silence and one sweep of an actuator; `level_v` is a peak, by default a safe one."""
 
     actuator: int
@@ -56,50 +49,43 @@ class TakeSweep(Order, order="sweep"):
     duration_s: float = 0.5
 
 
-@dataclass(frozen=True)
-class Mute(Order, order="mute"):
+class Mute(RigOrder, frozen=True, tag="mute"):
     """Mute the outputs at once; levels stop too."""
 
 
-@dataclass(frozen=True)
-class ReportState(Order, order="state"):
+class ReportState(RigOrder, frozen=True, tag="state"):
     """Report where the beam is and whether levels are on."""
 
 
-@dataclass(frozen=True)
-class Reconnect(Order, order="reconnect"):
+class Reconnect(RigOrder, frozen=True, tag="reconnect"):
     """Open a lost instrument afresh."""
 
     instrument: Role
 
 
-@dataclass(frozen=True)
-class End(Order, order="end"):
+class End(RigOrder, frozen=True, tag="end"):
     """Mute, park and end."""
 
 
 ORDERS = (Jog, Park, ShowLevel, TakeSweep, Mute, ReportState, Reconnect, End)
 
 
-@dataclass(frozen=True)
-class Opening(Message, event="opening"):
+class Opening(EventMessage, frozen=True, tag="opening"):
     """The rig's instruments are being opened."""
 
     rig: str
 
 
-@dataclass(frozen=True)
-class SurfaceSize:
+class SurfaceSize(Message, frozen=True):
     """Kind and size of a surface, and the corners of a polygon, as in a rig file."""
 
     kind: str
-    length_mm: float
-    width_mm: float
+    length_mm: Number
+    width_mm: Number
     corners_mm: tuple[Numbers, ...] | None = None
 
 
-@dataclass(frozen=True)
-class Ready(Message, event="ready"):
+class Ready(EventMessage, frozen=True, tag="ready"):
     """The rig is open: its instruments by role, whether its mirror map was measured, and its limits."""
 
     name: str
@@ -107,15 +93,14 @@ class Ready(Message, event="ready"):
     surface: SurfaceSize
     actuator_mm: tuple[Numbers, ...]
     mapped: bool
-    limit_mrad: float
-    level_v: float
-    largest_level_v: float
+    limit_mrad: Number
+    level_v: Number
+    largest_level_v: Number
     band_hz: Numbers
     range_v: Numbers
 
 
-@dataclass(frozen=True)
-class MirrorMoved(Message, event="mirror"):
+class MirrorMoved(EventMessage, frozen=True, tag="mirror"):
     """Where the beam was sent; None before the first move, and in millimetres where it does not meet the surface."""
 
     x_mm: float | None = None
@@ -125,108 +110,90 @@ class MirrorMoved(Message, event="mirror"):
     parked: bool = False
 
 
-@dataclass(frozen=True)
-class LevelsSwitched(Message, event="levels"):
+class LevelsSwitched(EventMessage, frozen=True, tag="levels"):
     """Whether levels are streamed, and the actuator that plays meanwhile."""
 
     on: bool
     actuator: int | None = None
 
 
-@dataclass(frozen=True)
-class ChannelLevel:
+class ChannelLevel(Message, frozen=True):
     """Level of one input over a tenth of a second; `rms_v` is taken about the offset."""
 
-    rms_v: float
-    peak_v: float
-    offset_v: float
-    range_v: float
+    rms_v: Number
+    peak_v: Number
+    offset_v: Number
+    range_v: Number
     over_range: bool
 
 
-@dataclass(frozen=True)
-class InputLevels:
+class InputLevels(Message, frozen=True):
     """Levels of both inputs."""
 
     reference: ChannelLevel
     response: ChannelLevel
 
 
-@dataclass(frozen=True)
-class LevelMeasured(InputLevels, Message, event="level"):
+class LevelMeasured(InputLevels, EventMessage, frozen=True, tag="level"):
     """Levels of both inputs; `light` is the vibrometer's signal level from 0 to 1, None where it has none."""
 
     light: float | None = None
 
 
-@dataclass(frozen=True)
-class Sweeping(Message, event="sweeping"):
+class Sweeping(EventMessage, frozen=True, tag="sweeping"):
     """A sweep begins."""
 
     actuator: int
-    level_v: float
+    level_v: Number
 
 
-@dataclass(frozen=True)
-class Defect:
+class Defect(Message, frozen=True):
     """What is wrong with a record: its code, and a sentence."""
 
     name: str
     sentence: str
 
 
-@dataclass(frozen=True)
-class SweepFigures:
+class SweepFigures(Message, frozen=True):
     """The estimator's figures of a sweep, as of docs/reference/figures.md; NaN where silence leaves none."""
 
-    snr_db: float
-    residual_db: float
-    noise_v: float
-    latency_s: float
-    clock_ppm: float
+    snr_db: Number
+    residual_db: Number
+    noise_v: Number
+    latency_s: Number
+    clock_ppm: Number
     defects: tuple[Defect, ...]
 
 
-@dataclass(frozen=True)
-class SweepTaken(Message, event="sweep"):
+class SweepTaken(EventMessage, frozen=True, tag="sweep"):
     """A sweep's recording in V, spectra in dB re 1 V/sqrt(Hz), and figures; `trouble` says why there are none."""
 
     actuator: int
-    level_v: float
-    start_hz: float
-    stop_hz: float
-    sample_rate_hz: float
+    level_v: Number
+    start_hz: Number
+    stop_hz: Number
+    sample_rate_hz: Number
     level: InputLevels
     figures: SweepFigures | None
     trouble: str
-    reference_v: tuple[float, ...]
-    response_v: tuple[float, ...]
-    frequency_hz: tuple[float, ...]
-    response_db: tuple[float, ...]
-    noise_db: tuple[float, ...]
+    reference_v: tuple[Number, ...]
+    response_v: tuple[Number, ...]
+    frequency_hz: tuple[Number, ...]
+    response_db: tuple[Number, ...]
+    noise_db: tuple[Number, ...]
 
 
-@dataclass(frozen=True)
-class Muted(Message, event="muted"):
+class Muted(EventMessage, frozen=True, tag="muted"):
     """The outputs are silent."""
 
 
-@dataclass(frozen=True)
-class Reconnected(Message, event="reconnected"):
+class Reconnected(EventMessage, frozen=True, tag="reconnected"):
     """An instrument was opened afresh."""
 
     instrument: str
 
 
-@dataclass(frozen=True)
-class Refused(Message, event="refused"):
-    """An order or an answer is wrong; the sentence says what is allowed."""
-
-    sentence: str
-
-
-@dataclass(frozen=True)
-class Faulted(Message, event="fault"):
+class Faulted(EventMessage, frozen=True, tag="fault"):
     """An instrument failed; `passing`: the order may be given again."""
 
     instrument: str
@@ -238,18 +205,15 @@ class Faulted(Message, event="fault"):
     sentence: str
 
 
-@dataclass(frozen=True)
-class Done(Message, event="done"):
+class Done(EventMessage, frozen=True, tag="done", kw_only=True, omit_defaults=True):
     """An order is over; its `order` and `id` as they were given."""
 
-    sparse = True
+    ok: bool
     order: str | None = None
     id: str | int | float | None = None
-    ok: bool = False
 
 
-@dataclass(frozen=True)
-class Ended(Message, event="ended"):
+class Ended(EventMessage, frozen=True, tag="ended"):
     """The last message: the outputs are muted, the mirror is parked."""
 
     muted: bool = True
@@ -262,8 +226,7 @@ OPERATE_EVENTS = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Playing(Message, event="playing"):
+class Playing(EventMessage, frozen=True, tag="playing"):
     """``wavefocus play``: a drive begins to play."""
 
-    seconds: float
+    seconds: Number

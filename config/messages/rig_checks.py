@@ -3,39 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from datetime import datetime
-from typing import Literal
+from typing import Any, Literal
 
-from wavefocus.config.messages.codec import Message
-from wavefocus.config.messages.operate import Faulted, LevelMeasured, Numbers, Refused
+from wavefocus.config.messages.codec import EventMessage, Instant, Message, Number, Refused
+from wavefocus.config.messages.operate import Faulted, LevelMeasured, Numbers
 
 
-@dataclass(frozen=True)
-class Begin(Message, event="begin"):
+class Begin(EventMessage, frozen=True, tag="begin"):
     """A calibration begins."""
 
     parts: tuple[str, ...]
     marks_mm: tuple[Numbers, ...]
 
 
-@dataclass(frozen=True)
-class Tell(Message, event="tell"):
+class Tell(EventMessage, frozen=True, tag="tell"):
     """A line for the person."""
 
     line: str
 
 
-@dataclass(frozen=True)
-class AskConnect(Message, event="ask", what="connect"):
+class Question(Message, frozen=True, kw_only=True):
+    """Base class of questions to the person; the class keyword `tag` is the value of their key ``what``."""
+
+    event: Literal["ask"] = "ask"
+
+
+class AskConnect(Question, frozen=True, tag_field="what", tag="connect"):
     """Plug `source` into the response input; the sentence says it in words."""
 
     source: str
     sentence: str
 
 
-@dataclass(frozen=True)
-class AskJog(Message, event="ask", what="jog"):
+class AskJog(Question, frozen=True, tag_field="what", tag="jog"):
     """Bring the beam onto mark `number` (from 1) of `of`.
 
     The mark is at `place_mm`; the mirror stands at `at_mrad`, by the map believed so far at `at_mm` of the surface.
@@ -50,8 +50,7 @@ class AskJog(Message, event="ask", what="jog"):
     note: str = ""
 
 
-@dataclass(frozen=True)
-class MapView(Message, event="ask", what="map"):
+class MapView(Question, frozen=True, tag_field="what", tag="map"):
     """Take the mirror map, bring the beam onto a mark again, or leave it.
 
     Parameters
@@ -70,91 +69,82 @@ class MapView(Message, event="ask", what="map"):
 
     place_mm: tuple[Numbers, ...]
     off_mm: tuple[Numbers, ...]
-    rms_mm: float
-    worst_mm: float
-    limit_mm: float
+    rms_mm: Number
+    worst_mm: Number
+    limit_mm: Number
     suspect: int
     problem: str
 
 
-@dataclass(frozen=True)
-class AskAgain(Message, event="ask", what="again"):
+class AskAgain(Question, frozen=True, tag_field="what", tag="again"):
     """Try a measurement once more, or leave it out."""
 
     problem: str
 
 
-@dataclass(frozen=True)
-class CalibrationDone(Message, event="done"):
+class CalibrationDone(EventMessage, frozen=True, tag="done"):
     """The calibration is over; `file` is None where nothing was measured."""
 
     file: str | None
     measured: tuple[str, ...]
     problems: tuple[str, ...]
-    calibration: Mapping[str, object]
+    calibration: Mapping[str, Any]
 
 
-Question = AskConnect | AskJog | MapView | AskAgain
 CALIBRATE_EVENTS = (
     Begin, Tell, AskConnect, AskJog, MapView, AskAgain, LevelMeasured, Refused, Faulted, CalibrationDone,
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Plugged(Message, answer="done"):
+class AnswerMessage(Message, frozen=True, tag_field="answer"):
+    """Base class of a person's answers; the class keyword `tag` is the value of their key ``answer``."""
+
+
+class Plugged(AnswerMessage, frozen=True, tag="done"):
     """The cable is plugged."""
 
 
-@dataclass(frozen=True)
-class By(Message, answer="by"):
+class By(AnswerMessage, frozen=True, tag="by"):
     """Move the beam by so much from where it stands."""
 
     x_mrad: float
     y_mrad: float
 
 
-@dataclass(frozen=True)
-class To(Message, answer="to"):
+class To(AnswerMessage, frozen=True, tag="to"):
     """Move the beam to these angles."""
 
     x_mrad: float
     y_mrad: float
 
 
-@dataclass(frozen=True)
-class Here(Message, answer="here"):
+class Here(AnswerMessage, frozen=True, tag="here"):
     """The spot is on the mark."""
 
 
-@dataclass(frozen=True)
-class Keep(Message, answer="keep"):
+class Keep(AnswerMessage, frozen=True, tag="keep"):
     """Take the map, if it can be taken."""
 
 
-@dataclass(frozen=True)
-class Redo(Message, answer="redo"):
+class Redo(AnswerMessage, frozen=True, tag="redo"):
     """Bring the beam onto one mark, from 1, once more."""
 
     mark: int
 
 
-@dataclass(frozen=True)
-class Drop(Message, answer="drop"):
+class Drop(AnswerMessage, frozen=True, tag="drop"):
     """Leave the map."""
 
 
-@dataclass(frozen=True)
-class Again(Message, answer="again"):
+class Again(AnswerMessage, frozen=True, tag="again"):
     """Try once more."""
 
 
-@dataclass(frozen=True)
-class Skip(Message, answer="skip"):
+class Skip(AnswerMessage, frozen=True, tag="skip"):
     """Leave it out."""
 
 
-@dataclass(frozen=True)
-class Cancel(Message, answer="cancel"):
+class Cancel(AnswerMessage, frozen=True, tag="cancel"):
     """End the calibration; muted and parked."""
 
 
@@ -162,8 +152,7 @@ Verdict = Literal["ok", "warn", "fail", "skipped"]
 Action = Literal["calibrate", "edit-rig", "open-folder", "reset-usb", "run", "test-message"]
 
 
-@dataclass(frozen=True)
-class Act:
+class Act(Message, frozen=True):
     """The part of a remedy that a program can do, or make ready, for a person.
 
     Parameters
@@ -179,8 +168,7 @@ class Act:
     on: str = ""
 
 
-@dataclass(frozen=True)
-class Finding:
+class Finding(Message, frozen=True):
     """One check of one instrument, or of what else was examined.
 
     Parameters
@@ -207,15 +195,13 @@ class Finding:
     act: Act | None = None
 
 
-@dataclass(frozen=True)
-class FindingMade(Message):
+class FindingMade(Message, frozen=True):
     """One finding, as soon as it is made."""
 
     finding: Finding
 
 
-@dataclass(frozen=True)
-class Examination(Message):
+class Examination(Message, frozen=True):
     """All findings of a rig, their counts by verdict, and the versions of the packages that matter."""
 
     rig: str
@@ -229,31 +215,28 @@ class Examination(Message):
 DOCTOR_MESSAGES = (FindingMade, Examination)
 
 
-@dataclass(frozen=True)
-class VerifyStarted(Message, event="started"):
+class VerifyStarted(EventMessage, frozen=True, tag="started"):
     """A verification begins, in a process of a host."""
 
-    at: datetime
+    at: Instant
     pid: int
     host: str
 
 
-@dataclass(frozen=True)
-class VerifyStep(Message, event="step"):
+class VerifyStep(EventMessage, frozen=True, tag="step"):
     """A step has done so many of its items; `left_s` None until the first is done."""
 
-    at: datetime
+    at: Instant
     step: str
     done: int
     total: int
     left_s: float | None = None
 
 
-@dataclass(frozen=True)
-class VerifyEnded(Message, event="ended"):
+class VerifyEnded(EventMessage, frozen=True, tag="ended"):
     """The verification is over, with its exit code and why."""
 
-    at: datetime
+    at: Instant
     code: int
     reason: str
 

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Literal
 
-from wavefocus.config.messages.codec import Message
+from wavefocus.config.messages.codec import EventMessage, Number, OrderMessage, Refused
 
 Phase = Literal["welcome", "familiarisation", "trial", "break", "done"]
 Waiting = Literal["go_on", "answer", "playing", "nothing"]
 
 
-@dataclass(frozen=True)
-class GoOn(Message, order="go_on"):
+class GoOn(OrderMessage, frozen=True, tag="go_on"):
     """Leave the first page, a break, or go to the next trial where trials wait for it."""
 
 
-@dataclass(frozen=True)
-class Answer(Message, order="answer"):
+class Answer(OrderMessage, frozen=True, tag="answer"):
     """The participant's answer to the trial that waits for one.
 
     choice: One of the design's answers.
@@ -26,35 +23,30 @@ class Answer(Message, order="answer"):
     by: Input it came from.
     """
 
-    sparse = True
     choice: str
     at_s: float | None = None
     by: Literal["keyboard", "button", "touch", "program"] = "program"
 
 
-@dataclass(frozen=True)
-class Replay(Message, order="replay"):
+class Replay(OrderMessage, frozen=True, tag="replay"):
     """Present the same stimulus again; counted, refused where the design does not allow it."""
 
 
-@dataclass(frozen=True)
-class EndTrials(Message, order="end"):
+class EndTrials(OrderMessage, frozen=True, tag="end"):
     """Mute and end; the session goes on with the next trial when the same command is given again."""
 
 
 ORDERS = (GoOn, Answer, Replay, EndTrials)
 
 
-@dataclass(frozen=True)
-class Preparing(Message, event="preparing"):
+class Preparing(EventMessage, frozen=True, tag="preparing"):
     """Stimuli are rendered and checked; the first event, with done = 0, once the input was found right."""
 
     done: int
     of: int
 
 
-@dataclass(frozen=True)
-class Welcome(Message, event="welcome"):
+class Welcome(EventMessage, frozen=True, tag="welcome"):
     """First page.
 
     stored: Sentences that say what is stored about a participant, and where.
@@ -74,8 +66,7 @@ class Welcome(Message, event="welcome"):
     replay_allowed: bool
 
 
-@dataclass(frozen=True)
-class TrialsState(Message, event="state"):
+class TrialsState(EventMessage, frozen=True, tag="state"):
     """Where the session stands.
 
     waiting: What it waits for: an order "go_on", an order "answer", or the end of a stimulus ("playing").
@@ -93,8 +84,7 @@ class TrialsState(Message, event="state"):
     note: str = ""
 
 
-@dataclass(frozen=True)
-class Presented(Message, event="presented"):
+class Presented(EventMessage, frozen=True, tag="presented"):
     """A stimulus has sounded to its end.
 
     trial: Its number; 0 in the familiarisation.
@@ -104,30 +94,21 @@ class Presented(Message, event="presented"):
 
     trial: int
     stimulus: str
-    onset_s: float
+    onset_s: Number
     onset_error_ms: float | None
-    onset_within_ms: float
+    onset_within_ms: Number
 
 
-@dataclass(frozen=True)
-class AnswerStored(Message, event="stored"):
+class AnswerStored(EventMessage, frozen=True, tag="stored"):
     """The answer is on disk."""
 
     trial: int
     choice: str
     correct: bool | None
-    reaction_s: float
+    reaction_s: Number
 
 
-@dataclass(frozen=True)
-class TrialsRefused(Message, event="refused"):
-    """An order was wrong: what, and what is allowed."""
-
-    sentence: str
-
-
-@dataclass(frozen=True)
-class TrialsEnded(Message, event="ended"):
+class TrialsEnded(EventMessage, frozen=True, tag="ended"):
     """The last line; the outputs are muted."""
 
     done: int
@@ -135,4 +116,4 @@ class TrialsEnded(Message, event="ended"):
     complete: bool
 
 
-EVENTS = (Preparing, Welcome, TrialsState, Presented, AnswerStored, TrialsRefused, TrialsEnded)
+EVENTS = (Preparing, Welcome, TrialsState, Presented, AnswerStored, Refused, TrialsEnded)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from PyQt5.QtCore import QObject, pyqtSignal
 
-from wavefocus.config.messages.codec import message_of
+from wavefocus.config.messages.codec import Refused, message_of
 from wavefocus.config.messages.operate import (
     OPERATE_EVENTS,
     Done,
@@ -17,7 +17,6 @@ from wavefocus.config.messages.operate import (
     MirrorMoved,
     Numbers,
     Ready,
-    Refused,
     SweepTaken,
 )
 from wavefocus.config.messages.rig_checks import (

@@ -10,7 +10,7 @@ from pathlib import Path
 from PyQt5.QtCore import QObject, pyqtSignal
 
 from wavefocus.acquisition.wording import hours
-from wavefocus.config.messages.codec import Message, message_of, to_record
+from wavefocus.config.messages.codec import Message, Refused, message_of, to_record
 from wavefocus.config.messages.live import (
     EVENTS,
     EndLive,
@@ -18,7 +18,6 @@ from wavefocus.config.messages.live import (
     LiveEnded,
     LiveNotice,
     LiveReady,
-    LiveRefused,
     LiveState,
     MoveSource,
     PointMm,
@@ -177,7 +176,7 @@ class LiveRun(SceneTask):
                 self.figures_changed.emit()
             case LiveNotice(sentence=sentence):
                 self.noticed.emit(sentence)
-            case LiveRefused(sentence=sentence) if sentence != self._refusal:  # positions come a hundred times a second
+            case Refused(sentence=sentence) if sentence != self._refusal:  # positions come a hundred times a second
                 self._refusal = sentence
                 self.noticed.emit(sentence)
             case LiveEnded() as ended:

@@ -10,7 +10,7 @@ from PyQt5.QtCore import QSize, Qt, QTimer, pyqtSignal
 from PyQt5.QtGui import QCloseEvent, QKeyEvent
 from PyQt5.QtWidgets import QApplication, QMainWindow, QStackedWidget, QWidget
 
-from wavefocus.config.messages.codec import message_of, to_record
+from wavefocus.config.messages.codec import Refused, message_of, to_record
 from wavefocus.config.messages.trials import (
     EVENTS,
     Answer,
@@ -20,7 +20,6 @@ from wavefocus.config.messages.trials import (
     Presented,
     Replay,
     TrialsEnded,
-    TrialsRefused,
     TrialsState,
     Welcome,
 )
@@ -127,7 +126,7 @@ class TrialsWindow(QMainWindow):
                 self._enter(state)
             case Presented() as presented:
                 self.strip.show_presented(presented)
-            case TrialsRefused(sentence=sentence):
+            case Refused(sentence=sentence):
                 self._refused(sentence)
             case TrialsEnded() as ended:
                 self._ended = ended

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wavefocus.config.messages.codec import Message, MessageError, from_record, to_record
+from wavefocus.config.messages.codec import Instant, Message, MessageError, Number, from_record, tag, to_record
 from wavefocus.rendering.arrays import BoolArray, Float64Array, Int64Array
 from wavefocus.rendering.verify.results import (
     ActuatorFigures,
@@ -91,8 +91,8 @@ class RecordedPositions:
 
     index: tuple[int, ...]
     at_mm: tuple[PointMm, ...]
-    error: tuple[float, ...]
-    correlation: tuple[float, ...]
+    error: tuple[Number, ...]
+    correlation: tuple[Number, ...]
 
 
 @dataclass(frozen=True)
@@ -103,8 +103,7 @@ class ExcludedPosition:
     reason: str
 
 
-@dataclass(frozen=True)
-class VerificationRecord(Message, format="wavefocus-verification"):
+class VerificationRecord(Message, frozen=True, dict=True, tag_field="format", tag="wavefocus-verification"):
     """The content of ``verify.json``, and the same as arrays.
 
     scene_file, bank, rig: Names on the command line.
@@ -122,7 +121,7 @@ class VerificationRecord(Message, format="wavefocus-verification"):
     """
 
     format_version: int
-    made: datetime
+    made: Instant
     scene: str
     scene_file: str
     bank: str
@@ -277,10 +276,8 @@ def read_record(path: Path) -> VerificationRecord:
         raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
     except (ValueError, RecursionError):
         raise InputError(f"{path} is no JSON file, or is damaged; run the verification again") from None
-    if not isinstance(content, dict) or content.get("format") != VerificationRecord.tag["format"]:
-        raise InputError(
-            f"{path} is not the record of a verification: its format is not {VerificationRecord.tag['format']}"
-        )
+    if not isinstance(content, dict) or content.get("format") != tag(VerificationRecord):
+        raise InputError(f"{path} is not the record of a verification: its format is not {tag(VerificationRecord)}")
     if content.get("format_version") != VERSION:
         raise InputError(
             f"{path}: format_version is {content.get('format_version')!r}; this program reads {VERSION}, a newer "

@@ -9,6 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefocus.config.messages.codec import Number
+
 PointMm = tuple[float, float]
 
 
@@ -102,9 +104,9 @@ class Drift:
     """
 
     position: int
-    level_db: float
-    delay_us: float
-    correlation: float
+    level_db: Number
+    delay_us: Number
+    correlation: Number
     speed_percent: float | None
     verdict: str
 

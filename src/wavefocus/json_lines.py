@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from typing import NoReturn
 
-from wavefocus.config.messages.codec import AnyMessage, Message, MessageError, from_record, to_line
+from wavefocus.config.messages.codec import AnyMessage, Message, MessageError, from_record, tag, to_line
 from wavefocus.console import print_line
 from wavefocus.exits import STAND_IN, one_line
 from wavefocus.storage.errors import InputError, WavefocusError
@@ -181,12 +181,12 @@ def _object(line: bytes) -> Mapping[str, object] | InputError:
 
 def read_order(content: Mapping[str, object], kinds: Iterable[type[AnyMessage]]) -> AnyMessage:
     """Read an object as an order of one of some kinds. Raises InputError: it is none of them, or a key is wrong."""
-    named = {kind.tag["order"]: kind for kind in kinds}
+    named = {tag(kind): kind for kind in kinds}
     word = content.get("order")
     if not isinstance(word, str) or word not in named:
         raise InputError(f"order {one_line(repr(word), 60)} is not known; allowed: {', '.join(named)}")
     try:
-        return from_record(named[word], content, strict=True)
+        return from_record(named[word], content)
     except MessageError as wrong:
         raise wrong_order(word, wrong) from None
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import csv
 import os
 from collections.abc import Callable
-from dataclasses import astuple, fields, replace
+from dataclasses import astuple, replace
 from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from wavefocus.config.messages.codec import tag
 from wavefocus.config.messages.trials import EVENTS, ORDERS
 from wavefocus.storage.errors import BankBusyError, InputError
 from wavefocus.trials.answers import (
@@ -220,6 +221,6 @@ def test_given_the_reference_page_then_it_names_every_column_order_and_event() -
     for name, about in COLUMNS.items():
         assert f"| `{name}` | {about['Description']}" in page
     for kind in (*ORDERS, *EVENTS):
-        (word,) = kind.tag.values()
+        word = tag(kind)
         rows = [line for line in page.splitlines() if line.startswith(f"| `{word}` |")]
-        assert any(all(f"`{field.name}`" in row for field in fields(kind)) for row in rows), word
+        assert any(all(f"`{field}`" in row for field in kind.__struct_fields__) for row in rows), word

@@ -6,6 +6,7 @@ import threading
 from collections.abc import Mapping
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -80,7 +81,7 @@ def test_given_a_sound_rig_then_a_sweep_stands_above_the_silence_in_its_band_and
 
 def test_given_a_dead_actuator_then_the_sweep_names_it_by_its_number() -> None:
     setup = bench(actuator_strength=(1.0, 1.0, 0.0))
-    figures = ManualMeasurements(setup, RATE_HZ).sweep(replace(SWEEP, actuator=2)).figures
+    figures = ManualMeasurements(setup, RATE_HZ).sweep(msgspec.structs.replace(SWEEP, actuator=2)).figures
     assert figures is not None
     assert figures.snr_db < 6
     assert figures.defects
@@ -103,7 +104,7 @@ def test_given_a_loopback_that_is_not_plugged_in_then_the_sweep_tells_that_in_pl
 
 def test_given_a_band_that_no_sweep_has_then_it_is_refused() -> None:
     with pytest.raises(InputError, match="start_hz"):
-        ManualMeasurements(bench(), RATE_HZ).sweep(replace(SWEEP, start_hz=500.0))
+        ManualMeasurements(bench(), RATE_HZ).sweep(msgspec.structs.replace(SWEEP, start_hz=500.0))
 
 
 class SlowPlayer:

@@ -29,6 +29,7 @@ from wavefocus.config.messages.campaign import (
     State,
     StateChanged,
 )
+from wavefocus.config.messages.codec import tag
 from wavefocus.gui.campaign.model import line_of
 
 # Events that a person at the terminal sees, and those that only the window lists.
@@ -66,7 +67,7 @@ def test_given_an_event_then_terminal_and_window_show_its_one_sentence(
     event: Event, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text = sentence(event)
-    assert text != event.tag["event"]
+    assert text != tag(event)
     assert "nan" not in text
     line = line_of(Logged(datetime.now(UTC), event))
     assert line is not None

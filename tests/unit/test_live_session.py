@@ -12,15 +12,8 @@ import numpy as np
 import pytest
 
 from tests.unit.plate_banks import RATE_HZ, TAPS, plate_bank
-from wavefocus.config.messages.codec import Message
-from wavefocus.config.messages.live import (
-    EndLive,
-    EndSource,
-    LiveNotice,
-    LiveRefused,
-    LiveState,
-    MoveSource,
-)
+from wavefocus.config.messages.codec import Message, Refused
+from wavefocus.config.messages.live import EndLive, EndSource, LiveNotice, LiveState, MoveSource
 from wavefocus.config.scene import Regularisation
 from wavefocus.drivers.errors import InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.protocols import DeviceIdentity
@@ -186,7 +179,7 @@ def test_given_a_place_off_the_grid_then_it_is_refused_and_the_source_goes_on() 
         3: move("a", 0.0),
         9: end,
     })  # fmt: skip
-    assert sum(isinstance(one, LiveRefused) for one in bench.messages) == 1
+    assert sum(isinstance(one, Refused) for one in bench.messages) == 1
     assert isinstance(answer.exception(0), InputError)
     assert bench.frames[:, 4 * BLOCK : 8 * BLOCK].any()
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.unit.trials_files import STROKES
-from wavefocus.config.messages.codec import Message
+from wavefocus.config.messages.codec import Message, Refused
 from wavefocus.config.messages.trials import (
     Answer,
     AnswerStored,
@@ -18,7 +18,6 @@ from wavefocus.config.messages.trials import (
     GoOn,
     Presented,
     Replay,
-    TrialsRefused,
     TrialsState,
     Welcome,
 )
@@ -172,7 +171,7 @@ def test_given_orders_that_are_not_for_now_then_each_is_refused_and_the_next_one
     program = Program({(1, "playing"): [Answer("right")], (1, "answer"): wrong, (2, "playing"): [EndTrials()]})
     presenter = InMemory(attempts=(2,))
     run(experiment, tmp_path, program, presenter)
-    assert len(program.those(TrialsRefused)) == 6
+    assert len(program.those(Refused)) == 6
     (row,) = read_answers(tmp_path)
     assert (row.answer, row.replays, row.attempts, row.by) == ("left", 1, 3, "program")
     assert [number for _, number in presenter.presented] == [0, 0, 1, 1, 2]

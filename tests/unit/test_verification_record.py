@@ -8,6 +8,7 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -189,7 +190,7 @@ def test_given_two_verifications_then_causes_are_compared_by_code_and_actuators(
     verification = fields()[2]
     diagnosis = dataclasses.replace(verification.diagnosis, symptoms=(now,))
     later = dataclasses.replace(verification, diagnosis=diagnosis)
-    earlier = dataclasses.replace(read_record(record_file), symptoms=(before,))
+    earlier = msgspec.structs.replace(read_record(record_file), symptoms=(before,))
     changes = changes_since(earlier, "verify.json", later, "line", {})
     assert (len(changes.symptoms_gone), len(changes.symptoms_new)) == (gone, new)
     assert sum(line.startswith(("no longer", "new")) for line in change_lines(changes)) == gone + new

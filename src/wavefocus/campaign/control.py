@@ -10,7 +10,6 @@ import time
 import uuid
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
@@ -26,8 +25,7 @@ from wavefocus.console import say
 Word = Literal["pause", "go-on", "stop"]
 
 
-@dataclass(frozen=True)
-class CampaignOrder(Message):
+class CampaignOrder(Message, frozen=True):
     """An order to a running capture; its heartbeat repeats the number once the order was taken."""
 
     order: Word

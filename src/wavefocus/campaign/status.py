@@ -24,14 +24,13 @@ from wavefocus.config.messages.campaign import (
     State,
     StateChanged,
 )
-from wavefocus.config.messages.codec import Message
+from wavefocus.config.messages.codec import Instant, Message
 from wavefocus.storage.ledger.owner import Owner
 
 GOING_ON = frozenset({State.RUNNING, State.PAUSING, State.PAUSED, State.SUSPENDED, State.STOPPING, State.RECOVERING})
 
 
-@dataclass(frozen=True)
-class Recovering(Message):
+class Recovering(Message, frozen=True):
     """The instrument that a campaign waits for, and the tries to connect to it again."""
 
     instrument: str | None = None
@@ -132,8 +131,7 @@ def campaign_status(bank: Path, owner: Owner | None, beat: Heartbeat | None) -> 
 SILENT_AFTER_S = 15.0
 
 
-@dataclass(frozen=True)
-class Heartbeat(Message):
+class Heartbeat(Message, frozen=True):
     """State of a running capture, written every second.
 
     `since` is when it entered its state, `position` the one being measured, `remaining_s` by the wall's clock (None
@@ -141,12 +139,12 @@ class Heartbeat(Message):
     empty where there was none.
     """
 
-    at: datetime
+    at: Instant
     pid: int
     host: str
     state: State = State.IDLE
     reason: str = ""
-    since: datetime | None = None
+    since: Instant | None = None
     position: int | None = None
     done: int = 0
     total: int = 0

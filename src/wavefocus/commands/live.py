@@ -7,12 +7,13 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from wavefocus.config.messages.codec import Message
-from wavefocus.config.messages.live import LiveEnded, LiveNotice, LiveReady, LiveRefused
+from msgspec.structs import replace
+
+from wavefocus.config.messages.codec import Message, Refused
+from wavefocus.config.messages.live import LiveEnded, LiveNotice, LiveReady
 from wavefocus.console import say
 from wavefocus.ending import ending_at_once
 from wavefocus.exits import Exit
@@ -69,7 +70,7 @@ def _begin(ready: LiveReady, session: LiveSession, messages: Messages, receiver:
                 raise content
             session.order(order_of(content, session.engine.rate_hz, folder), arrived_s)
         except InputError as wrong:
-            messages(LiveRefused(str(wrong)))
+            messages(Refused(str(wrong)))
 
     def read() -> None:
         count, last_s = 0, 0.0
@@ -102,7 +103,7 @@ class Messages:
 
     def __call__(self, message: Message) -> None:
         """Give a message, from any thread; never waits."""
-        if isinstance(message, LiveRefused):
+        if isinstance(message, Refused):
             second = int(time.monotonic())
             self._refusals = self._refusals + 1 if second == self._second else 1
             self._second = second
@@ -146,7 +147,7 @@ def _sentence(message: Message) -> str:
                 f" {high:g} mm{osc}; sources lag by {message.look_ahead_ms:g} ms{predicted}, the interface by"
                 f" {message.interface_ms:.0f} ms"
             )
-        case LiveRefused(sentence) | LiveNotice(_, sentence):
+        case Refused(sentence) | LiveNotice(_, sentence):
             return sentence
         case LiveEnded():
             late = message.latency_p999_ms

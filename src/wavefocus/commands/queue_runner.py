@@ -10,10 +10,11 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO
+
+from msgspec.structs import replace
 
 from wavefocus.acquisition.engine.session import StopRequest
 from wavefocus.acquisition.run_queue import (

@@ -11,7 +11,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from wavefocus.campaign.blueprint import bank_configuration
-from wavefocus.config.messages.codec import Message
+from wavefocus.config.messages.codec import Message, tag
 from wavefocus.config.messages.trials import ORDERS, EndTrials, Preparing, TrialsEnded
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import RunConfig
@@ -202,7 +202,7 @@ class _Line:
         self.presenter.mute()
 
     def _overtake(self, content: Mapping[str, object]) -> None:
-        if content.get("order") == EndTrials.tag["order"]:
+        if content.get("order") == tag(EndTrials):
             self._end()
 
     def _end(self) -> None:

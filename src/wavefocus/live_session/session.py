@@ -16,17 +16,8 @@ import numpy as np
 
 from wavefocus.acquisition.engine.recovery import back_off_s
 from wavefocus.calibration.blas import one_blas_thread
-from wavefocus.config.messages.codec import Message
-from wavefocus.config.messages.live import (
-    EndLive,
-    EndSource,
-    LiveEnded,
-    LiveNotice,
-    LiveRefused,
-    LiveState,
-    MoveSource,
-    NoticeCode,
-)
+from wavefocus.config.messages.codec import Message, Refused
+from wavefocus.config.messages.live import EndLive, EndSource, LiveEnded, LiveNotice, LiveState, MoveSource, NoticeCode
 from wavefocus.config.messages.live import SoundingSource as Sounding
 from wavefocus.drivers.errors import InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.timeouts import BoundedPlayer
@@ -173,7 +164,7 @@ class LiveSession:
             except InputError as wrong:
                 waiting.end(wrong)
                 if not waiting.answers:
-                    self._publish(LiveRefused(one_line(str(wrong), 300)))
+                    self._publish(Refused(one_line(str(wrong), 300)))
                 continue
             waiting.end()
             if isinstance(waiting.order, MoveSource):

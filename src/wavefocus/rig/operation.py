@@ -5,14 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import replace
 
 import numpy as np
+from msgspec.structs import replace
 
 from wavefocus.acquisition.manual import ManualMeasurements, excitation_of
 from wavefocus.acquisition.setup import Setup, names_of, naming_role, silence
 from wavefocus.acquisition.watch import Sensor
-from wavefocus.config.messages.codec import Message, MessageError
+from wavefocus.config.messages.codec import Message, MessageError, Refused, tag
 from wavefocus.config.messages.operate import (
     ORDERS,
     End,
@@ -24,13 +24,12 @@ from wavefocus.config.messages.operate import (
     MirrorMoved,
     Mute,
     Muted,
-    Order,
     Park,
     Ready,
     Reconnect,
     Reconnected,
-    Refused,
     ReportState,
+    RigOrder,
     ShowLevel,
     SurfaceSize,
     Sweeping,
@@ -55,7 +54,7 @@ _LIGHT_EVERY_S = 2.0
 Publish = Callable[[Message], None]
 
 
-def order_of(content: Mapping[str, object], rig: RigConfig) -> Order:
+def order_of(content: Mapping[str, object], rig: RigConfig) -> RigOrder:
     """Read an order within the rig's limits; a level that is not given becomes the default.
 
     Raises InputError: a key or value is wrong, or the order asks for more than the rig may do.
@@ -78,7 +77,7 @@ def order_of(content: Mapping[str, object], rig: RigConfig) -> Order:
                 order = replace(order, level_v=_level_v(order.level_v, rig))
                 excitation_of(order, SAMPLE_RATE_HZ)  # refuses a band that no sweep has
     except MessageError as wrong:
-        raise wrong_order(order.tag["order"], wrong) from None
+        raise wrong_order(tag(order), wrong) from None
     return order
 
 
@@ -166,11 +165,11 @@ class Operation:
         self._due_s = time.monotonic() + self._every_s
         self._attempt(lambda: self._publish(level_measured(self._measurements.level(), self._light_now())))
 
-    def carry_out(self, order: Order) -> bool:
+    def carry_out(self, order: RigOrder) -> bool:
         """Carry out an order that `order_of` has checked; what prevents it is published. True where it was done."""
         return self._attempt(lambda: self._act(order))
 
-    def _act(self, order: Order) -> None:
+    def _act(self, order: RigOrder) -> None:
         match order:
             case Jog():
                 self._jog(order)

@@ -7,8 +7,8 @@ import sys
 from collections.abc import Callable
 
 from wavefocus.acquisition.calibrate_mirror import BOTH, SUM, VIBROMETER, Jog, JogView, Judged
-from wavefocus.config.messages.codec import Message, MessageError, message_of
-from wavefocus.config.messages.operate import InputLevels, Numbers, Refused
+from wavefocus.config.messages.codec import Message, MessageError, Refused, message_of, tag
+from wavefocus.config.messages.operate import InputLevels, Numbers
 from wavefocus.config.messages.rig_checks import (
     Again,
     AskAgain,
@@ -167,14 +167,12 @@ class LinesOperator:
                 if content is None:
                     raise EndedError(f"standard input: ended before {before}")
                 word = content.get("answer")
-                if word == Cancel.tag["answer"]:
+                if word == tag(Cancel):
                     raise KeyboardInterrupt
                 answer = message_of(content, kinds)
                 if answer is None:
-                    allowed = ", ".join([*(kind.tag["answer"] for kind in kinds), Cancel.tag["answer"]])
+                    allowed = ", ".join([*(tag(kind) for kind in kinds), tag(Cancel)])
                     raise MessageError(f"answer {word!r} is not understood; allowed: {allowed}")
-                if isinstance(answer, By | To) and not (math.isfinite(answer.x_mrad) and math.isfinite(answer.y_mrad)):
-                    raise MessageError("x_mrad or y_mrad is null; allowed: a finite number")
                 return answer
             except TimeoutError:
                 self._publish_level()

@@ -68,7 +68,7 @@ def calibrate(
         if lines is not None:
             lines(done)
         else:
-            print(json.dumps({key: value for key, value in to_record(done).items() if key not in done.tag}))
+            print(json.dumps({key: value for key, value in to_record(done).items() if key != "event"}))
     return Exit.NOT_GOOD_ENOUGH if session.problems else Exit.DONE
 
 

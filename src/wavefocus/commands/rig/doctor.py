@@ -7,9 +7,10 @@ import shutil
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
-from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+
+from msgspec.structs import replace
 
 from wavefocus.acquisition.doctor import RigFindings, examine
 from wavefocus.config.messages.codec import to_line

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 
+from msgspec.structs import replace
+
 from wavefocus.acquisition.watch import Sensor
-from wavefocus.config.messages.operate import Done, End, Ended, Mute, Opening, Refused
+from wavefocus.config.messages.codec import Refused
+from wavefocus.config.messages.operate import Done, End, Ended, Mute, Opening
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import named_rig
 from wavefocus.console import say
@@ -113,7 +115,11 @@ def _carry_out(operation: Operation, player: BoundedPlayer, rig: RigConfig, publ
 def _done(content: Mapping[str, object]) -> Done:
     """The end of an order that was not carried out; repeats what can be repeated of it."""
     word, number = content.get("order"), content.get("id")
-    return Done(word if isinstance(word, str) else None, number if isinstance(number, str | int | float) else None)
+    return Done(
+        ok=False,
+        order=word if isinstance(word, str) else None,
+        id=number if isinstance(number, str | int | float) else None,
+    )
 
 
 def _light(rig: RigConfig, virtual_sensors: Mapping[str, Sensor]) -> Sensor | None:
