@@ -198,10 +198,9 @@ class DriftWatch:
                 "check cables and laser, then resume"
             )
         then, excitation = self._bank.record(attempt.position), self._plan.excitation
-        low, high = (edge_hz / excitation.sample_rate_hz for edge_hz in excitation.band_hz)
         return compare_sentinel(
             self._bank.green(attempt.position), result.estimate.green, then.snr_db, result.estimate.snr_db,
-            band=(low, high),
+            band_hz=excitation.band_hz, sample_rate_hz=excitation.sample_rate_hz,
         )  # fmt: skip
 
 

@@ -143,14 +143,16 @@ def compare_sentinel(
     snr_then_db: Float32Array | None = None,
     snr_now_db: Float32Array | None = None,
     *,
-    band: tuple[float, float] = (0.0, 0.5),
+    band_hz: tuple[float, float] | None = None,
+    sample_rate_hz: float = 1.0,
 ) -> DriftFigures:
     """Compare two measurements of one position.
 
     then, now, float32 (actuators, taps): Green's functions of the first and of the new measurement.
     snr_then_db, snr_now_db, float32 (actuators,): Their signal-to-noise ratios, NaN where unknown; by default, and
         where unknown, without noise. The share that noise has in energies and correlation is taken out of them.
-    band: Measured band in cycles per sample; what a fit leaves outside of it says nothing of the plate.
+    band_hz: Measured band; what a fit leaves outside of it says nothing of the plate.
+    sample_rate_hz: Of the Green's functions.
 
     Returns figures pooled over the clear responses, so that the strong ones, which carry the information, decide.
     """
@@ -164,7 +166,8 @@ def compare_sentinel(
     first, second = first[clear], second[clear]
     length = 2 * first.shape[1]
     cycles = np.arange(length // 2 + 1) / length
-    within = (cycles >= band[0]) & (cycles <= band[1])
+    low, high = (0.0, 0.5) if band_hz is None else (edge_hz / sample_rate_hz for edge_hz in band_hz)
+    within = (cycles >= low) & (cycles <= high)
     spectra = [np.fft.rfft(green, length, axis=1) * within for green in (first, second)]
     energies, noise = [], []
     for part, ratio_db in zip(spectra, snr_db, strict=True):

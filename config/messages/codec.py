@@ -149,7 +149,8 @@ def _wrong_value(kind: Any, value: object, key: str) -> MessageError | None:
         inner = [part for part in get_args(kind) if part is not NoneType] or [kind]
         if isinstance(value, Mapping) and (is_dataclass(inner[0]) or hasattr(inner[0], "__struct_fields__")):
             return _wrong_key(inner[0], value)
-        within = (_wrong_value(inner[0], part, key) for part in value) if isinstance(value, list) else ()
+        in_list = get_origin(kind) is tuple and isinstance(value, list | tuple)
+        within = (_wrong_value(inner[0], part, key) for part in value) if in_list else ()  # type: ignore[attr-defined]
         return next(filter(None, within), None) or MessageError(f"{key} is {value!r}; allowed: {_allowed(kind)}")
     return None
 

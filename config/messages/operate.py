@@ -11,6 +11,9 @@ Role = Literal["mirror", "recorder", "player"]
 Numbers = tuple[Number, Number]
 
 
+SWEEP_BAND_HZ = (40.0, 400.0)
+
+
 class RigOrder(OrderMessage, frozen=True, kw_only=True):
     """Base class of orders; the `done` that ends one repeats its `id`."""
 
@@ -44,8 +47,8 @@ class TakeSweep(RigOrder, frozen=True, tag="sweep"):
 
     actuator: int
     level_v: float | None = None
-    start_hz: float = 40.0
-    stop_hz: float = 400.0
+    start_hz: float = SWEEP_BAND_HZ[0]
+    stop_hz: float = SWEEP_BAND_HZ[1]
     duration_s: float = 0.5
 
 

@@ -57,13 +57,12 @@ def measure_sentinel(
 
 def drift_of(sentinel: Sentinel, bank: GreenSource, limits: DriftLimits) -> Drift:
     """How the sentinel position differs from the bank: as a level, as a delay, and as a wave speed."""
-    band_hz, rate_hz = bank.band_hz, bank.sample_rate_hz
-    band = (0.0, 0.5) if band_hz is None else (band_hz[0] / rate_hz, band_hz[1] / rate_hz)
-    figures = compare_sentinel(np.asarray(bank.green(sentinel.position), np.float32), sentinel.green, band=band)
+    then, rate_hz = np.asarray(bank.green(sentinel.position), np.float32), bank.sample_rate_hz
+    figures = compare_sentinel(then, sentinel.green, band_hz=bank.band_hz, sample_rate_hz=rate_hz)
     return Drift(
         sentinel.position,
         float(figures.level_db),
-        1e6 * figures.delay_samples / bank.sample_rate_hz,
+        1e6 * figures.delay_samples / rate_hz,
         figures.correlation,
         wave_speed(sentinel, bank),
         figures.verdict(limits),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
@@ -31,7 +30,7 @@ from wavefocus.rendering.verify.results import (
 )
 from wavefocus.rendering.verify.scan import Scan
 from wavefocus.rendering.verify.sentinel import drift_figures, drift_of
-from wavefocus.rendering.verify.symptom_words import sentence, with_words
+from wavefocus.rendering.verify.symptom_words import sentence
 from wavefocus.rendering.verify.symptoms import Diagnosis, diagnose
 
 if TYPE_CHECKING:
@@ -135,8 +134,8 @@ class Verification:
             text += f" The vibrometer's noise alone makes a difference of {noise}."
         return text
 
-    def as_dict(self) -> dict[str, object]:
-        """The figures as plain numbers and texts, for JSON; None where there is none."""
+    def numbers(self) -> dict[str, object]:
+        """The verdict and its figures, for JSON; None where there is none."""
         fields, focus = self.fields, self.focus
         figures: dict[str, float | None] = {
             "error": fields.error,
@@ -159,14 +158,6 @@ class Verification:
             "positions_compared": len(fields.position_index),
             "positions_excluded": len(fields.excluded),
             **{name: finite(value) for name, value in figures.items()},
-            "symptoms": [with_words(dataclasses.asdict(symptom)) for symptom in self.symptoms],
-            "actuators": [dataclasses.asdict(one) for one in self.actuators],
-            "drift": None if self.drift is None else dataclasses.asdict(self.drift),
-            "changes": None
-            if self.changes is None
-            else dataclasses.asdict(self.changes) | {"made": self.changes.made.isoformat()},
-            "correction": None if self.correction is None else dataclasses.asdict(self.correction),
-            "sources": [dataclasses.asdict(one) for one in self.sources],
             "checks": [
                 {name: getattr(check, name) for name in keys} | {"value": finite(check.value)} for check in self.checks
             ],

@@ -11,7 +11,7 @@ import pytest
 from pydantic import BaseModel
 
 import wavefocus as wf
-from wavefocus.config.fields import FREE, Positive, Table, plan_mark
+from wavefocus.config.fields import DERIVED, FREE, Positive, Table, plan_mark
 from wavefocus.config.rig import Emulation, RigConfig
 from wavefocus.config.run import RunConfig, Sweep
 from wavefocus.configuration import Configuration, plan_differences, plan_sha256
@@ -50,7 +50,7 @@ def test_given_every_key_of_rig_and_run_then_it_is_hashed_or_marked_as_free() ->
         f"{model.__name__}.{key}"
         for model in _tables(RigConfig) | _tables(RunConfig) | {Emulation}
         for key, field in model.model_fields.items()
-        if plan_mark(field) is FREE
+        if plan_mark(field) in (FREE, DERIVED)
     }
     # Written out, so that to set a key free is a decision that shows.
     assert marked == {

@@ -29,7 +29,7 @@ def test_given_noise_outside_of_the_measured_band_then_steady() -> None:
     spectrum = np.fft.rfft(random.standard_normal((2, 4, 400)))
     spectrum[..., :120] = 0.0
     beyond = (np.fft.irfft(spectrum) * np.abs(_responses()).max()).astype(np.float32)
-    figures = compare_sentinel(_responses() + beyond[0], _responses() + beyond[1], band=(0.0, 0.25))
+    figures = compare_sentinel(_responses() + beyond[0], _responses() + beyond[1], band_hz=(0.0, 0.25))
     assert figures.verdict(DriftLimits()) == "steady"
     assert compare_sentinel(_responses() + beyond[0], _responses() + beyond[1]).verdict(DriftLimits()) == "stop"
 

@@ -241,7 +241,7 @@ def test_given_positions_in_another_order_then_the_outcome_is_the_same():
     shuffled = Field(prediction().field[order], order, RATE_HZ, prediction().start_s, "m/s")
     first = compared(noisy)
     second = compared(noisy, of=shuffled)
-    assert second.as_dict() == first.as_dict()
+    assert second.numbers() == first.numbers()
 
 
 def test_given_a_few_positions_then_errors_are_judged_and_the_focus_is_not():
@@ -252,7 +252,7 @@ def test_given_a_few_positions_then_errors_are_judged_and_the_focus_is_not():
     assert passed["focus to path point"] is None
     assert passed["focal width against prediction"] is None
     assert outcome.passed
-    assert outcome.as_dict()["focal_width_mm"] is None
+    assert outcome.numbers()["focal_width_mm"] is None
 
 
 def test_given_rows_that_are_not_valid_in_the_bank_then_they_are_left_out_and_counted():

@@ -152,7 +152,10 @@ def verify(
             say(f"  {line}")
     say(f"report: {report_file}")
     if as_json:
-        print(json.dumps({"report": str(report_file), "record": str(record_file), **verification.as_dict()}))
+        record = json.loads(record_file.read_bytes())
+        found = {key: record[key] for key in ("symptoms", "actuators", "drift", "changes", "correction")}
+        files = {"report": str(report_file), "record": str(record_file)}
+        print(json.dumps({**files, **verification.numbers(), **found, "sources": record["source_figures"]}))
     return code
 
 

@@ -15,6 +15,7 @@ from wavefocus.acquisition.watch import Sensor
 from wavefocus.config.messages.codec import Message, MessageError, Refused, tag
 from wavefocus.config.messages.operate import (
     ORDERS,
+    SWEEP_BAND_HZ,
     End,
     Faulted,
     InputLevels,
@@ -42,7 +43,6 @@ from wavefocus.json_lines import read_order, wrong_order
 from wavefocus.storage.errors import InputError
 
 SAMPLE_RATE_HZ = 10_000.0
-BAND_HZ = (TakeSweep.start_hz, TakeSweep.stop_hz)
 MAX_S = 10.0
 # Below the least step of any converter nothing would be played.
 MIN_LEVEL_V = 1e-6
@@ -149,7 +149,7 @@ class Operation:
                 limit_mrad=rig.mirror.limit_mrad,
                 level_v=_default_level_v(rig),
                 largest_level_v=largest_level_v(rig),
-                band_hz=BAND_HZ,
+                band_hz=SWEEP_BAND_HZ,
                 range_v=setup.range_v,
             )
         )
