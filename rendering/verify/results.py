@@ -162,10 +162,10 @@ class CorrectionRound:
     positions: Usable control places.
     """
 
-    error: float
-    noise: float
-    energy: float
-    peak_v: float
+    error: Number
+    noise: Number
+    energy: Number
+    peak_v: Number
     positions: int
 
 

@@ -133,10 +133,10 @@ def _taken(views: Sequence[Bank], grid_mm: Float64Array, added_mm: Float64Array)
 
 
 def _require_alike(first: Bank, row: int, second: Bank, other: int) -> None:
-    low, high = (edge_hz / first.sample_rate_hz for edge_hz in first.band_hz or (0.0, first.sample_rate_hz / 2))
     figures = compare_sentinel(
         np.asarray(first.green(row), np.float32), np.asarray(second.green(other), np.float32),
-        first.quality["snr_db"][row], second.quality["snr_db"][other], band=(low, high),
+        first.quality["snr_db"][row], second.quality["snr_db"][other],
+        band_hz=first.band_hz, sample_rate_hz=first.sample_rate_hz,
     )  # fmt: skip
     limits = DriftLimits(**bank_configuration(first).run.drift.model_dump())
     if figures.speaks_against(limits):
