@@ -84,68 +84,13 @@ def _weights(ratio: Fraction) -> tuple[int, Float64Array]:
     around = math.ceil(HALF_LENGTH * max(1.0, 1 / float(ratio)))
     place = np.arange(ratio.numerator) * ratio.denominator / ratio.numerator
     distance = np.arange(-around, ratio.denominator + around)[:, np.newaxis] - place
-    return around, _low_pass(distance, ratio, HALF_LENGTH, CUT)
+    return around, _low_pass(distance, ratio)
 
 
-def _low_pass(distance: Float64Array, ratio: Fraction, half_length: int, cut: float) -> Float64Array:
-    """Weights of old samples by their distance from a new one, in old samples.
-
-    half_length, cut: Reach in periods of the lower rate; the edge as a part of half the lower rate.
-    """
+def _low_pass(distance: Float64Array, ratio: Fraction) -> Float64Array:
+    """Weights of old samples by their distance from a new one, in old samples."""
     lower = min(1.0, float(ratio))
-    inside = np.clip(1 - (distance * lower / half_length) ** 2, 0, None)
+    inside = np.clip(1 - (distance * lower / HALF_LENGTH) ** 2, 0, None)
     window = np.i0(BETA * np.sqrt(inside)) / np.i0(BETA) * (inside > 0)
-    weights: Float64Array = lower * cut * np.sinc(lower * cut * distance) * window
+    weights: Float64Array = lower * CUT * np.sinc(lower * CUT * distance) * window
     return weights
-
-
-LIVE_HALF_LENGTH = 12
-"""Of `LiveConversion`: flat up to 0.7 of half the lower rate, and nothing left above 1.3 of it, both to -100 dB."""
-
-
-MAX_MATRICES = 16
-"""Blocks of one length begin at few places: 1 of 10 to 48 kHz, 2 of 10 to 44.1 kHz at 50 samples."""
-
-
-class LiveConversion:
-    """Signals at `ratio` times their rate, block by block, with a short low-pass; ratio 1 passes them on.
-
-    What has at most 0.7 of half the lower rate comes out to -100 dB. Images that lie higher are not removed, as the
-    drives of a bank have nothing in its upper band.
-
-    delay_samples: Old samples by which what comes out lags.
-    """
-
-    def __init__(self, channels: int, ratio: Fraction) -> None:
-        self._up, self._down = ratio.numerator, ratio.denominator
-        self.delay_samples = 0 if ratio == 1 else math.ceil(LIVE_HALF_LENGTH * max(1.0, 1 / float(ratio)))
-        distance = np.arange(1 - self.delay_samples, self.delay_samples + 1) - np.arange(self._up)[:, None] / self._up
-        self._weights = _low_pass(distance, ratio, LIVE_HALF_LENGTH, 1.0)
-        self._recent: Float64Array = (
-            np.zeros((channels, 2 * self.delay_samples - 1)) if ratio != 1 else np.zeros((0, 0))
-        )
-        self._place = 0
-        self._matrices: dict[tuple[int, int], Float64Array] = {}
-
-    def convert(self, block: Float64Array) -> Float64Array:
-        """The next frames (channels, frames), as many as the samples of the block (channels, samples) reach."""
-        if not self.delay_samples or not block.shape[1]:
-            return block
-        samples = np.concatenate([self._recent, block], axis=1)
-        matrix = self._matrix(self._place, block.shape[1])
-        self._place += self._down * matrix.shape[1] - self._up * block.shape[1]
-        self._recent = samples[:, block.shape[1] :]
-        return np.asarray(samples @ matrix)
-
-    def _matrix(self, place: int, samples: int) -> Float64Array:
-        """Weights (old samples, frames) of a block whose first frame is at `place` in it, in old samples times `up`."""
-        if (place, samples) not in self._matrices:
-            if len(self._matrices) >= MAX_MATRICES:
-                self._matrices.clear()
-            places = np.arange(place, self._up * samples, self._down)
-            reach = 2 * self.delay_samples
-            matrix = np.zeros((samples + reach - 1, len(places)))
-            rows = places[:, None] // self._up + np.arange(reach)
-            matrix[rows, np.arange(len(places))[:, None]] = self._weights[places % self._up]
-            self._matrices[place, samples] = matrix
-        return self._matrices[place, samples]

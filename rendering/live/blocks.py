@@ -5,136 +5,305 @@ source at sample s):
 
     f_i[n] = sum_s u[s] g_i(p(s))[s - n]
 
-Three blocks are computed at once from the courses of all sources as they are known or predicted now. Where an order
-changes a course the next block is computed anew, and crossfaded with what the computation before gave for it, so that a
-prediction that did not come true makes no click. Where nothing changes, both are the same numbers, and the second block
-is taken as it is.
+At frequency k of a transform of all of these samples that is F_i = sum_r U_r conj(G_ir), U_r the transform of what is
+emitted at the places of row r. It is evaluated at the frequencies of the bank's band alone, with a margin, since rows
+have next to nothing elsewhere. Samples before n, which have no effect on it, let the sum begin smoothly. The drives at
+the instants t of the interface's samples are one product with a fixed matrix:
+
+    f_i(t) = 2 / K sum_k Re F_i[k] exp(2 pi i k t / K)      (half of it for k = 0 and k = K / 2)
+
+Independent sources (`wavefocus.rendering.live.independent`) have filters of their own in place of conj(G). They last
+longer: `EXTENSION_S` of source samples more are taken at either end. A filter is made for the places of all sources at
+one instant, and serves samples around it, weighted by a hat: every `HAT_S`, and more and more rarely where places are
+predicted.
+
+Two blocks are computed at once. The first is crossfaded with what the computation before gave for it, so that a
+prediction that did not come true makes no click; where nothing has changed both are the same numbers.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from fractions import Fraction
+from functools import cached_property, lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
-from wavefocus.rendering.arrays import Complex128Array, Float64Array
-from wavefocus.rendering.band import Band, norm_of
-from wavefocus.rendering.device import fast_length, host_device
-from wavefocus.rendering.drive.windows import Events, RowSpectra, Windows
+from wavefocus.rendering.arrays import Float64Array
+from wavefocus.rendering.band import norm_of, power_over
+from wavefocus.rendering.device import fast_length
+from wavefocus.rendering.greens.interpolation.base import Nodes
 from wavefocus.rendering.greens.regularisation import BankRows
-from wavefocus.rendering.greens.source import apply_exponent
+from wavefocus.rendering.greens.source import apply_exponent, usable
+from wavefocus.rendering.live.independent import Complex64Array, independent_filters
+from wavefocus.rendering.live.lives import Life
+from wavefocus.storage.errors import InputError
 
 CACHE_BYTES = 2**30
-"""Memory of row spectra: 1500 positions of 20 actuators and 2000 taps take half of it."""
-AT_ONCE = 3
-"""Blocks computed at once: the one that is due, one that stands where no order comes, and one to fade from."""
+"""Memory of row spectra: 1500 positions of 20 actuators, 500 Hz and 200 ms take 4 % of it."""
+GEOMETRY_BYTES = 2**27
+"""Memory of independent filters: those of four sources at one instant take 0.1 MB."""
+BAND_MARGINS, BEYOND_DB, LOOKED_AT = (1.2, 1.5, 2.0), -30.0, 16
+"""Frequencies are computed up to the first of these multiples of the upper end of the bank's band that leaves out at
+most this share of the energy of so many rows; all of them where none does."""
+RAMP_S = 0.02
+"""What is emitted before a block has no effect on it, except that a sudden begin has frequencies beyond the band."""
+HAT_S, EXTENSION_S = 0.02, 0.02
+AROUND_S = 0.01
+"""Sources are quiet where the others were so long before, and where they will be so long after."""
+MAX_PLACES = 24
+"""Where there would be more, those before and after are left out."""
+
+Place = tuple[tuple[int, float], ...]
+"""Rows of a place, and their weights."""
+Piece = tuple[int, Float64Array, float | Float64Array]
+"""Part of what is emitted through a filter: its first sample in the window, values, and a factor or a factor each."""
+
+
+class Filter:
+    """Filters from one emitted signal to all drives.
+
+    values, complex64 (actuators, bins): Their spectra.
+    """
+
+    def __init__(self, values: Complex64Array) -> None:
+        self.values = values
+
+    @cached_property
+    def magnitude(self) -> Float64Array:
+        """Norm over the actuators of every bin."""
+        return np.asarray(np.linalg.norm(self.values, axis=0), dtype=np.float64)
 
 
 class CrossfadedBlocks:
     """Blocks of drives, one after the other.
 
     rows: Rows of the bank, and how they are regularised.
-    block_samples: Samples of a block, B.
+    block_samples: Samples of a block at the bank's rate, B.
+    frame_rate_hz: Rate of the blocks that come out.
+    nodes_at: Where sources are independent: rows and weights of places (n, 2) in millimetres. None: they are not.
     """
 
     window_samples: int
-    """Source samples that a computation takes, from the block's first sample on: L - 1 + 3 B."""
+    """Source samples that a computation takes from the block's first one on: L - 1 + 2 B, and the extension."""
+    extension_samples: int
+    """Those before it."""
 
-    def __init__(self, rows: BankRows, block_samples: int) -> None:
-        self._rows, self._block_samples, self._lead = rows, block_samples, rows.bank.taps - 1
-        self.window_samples = self._lead + AT_ONCE * block_samples
-        self._fft_samples = fast_length(self.window_samples)
-        device = replace(host_device(), memory_bytes=CACHE_BYTES)
-        self._spectra = RowSpectra(rows, Band.whole(self._fft_samples), device, magnitudes=True)
-        self._product = np.empty((rows.bank.actuators, self._spectra.band.bins), dtype=np.complex128)
-        self._rise = (np.arange(block_samples) + 0.5) / block_samples
-        self._ahead: Float64Array = np.zeros((rows.bank.actuators, block_samples))
-        """What the last computation gave for the blocks to come."""
-        self._blocks_per_second = max(1, round(float(rows.bank.sample_rate_hz) / block_samples))
+    def __init__(
+        self,
+        rows: BankRows,
+        block_samples: int,
+        frame_rate_hz: float,
+        nodes_at: Callable[[Float64Array], Nodes] | None = None,
+    ) -> None:
+        bank, rate_hz = rows.bank, float(rows.bank.sample_rate_hz)
+        self._rows, self._block_samples, self._nodes_at = rows, block_samples, nodes_at
+        self._frames_per_sample = Fraction(frame_rate_hz) / Fraction(rate_hz)
+        extension = 0 if nodes_at is None else round(EXTENSION_S * rate_hz)
+        ramp = round(RAMP_S * rate_hz)
+        self._ramp = np.sin(np.pi / 2 * (np.arange(ramp) + 0.5) / max(ramp, 1)).astype(np.float32) ** 2
+        self.extension_samples = ramp + extension
+        self.window_samples = bank.taps - 1 + 2 * block_samples + extension
+        self._fft_samples = fast_length(self.extension_samples + self.window_samples)
+        top_hz = min(rate_hz, frame_rate_hz) / 2.0
+        self._bins = math.floor(top_hz * self._fft_samples / rate_hz + 1e-9) + 1
+        self._bins = min(self._bins, self._bins_of_band())
+        self._synthesis = self._synthesis_matrix()
+        self._hat, self._around = max(1, round(HAT_S * rate_hz)), round(AROUND_S * rate_hz)
+        filter_bytes = 8 * self._bins * bank.actuators
+        self.most_rows = max(1, CACHE_BYTES // filter_bytes)
+        """Rows whose spectra are kept in memory."""
+        self._row_filter = lru_cache(self.most_rows)(self._make_row_filter)
+        self._filters = lru_cache(max(1, GEOMETRY_BYTES // (4 * filter_bytes)))(self._make_filters)
+        self._gain = lru_cache(None)(self._make_gain)
+        self._ahead: Float64Array = np.zeros((bank.actuators, self._frame(block_samples)))
+        """What the last computation gave for the next block."""
+        self._blocks_per_second = max(1, round(rate_hz / block_samples))
         self._norms: deque[float] = deque(maxlen=self._blocks_per_second)
         """Norms of the blocks of the last second, in volts."""
 
-    @property
-    def most_rows(self) -> int:
-        """Rows whose spectra are kept in memory."""
-        return self._spectra.most_rows
+    def _bins_of_band(self) -> int:
+        """Number of bins that hold what rows have."""
+        bank, whole = self._rows.bank, self._fft_samples // 2 + 1
+        if bank.band_hz is None:
+            return whole
+        usable_rows, power = np.flatnonzero(usable(bank)), np.zeros(whole)
+        for row in usable_rows[np.linspace(0, len(usable_rows) - 1, LOOKED_AT).astype(np.int64)].tolist():
+            with suppress(InputError):  # it matters only where a source comes near
+                power += power_over(np.fft.rfft(self._rows.read(row), n=self._fft_samples, axis=1), axis=0)
+        for margin in BAND_MARGINS:
+            bins = math.floor(margin * bank.band_hz[1] / float(bank.sample_rate_hz) * self._fft_samples) + 1
+            if power[bins:].sum() <= 10.0 ** (BEYOND_DB / 10.0) * power.sum():
+                return min(bins, whole)
+        return whole
 
     def load(self, row: int) -> None:
         """Read and transform a row. Raises InputError: it may not be used."""
-        self._spectra.load([row])
+        self._row_filter(row, -1)
 
-    def next(self, events: Events | None, bound_db: float | None = None) -> Float64Array:
-        """Compute a block, (actuators, block_samples), in volts; infinite or NaN where it does not fit into float64.
+    def next(self, lives: Iterable[Life], first: int, due: int, bound_db: float | None = None) -> Float64Array:
+        """Compute a block, float64 (actuators, frames), in volts; infinite or NaN where it does not fit into numbers.
 
-        events: What is emitted at `window_samples`, counted from the block's first sample.
+        lives: What sounds.
+        first, due: The block's first sample; the sample from which on places are predicted.
         bound_db: Allows leaving out bins from the highest downwards, as far as the norm of what is missing is proved to
             be at most the bound times R, the root mean square of the norms of the blocks given in the second before.
             Each computation errs by at most its bound over all of its blocks, each block counts in one second's worth
             of R, and a crossfade does not enlarge the sum of the squares of both errors, so that the error of all
             drives in L2 is at most the bound times their norm, beside rounding.
         """
-        size = self._block_samples
-        computed = np.zeros((self._rows.bank.actuators, AT_ONCE * size))
-        if events is not None and events.values.any():
-            computed = self._computed(events, bound_db)
-        block = computed[:, :size] * self._rise
-        block += self._ahead[:, :size] * (1.0 - self._rise)
-        return self._given(block, computed[:, size:])
-
-    def unchanged(self) -> Float64Array | None:
-        """The next block where no course has changed since the last one; None where it is to be computed."""
-        size = self._block_samples
-        if self._ahead.shape[1] < 2 * size:
-            return None
-        return self._given(self._ahead[:, :size].copy(), self._ahead[:, size:])
-
-    def _given(self, block: Float64Array, ahead: Float64Array) -> Float64Array:
+        begin, stop = first - self.extension_samples, first + self.window_samples
+        heard = [life for life in lives if life.begin < stop and life.end >= begin]
+        emitted = self._plain(heard, begin, stop) if self._nodes_at is None else self._mixed(heard, begin, stop, due)
+        size, ahead = (self._frame(first + blocks * self._block_samples) - self._frame(first) for blocks in (1, 2))
+        computed = np.zeros((len(self._ahead), ahead))
+        if emitted:
+            computed = self._computed(emitted, first, ahead, bound_db)
+        rise = (np.arange(size) + 0.5) / size
+        block = computed[:, :size] * rise
+        block += self._ahead * (1.0 - rise)
+        self._ahead = computed[:, size:]
         self._norms.append(norm_of(block))
-        self._ahead = ahead
         return block
 
-    def _computed(self, events: Events, bound_db: float | None) -> Float64Array:
-        """Drives of three blocks, (actuators, 3 B)."""
-        windows = Windows(events)
-        windows.weigh(self._rows.weigh)
+    def _frame(self, sample: int) -> int:
+        """Number of the first frame not before a sample."""
+        return math.ceil(sample * self._frames_per_sample)
+
+    def _plain(self, lives: Sequence[Life], first: int, stop: int) -> list[tuple[Filter, list[Piece]]]:
+        """What is emitted through the filter of each row, and each saturation of it."""
+        emitted: dict[tuple[int, int], list[Piece]] = {}
+        for life in lives:
+            begin, end = max(first, life.begin), min(stop, life.end + 1)
+            values = life.values(begin, end)
+            if not values.any():
+                continue
+            for run in life.runs(begin, end):
+                gain, saturated_by = self._gain(run.nearest)
+                part = values[run.begin - begin : run.end - begin]
+                for row, weights in zip(run.rows, run.weights, strict=True):
+                    factor = gain * (weights if len(weights) > 1 else float(weights[0]))
+                    if np.any(factor):
+                        emitted.setdefault((row, saturated_by), []).append((run.begin - first, part, factor))
+        return [(self._row_filter(*row), pieces) for row, pieces in emitted.items()]
+
+    def _mixed(self, lives: Sequence[Life], first: int, stop: int, due: int) -> list[tuple[Filter, list[Piece]]]:
+        """What is emitted through the filter of each source around the instant of each hat."""
+        if not lives:
+            return []
+        instants, step = [first // self._hat * self._hat - self._hat], self._hat
+        while instants[-1] < stop:
+            instants.append(instants[-1] + step)
+            step = step if instants[-1] <= due else 2 * step
+        at, around = np.array(instants), np.array([[0], [-self._around], [self._around]])
+        places = self._places([life.course.at(np.clip(at + around, life.begin, life.end).ravel())[0] for life in lives])
+        emitted: list[tuple[Filter, list[Piece]]] = []
+        values = [life.values(max(first, life.begin), min(stop, life.end + 1)) for life in lives]
+        for index in range(1, len(instants) - 1):
+            hat = instants[index - 1 : index + 2]
+            there = [number for number, life in enumerate(lives) if life.begin < hat[2] and life.end > hat[0]]
+            # Where places are predicted, those around them are no better known.
+            counted = 3 if hat[1] <= due and 3 * len(there) <= MAX_PLACES else 1
+            own = tuple(tuple(places[number][part][index][0] for part in range(counted)) for number in there)
+            filters = self._filters(own) if own else ()
+            for number, one in zip(there, filters, strict=True):
+                life = lives[number]
+                begin, end = max(first, life.begin, hat[0] + 1), min(stop, life.end + 1, hat[2])
+                since = max(first, life.begin)
+                loud = values[number][begin - since : end - since]
+                if loud.any():
+                    gain, _ = self._gain(places[number][0][index][1])
+                    rise = np.interp(np.arange(begin, end), hat, (0.0, gain, 0.0))
+                    emitted.append((one, [(begin - first, loud, rise)]))
+        return emitted
+
+    def _places(self, at_mm: Sequence[Float64Array]) -> list[list[list[tuple[Place, int]]]]:
+        """Rows and weights, and nearest rows, of the places of lives: before, at and after each instant."""
+        assert self._nodes_at is not None
+        nodes = self._nodes_at(np.concatenate(at_mm))
+        rows, weights, nearest = nodes.rows.tolist(), nodes.weights.tolist(), nodes.nearest.tolist()
+        known = [
+            (tuple((row, weight) for row, weight in zip(*pair, strict=True) if weight), by)
+            for *pair, by in zip(rows, weights, nearest, strict=True)
+        ]
+        count = len(at_mm[0]) // 3
+        parts = [known[begin : begin + count] for begin in range(0, len(known), count)]
+        return [parts[begin : begin + 3] for begin in range(0, len(parts), 3)]
+
+    def _computed(
+        self, emitted: Sequence[tuple[Filter, list[Piece]]], first: int, frames: int, bound_db: float | None
+    ) -> Float64Array:
+        """Drives at the next frames, (actuators, frames)."""
+        import scipy.fft  # several times as fast in single precision as NumPy's
+
         unit = self._rows.drive_exponent
-        emitted = windows.spectra(0, len(windows), self._fft_samples)
-        error = 0.0 if bound_db is None else self._error(bound_db, unit)
-        total = self._total(windows, emitted[:, : self._kept(windows, emitted, error)])
-        samples = np.fft.irfft(total, n=self._fft_samples, axis=1)[:, self._lead : self.window_samples]
-        return apply_exponent(samples, unit)
+        windows = np.zeros((len(emitted), self._fft_samples), dtype=np.float32)
+        with np.errstate(over="ignore", invalid="ignore"):
+            for window, (_, pieces) in zip(windows, emitted, strict=True):
+                for begin, values, factor in pieces:
+                    window[begin : begin + len(values)] += values * factor
+            windows[:, : len(self._ramp)] *= self._ramp
+            spectra = scipy.fft.rfft(windows, axis=1)[:, : self._bins]
+            kept = self._bins
+            if bound_db is not None:
+                kept = self._kept([one for one, _ in emitted], spectra, self._error(bound_db, unit))
+            total = np.zeros((self._rows.bank.actuators, kept), dtype=np.complex64)
+            product = np.empty_like(total)
+            for (one, _), spectrum in zip(emitted, spectra, strict=True):
+                np.multiply(one.values[:, :kept], spectrum[:kept], out=product)
+                total += product
+            late = float(self._frame(first) / self._frames_per_sample - first)
+            if late:
+                total *= np.exp(2j * np.pi / self._fft_samples * late * np.arange(kept)).astype(np.complex64)
+            return apply_exponent(total.view(np.float32) @ self._synthesis[: 2 * kept, :frames], unit)
 
-    def _total(self, windows: Windows, emitted: Complex128Array) -> Complex128Array:
-        """Sum of windows times time-reversed rows, (actuators, kept bins)."""
-        kept = emitted.shape[1]
-        total, product = np.zeros_like(self._product[:, :kept]), self._product[:, :kept]
-        for row, by, window in zip(windows.rows.tolist(), windows.regularised_by.tolist(), emitted, strict=True):
-            self.load(row)
-            np.multiply(self._spectra[row].values[:, :kept], window, out=product)
-            sigma = self._rows.sigma(by) if by >= 0 else None
-            if sigma is not None:
-                product *= sigma[:, None]
-            total += product
-        return total
+    def _synthesis_matrix(self) -> NDArray[np.float32]:
+        """From real and imaginary parts of bins, one after the other, to the frames of two blocks."""
+        frames = math.ceil(2 * self._block_samples * self._frames_per_sample) + 1
+        sample = self.extension_samples + np.arange(frames) / float(self._frames_per_sample)
+        bins = np.arange(self._bins)
+        turns = np.exp(2j * np.pi / self._fft_samples * bins[:, None] * sample) * (2.0 / self._fft_samples)
+        turns[(bins == 0) | (2 * bins == self._fft_samples)] /= 2.0
+        return np.stack([turns.real, -turns.imag], axis=1).reshape(2 * self._bins, frames).astype(np.float32)
 
-    def _kept(self, windows: Windows, emitted: Complex128Array, error: float) -> int:
+    def _make_row_filter(self, row: int, saturated_by: int) -> Filter:
+        if saturated_by >= 0:
+            sigma = self._rows.sigma(saturated_by)
+            assert sigma is not None
+            return Filter(self._row_filter(row, -1).values * sigma[:, None].astype(np.float32))
+        spectra = np.fft.rfft(self._rows.read(row), n=self._fft_samples, axis=1)[:, : self._bins]
+        return Filter(spectra.conj().astype(np.complex64))
+
+    def _make_filters(self, own: tuple[tuple[Place, ...], ...]) -> tuple[Filter, ...]:
+        """Filters of sources that are independent, by the places of each."""
+        places = {place: index for index, place in enumerate(dict.fromkeys(one for mine in own for one in mine))}
+        reversed_in_time = [sum(weight * self._row_filter(row, -1).values for row, weight in place) for place in places]
+        green = np.ascontiguousarray(np.array(reversed_in_time).conj().transpose(2, 0, 1))
+        filters = independent_filters(green, [[places[one] for one in mine] for mine in own])
+        return tuple(Filter(np.ascontiguousarray(one)) for one in filters.transpose(1, 2, 0))
+
+    def _make_gain(self, row: int) -> tuple[float, int]:
+        """n(x) of a row, and the row itself where it saturates, else -1."""
+        (gain,), (saturated,) = self._rows.weigh(np.array([row]))
+        return float(gain), row if saturated else -1
+
+    def _kept(self, filters: Sequence[Filter], spectra: Complex64Array, error: float) -> int:
         """Number of bins; the norm in time of those beyond is at most the error (see `wavefocus.rendering.band`)."""
-        bins: int = emitted.shape[1]
         if not error > 0:
-            return bins
-        summed = np.zeros(bins)
-        for row, size in zip(windows.rows.tolist(), np.abs(emitted), strict=True):
-            self.load(row)
-            # Saturation only lessens a row.
-            summed += size * self._spectra[row].magnitude
+            return self._bins
+        summed = np.zeros(self._bins)
+        for one, spectrum in zip(filters, np.abs(spectra), strict=True):
+            summed += spectrum * one.magnitude
         beyond = np.cumsum(np.square(summed[::-1])) * (2.0 / self._fft_samples)
-        return max(bins - int(np.searchsorted(beyond, error**2, side="right")), 1)
+        return max(self._bins - int(np.searchsorted(beyond, error**2, side="right")), 1)
 
     def _error(self, bound_db: float, unit: int) -> float:
-        """Norm that may be left out, over 2**unit volts."""
-        level_v = norm_of(np.array([*self._norms, 0.0])) / math.sqrt(self._blocks_per_second)
+        """Norm that may be left out, over 2**unit volts, of drives at the bank's rate."""
+        level_v = norm_of(np.array([*self._norms, 0.0])) / math.sqrt(self._blocks_per_second * self._frames_per_sample)
         with np.errstate(over="ignore", under="ignore"):
             error = float(np.ldexp(10.0 ** (bound_db / 20.0) * level_v, -unit))
         return error if math.isfinite(error) else 0.0

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wavefocus.rendering.arrays import Float64Array, Int64Array
+from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.greens.source import GreenSource
 from wavefocus.rendering.scene.signals import Noise, Signal, signal_size
 from wavefocus.storage.errors import InputError
@@ -22,10 +22,15 @@ class Emitted:
     values: Float64Array
     repeat: bool
 
-    def at(self, since: Int64Array) -> Float64Array:
-        """Values so many samples after the first, int64 (n,)."""
-        values = self.values[since % len(self.values)]
-        return values if self.repeat else np.where(since < len(self.values), values, 0.0)
+    def at(self, since: int, samples: int) -> Float64Array:
+        """Values from so many samples after the first on, float64 (samples,)."""
+        size = len(self.values)
+        if self.repeat:
+            since %= size
+            if since + samples > size:
+                return np.take(self.values, np.arange(since, since + samples), mode="wrap")
+        values = self.values[since : since + samples]
+        return values if len(values) == samples else np.pad(values, (0, samples - len(values)))
 
 
 def live_samples(signal: Signal, rate_hz: float) -> Float64Array:

@@ -17,7 +17,7 @@ from wavefocus.rendering.greens.regularisation import BankRows
 from wavefocus.rendering.greens.source import GreenSource
 from wavefocus.rendering.live.blocks import CrossfadedBlocks
 from wavefocus.rendering.live.emitted import Emitted, default_signal, live_samples
-from wavefocus.rendering.live.lives import JUMP_MM_S, VELOCITY_S, Life, Timing, joined, trajectory
+from wavefocus.rendering.live.lives import JUMP_MM_S, LOOK_S, VELOCITY_S, Life, Timing, trajectory
 from wavefocus.rendering.live.surface import Surface
 from wavefocus.rendering.scene.signals import Signal
 from wavefocus.rendering.scene.trajectory import Trajectory
@@ -25,6 +25,7 @@ from wavefocus.storage.errors import InputError
 
 MAX_NAMES = 64
 """Names whose signals are kept; of more, those that were silent longest are forgotten."""
+MAX_SOURCES = 32
 MAX_NAME = 100
 MAX_AMPLITUDE = 1e9
 
@@ -99,6 +100,9 @@ class LiveEngine:
     most_sources: Names that may sound at a time.
     signal: Of sources that were given none; by default noise of the bank's band, 1 s, repeating.
     record: Whether knots are kept for `take_record`.
+    frame_rate_hz: Rate of the blocks that come out; by default the bank's.
+    independent: Whether each source is quiet where the others are, as `wavefocus.rendering.live.independent` has it; a
+        source of amplitude 0 is a place where the others are quiet.
 
     Raises InputError: a value is out of range, or the bank does not allow the interpolation or regularisation.
     """
@@ -116,9 +120,11 @@ class LiveEngine:
         interpolation: str = "nearest",
         hold_s: float = 0.25,
         fade_s: float = 0.01,
-        most_sources: int = 8,
+        most_sources: int = MAX_SOURCES,
         signal: Signal | None = None,
         record: bool = False,
+        frame_rate_hz: float | None = None,
+        independent: bool = False,
     ) -> None:
         for key, value, least in (
             ("block_samples", block_samples, 1), ("look_ahead_samples", look_ahead_samples, 0),
@@ -127,16 +133,24 @@ class LiveEngine:
             if not least <= value < math.inf:
                 raise InputError(f"{key} is {value}; it must be a finite number, {least} or more")
         self.rate_hz, self.actuators, self.block_samples = float(bank.sample_rate_hz), bank.actuators, block_samples
+        self.frame_rate_hz = self.rate_hz if frame_rate_hz is None else frame_rate_hz
         self._look_ahead, self._most_sources = look_ahead_samples, most_sources
+        regularisation = Regularisation() if regularisation is None else regularisation
+        if independent and (regularisation.saturation or regularisation.saturation_absolute):
+            raise InputError("independent sources are not saturated; leave out saturation and saturation_absolute")
+        self._surface = Surface(bank, interpolation, self._read)
         self._blocks = CrossfadedBlocks(
-            BankRows(bank, Regularisation() if regularisation is None else regularisation), block_samples
+            BankRows(bank, regularisation),
+            block_samples,
+            self.frame_rate_hz,
+            self._surface.nodes if independent else None,
         )
         self.sufficient_samples = self._blocks.window_samples
-        self._surface = Surface(bank, interpolation, self._blocks.load)
         self.x_mm, self.y_mm = self._surface.x_mm, self._surface.y_mm
         self._timing = Timing(
-            fade=max(1, round(fade_s * self.rate_hz)), hold=max(1, round(hold_s * self.rate_hz)),
-            velocity=round(VELOCITY_S * self.rate_hz), jump_mm_per_sample=JUMP_MM_S / self.rate_hz,
+            look=max(1, round(LOOK_S * self.rate_hz)), fade=max(1, round(fade_s * self.rate_hz)),
+            hold=max(1, round(hold_s * self.rate_hz)), velocity=round(VELOCITY_S * self.rate_hz),
+            jump_mm_per_sample=JUMP_MM_S / self.rate_hz,
         )  # fmt: skip
         default = default_signal(bank) if signal is None else signal
         self._default = Emitted(default, live_samples(default, self.rate_hz), repeat=True)
@@ -144,7 +158,6 @@ class LiveEngine:
         self._sources: dict[str, _Source] = {}
         self._lives: dict[int, Life] = {}
         self._lives_begun = self._appearances = 0
-        self._changed = False  # a course, since the last block
 
     def preload(self) -> None:
         """Read rows beforehand, as many as fit into memory: about 1 ms each."""
@@ -181,7 +194,7 @@ class LiveEngine:
         if former is None:
             self._appearances += 1
             source.appeared, source.life = self._appearances, None
-        source.at_mm, source.due, source.amplitude, self._changed = place, due, loudness, True
+        source.at_mm, source.due, source.amplitude = place, due, loudness
         if goes_on or name in self._dropped(due):
             return
         if life is not None:
@@ -204,7 +217,6 @@ class LiveEngine:
         due, before = self.next_sample + self._look_ahead, source.life
         if before is None:
             return
-        self._changed = True
         before.settle(due)
         if not before.ended:
             (place_mm,), _ = before.course.at(np.array([due]))
@@ -217,7 +229,7 @@ class LiveEngine:
         if name not in self._active(due):
             raise InputError(f"no source {name[:MAX_NAME]!r} sounds; allowed are the names that do")
         source = self._sources[name]
-        source.due, self._changed = -1, True
+        source.due = -1
         if source.life is not None:
             source.life.settle(due)
             source.life.finish(due)
@@ -233,7 +245,7 @@ class LiveEngine:
             raise InputError(f"bound_db is {effort.bound_db}; it must be a finite number below 0")
         if effort.most_sources is not None and effort.most_sources < 0:
             raise InputError(f"most_sources is {effort.most_sources}; it must be 0 or more")
-        self._effort, self._changed = effort, True
+        self._effort = effort
         due = self.next_sample + self._look_ahead
         for name in self._dropped(due):
             life = self._sources[name].life
@@ -277,28 +289,25 @@ class LiveEngine:
         return tuple(parts)
 
     def next_block(self) -> Float64Array:
-        """Compute the next block of drives, (actuators, block_samples), in volts.
+        """Compute the next block of drives, float64 (actuators, frames), in volts.
 
-        Raises InputError: the drives do not fit into float64.
+        Raises InputError: the drives do not fit into float32.
         """
         due = self.next_sample + self._look_ahead
         for life in self._lives.values():
             life.settle(due)
-        sounding = any(life.end >= self.next_sample for life in self._lives.values())
-        block = self._blocks.unchanged() if sounding and not self._changed else None
-        if block is None:
-            first, stop = self.next_sample, self.next_sample + self._blocks.window_samples
-            parts = [events for life in self._lives.values() if (events := life.events(first, stop)) is not None]
-            block = self._blocks.next(joined(parts) if parts else None, self._effort.bound_db)
-        self._changed = False
+        block = self._blocks.next(self._lives.values(), self.next_sample, due, self._effort.bound_db)
         if not np.isfinite(block).all():
             raise InputError(
-                f"the drive from sample {self.next_sample} on does not fit into float64; lower the amplitude or check"
+                f"the drive from sample {self.next_sample} on does not fit into float32; lower the amplitude or check"
                 " the bank"
             )
         self.next_sample += self.block_samples
         self._forget()
         return block
+
+    def _read(self, row: int) -> None:
+        self._blocks.load(row)
 
     def _begin(
         self, name: str, source: _Source, due: int, at_mm: tuple[float, float], before: Life | None = None
@@ -313,12 +322,12 @@ class LiveEngine:
 
     def _forget(self) -> None:
         """Drop knots and lives that no later block needs."""
-        due = self.next_sample + self._look_ahead
+        due, needed = self.next_sample + self._look_ahead, self.next_sample - self._blocks.extension_samples
         for number, life in list(self._lives.items()):
             if not self._record:
                 life.take(due)
-            life.forget(self.next_sample)
-            if life.taken and life.end < self.next_sample:
+            life.forget(needed)
+            if life.taken and life.end < needed:
                 del self._lives[number]
                 source = self._sources.get(life.name)
                 if source is not None and source.life is life:

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from wavefocus.rendering.drive.windows import Events
-from wavefocus.rendering.greens.interpolation.base import OffGridError
+from wavefocus.rendering.arrays import Float64Array, Int64Array
+from wavefocus.rendering.greens.interpolation.base import Nodes, OffGridError
 from wavefocus.rendering.live.emitted import Emitted
 from wavefocus.rendering.live.surface import Surface
 from wavefocus.rendering.scene.trajectory import Trajectory
@@ -26,6 +25,8 @@ JUMP_MM_S = 2000.0
 """No finger that stays on a surface is as fast."""
 JUMP_MM = 5.0
 """Smaller steps, such as of a pointer in a small window, are no jumps at any speed."""
+LOOK_S = 0.0025
+"""A course is looked at so often; closer where the rows change."""
 
 
 class Knot(NamedTuple):
@@ -43,10 +44,42 @@ def trajectory(knots: list[Knot]) -> Trajectory:
     return Trajectory(np.array([knot.sample for knot in knots], dtype=np.int64), table[:, :2], table[:, 2])
 
 
+class Run(NamedTuple):
+    """Samples `begin` to `end` - 1 of a course, whose Green's functions are made of the same rows.
+
+    weights, float64 (k, n) or (k, 1): Of each of the k rows, at each sample or at all of them.
+    nearest: The row whose regularisation counts.
+    """
+
+    begin: int
+    end: int
+    rows: tuple[int, ...]
+    weights: Float64Array
+    nearest: int
+
+    def between(self, first: int, stop: int) -> Run:
+        """The samples of it from `first` to `stop` - 1."""
+        begin, end = max(self.begin, first), min(self.end, stop)
+        if (begin, end) == self[:2]:
+            return self
+        weights = self.weights if self.weights.shape[1] == 1 else self.weights[:, begin - self.begin : end - self.begin]
+        return Run(begin, end, self.rows, weights, self.nearest)
+
+    def goes_on(self, other: Run) -> bool:
+        """Whether another run is the same one, a moment later."""
+        same = (self.rows, self.nearest) == (other.rows, other.nearest)
+        steady = self.weights.shape[1] == other.weights.shape[1] == 1
+        return same and steady and bool((self.weights == other.weights).all())
+
+
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """Times in samples: of a fade, of holding without a position, over which velocity is taken; the speed of jumps."""
+    """Times in samples: of a fade, of holding without a position, over which velocity is taken; the speed of jumps.
 
+    look: Between two looks at a course.
+    """
+
+    look: int
     fade: int
     hold: int
     velocity: int
@@ -81,8 +114,8 @@ class Life:
         self._surface, self._timing = surface, timing
         self._positions: list[Knot] = [] if before is None else before._positions
         self._knots: list[Knot] = []
-        self._taken, self._needed, self._first = 0, begin, begin
-        self._events: Events | None = None
+        self._taken, self._needed = 0, begin
+        self._runs: list[Run] = []
         self._accept([], [Knot(begin, *at_mm, amplitude)], begin)
 
     @property
@@ -128,12 +161,17 @@ class Life:
             self._trace(self._faded(knots), last.sample + 1)
         self._knots, self._tail, self.ended = self._faded(knots), [], True
 
-    def events(self, first: int, stop: int) -> Events | None:
-        """What it emits at samples [first, stop), counted from `first`; None where that is nothing."""
-        begin, end = max(first, self._first), min(stop, self.end + 1)
-        if begin >= end or self._events is None:
-            return None
-        return _part(self._events, begin - self._first, end - self._first, first)
+    def runs(self, first: int, stop: int) -> list[Run]:
+        """What it passes at samples [first, stop)."""
+        return [one.between(first, stop) for one in self._runs if one.begin < stop and one.end > first]
+
+    def values(self, first: int, stop: int) -> Float64Array:
+        """What it emits at samples [first, stop), all of them from `begin` to `end`, float64 (stop - first,)."""
+        knots, amplitude = self.course.sample, self.course.amplitude
+        # Mostly it neither appears nor fades.
+        around = amplitude[max(np.searchsorted(knots, first, "right") - 1, 0) : np.searchsorted(knots, stop) + 1]
+        loud = around[0] if (around == around[0]).all() else np.interp(np.arange(first, stop), knots, amplitude)
+        return self.emitted.at(first - self.begin, stop - first) * loud
 
     def take(self, sample: int) -> list[Knot]:
         """Final knots that were not taken yet; those before `sample` are final."""
@@ -212,38 +250,66 @@ class Life:
     def _trace(self, knots: list[Knot], changed: int) -> None:
         """Evaluate a course from a sample on. Raises OffGridError, and changes nothing: a place is off the surface."""
         course = trajectory(knots)
-        sample = np.arange(changed, knots[-1].sample + 1)
-        places_mm, amplitude = course.at(sample)
-        values = self.emitted.at(sample - self.begin) * amplitude
-        # Where it rests one look is enough.
-        moves = [after.sample for before, after in pairwise(knots) if before[1:3] != after[1:3]]
-        moving = max([changed, *moves]) - changed + 1
-        nodes = self._surface.nodes(places_mm[:moving])
-        place = np.minimum(np.arange(len(sample)), moving - 1)
-        rows, weights = nodes.rows.take(place, axis=0), nodes.weights.take(place, axis=0)
-        events, first = Events(rows, weights, nodes.nearest.take(place), sample, values), changed
-        if self._events is not None and (begin := max(self._needed, self._first)) < changed:
-            former = _part(self._events, begin - self._first, changed - self._first, 0)
-            events, first = joined([former, events]), begin
-        self.course, self._events, self._first = course, events, first
+        runs = self._traced(course, changed, knots[-1].sample)
+        former = [
+            one.between(self._needed, changed) for one in self._runs if one.end > self._needed and one.begin < changed
+        ]
+        if former and former[-1].goes_on(runs[0]):
+            runs[0] = runs[0]._replace(begin=former.pop().begin)
+        self.course, self._runs = course, former + runs
+
+    def _traced(self, course: Trajectory, first: int, last: int) -> list[Run]:
+        """Runs of a course from a sample to its last one.
+
+        Where two looks see the same rows with the same weights, a straight way between them has no others: all places
+        nearest to a row are a convex set, and elsewhere only the same place has the same weights.
+        """
+        look = np.arange(first, last + 1, self._timing.look)
+        sample = np.sort(np.concatenate([look, course.sample[course.sample > first]]))
+        nodes = self._nodes(course, sample, first)
+        same = (nodes.rows[1:] == nodes.rows[:-1]) & (nodes.weights[1:] == nodes.weights[:-1])
+        same = same.all(axis=1) & (nodes.nearest[1:] == nodes.nearest[:-1]) | (sample[1:] <= sample[:-1] + 1)
+        if len(differ := np.flatnonzero(~same)):
+            missing = np.concatenate([np.arange(sample[one] + 1, sample[one + 1]) for one in differ.tolist()])
+            both = [nodes, self._nodes(course, missing, first)]
+            order = np.argsort(np.concatenate([sample, missing]), kind="stable")
+            sample = np.concatenate([sample, missing])[order]
+            rows, weights, nearest = (
+                np.concatenate([getattr(one, part) for one in both])[order] for part in ("rows", "weights", "nearest")
+            )
+            nodes = Nodes(rows, weights, nearest, np.zeros(0))
+        return _runs(sample, nodes, last + 1)
+
+    def _nodes(self, course: Trajectory, sample: Int64Array, first: int) -> Nodes:
+        """Nodes at samples; the point of an OffGridError counts samples from `first`."""
+        try:
+            return self._surface.nodes(course.at(sample)[0])
+        except OffGridError as off:
+            point, message = off.point, str(off)
+            if point and sample[point] > sample[point - 1] + 1:  # which of those between is the first?
+                between = np.arange(sample[point - 1] + 1, sample[point] + 1)
+                try:
+                    self._surface.nodes(course.at(between)[0])
+                except OffGridError as exact:
+                    sample, point, message = between, exact.point, str(exact)
+            raise OffGridError(int(sample[point]) - first, message) from None
 
 
-def joined(parts: list[Events]) -> Events:
-    """Events one after the other."""
-    return Events(
-        np.concatenate([part.rows for part in parts]), np.concatenate([part.weights for part in parts]),
-        np.concatenate([part.regularised_by for part in parts]), np.concatenate([part.sample for part in parts]),
-        np.concatenate([part.values for part in parts]),
-    )  # fmt: skip
-
-
-def _part(events: Events, begin: int, end: int, first: int) -> Events:
-    """Events begin to end - 1, counted from sample `first`."""
-    part = slice(begin, end)
-    return Events(
-        events.rows[part], events.weights[part], events.regularised_by[part], events.sample[part] - first,
-        events.values[part],
-    )  # fmt: skip
+def _runs(sample: Int64Array, nodes: Nodes, stop: int) -> list[Run]:
+    """Runs of looks, each of which stands until the next one, the last one until `stop`."""
+    changes = (nodes.rows[1:] != nodes.rows[:-1]).any(axis=1) | (nodes.nearest[1:] != nodes.nearest[:-1])
+    first = np.concatenate([[0], np.flatnonzero(changes) + 1])
+    begins, ends = first.tolist(), [*first[1:].tolist(), len(sample)]
+    rows, nearest = nodes.rows[first].tolist(), nodes.nearest[first].tolist()
+    at, runs = [*sample[first].tolist(), stop], []
+    for number, (begin, end) in enumerate(zip(begins, ends, strict=True)):
+        weights = nodes.weights[begin:end]
+        if weights.shape[1] > 1 and (weights != weights[0]).any():
+            weights = np.repeat(weights, np.diff(sample[begin:end], append=at[number + 1]), axis=0)
+        else:
+            weights = weights[:1]
+        runs.append(Run(at[number], at[number + 1], tuple(rows[number]), weights.T, nearest[number]))
+    return runs
 
 
 def _velocity(positions: list[Knot]) -> tuple[float, float]:

@@ -45,6 +45,7 @@ class Surface:
         self._method = method(PositionGrid(bank.position_mm))
         self._read, self._usable = read, usable(bank)
         self._unread = self._usable.copy()
+        self._note_doubts()
         if not self._usable.any():
             raise InputError("no position of the bank was measured; live sources need some")
         position_mm = np.asarray(bank.position_mm, dtype=np.float64)[self._usable]
@@ -112,15 +113,15 @@ class Surface:
             with suppress(InputError):
                 self._admit(row)
 
-    @property
-    def _doubtful(self) -> bool:
-        return bool(self._unread.any()) or not self._usable.all()
+    def _note_doubts(self) -> None:
+        self._doubtful = bool(self._unread.any()) or not self._usable.all()
 
     def _admit(self, row: int) -> None:
         if self._unread[row]:
             self._unread[row] = self._usable[row] = False
             self._read(row)
             self._usable[row] = True
+            self._note_doubts()
         elif not self._usable[row]:
             self._read(row)  # says why
 

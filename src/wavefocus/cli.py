@@ -499,6 +499,7 @@ COMMANDS = (
             number("--gain-db", -200, 200, default=0.0, help="Softer (negative) or louder; limits hold all the same."),
             number("--duration-s", 0, 1e6, help="End by itself after so long."),
             file("--record", metavar="FOLDER", help="Record the session as a scene that renders to the same drives."),
+            switch("--independent", help="Each source is quiet where the others are."),
             argument("--osc", nargs="?", const="127.0.0.1:9000", metavar="HOST:PORT",
                      help="Also take orders by OSC over UDP; by default at 127.0.0.1:9000, of this computer alone."),
             JSON_LINES,

@@ -20,11 +20,13 @@ from wavefocus.rendering.scene.trajectory import Trajectory
 from wavefocus.storage.errors import InputError
 
 RATE_HZ, TAPS, BLOCK = 1000.0, 60, 8
-SUFFICIENT = TAPS - 1 + 3 * BLOCK
+SUFFICIENT = TAPS - 1 + 2 * BLOCK
 GRID_MM = np.array([(4.0 * x - 20.0, 4.0 * y - 20.0) for y in range(11) for x in range(11)])
 DECAY = np.exp(-np.arange(TAPS) / 15.0)
 GREEN = np.random.default_rng(3).standard_normal((len(GRID_MM), 3, TAPS)) * DECAY
 BANK = GreenArray(GREEN, GRID_MM, RATE_HZ, band_hz=(20.0, 400.0))
+SINGLE = 2e-6
+"""Rounding of single precision."""
 STEADY = Noise((50.0, 300.0), 0.12, seed=5)
 
 
@@ -97,7 +99,7 @@ def test_given_sufficient_look_ahead_then_the_drives_are_direct_sums_over_the_re
     assert engine.sufficient_samples == SUFFICIENT
     assert [parts[0].name for parts in lives.values()] == ["finger", "thumb", "thumb", "finger", "thumb", "thumb"]
     assert all(parts[-1].over for parts in lives.values())
-    np.testing.assert_allclose(drive_v, wanted_v, rtol=0, atol=1e-12 * np.abs(wanted_v).max())
+    np.testing.assert_allclose(drive_v, wanted_v, rtol=0, atol=SINGLE * np.abs(wanted_v).max())
 
 
 def test_given_constant_velocity_then_less_look_ahead_gives_the_same_drives_later():
@@ -113,7 +115,7 @@ def test_given_constant_velocity_then_less_look_ahead_gives_the_same_drives_late
     # From the second position on the velocity is known.
     begin, end = 2 * BLOCK, drives[1].shape[1]
     np.testing.assert_allclose(
-        drives[0][:, begin:end], drives[1][:, begin:end], rtol=0, atol=1e-9 * np.abs(drives[1]).max()
+        drives[0][:, begin:end], drives[1][:, begin:end], rtol=0, atol=SINGLE * np.abs(drives[1]).max()
     )
 
 
@@ -135,8 +137,8 @@ def test_given_no_further_position_then_the_velocity_is_held_within_the_surface_
     assert late_mm[0] == pytest.approx(20.0 if velocity_mm else 10.0, abs=velocity_mm + 1e-9)
     assert amplitude.tolist() == [1.0, 1.0, 0.0]
     assert np.abs(drive_v[:, last + 400 - BLOCK : last + 400]).max() > 0
-    assert np.abs(drive_v[:, last + 420 + 1 :]).max() < 1e-15
-    assert not drive_v[:, last + 420 + 2 * BLOCK :].any()
+    assert np.abs(drive_v[:, last + 420 + 1 :]).max() < SINGLE * np.abs(drive_v).max()
+    assert not drive_v[:, last + 420 + 5 * BLOCK :].any()  # what was emitted 20 ms before a block still counts
     assert engine.state() == ()
 
 
@@ -167,7 +169,7 @@ def test_given_a_source_at_rest_then_computing_anew_changes_nothing_but_rounding
     made_v = direct(lives, drive_v.shape[1], "nearest", np.inf)
     rested = slice(2 * BLOCK, 60 * BLOCK - TAPS - 30)
     wanted_v = np.abs(made_v).max()
-    np.testing.assert_allclose(drive_v[:, rested], made_v[:, rested], rtol=0, atol=1e-12 * wanted_v)
+    np.testing.assert_allclose(drive_v[:, rested], made_v[:, rested], rtol=0, atol=SINGLE * wanted_v)
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,8 @@ from wavefocus.storage.errors import InputError
 RATE_HZ, TAPS, BLOCK = 1000.0, 40, 5
 GRID_MM = np.array([(4.0 * x - 16.0, 4.0 * y - 12.0) for y in range(7) for x in range(9)])
 BANK = GreenArray(np.random.default_rng(0).standard_normal((len(GRID_MM), 3, TAPS)), GRID_MM, RATE_HZ)
+SINGLE = 2e-6
+"""Rounding of single precision."""
 HELD = Regularisation(saturation=0.8)
 
 
@@ -74,9 +76,9 @@ def test_given_sufficient_look_ahead_then_the_record_renders_to_the_live_drives(
     live_v, offline_v = np.concatenate(blocks, axis=1), drive.drive_v[:, TAPS - 1 :]
     assert len(scene.sources) == 7
     assert offline_v.shape[1] > 1000
-    assert np.abs(live_v[:, offline_v.shape[1] :]).max() < 1e-12
     error = np.abs(live_v[:, : offline_v.shape[1]] - offline_v).max()
-    assert error < 1e-9 * np.abs(offline_v).max()
+    assert error < SINGLE * np.abs(offline_v).max()
+    assert np.abs(live_v[:, offline_v.shape[1] :]).max() < SINGLE * np.abs(offline_v).max()
 
 
 def test_given_a_session_that_goes_on_then_its_folder_holds_a_scene_up_to_now(tmp_path):
@@ -91,7 +93,8 @@ def test_given_a_session_that_goes_on_then_its_folder_holds_a_scene_up_to_now(tm
         pass
     whole = render_with_report(load_scene(tmp_path / "scene.toml"), BANK)[0].drive_v[:, TAPS - 1 :]
     whole = whole[:, :300]
-    np.testing.assert_allclose(np.concatenate(drives, axis=1)[:, :300], whole, rtol=0, atol=1e-9 * np.abs(whole).max())
+    made = np.concatenate(drives, axis=1)[:, :300]
+    np.testing.assert_allclose(made, whole, rtol=0, atol=SINGLE * np.abs(whole).max())
     recording.close()
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wavefocus.drivers.audio.resampling import LiveConversion, converted, lead_samples, rate_ratio
+from wavefocus.drivers.audio.resampling import converted, lead_samples, rate_ratio
 from wavefocus.drivers.audio.stream.signals import HALF_STEP, BeyondFullScaleError, SignalShelf
 
 RATES_HZ = [(10_000, 48_000), (12_500, 44_100), (48_000, 96_000), (44_100, 48_000), (96_000, 48_000), (50_000, 44_100)]
@@ -38,19 +38,6 @@ def test_given_a_tone_in_the_band_then_it_is_the_same_tone_at_the_other_rate_to_
 def test_given_a_tone_that_the_lower_rate_cannot_hold_then_nothing_is_left_of_it(share):
     made = converted(faded_tone(share * 24_000, 96_000), Fraction(1, 2))
     assert np.abs(made).max() < 1e-5
-
-
-@pytest.mark.parametrize(("from_hz", "to_hz"), [*RATES_HZ, (10_000, 10_000)])
-@pytest.mark.parametrize("share", [0.003, 0.1, 0.5, 0.7])
-def test_given_a_tone_in_blocks_then_it_is_the_same_tone_a_little_later(from_hz, to_hz, share):
-    conversion = LiveConversion(1, rate_ratio(from_hz, to_hz))
-    tone = faded_tone(share * min(from_hz, to_hz) / 2, from_hz)[np.newaxis]
-    cuts = np.random.default_rng(1).integers(0, tone.size, 90)
-    made = np.concatenate([conversion.convert(block) for block in np.split(tone, np.sort(cuts), axis=1)], axis=1)
-    delay_s = conversion.delay_samples / from_hz
-    meant = faded_tone(share * min(from_hz, to_hz) / 2, to_hz, delay_s=delay_s)
-    assert made.shape == (1, meant.size)
-    assert np.abs(made[0] - meant).max() < 1e-5 * np.abs(meant).max()
 
 
 @given(st.integers(0, 40), st.sampled_from(RATES_HZ))

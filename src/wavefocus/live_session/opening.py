@@ -43,6 +43,7 @@ class LiveOptions:
     gain_db: On the amplitudes of all orders.
     duration_s: The session ends by itself after so long.
     record: Folder in which the session is recorded as a scene.
+    independent: Each source is quiet where the others are.
     """
 
     scene_file: Path | None = None
@@ -52,6 +53,7 @@ class LiveOptions:
     gain_db: float = 0.0
     duration_s: float | None = None
     record: Path | None = None
+    independent: bool = False
 
 
 @contextmanager
@@ -80,6 +82,8 @@ def open_session(
             raise InputError(f"{bank} does not say what rig it was measured with; name a rig file")
         rate_hz = float(view.sample_rate_hz)
 
+        interface = interface_of(rig)
+
         def engine_and_output() -> tuple[LiveEngine, LiveOutput]:
             engine = LiveEngine(
                 view,
@@ -89,8 +93,10 @@ def open_session(
                 interpolation=output.interpolation,
                 signal=signal,
                 record=options.record is not None,
+                frame_rate_hz=interface.rate_hz,
+                independent=options.independent,
             )
-            return engine, LiveOutput(interface_of(rig), rate_hz, stricter(output, rig.player))
+            return engine, LiveOutput(interface, stricter(output, rig.player))
 
         with naming(options.scene_file or bank, view):
             _warm_up(*engine_and_output(), view)
@@ -137,8 +143,8 @@ def open_session(
 def _warm_up(engine: LiveEngine, output: LiveOutput, bank: Bank) -> None:
     """Compute some blocks: what is loaded and planned when it is first used does not delay those of the session."""
     at_mm = bank.position_mm[int(np.flatnonzero(usable(bank))[0])].tolist()
-    for _ in range(WARM_BLOCKS):
-        engine.move("warm", (at_mm[0], at_mm[1]))
+    for block in range(WARM_BLOCKS):
+        engine.move(f"warm {block % 2}", (at_mm[0], at_mm[1]))
         output.frames(engine.next_block())
     engine.state()
 

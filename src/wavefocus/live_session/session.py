@@ -293,7 +293,7 @@ class LiveSession:
 
     def _play_out(self) -> None:
         """Let what is still in the conversion, the limiter and the player sound."""
-        silence = np.zeros((len(self._channels), self.engine.block_samples))
+        silence = np.zeros((len(self._channels), round(self._block_s * self._output.rate_hz)))
         last = self._frames + self._output.delay_frames
         try:
             while self._frames < last:

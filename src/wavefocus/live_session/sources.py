@@ -36,6 +36,7 @@ def live(
     ahead_ms: float | None = None,
     gain_db: float = 0.0,
     record: str | Path | None = None,
+    independent: bool = False,
 ) -> Iterator[LiveSources]:
     """Play sources that move while they sound, as ``wavefocus live``.
 
@@ -60,6 +61,8 @@ def live(
         On the amplitudes of all orders; limits hold all the same.
     record
         Folder in which the session is recorded as a scene that renders to the same drives.
+    independent
+        Whether each source is quiet where the others are, also at those of amplitude 0.
 
     Returns
     -------
@@ -97,6 +100,7 @@ def live(
         ahead_ms,
         gain_db,
         record=None if record is None else Path(record),
+        independent=independent,
     )
     reports = _Reports()
     rig_file = None if rig is None else Path(rig)
