@@ -46,7 +46,7 @@ SIGNAL = Noise((50.0, 450.0), 0.4, 5)
 FIELD_HZ = 2000.0
 EVERY_ROW = 12
 ABOVE_HZ = 600.0
-SUFFICIENT_ERROR = 1e-9
+SUFFICIENT_ERROR = 1e-3
 PICTURE = "live-look-ahead.png"
 
 Motion = Callable[[Float64Array], Float64Array]
@@ -111,7 +111,7 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
         points,
         truth="the drives of the true path, later by the look-ahead",
         notes=[
-            "From 215 ms and the time between two positions on nothing is predicted: 2000 taps, three blocks of 5 ms."
+            "From 210 ms and the time between two positions on nothing is predicted: 2000 taps, two blocks of 5 ms."
         ],
     )
 

@@ -1,8 +1,13 @@
-"""Latency of live sources, from a position's arrival to the first drive sample made with it, written.
+"""Live sources: latency, processor time of a block, and how quiet independent sources are.
 
-``wavefocus live`` runs in a process of its own on the virtual rig's bank, and takes positions on a circle as JSON
-lines, 100 a second: on the virtual player, whose clock is the wall's, and on a real audio server with a dummy driver.
-Its last message has the latency of all positions at the 99.9th percentile.
+``wavefocus live`` runs in a process of its own on the virtual rig's bank, and takes positions of sources on a circle as
+JSON lines, 100 a second of each: on the virtual player, whose clock is the wall's, and on a real audio server with a
+dummy driver. Latency is the time from a position's arrival to the first drive sample made with it, written. The last
+message has that of all positions at the 99.9th percentile.
+
+The time of a block is the processor time of orders, block and limiter, without a player. The level of independent
+sources is the energy of the response where a source of amplitude 0 is over that where one sounds, the largest of three,
+all four moving: at the measured position nearest to each, and at its true place between them, on the plate itself.
 """
 
 from __future__ import annotations
@@ -22,58 +27,164 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from wavefocus.benchmarks.commands import write_bank
 from wavefocus.benchmarks.harness import Findings, Mark, Point
 from wavefocus.benchmarks.machine import run_command
+from wavefocus.benchmarks.rig_bank import RATE_HZ, TAPS, true_bank
+from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.mocks.virtual.rig import VirtualRig
+from wavefocus.rendering.arrays import Float64Array
+from wavefocus.rendering.drive.coil_limits import DriveLimits
+from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
+from wavefocus.rendering.live.engine import LiveEngine
+from wavefocus.rendering.live.limiter import LiveLimiter
+from wavefocus.rendering.scene.signals import Noise
+from wavefocus.storage.bank.reading import Bank, open_bank
 
-DURATION_S, QUICK_S, SEVERAL_S = 600.0, 3.0, 60.0
+DURATION_S, QUICK_S = 600.0, 3.0
+BLOCKS_S = 10.0
 SETTLED = 0.1
 """Memory is compared from this share of the duration on."""
-MARK_MS, MARK_GROWTH_MB = 20.0, 10.0
+MARK_GROWTH_MB = 10.0
 POSITIONS_HZ = 100.0
-RADIUS_MM, TURN_S, AMPLITUDE = 30.0, 2.0, 0.01
+RADIUS_MM, SPEED_MM_S, AMPLITUDE = 30.0, 100.0, 0.01
+LEVEL_RADII_MM, QUIET_SOURCES = (30.0, 17.0), 4
+"""Radii of the circle on which independent sources are judged; four of them on it are 42 and 24 mm apart."""
 PERIOD_FRAMES = 1024
 AHEAD_MS = {"virtual": 40.0, "emulated": 80.0}
 """The audio server asks for 21.3 ms at a time: so much more waits. A shorter period runs dry in the server itself."""
+BLOCK_S, INTERFACE_HZ, LOOK_AHEAD_S = 0.005, 48_000, 0.05
 
 
-def run(out: Path | None = None, *, quick: bool = False) -> Findings:
-    """Measure both players."""
-    seconds = QUICK_S if quick else DURATION_S
+@dataclass(frozen=True, slots=True)
+class Case:
+    """Sources at a time on a rig, and the latency wanted, in ms."""
+
+    rig: str
+    sources: int
+    mark_ms: float
+    independent: bool = False
+
+    @property
+    def parameters(self) -> dict[str, float | bool]:
+        """Of a line of the table."""
+        return {"sources": self.sources, "independent": self.independent}
+
+
+TEN, INDEPENDENT = Case("virtual", 10, 20.0), Case("virtual", QUIET_SOURCES, 25.0, independent=True)
+ONE = (Case("virtual", 1, 20.0), Case("emulated", 1, 20.0))
+
+
+def run(out: Path | None = None, *, quick: bool = False, seconds: float | None = None) -> Findings:
+    """Measure times of blocks, levels, and latencies on both players.
+
+    seconds: Only ten sources and independent ones, on the virtual player, each for so long.
+    """
+    cases = (TEN, INDEPENDENT) if seconds is not None else (TEN, INDEPENDENT, *ONE)
+    lasts_s = seconds if seconds is not None else QUICK_S if quick else DURATION_S
     with tempfile.TemporaryDirectory(dir=out) as name:
         folder = Path(name)
-        bank = write_bank(folder / "plate.h5", quick=quick)
-        points = [
-            _point(bank, folder, "virtual", 1, seconds),
-            _point(bank, folder, "emulated", 1, seconds),
-            _point(bank, folder, "virtual", 4, QUICK_S if quick else SEVERAL_S),
-        ]
+        path = write_bank(folder / "plate.h5", quick=quick)
+        with open_bank(path) as bank, one_blas_thread():
+            points = [_time_of_blocks(bank, case, QUICK_S if quick else BLOCKS_S) for case in (TEN, INDEPENDENT)]
+            points += [_level(bank, radius_mm) for radius_mm in LEVEL_RADII_MM[: 1 if quick else None]]
+        points += [_latency(path, folder, case, lasts_s) for case in cases]
     notes = [
-        f"Blocks of 5 ms, 20 actuators, {POSITIONS_HZ:g} positions a second of each source, look-ahead 50 ms; the audio"
-        f" server's period is {PERIOD_FRAMES} frames at 48 kHz. Load: largest of each fifth of a second, the median."
+        f"Blocks of {1e3 * BLOCK_S:g} ms, 20 actuators, {POSITIONS_HZ:g} positions a second of each source, which move"
+        f" at {SPEED_MM_S:g} mm/s, look-ahead {1e3 * LOOK_AHEAD_S:g} ms; the audio server's period is {PERIOD_FRAMES}"
+        " frames at 48 kHz. Load: largest of each fifth of a second, the median."
     ]
     return Findings(points, notes=notes)
 
 
-def _point(bank: Path, folder: Path, rig: str, sources: int, seconds: float) -> Point:
-    lab = folder / rig
+def _places_mm(time_s: float, sources: int, radius_mm: float = RADIUS_MM) -> list[tuple[float, float]]:
+    """Where sources are."""
+    angles = [SPEED_MM_S / radius_mm * time_s + 2 * math.pi * source / sources for source in range(sources)]
+    return [(radius_mm * math.cos(angle), radius_mm * math.sin(angle)) for angle in angles]
+
+
+def _engine(bank: Bank, *, independent: bool, frame_rate_hz: float | None = None, **options: Any) -> LiveEngine:
+    engine = LiveEngine(
+        bank, block_samples=round(BLOCK_S * RATE_HZ), look_ahead_samples=round(LOOK_AHEAD_S * RATE_HZ),
+        frame_rate_hz=frame_rate_hz, independent=independent, **options,
+    )  # fmt: skip
+    engine.preload()
+    return engine
+
+
+def _time_of_blocks(bank: Bank, case: Case, seconds: float) -> Point:
+    engine = _engine(bank, independent=case.independent, frame_rate_hz=INTERFACE_HZ)
+    limiter = LiveLimiter(DriveLimits(1.0), np.full(bank.actuators, 5.0), INTERFACE_HZ, INTERFACE_HZ // 400)
+    every, taken_s = round(1.0 / POSITIONS_HZ / BLOCK_S), []
+    for block in range(round(seconds / BLOCK_S)):
+        begun_s = time.thread_time()
+        if block % every == 0:
+            for source, at_mm in enumerate(_places_mm(block * BLOCK_S, case.sources)):
+                engine.move(f"{source}", at_mm, AMPLITUDE)
+        limiter.limit(engine.next_block())
+        taken_s.append(time.thread_time() - begun_s)
+    mean_ms, p999_ms = 1e3 * float(np.mean(taken_s)), 1e3 * float(np.percentile(taken_s, 99.9))
+    return Point(
+        work="processor time of a block of 5 ms", method="live", parameters=case.parameters,
+        figures={"mean_ms": mean_ms, "p999_ms": p999_ms},
+    )  # fmt: skip
+
+
+def _level(bank: Bank, radius_mm: float) -> Point:
+    """Sources on a circle, of which the first sounds."""
+    engine = _engine(bank, independent=True, signal=Noise((50.0, 450.0), 0.4, 5))
+    blocks, every = round(1.2 / BLOCK_S), round(1.0 / POSITIONS_HZ / BLOCK_S)
+    drive_v = []
+    for block in range(blocks):
+        if block % every == 0:
+            for source, at_mm in enumerate(_places_mm(block * BLOCK_S, QUIET_SOURCES, radius_mm)):
+                engine.move(f"{source}", at_mm, 0.0 if source else 1.0)
+        drive_v.append(engine.next_block())
+    drive, rig, grid = np.concatenate(drive_v, axis=1), VirtualRig(), PositionGrid(bank.position_mm)
+    at_measured, at_true = [], []
+    for now_s in np.arange(0.5, 1.15, 0.004).tolist():
+        places_mm = np.array(_places_mm(now_s - LOOK_AHEAD_S, QUIET_SOURCES, radius_mm))
+        rows, _ = grid.nearest(places_mm)
+        at_measured.append([_response(drive, bank.green(row), now_s) for row in rows.tolist()])
+        at_true.append([_response(drive, green, now_s) for green in true_bank(rig, places_mm, None).values])
+    levels_db = []
+    for response in (at_measured, at_true):
+        energy = np.square(response).mean(axis=(0, 2))
+        levels_db.append(10.0 * math.log10(float(energy[1:].max() / energy[0])))
+    return Point(
+        work="response at sources of amplitude 0, of four at 100 mm/s", method="live, independent",
+        parameters={"radius_mm": radius_mm}, figures={"measured_db": levels_db[0], "true_place_db": levels_db[1]},
+        marks=(Mark("measured_db", -25.0, at_most=True),),
+    )  # fmt: skip
+
+
+def _response(drive_v: Float64Array, green: NDArray[Any], now_s: float) -> Float64Array:
+    """Response within 2 ms around an instant."""
+    sample = round(now_s * RATE_HZ) + np.arange(-20, 20, 5)
+    windows = np.stack([drive_v[:, last - TAPS + 1 : last + 1][:, ::-1] for last in sample.tolist()])
+    return np.asarray(np.einsum("sit,it->s", windows, green, optimize=True))
+
+
+def _latency(bank: Path, folder: Path, case: Case, seconds: float) -> Point:
+    lab = folder / case.rig
     if not lab.exists():
-        run_command("init", lab, "--rig", rig)
-    with _environment(rig) as environment:
-        session = Session(bank, lab / "rig.toml", AHEAD_MS[rig], environment)
-        session.play(sources, seconds)
-    marks = (
-        Mark("latency_p999_ms", MARK_MS, at_most=True),
-        Mark("underruns", 0, at_most=True),
-        Mark("memory_growth_mb", MARK_GROWTH_MB, at_most=True),
-    )
-    method = "virtual player on the wall's clock" if rig == "virtual" else "audio server with a dummy driver"
+        run_command("init", lab, "--rig", case.rig)
+    with _environment(case.rig) as environment:
+        session = Session(bank, lab / "rig.toml", AHEAD_MS[case.rig], environment)
+        session.play(case, seconds)
     return Point(
         work="position to drive sample written",
-        method=method,
-        parameters={"sources": sources, "seconds": seconds, "ahead_ms": AHEAD_MS[rig]},
+        method="virtual player on the wall's clock" if case.rig == "virtual" else "audio server with a dummy driver",
+        parameters=case.parameters | {"seconds": seconds, "ahead_ms": AHEAD_MS[case.rig]},
         figures=session.figures(),
-        marks=marks if sources == 1 else (),
+        marks=(
+            Mark("latency_p999_ms", case.mark_ms, at_most=True),
+            Mark("underruns", 0, at_most=True),
+            Mark("memory_growth_mb", MARK_GROWTH_MB, at_most=True),
+        ),
     )
 
 
@@ -101,9 +212,10 @@ class Session:
     memory_mb: list[float] = field(default_factory=list)
     ended: dict[str, Any] = field(default_factory=dict)
 
-    def play(self, sources: int, seconds: float) -> None:
+    def play(self, case: Case, seconds: float) -> None:
         """Move sources for so long, then end."""
-        arguments = ("live", self.bank, "--rig", self.rig_file, "--json", "--ahead-ms", self.ahead_ms)
+        independent = ["--independent"] if case.independent else []
+        arguments = ["live", self.bank, "--rig", self.rig_file, "--json", "--ahead-ms", self.ahead_ms, *independent]
         with subprocess.Popen(
             [sys.executable, "-m", "wavefocus", *map(str, arguments)],
             stdin=subprocess.PIPE,
@@ -120,9 +232,7 @@ class Session:
             begun_s = time.monotonic()
             for count in range(round(seconds * POSITIONS_HZ)):
                 time.sleep(max(0.0, begun_s + count / POSITIONS_HZ - time.monotonic()))
-                for source in range(sources):
-                    angle = 2 * math.pi * (count / POSITIONS_HZ / TURN_S + source / sources)
-                    at_mm = [RADIUS_MM * math.cos(angle), RADIUS_MM * math.sin(angle)]
+                for source, at_mm in enumerate(_places_mm(count / POSITIONS_HZ, case.sources)):
                     order = {"order": "move", "name": f"{source}", "at_mm": at_mm, "amplitude": AMPLITUDE}
                     process.stdin.write(json.dumps(order) + "\n")
                 process.stdin.flush()

@@ -45,8 +45,8 @@ from wavefocus.storage.errors import InputError
 
 CACHE_BYTES = 2**30
 """Memory of row spectra: 1500 positions of 20 actuators, 500 Hz and 200 ms take 4 % of it."""
-GEOMETRY_BYTES = 2**27
-"""Memory of independent filters: those of four sources at one instant take 0.1 MB."""
+MAX_INSTANTS = 64
+"""Instants whose independent filters are kept: those of four sources take 0.1 MB, and a block has about ten."""
 BAND_MARGINS, BEYOND_DB, LOOKED_AT = (1.2, 1.5, 2.0), -30.0, 16
 """Frequencies are computed up to the first of these multiples of the upper end of the bank's band that leaves out at
 most this share of the energy of so many rows; all of them where none does."""
@@ -114,11 +114,10 @@ class CrossfadedBlocks:
         self._bins = min(self._bins, self._bins_of_band())
         self._synthesis = self._synthesis_matrix()
         self._hat, self._around = max(1, round(HAT_S * rate_hz)), round(AROUND_S * rate_hz)
-        filter_bytes = 8 * self._bins * bank.actuators
-        self.most_rows = max(1, CACHE_BYTES // filter_bytes)
+        self.most_rows = max(1, CACHE_BYTES // (8 * self._bins * bank.actuators))
         """Rows whose spectra are kept in memory."""
         self._row_filter = lru_cache(self.most_rows)(self._make_row_filter)
-        self._filters = lru_cache(max(1, GEOMETRY_BYTES // (4 * filter_bytes)))(self._make_filters)
+        self._filters = lru_cache(MAX_INSTANTS)(self._make_filters)
         self._gain = lru_cache(None)(self._make_gain)
         self._ahead: Float64Array = np.zeros((bank.actuators, self._frame(block_samples)))
         """What the last computation gave for the next block."""

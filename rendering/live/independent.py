@@ -53,7 +53,7 @@ def independent_filters(
     filters = mixing @ conjugate
     at = [mine[0] for mine in own]
     reversed_in_time = conjugate[:, at]
-    response = (green[:, at] * filters).sum(axis=2).real
+    response = (green[:, at] * filters).sum(axis=2)
     plain = np.square(np.abs(reversed_in_time)).sum(axis=2)
     with np.errstate(divide="ignore", invalid="ignore"):
         filters *= np.nan_to_num(plain / response, nan=0.0, posinf=0.0, neginf=0.0)[..., None]

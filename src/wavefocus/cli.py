@@ -632,6 +632,8 @@ COMMANDS = (
                      help="Which benchmark."),
             _out("DIR", "Folder for tables, diagrams and a page.", required=False, default=Path("bench-out")),
             switch("--quick", help="Small sizes, to see that it works."),
+            number("--seconds", 1, 86_400,
+                   help="Of live_latency: ten sources, then independent ones, on the virtual player for so long each."),
             FORCE,
         ),
     ),

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import gc
+import math
 import sys
 from collections.abc import Callable
+from fractions import Fraction
 
 import numpy as np
 import pytest
 
+from tests.unit.plate_banks import plate_bank
 from wavefocus.config.scene import Regularisation
+from wavefocus.drivers.audio.resampling import converted, lead_samples, rate_ratio
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.greens.interpolation.base import interpolation_method
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
@@ -303,3 +307,43 @@ def test_given_rows_of_zeros_or_nan_then_they_are_no_part_of_the_surface():
             engine.move("finger", place_mm)
     _, lives = run(engine, 80, lambda block: engine.move("finger", (-12.0 + 0.5 * block, 0.0)) if block < 10 else None)
     assert course_of(lives[0]).at_mm[-1][0] == pytest.approx(-2.0, abs=0.07)
+
+
+@pytest.mark.parametrize("frame_rate_hz", [48_000.0, 44_100.0, 2500.0, 1600.0])
+@pytest.mark.parametrize("independent", [False, True])
+def test_given_the_interface_rate_then_the_drives_are_those_of_the_banks_rate_between_its_samples(
+    frame_rate_hz, independent
+):
+    bank, drives = plate_bank(), []
+    for rate_hz in (bank.sample_rate_hz, frame_rate_hz):
+        engine = LiveEngine(
+            bank, block_samples=11, look_ahead_samples=360, frame_rate_hz=rate_hz, independent=independent,
+            signal=Noise((80.0, 300.0), 0.2, 6),
+        )  # fmt: skip
+        drives.append(
+            run(engine, 70, lambda block, engine=engine: engine.move("finger", (8.0 * np.sin(block / 30.0), 3.0)))[0]
+        )
+    coarse, fine = drives
+    assert fine.shape[1] == math.ceil(Fraction(70 * 11) * Fraction(frame_rate_hz) / 2000)
+    wanted = converted(coarse, rate_ratio(2000.0, frame_rate_hz))[:, lead_samples(rate_ratio(2000.0, frame_rate_hz)) :]
+    # The conversion rings where the drives end.
+    inner = slice(fine.shape[1] // 2, fine.shape[1] * 7 // 8)
+    error = np.linalg.norm(fine[:, inner] - wanted[:, : fine.shape[1]][:, inner]) / np.linalg.norm(fine[:, inner])
+    assert error < 1e-4
+
+
+def test_given_the_band_of_a_bank_then_bins_beyond_are_left_out_and_the_record_renders_to_the_same_drives():
+    bank = plate_bank()
+    made, lives = {}, {}
+    for name, band_hz in (("band", bank.band_hz), ("whole", None)):
+        source = GreenArray(bank.values, bank.position_mm, bank.sample_rate_hz, band_hz=band_hz)
+        engine = LiveEngine(
+            source, block_samples=10, look_ahead_samples=300, signal=Noise((50.0, 450.0), 0.3, 2), record=True
+        )
+        made[name], lives = run(
+            engine, 100, lambda block, engine=engine: engine.move("finger", (0.3 * block - 12.0, 3.1))
+        )
+        made[f"{name} bins"] = engine._blocks._bins
+    assert len(lives) == 1
+    assert made["band bins"] < 0.8 * made["whole bins"]
+    assert np.linalg.norm(made["band"] - made["whole"]) < 1e-4 * np.linalg.norm(made["whole"])

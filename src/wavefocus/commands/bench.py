@@ -10,14 +10,20 @@ from typing import Any
 
 from wavefocus.benchmarks import BENCHMARKS
 from wavefocus.console import people, say
+from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import require_output_folder, write_whole
 from wavefocus.storage.text_file import read_text
 
 PAGE = "index.html"
 
 
-def bench(what: str, out: Path, *, quick: bool, force: bool = False) -> None:
-    """Run one benchmark, or all: print their tables, and write points, diagrams and a page."""
+def bench(what: str, out: Path, *, quick: bool, force: bool = False, seconds: float | None = None) -> None:
+    """Run one benchmark, or all: print their tables, and write points, diagrams and a page.
+
+    seconds: For how long each case of a benchmark plays that plays in real time.
+    """
+    if seconds is not None and what != "live_latency":
+        raise InputError(f"--seconds is {seconds:g}; it goes with live_latency, and {what} was asked for")
     from wavefocus.benchmarks.machine import conditions, load
     from wavefocus.benchmarks.page import draw_diagrams, html_page
 
@@ -30,7 +36,7 @@ def bench(what: str, out: Path, *, quick: bool, force: bool = False) -> None:
         made = conditions(f"wavefocus bench {name}")
         begun_s = time.monotonic()
         with people().status(f"{BENCHMARKS[name].title} ..."):
-            found = module.run(out, quick=quick)
+            found = module.run(out, quick=quick, **({} if seconds is None else {"seconds": seconds}))
         made |= {"seconds": round(time.monotonic() - begun_s, 1), "load_after": load()}
         # Small workloads say nothing about the marks.
         print("\n".join(found.lines(judged=not quick)))

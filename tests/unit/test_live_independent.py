@@ -1,0 +1,142 @@
+"""Independent live sources: filters against a direct minimum; levels and energies that the drives reach."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.unit.plate_banks import RATE_HZ, TAPS, plate_bank
+from wavefocus.config.scene import Regularisation
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.live.engine import LiveEngine
+from wavefocus.rendering.live.independent import MAX_ENERGY, independent_filters
+from wavefocus.rendering.scene.signals import Noise
+from wavefocus.storage.errors import InputError
+
+BANK = plate_bank()
+BLOCK = 10
+SIGNAL = Noise((80.0, 400.0), 0.3, 4)
+FINGERS_MM = [(-10.0, -10.0), (14.0, -10.0), (-10.0, 14.0), (14.0, 14.0)]
+
+
+def rows_of(bins: int, places: int, actuators: int, seed: int = 0) -> np.ndarray:
+    random = np.random.default_rng(seed)
+    return random.standard_normal((bins, places, actuators, 2)).astype(np.float32).view(np.complex64)[..., 0]
+
+
+def energies(green: np.ndarray, filters: np.ndarray, at: list[int]) -> np.ndarray:
+    """Energy over that of time reversal, (bins, sources)."""
+    return np.square(np.abs(filters)).sum(axis=2) / np.square(np.abs(green[:, at])).sum(axis=2)
+
+
+def test_filters_are_the_minimum_of_energy_and_level_under_the_response_of_time_reversal():
+    green, own = rows_of(5, 6, 9), [[0, 3], [1], [2, 4, 5]]
+    filters = independent_filters(green, own, quiet_db=-20.0, max_energy=1e6)
+    floor = 0.01 * np.square(np.abs(green)).sum(axis=2).mean()
+    for bin_, rows in enumerate(green.astype(np.complex128)):
+        for source, mine in enumerate(own):
+            h, quiet = rows[mine[0]], np.delete(rows, mine, axis=0)
+            w = np.linalg.solve(np.eye(9) + quiet.conj().T @ quiet / floor, h.conj())
+            w *= (np.abs(h) ** 2).sum() / (h @ w)
+            np.testing.assert_allclose(filters[bin_, source], w, rtol=0, atol=2e-5 * np.abs(w).max())
+
+
+@pytest.mark.parametrize("actuators", [1, 3])
+def test_given_places_that_cannot_be_told_apart_then_the_response_stays_and_the_energy_is_bounded(actuators):
+    green = rows_of(40, 24, actuators)
+    green[:, 1] = green[:, 0] * (1.0 + 1e-4)
+    green[:, 2] = green[:, 0]
+    green[7:9] = 0.0
+    filters = independent_filters(green, [[place] for place in range(24)])
+    assert np.isfinite(filters).all()
+    assert not filters[7:9].any()
+    loud = np.delete(np.arange(40), [7, 8])
+    power = np.square(np.abs(green[loud])).sum(axis=2)
+    np.testing.assert_allclose((green[loud] * filters[loud]).sum(axis=2), power, rtol=1e-3, atol=1e-4)
+    assert energies(green[loud], filters[loud], list(range(24))).max() < MAX_ENERGY * 1.01
+    if actuators == 1:
+        np.testing.assert_allclose(filters, green.conj(), rtol=0, atol=5e-3 * np.abs(green).max())
+
+
+def played(
+    places_mm, amplitudes, *, bank: GreenArray = BANK, blocks: int = 100, velocity_mm_s: float = 0.0, **options
+) -> np.ndarray:
+    """Drives, without look-ahead, of sources that move to the right."""
+    engine = LiveEngine(bank, block_samples=BLOCK, look_ahead_samples=0, signal=SIGNAL, **options)
+    drives = []
+    for block in range(blocks):
+        if block % 2 == 0:
+            for source, (x_mm, y_mm) in enumerate(places_mm):
+                way_mm = velocity_mm_s * block * BLOCK / RATE_HZ
+                engine.move(f"{source}", (x_mm + way_mm, y_mm), amplitudes[source])
+        drives.append(engine.next_block())
+    return np.concatenate(drives, axis=1)
+
+
+def response(drive_v: np.ndarray, place_mm, first: int) -> np.ndarray:
+    row = int(np.argmin(np.square(BANK.position_mm - place_mm).sum(axis=1)))
+    return sum(np.convolve(one, green) for one, green in zip(drive_v, BANK.green(row), strict=True))[first:-TAPS]
+
+
+def level_db(drive_v: np.ndarray, places_mm) -> float:
+    """Largest energy at a quiet place, over that at the first one."""
+    energy = [np.square(response(drive_v, place_mm, TAPS)).sum() for place_mm in places_mm]
+    return 10 * np.log10(max(energy[1:]) / energy[0])
+
+
+def test_given_fingers_at_rest_then_a_source_is_quiet_where_others_are_and_as_loud_where_it_is():
+    loud = [1.0, 0.0, 0.0, 0.0]
+    plain, quiet = (played(FINGERS_MM, loud, independent=one) for one in (False, True))
+    assert level_db(plain, FINGERS_MM) > -12.0
+    assert level_db(quiet, FINGERS_MM) < -25.0
+    at_focus = [response(one, FINGERS_MM[0], TAPS) for one in (plain, quiet)]
+    assert np.linalg.norm(at_focus[1]) == pytest.approx(np.linalg.norm(at_focus[0]), rel=0.1)
+    assert np.square(quiet).sum() < MAX_ENERGY * np.square(plain).sum()
+
+
+@pytest.mark.parametrize(
+    "places_mm",
+    [
+        [(3.0, 3.0), (3.0, 3.0)],
+        [(3.0, 3.0), (4.0, 3.0)],
+        [(3.0, 3.0), (-3.0, 3.0), (3.0, -3.0)],
+        [(4.0 * number % 24.0 - 12.0, 4.0 * (number // 6) - 8.0) for number in range(24)],
+    ],
+    ids=["one place", "1 mm apart", "three near one another", "24"],
+)
+@pytest.mark.parametrize("interpolation", ["nearest", "bilinear"])
+def test_given_fingers_too_near_to_one_another_then_they_sound_within_the_energy(places_mm, interpolation):
+    loud, blocks = [1.0] + [0.0] * (len(places_mm) - 1), 30
+    plain, quiet = (
+        played(places_mm, loud, blocks=blocks, interpolation=interpolation, independent=one) for one in (False, True)
+    )
+    assert np.isfinite(quiet).all()
+    assert np.square(quiet).sum() < 1.2 * MAX_ENERGY * np.square(plain).sum()
+    assert np.abs(quiet[:, -5 * BLOCK :]).max() > 0.0
+
+
+def test_given_a_finger_alone_or_two_that_jump_onto_one_place_then_the_drives_are_those_of_time_reversal():
+    for places_mm, loud in (([(3.0, 3.0)], [1.0]), ([(3.0, 3.0), (3.0, 3.0)], [0.5, 0.5])):
+        plain, quiet = (played(places_mm, loud, independent=one) for one in (False, True))
+        np.testing.assert_allclose(quiet, plain, rtol=0, atol=2e-3 * np.abs(plain).max())
+    engine = LiveEngine(BANK, block_samples=BLOCK, look_ahead_samples=0, signal=SIGNAL, independent=True)
+    largest_v = []
+    for block in range(60):
+        engine.move("finger", (-12.0, -4.0))
+        engine.move("other", (12.0, 4.0) if block < 30 else (-12.0, -4.0))
+        largest_v.append(np.abs(engine.next_block()).max())
+    assert max(largest_v[25:]) < 4.0 * max(largest_v[20:28])
+
+
+def test_given_one_actuator_then_independent_drives_are_plain_ones():
+    bank = GreenArray(BANK.values[:, :1], BANK.position_mm, RATE_HZ, band_hz=BANK.band_hz)
+    plain, quiet = (played(FINGERS_MM, [1.0] * 4, bank=bank, blocks=30, independent=one) for one in (False, True))
+    np.testing.assert_allclose(quiet, plain, rtol=0, atol=5e-3 * np.abs(plain).max())
+
+
+def test_given_saturation_then_independent_sources_are_refused():
+    with pytest.raises(InputError, match="saturation"):
+        LiveEngine(
+            BANK, block_samples=BLOCK, look_ahead_samples=0, independent=True,
+            regularisation=Regularisation(saturation=0.5),
+        )  # fmt: skip
