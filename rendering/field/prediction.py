@@ -12,7 +12,7 @@ from numpy.typing import DTypeLike
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
-from wavefocus.rendering.device import WORKERS, Device, fast_length, host_device, in_order
+from wavefocus.rendering.device import WORKERS, Device, host_device, in_order
 from wavefocus.rendering.field.bank_spectra import BankSpectra, Decimation
 from wavefocus.rendering.field.convolution import Convolution
 from wavefocus.rendering.field.focus_figures import FocusInstant, emission_windows
@@ -29,7 +29,6 @@ OnProgress = Callable[[int, int], None]
 LISTED = 8
 MIN_ROWS = 8
 """Fewer rows are not worth a thread of their own."""
-LOOKED_AT_ROWS, LOOKED_AT_BLOCKS = 4, 8
 MAX_FOCI = 16
 
 
@@ -75,7 +74,7 @@ class Prediction:
         device: Device | None = None,
     ) -> None:
         self.position_index = np.asarray(positions, dtype=np.int64)
-        self._drive, self._dtype = drive, float_type(dtype)
+        self._dtype = float_type(dtype)
         self._device = host_device() if device is None else device
         rate = float(drive.sample_rate_hz)
         if isinstance(bank, BankSpectra):
@@ -130,29 +129,6 @@ class Prediction:
         """Compute some bank rows as one part, in the calling thread, (rows, samples)."""
         with one_blas_thread():
             return self._convolution.respond(positions)
-
-    def lost_share(self) -> float:
-        """Share of the response's energy above `passed_hz`: the largest of a few positions, by some of the drive."""
-        drive_v, rate_hz, taps = self._drive.drive_v, float(self._drive.sample_rate_hz), self._bank.taps
-        if self.passed_hz == rate_hz / 2.0:
-            return 0.0
-        samples = fast_length(2 * taps)
-        hop = samples - taps + 1
-        window = np.hanning(hop + 2)[1:-1]
-        blocks = []
-        for start in evenly_spread(max(drive_v.shape[1] - hop, 0) + 1, LOOKED_AT_BLOCKS).tolist():
-            block = drive_v[:, start : start + hop]
-            blocks.append(np.fft.rfft(block * window[: block.shape[1]], samples, axis=1))
-        above = np.fft.rfftfreq(samples, 1.0 / rate_hz) > self.passed_hz
-        shares = [0.0]
-        reader = RowReader(self._bank)
-        for position in self.position_index[evenly_spread(len(self.position_index), LOOKED_AT_ROWS)].tolist():
-            green = np.fft.rfft(reader.read(position), samples, axis=1)
-            energy = sum(np.square(np.abs((green * block).sum(axis=0))) for block in blocks)
-            total = float(np.sum(energy))
-            if total > 0:
-                shares.append(float(np.sum(np.asarray(energy)[above])) / total)
-        return max(shares)
 
 
 def predict(

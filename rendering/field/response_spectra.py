@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.rendering.band import Band
 from wavefocus.rendering.device import fast_length, host_device
@@ -25,6 +26,7 @@ WINDOW_TAPS = 2.0
 """Length of a window in taps."""
 ROWS_AT_ONCE = 32
 BLOCKS_AT_ONCE = 64
+LOOKED_AT_ROWS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +75,14 @@ def predict_spectra(drive: Drive, bank: GreenSource, positions: Sequence[int] | 
     # Parseval: two bins each but for 0 and half the rate.
     power *= np.where((frequency_hz == 0) | (frequency_hz == rate_hz / 2), 1.0, 2.0) / rate_hz**2
     return ResponseSpectra(frequency_hz, power, index, field_unit(bank))
+
+
+def share_above(drive: Drive, bank: GreenSource, positions: Int64Array, highest_hz: float) -> float:
+    """Share of the response's energy above a frequency: the largest of a few of the positions, evenly chosen."""
+    found = predict_spectra(drive, bank, positions[evenly_spread(len(positions), LOOKED_AT_ROWS)])
+    above = found.energy_density[:, found.frequency_hz > highest_hz].sum(axis=1)
+    whole = found.energy_density.sum(axis=1)
+    return float(np.divide(above, whole, out=np.zeros_like(whole), where=whole > 0).max())
 
 
 def _windowed(drive: Float64Array, length: int) -> Float64Array:

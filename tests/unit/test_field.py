@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from wavefocus.rendering.field.bank_spectra import BankSpectra
 from wavefocus.rendering.field.prediction import Prediction, measured_positions, predict
-from wavefocus.rendering.field.response_spectra import predict_spectra
+from wavefocus.rendering.field.response_spectra import predict_spectra, share_above
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.storage.drive_file import Drive
 from wavefocus.storage.errors import InputError
@@ -176,7 +176,17 @@ def test_a_field_at_a_lower_rate_is_the_field_without_what_lies_above(kept):
     assert found.low_pass == LowPass(100.0, 4)
     assert Prediction(drive, bank, range(4), rate_hz=bank.sample_rate_hz).field().low_pass is None
     assert relative_error(found.field, convolved(bank, drive, range(4))[:, ::4]) < 1e-3
-    assert prediction.lost_share() < 1e-4
+
+
+def test_the_share_above_a_frequency_is_that_of_the_whole_field():
+    rng = np.random.default_rng(3)
+    bank = make_bank(band_limited(rng, (4, 2, 400), 0.2))
+    drive = make_drive(band_limited(rng, (2, 3000), 0.2))
+    power = np.square(np.abs(np.fft.rfft(convolved(bank, drive, range(4)))))
+    frequency_hz = np.fft.rfftfreq(3399, 1e-3)
+    shares = [power[:, frequency_hz > highest_hz].sum(axis=1) / power.sum(axis=1) for highest_hz in (60.0, 100.0)]
+    by_spectra = [share_above(drive, bank, np.arange(4), highest_hz) for highest_hz in (60.0, 100.0)]
+    assert by_spectra == pytest.approx([share.max() for share in shares], rel=0.25, abs=1e-5)
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-30])

@@ -15,6 +15,7 @@ from wavefocus.console import Report, progress, say
 from wavefocus.input_files import name_unverified, parse_positions
 from wavefocus.rendering.device import cuda_device
 from wavefocus.rendering.field.prediction import Prediction, chosen_positions, field_unit
+from wavefocus.rendering.field.response_spectra import predict_spectra, share_above
 from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.drive_file import Drive, read_drive
 from wavefocus.storage.errors import InputError
@@ -64,7 +65,7 @@ def predict(
             for first, field in _parts(prediction, drive_file, bank, rate_hz, cluster, report):
                 writer.write(first, field)
                 peak = max(peak, float(np.abs(field).max(initial=0.0)))
-        lost = prediction.lost_share()
+        lost = share_above(drive, view, index, prediction.passed_hz) if prediction.low_pass else 0.0
         if left_out := 0 if positions else view.positions - len(index):
             say(f"{left_out} positions are not measured and are left out")
     say(
@@ -135,8 +136,6 @@ def predict_energy(
 
     Raises InputError: the file is not called so, or a rate is asked for too.
     """
-    from wavefocus.rendering.field.response_spectra import predict_spectra
-
     if out.suffix != ".npz":
         raise InputError(f"--out is {out}; --spectra writes an .npz file")
     if rate_hz is not None:
