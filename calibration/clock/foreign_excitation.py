@@ -10,9 +10,10 @@ import numpy as np
 import scipy.fft
 
 from wavefocus.calibration import Complex128Array, Float32Array, Float64Array
+from wavefocus.calibration.clock.known_signal_clock import KnownSignalClock, KnownSignalFit
 from wavefocus.calibration.clock.missing_reference import CARRIED, playing_ratio
+from wavefocus.calibration.clock.own_repeats import fit_repeats
 from wavefocus.calibration.clock.period_spectrum import period_spectrum, require_coverage
-from wavefocus.calibration.clock.periodic_clock import PeriodicClock, PeriodicFit, fit_repeats
 from wavefocus.calibration.clock.resampling import Decimated, decimate, resampled
 from wavefocus.calibration.clock.sweep_laws import SweepFit, SweepLaw, fit_sweep_law, roundest
 from wavefocus.calibration.estimator.estimate import MAX_PPM
@@ -70,7 +71,7 @@ def learn_base(references: Sequence[Float32Array], header: RawHeader) -> tuple[F
     start = sure.index(True) if any(sure) else 0
     fit = seen[start].repeats
     ratio = fit.ratio if fit is not None and sure[start] else _ratio_of_cuts(seen, bins, header)
-    clock = PeriodicClock(seen[start].spectrum(bins, ratio), period, MAX_PPM)
+    clock = KnownSignalClock(seen[start].spectrum(bins, ratio), period, MAX_PPM)
     matches = [clock.fit(record.decimated, ratio) for record in seen]
     same = [match.explained > SAME_SHARE for match in matches]
     off = [
@@ -118,8 +119,8 @@ def _ratio_of_cuts(seen: Sequence[_ReferenceAnalysis], bins: int, header: RawHea
     fit = _fit_law(first.decimated, header, sweep_samples, [0], period=first.period)
     guess = None if fit is None else fit.ratio
 
-    def fits(ratio: float, some: Sequence[_ReferenceAnalysis]) -> list[PeriodicFit]:
-        clock = PeriodicClock(first.spectrum(bins, ratio), first.period, MAX_PPM)
+    def fits(ratio: float, some: Sequence[_ReferenceAnalysis]) -> list[KnownSignalFit]:
+        clock = KnownSignalClock(first.spectrum(bins, ratio), first.period, MAX_PPM)
         return [clock.fit(record.decimated, ratio, search=False) for record in some]
 
     def misfit(ratio: float, some: Sequence[_ReferenceAnalysis]) -> float:

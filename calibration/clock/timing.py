@@ -11,23 +11,19 @@ import numpy as np
 import scipy.fft
 from numpy.typing import ArrayLike, NDArray
 
-from wavefocus.calibration import Complex64Array, Complex128Array, Float32Array, Float64Array
-from wavefocus.calibration.clock.known_signal import CORNERS
+from wavefocus.calibration import Complex64Array, Float32Array, Float64Array
+from wavefocus.calibration.clock.known_signal_clock import KnownSignalClock
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError, missing_reference
-from wavefocus.calibration.clock.resampling import resampled
-from wavefocus.calibration.numerics import fourier_sum, parabola_vertex
+from wavefocus.calibration.clock.resampling import decimate, resampled
+from wavefocus.calibration.numerics import parabola_vertex
 from wavefocus.storage.errors import InputError
 
 # Reference not explained by the known signal, above which a fit would be a guess.
 REFERENCE_LIMIT_DB = -10.0
-# Gauss-Newton steps at most.
-MAX_STEPS = 10
 # Share of the known signal's energy that may lie outside the bins that are looked at.
 BAND_SHARE = 1e-9
 # Silence around the known signal that the fit may look at, for a first guess that is off and for tails.
 GUARD_SAMPLES = 64
-# Spacing of the clock ratios for which models are made, for the first step and for the others, in ppm.
-COARSE_PPM, FINE_PPM = 20.0, 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,31 +140,12 @@ class _Blocks:
     spectra: Complex64Array
 
 
-@dataclass(frozen=True, slots=True)
-class _Model:
-    """Parts of the spectrum of the known signal at one clock ratio, and how the share of each is found.
-
-    regressors, float64 (parts, 2 * bins): Real and imaginary parts in turn: the signal, its change with offset and with
-        ratio, and the signal below each corner frequency.
-    solve, float64 (parts, 2 * bins): Its product with a spectrum gives the parts' shares by least squares.
-    """
-
-    ratio: float
-    regressors: Float64Array
-    solve: Float64Array
-
-
-# Models made for one known signal; the last few are kept.
-KEPT_MODELS = 16
-
-
 class ClockFitter:
     """Finds offset, clock ratio and gain of one known signal in recordings of the reference channel.
 
-    Blocks of the known signal are first found by cross-correlation, envelopes added without phase, so that
-    neither repeats nor a drift over the record can mislead it; then Gauss-Newton on the spectrum, in the bins
-    where the known signal has energy. What depends on the known signal alone is computed once. Safe to
-    share between threads; a result depends on its recording alone.
+    Blocks of the known signal are first found by cross-correlation (`BlockSearch`); then its wave is fitted to the
+    recording by Gauss-Newton (`KnownSignalClock`), as a period with silence around it. Safe to share between threads; a
+    result depends on its recording alone.
 
     known_v, (known,): What was played in volts, on the playback clock, its silences included; known <= samples.
     max_ppm: Largest skew of the clocks looked for, in parts per million, > 0.
@@ -185,7 +162,6 @@ class ClockFitter:
         if not known.any():
             raise InputError("the known signal is all zeros; allowed is a signal with energy")
         self._known = known
-        self._energy = float(known @ known)
         self._max_ppm = max_ppm
         stretch = math.ceil(1e-6 * max_ppm * known.size)
         self._length = scipy.fft.next_fast_len(known.size + stretch + 2 * GUARD_SAMPLES, real=True)
@@ -194,14 +170,9 @@ class ClockFitter:
         first = max(int(np.searchsorted(below, BAND_SHARE * below[-1])), 1)
         last = max(int(np.searchsorted(below, (1 - BAND_SHARE) * below[-1])), first)
         # Half the sample rate is left out: a delay by a fraction of a sample is not defined there.
-        self._bins = slice(first, min(last + 1, (self._length + 1) // 2))
-        lowest = max(int(np.searchsorted(below, 0.01 * below[-1])), 1)
-        self._omega = 2 * np.pi / self._length * np.arange(self._bins.start, self._bins.stop)
-        corners = [share * 2 * np.pi * lowest / self._length for share in CORNERS]
-        self._coupling = np.stack([1 / (1 + 1j * self._omega / corner) for corner in corners])
-        self._model = lru_cache(KEPT_MODELS)(self._stretched)
-        band = (first / self._length, self._bins.stop / self._length)
-        self._search = BlockSearch(known, band, max_ppm)
+        self._bins = min(last + 1, (self._length + 1) // 2)
+        self._clock = KnownSignalClock(spectrum[: self._bins], self._length, max_ppm, below_share=BAND_SHARE)
+        self._search = BlockSearch(known, (first / self._length, self._bins / self._length), max_ppm)
 
     def fit(self, recorded_v: ArrayLike) -> ClockFit:
         """Find the known signal in one recording.
@@ -220,50 +191,20 @@ class ClockFitter:
             raise ReferenceMissingError("the reference channel is silent", "silence")
         offset, ratio = self._search.first_guess(recorded)
         cut, first = self._cut(recorded, offset)
-        spectrum = scipy.fft.rfft(cut)[self._bins]
-        step_ppm, gain = COARSE_PPM, 0.0
-        for _ in range(MAX_STEPS):
-            model = self._model(step_ppm * round(1e6 * (ratio - 1) / step_ppm))
-            pairs = (spectrum * self._advance(offset - first)).view(np.float64)
-            factors = model.solve @ pairs
-            gain = factors[0] / model.ratio
-            if gain == 0:
-                break
-            late, moved = factors[1] / factors[0], model.ratio + factors[2] / factors[0] - ratio
-            offset, ratio = offset + late, ratio + moved
-            if abs(ratio - 1) > 2e-6 * self._max_ppm:
-                break
-            if step_ppm == FINE_PPM and abs(late) + self._known.size * abs(moved) < 1e-7:
-                break
-            step_ppm = FINE_PPM
-        in_band = np.square(pairs - factors @ model.regressors).sum() - pairs @ pairs
-        # A constant voltage is the DAQ's own affair.
-        left = (2 * in_band - cut.sum() ** 2) / self._length + cut @ cut
-        explained = float(gain**2 * self._energy)
-        residual_db = 10 * math.log10((max(float(left), 0.0) + 1e-300) / (explained + 1e-300))
-        if not residual_db <= REFERENCE_LIMIT_DB or abs(ratio - 1) > 1.01e-6 * self._max_ppm:
+        decimated = decimate(cut[None].astype(np.float32), self._bins / self._length)
+        fit = self._clock.refined(decimated, offset - first, ratio)
+        explained = float(fit.gain**2 * (self._known @ self._known))
+        # What the decimation has taken out is noise.
+        beyond = scipy.fft.rfft(cut)[self._length // (2 * decimated.step) + 1 :]
+        left = fit.left + 2 / self._length * float(np.vdot(beyond, beyond).real)
+        residual_db = 10 * math.log10((max(left, 0.0) + 1e-300) / (explained + 1e-300))
+        if not residual_db <= REFERENCE_LIMIT_DB or abs(fit.ratio - 1) > 1.01e-6 * self._max_ppm:
             found = f"unexplained {residual_db:.1f} dB, allowed {REFERENCE_LIMIT_DB:g} dB"
             name = "the reference channel"
             raise missing_reference(recorded, self._known, name, found, self._max_ppm)
-        check_inside(offset, ratio, self._known.size, recorded.size, "the reference")
-        return ClockFit(float(offset), float(ratio), float(gain), float(residual_db))
-
-    def _stretched(self, skew_ppm: float) -> _Model:
-        """The model for clocks that differ by so many parts per million."""
-        ratio = 1 + 1e-6 * skew_ppm
-        # The spectrum of a stretched signal is its own at scaled frequencies: exact, no interpolation.
-        turn = 2 * np.pi * ratio / self._length
-        known, later = (
-            fourier_sum(signal, turn, self._bins.start, self._omega.size)
-            for signal in (self._known, np.arange(self._known.size) * self._known)
-        )
-        slopes = -1j * self._omega * np.stack([known, later])
-        regressors = np.concatenate([known[None], slopes, self._coupling * known]).view(np.float64)
-        # Scaled to one size, or the Gram matrix loses half its digits.
-        size = np.sqrt(np.square(regressors).sum(axis=1, keepdims=True))
-        size[size == 0] = 1.0
-        even = regressors / size
-        return _Model(ratio, regressors, np.linalg.pinv(even @ even.T, hermitian=True) @ even / size)
+        offset = first + fit.offset_samples
+        check_inside(offset, fit.ratio, self._known.size, recorded.size, "the reference")
+        return ClockFit(offset, fit.ratio, fit.gain, residual_db)
 
     def _cut(self, recorded: NDArray[np.floating], offset: float) -> tuple[Float64Array, int]:
         """The part of the recording around the signal, zeros beyond its ends, and where it starts."""
@@ -273,14 +214,6 @@ class ClockFitter:
         if high > low:
             cut[low - first : high - first] = recorded[low:high]
         return cut, first
-
-    def _advance(self, samples: float) -> Complex128Array:
-        """The factor in each bin that undoes a delay, from two short exponentials."""
-        bins = self._bins.stop - self._bins.start
-        row = math.isqrt(bins) + 1
-        turn = 2j * np.pi * samples / self._length
-        coarse = np.exp(turn * (self._bins.start + row * np.arange(-(-bins // row))))
-        return np.outer(coarse, np.exp(turn * np.arange(row))).ravel()[:bins]
 
 
 def fit_clock(recorded_v: ArrayLike, known_v: ArrayLike, *, max_ppm: float = 500.0) -> ClockFit:

@@ -7,8 +7,8 @@ import scipy.fft
 
 from wavefocus.calibration import Complex64Array, Complex128Array, Float32Array, Float64Array
 from wavefocus.calibration.clock.known_signal import filled_bins, require_found
+from wavefocus.calibration.clock.known_signal_clock import KnownSignalClock, KnownSignalFit
 from wavefocus.calibration.clock.period_spectrum import period_spectrum, periodic_signal, require_coverage
-from wavefocus.calibration.clock.periodic_clock import PeriodicClock, PeriodicFit
 from wavefocus.calibration.clock.resampling import Decimated, decimate
 from wavefocus.calibration.estimator.clipping import measure_levels
 from wavefocus.calibration.estimator.defect_finder import LEAKS, not_looked_at
@@ -56,7 +56,7 @@ class StaggeredEstimator:
         filled = filled_bins(power, base_v.size, records.band_hz, self._rate_hz, MIN_POWER)
         self._bins, self._median_power = filled
         self._highest = self._bins.stop / base_v.size
-        self._clock = PeriodicClock(nominal[: self._bins.stop], base_v.size, MAX_PPM)
+        self._clock = KnownSignalClock(nominal[: self._bins.stop], base_v.size, MAX_PPM)
         self._nominal_power = power[self._bins]
         # What the sweep excites beyond its band is fitted and not judged: what hums there does no harm.
         edges = records.band_hz[0] * (1 - EDGE), records.band_hz[1] * (1 + EDGE)
@@ -190,7 +190,7 @@ class StaggeredEstimator:
         hertz = (self._bins.start + highest) * self._rate_hz / self._period
         return float(decibel(energy / visible, whole)), hertz
 
-    def _cleaned(self, reference: Complex128Array, clock: PeriodicFit) -> Complex128Array:
+    def _cleaned(self, reference: Complex128Array, clock: KnownSignalFit) -> Complex128Array:
         """Amplitudes of the base signal as the reference channel carries it, all but free of its noise."""
         delayed = np.exp(-1j * self._omega * clock.offset_samples / clock.ratio) * (2 / self._period)
         fitted = self._clock.coupled(clock)[self._bins] * delayed
