@@ -221,8 +221,39 @@ class SourceTable(Table):
         return self
 
 
+INDEPENDENT_LEVEL_DB = -30.0
+"""Level of sources at one another where they are independent, and of a quiet place that states none."""
+
+
+class QuietTable(Table):
+    """A place where the response is kept low."""
+
+    at_mm: PointMm | None = Field(default=None, title="At", description="Place on the surface; or a path")
+    path: PathTable | None = Field(default=None, title="Path", description="Path of a place that moves from time 0 on")
+    speed_mm_s: NonNegative | None = Field(
+        default=None, title="Speed", description="Speed along the path; not needed for a point or a trajectory"
+    )
+    radius_mm: Annotated[NonNegative, Field(le=100)] = Field(
+        default=0.0, title="Radius", description="Radius of a disc, as of a fingertip; 0: a point"
+    )
+    level_db: Annotated[Finite, Field(lt=0, ge=-200)] = Field(
+        default=INDEPENDENT_LEVEL_DB,
+        title="Level",
+        description="Energy of the response there over that at the loudest focus",
+    )
+
+    @model_validator(mode="after")
+    def _is_somewhere(self) -> QuietTable:
+        if (self.at_mm is None) == (self.path is None):
+            key, value = ("path", "given beside at_mm") if self.path is not None else ("at_mm", None)
+            raise mistake(key, value, "a quiet place has either at_mm, or path with speed_mm_s")
+        if self.path is not None and self.path.kind not in WITHOUT_SPEED and self.speed_mm_s is None:
+            raise mistake("speed_mm_s", None, f"is needed in mm/s for a path of kind {self.path.kind}")
+        return self
+
+
 class Regularisation(Table):
-    """How weak and strong actuators are evened out."""
+    """How weak and strong actuators are evened out, and how free the response at a focus is."""
 
     saturation: NonNegative = Field(
         default=0.0, title="Saturation", description="C of eq. (14) as a fraction of the bank's median rms; 0: off"
@@ -232,6 +263,15 @@ class Regularisation(Table):
     )
     normalise: Switch = Field(
         default=True, title="Normalise", description="Equal response to an impulse at every focus (eq. 15)"
+    )
+    independent: Switch = Field(
+        default=False, title="Independent", description="Whether each source is quiet where the other sources are"
+    )
+    response_error: Annotated[NonNegative, Field(lt=1)] = Field(
+        default=0.0,
+        title="Response error",
+        description="Allowed deviation of the response at the focus from that of time reversal, for less drive energy"
+        " where places are quiet",
     )
 
     @model_validator(mode="after")
@@ -266,6 +306,12 @@ class Output(Table):
         title="RMS limit",
         description="Largest rms of any actuator's drive over any second; beyond it all are scaled down",
     )
+    most_energy: Annotated[Finite, Field(ge=1)] = Field(
+        default=10.0,
+        title="Most energy",
+        description="Largest energy of the drives of a scene with quiet places over that of plain time reversal; beyond"
+        " it the level that can be reached is taken and reported",
+    )
 
 
 class SceneConfig(Table):
@@ -273,5 +319,6 @@ class SceneConfig(Table):
 
     scene: SceneTable = SceneTable()
     source: Annotated[tuple[SourceTable, ...], Field(min_length=1, max_length=10_000)]
+    quiet: Annotated[tuple[QuietTable, ...], Field(max_length=1000)] = ()
     regularisation: Regularisation = Regularisation()
     output: Output = Output()

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import InitVar, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
@@ -47,6 +48,42 @@ LONG_NAMES = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class QuietTrack:
+    """A place at which a drive was made to be quiet.
+
+    name: ``"quiet[0]"``, or ``"source 1"`` where it is that of a source, and the others are quiet there.
+    sample, int64 (instants,): Instants in samples after time zero, rising; one where the place rests.
+    at_mm, float64 (instants, 2): Where it is.
+    radius_mm: Radius of a disc; 0 for a point.
+    level_db: Level asked for: energy of the response there over that at the loudest focus.
+    rendered_db: Level that the renderer found while it made the filters.
+    source: The source that sounds there; -1 for a quiet place.
+    """
+
+    name: str
+    sample: Int64Array
+    at_mm: Float64Array
+    radius_mm: float
+    level_db: float
+    rendered_db: float
+    source: int = -1
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON holds it."""
+        values = {key: getattr(self, key) for key in self.__slots__}
+        return {**values, "sample": self.sample.tolist(), "at_mm": self.at_mm.tolist()}
+
+    @classmethod
+    def of_plain(cls, values: dict[str, Any]) -> QuietTrack:
+        """Make it of `plain`. Raises KeyError, TypeError or ValueError: something else was given."""
+        numbers = {key: float(values[key]) for key in ("radius_mm", "level_db", "rendered_db")}
+        sample, at_mm = np.asarray(values["sample"], np.int64), np.asarray(values["at_mm"], np.float64)
+        if not len(sample) or at_mm.shape != (len(sample), 2) or not np.isfinite(at_mm).all():
+            raise ValueError("instants and places differ in number")
+        return cls(str(values["name"]), sample, at_mm, source=int(values["source"]), **numbers)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Drive:
     """What each actuator plays, and which instants it was made for; out of range, InputError.
 
@@ -60,6 +97,7 @@ class Drive:
         bank, its source.
     drive_unit: Unit of the drive, that of the bank.
     verified: Whether the file that it was read from carries checksums of all its values.
+    quiet: Places at which it is quiet.
     known_finite: Whether the check that the volts are finite is skipped, because the caller made it.
     """
 
@@ -74,6 +112,7 @@ class Drive:
     focus_source: Int64Array
     drive_unit: str = "V"
     verified: bool = True
+    quiet: tuple[QuietTrack, ...] = ()
     known_finite: InitVar[bool] = False
 
     def __post_init__(self, known_finite: bool) -> None:
@@ -138,7 +177,7 @@ def write_drive(path: str | Path, drive: Drive, *, force: bool = False) -> None:
     """
     foci = (drive.focus_sample, drive.focus_position, drive.focus_source)
     about = {name: getattr(drive, name) for name in (*_NUMBERS, "method", "drive_unit")}
-    with drive_in_blocks(path, drive.drive_v.shape, foci=foci, force=force, **about) as append:
+    with drive_in_blocks(path, drive.drive_v.shape, foci=foci, quiet=drive.quiet, force=force, **about) as append:
         append(drive.drive_v)
 
 
@@ -154,12 +193,13 @@ def drive_in_blocks(
     omitted_bound: float,
     foci: tuple[Int64Array, Int64Array, Int64Array],
     drive_unit: str = "V",
+    quiet: tuple[QuietTrack, ...] = (),
     force: bool = False,
 ) -> Iterator[Callable[[Float64Array], None]]:
     """Write a drive file block by block, as `write_drive`.
 
     shape: Actuators and samples of the whole drive.
-    sample_rate_hz, start_s, method, scale, omitted_bound, drive_unit: See `Drive`.
+    sample_rate_hz, start_s, method, scale, omitted_bound, drive_unit, quiet: See `Drive`.
     foci: Sample, position and source of each focus.
 
     Yields a callable that writes the next block, volts as float64 (actuators, any number of samples).
@@ -175,6 +215,8 @@ def drive_in_blocks(
             file.attrs[name] = float(number)
         file.attrs["method"] = method
         file.attrs["drive_unit"] = drive_unit
+        if quiet:
+            file.attrs["quiet"] = json.dumps([track.plain() for track in quiet])
         volts = reserved(file, "/drive", shape, "<f8", drive_unit)
         focus = dimension_scale(file, "focus/focus", np.arange(len(foci[0])))
         for name, values in zip(("sample", "position", "source"), foci, strict=True):
@@ -233,11 +275,11 @@ def read_drive(path: str | Path) -> Drive:
         method = hdf5_reading.text(file, "method") or "unknown"
         factor = hdf5_reading.number(file, "scale", default=1.0)
         omitted_bound = hdf5_reading.number(file, "omitted_bound", default=0.0)
-        drive_unit = _drive_unit(file, dataset, path)
+        drive_unit, quiet = _drive_unit(file, dataset, path), _quiet(file, path)
         try:
             drive = Drive(
                 np.asarray(values, np.float64), rate, start_s, method, factor, omitted_bound, sample, position, source,
-                drive_unit,
+                drive_unit, quiet=quiet,
             )  # fmt: skip
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
@@ -258,6 +300,15 @@ def _drive_unit(file: h5py.File, dataset: h5py.Dataset, path: Path) -> str:
     if stated and units and stated != units:
         raise InputError(f"{path}: attribute drive_unit is {stated!r}, and /drive is in {units!r}; both must agree")
     return stated or units or "V"
+
+
+def _quiet(file: h5py.File, path: Path) -> tuple[QuietTrack, ...]:
+    if (text := hdf5_reading.text(file, "quiet")) is None:
+        return ()
+    try:
+        return tuple(QuietTrack.of_plain(values) for values in json.loads(text))
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise InputError(f"{path}: attribute quiet is not the list of quiet places that render writes") from error
 
 
 def _focus(file: h5py.File, name: str) -> Int64Array:

@@ -86,7 +86,7 @@ class BlockAccumulator:
     ) -> None:
         self._rows, self._single, self._samples = rows, single, scene.samples
         self._emissions = [source.emission for source in scene.sources]
-        reach = rows.bank.taps + max(emission.event_samples for emission in self._emissions) - 1
+        reach = rows.taps + max(emission.event_samples for emission in self._emissions) - 1
         first = min(emission.first_sample for emission in self._emissions)
         stop = max(emission.stop_event for emission in self._emissions)
         self.block_samples = choose_fft_samples(

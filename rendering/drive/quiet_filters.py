@@ -46,6 +46,8 @@ WORTH = 10**-0.1
 """Where the energy that is allowed lowers no place by 1 dB, none is spent."""
 CUT_ROUNDS = 2
 """Times that levels are asked lower by what cutting the filters to their length costs."""
+FAINT = 1e-9
+"""Bins with less of the emitted power than this, relative to the largest, do not count."""
 TINY = 1e-300
 
 
@@ -187,21 +189,29 @@ def find_multipliers(
         multipliers are lowered together until the energy is met; then some levels are not reached.
     cut: By default filters are as long as they come out.
     """
-    search = _Search(moments, response_error)
+    search, whole = _Search([_sounding(moment) for moment in moments], response_error), _Search(moments, response_error)
     wanted = level
     for _ in range(CUT_ROUNDS):
         found, totals = search.find(wanted, most_energy)
         if cut is None or found.capped:
             break
-        totals = search.totals(found.of_place, found.slack, cut)
+        totals = whole.totals(found.of_place, found.slack, cut)
         excess = totals.level / level
         if (excess < 1.0 + TOLERANCE_DB / 4).all():
             break
         wanted = wanted / np.clip(excess, 1.0, 10.0)
-    totals = totals if cut is None else search.totals(found.of_place, found.slack, cut)
+    totals = totals if cut is None else whole.totals(found.of_place, found.slack, cut)
     if found.capped and (totals.level > WORTH * search.plain.level).all():
         found, totals = search.unsteered(found)
     return replace(found, level=totals.level, energy=totals.drive / max(search.plain.drive, TINY))
+
+
+def _sounding(moment: Moment) -> Moment:
+    """The bins of a moment in which its sources emit something."""
+    power = np.abs(np.einsum("jjf->jf", moment.emitted)).sum(axis=0)
+    used = power > FAINT * power.max(initial=0.0)
+    foci = [replace(one, row=one.row[used], quiet=one.quiet[used]) for one in moment.foci]
+    return replace(moment, foci=foci, emitted=moment.emitted[:, :, used], quiet=moment.quiet[used])
 
 
 class _Search:

@@ -19,6 +19,7 @@ from wavefocus.rendering.drive.coil_limits import (
     require_finite,
     strictest,
 )
+from wavefocus.rendering.drive.quiet_scene import QuietRows, quiet_scene
 from wavefocus.rendering.drive.wav import Interface, InterfaceRate, largest_of
 from wavefocus.rendering.greens.interpolation.errors import judged_errors
 from wavefocus.rendering.greens.regularisation import BankRows
@@ -46,7 +47,8 @@ class SceneRenderer:
     and path points.
 
     The drive starts at -(L - 1) samples of scene time, L the taps of the bank, even if all sources start later, and
-    ends with the last emitted sample. A continuous emission lasts until n_M, silence included.
+    ends with the last emitted sample; with quiet places, 50 ms later. A continuous emission lasts until n_M, silence
+    included.
 
     method: Eq. (16) or eq. (9), see `sample_scene`.
     tolerance_db: Allows single precision as long as the proved bound on the relative L2 error of the drives stays below
@@ -87,9 +89,8 @@ class SceneRenderer:
         self._limits = DriveLimits(scene.output.limit_v, scene.output.limit_rms_v)
         self._interface, self._rate_hz = interface, float(bank.sample_rate_hz)
         self._rate = None if interface is None else InterfaceRate(self._rate_hz, interface.rate_hz)
-        self.sampled = sample_scene(scene, bank, method)
+        self.sampled, self._rows = _scene_rows(scene, bank, method)
         self.shape = bank.actuators, self.sampled.samples
-        self._rows = BankRows(self.sampled.kind.rows_of(bank), scene.regularisation, self.sampled.naming)
         self._single = self._tolerance > 0
         self._accumulator = self._new_accumulator()
         self.latency_samples = 2 * self._accumulator.block_samples
@@ -122,7 +123,7 @@ class SceneRenderer:
         sampled, finite = self.sampled, bool(np.isfinite(self._levels.norms).all())
         return Drive(
             drive_v, self._rate_hz, sampled.start_s, sampled.method, report.scale, report.omitted_bound, *sampled.foci,
-            drive_unit=drive_unit(self._bank), known_finite=finite,
+            drive_unit=drive_unit(self._bank), quiet=report.quiet_tracks, known_finite=finite,
         )  # fmt: skip
 
     def prepare(self, on_progress: OnProgress | None = None, keep_v: Float64Array | None = None) -> RenderReport:
@@ -146,6 +147,7 @@ class SceneRenderer:
         self._report = report_render(
             self._scene, self._rows, self.sampled.sources, self._accumulator.statistics, self._levels.norms,
             limiting=self._limiting(between), omitted_bound=self._bound(), errors=errors, remarks=remarks,
+            quiet=self._rows.figures() if isinstance(self._rows, QuietRows) else None,
         )  # fmt: skip
         return self._report
 
@@ -212,6 +214,14 @@ class SceneRenderer:
         if self._interface is None or between_v is None:
             return strictest(reached)
         return self._interface.strictest(reached, self._levels.peaks_v * self._gain, between_v * self._gain)
+
+
+def _scene_rows(scene: Scene, bank: GreenSource, method: Method | None) -> tuple[SampledScene, BankRows]:
+    """A scene in samples, and the rows that it is rendered from."""
+    sampled = sample_scene(scene, bank, method)
+    if scene.has_quiet_places:
+        return quiet_scene(scene, bank, sampled)
+    return sampled, BankRows(sampled.kind.rows_of(bank), scene.regularisation, sampled.naming)
 
 
 def render_with_report(

@@ -176,6 +176,11 @@ class BankRows:
         self._loud = np.zeros(bank.actuators, dtype=bool)
 
     @property
+    def taps(self) -> int:
+        """Length of a row in samples."""
+        return self.bank.taps
+
+    @property
     def used(self) -> list[int]:
         """Rows read so far, in ascending order."""
         return sorted(self._weights)

@@ -13,6 +13,7 @@ from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.device import fast_length
 from wavefocus.rendering.drive.accumulate import SourceStatistics
 from wavefocus.rendering.drive.coil_limits import Limiting, dynamic_range_db
+from wavefocus.rendering.drive.quiet_scene import QuietFigures
 from wavefocus.rendering.field.metrics import band_weights
 from wavefocus.rendering.field.wave_figures import impulse_travel
 from wavefocus.rendering.greens.interpolation.errors import InterpolationErrors
@@ -21,6 +22,7 @@ from wavefocus.rendering.greens.source import DOUBTFUL_BITS, GreenSource, RowRea
 from wavefocus.rendering.scene.emission import ContinuousEmission
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.rendering.scene.sampling import SampledSource
+from wavefocus.storage.drive_file import QuietTrack
 from wavefocus.storage.errors import InputError
 
 ROWS = 6
@@ -118,6 +120,7 @@ class RenderReport:
     interpolation_errors: Estimated error of the Green's functions between the bank's positions, by band; None where the
         paths keep to the positions, or the bank has too few of them.
     tail: Ends of some of the Green's functions, and an estimate of the response beyond them.
+    quiet: Places that are kept quiet, and what that costs; None where there is none.
     """
 
     warnings: tuple[str, ...]
@@ -130,6 +133,12 @@ class RenderReport:
     pairs: int
     interpolation_errors: InterpolationErrors | None = None
     tail: ResponseTail | None = None
+    quiet: QuietFigures | None = None
+
+    @property
+    def quiet_tracks(self) -> tuple[QuietTrack, ...]:
+        """The places that are kept quiet."""
+        return () if self.quiet is None else self.quiet.tracks
 
     @property
     def left_out_words(self) -> tuple[str, ...]:
@@ -158,6 +167,7 @@ def report_render(
     omitted_bound: float,
     errors: InterpolationErrors | None = None,
     remarks: Sequence[str] = (),
+    quiet: QuietFigures | None = None,
 ) -> RenderReport:
     """Collect the figures and warnings of a render."""
     measured: GreenSource = getattr(rows.bank, "measured", rows.bank)
@@ -169,6 +179,7 @@ def report_render(
         *_silent(rows),
         *_doubtful(rows),
         *remarks,
+        *(quiet.warnings if quiet is not None else ()),
         *([str(caution)] if (caution := getattr(measured, "import_facts", {}).get("caution")) else []),
         *([tail.warning] if tail is not None and tail.warning is not None else []),
         *_too_fast(scene, rows),
@@ -187,6 +198,7 @@ def report_render(
         pairs=sum(item.pairs for item in statistics),
         interpolation_errors=errors,
         tail=tail,
+        quiet=quiet,
     )
 
 

@@ -9,7 +9,15 @@ from pathlib import Path
 from typing import Any, Literal
 
 from wavefocus.config.loading import named_file, naming_key, parse_toml, read_toml, validated
-from wavefocus.config.scene import Output, PathTable, Regularisation, SceneConfig, SignalTable
+from wavefocus.config.scene import (
+    INDEPENDENT_LEVEL_DB,
+    Output,
+    PathTable,
+    PointTable,
+    Regularisation,
+    SceneConfig,
+    SignalTable,
+)
 from wavefocus.rendering.scene import paths, signals
 from wavefocus.rendering.scene.signals import Signal
 from wavefocus.rendering.scene.svg import SvgPath
@@ -70,13 +78,38 @@ class Source:
 
 
 @dataclass(frozen=True, slots=True)
+class QuietPlace:
+    """A place where the response is kept low, while its path lasts and then at the path's end.
+
+    path: A point, or the path of a place that moves from scene time 0 on.
+    speed_mm_s: Speed, > 0 on a path that moves; ignored for a point and a trajectory.
+    radius_mm: Radius of a disc, 0 for a point.
+    level_db: Energy of the response there over that at the loudest focus, < 0.
+
+    Raises InputError where a value is out of range.
+    """
+
+    path: paths.Path
+    speed_mm_s: float = 0.0
+    radius_mm: float = 0.0
+    level_db: float = INDEPENDENT_LEVEL_DB
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        _check(self.speed_mm_s >= 0, "speed_mm_s", self.speed_mm_s, ", 0 or above")
+        _check(self.radius_mm >= 0, "radius_mm", self.radius_mm, ", 0 or above")
+        _check(self.level_db < 0, "level_db", self.level_db, " below 0")
+
+
+@dataclass(frozen=True, slots=True)
 class Scene:
-    """Sources that sound together.
+    """Sources that sound together, and places that are kept quiet.
 
     sources: At least one; their drives add.
     regularisation: Saturation and normalisation, the same for all sources.
-    output: Interpolation and limit.
+    output: Interpolation and limits.
     allow_large: It may be larger than the limits of `wavefocus.rendering.scene.size`.
+    quiet: Places that are kept quiet.
     """
 
     name: str
@@ -84,10 +117,19 @@ class Scene:
     regularisation: Regularisation = field(default_factory=Regularisation)
     output: Output = field(default_factory=Output)
     allow_large: bool = False
+    quiet: Sequence[QuietPlace] = ()
+
+    @property
+    def has_quiet_places(self) -> bool:
+        """Whether any source is to be quiet anywhere."""
+        return bool(self.quiet) or (self.regularisation.independent and len(self.sources) > 1)
 
     def __post_init__(self) -> None:
         check_fields(self)
         object.__setattr__(self, "sources", tuple(self.sources))
+        object.__setattr__(self, "quiet", tuple(self.quiet))
+        if not all(isinstance(place, QuietPlace) for place in self.quiet):
+            raise InputError("quiet holds something else than a QuietPlace")
         if not all(isinstance(source, Source) for source in self.sources):
             raise InputError("sources holds something else than a Source")
         if not self.sources:
@@ -163,12 +205,27 @@ def build_scene(config: SceneConfig, file: Path, *, allow_large: bool = False) -
                     repeat=table.repeat,
                 )
             )
+    quiet = []
+    for index, place in enumerate(config.quiet):
+        key = f"quiet[{index}]"
+        with naming_key(file, key):
+            path = PointTable(at_mm=place.at_mm) if place.at_mm is not None else place.path
+            assert path is not None  # the table has one of both
+            quiet.append(
+                QuietPlace(
+                    path=build_path(path, file, f"{key}.path", allow_large=allow_large),
+                    speed_mm_s=place.speed_mm_s or 0.0,
+                    radius_mm=place.radius_mm,
+                    level_db=place.level_db,
+                )
+            )
     return Scene(
         name=config.scene.name,
         sources=tuple(built),
         regularisation=config.regularisation,
         output=config.output,
         allow_large=allow_large,
+        quiet=tuple(quiet),
     )
 
 

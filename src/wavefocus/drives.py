@@ -271,6 +271,11 @@ def render_by_options(
     Raises InputError: the scene does not fit the bank.
     """
     if options.focusing == "inverse":
+        if scene.has_quiet_places:
+            raise InputError(
+                "quiet places and independent sources are for time reversal; leave out --focusing inverse, or [[quiet]]"
+                " and regularisation.independent"
+            )
         from wavefocus.rendering.drive.inverse_filter import REGULARISATION_DB, inverse_filter
 
         regularisation_db = REGULARISATION_DB if options.regularisation_db is None else options.regularisation_db

@@ -151,7 +151,7 @@ TABLES = {
     (RigConfig, "rig"): ("rig", "surface", "actuators", "mirror", "recorder", "player", "vibrometer", "recovery",
                          "watch", "watch.room", "messages", "calibration", "usb", "emulation"),
     (TrialsConfig, "trials"): ("trials", "stimuli", "adaptive", "masking"),
-    (SceneConfig, "scene"): ("scene", "source", "regularisation", "output"),
+    (SceneConfig, "scene"): ("scene", "source", "quiet", "regularisation", "output"),
 }  # fmt: skip
 
 

@@ -15,6 +15,7 @@ from wavefocus.console import Report, progress, say
 from wavefocus.input_files import name_unverified, parse_positions
 from wavefocus.rendering.device import cuda_device
 from wavefocus.rendering.field.prediction import Prediction, chosen_positions, field_unit
+from wavefocus.rendering.field.quiet_levels import quiet_levels
 from wavefocus.rendering.field.response_spectra import predict_spectra, share_above
 from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.drive_file import Drive, read_drive
@@ -66,11 +67,14 @@ def predict(
                 writer.write(first, field)
                 peak = max(peak, float(np.abs(field).max(initial=0.0)))
         lost = share_above(drive, view, index, prediction.passed_hz) if prediction.low_pass else 0.0
+        quiet = quiet_levels(drive, view)
         if left_out := 0 if positions else view.positions - len(index):
             say(f"{left_out} positions are not measured and are left out")
     say(
         f"{out}: {len(index)} positions, {prediction.samples} samples, largest response {quantity(f'{peak:.4g}', unit)}"
     )
+    for level in quiet:
+        say(f"quiet: {level}")
     if rate_hz is not None and prediction.passed_hz < drive.sample_rate_hz / 2:
         say(
             f"at {prediction.sample_rate_hz:g} Hz, low-passed above {prediction.passed_hz:g} Hz;"
@@ -86,6 +90,8 @@ def predict(
             "passed_hz": prediction.passed_hz,
             "lost_share": lost,
         }
+        if quiet:
+            figures["quiet"] = [level.plain for level in quiet]
         print(json.dumps(figures))
 
 

@@ -20,6 +20,7 @@ from wavefocus.rendering.drive.coil_limits import dynamic_range_db, peaks
 from wavefocus.rendering.drive.rendering import SceneRenderer
 from wavefocus.rendering.drive.wav import Interface, stream_wav
 from wavefocus.rendering.field.prediction import field_unit, predicted_focus_peak
+from wavefocus.rendering.field.quiet_levels import QuietLevel, levels_json, quiet_levels, rendered_levels
 from wavefocus.rendering.report.render_report import RenderReport
 from wavefocus.rendering.scene.model import Scene, load_scene
 from wavefocus.rendering.scene.size import check_scene_size, size_words
@@ -75,6 +76,7 @@ class _Rendered:
 
     about: Start, method, bound and foci, as `drive_in_blocks` takes them.
     focus_peak, unsaturated: Predicted response, and relative rms without saturation; None where not computed.
+    quiet: Levels at the quiet places, none where they were not computed.
     """
 
     shape: tuple[int, int]
@@ -83,6 +85,7 @@ class _Rendered:
     facts: RenderReport | InverseReport
     focus_peak: float | None = None
     unsaturated: Float64Array | None = None
+    quiet: tuple[QuietLevel, ...] = ()
 
 
 def render(
@@ -146,10 +149,12 @@ def _in_memory(job: _Job) -> _Rendered:
             unsaturated = render_by_options(plain, job.bank, job.options, report)[1].relative_rms_drive
     foci = drive.focus_sample, drive.focus_position, drive.focus_source
     about = {"start_s": drive.start_s, "method": drive.method, "omitted_bound": drive.omitted_bound, "foci": foci}
+    about["quiet"] = drive.quiet
     actuators, samples = drive.drive_v.shape
     return _Rendered(
-        (actuators, samples), iter([drive.drive_v]), about, facts, predicted_focus_peak(drive, job.bank), unsaturated
-    )
+        (actuators, samples), iter([drive.drive_v]), about, facts, predicted_focus_peak(drive, job.bank), unsaturated,
+        quiet_levels(drive, job.bank),
+    )  # fmt: skip
 
 
 def _in_two_passes(job: _Job) -> _Rendered:
@@ -165,9 +170,11 @@ def _in_two_passes(job: _Job) -> _Rendered:
     with progress("first pass", samples) as report:
         facts = renderer.prepare(report)
     sampled = renderer.sampled
-    about = {"start_s": sampled.start_s, "method": sampled.method, "foci": sampled.foci}
-    about["omitted_bound"] = facts.omitted_bound
-    return _Rendered(renderer.shape, renderer.blocks(), about, facts)
+    about = {
+        "start_s": sampled.start_s, "method": sampled.method, "foci": sampled.foci,
+        "omitted_bound": facts.omitted_bound, "quiet": facts.quiet_tracks,
+    }  # fmt: skip
+    return _Rendered(renderer.shape, renderer.blocks(), about, facts, quiet=rendered_levels(facts.quiet_tracks))
 
 
 def _write(job: _Job, rendered: _Rendered, out: Path, wav: Path | None, *, force: bool) -> float:
@@ -246,7 +253,13 @@ def _report(job: _Job, rendered: _Rendered, out: Path, peak_v: float, rig_file: 
         say(f"left out no more than {facts.omitted_bound:.3g} of the drives (relative L2, proved){what}")
     without = "" if unsaturated is None else f", {dynamic_range_db(unsaturated):.1f} dB without saturation"
     say(f"rms of the drives: actuators differ by up to {range_db:.1f} dB{without}")
+    for level in rendered.quiet:
+        say(f"quiet: {level}")
     if isinstance(facts, RenderReport):
+        if facts.quiet is not None:
+            say(f"quiet places cost {facts.quiet.energy:.3g} times the energy of plain time reversal")
+            figures["quiet"] = levels_json(rendered.quiet, facts.quiet.plain_db, facts.quiet.multiplier)
+            figures["quiet_energy"] = facts.quiet.energy
         return figures
     frequency_hz, condition = facts.worst_condition
     say(

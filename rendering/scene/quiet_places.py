@@ -1,0 +1,262 @@
+"""Where a scene is to be quiet: places and rows, instant by instant, and the sources that keep away from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wavefocus.config.scene import INDEPENDENT_LEVEL_DB
+from wavefocus.rendering.arrays import BoolArray, Float64Array, Int64Array
+from wavefocus.rendering.greens.interpolation.base import OffGridError, near, show_mm
+from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
+from wavefocus.rendering.greens.source import GreenSource, refusal, usable
+from wavefocus.rendering.scene.model import Scene
+from wavefocus.rendering.scene.paths import Path
+from wavefocus.rendering.scene.sampling import SampledScene
+from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
+from wavefocus.storage.errors import InputError
+
+SEGMENT_S = 0.01
+"""Filters follow places that move in steps of this, and fade from step to step."""
+SAME_MM = 0.01
+"""A quiet point this near to a focus is at the focus."""
+PASSING_MM = 3.0
+"""A source that moves past a quiet place is not quiet there from this distance on: far within half a wavelength."""
+ON_GRID = 1e-6
+"""Distance from a position, in grid spacings, up to which its own row is used."""
+RING, RING_ROWS = 0.8, 8
+"""A disc of a fingertip's size that is quiet at its centre and on this part of its radius is quiet all over."""
+MAX_ROWS = 2000
+MAX_INCIDENCES = 10**8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """A place that is to be quiet.
+
+    words: Its name in messages, "quiet[0]", or "source 1" where sources are independent.
+    level: Energy of the response there over that at the loudest focus.
+    source: The source that sounds there, which need not be quiet; None for a quiet place.
+    """
+
+    words: str
+    path: Path
+    speed_mm_s: float
+    start_s: float
+    radius_mm: float
+    level_db: float
+    source: int | None = None
+
+    @property
+    def level(self) -> float:
+        return float(10.0 ** (self.level_db / 10.0))
+
+    def at(self, sample: Int64Array, rate_hz: float) -> Float64Array:
+        """Where it is at samples of scene time, float64 (n, 2)."""
+        return place_at(self.path, self.speed_mm_s, self.start_s, sample, rate_hz)
+
+
+def place_at(path: Path, speed_mm_s: float, start_s: float, sample: Int64Array, rate_hz: float) -> Float64Array:
+    """Points of a path that is followed from `start_s` on at samples of scene time; before and after it, its ends."""
+    if isinstance(path, TrajectoryPath):
+        return path.trajectory(start_s, rate_hz).at(sample)[0]
+    moves = path.length_mm > 0 and speed_mm_s > 0
+    along_mm = np.clip(speed_mm_s * (sample / rate_hz - start_s), 0.0, path.length_mm) if moves else 0.0 * sample
+    return path.point_at(along_mm)
+
+
+def places_of(scene: Scene) -> tuple[Place, ...]:
+    """The quiet places of a scene, and those of its sources where they are independent."""
+    places = [
+        Place(f"quiet[{index}]", one.path, one.speed_mm_s, 0.0, one.radius_mm, one.level_db)
+        for index, one in enumerate(scene.quiet)
+    ]
+    if scene.regularisation.independent and len(scene.sources) > 1:
+        places += [
+            Place(f"source {index}", one.path, one.speed_mm_s, one.start_s, 0.0, INDEPENDENT_LEVEL_DB, index)
+            for index, one in enumerate(scene.sources)
+        ]
+    return tuple(places)
+
+
+def paths_of(scene: Scene, places: tuple[Place, ...]) -> list[Path]:
+    """Paths of all places and sources."""
+    return [*(place.path for place in places), *(source.path for source in scene.sources)]
+
+
+def disc_mm(radius_mm: float) -> Float64Array:
+    """Points about (0, 0) at which a disc is kept quiet, float64 (n, 2): its centre and a ring; one for radius 0."""
+    if radius_mm == 0:
+        return np.zeros((1, 2))
+    angle = 2.0 * np.pi * np.arange(RING_ROWS) / RING_ROWS
+    ring = RING * radius_mm * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return np.concatenate([np.zeros((1, 2)), ring])
+
+
+class PlaceRows:
+    """Rows at places of a bank, by the best interpolation that it allows; a position's own row at the position.
+
+    kind: The scene's own interpolation, used where it is the best one.
+    """
+
+    rows: GreenSource
+    """The bank whose rows `at` refers to."""
+
+    def __init__(self, bank: GreenSource, kind: object = None) -> None:
+        self._bank, self.rows = bank, bank
+        self._grid, self._status = PositionGrid(bank.position_mm), np.asarray(bank.status)
+        self._kind = kind
+
+    def at(self, points_mm: Float64Array) -> Int64Array:
+        """Rows (n,) at points (n, 2). Raises OffGridError: a point is off the grid, or nothing is measured there."""
+        from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
+
+        rows, distance_mm = near(self._grid, points_mm)
+        between = (distance_mm > ON_GRID * self._grid.spacing_mm) | ~usable(self._bank)[rows]
+        if between.any() and not isinstance(self._kind, KernelInterpolation):
+            try:
+                self._kind = KernelInterpolation(self._bank, points_mm[between])
+            except InputError:
+                self._kind = None  # too few positions to interpolate from
+        if between.any() and isinstance(self._kind, KernelInterpolation):
+            rows = rows.copy()
+            rows[between] = self._kind.nodes(points_mm[between]).rows[:, 0]
+            self.rows = self._kind.rows_of(self._bank)
+            return rows
+        for point, row in enumerate(rows.tolist()):
+            if reason := refusal(int(self._status[row])):
+                raise OffGridError(point, f"needs position {row} at {show_mm(points_mm[point])} mm, which is {reason}")
+        return rows
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class QuietSet:
+    """The rows that one source keeps quiet at an instant: rows of `PlaceRows`, and the place of each, int64 (rows,)."""
+
+    source: int
+    rows: Int64Array
+    place: Int64Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class QuietPlan:
+    """Which source is quiet where and when.
+
+    knots, int64 (knots,): Samples of scene time, equally spaced; one where nothing changes.
+    place_rows: Rows of each place at the knots, int64 (knots, rows).
+    sets: All sets of rows, none twice.
+    of_source, int64 (sources, knots): Set of each source at each knot.
+    warnings: Of places that a source passes.
+    """
+
+    places: tuple[Place, ...]
+    knots: Int64Array
+    place_rows: tuple[Int64Array, ...]
+    sets: tuple[QuietSet, ...]
+    of_source: Int64Array
+    warnings: tuple[str, ...]
+
+    def rows_at(self, knot: int) -> tuple[Int64Array, Int64Array]:
+        """Rows of all places at a knot, and the place of each."""
+        rows = [np.asarray(one[knot]) for one in self.place_rows]
+        return np.concatenate(rows), np.repeat(np.arange(len(rows)), [len(one) for one in rows])
+
+
+def plan_quiet(scene: Scene, bank: GreenSource, sampled: SampledScene, place_rows: PlaceRows) -> QuietPlan:
+    """Find the rows of all places at all instants.
+
+    Raises InputError: a quiet place is at a focus or off the grid, or there are too many.
+    """
+    places, rate_hz = places_of(scene), float(bank.sample_rate_hz)
+    emissions = [source.emission for source in sampled.sources]
+    first = min(emission.first_sample for emission in emissions)
+    stop = max(emission.stop_sample for emission in emissions)
+    moving = any(path.length_mm > 0 for path in paths_of(scene, places))
+    apart = len({(emission.first_sample, emission.stop_sample) for emission in emissions}) > 1
+    segment = max(1, round(SEGMENT_S * rate_hz))
+    knots = np.arange(first, stop + segment, segment) if moving or apart else np.array([first])
+    rows = tuple(_rows(place, knots, rate_hz, place_rows) for place in places)
+    total = sum(one.shape[1] for one in rows)
+    if total > MAX_ROWS or total * len(knots) * len(scene.sources) > MAX_INCIDENCES:
+        raise InputError(
+            f"{len(places)} quiet places of {total} rows for {len(scene.sources)} sources are too many; use fewer"
+            " places or sources, or a shorter scene"
+        )
+    warnings: list[str] = []
+    applies = _applies(scene, places, sampled, knots, rate_hz, warnings)
+    sets: dict[tuple[int, bytes], QuietSet] = {}
+    number: dict[tuple[int, bytes], int] = {}
+    of_source = np.zeros((len(scene.sources), len(knots)), dtype=np.int64)
+    place_of = np.repeat(np.arange(len(places)), [one.shape[1] for one in rows])
+    for source in range(len(scene.sources)):
+        used = np.concatenate(
+            [np.where(applies[source, index][:, None], one, -1) for index, one in enumerate(rows)], axis=1
+        )
+        different, inverse = np.unique(used, axis=0, return_inverse=True)
+        numbers = []
+        for one in different:
+            key = (source, one.tobytes())
+            numbers.append(number.setdefault(key, len(number)))
+            sets.setdefault(key, QuietSet(source, one[one >= 0], place_of[one >= 0]))
+        of_source[source] = np.array(numbers)[inverse.ravel()]
+    return QuietPlan(places, knots, rows, tuple(sets.values()), of_source, tuple(warnings))
+
+
+def _rows(place: Place, knots: Int64Array, rate_hz: float, place_rows: PlaceRows) -> Int64Array:
+    """Rows of a place at all knots, (knots, rows); a point that moves has those of the knots beside, too."""
+    at_mm = place.at(knots, rate_hz)
+    around_mm = disc_mm(place.radius_mm)
+    points_mm = (at_mm[:, None] + around_mm).reshape(-1, 2)
+    try:
+        rows = place_rows.at(points_mm).reshape(len(knots), len(around_mm))
+    except OffGridError as off:
+        raise InputError(f"{place.words} {off}") from off
+    if place.radius_mm == 0 and place.path.length_mm > 0 and len(knots) > 1:
+        before, after = np.concatenate([rows[:1], rows[:-1]]), np.concatenate([rows[1:], rows[-1:]])
+        rows = np.concatenate([rows, before, after], axis=1)
+    return rows
+
+
+def _applies(
+    scene: Scene,
+    places: tuple[Place, ...],
+    sampled: SampledScene,
+    knots: Int64Array,
+    rate_hz: float,
+    warnings: list[str],
+) -> BoolArray:
+    """Whether a source is quiet at a place at a knot, (sources, places, knots)."""
+    applies = np.ones((len(scene.sources), len(places), len(knots)), dtype=bool)
+    at_mm = [place.at(knots, rate_hz) for place in places]
+    segment = int(knots[1] - knots[0]) if len(knots) > 1 else 1
+    for index, source in enumerate(scene.sources):
+        emission = sampled.sources[index].emission
+        sounds = (knots > emission.first_sample - segment) & (knots < emission.stop_sample + segment)
+        own_mm = place_at(source.path, source.speed_mm_s, source.start_s, knots, rate_hz)
+        for number, place in enumerate(places):
+            if place.source == index:
+                applies[index, number] = False
+                continue
+            if place.source is not None:
+                other = sampled.sources[place.source].emission
+                applies[index, number] &= (knots > other.first_sample - segment) & (knots < other.stop_sample + segment)
+            rests = source.path.length_mm == 0 and place.path.length_mm == 0
+            within_mm = max(place.radius_mm, SAME_MM if rests else PASSING_MM)
+            covered = np.hypot(*(own_mm - at_mm[number]).T) <= within_mm
+            covered &= sounds & applies[index, number]
+            if not covered.any():
+                continue
+            applies[index, number, covered] = False
+            if covered[sounds].all() and place.source is None:
+                raise InputError(
+                    f"{place.words} at {show_mm(at_mm[number][0])} mm lies at the focus of source {index}; a quiet"
+                    f" place must be further than {within_mm:g} mm from it"
+                )
+            begin_s = float(knots[np.argmax(covered)]) / rate_hz
+            where = f"from {begin_s:.3g} s on, for {np.count_nonzero(covered) * SEGMENT_S:.2g} s in all"
+            warnings.append(
+                f"source {index} is at {place.words}{'' if covered[sounds].all() else f' {where}'}, and is not kept"
+                " quiet there meanwhile"
+            )
+    return applies

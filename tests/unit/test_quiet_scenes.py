@@ -1,0 +1,343 @@
+"""Scenes with quiet places, over small banks: levels, against the equations, and stiff cases."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.unit.plate_banks import ACTUATOR_MM, BAND_HZ, RATE_HZ, SPACING_MM, TAPS, plate_bank, plate_greens
+from wavefocus.config.scene import Output, Regularisation
+from wavefocus.rendering.drive.rendering import SceneRenderer, render_with_report
+from wavefocus.rendering.field.prediction import predict
+from wavefocus.rendering.field.quiet_levels import quiet_levels
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.scene.model import QuietPlace, Scene, Source, read_scene
+from wavefocus.rendering.scene.paths import Circle, Line, Point
+from wavefocus.rendering.scene.signals import Impulse, Noise, Sine
+from wavefocus.storage.drive_file import read_drive, write_drive
+from wavefocus.storage.errors import InputError
+
+NOISE = Noise((60.0, 450.0), 0.5, 3)
+FOCUS = (-8.0, 0.0)
+TAIL = round(0.05 * RATE_HZ)
+
+
+@pytest.fixture(scope="module")
+def bank():
+    return plate_bank()
+
+
+def scene_of(*places, signal=NOISE, at=FOCUS, path=None, speed=0.0, level_db=-30.0, radius_mm=0.0, **keys):
+    source = Source(path or Point(at), signal, 0.0, speed, 2.0)
+    quiet = tuple(QuietPlace(Point(place), radius_mm=radius_mm, level_db=level_db) for place in places)
+    return Scene("scene", (source,), quiet=quiet, **keys)
+
+
+def plain_of(scene):
+    return replace(scene, quiet=(), regularisation=Regularisation())
+
+
+def row_at(bank, point):
+    return int(np.argmin(np.hypot(*(bank.position_mm - point).T)))
+
+
+def level_db(drive, bank, place, focus=FOCUS, of=None):
+    there, own = (
+        np.square(predict(one, bank, [row_at(bank, point)]).field).sum()
+        for one, point in ((of or drive, place), (drive, focus))
+    )
+    return 10 * np.log10(there / own)
+
+
+def energy(drive):
+    return float(np.square(drive.drive_v).sum())
+
+
+def test_without_quiet_places_the_drive_is_the_same_bytes(bank):
+    scene = scene_of()
+    other = replace(scene, output=Output(most_energy=2.0),
+                    regularisation=Regularisation(response_error=0.3, independent=True))  # fmt: skip
+    drives = [render_with_report(one, bank)[0].drive_v.tobytes() for one in (scene, other)]
+    assert drives[0] == drives[1]
+
+
+def test_given_a_quiet_place_then_its_level_is_met_and_the_response_at_the_focus_stays(bank):
+    scene = scene_of((16.0, 8.0), (8.0, -16.0))
+    plain, _ = render_with_report(plain_of(scene), bank)
+    drive, report = render_with_report(scene, bank)
+    assert drive.start_s == plain.start_s
+    assert drive.drive_v.shape[1] == plain.drive_v.shape[1] + TAIL
+    for place in ((16.0, 8.0), (8.0, -16.0)):
+        assert level_db(plain, bank, place) > -20
+        assert level_db(drive, bank, place) == pytest.approx(-30, abs=0.3)
+    assert energy(drive) / energy(plain) == pytest.approx(report.quiet.energy, rel=0.02)
+    responses = [predict(one, bank, [row_at(bank, FOCUS)]).field[0] for one in (plain, drive)]
+    off = responses[1][: len(responses[0])] - responses[0]
+    assert np.linalg.norm(off) < 0.03 * np.linalg.norm(responses[0])
+    found = quiet_levels(drive, bank)
+    assert [one.reached_db for one in found] == pytest.approx([-30, -30], abs=0.3)
+    assert [one.track.rendered_db for one in found] == pytest.approx([one.reached_db for one in found], abs=0.1)
+
+
+def test_given_an_impulse_then_the_response_at_its_focus_is_its_amplitude(bank):
+    scene = scene_of((16.0, 8.0), signal=Impulse())
+    drive, _ = render_with_report(replace(scene, sources=(replace(scene.sources[0], amplitude=3.0),)), bank)
+    response = predict(drive, bank, [row_at(bank, FOCUS)]).field[0]
+    assert response[TAPS - 1] == pytest.approx(3.0, rel=1e-9)
+
+
+@pytest.mark.parametrize("saturation", [0.0, 0.8])
+@pytest.mark.parametrize("places", [2, 12])
+def test_drives_agree_with_the_equations_solved_densely_at_each_frequency(bank, places, saturation):
+    """w = A^-1 h* a / (h A^-1 h*) with the reported multipliers, by transforms of twice the filters' length."""
+    at = [(16.0 - 4.0 * (k % 4), 8.0 + 4.0 * (k // 4)) for k in range(places)]
+    scene = scene_of(*at, level_db=-20.0, regularisation=Regularisation(saturation=saturation))
+    drive, report = render_with_report(scene, bank)
+    green = bank.values[row_at(bank, FOCUS)]
+    rms = np.sqrt(np.square(bank.values).mean(axis=2))
+    own = np.sqrt(np.square(green).mean(axis=1))
+    sigma = np.minimum(1.0, saturation * np.median(rms) / own) if saturation else np.ones(len(green))
+    length = 2 * (TAPS + TAIL)
+    while max(p for p in range(2, length + 1) if length % p == 0 and all(p % q for q in range(2, p))) > 5:
+        length += 1
+    h = np.fft.rfft(green, length, axis=1).T
+    q = np.stack([np.fft.rfft(bank.values[row_at(bank, one)], length, axis=1).T for one in at], axis=1)
+    w = np.empty_like(h)
+    for bin_ in range(len(h)):
+        one, some = h[bin_] * np.sqrt(sigma), q[bin_] * np.sqrt(sigma)
+        normal = np.eye(len(one)) + some.conj().T @ np.diag(report.quiet.multiplier) @ some
+        z = np.linalg.inv(normal) @ one.conj()
+        a = np.square(np.abs(one)).sum()
+        w[bin_] = np.sqrt(sigma) * z * (a / (one @ z) if a > 0 else 1.0)
+    in_time = np.fft.irfft(w, length, axis=0).T
+    filters = np.concatenate([in_time[:, length - TAPS + 1 :], in_time[:, : TAIL + 1]], axis=1)
+    gain = 1.0 / (sigma @ np.square(green).sum(axis=1))
+    signal = NOISE.samples(RATE_HZ)
+    expected = gain * np.stack([np.convolve(signal, one) for one in filters])
+    assert drive.drive_v.shape == expected.shape
+    assert np.linalg.norm(drive.drive_v - expected) < 1e-9 * np.linalg.norm(expected)
+
+
+def test_blocks_and_single_precision_give_the_same_drive(bank):
+    scene = scene_of((16.0, 8.0))
+    whole, _ = render_with_report(scene, bank)
+    renderer = SceneRenderer(scene, bank)
+    renderer.prepare()
+    blocks = np.concatenate(list(renderer.blocks()), axis=1)
+    np.testing.assert_allclose(blocks, whole.drive_v, rtol=0, atol=1e-12 * np.abs(whole.drive_v).max())
+    single, _ = render_with_report(scene, bank, tolerance_db=-60.0)
+    off = np.linalg.norm(single.drive_v - whole.drive_v) / np.linalg.norm(whole.drive_v)
+    assert 0 < off <= single.omitted_bound < 1e-3
+
+
+def test_limits_hold_and_the_level_stays(bank):
+    scene = scene_of((16.0, 8.0))
+    peak = np.abs(render_with_report(scene, bank)[0].drive_v).max()
+    drive, report = render_with_report(replace(scene, output=Output(limit_v=0.3 * peak)), bank)
+    assert np.abs(drive.drive_v).max() <= 0.3 * peak
+    assert report.scale == pytest.approx(0.3, rel=1e-6)
+    assert level_db(drive, bank, (16.0, 8.0)) == pytest.approx(-30, abs=0.3)
+
+
+@pytest.mark.parametrize("seeds", [(1, 2, 3), (1, 1, 1)], ids=["different noise", "the same noise"])
+def test_independent_sources_are_quiet_at_each_other(bank, seeds):
+    at = [(-16.0, 0.0), (8.0, 12.0), (12.0, -16.0)]
+    sources = tuple(Source(Point(one), Noise((60.0, 450.0), 0.5, seed)) for one, seed in zip(at, seeds, strict=True))
+    scene = Scene("three", sources, Regularisation(independent=True))
+    drive, report = render_with_report(scene, bank)
+    loudest = max(at, key=lambda one: np.square(predict(drive, bank, [row_at(bank, one)]).field).sum())
+    for index, place in enumerate(at):
+        rest = tuple(replace(one, amplitude=float(index != number)) for number, one in enumerate(sources))
+        # The others alone, by the same filters: the multipliers depend on all that is emitted.
+        alone = drive.drive_v - _share(scene, bank, index)
+        there = level_db(drive, bank, place, loudest, of=replace(drive, drive_v=alone))
+        assert there == pytest.approx(-30, abs=0.5), (index, rest)
+    assert max(one.reached_db for one in quiet_levels(drive, bank)) == pytest.approx(-30, abs=0.5)
+    assert [one.source for one in report.quiet_tracks] == [0, 1, 2]
+
+
+def _share(scene, bank, index):
+    """The drives of one source among others: rendering is linear once the filters are there."""
+    from wavefocus.rendering.drive.accumulate import BlockAccumulator
+    from wavefocus.rendering.drive.quiet_scene import quiet_scene
+    from wavefocus.rendering.scene.sampling import sample_scene
+
+    sampled, rows = quiet_scene(scene, bank, sample_scene(scene, bank))
+    one = replace(sampled, sources=[sampled.sources[index]])
+    return np.concatenate(list(BlockAccumulator(one, rows).blocks()), axis=1) * 2.0**rows.drive_exponent
+
+
+def test_a_response_error_saves_energy(bank):
+    scene = scene_of((0.0, 8.0), (4.0, -4.0), level_db=-25.0)
+    exact, _ = render_with_report(scene, bank)
+    free, _ = render_with_report(replace(scene, regularisation=Regularisation(response_error=0.2)), bank)
+    assert energy(free) < 0.95 * energy(exact)
+    assert level_db(free, bank, (0.0, 8.0)) == pytest.approx(-25, abs=0.5)
+    responses = [predict(one, bank, [row_at(bank, FOCUS)]).field[0] for one in (exact, free)]
+    assert np.linalg.norm(responses[1] - responses[0]) < 0.25 * np.linalg.norm(responses[0])
+
+
+def test_a_disc_between_positions_is_quiet_in_truth(bank):
+    centre = np.array((14.0, 6.7))
+    scene = scene_of(tuple(centre), radius_mm=4.0, level_db=-20.0)
+    drive, _ = render_with_report(scene, bank)
+    angle = 2 * np.pi * np.arange(12) / 12
+    points = centre + np.concatenate([r * np.stack([np.cos(angle), np.sin(angle)], axis=1) for r in (1.5, 3.0, 4.0)])
+    truth = GreenArray(plate_greens(np.vstack([points, FOCUS])), np.vstack([points, FOCUS]), RATE_HZ)
+    power = np.square(predict(drive, truth).field).sum(axis=1)
+    assert 10 * np.log10(power[:-1].mean() / power[-1]) == pytest.approx(-20, abs=2.0)
+    (level,) = quiet_levels(drive, bank)
+    assert level.reached_db == pytest.approx(-20, abs=1.0)
+    assert level.worst_db > level.reached_db
+
+
+def test_a_resting_place_stays_quiet_while_the_source_moves(bank):
+    scene = scene_of((16.0, 8.0), path=Circle((-6.0, 0.0), 8.0), speed=100.0, output=Output(interpolation="kernel"))
+    drive, _ = render_with_report(scene, bank)
+    (level,) = quiet_levels(drive, bank)
+    assert level.reached_db == pytest.approx(-30, abs=1.5)
+
+
+def test_a_place_that_moves_is_followed(bank):
+    path = Line((8.0, -12.0), (20.0, 12.0))
+    scene = replace(scene_of(), quiet=(QuietPlace(path, speed_mm_s=60.0),))
+    plain, _ = render_with_report(plain_of(scene), bank)
+    drive, report = render_with_report(scene, bank)
+    (track,) = report.quiet_tracks
+    assert len(track.sample) > 2
+    (before,), (after,) = quiet_levels(replace(plain, quiet=(track,)), bank), quiet_levels(drive, bank)
+    assert before.reached_db > -15
+    assert after.reached_db < -25
+    assert energy(drive) < 4 * energy(plain)
+
+
+def test_a_drive_file_keeps_its_quiet_places(bank, tmp_path):
+    drive, _ = render_with_report(scene_of((16.0, 8.0)), bank)
+    write_drive(tmp_path / "drive.h5", drive)
+    (track,) = read_drive(tmp_path / "drive.h5").quiet
+    assert track.plain() == drive.quiet[0].plain()
+    write_drive(tmp_path / "plain.h5", replace(drive, quiet=()))
+    assert read_drive(tmp_path / "plain.h5").quiet == ()
+
+
+REFUSED = {
+    "at the focus": (scene_of(FOCUS), "quiet[0]"),
+    "disc around the focus": (scene_of((0.0, 0.0), FOCUS, radius_mm=4.0), "quiet[1]"),
+    "outside the grid": (scene_of((90.0, 0.0)), "quiet[0]"),
+    "goes with the source": (
+        replace(scene_of(path=Line((-8.0, 0.0), (8.0, 0.0)), speed=50.0),
+                quiet=(QuietPlace(Line((-8.0, 1.0), (8.0, 1.0)), speed_mm_s=50.0),)),
+        "quiet[0]",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_place_that_cannot_be_quiet_is_refused_by_name(bank, case):
+    scene, name = REFUSED[case]
+    with pytest.raises(InputError) as refused:
+        render_with_report(scene, bank)
+    assert str(refused.value).startswith(name)
+
+
+STIFF = {
+    "within 3 mm of the focus": scene_of((-6.0, 1.0)),
+    "within half a millimetre of the focus": scene_of((-7.6, 0.3)),
+    "two 1 mm apart": scene_of((16.0, 8.0), (16.0, 9.0)),
+    "two at one place": scene_of((16.0, 8.0), (16.0, 8.0)),
+    "more than actuators": scene_of(*[(x, y) for x in range(4, 24, 4) for y in range(-16, 20, 8)]),
+    "fifty": scene_of(*[(x, y) for x in range(0, 22, 2) for y in range(-20, 20, 8)][:50]),
+    "a source that runs through it": scene_of((4.0, 0.0), path=Line((-12.0, 0.0), (12.0, 0.0)), speed=40.0),
+    "a sine": scene_of((16.0, 8.0), signal=Sine(250.0, 0.2)),
+}
+
+
+@pytest.mark.parametrize("case", STIFF)
+def test_stiff_scenes_are_finite_within_the_energy_and_say_what_is_not_reached(bank, case):
+    scene = STIFF[case]
+    plain, _ = render_with_report(plain_of(scene), bank)
+    drive, report = render_with_report(scene, bank)
+    assert np.isfinite(drive.drive_v).all()
+    assert energy(drive) <= 10.5 * energy(plain)
+    missed = [track.name for track in report.quiet_tracks if track.rendered_db > track.level_db + 0.5]
+    assert all(any(name in text for text in report.warnings) for name in missed)
+    if "apart" in case or "one place" in case or "sine" in case:
+        assert not missed
+    if "more" in case or "fifty" in case or "half" in case:
+        assert missed
+    if "through" in case:
+        assert any("source 0 is at quiet[0]" in text for text in report.warnings)
+
+
+def test_opposite_sources_at_one_place_are_not_kept_apart(bank):
+    sources = (Source(Point(FOCUS), NOISE), Source(Point(FOCUS), NOISE, amplitude=-1.0))
+    drive, report = render_with_report(Scene("opposite", sources, Regularisation(independent=True)), bank)
+    assert np.abs(drive.drive_v).max() < 1e-9
+    assert any("source 0 is at source 1" in text for text in report.warnings)
+
+
+def small_bank(values, **keys):
+    return GreenArray(values, plate_bank().position_mm, RATE_HZ, band_hz=BAND_HZ, **keys)
+
+
+BANKS = {
+    "one actuator": lambda: small_bank(plate_bank().values[:, :1]),
+    "float32": lambda: small_bank(plate_bank().values.astype(np.float32), actuator_mm=ACTUATOR_MM),
+    "tiny": lambda: small_bank(1e-30 * plate_bank().values),
+    "huge": lambda: small_bank(1e30 * plate_bank().values),
+    "one line": lambda: GreenArray(
+        plate_greens(SPACING_MM * np.stack([np.arange(-4.0, 8), np.zeros(12)], 1)),
+        SPACING_MM * np.stack([np.arange(-4.0, 8), np.zeros(12)], 1), RATE_HZ, band_hz=BAND_HZ),
+    "no band": lambda: GreenArray(plate_bank().values, plate_bank().position_mm, RATE_HZ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BANKS)
+def test_banks_of_any_kind(case):
+    bank, place = BANKS[case](), (16.0, 0.0)
+    drive, report = render_with_report(scene_of(place), bank)
+    if case == "one actuator":
+        assert any("quiet[0] reaches" in text for text in report.warnings)
+        plain, _ = render_with_report(plain_of(scene_of()), bank)
+        assert level_db(drive, bank, place) == pytest.approx(level_db(plain, bank, place), abs=0.01)
+    else:
+        assert level_db(drive, bank, place) == pytest.approx(-30, abs=0.5)
+
+
+def test_a_plate_that_rings_on_says_what_cannot_be_reached():
+    """One mode at each frequency, as of glass of a quality of 10,000: all responses are alike."""
+    rng = np.random.default_rng(5)
+    time_s, position_mm = np.arange(512) / RATE_HZ, plate_bank().position_mm
+    values = np.zeros((len(position_mm), 6, 512))
+    for frequency in (83.0, 146.0, 231.0, 317.0, 402.0):
+        shape = np.cos(0.07 * frequency**0.5 * position_mm @ rng.standard_normal(2) + rng.uniform(0, 6))
+        ringing = np.sin(2 * np.pi * frequency * time_s) * np.exp(-np.pi * frequency / 1e4 * time_s)
+        values += shape[:, None, None] * rng.standard_normal(6)[None, :, None] * ringing
+    bank = GreenArray(values, position_mm, RATE_HZ, band_hz=BAND_HZ)
+    scene = scene_of((16.0, 8.0))
+    plain, _ = render_with_report(plain_of(scene), bank)
+    drive, report = render_with_report(scene, bank)
+    assert energy(drive) <= 10.5 * energy(plain)
+    assert any("quiet[0] reaches" in text for text in report.warnings)
+
+
+WRONG = {
+    "level_db = 3": "level_db",
+    "level_db = 0": "level_db",
+    "radius_mm = -1": "radius_mm",
+    'path = { kind = "point", at_mm = [0, 0] }': "path",
+    "at = 3": "at",
+}
+
+
+@pytest.mark.parametrize("line", WRONG)
+def test_a_wrong_table_is_refused_by_its_key(line):
+    text = '[[source]]\npath = { kind = "point", at_mm = [0, 0] }\nsignal = { kind = "impulse" }\n'
+    with pytest.raises(InputError, match=rf"quiet\[0\]\.{WRONG[line]}\b"):
+        read_scene(f"{text}[[quiet]]\nat_mm = [24, 0]\n{line}\n", Path("scene.toml"))
+    with pytest.raises(InputError, match=r"quiet\[0\]\.at_mm"):
+        read_scene(f"{text}[[quiet]]\n", Path("scene.toml"))
+    path = '{ kind = "line", start_mm = [0, 0], end_mm = [9, 0] }'
+    with pytest.raises(InputError, match=r"quiet\[0\]\.speed_mm_s"):
+        read_scene(f"{text}[[quiet]]\npath = {path}\n", Path("scene.toml"))
