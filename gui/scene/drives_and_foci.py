@@ -15,7 +15,7 @@ from wavefocus.config.scene import Output
 from wavefocus.gui.scene.calculation import DriveResult, FocusFigures, interpolate_frame
 from wavefocus.gui.surface import path_line
 from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
-from wavefocus.rendering.drive.coil_limits import DriveLimits, Limiting, largest_rms, limit_drive
+from wavefocus.rendering.drive.coil_limits import DriveLimits, Limiting, levels_of, limit_drive
 from wavefocus.rendering.drive.rendering import SceneRenderer, render_with_report
 from wavefocus.rendering.field.crosstalk import PathResponses
 from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusInstant
@@ -117,7 +117,7 @@ def summarise(
         limits=limits,
         resistance_ohm=resistance_ohm,
         peak_v=np.maximum(drive_v.max(axis=1), -drive_v.min(axis=1)),
-        rms_v=largest_rms(drive_v, drive.sample_rate_hz),
+        rms_v=levels_of(drive_v, drive.sample_rate_hz).rms_v,
         omitted_bound=drive.omitted_bound if math.isfinite(drive.omitted_bound) else math.nan,
         gain_s=gain_s,
         gain=gain,

@@ -75,49 +75,29 @@ class Reached:
 class RunningLevels:
     """Peaks, norms and largest rms of drives, block by block: in the end those of the whole drive.
 
-    samples: Of the whole drive; one that is shorter than the window of the rms is one window.
-    limits: Without a limit on the rms, none is found.
+    Squares are of values over a power of two for each actuator, which grows with its peak, so that they stay in range.
+
+    window: Samples over which the rms is taken, >= 1; None: none is found, and `rms_v` is 0.
     """
 
-    def __init__(self, actuators: int, samples: int, sample_rate_hz: float, limits: DriveLimits) -> None:
-        self._limits = limits
-        self.peaks_v: Float64Array = np.zeros(actuators)
-        self.norms: Float64Array = np.zeros(actuators)
-        window = max(1, min(samples, round(RMS_WINDOW_S * sample_rate_hz)))
-        self._rms = None if limits.rms_v is None else _SlidingRms(actuators, window)
+    def __init__(self, actuators: int, window: int | None = None) -> None:
+        self.peaks_v, self.norms = np.zeros(actuators), np.zeros(actuators)
+        self._window, self._exponent = window, np.full(actuators, -1100)
+        self._squares, self._largest = np.zeros((actuators, window or 0)), np.zeros(actuators)
 
+    @property
+    def rms_v(self) -> Float64Array:
+        """Largest rms over any window so far, (actuators,)."""
+        return np.asarray(np.ldexp(np.sqrt(self._largest / (self._window or 1)), self._exponent))
+
+    @np.errstate(over="ignore", under="ignore", invalid="ignore")
     def add(self, block: Float64Array) -> None:
         """Take the next block, (actuators, any number of samples)."""
         self.peaks_v = np.maximum(self.peaks_v, peaks(block))
         self.norms = np.hypot(self.norms, row_norms(block))
-        if self._rms is not None:
-            self._rms.add(block)
-
-    def reached(self) -> list[Reached]:
-        """Levels reached so far, one for each limit."""
-        return _against(self._limits, self.peaks_v, None if self._rms is None else self._rms.largest)
-
-
-class _SlidingRms:
-    """Largest rms of signals over any `window` samples.
-
-    Squares are of values over a power of two for each signal, which grows with its peak, so that they stay in range.
-    """
-
-    def __init__(self, signals: int, window: int) -> None:
-        self._window = window
-        self._exponent = np.full(signals, -1100)
-        self._squares = np.zeros((signals, window))
-        self._largest = np.zeros(signals)
-
-    @property
-    def largest(self) -> Float64Array:
-        return np.asarray(np.ldexp(np.sqrt(self._largest / self._window), self._exponent))
-
-    @np.errstate(over="ignore", under="ignore", invalid="ignore")
-    def add(self, block: Float64Array) -> None:
-        peak = peaks(block)
-        exponent = np.maximum(self._exponent, np.where(peak > 0, np.frexp(peak)[1], -1100))
+        if self._window is None:
+            return
+        exponent = np.where(self.peaks_v > 0, np.frexp(self.peaks_v)[1], self._exponent)
         grown = 2 * (self._exponent - exponent)
         self._squares, self._largest = np.ldexp(self._squares, grown[:, None]), np.ldexp(self._largest, grown)
         self._exponent = exponent
@@ -131,46 +111,42 @@ class _SlidingRms:
         self._largest = np.maximum(self._largest, sums.max(axis=1))
         self._squares = np.concatenate([self._squares[:, count:], fresh], axis=1)
 
+    def against(self, limits: DriveLimits) -> list[Reached]:
+        """Levels reached so far, one for each limit."""
+        reached = []
+        if limits.peak_v is not None:
+            reached.append(Reached(limits.peak_key, limits.peak_v, self.peaks_v))
+        if limits.rms_v is not None:
+            reached.append(Reached(limits.rms_key, limits.rms_v, self.rms_v, summed=True))
+        return reached
+
 
 def peaks(drive_v: Float64Array) -> Float64Array:
     """Largest magnitude of each actuator's drive, (actuators,)."""
     return np.asarray(np.maximum(drive_v.max(axis=1, initial=0.0), -drive_v.min(axis=1, initial=0.0)))
 
 
-def largest_rms(
-    drive_v: Float64Array, sample_rate_hz: float, window_s: float = RMS_WINDOW_S, *, repeated: bool = False
-) -> Float64Array:
-    """Largest rms of each actuator's drive (actuators, samples) over any window, (actuators,).
-
-    A drive that is shorter than the window is one window. A `repeated` one begins anew at its end, so that a window may
-    span both, or several.
-    """
-    whole, samples = max(1, round(window_s * sample_rate_hz)), drive_v.shape[1]
-    if repeated and samples < whole:
-        drive_v = np.tile(drive_v, -(-whole // samples))
-    window = min(drive_v.shape[1], whole)
-    rms = _SlidingRms(len(drive_v), window)
-    rms.add(drive_v)
-    if repeated:
-        rms.add(drive_v[:, : window - 1])
-    return rms.largest
+def rms_window(samples: int, sample_rate_hz: float, window_s: float = RMS_WINDOW_S) -> int:
+    """Samples of the window of the rms; a drive that is shorter is one window."""
+    return max(1, min(samples, round(window_s * sample_rate_hz)))
 
 
 def levels_of(
-    drive_v: Float64Array, sample_rate_hz: float, limits: DriveLimits, *, repeated: bool = False
-) -> list[Reached]:
-    """Levels that a drive (actuators, samples), finite, reaches, one for each limit; see `largest_rms`."""
-    rms_v = None if limits.rms_v is None else largest_rms(drive_v, sample_rate_hz, repeated=repeated)
-    return _against(limits, peaks(drive_v), rms_v)
+    drive_v: Float64Array, sample_rate_hz: float, window_s: float = RMS_WINDOW_S, *, repeated: bool = False
+) -> RunningLevels:
+    """Find the levels of a whole drive (actuators, samples), finite.
 
-
-def _against(limits: DriveLimits, peaks_v: Float64Array, rms_v: Float64Array | None) -> list[Reached]:
-    reached = []
-    if limits.peak_v is not None:
-        reached.append(Reached(limits.peak_key, limits.peak_v, peaks_v))
-    if limits.rms_v is not None and rms_v is not None:
-        reached.append(Reached(limits.rms_key, limits.rms_v, rms_v, summed=True))
-    return reached
+    repeated: The drive begins anew at its end, so that a window of the rms may span both, or several.
+    """
+    samples = drive_v.shape[1]
+    if repeated and samples < round(window_s * sample_rate_hz):
+        drive_v = np.tile(drive_v, -(-round(window_s * sample_rate_hz) // samples))
+    window = rms_window(drive_v.shape[1], sample_rate_hz, window_s)
+    levels = RunningLevels(len(drive_v), window)
+    levels.add(drive_v)
+    if repeated:
+        levels.add(drive_v[:, : window - 1])
+    return levels
 
 
 def relative_rms(drive_v: Float64Array) -> Float64Array:
@@ -190,7 +166,7 @@ def limit_drive(drive_v: Float64Array, sample_rate_hz: float, limits: DriveLimit
 
     Raises InputError: a limit is not a finite number above 0, or no factor reaches so far.
     """
-    limiting = strictest(levels_of(drive_v, sample_rate_hz, limits))
+    limiting = strictest(levels_of(drive_v, sample_rate_hz).against(limits))
     if limiting.decided_by is not None:
         drive_v *= limiting.scale
     return limiting

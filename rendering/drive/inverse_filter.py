@@ -24,7 +24,6 @@ from wavefocus.rendering.drive.coil_limits import (
     DriveLimits,
     Limiting,
     levels_of,
-    peaks,
     relative_rms,
     require_finite,
     strictest,
@@ -141,11 +140,12 @@ def inverse_filter(
     # Without normalisation in `rows`, their exponent is the bank's; an inverse is over it.
     drive_v = apply_exponent(drive_v, -rows.drive_exponent)
     require_finite(drive_v)
-    levels = levels_of(drive_v, rate_hz, DriveLimits(scene.output.limit_v, scene.output.limit_rms_v))
+    levels = levels_of(drive_v, rate_hz)
+    reached = levels.against(DriveLimits(scene.output.limit_v, scene.output.limit_rms_v))
     if interface is None:
-        limiting = strictest(levels)
+        limiting = strictest(reached)
     else:
-        limiting = interface.strictest(levels, peaks(drive_v), interface.between_v(drive_v, rate_hz))
+        limiting = interface.strictest(reached, levels.peaks_v, interface.between_v(drive_v, rate_hz))
     drive_v *= limiting.scale
     drive = Drive(
         drive_v, rate_hz, sampled.start_s, "inverse-filter", limiting.scale, 0.0, *sampled.foci,

@@ -17,6 +17,7 @@ from wavefocus.rendering.drive.coil_limits import (
     Reached,
     RunningLevels,
     require_finite,
+    rms_window,
     strictest,
 )
 from wavefocus.rendering.drive.quiet_scene import QuietRows, quiet_scene
@@ -160,7 +161,7 @@ class SceneRenderer:
         for made in self.unlimited_blocks():
             block = made * factor
             levels.add(block)
-            if (limiting := strictest(levels.reached())).scale < 1.0 - ROUNDING:
+            if (limiting := strictest(levels.against(self._limits))).scale < 1.0 - ROUNDING:
                 raise InputError(f"from sample {first} on, the drive would have to be {limiting}")
             yield block
             first += block.shape[1]
@@ -177,7 +178,8 @@ class SceneRenderer:
         return BlockAccumulator(self.sampled, self._rows, single=self._single, device=self._device)
 
     def _new_levels(self) -> RunningLevels:
-        return RunningLevels(*self.shape, self._rate_hz, self._limits)
+        actuators, samples = self.shape
+        return RunningLevels(actuators, None if self._limits.rms_v is None else rms_window(samples, self._rate_hz))
 
     @np.errstate(over="ignore", invalid="ignore")
     def _first_pass(self, on_progress: OnProgress | None, keep_v: Float64Array | None) -> Float64Array | None:
@@ -210,7 +212,10 @@ class SceneRenderer:
         return relative_bound(self._accumulator.error, norm_of(norms))
 
     def _limiting(self, between_v: Float64Array | None) -> Limiting:
-        reached = [Reached(one.key, one.limit_v, one.each_v * self._gain, one.summed) for one in self._levels.reached()]
+        reached = [
+            Reached(one.key, one.limit_v, one.each_v * self._gain, one.summed)
+            for one in self._levels.against(self._limits)
+        ]
         if self._interface is None or between_v is None:
             return strictest(reached)
         return self._interface.strictest(reached, self._levels.peaks_v * self._gain, between_v * self._gain)

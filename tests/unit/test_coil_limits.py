@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wavefocus.rendering.drive.coil_limits import DriveLimits, dynamic_range_db, largest_rms, limit_drive, relative_rms
+from wavefocus.rendering.drive.coil_limits import DriveLimits, dynamic_range_db, levels_of, limit_drive, relative_rms
 from wavefocus.storage.errors import InputError
 
 RATE_HZ = 1000.0
@@ -19,11 +19,11 @@ def sines(seconds: float, *amplitudes: float) -> np.ndarray:
 
 
 @given(st.integers(1, 400), st.integers(1, 90), st.booleans(), st.integers(0, 2**32))
-def test_given_any_drive_then_the_largest_rms_is_that_of_direct_evaluation(
+def test_given_any_drive_then_the_levels_of_is_that_of_direct_evaluation(
     samples: int, window: int, repeated: bool, seed: int
 ) -> None:
     drive_v = np.random.default_rng(seed).standard_normal((2, samples)) * np.array([[1e-6], [1e5]])
-    found = largest_rms(drive_v, RATE_HZ, window / RATE_HZ, repeated=repeated)
+    found = levels_of(drive_v, RATE_HZ, window / RATE_HZ, repeated=repeated).rms_v
     length = window if repeated else min(window, samples)
     long = np.tile(drive_v, 1 + -(-window // samples)) if repeated else drive_v
     starts = range(samples) if repeated else range(samples - length + 1)
@@ -52,7 +52,7 @@ def test_given_limits_then_the_strictest_scales_all_actuators_alike(
     if limits.peak_v is not None:
         assert np.abs(drive_v).max() <= limits.peak_v
     if limits.rms_v is not None:
-        assert largest_rms(drive_v, RATE_HZ).max() <= limits.rms_v
+        assert levels_of(drive_v, RATE_HZ).rms_v.max() <= limits.rms_v
 
 
 def test_given_one_loud_actuator_for_a_short_time_then_power_and_not_its_peak_decides_elsewhere() -> None:

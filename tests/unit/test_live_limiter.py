@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wavefocus.rendering.drive.coil_limits import DriveLimits, largest_rms
+from wavefocus.rendering.drive.coil_limits import DriveLimits, levels_of
 from wavefocus.rendering.live.limiter import LiveLimiter
 from wavefocus.storage.errors import InputError
 
@@ -55,7 +55,7 @@ def test_given_any_drive_in_blocks_of_any_size_then_every_limit_holds_at_every_s
     silence = np.zeros((3, round(RATE_HZ)))
     if limits.rms_v is not None:
         padded = np.concatenate([silence, out_v, silence], axis=1)
-        assert largest_rms(padded, RATE_HZ).max() <= limits.rms_v * (1 + 1e-9)
+        assert levels_of(padded, RATE_HZ).rms_v.max() <= limits.rms_v * (1 + 1e-9)
     # One gain for all, and the same however the drive is cut.
     np.testing.assert_allclose(out_v[0] * drive_v[1], out_v[1] * drive_v[0], rtol=1e-12)
     np.testing.assert_allclose(out_v, limited(drive_v, limits, look_ahead, [drive_v.shape[1]])[0], rtol=1e-5)

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wavefocus.config.scene import Output, Regularisation
-from wavefocus.rendering.drive.coil_limits import DriveLimits, RunningLevels, largest_rms
+from wavefocus.rendering.drive.coil_limits import RunningLevels, levels_of, rms_window
 from wavefocus.rendering.drive.rendering import SceneRenderer, render_with_report
 from wavefocus.rendering.drive.wav import Interface, InterfaceRate, stream_wav
 from wavefocus.rendering.greens.source import GreenArray
@@ -133,7 +133,7 @@ def test_a_streamed_drive_is_the_whole_one_scaled_by_the_same_limits(output, tol
     if output.limit_v is not None:
         assert np.abs(drive_v).max() <= output.limit_v
     if output.limit_rms_v is not None:
-        assert largest_rms(drive_v, RATE_HZ).max() <= output.limit_rms_v
+        assert levels_of(drive_v, RATE_HZ).rms_v.max() <= output.limit_rms_v
     assert streamed.peak_v == pytest.approx(np.abs(drive_v).max(), rel=1e-12)
 
 
@@ -196,12 +196,12 @@ def test_running_levels_are_those_of_the_whole(samples, cuts, seed, rate_hz, sca
     random = np.random.default_rng(seed)
     plain_v = random.standard_normal((3, samples)) * np.exp(random.uniform(-12, 3, samples))
     drive_v = plain_v * scale
-    levels = RunningLevels(3, samples, rate_hz, DriveLimits(peak_v=1.0, rms_v=0.3))
+    levels = RunningLevels(3, rms_window(samples, rate_hz))
     for block in np.split(drive_v, sorted(cut for cut in cuts if cut < samples), axis=1):
         levels.add(block)
     np.testing.assert_array_equal(levels.peaks_v, np.abs(drive_v).max(axis=1))
     np.testing.assert_allclose(levels.norms / scale, np.linalg.norm(plain_v, axis=1), rtol=1e-12)
-    np.testing.assert_allclose(levels.reached()[1].each_v / scale, largest_rms(plain_v, rate_hz), rtol=1e-10)
+    np.testing.assert_allclose(levels.rms_v / scale, levels_of(plain_v, rate_hz).rms_v, rtol=1e-10)
 
 
 def test_a_scene_of_one_sample_is_streamed():
