@@ -133,14 +133,14 @@ class Recorded:
 class AttemptResult:
     """An attempt estimated and judged.
 
-    `final` says that no further attempt follows, `committed` that the bank holds it. `recordings` are what the
-    estimate is of.
+    `following` is the attempt that comes next, None after the last; `committed` says that the bank holds it.
+    `recordings` are what the estimate is of.
     """
 
     attempt: Attempt
     estimate: Estimate | None
     judgement: Judgement
-    final: bool = False
+    following: Attempt | None = None
     committed: bool = False
     recordings: tuple[Recording, ...] = ()
 
@@ -220,7 +220,7 @@ def commit_attempt(
     raw: Where its recordings are kept, before the bank's row.
     count_anyway: Let the bank count the tries although it keeps what it has, so that the pass counts as over.
 
-    Returns `result` without its recordings, final, and saying whether it was committed.
+    Returns `result` without its recordings, and saying whether it was committed.
     """
     position = result.attempt.position
     held = Status(int(bank.status[position]))
@@ -228,7 +228,7 @@ def commit_attempt(
     if holds_data and not result.judgement.good:
         if count_anyway:
             bank.amend(position, attempts=attempts)
-        return replace(result, final=True, committed=False, recordings=())
+        return replace(result, committed=False, recordings=())
     actuators, taps = len(bank.header.actuator_mm), bank.header.taps
     estimate = result.estimate
     figures: dict[str, Any] = {
@@ -248,7 +248,7 @@ def commit_attempt(
     if raw is not None and result.recordings:
         keep_recordings(raw, position, result.recordings)
     bank.commit(position, green, record)
-    return replace(result, final=True, committed=True, recordings=())
+    return replace(result, committed=True, recordings=())
 
 
 # Steps aside, in units of the speckle step, towards the middle of the surface: there is no rim and no mirror limit.

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 
@@ -306,20 +307,33 @@ class Campaign:
     # -- judging and committing ---------------------------------------------------------------
 
     def _evaluate_and_commit(self, recorded: Recorded) -> AttemptResult:
-        """In the worker: estimate, judge and, when nothing better can be hoped for, commit.
+        """In the worker, which has the best attempts so far: estimate, judge, and commit or name the next attempt.
 
         Signals reach the main thread only, so that a Ctrl-C never lands inside a commit.
         """
-        position, limits = recorded.attempt.position, self._plan.quality
-        earlier = self._best.get(position)
+        attempt, limits = recorded.attempt, self._plan.quality
+        position = attempt.position
+        earlier = self._best.pop(position, None)
         result = self._neighbours.confirmed(
             self._evaluate(recorded), earlier, repeat=self._judged, replaceable=position in self._replaceable
         )
-        if not is_final(recorded.attempt, result.judgement, limits):
-            return result
-        result = self._crosstalk.judged(result)
+        final = is_final(attempt, result.judgement, limits)
+        if final:
+            result = self._crosstalk.judged(result)
         best = result if earlier is None else min((result, earlier), key=lambda one: one.rank)
-        return commit_attempt(self._bank, best, recorded.attempt.number, self._raw, count_anyway=self._passing)
+        if final:
+            return commit_attempt(self._bank, best, attempt.number, self._raw, count_anyway=self._passing)
+        self._best[position] = best
+        following = next_attempt(
+            attempt,
+            result.judgement,
+            Status.NOT_MEASURED if earlier is None else earlier.judgement.status,
+            self._setup,
+            limits,
+            self._plan.position_mm[position],
+            joint=self._plan.staggered is not None,
+        )
+        return replace(result, following=following)
 
     def _evaluate(self, recorded: Recorded) -> AttemptResult:
         place_mm = self._plan.position_mm[recorded.attempt.position]
@@ -333,28 +347,15 @@ class Campaign:
             return
         result = self._pending.result()
         self._pending = None
-        attempt = result.attempt
-        if result.final:
-            self._best.pop(attempt.position, None)
-            if result.committed:
-                self._drift.committed(attempt.position)
-                self._crosstalk.committed(attempt.position)
-            self._report.position_done(result, len(self._queue), recording=self._recording)
-            self._count_failures(result)
+        if result.following is not None:
+            self._report.repeat(result, result.following)
+            self._queue.appendleft(result.following)
             return
-        kept = self._best.get(attempt.position)
-        self._best[attempt.position] = result if kept is None else min((result, kept), key=lambda one: one.rank)
-        following = next_attempt(
-            attempt,
-            result.judgement,
-            Status.NOT_MEASURED if kept is None else kept.judgement.status,
-            self._setup,
-            self._plan.quality,
-            self._plan.position_mm[attempt.position],
-            joint=self._plan.staggered is not None,
-        )
-        self._report.repeat(result, following)
-        self._queue.appendleft(following)
+        if result.committed:
+            self._drift.committed(result.attempt.position)
+            self._crosstalk.committed(result.attempt.position)
+        self._report.position_done(result, len(self._queue), recording=self._recording)
+        self._count_failures(result)
 
     def _count_failures(self, result: AttemptResult) -> None:
         """Stop when position after position yields nothing: that is an instrument, not the plate."""
