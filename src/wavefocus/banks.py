@@ -172,6 +172,7 @@ def export_bank(
     missing: Literal["leave-out", "nan"] = "leave-out",
     per: Literal["position", "actuator"] = "position",
     binary: bool = False,
+    convention: Literal["GeneralFIR-E", "SingleRoomMIMOSRIR"] = "GeneralFIR-E",
     publication: str | Path | None = None,
     only_list: bool = False,
     force: bool = False,
@@ -195,6 +196,8 @@ def export_bank(
         What one file of ``"wav"`` holds.
     binary
         Whether universal files hold binary numbers.
+    convention
+        Convention of a SOFA file; that of a room's many loudspeakers is what room acoustics reads.
     publication
         TOML file whose table ``[publication]`` names title, people and licence; by default the bank's own run.
     only_list
@@ -232,6 +235,8 @@ def export_bank(
         raise InputError(f"--missing nan: {to} files hold no NaN; missing positions are left out there")
     if binary and to != "uff":
         raise InputError(f"--binary: is for --to uff; {to} files are always the same")
+    if convention != "GeneralFIR-E" and to != "sofa":
+        raise InputError(f"--convention: is for --to sofa; {to} files have none")
     if folder.exists() and folder.is_dir() != form.folder:
         raise InputError(f"{out} is a {'folder' if folder.is_dir() else 'file'}; --to {to} writes a "
                          f"{'folder of files' if form.folder else 'file'}")  # fmt: skip
@@ -245,7 +250,8 @@ def export_bank(
         if view.notes:
             texts["notes"] = "\n".join(map(str, view.notes))
         rows = choose_rows(
-            view, positions, missing_as_nan=missing_as_nan, per=per, binary=binary, publication=texts
+            view, positions, missing_as_nan=missing_as_nan, per=per, binary=binary, convention=convention,
+            publication=texts,
         )  # fmt: skip
         writer = import_module(form.module)
         names = writer.file_names(rows) if form.folder else [folder.name]

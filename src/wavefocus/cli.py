@@ -128,6 +128,9 @@ JSON = switch("--json", "as_json", help="Print JSON on standard output.")
 JSON_LINES = switch("--json", "as_json", help="Print one JSON line per event on standard output.")
 FORCE = switch("--force", help="Replace older outputs; never an input, a bank or raw recordings.")
 DRIFT = switch("--accept-drift", help="Go on although the sentinel position has changed.")
+DOCUMENTS = file(
+    "--documents", metavar="FILE.jsonl", help="Also append the session as documents of bluesky's event model to a file."
+)
 CALIBRATION = switch("--accept-calibration", help="Go on with another calibration, or on other devices than its own.")
 OTHER_RIG = file(
     "--rig", dest="rig_file", metavar="RIG.toml",
@@ -320,12 +323,12 @@ COMMANDS = (
     Command(
         "capture", "capture:capture",
         "Start, or go on with, a campaign.\n\nCtrl-C finishes the position; twice stops at once.",
-        (RUN, FROM_BANK, SCENES, NO_CHECKS, LARGE, JSON_LINES, DRIFT, CALIBRATION),
+        (RUN, FROM_BANK, SCENES, NO_CHECKS, LARGE, JSON_LINES, DRIFT, CALIBRATION, DOCUMENTS),
     ),
     Command(
         "resume", "capture:resume",
         "Go on with a campaign from its bank alone.\n\nA corrected rig file may replace the one that the bank holds.",
-        (BANK, OTHER_RIG, JSON_LINES, DRIFT, CALIBRATION),
+        (BANK, OTHER_RIG, JSON_LINES, DRIFT, CALIBRATION, DOCUMENTS),
     ),
     Command(
         "extend", "capture:extend",
@@ -336,7 +339,7 @@ COMMANDS = (
             file("--run", dest="run_file", metavar="RUN.toml",
                  help="The run with the new positions; without it only what the banks hold."),
             file("--bank", metavar="NEW.h5", required=True, help="The bank to make."),
-            JSON_LINES, DRIFT, CALIBRATION,
+            JSON_LINES, DRIFT, CALIBRATION, DOCUMENTS,
         ),
     ),
     Command(
@@ -349,7 +352,7 @@ COMMANDS = (
                      help="Which: poor, over-range or failed; commas between several."),
             argument("--positions", default="", metavar="I,J,...", help="Bank rows; 5-9 names a range."),
             switch("--replace", help="Also valid rows by others, where two attempts agree on them."),
-            OTHER_RIG, JSON_LINES, DRIFT, CALIBRATION,
+            OTHER_RIG, JSON_LINES, DRIFT, CALIBRATION, DOCUMENTS,
         ),
     ),
     Command(
@@ -566,6 +569,8 @@ COMMANDS = (
                      help="Positions that are not measured, failed or disabled."),
             argument("--per", choices=("position", "actuator"), default="position",
                      help="For wav: what one file holds."),
+            argument("--convention", choices=("GeneralFIR-E", "SingleRoomMIMOSRIR"), default="GeneralFIR-E",
+                     help="For sofa: what room acoustics reads, too, is SingleRoomMIMOSRIR."),
             switch("--binary", help="For uff: functions in binary (58b), a fifth of the size of text."),
             PUBLICATION,
             switch("--list", "only_list", help="List what would be written, with sizes, and write nothing."),

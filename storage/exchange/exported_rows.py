@@ -19,6 +19,7 @@ Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
 OnProgress = Callable[[int, int], None]
 Per = Literal["position", "actuator"]
+Convention = Literal["GeneralFIR-E", "SingleRoomMIMOSRIR"]
 
 MAX_BYTES = 4 * 2**30
 """Largest array that a format which takes a bank in one piece may hold in memory."""
@@ -35,6 +36,7 @@ class ExportedRows:
     publication: Texts by the keys of ``[publication]`` in the run file: ``title``, ``licence``, ``people``, ...; those
         that are given.
     binary: Whether universal files hold their functions in binary.
+    convention: Of SOFA files.
     """
 
     bank: Bank
@@ -44,6 +46,7 @@ class ExportedRows:
     per: Per = "position"
     publication: Mapping[str, str] = field(default_factory=dict)
     binary: bool = False
+    convention: Convention = "GeneralFIR-E"
 
     @property
     def title(self) -> str:

@@ -44,6 +44,9 @@ LONG_NAMES = {
     "reference_db": "level of the reference relative to its calibration",
 }
 
+UDUNITS = {"dB": "0.1 lg(re 1)"}
+"""Units that the CF conventions write otherwise: UDUNITS-2 knows no decibel."""
+
 
 def write(path: Path, rows: ExportedRows, on_progress: OnProgress | None = None) -> None:
     """Write a netCDF-4 file with the names and shapes of a bank (contract section 2), so that it is read as one, too.
@@ -67,7 +70,9 @@ def write(path: Path, rows: ExportedRows, on_progress: OnProgress | None = None)
         describe_status(status)
         attach(status, position)
         for name, values in bank.quality.items():
-            figures = filled(file, name, values[rows.row].astype("<f4"), QUALITY_UNITS[name])
+            figures = filled(
+                file, name, values[rows.row].astype("<f4"), UDUNITS.get(QUALITY_UNITS[name], QUALITY_UNITS[name])
+            )
             attach(figures, *(position, actuator)[: figures.ndim])
             file[f"quality/{name}"] = figures
         shape = (count, bank.actuators, bank.taps)

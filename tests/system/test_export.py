@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import cf_units
 import h5py
 import numpy as np
 import pytest
@@ -85,6 +86,21 @@ def test_given_a_bank_then_sofar_reads_what_acoustics_needs(
     assert (sofa.GLOBAL_License, sofa.GLOBAL_RoomType) == ("not stated", "free field")
 
 
+def test_given_the_convention_of_rooms_then_sofar_verifies_it_and_it_comes_back(
+    bank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "bank.sofa"
+    export(capsys, bank, out, "--to", "sofa", "--convention", "SingleRoomMIMOSRIR")
+    sofa = sofar.read_sofa(str(out), verify=True, verbose=False)
+    sofa.verify(issue_handling="raise")
+    assert (sofa.GLOBAL_SOFAConventions, sofa.GLOBAL_DataType) == ("SingleRoomMIMOSRIR", "FIR-E")
+    assert np.array_equal(sofa.Data_IR[:, 0], green_of(bank)[KEPT].transpose(0, 2, 1).astype(float))
+    assert run(["import", str(out), "--bank", str(tmp_path / "again.h5")]) == 0
+    with open_bank(tmp_path / "again.h5") as again:
+        assert np.array_equal(again.green(0), green_of(bank)[KEPT[0]])
+    assert run(["export", str(bank), str(tmp_path / "a.npz"), "--to", "npz", "--convention", "SingleRoomMIMOSRIR"]) == 2
+
+
 def test_given_a_publication_then_the_sofa_file_states_it(
     bank: Path, tmp_path: Path, publication: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -143,9 +159,11 @@ def test_given_a_bank_then_xarray_reads_its_rows_one_by_one_with_labels(
         assert np.array_equal(data.actuator_mm.values, ACTUATORS_MM, equal_nan=True)
         assert set(data.green.coords) == {"position", "actuator", "time_s", "x_mm", "y_mm", "status"}
         assert {name: data[name].attrs["units"] for name in ("green", "time_s", "snr_db")} == {
-            "green": "m/s/V", "time_s": "s", "snr_db": "dB",
+            "green": "m/s/V", "time_s": "s", "snr_db": "0.1 lg(re 1)",
         }  # fmt: skip
         assert all("long_name" in one.attrs for one in data.variables.values())
+        for variable in data.variables.values():  # UDUNITS-2, by which the CF conventions judge units, knows them all
+            cf_units.Unit(variable.attrs.get("units", "1"))
         assert data.attrs["Conventions"].startswith("CF-")
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from wavefocus.acquisition.engine.campaign import Campaign
 from wavefocus.acquisition.engine.session import EventPublisher, StopRequest
+from wavefocus.acquisition.plan import Plan
 from wavefocus.acquisition.plays import raw_header, require_same, without_recordings
 from wavefocus.acquisition.setup import Setup
 from wavefocus.acquisition.wording import row_ranges
@@ -25,6 +26,7 @@ from wavefocus.campaign.blueprint import (
 )
 from wavefocus.campaign.campaign_view import CampaignView
 from wavefocus.campaign.control import CampaignControl, resume_line
+from wavefocus.campaign.documents import Documents
 from wavefocus.campaign.extension import extend as extended
 from wavefocus.campaign.schedule_choice import choose_schedule, with_chosen_schedule
 from wavefocus.campaign.sidecar_files import (
@@ -59,6 +61,7 @@ from wavefocus.storage.durable import is_network_mount
 from wavefocus.storage.errors import ExistsError, InputError
 from wavefocus.storage.point_status import STATUS_WORDS, Status, not_valid
 from wavefocus.storage.raw.writer import RawWriter, create_raw
+from wavefocus.storage.sidecar_files import Log
 
 
 class SessionOptions(NamedTuple):
@@ -68,6 +71,7 @@ class SessionOptions(NamedTuple):
     as_json: bool
     accept_drift: bool
     accept_calibration: bool
+    documents: Path | None = None
 
 
 def capture(
@@ -80,6 +84,7 @@ def capture(
     as_json: bool,
     accept_drift: bool,
     accept_calibration: bool = False,
+    documents: Path | None = None,
 ) -> Exit:
     """Start a campaign in a new bank, or go on with it in the bank that is there; only for some scenes if named."""
     blueprint = blueprint_from_files(run_file)
@@ -91,7 +96,7 @@ def capture(
     blueprint, earlier = with_bank(blueprint, bank, run_file, accept_calibration=accept_calibration)
     named = blueprint.configuration.run.rig
     rig_file = None if named == "virtual" else run_file.parent / named
-    options = SessionOptions(rig_file, as_json, accept_drift, accept_calibration)
+    options = SessionOptions(rig_file, as_json, accept_drift, accept_calibration, documents)
     if needed is None:
         return _session(blueprint, bank, None, options, earlier)
     with open_bank(bank) as view:
@@ -130,9 +135,10 @@ def resume(
     as_json: bool,
     accept_drift: bool,
     accept_calibration: bool = False,
+    documents: Path | None = None,
 ) -> Exit:
     """Go on with a campaign from the configuration that its bank holds, or with a corrected rig file."""
-    options = SessionOptions(rig_file, as_json, accept_drift, accept_calibration)
+    options = SessionOptions(rig_file, as_json, accept_drift, accept_calibration, documents)
     return _session(_from_bank(bank, options), bank, None, options)
 
 
@@ -152,6 +158,7 @@ def extend(
     as_json: bool,
     accept_drift: bool,
     accept_calibration: bool = False,
+    documents: Path | None = None,
 ) -> Exit:
     """Make a bank of the rows of others, with more positions, and measure those."""
     blueprint = extended(banks, bank, run_file)
@@ -165,7 +172,9 @@ def extend(
         say(f"{bank}: all {blueprint.plan.positions} positions are taken over, none is left to measure")
         return Exit.DONE
     say(f"{bank}: {left} positions are measured now, after the sentinel, which must be as it was")
-    return _session(blueprint, bank, None, SessionOptions(rig_file, as_json, accept_drift, accept_calibration))
+    return _session(
+        blueprint, bank, None, SessionOptions(rig_file, as_json, accept_drift, accept_calibration, documents)
+    )
 
 
 def remeasure(
@@ -178,13 +187,14 @@ def remeasure(
     as_json: bool,
     accept_drift: bool,
     accept_calibration: bool = False,
+    documents: Path | None = None,
 ) -> Exit:
     """Measure again the positions of some status, or those named.
 
     Valid rows are replaced by others only where `replace` says so, or where the latest measurement of the sentinel
     speaks against them.
     """
-    options = SessionOptions(rig_file, as_json, accept_drift, accept_calibration)
+    options = SessionOptions(rig_file, as_json, accept_drift, accept_calibration, documents)
     blueprint = _from_bank(bank, options)
     rows = parse_positions(positions, blueprint.plan.positions) if positions else []
     wanted = _status_bits(words) if words or not positions else Status.NOT_MEASURED
@@ -234,6 +244,7 @@ def _session(
         opened_raw(blueprint, setup, writer) as raw,
         EventLog(log_path(bank)) as log,
         EventLog(drift_path(bank), Drift, CrosstalkMeasured) as drift,
+        _documents(options.documents, plan, bank) as documents,
         progress("capture", plan.positions, timed=False) as report,
     ):
         subscribers: dict[str, Subscriber] = {
@@ -243,6 +254,8 @@ def _session(
             "the progress display": CampaignView(report),
             "the sending of messages": messenger,
         }
+        if documents is not None:
+            subscribers["the documents"] = documents
         if options.as_json:
             subscribers["standard output"] = EventLines(print_line, "standard output")
         publish = EventPublisher(subscribers, say)
@@ -279,6 +292,16 @@ def _session(
             f"vibrometer's range, a gain or the plate): {row_ranges(suspects)}; put it right before that"
         )
     return Exit.DONE
+
+
+@contextmanager
+def _documents(file: Path | None, plan: Plan, bank: Path) -> Iterator[Documents | None]:
+    """The session's documents of bluesky's event model, appended to a file; none where no file is named."""
+    if file is None:
+        yield None
+        return
+    with closing(Log(file)) as log:
+        yield Documents(EventLines(log.write, str(file)).write, plan, bank)
 
 
 @contextmanager
