@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
+from types import MappingProxyType
 
 from msgspec.structs import replace
 
@@ -21,6 +22,8 @@ from wavefocus.storage.output_files import write_whole
 from wavefocus.storage.text_file import read_regular, read_text
 
 FORMAT, VERSION = "wavefocus-queue", 1
+QUEUE_ENDING = ".queue.json"
+"""Ending of the files that the window takes for queues; the commands take any."""
 MAX_ENTRIES = 1000
 # An edit takes milliseconds; a disk may be slow.
 _EDIT_WAIT_S = 10.0
@@ -43,6 +46,7 @@ class QueueEntry(Message, frozen=True):
     words: Command and arguments, as for ``wavefocus``.
     folder: Folder that relative names in `words` start from.
     files: SHA-256 of each input file as it was when the entry was added, by its full name.
+    bank: Full name of the bank that it measures or reads, empty for none.
     expected_s: Seconds that it is expected to take, None where unknown.
     code, said: Exit code and last line of standard error, once it has ended.
     """
@@ -52,6 +56,7 @@ class QueueEntry(Message, frozen=True):
     folder: str
     files: Mapping[str, str]
     added_at: Instant
+    bank: str = ""
     expected_s: float | None = None
     state: EntryState = EntryState.WAITING
     code: int | None = None
@@ -149,14 +154,20 @@ def edited_queue(path: Path, *, new: bool = False) -> Iterator[list[QueueEntry]]
 
 
 def add_entry(
-    path: Path, words: Sequence[str], folder: Path, files: Mapping[str, str], expected_s: float | None = None
+    path: Path,
+    words: Sequence[str],
+    folder: Path,
+    files: Mapping[str, str] = MappingProxyType({}),
+    bank: Path | None = None,
+    expected_s: float | None = None,
 ) -> QueueEntry:
     """Add an entry at the end of a queue, which is made where missing; see `QueueEntry`."""
     with edited_queue(path, new=True) as entries:
         if len(entries) >= MAX_ENTRIES:
             raise InputError(f"{path} holds {len(entries)} runs; remove some of them first")
         number = 1 + max((entry.number for entry in entries), default=0)
-        entry = QueueEntry(number, tuple(words), str(folder), files, datetime.now(UTC), expected_s)
+        named = "" if bank is None else str(bank)
+        entry = QueueEntry(number, tuple(words), str(folder), files, datetime.now(UTC), named, expected_s)
         entries.append(entry)
     return entry
 
@@ -221,12 +232,12 @@ def changed_files(entry: QueueEntry) -> tuple[str, ...]:
 
 
 def finish_times(
-    entries: Sequence[QueueEntry], now: datetime, running_until: datetime | None = None
+    entries: Sequence[QueueEntry], now: datetime, expected: Callable[[Path], datetime | None]
 ) -> dict[int, datetime | None]:
     """When each entry has finished or will have, in local time; None where it depends on an unknown duration.
 
     now: The present instant.
-    running_until: When the entry that is running will have finished, as its heartbeat states it.
+    expected: Gives the finish time that the capture into a bank states now, None where none does.
     """
     found: dict[int, datetime | None] = {}
     then: datetime | None = now
@@ -234,9 +245,10 @@ def finish_times(
         if not entry.to_do:
             found[entry.number] = None if entry.ended_at is None else entry.ended_at.astimezone()
             continue
-        running = entry.state is EntryState.RUNNING
-        begun = entry.started_at if running and entry.started_at is not None else then
-        ends = running_until if running else None
+        ends, begun = None, then
+        if entry.state is EntryState.RUNNING:
+            begun = entry.started_at or now
+            ends = expected(Path(entry.bank)) if entry.bank else None
         if ends is None and begun is not None and entry.expected_s is not None:
             ends = finish_time(entry.expected_s, begun)
         then = None if ends is None else max(ends.astimezone(), now.astimezone())

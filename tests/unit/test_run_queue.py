@@ -34,12 +34,16 @@ NOON = datetime(2026, 3, 1, 12, tzinfo=UTC)
 def entry(number: int, expected_s: float | None = 60.0, state: EntryState = EntryState.WAITING) -> QueueEntry:
     started = NOON - timedelta(seconds=30) if state is EntryState.RUNNING else None
     ended = NOON - timedelta(hours=1) if state in (EntryState.DONE, EntryState.FAILED) else None
-    return QueueEntry(number, ("check", "a.h5"), "/", {}, NOON, expected_s, state, None, "", started, ended)
+    return QueueEntry(number, ("check", "a.h5"), "/", {}, NOON, "a.h5", expected_s, state, None, "", started, ended)
+
+
+def unknown(bank: Path) -> datetime | None:
+    return None
 
 
 def add(queue: Path, count: int) -> None:
     for _ in range(count):
-        add_entry(queue, ["check", "a.h5"], queue.parent, {})
+        add_entry(queue, ["check", "a.h5"], queue.parent)
 
 
 def numbers(queue: Path) -> list[int]:
@@ -92,7 +96,7 @@ def test_finish_times_then_add_up_from_the_run_that_is_under_way() -> None:
         entry(5, None),
         entry(6),
     ]
-    found = finish_times(entries, NOON)
+    found = finish_times(entries, NOON, unknown)
     assert found[1] == NOON - timedelta(hours=1)
     assert found[2] == NOON + timedelta(seconds=30)
     assert found[3] == NOON + timedelta(seconds=90)
@@ -100,8 +104,8 @@ def test_finish_times_then_add_up_from_the_run_that_is_under_way() -> None:
     assert found[5] is None
     assert found[6] is None
     # Its heartbeat knows better; a run that takes longer than expected ends now at the earliest.
-    assert finish_times(entries, NOON, NOON + timedelta(minutes=5))[3] == NOON + timedelta(minutes=6)
-    late = finish_times(entries, NOON + timedelta(minutes=10))
+    assert finish_times(entries, NOON, lambda bank: NOON + timedelta(minutes=5))[3] == NOON + timedelta(minutes=6)
+    late = finish_times(entries, NOON + timedelta(minutes=10), unknown)
     assert late[3] == NOON + timedelta(minutes=11)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 
 from wavefocus.acquisition.run_queue import (
@@ -14,15 +14,16 @@ from wavefocus.acquisition.run_queue import (
     QueueRunEnded,
     QueueRunStarted,
     changed_files,
+    finish_times,
     move_entry,
     queue_holder,
     read_queue,
     remove_entries,
 )
 from wavefocus.acquisition.wording import hours
-from wavefocus.campaign.control import command_line
+from wavefocus.campaign.control import command_line, expected_finish
 from wavefocus.commands.queue_runner import run_queue
-from wavefocus.commands.queued_commands import add_command, entry_finish_times
+from wavefocus.commands.queued_commands import add_command
 from wavefocus.config.messages.codec import Message, to_line, to_record
 from wavefocus.console import answer, print_line, say
 from wavefocus.exits import Exit
@@ -40,7 +41,7 @@ def add(queue: Path, words: Sequence[str], *, as_json: bool) -> None:
 def list_runs(queue: Path, *, as_json: bool) -> None:
     """Show the runs of a queue."""
     entries = read_queue(queue)
-    finish = entry_finish_times(entries)
+    finish = finish_times(entries, datetime.now(UTC), expected_finish)
     changed = {entry.number: changed_files(entry) for entry in entries if entry.to_do}
     holder = queue_holder(queue)
     if as_json:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from wavefocus.acquisition.plan import POSITION_OVERHEAD_S, Plan
-from wavefocus.acquisition.run_queue import EntryState, QueueEntry, add_entry, file_digests, finish_times, read_queue
+from wavefocus.acquisition.run_queue import QueueEntry, add_entry, file_digests, read_queue
 from wavefocus.campaign.blueprint import Blueprint, blueprint_from_bank, blueprint_from_files, needed_by
-from wavefocus.campaign.control import read_heartbeat
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import named_rig
 from wavefocus.input_files import input_files, scan_rows
@@ -74,7 +72,7 @@ def add_command(queue: Path, words: Sequence[str], folder: Path) -> QueueEntry:
             raise InputError(f"{file}: no such file")
     earlier = read_queue(queue) if queue.exists() else ()
     expected_s = _expected_s(command, earlier)
-    return add_entry(queue, words, folder, file_digests(input_files(*files)), expected_s)
+    return add_entry(queue, words, folder, file_digests(input_files(*files)), command.bank, expected_s)
 
 
 def _files_of(command: QueuedCommand) -> list[Path]:
@@ -177,18 +175,3 @@ def _instruments(rig: RigConfig | None, rig_file: Path | None) -> Iterator[str]:
         where = [str(value) for key in ("port", "device", "address") if (value := getattr(section, key, None))]
         if where:
             yield f"{role} {section.driver} at {' of '.join(where)}"
-
-
-def entry_finish_times(entries: Sequence[QueueEntry]) -> dict[int, datetime | None]:
-    """When each entry has finished or will have, by the heartbeat of the one that is running; see `finish_times`."""
-    running_until = None
-    for entry in entries:
-        if entry.state is EntryState.RUNNING:
-            try:
-                bank = queued_command(entry.words, Path(entry.folder)).bank
-            except InputError:
-                continue
-            beat = None if bank is None else read_heartbeat(bank)
-            if beat is not None and not beat.is_silent():
-                running_until = beat.finish_at
-    return finish_times(entries, datetime.now(UTC), running_until)
