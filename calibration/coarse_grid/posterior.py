@@ -1,0 +1,205 @@
+"""A Gaussian process of waves at one frequency: evidence of its hyperparameters, strengths and deviations.
+
+At position x_i, of actuator a, is measured
+
+    d_a(x_i) = sum_c s_ac psi_c(x_i; x_a) + sum_j q_aj H0(2)(k |x_i - y_j|) + e_i,
+
+psi the actuator's own waves, y_j sources on a ring around everything. With P_a the mean power of d_a,
+
+    s_ac ~ N(0, 100 P_a / mean_i |psi_c(x_i)|^2),
+    q_aj ~ N(0, P_a [rho1 |H0(2)(k |x_a - y_j|)|^2 / Z_a + rho2 / Z]),
+    e_i  ~ N(0, P_a [n1 level_i^2 + n2]),
+
+where Z_a and Z make rho1 and rho2 the shares of the power that such waves bring. On a lattice coarser than half a
+wavelength waves of pairs of directions agree at every position, so that positions left out cannot tell them apart. The
+prior can: a reflected wave comes from where the actuator's own wave meets the rim.
+
+With X = D^(-1/2) Phi V^(1/2) (D the covariance of e, V the prior's variances) and B = 1 + X* X, the strengths are
+V^(1/2) B^(-1) X* D^(-1/2) d, and the variance at x is phi V^(1/2) B^(-1) V^(1/2) phi*.
+
+N. Antonello et al., IEEE/ACM TASLP 25, 1929 (2017): equivalent sources for sound fields. D. Caviedes-Nozal et al., JASA
+149, 1107 (2021): Gaussian processes with wave kernels. C. Rasmussen and C. Williams, Gaussian Processes for Machine
+Learning (2006), sections 2.2, 5.4. A. Sundstroem et al., arXiv 2506.13279 (2025): priors from the boundary.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, cast
+
+import numpy as np
+from scipy.linalg import cho_solve, solve_triangular
+from scipy.optimize import minimize
+
+from wavefocus.calibration import Complex128Array, Float64Array
+from wavefocus.calibration.coarse_grid.waves import distances_mm, outgoing, own_waves
+
+SHARE_LIMITS = ((-12.0, 0.5), (-25.0, 2.0), (-16.0, 0.0), (-24.0, 0.0))
+"""Of log (rho1, rho2, n1, n2). A rim reflects no more than arrives: rho1 is below 1.6."""
+WAVENUMBER_LIMITS = ((-5.0, 5.0), (-60.0, 0.0))
+"""Of the wave number, in percent: log |k| relative to where the search starts, and Im k / |k|."""
+PERCENT = 0.01
+"""A wave number changes the evidence so strongly that it is searched for in percent."""
+FIRST_SHARES = np.array([-2.0, -10.0, -10.0, -14.0])
+OWN_SHARE = 100.0
+"""Prior power of an actuator's own wave over what was measured: large, so that it is free."""
+DERIVATIVE_STEP = 1e-5
+"""Relative step in k of the central difference; waves of 100 rad then err by 1e-6."""
+
+
+class FrequencyWaves:
+    """The model of all actuators at one frequency.
+
+    wavenumber: k in rad/mm.
+    pressure_share: See `own_waves`.
+    points_mm, float64 (positions, 2); actuator_mm, float64 (actuators, 2); ring_mm, float64 (sources, 2).
+    power, float64 (actuators,): P, > 0.
+    relative_level, float64 (positions, actuators): Square of level_i.
+    transfer, complex128 (positions, actuators): d.
+    """
+
+    def __init__(
+        self,
+        wavenumber: complex,
+        pressure_share: float,
+        points_mm: Float64Array,
+        actuator_mm: Float64Array,
+        ring_mm: Float64Array,
+        power: Float64Array,
+        relative_level: Float64Array,
+        transfer: Complex128Array,
+    ) -> None:
+        self.wavenumber, self._share = complex(wavenumber), pressure_share
+        self._points_mm, self._actuator_mm, self._ring_mm = points_mm, actuator_mm, ring_mm
+        self._to_ring_mm = distances_mm(points_mm, ring_mm)
+        self._power, self._relative_level = power, relative_level
+        self._values = transfer / np.sqrt(power)
+        self._sources = outgoing(self.wavenumber, self._to_ring_mm)
+        self._own = own_waves(self.wavenumber, pressure_share, points_mm, actuator_mm)
+        met = np.square(np.abs(outgoing(self.wavenumber, distances_mm(actuator_mm, ring_mm))))
+        seen = np.square(np.abs(self._sources)).mean(axis=0)
+        self._image = met / (met @ seen)[:, None]
+        self._even = 1.0 / seen.sum()
+        self._own_variance = OWN_SHARE / np.square(np.abs(self._own)).mean(axis=1)
+
+    def evidence(self, theta: Float64Array) -> tuple[float, Float64Array]:
+        """Minus twice the log marginal likelihood, a value measured, and its gradient.
+
+        theta, float64 (6,): log (rho1, rho2, n1, n2); in percent, log of |k| over where it starts, and Im k / |k|.
+        """
+        start = abs(self.wavenumber)
+        size, sine = np.exp(PERCENT * theta[4]) * start, PERCENT * theta[5]
+        cosine = np.sqrt(1.0 - sine**2)
+        k = size * (cosine + 1j * sine)
+        slopes = PERCENT * np.array([k, size * (1j - sine / cosine)])
+        sources, source_slope = _with_slope(lambda at: outgoing(at, self._to_ring_mm), k)
+        own, own_slope = _with_slope(lambda at: own_waves(at, self._share, self._points_mm, self._actuator_mm), k)
+        rho1, rho2, n1, n2 = np.exp(theta[:4])
+        total, gradient, waves = 0.0, np.zeros(6), len(own)
+        for actuator in range(self._values.shape[1]):
+            phi = np.column_stack([*own[:, :, actuator], sources])
+            slope = np.column_stack([*own_slope[:, :, actuator], source_slope])
+            reflected, even = rho1 * self._image[actuator], np.full(len(self._ring_mm), rho2 * self._even)
+            root = np.sqrt(np.append(self._own_variance[:, actuator], reflected + even))
+            by_level = n1 * self._relative_level[:, actuator]
+            variance = by_level + n2
+            x = phi * root / np.sqrt(variance)[:, None]
+            y = self._values[:, actuator] / np.sqrt(variance)
+            low, half = _factor(x)
+            inverse = half.conj().T @ half
+            beta = inverse @ (x.conj().T @ y)
+            alpha = y - x @ beta
+            xi = x @ inverse
+            total += np.vdot(y, alpha).real + 2.0 * np.log(low.diagonal().real).sum() + np.log(variance).sum()
+            by_wave = (1.0 - inverse.diagonal().real - np.square(np.abs(beta)))[waves:]
+            by_noise = 1.0 - np.square(np.abs(alpha)) - np.einsum("im,im->i", xi, x.conj()).real
+            gradient[0] += (by_wave * reflected / (reflected + even)).sum()
+            gradient[1] += (by_wave * even / (reflected + even)).sum()
+            gradient[2] += (by_noise * by_level / variance).sum()
+            gradient[3] += (by_noise * n2 / variance).sum()
+            moved = slope * root / np.sqrt(variance)[:, None]
+            by_k = np.vdot(xi, moved) - np.vdot(alpha, moved @ beta)
+            gradient[4:] += 2.0 * (by_k * slopes).real
+        return total / self._values.size, gradient / self._values.size
+
+    def fitted(self, starts: Sequence[Float64Array], evaluations: int) -> tuple[complex, Float64Array, float]:
+        """Wave number and shares of greatest evidence, and the value of `evidence`; starts are of shares (4,)."""
+        limits = (*SHARE_LIMITS, *WAVENUMBER_LIMITS)
+        sine = self.wavenumber.imag / abs(self.wavenumber) / PERCENT
+        options: Any = {"maxfun": evaluations, "ftol": 1e-6, "gtol": 1e-4}
+        tries, evidence = [], cast(Any, self.evidence)
+        for start in starts:
+            inside = np.clip([*start, 0.0, sine], *np.array(limits).T)
+            tries.append(minimize(evidence, inside, jac=True, method="L-BFGS-B", bounds=limits, options=options))
+        best = min(tries, key=lambda result: float(result.fun))
+        size, sine = np.exp(PERCENT * best.x[4]), PERCENT * best.x[5]
+        k = complex(size * abs(self.wavenumber) * (np.sqrt(1.0 - sine**2) + 1j * sine))
+        return k, np.asarray(best.x[:4]), float(best.fun)
+
+    def strengths(self, shares: Float64Array) -> Complex128Array:
+        """Strengths at log (rho1, rho2, n1, n2), complex128 (own waves + sources, actuators)."""
+        found = []
+        for actuator in range(len(self._power)):
+            x, y, root, _ = self._scaled(actuator, shares)
+            low = np.linalg.cholesky(_plus_one(x.conj().T @ x))
+            found.append(root * cho_solve((low, True), x.conj().T @ y))
+        return np.asarray(np.array(found).T * np.sqrt(self._power), dtype=np.complex128)
+
+    def sums(self, strength: Complex128Array) -> Complex128Array:
+        """The waves at the positions, (positions, actuators)."""
+        waves = len(self._own)
+        own = np.einsum("cpa,ca->pa", self._own, strength[:waves])
+        return np.asarray(own + self._sources @ strength[waves:])
+
+    def left_out(self, shares: Float64Array) -> tuple[Complex128Array, Float64Array]:
+        """Error at each position if it alone is left out, and its variance, noise included, (positions, actuators)."""
+        error, variance = np.empty_like(self._values), np.empty(self._values.shape)
+        for actuator in range(len(self._power)):
+            x, y, _, noise = self._scaled(actuator, shares)
+            _, half = _factor(x)
+            explained = x @ half.conj().T
+            free = np.maximum(1.0 - np.square(np.abs(explained)).sum(axis=1), 1e-9)
+            error[:, actuator] = noise * (y - explained @ (half @ (x.conj().T @ y))) / free
+            variance[:, actuator] = noise**2 / free
+        return error * np.sqrt(self._power), variance * self._power
+
+    def variance(self, points_mm: Float64Array, shares: Float64Array) -> Float64Array:
+        """Variance of the waves at points (n, 2), without noise: (n, actuators)."""
+        sources = outgoing(self.wavenumber, distances_mm(points_mm, self._ring_mm))
+        own = own_waves(self.wavenumber, self._share, points_mm, self._actuator_mm)
+        variance = np.empty((len(points_mm), len(self._power)))
+        for actuator, power in enumerate(self._power.tolist()):
+            x, _, root, _ = self._scaled(actuator, shares)
+            _, half = _factor(x)
+            phi = np.column_stack([*own[:, :, actuator], sources]) * root
+            variance[:, actuator] = power * np.square(np.abs(phi @ half.conj().T)).sum(axis=1)
+        return variance
+
+    def _scaled(
+        self, actuator: int, shares: Float64Array
+    ) -> tuple[Complex128Array, Complex128Array, Float64Array, Float64Array]:
+        """X and D^(-1/2) d of one actuator, V^(1/2), D^(1/2); powers over P."""
+        rho1, rho2, n1, n2 = np.exp(shares)
+        phi = np.column_stack([*self._own[:, :, actuator], self._sources])
+        root = np.sqrt(np.append(self._own_variance[:, actuator], rho1 * self._image[actuator] + rho2 * self._even))
+        noise = np.sqrt(n1 * self._relative_level[:, actuator] + n2)
+        return phi * root / noise[:, None], self._values[:, actuator] / noise, root, noise
+
+
+def _plus_one(gram: Complex128Array) -> Complex128Array:
+    gram[np.diag_indices_from(gram)] += 1.0
+    return gram
+
+
+def _factor(x: Complex128Array) -> tuple[Complex128Array, Complex128Array]:
+    """Lower Cholesky factor of B = 1 + X* X, and its inverse."""
+    low = np.linalg.cholesky(_plus_one(x.conj().T @ x))
+    half = solve_triangular(low, np.eye(len(low)), lower=True, check_finite=False)
+    return np.asarray(low), np.asarray(half, dtype=np.complex128)
+
+
+def _with_slope(
+    function: Callable[[complex], Complex128Array], wavenumber: complex
+) -> tuple[Complex128Array, Complex128Array]:
+    step = DERIVATIVE_STEP * wavenumber
+    return function(wavenumber), (function(wavenumber + step) - function(wavenumber - step)) / (2.0 * step)

@@ -1,0 +1,198 @@
+"""Waves in the plane of the plate, the ring of sources around it, and the wave number over frequency.
+
+Time as exp(+j w t): an outgoing wave is the Hankel function of the second kind, and the wave number k has Im k <= 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.optimize import minimize
+from scipy.spatial import ConvexHull
+from scipy.special import hankel2
+
+from wavefocus.calibration import Complex128Array, Float64Array
+
+MIN_DISTANCE_MM = 1.0
+"""Actuators have a radius: no point is nearer to one."""
+ENVELOPE_NODES = 120
+"""Nodes of the spline of a Hankel function's envelope; it is right to 1e-6 from 1 to 300 mm."""
+HULL_DIRECTIONS = 48
+
+
+def distances_mm(points_mm: Float64Array, others_mm: Float64Array) -> Float64Array:
+    """Distances (points, others), at least `MIN_DISTANCE_MM`."""
+    gap_mm = points_mm[:, None] - others_mm[None]
+    return np.asarray(np.maximum(np.hypot(gap_mm[..., 0], gap_mm[..., 1]), MIN_DISTANCE_MM))
+
+
+def outgoing(wavenumber: complex, distance_mm: Float64Array, order: int = 0) -> Complex128Array:
+    """H(2)(k r) at many distances, from a spline of its envelope ``H exp(j k r) sqrt(r)`` over log r."""
+    if distance_mm.size <= 4 * ENVELOPE_NODES:
+        return np.asarray(hankel2(order, wavenumber * distance_mm))
+    nodes_mm = np.geomspace(distance_mm.min() * 0.999, distance_mm.max() * 1.001, ENVELOPE_NODES)
+    envelope = hankel2(order, wavenumber * nodes_mm) * np.exp(1j * wavenumber * nodes_mm) * np.sqrt(nodes_mm)
+    smooth = CubicSpline(np.log(nodes_mm), envelope)(np.log(distance_mm))
+    return np.asarray(smooth * np.exp(-1j * wavenumber * distance_mm) / np.sqrt(distance_mm))
+
+
+def own_waves(
+    wavenumber: complex, pressure_share: float, points_mm: Float64Array, actuator_mm: Float64Array
+) -> Complex128Array:
+    """Waves that each actuator sends out, (waves, points, actuators).
+
+    pressure_share: 0 for one scalar wave per actuator, as of a force across a plate or membrane. Above 0 for a force in
+        the plane of a solid: shear waves of wave number k and pressure waves of k times this share, each of orders 0
+        and 2 (the derivatives of H0 that make up Green's tensor of a solid).
+    """
+    distance_mm = distances_mm(points_mm, actuator_mm)
+    if not pressure_share:
+        return outgoing(wavenumber, distance_mm)[None]
+    gap_mm = points_mm[:, None] - actuator_mm[None]
+    turn = np.exp(2j * np.arctan2(gap_mm[..., 1], gap_mm[..., 0]))
+    waves = []
+    for k in (wavenumber, pressure_share * wavenumber):
+        second = outgoing(k, distance_mm, 2)
+        waves += [outgoing(k, distance_mm), second * turn.real, second * turn.imag]
+    return np.stack(waves)
+
+
+def rim_ring(points_mm: Float64Array, offset_mm: float, spacing_mm: float) -> Float64Array:
+    """Points (n, 2) along the convex hull of all points, moved outwards by an offset, about a spacing apart."""
+    turn = np.exp(2j * np.pi * np.arange(HULL_DIRECTIONS) / HULL_DIRECTIONS)
+    circle_mm = offset_mm * np.stack([turn.real, turn.imag], axis=1)
+    wide_mm = (points_mm[:, None] + circle_mm).reshape(-1, 2)
+    corner = ConvexHull(wide_mm).vertices
+    closed_mm = wide_mm[np.append(corner, corner[0])]
+    arc_mm = np.append(0.0, np.cumsum(np.hypot(*np.diff(closed_mm, axis=0).T)))
+    along_mm = np.linspace(0.0, arc_mm[-1], int(arc_mm[-1] / spacing_mm) + 2)[1:]
+    return np.stack([np.interp(along_mm, arc_mm, closed_mm[:, axis]) for axis in (0, 1)], axis=1)
+
+
+@dataclass(frozen=True, slots=True)
+class Dispersion:
+    """Wave number over frequency: ``k^2 = (w/w0)^(-2m) (w^2 - j w b (w/w0)^q) / c^2``.
+
+    middle_hz: w0 over two pi.
+    speed_mm_s: c.
+    loss_per_s: b, >= 0.
+    slope: m; 0 where waves of all frequencies are equally fast, 1/2 for bending waves.
+    loss_slope: q.
+    """
+
+    middle_hz: float
+    speed_mm_s: float
+    loss_per_s: float
+    slope: float = 0.0
+    loss_slope: float = 0.0
+
+    def wavenumber(self, frequency_hz: Float64Array) -> Complex128Array:
+        """Wave numbers in rad/mm."""
+        omega = 2.0 * np.pi * np.asarray(frequency_hz, dtype=np.float64)
+        ratio = np.asarray(frequency_hz) / self.middle_hz
+        damped = np.sqrt(omega**2 - 1j * omega * self.loss_per_s * ratio**self.loss_slope)
+        return np.asarray(ratio**-self.slope * damped / self.speed_mm_s)
+
+    @property
+    def vector(self) -> Float64Array:
+        """What is fitted: (log c, log b, m, q)."""
+        return np.array([np.log(self.speed_mm_s), np.log(self.loss_per_s), self.slope, self.loss_slope])
+
+    @classmethod
+    def of_vector(cls, vector: Float64Array, middle_hz: float) -> Dispersion:
+        """From what is fitted."""
+        log_c, log_b, slope, loss_slope = vector.tolist()
+        return cls(
+            middle_hz, float(np.exp(np.clip(log_c, -30, 60))), float(np.exp(np.clip(log_b, -30, 60))), slope, loss_slope
+        )
+
+    def fitted_to(self, frequency_hz: Float64Array, wavenumber: Complex128Array) -> Dispersion:
+        """The law nearest to some wave numbers, relative to them, by least squares."""
+
+        def misfit(vector: Float64Array) -> float:
+            law = Dispersion.of_vector(vector, self.middle_hz).wavenumber(frequency_hz)
+            return float(1e4 * np.square(np.abs(law / wavenumber - 1.0)).sum())
+
+        return Dispersion.of_vector(_simplex(misfit, self.vector, [0.01, 0.2, 0.05, 0.1], 2000), self.middle_hz)
+
+
+SCANNED_SPEEDS = 160
+SCANNED_SLOPES = (0.0, 0.5)
+MIN_WAVELENGTH_SPACINGS, MAX_WAVELENGTH_SIZES = 0.4, 12.0
+"""Wavelengths looked for at the highest frequency, in grid spacings and in sizes of the surface."""
+PRESSURE_SHARE = 0.5
+"""Pressure over shear wave number of a solid, where the search starts."""
+ELASTIC_SPEEDS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5)
+"""Speeds of shear waves over that of the scalar waves, from which the search starts."""
+SCANNED_LOSS = 0.25
+"""Loss b of the first scan over w0: waves that fade a little, as all do."""
+
+
+def dispersion_of_own_waves(
+    frequency_hz: Float64Array,
+    points_mm: Float64Array,
+    actuator_mm: Float64Array,
+    transfer: Complex128Array,
+    spacing_mm: float,
+    elastic_near: Dispersion | None = None,
+) -> tuple[Dispersion, float, float]:
+    """Find the waves that explain most of the transfer functions (frequencies, points, actuators), coarsely.
+
+    Each actuator's own waves are fitted by least squares at each frequency; there are no others.
+
+    elastic_near: Law of the scalar waves, near which the waves of a solid are looked for; by default waves are scalar.
+
+    Returns the law, the share of wave numbers of the second wave, and the share of the energy that is left unexplained.
+    """
+    middle_hz = float(np.sqrt(frequency_hz[0] * frequency_hz[-1]))
+    pressure_share = 0.0 if elastic_near is None else PRESSURE_SHARE
+    values = transfer.transpose(0, 2, 1)
+    energy = np.square(np.abs(values)).sum()
+    weight = 1.0 / np.maximum(np.square(np.abs(values)).sum(axis=(1, 2)), 1e-300)
+
+    def left(vector: Float64Array) -> float:
+        wavenumber = Dispersion.of_vector(vector[:4], middle_hz).wavenumber(frequency_hz)
+        explained = 0.0
+        share = float(np.clip(vector[4], 0.02, 1.0)) if pressure_share else 0.0
+        for k, value, scale in zip(wavenumber, values, weight, strict=True):
+            if not (np.isfinite(k) and k.real > 0):
+                return 1.0
+            basis = np.linalg.qr(own_waves(k, share, points_mm, actuator_mm).transpose(2, 1, 0))[0]
+            explained += scale * np.square(np.abs(np.einsum("apc,pa->ac", basis.conj(), value.T))).sum()
+        return 1.0 - explained / len(frequency_hz)
+
+    if not energy > 0:
+        raise ValueError("no transfer function is above 0")
+    if elastic_near is None:
+        size_mm = float(np.hypot(*np.ptp(points_mm, axis=0)))
+        lengths_mm = np.geomspace(MIN_WAVELENGTH_SPACINGS * spacing_mm, MAX_WAVELENGTH_SIZES * size_mm, SCANNED_SPEEDS)
+        loss = np.log(SCANNED_LOSS * 2.0 * np.pi * middle_hz)
+        starts = [
+            np.array(
+                [np.log(length * frequency_hz[-1] * (frequency_hz[-1] / middle_hz) ** -slope), loss, slope, 0.0, 0.0]
+            )
+            for slope in SCANNED_SLOPES
+            for length in lengths_mm
+        ]
+    else:
+        starts = [np.array([*elastic_near.vector, PRESSURE_SHARE]) for _ in ELASTIC_SPEEDS]
+        for start, ratio in zip(starts, ELASTIC_SPEEDS, strict=True):
+            start[0] += np.log(ratio)
+    best = _simplex(left, min(starts, key=left), [0.03, 0.5, 0.1, 0.3, 0.02], 300)
+    share = float(np.clip(best[4], 0.02, 1.0)) if pressure_share else 0.0
+    return Dispersion.of_vector(best[:4], middle_hz), share, left(best)
+
+
+def _simplex(misfit: Any, start: Float64Array, step: list[float], evaluations: int) -> Float64Array:
+    simplex = np.vstack([start, start + np.diag(step)])
+    options: Any = {
+        "maxfev": evaluations,
+        "maxiter": evaluations,
+        "xatol": 1e-7,
+        "fatol": 1e-9,
+        "initial_simplex": simplex,
+    }
+    return np.asarray(minimize(misfit, start, method="Nelder-Mead", options=options).x)

@@ -1,0 +1,102 @@
+"""Waves between the positions of a coarse grid, against exact fields of sources and of a circular rim."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.special import h2vp, hankel2, jv, jvp
+
+from wavefocus.calibration.coarse_grid.posterior import FIRST_SHARES, FrequencyWaves
+from wavefocus.calibration.coarse_grid.rim_waves import RimWaves
+from wavefocus.calibration.coarse_grid.waves import Dispersion, distances_mm, outgoing, rim_ring
+
+RADIUS_MM = 55.0
+RNG = np.random.default_rng(4)
+ANGLE = 2 * np.pi * np.arange(5) / 5
+ACTUATOR_MM = 50.0 * np.stack([np.cos(ANGLE), np.sin(ANGLE)], axis=1)
+FREQUENCY_HZ = np.array([150.0, 300.0, 450.0])
+LAW = Dispersion(250.0, 4750.0, 420.0)
+
+
+def lattice(spacing_mm, radius_mm=45.0):
+    side = np.arange(-6, 7) * spacing_mm + 0.3
+    points = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    return points[np.hypot(*points.T) < radius_mm]
+
+
+def disk_response(k, points_mm, sources_mm):
+    """A point source in a disk with a free rim: H0 and what the rim adds, order by order (addition theorem)."""
+    r, at = np.hypot(*points_mm.T), np.arctan2(*points_mm.T[::-1])
+    source_r, source_at = np.hypot(*sources_mm.T), np.arctan2(*sources_mm.T[::-1])
+    found = hankel2(0, k * distances_mm(points_mm, sources_mm))
+    for order in range(-50, 51):
+        added = -jv(order, k * source_r) * h2vp(order, k * RADIUS_MM) / jvp(order, k * RADIUS_MM)
+        found = found + jv(order, k * r)[:, None] * added * np.exp(1j * order * (at[:, None] - source_at))
+    return found
+
+
+@pytest.fixture(scope="module")
+def coarse():
+    """A disk, positions 11 mm apart (k times spacing up to 6.5), noise of -60 dB."""
+    position_mm = lattice(11.0)
+    transfer = np.stack([disk_response(k, position_mm, ACTUATOR_MM) for k in LAW.wavenumber(FREQUENCY_HZ)])
+    noise = RNG.standard_normal((2, *transfer.shape))
+    return position_mm, transfer * (1 + 1e-3 / np.sqrt(2) * (noise[0] + 1j * noise[1]))
+
+
+@pytest.fixture(scope="module")
+def random_mm():
+    points = RNG.uniform(-42, 42, (200, 2))
+    return points[np.hypot(*points.T) < 42]
+
+
+def test_waves_of_a_disk_are_found_beyond_the_spatial_nyquist_limit(coarse, random_mm):
+    position_mm, transfer = coarse
+    checks_mm = random_mm[:12]
+    wavenumber = LAW.wavenumber(FREQUENCY_HZ)
+    check = np.stack([disk_response(k, checks_mm, ACTUATOR_MM) for k in wavenumber])
+    model = RimWaves.fit(FREQUENCY_HZ, position_mm, ACTUATOR_MM, transfer, checks_mm, check, workers=1)
+    points_mm = random_mm[12:]
+    values, deviations = model.values(points_mm), model.deviations(points_mm, range(3))
+    assert model.resolved[-1] > 1.9
+    assert np.allclose(model.wavenumber, wavenumber, rtol=2e-3)
+    for number, k in enumerate(wavenumber):
+        truth = disk_response(k, points_mm, ACTUATOR_MM)
+        error = np.linalg.norm(values[number] - truth, axis=1) / np.linalg.norm(truth, axis=1)
+        assert np.median(error) < 0.05
+        assert np.quantile(error, 0.9) < 0.15
+        within = np.abs(values[number] - truth) < np.sqrt(np.log(20)) * deviations[number]
+        assert 0.88 < within.mean() <= 1.0
+    assert model.pressure_share == 0.0
+
+
+def test_the_gradient_of_the_evidence_is_that_of_its_differences(coarse):
+    position_mm, transfer = coarse
+    ring_mm = rim_ring(np.vstack([position_mm, ACTUATOR_MM]), 10.0, 5.0)
+    power = np.square(np.abs(transfer[1])).mean(axis=0)
+    level = np.square(np.abs(transfer)).mean(axis=0)
+    for share in (0.0, 0.5):
+        waves = FrequencyWaves(
+            complex(LAW.wavenumber(FREQUENCY_HZ)[1]), share, position_mm, ACTUATOR_MM, ring_mm, power,
+            level / level.mean(axis=0), transfer[1],
+        )  # fmt: skip
+        theta = np.array([*FIRST_SHARES, 0.3, -10.0])
+        _, gradient = waves.evidence(theta)
+        step = 1e-4 * np.eye(6)
+        differences = [(waves.evidence(theta + one)[0] - waves.evidence(theta - one)[0]) / 2e-4 for one in step]
+        assert np.allclose(gradient, differences, rtol=1e-4, atol=1e-5 * np.abs(gradient).max())
+
+
+@pytest.mark.parametrize("order", [0, 2])
+def test_outgoing_waves_are_hankel_functions(order):
+    distance_mm = RNG.uniform(1.0, 300.0, 4000)
+    for k in (0.004, 0.14 - 0.04j, 0.6 - 0.045j):
+        assert np.allclose(outgoing(k, distance_mm, order), hankel2(order, k * distance_mm), rtol=3e-5)
+
+
+def test_sizes_and_too_few_positions_are_refused(coarse):
+    position_mm, transfer = coarse
+    with pytest.raises(ValueError, match="transfer has shape"):
+        RimWaves.fit(FREQUENCY_HZ, position_mm, ACTUATOR_MM, transfer[:, 1:])
+    with pytest.raises(ValueError, match="too few"):
+        RimWaves.fit(FREQUENCY_HZ, position_mm[:8], ACTUATOR_MM, transfer[:, :8])
