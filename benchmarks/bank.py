@@ -15,7 +15,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from wavefocus.benchmarks.harness import Findings, Mark, Point, Timing
+from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times
 from wavefocus.storage.bank.layout import BankHeader
 from wavefocus.storage.bank.ledger import PointRecord
 from wavefocus.storage.bank.reading import open_bank
@@ -39,7 +39,7 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
         open_s = _seconds(_read_all, Path(folder) / "bank.h5")
     work = f"{positions} positions of {ACTUATORS} x {TAPS} float32"
     points = [
-        Point(
+        Entry(
             work=work, method=method,
             figures={**_figures(seconds[method]), "committed_positions_lost_in_a_power_cut": lost},
             marks=(Mark("median_ms", MARK_COMMIT_MS, at_most=True),) if method == OURS else (),
@@ -47,8 +47,8 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
         )
         for method, lost in LOST.items()
     ]  # fmt: skip
-    opened = Point(work="opening the bank, every row's checksum verified", method="all rows read",
-                   timing=Timing(open_s, open_s))  # fmt: skip
+    opened = Entry(work="opening the bank, every row's checksum verified", method="all rows read",
+                   timing=Times(open_s, open_s))  # fmt: skip
     return Findings([*points, opened])
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from wavefocus.benchmarks.harness import Findings, Mark, Point, Timing
+from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times
 from wavefocus.benchmarks.machine import run_command
 from wavefocus.benchmarks.nights import record_sample
 from wavefocus.storage.drive_file import Drive, write_drive
@@ -37,7 +37,7 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
     if find_spec("distributed") is None or sys.platform == "win32":
         return Findings([], notes=["Left out: it needs dask, and limits of processes that Windows lacks."])
     positions, recorded = (200, 2) if quick else (POSITIONS, RECORDED)
-    points: list[Point] = []
+    points: list[Entry] = []
     with tempfile.TemporaryDirectory(dir=out) as name:
         folder = Path(name)
         _write_bank(folder / "bank.h5", positions)
@@ -60,23 +60,23 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
     )
 
 
-def _measured(folder: Path, command: tuple[object, ...], way: str) -> tuple[Point, str]:
+def _measured(folder: Path, command: tuple[object, ...], way: str) -> tuple[Entry, str]:
     """Run a command that ends with the name of its output, and hash that."""
     written = folder / "written.h5"
     written.unlink(missing_ok=True)
     done = run_command(*command, written, *WAYS[way], limit_bytes=LIMIT_MB * 2**20)
     with written.open("rb") as file:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()
-    timing = Timing(done.wall_s, done.processor_s)
+    timing = Times(done.wall_s, done.processor_s)
     figures = {"starting_s": done.starting_s}
     mark = Mark("peak_mb", LIMIT_MB, at_most=True)
-    point = Point(
+    point = Entry(
         work=str(command[0]), method=way, timing=timing, peak_mb=done.peak_bytes / 1e6, figures=figures, marks=(mark,)
     )
     return point, sha256
 
 
-def _compared(found: dict[str, tuple[Point, str]]) -> list[Point]:
+def _compared(found: dict[str, tuple[Entry, str]]) -> list[Entry]:
     """Points with their speed over one worker's, starting aside, and whether they wrote the same bytes as here."""
     run_s = {
         way: float(point.row["wall_s"] or 0) - float(point.row["starting_s"] or 0) for way, (point, _) in found.items()

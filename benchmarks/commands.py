@@ -16,7 +16,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from wavefocus.benchmarks.harness import Findings, Mark, Point, Timing, measure, relative_error
+from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times, measure, relative_error
 from wavefocus.benchmarks.machine import run_command
 from wavefocus.benchmarks.rig_bank import BAND_HZ, QUICK_ERROR_DB, RATE_HZ, TAPS, default_grid, true_bank
 from wavefocus.mocks.virtual.rig import VirtualRig
@@ -51,7 +51,7 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
             "predict": predict,
         }
         points = [
-            Point(
+            Entry(
                 work="commands",
                 method=f"wavefocus {what}",
                 timing=timing,
@@ -63,7 +63,7 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
     return Findings(points, "what the exact command writes")
 
 
-def _tolerances(command: tuple[object, ...], file: Path, repeats: int) -> list[Point]:
+def _tolerances(command: tuple[object, ...], file: Path, repeats: int) -> list[Entry]:
     """Render to several tolerances."""
     arguments = {db: command if db is None else (*command, "--tolerance-db", db) for db in TOLERANCES_DB}
     written = {}
@@ -71,7 +71,7 @@ def _tolerances(command: tuple[object, ...], file: Path, repeats: int) -> list[P
         run_command(*arguments[db])
         written[db] = read_drive(file).drive_v
     return [
-        Point(
+        Entry(
             work="wavefocus render, the whole command", method="exact" if db is None else "to a tolerance",
             parameters={} if db is None else {"tolerance_db": float(db)}, timing=timing,
             error=None if db is None else relative_error(written[db], written[None]),
@@ -80,7 +80,7 @@ def _tolerances(command: tuple[object, ...], file: Path, repeats: int) -> list[P
     ]  # fmt: skip
 
 
-def _measured(commands: Mapping[Key, tuple[object, ...]], repeats: int) -> dict[Key, Timing]:
+def _measured(commands: Mapping[Key, tuple[object, ...]], repeats: int) -> dict[Key, Times]:
     """Times of commands, the processor's and the memory being those of the last run's processes."""
     actions = {str(key): partial(run_command, *arguments) for key, arguments in commands.items()}
     found = measure(actions, repeats, slow_s=10)

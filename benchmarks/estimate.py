@@ -21,7 +21,7 @@ import scipy.signal
 from numpy.typing import NDArray
 
 from wavefocus.benchmarks import nights
-from wavefocus.benchmarks.harness import Findings, Mark, Point, band_error_db, measure
+from wavefocus.benchmarks.harness import Entry, Findings, Mark, band_error_db, measure
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.excitation import PlayedExcitation
 
@@ -72,7 +72,7 @@ def run(out: Path, *, quick: bool = False) -> Findings:
     points = []
     for name, timing in found.items():
         error_db = band_error_db(timing.result, work.truth, sweep.sample_rate_hz, sweep.band_hz, sweep.period_samples)
-        point = Point(
+        point = Entry(
             work=f"estimating {records} records on one thread",
             method=name,
             error=10 ** (float(np.median(error_db)) / 20),

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wavefocus.benchmarks.harness import Findings, Point, measure
+from wavefocus.benchmarks.harness import Entry, Findings, measure
 from wavefocus.benchmarks.paper_measures import fields_at, focus_figures, medians
 from wavefocus.benchmarks.rig_bank import QUICK_ERROR_DB, default_grid, true_bank
 from wavefocus.config.scene import Regularisation
@@ -28,8 +28,7 @@ from wavefocus.rendering.drive.inverse_filter import inverse_filter
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.scene.model import Scene, Source
-from wavefocus.rendering.scene.paths import Line
-from wavefocus.rendering.scene.paths import Point as PointPath
+from wavefocus.rendering.scene.paths import Line, Point
 from wavefocus.rendering.scene.signals import Impulse
 from wavefocus.storage.drive_file import Drive
 
@@ -49,7 +48,7 @@ def scenes() -> list[tuple[str, tuple[Source, ...]]]:
     """Impulses at one point, at two, and along a line."""
 
     def at(x_mm: float, y_mm: float) -> Source:
-        return Source(PointPath((x_mm, y_mm)), Impulse())
+        return Source(Point((x_mm, y_mm)), Impulse())
 
     line = Source(Line((-42.0, 0.0), (42.0, 0.0)), Impulse(), 0.0, 160.0, 12.0, emission="per_point")
     return [
@@ -61,7 +60,7 @@ def scenes() -> list[tuple[str, tuple[Source, ...]]]:
     ]
 
 
-def compare(bank: GreenArray, name: str, sources: tuple[Source, ...]) -> list[Point]:
+def compare(bank: GreenArray, name: str, sources: tuple[Source, ...]) -> list[Entry]:
     """Render a scene by every method."""
     plain, saturated = (Scene(name, sources, Regularisation(saturation=c)) for c in (0.0, SATURATION))
 
@@ -93,5 +92,5 @@ def compare(bank: GreenArray, name: str, sources: tuple[Source, ...]) -> list[Po
             "peak": float(np.abs(drive.drive_v).max() / np.abs(reference).max()),
             "condition": condition,
         }
-        points.append(Point(work=name, method=method, timing=timing, figures=figures))
+        points.append(Entry(work=name, method=method, timing=timing, figures=figures))
     return points

@@ -23,7 +23,7 @@ UNITS = {"cpu": "CPU", "db": "dB", "mb": "MB", "gb": "GB", "hz": "Hz", "khz": "k
 
 
 @dataclass(frozen=True, slots=True)
-class Timing:
+class Times:
     """Some runs of one action.
 
     Parameters
@@ -44,7 +44,7 @@ class Timing:
     peak_mb: float | None = None
     result: Any = None
 
-    def times(self, factor: float) -> Timing:
+    def times(self, factor: float) -> Times:
         """The time of so much more of the same work."""
         spread_s = None if self.spread_s is None else self.spread_s * factor
         return replace(self, wall_s=self.wall_s * factor, cpu_s=self.cpu_s * factor, spread_s=spread_s)
@@ -60,7 +60,7 @@ class Mark:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Point:
+class Entry:
     """One line of a benchmark: one method at one setting.
 
     Parameters
@@ -89,7 +89,7 @@ class Point:
     method: str
     parameters: Mapping[str, Plain] = field(default_factory=dict)
     error: float | None = None
-    timing: Timing | None = None
+    timing: Times | None = None
     peak_mb: float | None = None
     figures: Mapping[str, Plain] = field(default_factory=dict)
     marks: tuple[Mark, ...] = ()
@@ -117,7 +117,7 @@ class Point:
         """Every mark is kept."""
         return all(self.judged(mark) for mark in self.marks)
 
-    def against(self, peer: Timing) -> Point:
+    def against(self, peer: Times) -> Entry:
         """The same with its speed over a peer's, by time on the wall (`times`) and by CPU time (`cpu_times`).
 
         A peer that other programs kept from the cores was not slow: it counts no more than its CPU time.
@@ -132,7 +132,7 @@ class Point:
 class Findings:
     """Points of one benchmark, what their errors are relative to, and notes."""
 
-    points: Sequence[Point]
+    points: Sequence[Entry]
     truth: str = ""
     notes: Sequence[str] = ()
 
@@ -165,7 +165,7 @@ def measure(
     slow_s: float = 2.0,
     warm: bool = False,
     memory: bool = False,
-) -> dict[str, Timing]:
+) -> dict[str, Times]:
     """Run actions in turns, so that other load of the machine meets all of them.
 
     Those named in `once` run once, those slower than `slow_s` in every third turn. `warm` runs each once untimed before
@@ -186,7 +186,7 @@ def measure(
             cpus[name].append(time.process_time() - cpu)
             walls[name].append(time.perf_counter() - wall)
     return {
-        name: Timing(
+        name: Times(
             float(np.median(walls[name])),
             float(np.median(cpus[name])),
             float(np.subtract(*np.percentile(walls[name], [75, 25]))) if len(walls[name]) > 1 else None,
@@ -223,7 +223,7 @@ def band_error_db(
     return np.asarray(10 * np.log10(wrong / right))
 
 
-def table(points: Sequence[Point], *, judged: bool = True) -> list[str]:
+def table(points: Sequence[Entry], *, judged: bool = True) -> list[str]:
     """Lines of a table in Markdown, its columns aligned for a console."""
     parameters = [name for point in points for name in point.parameters]
     columns = list(dict.fromkeys(["method", *parameters, *(name for point in points for name in point.row)]))
@@ -262,7 +262,7 @@ def heading(name: str) -> str:
     return " ".join(UNITS.get(word, word) for word in name.split("_"))
 
 
-def _words(point: Point, mark: Mark) -> str:
+def _words(point: Entry, mark: Mark) -> str:
     met = {True: "met", False: "**not met**", None: "not measured"}[point.judged(mark)]
     return f"{heading(mark.figure)} at {'most' if mark.at_most else 'least'} {mark.limit:g}: {met}"
 

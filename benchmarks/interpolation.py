@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.acquisition.grid import surface_grid
-from wavefocus.benchmarks.harness import Findings, Mark, Point, measure
+from wavefocus.benchmarks.harness import Entry, Findings, Mark, measure
 from wavefocus.benchmarks.rig_bank import MARGIN_MM, RATE_HZ, TAPS, default_grid, true_bank
 from wavefocus.config.interpolations import INTERPOLATIONS
 from wavefocus.config.outline import Outline
@@ -67,7 +67,7 @@ def random_points(count: int) -> Float64Array:
     return points[Outline.stadium(250.0, 150.0).contains(points, MARGIN_MM)][:count]
 
 
-def errors_of(bank: GreenArray, error_db: float | None, points_mm: Float64Array, truth: Complex128Array) -> list[Point]:
+def errors_of(bank: GreenArray, error_db: float | None, points_mm: Float64Array, truth: Complex128Array) -> list[Entry]:
     """Errors of all kinds on one bank."""
     kernel = KernelInterpolation(bank, points_mm)
     points = []
@@ -85,7 +85,7 @@ def errors_of(bank: GreenArray, error_db: float | None, points_mm: Float64Array,
         for index, frequency in enumerate(FREQUENCIES_HZ):
             mark = MARKS.get((error_db, frequency)) if name == "kernel" else None
             points.append(
-                Point(
+                Entry(
                     work=f"errors on {'a noise-free bank' if error_db is None else f'a bank of {error_db:g} dB'}",
                     method=name,
                     parameters={"frequency_hz": frequency},
@@ -100,7 +100,7 @@ def errors_of(bank: GreenArray, error_db: float | None, points_mm: Float64Array,
     return points
 
 
-def spacings(rig: VirtualRig, points_mm: Float64Array, truth: Complex128Array, *, quick: bool) -> list[Point]:
+def spacings(rig: VirtualRig, points_mm: Float64Array, truth: Complex128Array, *, quick: bool) -> list[Entry]:
     """Error at the highest frequency of the table against the hours that a grid costs, for grids of several spacings.
 
     The time on the wall is that of finding all points' rows and weights and adding the rows up.
@@ -121,7 +121,7 @@ def spacings(rig: VirtualRig, points_mm: Float64Array, truth: Complex128Array, *
             found, right = timing.result[:, -1], truth[usable, -1]
             error = np.linalg.norm(found - right, axis=1) / np.linalg.norm(right, axis=1)
             points.append(
-                Point(
+                Entry(
                     work=f"responses between positions at {FREQUENCIES_HZ[-1]:g} Hz", method=name,
                     parameters={"spacing_mm": spacing_mm}, error=float(np.median(error)), timing=timing,
                     figures={"positions": bank.positions, "hours": bank.positions * HOURS_A_POSITION},
@@ -142,12 +142,12 @@ def _summed(kind: Interpolation, nodes: Nodes, bank: GreenArray) -> Complex128Ar
     return np.asarray(np.einsum("pn,pnfa->pfa", nodes.weights, values))
 
 
-def render_times(bank: GreenArray) -> list[Point]:
+def render_times(bank: GreenArray) -> list[Entry]:
     """Time to render 2.4 s of a source on a circle of 30 mm at 8 cm/s, exactly."""
     source = Source(Circle((0.3, 1.1), 30.0), Noise((50.0, 450.0), 3.0, 1), 0.0, 80.0, 4.0)
     scenes = {name: Scene("circle", (source,), output=Output(interpolation=name)) for name in INTERPOLATIONS}
     found = measure({name: partial(render_with_report, one, bank, method="exact") for name, one in scenes.items()}, 2)
-    return [Point(work="exact moving source, 2.4 s", method=name, timing=timing) for name, timing in found.items()]
+    return [Entry(work="exact moving source, 2.4 s", method=name, timing=timing) for name, timing in found.items()]
 
 
 def _in_a_cell(kind: Interpolation, point_mm: Float64Array) -> bool:

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wavefocus.benchmarks.harness import Findings, Mark, Point, relative_error
+from wavefocus.benchmarks.harness import Entry, Findings, Mark, relative_error
 from wavefocus.benchmarks.rig_bank import QUICK_ERROR_DB, RATE_HZ, default_grid, true_bank
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.config.scene import Output
@@ -151,7 +151,7 @@ def _field(bank: GreenArray, drive: Drive, rows: Int64Array) -> Float64Array:
     return np.asarray(predict(plain, bank, rows.tolist(), rate_hz=FIELD_HZ).field, dtype=np.float64)
 
 
-def _measured(bank: GreenArray, name: str, truth: Truth, look_ahead_ms: int) -> Point:
+def _measured(bank: GreenArray, name: str, truth: Truth, look_ahead_ms: int) -> Entry:
     look_ahead = round(look_ahead_ms * RATE_HZ / 1e3)
     begin, stop = (truth.first_sample + round(one * RATE_HZ) for one in JUDGED_S)
     live_v, recorded_v = _played(bank, truth, look_ahead, stop + look_ahead)
@@ -168,7 +168,7 @@ def _measured(bank: GreenArray, name: str, truth: Truth, look_ahead_ms: int) -> 
     drives = [one[:, begin:stop] for one in (live.drive_v, truth.drive.drive_v)]
     splatter_db, true_splatter_db = (_splatter_db(one) for one in drives)
     prediction = relative_error(drives[0], recorded_v[:, look_ahead:][:, begin:stop])
-    return Point(
+    return Entry(
         work=name,
         method="live",
         parameters={"look_ahead_ms": float(look_ahead_ms)},
@@ -213,7 +213,7 @@ def _splatter_db(drive_v: Float64Array) -> float:
     return float(10.0 * np.log10(power[above].sum() / power.sum()))
 
 
-def _draw(path: Path, points: list[Point]) -> None:
+def _draw(path: Path, points: list[Entry]) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.benchmarks.commands import write_bank
-from wavefocus.benchmarks.harness import Findings, Mark, Point
+from wavefocus.benchmarks.harness import Entry, Findings, Mark
 from wavefocus.benchmarks.machine import run_command
 from wavefocus.benchmarks.rig_bank import RATE_HZ, TAPS, true_bank
 from wavefocus.calibration.blas import one_blas_thread
@@ -115,7 +115,7 @@ def _engine(bank: Bank, *, independent: bool, frame_rate_hz: float | None = None
     return engine
 
 
-def _time_of_blocks(bank: Bank, case: Case, seconds: float) -> Point:
+def _time_of_blocks(bank: Bank, case: Case, seconds: float) -> Entry:
     engine = _engine(bank, independent=case.independent, frame_rate_hz=INTERFACE_HZ)
     limiter = LiveLimiter(DriveLimits(1.0), np.full(bank.actuators, 5.0), INTERFACE_HZ, INTERFACE_HZ // 400)
     every, taken_s = round(1.0 / POSITIONS_HZ / BLOCK_S), []
@@ -127,13 +127,13 @@ def _time_of_blocks(bank: Bank, case: Case, seconds: float) -> Point:
         limiter.limit(engine.next_block())
         taken_s.append(time.thread_time() - begun_s)
     mean_ms, p999_ms = 1e3 * float(np.mean(taken_s)), 1e3 * float(np.percentile(taken_s, 99.9))
-    return Point(
+    return Entry(
         work="processor time of a block of 5 ms", method="live", parameters=case.parameters,
         figures={"mean_ms": mean_ms, "p999_ms": p999_ms},
     )  # fmt: skip
 
 
-def _level(bank: Bank, radius_mm: float) -> Point:
+def _level(bank: Bank, radius_mm: float) -> Entry:
     """Sources on a circle, of which the first sounds."""
     engine = _engine(bank, independent=True, signal=Noise((50.0, 450.0), 0.4, 5))
     blocks, every = round(1.2 / BLOCK_S), round(1.0 / POSITIONS_HZ / BLOCK_S)
@@ -154,7 +154,7 @@ def _level(bank: Bank, radius_mm: float) -> Point:
     for response in (at_measured, at_true):
         energy = np.square(response).mean(axis=(0, 2))
         levels_db.append(10.0 * math.log10(float(energy[1:].max() / energy[0])))
-    return Point(
+    return Entry(
         work="response at sources of amplitude 0, of four at 100 mm/s", method="live, independent",
         parameters={"radius_mm": radius_mm}, figures={"measured_db": levels_db[0], "true_place_db": levels_db[1]},
         marks=(Mark("measured_db", -25.0, at_most=True),),
@@ -168,14 +168,14 @@ def _response(drive_v: Float64Array, green: NDArray[Any], now_s: float) -> Float
     return np.asarray(np.einsum("sit,it->s", windows, green, optimize=True))
 
 
-def _latency(bank: Path, folder: Path, case: Case, seconds: float) -> Point:
+def _latency(bank: Path, folder: Path, case: Case, seconds: float) -> Entry:
     lab = folder / case.rig
     if not lab.exists():
         run_command("init", lab, "--rig", case.rig)
     with _environment(case.rig) as environment:
-        session = Session(bank, lab / "rig.toml", AHEAD_MS[case.rig], environment)
+        session = LatencySession(bank, lab / "rig.toml", AHEAD_MS[case.rig], environment)
         session.play(case, seconds)
-    return Point(
+    return Entry(
         work="position to drive sample written",
         method="virtual player on the wall's clock" if case.rig == "virtual" else "audio server with a dummy driver",
         parameters=case.parameters | {"seconds": seconds, "ahead_ms": AHEAD_MS[case.rig]},
@@ -201,7 +201,7 @@ def _environment(rig: str) -> Iterator[Mapping[str, str]]:
 
 
 @dataclass
-class Session:
+class LatencySession:
     """``wavefocus live`` as a process, its states, and the memory of all its processes."""
 
     bank: Path

@@ -14,7 +14,7 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy.signal import oaconvolve, resample_poly
 
-from wavefocus.benchmarks.render_workloads import ACTUATORS, RATE_HZ, TAPS, Workload, normalised_green
+from wavefocus.benchmarks.render_workloads import ACTUATORS, RATE_HZ, TAPS, RenderWorkload, normalised_green
 from wavefocus.rendering.greens.interpolation.on_grid import Bilinear
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.greens.source import GreenArray
@@ -24,7 +24,7 @@ Float64Array = NDArray[np.float64]
 Run = tuple[int, int, Float64Array]
 
 
-def sampled_runs(workload: Workload) -> Iterator[Run]:
+def sampled_runs(workload: RenderWorkload) -> Iterator[Run]:
     """Runs of a sampled path: adjacent segments with the same row are one."""
     instants, rows, signal = workload.segments()
     edges = np.concatenate([[0], np.flatnonzero(np.diff(rows)) + 1, [len(rows)]])
@@ -34,7 +34,7 @@ def sampled_runs(workload: Workload) -> Iterator[Run]:
         yield row, int(instants[first]), emitted * normalised_green(workload.bank, row)[1]
 
 
-def bilinear_runs(workload: Workload, samples: int) -> Iterator[Run]:
+def bilinear_runs(workload: RenderWorkload, samples: int) -> Iterator[Run]:
     """Runs of the exact moving source: of each row, the stretches in which bilinear interpolation uses it."""
     source, bank = workload.source, workload.bank
     along_mm = np.minimum(source.speed_mm_s * np.arange(samples) / RATE_HZ, source.path.length_mm)

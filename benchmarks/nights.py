@@ -31,7 +31,7 @@ from wavefocus.acquisition.plan import Plan
 from wavefocus.acquisition.plays import keep_recordings, measuring_of, raw_header
 from wavefocus.acquisition.setup import point_at, take_record
 from wavefocus.acquisition.trial import check_position, run_trial
-from wavefocus.benchmarks.harness import Mark, Point, Timing, band_error_db
+from wavefocus.benchmarks.harness import Entry, Mark, Times, band_error_db
 from wavefocus.benchmarks.machine import run_command
 from wavefocus.benchmarks.rig_bank import BAND_HZ, RATE_HZ, TAPS, default_grid, measure, rig_setup, sweep_plan
 from wavefocus.drivers.protocols import Recording, RecordLabel
@@ -61,7 +61,7 @@ DIFFERENT = 4
 PRELOADED = ("scipy.optimize", "scipy.signal", "wavefocus.estimation", "wavefocus.campaign.blueprint")
 
 
-def compare_nights(*, quick: bool = False) -> list[Point]:
+def compare_nights(*, quick: bool = False) -> list[Entry]:
     """Hours and errors of campaigns, and the trial before a campaign on three plates."""
     positions = 6 if quick else 60
     plain = VirtualSettings(dropout_probability=0.0, noise_v=NOISE_V)
@@ -72,16 +72,16 @@ def compare_nights(*, quick: bool = False) -> list[Point]:
     marks = (Mark("hours", MARK_HOURS, at_most=True), Mark("median_db", MARK_ERROR_DB, at_most=True))
     night = f"a night of {NIGHT} x 20, {positions} positions of it measured"
     points = [
-        Point(work=night, method="sequential 3 x 1 s", figures=_night(plain, positions, staggered=False)),
-        Point(
+        Entry(work=night, method="sequential 3 x 1 s", figures=_night(plain, positions, staggered=False)),
+        Entry(
             work=night, method="staggered 240 ms, one period", figures=_night(plain, positions, staggered=True),
             marks=marks,
         ),
-        Point(
+        Entry(
             work=night, method=f"staggered, {SKEW_PPM:g} ppm clock skew",
             figures={**skewed, "beyond_no_skew_db": beyond_db}, marks=(Mark("beyond_no_skew_db", 1.0, at_most=True),),
         ),
-        Point(work=night, method="staggered, no clock skew", figures=still),
+        Entry(work=night, method="staggered, no clock skew", figures=still),
     ]  # fmt: skip
     for plate, settings in {
         "additive noise": plain,
@@ -92,7 +92,7 @@ def compare_nights(*, quick: bool = False) -> list[Point]:
     return points
 
 
-def measuring_times(*, quick: bool = False) -> list[Point]:
+def measuring_times(*, quick: bool = False) -> list[Entry]:
     """Error of a campaign against its hours: length and number of sweeps, one after another and all at once."""
     settings = VirtualSettings(dropout_probability=0.0, noise_v=NOISE_V)
     positions = 3 if quick else 12
@@ -105,7 +105,7 @@ def measuring_times(*, quick: bool = False) -> list[Point]:
     for method, parameters in schedules:
         night = _night(settings, positions, staggered=method == "staggered", **parameters)
         points.append(
-            Point(
+            Entry(
                 work=f"measuring {NIGHT} x 20 responses, {positions} positions of it tried",
                 method=method, parameters=parameters, error=10 ** (night["median_db"] / 20), figures=night,
             )
@@ -156,13 +156,13 @@ def _cubic_per_v2(rig: VirtualRig) -> float:
     return CUBIC / (math.sqrt(15) * power)
 
 
-def _trial(plate: str, settings: VirtualSettings) -> list[Point]:
+def _trial(plate: str, settings: VirtualSettings) -> list[Entry]:
     """Schedules as the trial before a campaign on a plate estimates them, and its choice."""
     rig = VirtualRig(settings)
     trial = run_trial(sweep_plan(default_grid(rig), rig, staggered=True), rig_setup(rig), 3.0)
     chosen = trial.verdict.chosen.name
     return [
-        Point(
+        Entry(
             work=f"trial at one position: {plate}",
             method=one.name,
             figures={"hours": one.campaign_s / 3600, "error_db": one.error_db, "chosen": one.name == chosen},
@@ -172,7 +172,7 @@ def _trial(plate: str, settings: VirtualSettings) -> list[Point]:
     ]
 
 
-def stream_recordings(*, quick: bool = False) -> list[Point]:
+def stream_recordings(*, quick: bool = False) -> list[Entry]:
     """Record samples of campaigns and stream them into banks."""
     points = []
     with tempfile.TemporaryDirectory() as folder:
@@ -208,17 +208,17 @@ def record_sample(path: Path, positions: int, *, staggered: bool) -> None:
             keep_recordings(raw, position, taken[position % len(taken)])
 
 
-def _streamed(name: str, raw: Path, positions: int) -> Point:
+def _streamed(name: str, raw: Path, positions: int) -> Entry:
     bank = raw.with_suffix(".bank.h5")
     done = run_command("estimate", raw, "--bank", bank, "--json", preload=PRELOADED)
     facts = json.loads(done.stdout.splitlines()[-1])
     processor_ms = 1e3 * done.processor_s / (positions * 20)
     bank.unlink()
     size_gb = raw.stat().st_size / 1e9
-    return Point(
+    return Entry(
         work="recordings into a bank, Green's functions a second",
         method=name,
-        timing=Timing(done.wall_s, done.processor_s),
+        timing=Times(done.wall_s, done.processor_s),
         peak_mb=done.peak_bytes / 1e6,
         figures={
             "per_s": float(facts["green_functions_per_s"]),
@@ -237,7 +237,7 @@ ECHOES, SNR_DB = 40, 40.0
 MARK_S = 20.0
 
 
-def estimate_audio(*, quick: bool = False) -> list[Point]:
+def estimate_audio(*, quick: bool = False) -> list[Entry]:
     """Record and estimate long responses at audio rates."""
     records, taps = (2, 2_000) if quick else (10, 12_000)
     with tempfile.TemporaryDirectory() as folder:
@@ -249,10 +249,10 @@ def estimate_audio(*, quick: bool = False) -> list[Point]:
     error_db = band_error_db(green, truth, AUDIO_HZ, AUDIO_BAND_HZ, 4 * taps)
     limit_db = -SNR_DB + 10 * np.log10(taps / samples * (AUDIO_BAND_HZ[1] - AUDIO_BAND_HZ[0]) / (AUDIO_HZ / 2))
     return [
-        Point(
+        Entry(
             work=f"{records} records at {AUDIO_HZ:g} Hz, {taps} taps",
             method="wavefocus estimate",
-            timing=Timing(done.wall_s, done.processor_s),
+            timing=Times(done.wall_s, done.processor_s),
             peak_mb=done.peak_bytes / 1e6,
             figures={"worst_db": float(error_db.max()), "noise_limit_db": float(limit_db)},
             marks=(Mark("cpu_s", MARK_S, at_most=True), Mark("peak_mb", MARK_MB, at_most=True)),

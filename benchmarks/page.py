@@ -10,7 +10,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from wavefocus.benchmarks.harness import Findings, Plain, Point, cell, heading
+from wavefocus.benchmarks.harness import Entry, Findings, Plain, cell, heading
 from wavefocus.rendering.report.canvas import COLOURS
 from wavefocus.storage.output_files import replacement
 
@@ -22,7 +22,7 @@ COSTS = {"hours": "hours of measuring", "wall_s": "run time in s (median on the 
 MARKERS = "osd^vPX*<>"
 
 
-def cost_of(points: Sequence[Point]) -> str | None:
+def cost_of(points: Sequence[Entry]) -> str | None:
     """The figure that errors of a work are drawn over; None where there are too few points for a diagram."""
     drawn = [one for one in points if one.error]
     if len(drawn) < FEWEST:
@@ -51,7 +51,7 @@ def draw_diagrams(findings: Findings, out: Path, name: str) -> dict[str, str]:
     return drawn
 
 
-def _draw(path: Path, title: str, points: list[Point], cost: str) -> None:
+def _draw(path: Path, title: str, points: list[Entry], cost: str) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.ticker import NullFormatter

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from wavefocus.benchmarks import paper_figures as figures
-from wavefocus.benchmarks.harness import Findings, Point, measure
+from wavefocus.benchmarks.harness import Entry, Findings, measure
 from wavefocus.benchmarks.paper_measures import CLEAR_MM, SATURATION, Paper, clear_rows, focus_fields, focus_figures
 from wavefocus.benchmarks.rig_bank import paper_bank
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
@@ -99,7 +99,7 @@ def run(out: Path, *, quick: bool = False) -> Findings:
     for name in figures.FIGURES:
         write_whole(out / f"{name}.png", timings["stadium"][name].result.png)
     points = [
-        Point(
+        Entry(
             work="the paper's numbers",
             method=what,
             figures={"paper": stated} | {
@@ -112,7 +112,7 @@ def run(out: Path, *, quick: bool = False) -> Findings:
         for what, (stated, definition) in NUMBERS.items()
     ]  # fmt: skip
     points += [
-        Point(work=f"time of each part, {plate}", method=part, timing=timing)
+        Entry(work=f"time of each part, {plate}", method=part, timing=timing)
         for plate, found in timings.items()
         for part, timing in found.items()
     ]

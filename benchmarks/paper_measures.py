@@ -17,7 +17,7 @@ from wavefocus.rendering.field.prediction import Prediction, predict
 from wavefocus.rendering.field.wave_figures import PathSpectrum, path_spectrum
 from wavefocus.rendering.greens.regularisation import row_weights, saturation_threshold
 from wavefocus.rendering.greens.source import GreenArray, usable
-from wavefocus.rendering.report.canvas import Surface
+from wavefocus.rendering.report.canvas import ReportSurface
 from wavefocus.rendering.scene.model import Scene, Source
 from wavefocus.rendering.scene.paths import Line, Path, Point, Strokes
 from wavefocus.rendering.scene.signals import Impulse, Noise
@@ -48,9 +48,9 @@ class Paper:
         """The bank."""
         return self.source.bank
 
-    def surface(self, *paths_mm: Float64Array) -> Surface:
+    def surface(self, *paths_mm: Float64Array) -> ReportSurface:
         """Content of every map."""
-        return Surface.of(self.bank, paths_mm, self.source.rig.settings.outline.line(400))
+        return ReportSurface.of(self.bank, paths_mm, self.source.rig.settings.outline.line(400))
 
 
 def row_at(bank: GreenArray, x_mm: float, y_mm: float) -> int:

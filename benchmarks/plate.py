@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve, get_window
 
-from wavefocus.benchmarks.harness import Findings, Mark, Point, measure, relative_error
+from wavefocus.benchmarks.harness import Entry, Findings, Mark, measure, relative_error
 from wavefocus.benchmarks.rig_bank import RATE_HZ, TAPS, default_grid, true_bank
 from wavefocus.config.outline import Outline
 from wavefocus.mocks.plates.infinite import PlateTable
@@ -88,10 +88,10 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
 
 def _points(
     work: str, actions: Actions, truth: Any, key: str, repeats: int, marks: tuple[Mark, ...] = ()
-) -> list[Point]:
+) -> list[Entry]:
     found = measure({str(number): one for number, one in enumerate(actions.values())}, repeats, memory=True)
     return [
-        Point(
+        Entry(
             work=work, method=method, parameters={} if value is None else {key: value}, timing=timing,
             error=relative_error(timing.result, truth), marks=marks,
         )
@@ -99,7 +99,7 @@ def _points(
     ]  # fmt: skip
 
 
-def _without_a_rim(repeats: int, positions: int) -> list[Point]:
+def _without_a_rim(repeats: int, positions: int) -> list[Entry]:
     """Table over distance against Hankel functions."""
     rng = np.random.default_rng(3)
     radius_mm = np.sort(rng.uniform(4.0, 240.0, 20 * positions))
@@ -119,12 +119,12 @@ def _without_a_rim(repeats: int, positions: int) -> list[Point]:
         ("table over distance, complex128", None): partial(table, False),
     }
     return [
-        Point(work=work, method="Hankel functions, the truth", timing=timing),
+        Entry(work=work, method="Hankel functions, the truth", timing=timing),
         *_points(work, actions, timing.result, "", repeats),
     ]
 
 
-def _with_a_rim(repeats: int, *, quick: bool) -> list[Point]:
+def _with_a_rim(repeats: int, *, quick: bool) -> list[Entry]:
     """Elements of several sizes at one frequency: mesh, assembly and solution."""
     outline = Outline.stadium(125.0, 75.0) if quick else Outline.stadium(250.0, 150.0)
     low_mm, high_mm = np.array(outline.box_mm).reshape(2, 2) * 0.8
@@ -143,12 +143,12 @@ def _with_a_rim(repeats: int, *, quick: bool) -> list[Point]:
     work = f"gel with a rim, one frequency ({HERTZ:g} Hz)"
     actions: Actions = {("elements of fourth order", size): partial(solved, size) for size in sizes}
     return [
-        Point(work=work, method="the truth", parameters={"size_mm": FINEST_MM}, timing=timing),
+        Entry(work=work, method="the truth", parameters={"size_mm": FINEST_MM}, timing=timing),
         *_points(work, actions, timing.result, "size_mm", min(repeats, 3)),
     ]
 
 
-def _glass_in_time(repeats: int, grids_mm: tuple[float, ...]) -> list[Point]:
+def _glass_in_time(repeats: int, grids_mm: tuple[float, ...]) -> list[Entry]:
     """Displacement of a mode that was let go, at the points of the coarsest grid."""
     coarse_mm = max(grids_mm)
     run_s = PERIODS / float(GLASS.mode_hz(*GLASS_MODE))
@@ -184,7 +184,7 @@ def _glass_in_time(repeats: int, grids_mm: tuple[float, ...]) -> list[Point]:
     )
 
 
-def _driven_glass(repeats: int) -> list[Point]:
+def _driven_glass(repeats: int) -> list[Entry]:
     """Velocity at five places for half a second, of glass pushed at two places for the first 28 ms, below 400 Hz."""
     rng = np.random.default_rng(5)
     points_m, sources_m = (rng.uniform(0.01, 0.15, (count, 2)) for count in (5, 2))
@@ -206,10 +206,10 @@ def _driven_glass(repeats: int) -> list[Point]:
     actions: Actions = {("modal exponentials", hertz): partial(exponentials, hertz) for hertz in MODES_HZ}
     points = _points(work, actions, timing.result, "modes_to_hz", min(repeats, 3))
     exact = replace(points[-1], marks=(Mark("error", 1e-10, at_most=True),))
-    return [Point(work=work, method="closed form, the truth", timing=timing), *points[:-1], exact]
+    return [Entry(work=work, method="closed form, the truth", timing=timing), *points[:-1], exact]
 
 
-def _fewer_modes(repeats: int, positions: int) -> list[Point]:
+def _fewer_modes(repeats: int, positions: int) -> list[Entry]:
     """A bank on glass with the modes that a tolerance lets go left out."""
     place_mm = np.random.default_rng(6).uniform(-60.0, 60.0, (positions, 2))
 
@@ -221,10 +221,10 @@ def _fewer_modes(repeats: int, positions: int) -> list[Point]:
     work = f"glass, {positions} positions x 20 actuators x {TAPS} taps, modes left out"
     actions: Actions = {("modes within the tolerance", one): partial(bank, one) for one in TOLERANCES}
     points = _points(work, actions, timing.result, "mode_tolerance", repeats)
-    return [Point(work=work, method="all modes, the truth", timing=timing), *points]
+    return [Entry(work=work, method="all modes, the truth", timing=timing), *points]
 
 
-def _banks(repeats: int, positions: int | None) -> list[Point]:
+def _banks(repeats: int, positions: int | None) -> list[Entry]:
     """Green's functions of whole banks on every plate, and the stadium's modes."""
     with TemporaryDirectory() as folder:
         kept = os.environ.get("WAVEFOCUS_CACHE")
@@ -239,18 +239,18 @@ def _banks(repeats: int, positions: int | None) -> list[Point]:
                 os.environ["WAVEFOCUS_CACHE"] = kept
     work = "modes of the stadium"
     points = [
-        Point(work=work, method="the first time", timing=first, marks=(Mark("wall_s", 15.0, at_most=True),)),
-        Point(work=work, method="from the cache", timing=again, marks=(Mark("wall_s", 1.0, at_most=True),)),
+        Entry(work=work, method="the first time", timing=first, marks=(Mark("wall_s", 15.0, at_most=True),)),
+        Entry(work=work, method="from the cache", timing=again, marks=(Mark("wall_s", 1.0, at_most=True),)),
     ]
     limits = {} if positions else {"soft": 3.0, "thin": 2.0}
     for name, timing in found.items():
         marks = (Mark("wall_s", limits[name], at_most=True),) if name in limits else ()
         work = f"a bank, {positions or 'all'} positions of the default grid x 20 actuators x {TAPS} taps"
-        points.append(Point(work=work, method=name, timing=timing, marks=marks))
+        points.append(Entry(work=work, method=name, timing=timing, marks=marks))
     return points
 
 
-def _exponents(repeats: int, most: int) -> list[Point]:
+def _exponents(repeats: int, most: int) -> list[Entry]:
     """Fit CPU time ~ size**exponent: each plate costs in proportion to what is asked for."""
     points = []
     for name in ("soft", "stadium", "thin", "solid"):
@@ -266,7 +266,7 @@ def _exponents(repeats: int, most: int) -> list[Point]:
             (few, small), (many, large) = ((size, found[str(size)].cpu_s) for size in sizes)
             exponent = float(np.log(large / small) / np.log(many / few))
             points.append(
-                Point(
+                Entry(
                     work="exponents of the cost", method=f"{name}, {what}",
                     figures={"from": few, "to": many, "exponent": exponent},
                 )

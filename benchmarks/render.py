@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.benchmarks.harness import Findings, Mark, Point, Timing, measure, peak_mb, relative_error
+from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times, measure, peak_mb, relative_error
 from wavefocus.benchmarks.merging_peer import bilinear_runs, decimated, predict_merged, render_merged, sampled_runs
 from wavefocus.benchmarks.render_precision import field_points, precision_points
 from wavefocus.benchmarks.render_workloads import (
     RATE_HZ,
-    Workload,
+    RenderWorkload,
     circle,
     convolve_and_overlap_add,
     field_drive,
@@ -72,7 +72,7 @@ def run(out: Path, *, quick: bool = False) -> Findings:
     return Findings(points, "convolution in float64", notes)
 
 
-def compare_drives(workload: Workload, repeats: int) -> list[Point]:
+def compare_drives(workload: RenderWorkload, repeats: int) -> list[Entry]:
     """Time the drive by each method."""
     scene, bank = workload.scene, workload.bank
     samples = len(workload.segments()[2])
@@ -94,7 +94,7 @@ def compare_drives(workload: Workload, repeats: int) -> list[Point]:
     reference = found[gpurir].result
     points = []
     for method, timing in found.items():
-        point = Point(work=workload.name, method=method, timing=timing)
+        point = Entry(work=workload.name, method=method, timing=timing)
         figures: dict[str, float] = {}
         marks: tuple[Mark, ...] = ()
         if method in WAYS:
@@ -103,7 +103,7 @@ def compare_drives(workload: Workload, repeats: int) -> list[Point]:
             marks = () if speed is None else (Mark("cpu_times", speed),)
             if WAYS[method] is not None:
                 figures = {"bound_error": drive.omitted_bound, "single": report.single}
-            point = Point(
+            point = Entry(
                 work=workload.name, method=method, timing=timing, figures=figures, marks=marks,
                 error=relative_error(drive.drive_v, reference),
             )  # fmt: skip
@@ -115,27 +115,27 @@ def compare_drives(workload: Workload, repeats: int) -> list[Point]:
             # Rows read and transformed, drives transformed back: no method does less.
             over = found[LOOSE if method.endswith("32") else EXACT].cpu_s / timing.cpu_s
             marks = (Mark("ours_over_floor", 2.5, at_most=True),) if workload.kind and method.endswith("32") else ()
-            point = Point(
+            point = Entry(
                 work=workload.name, method=method, timing=timing, figures={"ours_over_floor": over}, marks=marks
             )
         points.append(point.against(found[MERGED]))
     return points
 
 
-def measure_exponents(bank: GreenArray, repeats: int, points: int) -> list[Point]:
+def measure_exponents(bank: GreenArray, repeats: int, points: int) -> list[Entry]:
     """Fit CPU time ~ size**exponent, over the points of one path, scene length, and positions of a field."""
 
-    def exponent(work: str, method: str, timings: dict[int, Timing]) -> Point:
+    def exponent(work: str, method: str, timings: dict[int, Times]) -> Entry:
         sizes = list(timings)
         fitted = float(np.polyfit(np.log(sizes), np.log([one.cpu_s for one in timings.values()]), 1)[0])
-        return Point(
+        return Entry(
             work="exponents of the cost", method=f"{work}, {method}", timing=timings[sizes[-1]],
             figures={"from": sizes[0], "to": sizes[-1], "exponent": fitted},
             marks=(Mark("exponent", 1.05, at_most=True),),
         )  # fmt: skip
 
     found = []
-    made: tuple[tuple[str, list[int], Callable[[int], Workload]], ...] = (
+    made: tuple[tuple[str, list[int], Callable[[int], RenderWorkload]], ...] = (
         ("path points M, 10 s", [points * k for k in (1, 2, 4, 8)], lambda m: circle("", bank, m, 1000.0 / m)),
         ("scene length, dt = 2 ms", [points * k for k in (4, 8, 16, 32)], lambda m: circle("", bank, m, 0.2)),
     )
@@ -158,7 +158,7 @@ def measure_exponents(bank: GreenArray, repeats: int, points: int) -> list[Point
     return [*found, exponent("positions, 2 s", "ours, float32", {size: timings[str(size)] for size in sizes})]
 
 
-def compare_exact(workload: Workload, repeats: int) -> list[Point]:
+def compare_exact(workload: RenderWorkload, repeats: int) -> list[Entry]:
     """Time the exact moving source, bilinear in space, against the merging peer; its truth is direct summation."""
     name = f"exact moving source, bilinear, {workload.name}"
     samples = len(workload.segments()[2])
@@ -179,15 +179,15 @@ def compare_exact(workload: Workload, repeats: int) -> list[Point]:
         # Earlier samples of the drive are complete: nothing emitted after sample s reaches array index s.
         error = relative_error(drive_v[:, :some], truth[:, :some])
         if method == MERGED:
-            points.append(Point(work=name, method=method, timing=timing, remark=f"error {error:.1e}"))
+            points.append(Entry(work=name, method=method, timing=timing, remark=f"error {error:.1e}"))
             continue
         marks = (Mark("cpu_times", 1.2),) if samples > 10 * some else ()
         figures = {"bound_error": timing.result[0].omitted_bound}
-        points.append(Point(work=name, method=method, timing=timing, error=error, figures=figures, marks=marks))
+        points.append(Entry(work=name, method=method, timing=timing, error=error, figures=figures, marks=marks))
     return [point.against(found[MERGED]) for point in points]
 
 
-def compare_fields(bank: GreenArray, repeats: int, seconds: float) -> list[Point]:
+def compare_fields(bank: GreenArray, repeats: int, seconds: float) -> list[Entry]:
     """Time the field of a drive at all positions, and at 30 of them: at the full rate, and at 1.25 kHz.
 
     Each is held against the merging peer at its own rate, whose rows have been decimated beforehand where ours have.
@@ -236,7 +236,7 @@ def compare_fields(bank: GreenArray, repeats: int, seconds: float) -> list[Point
             if way in (merged_low, at_low):
                 remark += f"; {LOWER_HZ:g} Hz, the others {RATE_HZ:g} Hz"
             points.append(
-                Point(
+                Entry(
                     work=f"field of {seconds:g} s at {len(positions)} positions",
                     method=way,
                     timing=peers.get(way, timing),
@@ -247,12 +247,12 @@ def compare_fields(bank: GreenArray, repeats: int, seconds: float) -> list[Point
             )
     for way, timing in made.items():
         size_mb = kept[way].size_bytes / 1e6
-        points.append(Point(work="the bank's spectra, once per bank", method=way, timing=timing,
+        points.append(Entry(work="the bank's spectra, once per bank", method=way, timing=timing,
                             figures={"size_mb": size_mb}))  # fmt: skip
     del made, kept
     memory_mb = peak_mb(lambda: Prediction(drive, making[at_low](), every).field())
     points.append(
-        Point(
+        Entry(
             work="memory of a field beyond the bank: its spectra, the field, and work space",
             method=at_low,
             peak_mb=memory_mb,
@@ -270,7 +270,7 @@ def _field(drive: Any, bank: GreenArray | BankSpectra, positions: list[int], **o
     return Prediction(drive, bank, positions, **options).field().field
 
 
-def compare_denormals(repeats: int) -> list[Point]:
+def compare_denormals(repeats: int) -> list[Entry]:
     """Time a bank of denormal float64 numbers, and one that decays into them, against the same in a sensible unit."""
     small = modal_bank(20, 20)
     source = circle("", small, 500, 0.2).source
@@ -285,7 +285,7 @@ def compare_denormals(repeats: int) -> list[Point]:
     found = measure({name: partial(_render, scene, values, small) for name, values in banks.items()}, repeats)
     base = found["normal numbers"]
     return [
-        Point(
+        Entry(
             work="denormal bank, path, M = 500, dt = 2 ms", method=name, timing=timing,
             figures={"over_normal": timing.cpu_s / base.cpu_s}, marks=(Mark("over_normal", 1.5, at_most=True),),
         )

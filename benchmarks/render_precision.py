@@ -11,13 +11,13 @@ import scipy.special
 from numpy.typing import NDArray
 from scipy.signal import oaconvolve
 
-from wavefocus.benchmarks.harness import Point, measure, relative_error
+from wavefocus.benchmarks.harness import Entry, measure, relative_error
 from wavefocus.benchmarks.merging_peer import bilinear_runs, predict_merged, render_merged, sampled_runs
 from wavefocus.benchmarks.render_workloads import (
     ACTUATORS,
     RATE_HZ,
     TAPS,
-    Workload,
+    RenderWorkload,
     convolve_positions,
     field_drive,
     noise,
@@ -66,7 +66,7 @@ def smooth_bank(columns: int, rows: int) -> GreenArray:
     return GreenArray(values, position_mm, RATE_HZ, band_hz=(20, 500))
 
 
-def precision_points(*, quick: bool) -> list[Point]:
+def precision_points(*, quick: bool) -> list[Entry]:
     """Measure all methods against direct summation of eq. (9).
 
     All of them take the bank at any place by bilinear interpolation, so that the error is that of the path's
@@ -77,14 +77,14 @@ def precision_points(*, quick: bool) -> list[Point]:
     path = Circle((0.0, 0.0), 25.0, seconds * SPEED_MM_S / (2.0 * np.pi * 25.0))
     samples = round(seconds * RATE_HZ)
 
-    def load(step_mm: float) -> Workload:
-        return Workload("", bank, Source(path, noise(seconds), 0.0, SPEED_MM_S, step_mm))
+    def load(step_mm: float) -> RenderWorkload:
+        return RenderWorkload("", bank, Source(path, noise(seconds), 0.0, SPEED_MM_S, step_mm))
 
     def ours(method: Literal["exact", "sampled"], step_mm: float, db: float | None = None) -> Callable[[], Any]:
         scene = Scene("precision", (load(step_mm).source,), output=Output(interpolation="bilinear"))
         return partial(render_with_report, scene, bank, method=method, tolerance_db=db)
 
-    def merged(workload: Workload) -> NDArray[np.float64]:
+    def merged(workload: RenderWorkload) -> NDArray[np.float64]:
         return render_merged(bank, sampled_runs(workload), len(workload.segments()[2]))
 
     work = f"one moving source, {seconds:g} s at {SPEED_MM_S / 10:g} cm/s"
@@ -106,14 +106,14 @@ def precision_points(*, quick: bool) -> list[Point]:
         # A sampled path may emit a little longer: up to here, nothing emitted after the last sample has come.
         error = None if method == DIRECT else relative_error(drive_v[:, :samples], truth[:, :samples])
         points.append(
-            Point(
+            Entry(
                 work=work, method=method, parameters=parameters, timing=timing, error=error,
             )
         )  # fmt: skip
     return points
 
 
-def field_points(bank: GreenArray, *, quick: bool) -> list[Point]:
+def field_points(bank: GreenArray, *, quick: bool) -> list[Entry]:
     """Fields of one drive by all ways, against convolution in float64."""
     seconds, repeats = (0.5, 1) if quick else (4.0, 3)
     drive = field_drive(bank, seconds)
@@ -132,7 +132,7 @@ def field_points(bank: GreenArray, *, quick: bool) -> list[Point]:
     found = measure({str(number): way for number, (_, _, way) in enumerate(ways)}, repeats, once=("0",), memory=True)
     work = f"field of {seconds:g} s at {FEW_ROWS} positions"
     return [
-        Point(
+        Entry(
             work=work, method=method, parameters=parameters, timing=timing,
             error=None if method == truth_by else relative_error(timing.result, found["0"].result),
         )

@@ -28,7 +28,7 @@ FEW_ROWS = 200
 
 
 @dataclass(frozen=True, slots=True)
-class Workload:
+class RenderWorkload:
     """A moving source cut into segments, each of which one bank row emits."""
 
     name: str
@@ -68,7 +68,7 @@ def modal_bank(columns: int, rows: int) -> GreenArray:
     return GreenArray(values, SPACING_MM * np.stack([x.ravel(), y.ravel()], axis=1), RATE_HZ, band_hz=(20, 500))
 
 
-def workloads(bank: GreenArray, *, quick: bool) -> list[Workload]:
+def workloads(bank: GreenArray, *, quick: bool) -> list[RenderWorkload]:
     """Make the workloads of the drive table: paths on the grid, and a new row at every path point."""
     many = 5000 if not quick else 1000
     return [
@@ -80,7 +80,7 @@ def workloads(bank: GreenArray, *, quick: bool) -> list[Workload]:
     ]
 
 
-def jumping(bank: GreenArray, rows: int, least_points: int) -> Workload:
+def jumping(bank: GreenArray, rows: int, least_points: int) -> RenderWorkload:
     """Go to and fro along a line of rows, 2 ms on each: with unlike rows, as good as jumping at random."""
     line_mm = np.stack([SPACING_MM * np.arange(rows), np.zeros(rows)], axis=1)
     end_mm = float(line_mm[-1, 0])
@@ -89,14 +89,14 @@ def jumping(bank: GreenArray, rows: int, least_points: int) -> Workload:
     points = int(path.length_mm / SPACING_MM) + 1
     source = Source(path, noise(path.length_mm / 2000.0), 0.0, 2000.0, SPACING_MM)
     line = GreenArray(bank.values[:rows], line_mm, RATE_HZ, band_hz=bank.band_hz)
-    return Workload(f"new row each time, {rows} rows, M = {points}, dt = 2 ms", line, source)
+    return RenderWorkload(f"new row each time, {rows} rows, M = {points}, dt = 2 ms", line, source)
 
 
-def circle(name: str, bank: GreenArray, points: int, step_mm: float) -> Workload:
+def circle(name: str, bank: GreenArray, points: int, step_mm: float) -> RenderWorkload:
     """Move at 10 cm/s on a circle of 30 mm, round and round."""
     length_mm = (points - 1) * step_mm
     path = Circle((0.0, 0.0), 30.0, (length_mm + 1e-6) / (2.0 * np.pi * 30.0))
-    return Workload(name, bank, Source(path, noise(points * step_mm / 100.0), 0.0, 100.0, step_mm))
+    return RenderWorkload(name, bank, Source(path, noise(points * step_mm / 100.0), 0.0, 100.0, step_mm))
 
 
 def noise(duration_s: float) -> Noise:
@@ -104,7 +104,7 @@ def noise(duration_s: float) -> Noise:
     return Noise((0.0, RATE_HZ / 2.0), duration_s + 0.1, 1)
 
 
-def convolve_and_overlap_add(workload: Workload) -> Float64Array:
+def convolve_and_overlap_add(workload: RenderWorkload) -> Float64Array:
     """Render as gpuRIR's simulateTrajectory does, segment by segment: convolved with all rows, then overlap-added."""
     instants, rows, signal = workload.segments()
     drive = np.zeros((ACTUATORS, len(signal) + TAPS - 1))
@@ -118,7 +118,7 @@ def convolve_and_overlap_add(workload: Workload) -> Float64Array:
     return drive
 
 
-def floor(workload: Workload, dtype: type[np.float32] | type[np.float64] = np.float64) -> None:
+def floor(workload: RenderWorkload, dtype: type[np.float32] | type[np.float64] = np.float64) -> None:
     """Do what no method can do without: read and transform the rows, transform the drives back."""
     _, rows, signal = workload.segments()
     reader = RowReader(workload.bank)
@@ -129,7 +129,7 @@ def floor(workload: Workload, dtype: type[np.float32] | type[np.float64] = np.fl
         scipy.fft.irfft(spectrum, 4096, workers=2)
 
 
-def sum_directly(workload: Workload, samples: int) -> Float64Array:
+def sum_directly(workload: RenderWorkload, samples: int) -> Float64Array:
     """Evaluate eq. (9) sample by sample."""
     source, bank = workload.source, workload.bank
     signal = source.signal.samples(RATE_HZ)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 
-from wavefocus.benchmarks.harness import Findings, Mark, Point
+from wavefocus.benchmarks.harness import Entry, Findings, Mark
 from wavefocus.config.outline import Outline
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.mocks.virtual.settings import VirtualSettings
@@ -94,7 +94,7 @@ def _rig(rig: Rig) -> VirtualRig:
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class SymptomCase:
     """One cause: the code that it should get and the actuators, and what a scan shows under it.
 
     green: Green's functions of the changed rig.
@@ -121,7 +121,7 @@ class Lab:
     bank: GreenArray
     drive: Drive
 
-    def verified(self, case: Case, rng: np.random.Generator, *, again: bool = True) -> Verification:
+    def verified(self, case: SymptomCase, rng: np.random.Generator, *, again: bool = True) -> Verification:
         """The verification of a scan under one cause; `again`: with the sentinel position measured again."""
         drive = replace(self.drive, drive_v=case.drive(self.drive.drive_v))
         field = np.asarray(predict(drive, replace(self.bank, values=case.green)).field, np.float64)
@@ -171,147 +171,147 @@ def _sign(rng: np.random.Generator) -> float:
     return float(rng.choice([-1.0, 1.0]))
 
 
-def _driven(lab: Lab, cause: str, code: str, chosen: Sequence[int], factor: float, size: str = "") -> Case:
+def _driven(lab: Lab, cause: str, code: str, chosen: Sequence[int], factor: float, size: str = "") -> SymptomCase:
     each = np.ones(ACTUATORS)
     each[list(chosen)] = factor
     all_of_them = len(chosen) == ACTUATORS
     actuators = () if all_of_them else tuple(chosen)
-    return Case(cause, code, actuators, lab.truth * each[:, None], size=size)
+    return SymptomCase(cause, code, actuators, lab.truth * each[:, None], size=size)
 
 
-def _delayed(lab: Lab, cause: str, chosen: Sequence[int], late_s: float) -> Case:
+def _delayed(lab: Lab, cause: str, chosen: Sequence[int], late_s: float) -> SymptomCase:
     each_s = np.zeros(ACTUATORS)
     each_s[list(chosen)] = late_s
     length = 2 * TAPS
     turn = np.exp(-2j * np.pi * each_s[:, None] * np.fft.rfftfreq(length, 1.0 / RATE_HZ))
     green = np.fft.irfft(np.fft.rfft(lab.truth, length) * turn, length)[..., :TAPS]
     actuators = () if len(chosen) == ACTUATORS else tuple(chosen)
-    return Case(cause, "delay", actuators, green, size=f"{1e3 * late_s:.2f} ms")
+    return SymptomCase(cause, "delay", actuators, green, size=f"{1e3 * late_s:.2f} ms")
 
 
-def _mirrored(lab: Lab, code: str, matrix: Float64Array, offset_mm: Float64Array, size: str) -> Case:
-    return Case(code, code, (), Rig(lab.plate).green(places_mm(lab.plate) @ matrix.T + offset_mm), size=size)
+def _mirrored(lab: Lab, code: str, matrix: Float64Array, offset_mm: Float64Array, size: str) -> SymptomCase:
+    return SymptomCase(code, code, (), Rig(lab.plate).green(places_mm(lab.plate) @ matrix.T + offset_mm), size=size)
 
 
-def polarity(lab: Lab, rng: np.random.Generator) -> Case:
+def polarity(lab: Lab, rng: np.random.Generator) -> SymptomCase:
     """Crossed wires of some actuators."""
     return _driven(lab, "polarity", "polarity", _some(rng, 1, 4), -1.0)
 
 
-def silent(lab: Lab, rng: np.random.Generator) -> Case:
+def silent(lab: Lab, rng: np.random.Generator) -> SymptomCase:
     """Actuators that do not move."""
     return _driven(lab, "silent", "silent", _some(rng, 1, 3), 0.0)
 
 
-def level_of_one(lab: Lab, rng: np.random.Generator) -> Case:
+def level_of_one(lab: Lab, rng: np.random.Generator) -> SymptomCase:
     """One actuator's level."""
     db = _sign(rng) * rng.uniform(2.0, 6.0)
     return _driven(lab, "level of one", "level", _some(rng, 1, 1), 10 ** (db / 20), f"{db:.1f} dB")
 
 
-def level_of_some(lab: Lab, rng: np.random.Generator) -> Case:
+def level_of_some(lab: Lab, rng: np.random.Generator) -> SymptomCase:
     """The level of some actuators alike."""
     db = _sign(rng) * rng.uniform(1.0, 6.0)
     return _driven(lab, "level of some", "level", _some(rng, 2), 10 ** (db / 20), f"{db:.1f} dB")
 
 
-def level_of_all(lab: Lab, rng: np.random.Generator) -> Case:
+def level_of_all(lab: Lab, rng: np.random.Generator) -> SymptomCase:
     """The level of all responses."""
     db = _sign(rng) * rng.uniform(0.7, 6.0)
     return _driven(lab, "level of all", "level", range(ACTUATORS), 10 ** (db / 20), f"{db:.1f} dB")
 
 
-def delay_of_one(lab: Lab, rng: np.random.Generator) -> Case:
+def delay_of_one(lab: Lab, rng: np.random.Generator) -> SymptomCase:
     """One actuator's delay."""
     return _delayed(lab, "delay of one", _some(rng, 1, 1), _sign(rng) * rng.uniform(2e-4, 2e-3))
 
 
-def delay_of_some(lab: Lab, rng: np.random.Generator) -> Case:
+def delay_of_some(lab: Lab, rng: np.random.Generator) -> SymptomCase:
     """The delay of some actuators alike."""
     return _delayed(lab, "delay of some", _some(rng, 2), _sign(rng) * rng.uniform(1e-4, 1e-3))
 
 
-def delay_of_all(lab: Lab, rng: np.random.Generator) -> Case:
+def delay_of_all(lab: Lab, rng: np.random.Generator) -> SymptomCase:
     """The delay of all responses."""
     return _delayed(lab, "delay of all", range(ACTUATORS), _sign(rng) * rng.uniform(5e-5, 2e-3))
 
 
-def swapped(lab: Lab, rng: np.random.Generator) -> Case:
+def swapped(lab: Lab, rng: np.random.Generator) -> SymptomCase:
     """Two exchanged cables."""
     chosen = _some(rng, 2, 2)
     order = np.arange(ACTUATORS)
     order[chosen] = order[chosen[::-1]]
-    return Case("swapped", "swapped", tuple(chosen), lab.truth[:, order])
+    return SymptomCase("swapped", "swapped", tuple(chosen), lab.truth[:, order])
 
 
-def shifted(lab: Lab, rng: np.random.Generator) -> Case:
+def shifted(lab: Lab, rng: np.random.Generator) -> SymptomCase:
     """A mirror that aims beside."""
     angle, far_mm = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.15, 1.2) * PITCH_MM.get(lab.plate, 4.0)
     return _mirrored(lab, "shifted", np.eye(2), far_mm * np.array([np.cos(angle), np.sin(angle)]), f"{far_mm:.1f} mm")
 
 
-def rotated(lab: Lab, rng: np.random.Generator) -> Case:
+def rotated(lab: Lab, rng: np.random.Generator) -> SymptomCase:
     """A mirror that is turned."""
     deg = _sign(rng) * rng.uniform(4.0, 20.0)
     cos, sin = np.cos(np.radians(deg)), np.sin(np.radians(deg))
     return _mirrored(lab, "rotated", np.array([[cos, -sin], [sin, cos]]), np.zeros(2), f"{deg:.1f} deg")
 
 
-def scaled(lab: Lab, rng: np.random.Generator) -> Case:
+def scaled(lab: Lab, rng: np.random.Generator) -> SymptomCase:
     """A mirror that moves too far, or not far enough."""
     factor = 1.0 + _sign(rng) * rng.uniform(0.06, 0.25)
     return _mirrored(lab, "scaled", factor * np.eye(2), np.zeros(2), f"{100 * factor - 100:.0f} %")
 
 
-def speed(lab: Lab, rng: np.random.Generator) -> Case:
+def speed(lab: Lab, rng: np.random.Generator) -> SymptomCase:
     """Faster or slower waves."""
     change = _sign(rng) * rng.uniform(0.012, 0.05)
     green = Rig(lab.plate, (("speed_per_k", change),), 1.0).green(places_mm(lab.plate))
-    return Case("speed", "speed", (), green, size=f"{100 * change:.1f} %")
+    return SymptomCase("speed", "speed", (), green, size=f"{100 * change:.1f} %")
 
 
-def damping(lab: Lab, rng: np.random.Generator) -> Case:
+def damping(lab: Lab, rng: np.random.Generator) -> SymptomCase:
     """Other losses in the plate."""
     change = float(rng.choice([-0.4, -0.25, 0.25, 0.5, 1.0]))
     green = Rig(lab.plate, (("loss_per_k", change),), 1.0).green(places_mm(lab.plate))
-    return Case("damping", "damping", (), green, size=f"{100 * change:.0f} %")
+    return SymptomCase("damping", "damping", (), green, size=f"{100 * change:.0f} %")
 
 
-def cubic_response(lab: Lab, rng: np.random.Generator) -> Case:
+def cubic_response(lab: Lab, rng: np.random.Generator) -> SymptomCase:
     """A cubic vibrometer or plate."""
     share = _sign(rng) * rng.uniform(0.3, 1.0)
     return replace(
-        Case("nonlinear response", "nonlinear", (), lab.truth, size=f"{share:.2f}"),
+        SymptomCase("nonlinear response", "nonlinear", (), lab.truth, size=f"{share:.2f}"),
         respond=lambda response: response + share * response**3,
     )
 
 
-def clipped_drive(lab: Lab, rng: np.random.Generator) -> Case:
+def clipped_drive(lab: Lab, rng: np.random.Generator) -> SymptomCase:
     """An amplifier that clips."""
     limit = rng.uniform(0.4, 0.7)
     return replace(
-        Case("clipped drive", "nonlinear", (), lab.truth, size=f"{limit:.2f}"),
+        SymptomCase("clipped drive", "nonlinear", (), lab.truth, size=f"{limit:.2f}"),
         drive=lambda drive: np.clip(drive, -limit * np.abs(drive).max(), limit * np.abs(drive).max()),
     )
 
 
-def cubic_drive(lab: Lab, rng: np.random.Generator) -> Case:
+def cubic_drive(lab: Lab, rng: np.random.Generator) -> SymptomCase:
     """Cubic amplifiers or coils."""
     share = _sign(rng) * rng.uniform(0.3, 1.0)
     return replace(
-        Case("nonlinear drive", "nonlinear", (), lab.truth, size=f"{share:.2f}"),
+        SymptomCase("nonlinear drive", "nonlinear", (), lab.truth, size=f"{share:.2f}"),
         drive=lambda drive: drive + share * drive * (drive / np.abs(drive).max()) ** 2,
     )
 
 
-def finger(lab: Lab, rng: np.random.Generator) -> Case:
+def finger(lab: Lab, rng: np.random.Generator) -> SymptomCase:
     """Mass, damper or spring at one place: no cause that has a name."""
     kind = str(rng.choice(["mass_kg", "damping_n_s_m", "stiffness_n_m"]))
     size = {"mass_kg": 2e-3, "damping_n_s_m": 2.0, "stiffness_n_m": 3e3}[kind] * float(rng.choice([0.5, 1.0, 2.0]))
     place_mm = tuple(rng.uniform((-30.0, -20.0), (30.0, 20.0)).round().tolist())
     keys = FINGER | {"place_mm": place_mm, kind: size}
     green = Rig(lab.plate, (("finger", _Frozen(keys)),)).green(places_mm(lab.plate))
-    return Case("finger", None, None, green, size=f"{kind} {size:g} at {place_mm}")
+    return SymptomCase("finger", None, None, green, size=f"{kind} {size:g} at {place_mm}")
 
 
 class _Frozen(dict[str, Any]):
@@ -321,13 +321,13 @@ class _Frozen(dict[str, Any]):
         return hash(tuple(sorted(self.items())))
 
 
-CAUSES: tuple[Callable[[Lab, np.random.Generator], Case], ...] = (
+CAUSES: tuple[Callable[[Lab, np.random.Generator], SymptomCase], ...] = (
     polarity, silent, level_of_one, level_of_some, level_of_all, delay_of_one, delay_of_some, delay_of_all, swapped,
     shifted, rotated, scaled, speed, damping, cubic_response, cubic_drive, clipped_drive, finger,
 )  # fmt: skip
 
 
-def outcome(case: Case, found: Verification) -> str:
+def outcome(case: SymptomCase, found: Verification) -> str:
     """``named``, ``guessed`` (not certain), ``unexplained``, ``passed``, or ``wrong``."""
     right = [_is(case, symptom) for symptom in found.symptoms]
     certain = [symptom.certain for symptom in found.symptoms]
@@ -340,11 +340,11 @@ def outcome(case: Case, found: Verification) -> str:
     return "unexplained" if found.symptoms else "passed" if found.passed else "unnamed"
 
 
-def _is(case: Case, symptom: Symptom) -> bool:
+def _is(case: SymptomCase, symptom: Symptom) -> bool:
     return symptom.code == case.code and (case.actuators is None or symptom.actuators == case.actuators)
 
 
-def cases(plate: str, count: int, seed: int = 1) -> Iterator[tuple[Case, np.random.Generator]]:
+def cases(plate: str, count: int, seed: int = 1) -> Iterator[tuple[SymptomCase, np.random.Generator]]:
     """Random cases on a plate: each cause in turn."""
     for number in range(count):
         rng = np.random.default_rng([seed, PLATES.index(plate), number])
@@ -363,5 +363,5 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
             words = ("named", "guessed", "unexplained", "passed", "wrong")
             figures = {word: float(outcomes.count(word)) for word in words}
             marks = (Mark("wrong", 0.0, at_most=True),)
-            points.append(Point(work=cause, method=plate, parameters={}, figures=figures, marks=marks))
+            points.append(Entry(work=cause, method=plate, parameters={}, figures=figures, marks=marks))
     return Findings(sorted(points, key=lambda point: point.work), "the cause that was simulated")

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wavefocus.benchmarks.harness import Findings, Mark, Point, Timing
+from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times
 from wavefocus.trials.analysis.results import psychometric_of
 from wavefocus.trials.analysis.shares import table_of
 from wavefocus.trials.design import TrialsDesign, load_trials
@@ -116,7 +116,7 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
             for lapse in LAPSES[1:2] if quick else LAPSES:
                 wall_s, cpu_s = time.perf_counter(), time.process_time()
                 found = coverage(design, people, lapse, Path(name))
-                timing = Timing((time.perf_counter() - wall_s) / people, (time.process_time() - cpu_s) / people)
+                timing = Times((time.perf_counter() - wall_s) / people, (time.process_time() - cpu_s) / people)
                 figures = {
                     "people": found.people, "threshold_held": found.threshold_held, "slope_held": found.slope_held,
                     "threshold_share": found.threshold_held / people, "slope_share": found.slope_held / people,
@@ -125,7 +125,7 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
                 }  # fmt: skip
                 marks = (Mark("threshold_share", MARK), Mark("slope_share", MARK)) if method == CONSTANT else ()
                 points.append(
-                    Point(work="simulated participants", method=method, parameters={"lapse_rate": lapse},
+                    Entry(work="simulated participants", method=method, parameters={"lapse_rate": lapse},
                           timing=timing, figures=figures, marks=marks if lapse == LAPSES[1] else ())
                 )  # fmt: skip
     return Findings(points, notes=("Time: of one participant, session and analysis.",))

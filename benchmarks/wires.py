@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from wavefocus.acquisition.plan import Plan
 from wavefocus.acquisition.setup import Setup, record_samples, take_record
-from wavefocus.benchmarks.harness import Findings, Mark, Point
+from wavefocus.benchmarks.harness import Entry, Findings, Mark
 from wavefocus.benchmarks.rig_bank import RATE_HZ, TAPS, measure
 from wavefocus.calibration.clock.timing import ClockFitter
 from wavefocus.calibration.excitation import PlayedExcitation
@@ -227,14 +227,14 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
     )
 
 
-def _point(method: str, figure: str, values: Float64Array, limit: float) -> Point:
+def _point(method: str, figure: str, values: Float64Array, limit: float) -> Entry:
     """Median or rms of some values and the worst of them; none where every position was disturbed."""
     figures: dict[str, float] = {}
     if len(values):
         typical = np.median(values) if figure.startswith("median") else np.sqrt(np.mean(values**2))
         figures = {figure: float(typical), "worst": float(np.abs(values).max())}
     marks = (Mark(figure, limit, at_most=True),)
-    return Point(work="production drivers on emulated wires", method=method, figures=figures, marks=marks)
+    return Entry(work="production drivers on emulated wires", method=method, figures=figures, marks=marks)
 
 
 if __name__ == "__main__":

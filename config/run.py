@@ -163,7 +163,7 @@ class Settled(Table):
     reason: Text
 
 
-class Fault(Table):
+class FaultSection(Table):
     """A fault for a virtual instrument to show, so that recovery can be watched."""
 
     role: Text
@@ -183,7 +183,7 @@ class Fault(Table):
 class FaultFile(Table):
     """A file of faults, as ``fault_plan`` may name one."""
 
-    fault: tuple[Fault, ...] = ()
+    fault: tuple[FaultSection, ...] = ()
 
 
 def _rising(course: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
@@ -211,7 +211,7 @@ class Virtual(PlateKeys):
     crosstalk_delay_s: Annotated[NonNegative, Field(le=0.01)] | None = Field(
         default=None, description="How much later the leak comes than the loopback's voltage; 0 by default"
     )
-    fault_plan: Annotated[tuple[Fault, ...], FREE] = Field(
+    fault_plan: Annotated[tuple[FaultSection, ...], FREE] = Field(
         default=(), description="Faults that the instruments show: a list, or a TOML file of [[fault]] tables"
     )
     room_c: Annotated[Course, FREE] = Field(
@@ -268,7 +268,7 @@ class Quality(Table):
     )
 
 
-class Drift(Table):
+class DriftSection(Table):
     """How often the sentinel position is measured again, and how far it may be from its first measurement."""
 
     every_positions: Annotated[Whole, Field(ge=1)] = Field(
@@ -287,7 +287,7 @@ class Drift(Table):
     )
 
     @model_validator(mode="after")
-    def _warned_first(self) -> Drift:
+    def _warned_first(self) -> DriftSection:
         for name in ("level_db", "delay_samples"):
             warn, stop = getattr(self, f"warn_{name}"), getattr(self, f"stop_{name}")
             if stop < warn:
@@ -371,7 +371,7 @@ class RunConfig(Table):
     capture: Capture
     virtual: Virtual | None = None
     quality: Quality = Quality()
-    drift: Annotated[Drift, FREE] = Drift()
+    drift: Annotated[DriftSection, FREE] = DriftSection()
     tolerance: Annotated[Tolerance, FREE] = Tolerance()
     publication: Annotated[Publication, FREE] = Publication()
     settled: Annotated[Settled | None, FREE] = None

@@ -41,7 +41,7 @@ CLASSES: dict[str, tuple[float, ...]] = {
     "dead_response": (0.0,),
     "missing_reference": (0.0,),
 }
-"""Levels in dB of each kind of fault, as of `wavefocus.mocks.virtual.faults.Fault`; 0 where the kind has none."""
+"""Levels in dB of each kind of fault, as of `wavefocus.mocks.virtual.faults.RigFault`; 0 where the kind has none."""
 
 ACTUATOR_MM = ((110.0, 0.0), (60.0, 60.0), (-60.0, 60.0), (-110.0, 10.0), (-60.0, -60.0), (60.0, -60.0))
 TAPS = 1000
@@ -53,8 +53,8 @@ ALWAYS = 99
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
-    """A kind of fault at a level, see `wavefocus.mocks.virtual.faults.Fault`, in every attempt or in the first."""
+class FaultCase:
+    """A kind of fault at a level, see `wavefocus.mocks.virtual.faults.RigFault`, in every attempt or in the first."""
 
     kind: str
     level_db: float
@@ -86,7 +86,7 @@ class Outcome:
     alarms: int
 
 
-class Plate:
+class CoarsePlate:
     """A small plate that is measured again and again, with `faulty` positions anywhere that show the fault."""
 
     def __init__(
@@ -100,7 +100,7 @@ class Plate:
         self._truth = _green(self._measured("sequential", "noise_v = 0.0\n"))
         self._quiet: dict[str, NDArray[np.float64]] = {}
 
-    def outcome(self, case: Case) -> Outcome:
+    def outcome(self, case: FaultCase) -> Outcome:
         """Measure the plate with the faults of a case."""
         if case.schedule not in self._quiet:
             self._quiet[case.schedule] = self._errors(self._measured(case.schedule, ""))
@@ -124,7 +124,7 @@ class Plate:
             alarms=int((~mask & ~valid).sum()),
         )
 
-    def _faults(self, case: Case) -> Iterator[str]:
+    def _faults(self, case: FaultCase) -> Iterator[str]:
         """One fault per faulty position, each in another record."""
         for number, position in enumerate(self.faulty):
             record = number % len(ACTUATOR_MM) if case.schedule == "sequential" else 0
@@ -187,11 +187,11 @@ def main() -> int:
     bad = False
     print("fault                level  schedule   attempts     valid wrong aside   worst alarms")
     with tempfile.TemporaryDirectory() as folder:
-        plate = Plate(Path(folder), 7, 4, spacing_mm=COARSE_MM) if asked.coarse else Plate(Path(folder))
+        plate = CoarsePlate(Path(folder), 7, 4, spacing_mm=COARSE_MM) if asked.coarse else CoarsePlate(Path(folder))
         kinds = asked.kinds or list(CLASSES)
         levels = [(kind, level_db) for kind in kinds for level_db in CLASSES[kind]]
         for (kind, level_db), schedule, always in product(levels, schedules, (False, True)):
-            case = Case(kind, level_db, schedule, always)
+            case = FaultCase(kind, level_db, schedule, always)
             found = plate.outcome(case)
             bad |= bool(found.wrong or found.alarms)
             print(

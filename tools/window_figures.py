@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wavefocus.benchmarks.harness import Mark, Point, table
+from wavefocus.benchmarks.harness import Entry, Mark, table
 from wavefocus.storage.bank.layout import BankHeader
 from wavefocus.storage.bank.ledger import PointRecord
 from wavefocus.storage.bank.writer import BankWriter, create_bank
@@ -149,7 +149,7 @@ def child(bank: Path, seconds: float) -> list[float]:
     return [float(word) for word in done.stdout.split()]
 
 
-def up(bank: Path) -> list[Point]:
+def up(bank: Path) -> list[Entry]:
     """From the start of a process to its window."""
     wall_s, cpu_s = [], []
     for _ in range(3):
@@ -159,33 +159,33 @@ def up(bank: Path) -> list[Point]:
         cpu_s.append(busy_s)
     figures = {"start_s": min(wall_s), "processor_s": min(cpu_s)}
     return [
-        Point(work=WORK, method="window up, best of 3", figures=figures, marks=(Mark("start_s", 1.5, at_most=True),))
+        Entry(work=WORK, method="window up, best of 3", figures=figures, marks=(Mark("start_s", 1.5, at_most=True),))
     ]
 
 
-def followed(bank: Path, seconds: float) -> Point:
+def followed(bank: Path, seconds: float) -> Entry:
     """A window that follows a run at a real campaign's pace."""
     with events(bank, NIGHT_PACE_S):
         share = child(bank, seconds)[2]
-    return Point(
+    return Entry(
         work=WORK, method=f"follows a run, {NIGHT_PACE_S:g} s a position", figures={"process_%_of_core": share}
     )
 
 
-def drawing(bank: Path, seconds: float) -> list[Point]:
+def drawing(bank: Path, seconds: float) -> list[Entry]:
     """Shares of a core in each tab, 20 commits a second; memory before and after eight hours of events."""
 
-    def busy(method: str, share: float) -> Point:
+    def busy(method: str, share: float) -> Entry:
         mark = Mark("main_thread_%_of_core", 15.0, at_most=True)
-        return Point(work=WORK, method=method, figures={mark.figure: share}, peak_mb=resident_mb(), marks=(mark,))
+        return Entry(work=WORK, method=method, figures={mark.figure: share}, peak_mb=resident_mb(), marks=(mark,))
 
     opened = OpenWindow(bank)
     opened.live(3.0)
-    points = [Point(work=WORK, method="at rest", peak_mb=resident_mb())]
+    points = [Entry(work=WORK, method="at rest", peak_mb=resident_mb())]
     with events(bank, 0.05):
         points.append(busy("20 commits a second, Campaign", opened.share(seconds)))
         whole = {"process_%_of_core": opened.share(seconds, main_thread=False)}
-        points.append(Point(work=WORK, method="the same, whole process", figures=whole))
+        points.append(Entry(work=WORK, method="the same, whole process", figures=whole))
         for title in ("Rig", "Verification"):
             opened.show_tab(title)
             points.append(busy(f"20 commits a second, {title}", opened.share(seconds)))
@@ -201,7 +201,7 @@ def drawing(bank: Path, seconds: float) -> list[Point]:
     figures = {"lines": len(campaign.lines) - before_lines, "added_mb": resident_mb() - before_mb}
     opened.window.close_at_once()
     mark = Mark("added_mb", 20.0, at_most=True)
-    return [*points, Point(work=WORK, method="eight hours of events", figures=figures, marks=(mark,))]
+    return [*points, Entry(work=WORK, method="eight hours of events", figures=figures, marks=(mark,))]
 
 
 @contextmanager

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Protocol
 
 from msgspec.structs import replace
 
+from wavefocus.acquisition.engine.session import IllegalStateError
 from wavefocus.config.messages.codec import Message, Refused, tag
 from wavefocus.config.messages.trials import (
     Answer,
@@ -51,7 +52,7 @@ class Orders(Protocol):
         """The next order; None at their end. Raises TimeoutError: none came in time. InputError: it is wrong."""
 
 
-class State(Enum):
+class SessionStep(Enum):
     """Where a session stands: its phase, and what it waits for."""
 
     value: tuple[Phase, Waiting]
@@ -63,10 +64,6 @@ class State(Enum):
     ASKING = ("trial", "answer")
     BREAK = ("break", "go_on")
     DONE = ("done", "nothing")
-
-
-class IllegalStateError(RuntimeError):
-    """A state that cannot follow the present one: a defect of the program."""
 
 
 class _EndedError(Exception):
@@ -84,15 +81,15 @@ class TrialsSession:
     Raises InputError: the participant is complete, or has answered trials of another trials file, bank or order.
     """
 
-    FOLLOWS: ClassVar[Mapping[State, Set[State]]] = {
-        State.WELCOME: {State.FAMILIARISATION, State.READY, State.PLAYING},
-        State.FAMILIARISATION: {State.FAMILIARISING},
-        State.FAMILIARISING: {State.FAMILIARISING, State.READY},
-        State.READY: {State.PLAYING},
-        State.PLAYING: {State.ASKING},
-        State.ASKING: {State.PLAYING, State.READY, State.BREAK, State.DONE},
-        State.BREAK: {State.READY, State.PLAYING},
-        State.DONE: set(),
+    FOLLOWS: ClassVar[Mapping[SessionStep, Set[SessionStep]]] = {
+        SessionStep.WELCOME: {SessionStep.FAMILIARISATION, SessionStep.READY, SessionStep.PLAYING},
+        SessionStep.FAMILIARISATION: {SessionStep.FAMILIARISING},
+        SessionStep.FAMILIARISING: {SessionStep.FAMILIARISING, SessionStep.READY},
+        SessionStep.READY: {SessionStep.PLAYING},
+        SessionStep.PLAYING: {SessionStep.ASKING},
+        SessionStep.ASKING: {SessionStep.PLAYING, SessionStep.READY, SessionStep.BREAK, SessionStep.DONE},
+        SessionStep.BREAK: {SessionStep.READY, SessionStep.PLAYING},
+        SessionStep.DONE: set(),
     }
 
     def __init__(
@@ -114,7 +111,7 @@ class TrialsSession:
         self._table = experiment.design.config.trials
         self._order, self.done = resume_sequence(experiment, participant, answers.rows)
         self._resumed_at = self.done
-        self._state = State.WELCOME
+        self._state = SessionStep.WELCOME
         self._trial = self._order.next_trial()
         self._shown = (self.done + 1, self.of)
 
@@ -170,21 +167,21 @@ class TrialsSession:
     def _familiarise(self) -> None:
         felt = [stimulus.name for stimulus in self._design.stimuli.values() if stimulus.amplitude]
         self._shown = 1, len(felt)
-        self._enter(State.FAMILIARISATION)
+        self._enter(SessionStep.FAMILIARISATION)
         self._expect(GoOn)
         for number, name in enumerate(felt, 1):
             self._shown = number, len(felt)
-            self._present(State.FAMILIARISING, name, 0)
+            self._present(SessionStep.FAMILIARISING, name, 0)
 
     def _carry_out(self, trial: Trial) -> None:
         self._shown = trial.number, self.of
-        if self._table.waits or self._state is State.FAMILIARISING:
-            self._enter(State.READY)
+        if self._table.waits or self._state is SessionStep.FAMILIARISING:
+            self._enter(SessionStep.READY)
             self._expect(GoOn)
-        onset = self._present(State.PLAYING, trial.stimulus, trial.number)
+        onset = self._present(SessionStep.PLAYING, trial.stimulus, trial.number)
         attempts, replays = onset.attempts, 0
         while isinstance(asked := self._ask(onset, replays), Replay):
-            onset = self._present(State.PLAYING, trial.stimulus, trial.number)
+            onset = self._present(SessionStep.PLAYING, trial.stimulus, trial.number)
             attempts, replays = attempts + onset.attempts - 1, replays + 1
         row = self._row(trial, asked, onset, replays, attempts)
         self._answers.append(row)
@@ -193,17 +190,17 @@ class TrialsSession:
         self.done += 1
         self._trial = self._order.next_trial()
         if self._trial is None:
-            self._enter(State.DONE)
+            self._enter(SessionStep.DONE)
         elif self._is_break_due(trial, self._trial):
             self._shown = self._trial.number, self.of
-            self._enter(State.BREAK)
+            self._enter(SessionStep.BREAK)
             self._expect(GoOn)
 
     def _is_break_due(self, last: Trial, following: Trial) -> bool:
         every = self._table.break_every
         return self.done % every == 0 if every else following.block != last.block
 
-    def _present(self, state: State, stimulus: str, number: int) -> Onset:
+    def _present(self, state: SessionStep, stimulus: str, number: int) -> Onset:
         self._enter(state)
         if not self._hurried:
             self._refuse_orders(self._table.before_s)
@@ -214,7 +211,7 @@ class TrialsSession:
 
     def _ask(self, onset: Onset, replays: int) -> Answer | Replay:
         """Wait for an answer that the design knows, or a replay that it allows."""
-        self._enter(State.ASKING)
+        self._enter(SessionStep.ASKING)
         while True:
             order: Answer | Replay = self._expect(Answer, Replay)
             if isinstance(order, Replay):
@@ -292,7 +289,7 @@ class TrialsSession:
     def _refuse(self, sentence: str) -> None:
         self._publish(Refused(sentence))
 
-    def _enter(self, state: State) -> None:
+    def _enter(self, state: SessionStep) -> None:
         """Change the state; raises IllegalStateError where the table does not have this change."""
         if state not in self.FOLLOWS[self._state]:
             raise IllegalStateError(f"{state} cannot follow {self._state}")

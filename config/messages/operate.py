@@ -229,7 +229,7 @@ OPERATE_EVENTS = (
 )  # fmt: skip
 
 
-class Playing(EventMessage, frozen=True, tag="playing"):
+class DrivePlaying(EventMessage, frozen=True, tag="playing"):
     """``wavefocus play``: a drive begins to play."""
 
     seconds: Number

@@ -22,20 +22,20 @@ class Tell(EventMessage, frozen=True, tag="tell"):
     line: str
 
 
-class Question(Message, frozen=True, kw_only=True):
+class OperatorQuestion(Message, frozen=True, kw_only=True):
     """Base class of questions to the person; the class keyword `tag` is the value of their key ``what``."""
 
     event: Literal["ask"] = "ask"
 
 
-class AskConnect(Question, frozen=True, tag_field="what", tag="connect"):
+class AskConnect(OperatorQuestion, frozen=True, tag_field="what", tag="connect"):
     """Plug `source` into the response input; the sentence says it in words."""
 
     source: str
     sentence: str
 
 
-class AskJog(Question, frozen=True, tag_field="what", tag="jog"):
+class AskJog(OperatorQuestion, frozen=True, tag_field="what", tag="jog"):
     """Bring the beam onto mark `number` (from 1) of `of`.
 
     The mark is at `place_mm`; the mirror stands at `at_mrad`, by the map believed so far at `at_mm` of the surface.
@@ -50,7 +50,7 @@ class AskJog(Question, frozen=True, tag_field="what", tag="jog"):
     note: str = ""
 
 
-class MapView(Question, frozen=True, tag_field="what", tag="map"):
+class MapView(OperatorQuestion, frozen=True, tag_field="what", tag="map"):
     """Take the mirror map, bring the beam onto a mark again, or leave it.
 
     Parameters
@@ -76,7 +76,7 @@ class MapView(Question, frozen=True, tag_field="what", tag="map"):
     problem: str
 
 
-class AskAgain(Question, frozen=True, tag_field="what", tag="again"):
+class AskAgain(OperatorQuestion, frozen=True, tag_field="what", tag="again"):
     """Try a measurement once more, or leave it out."""
 
     problem: str

@@ -27,7 +27,7 @@ from wavefocus.config.messages.rig_checks import (
     Begin,
     CalibrationDone,
     MapView,
-    Question,
+    OperatorQuestion,
     Tell,
 )
 from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess, Message
@@ -268,7 +268,7 @@ class Calibration(RigProcess):
         self._moving = False
         self._unanswered = 0  # answers sent, less questions received
         self.marks_mm: list[Numbers] = []
-        self.question: Question | None = None
+        self.question: OperatorQuestion | None = None
         self.lines: list[str] = []
         self.outcome: CalibrationDone | None = None
         self.ending = ""
@@ -321,7 +321,7 @@ class Calibration(RigProcess):
                 self.outcome = done
                 self.changed.emit()
 
-    def _ask(self, question: Question) -> None:
+    def _ask(self, question: OperatorQuestion) -> None:
         self._unanswered -= 1
         self._moving = self._unanswered >= 0
         if self._moving:

@@ -23,7 +23,7 @@ CORRUPTING = (
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
+class RigFault:
     """One entry of a fault plan: at the given call, or at the given record. Raises ValueError.
 
     role: ``"mirror"``, ``"recorder"`` or ``"player"``.
@@ -111,17 +111,17 @@ class FaultPlan:
     faults: The plan of the whole rig.
     """
 
-    def __init__(self, role: str, device: str, faults: tuple[Fault, ...]) -> None:
+    def __init__(self, role: str, device: str, faults: tuple[RigFault, ...]) -> None:
         self._device = device
         self._faults = tuple(fault for fault in faults if fault.role == role)
         self._calls: Counter[str] = Counter()
         self._lost = False
         self._tries_left: int | None = None
-        self._unplugged_before: set[Fault] = set()
-        self._hung_before: set[Fault] = set()
+        self._unplugged_before: set[RigFault] = set()
+        self._hung_before: set[RigFault] = set()
         self._lock = threading.Lock()
 
-    def meet(self, operation: str, doing: str, label: RecordLabel | None = None) -> tuple[Fault, ...]:
+    def meet(self, operation: str, doing: str, label: RecordLabel | None = None) -> tuple[RigFault, ...]:
         """Count a call, raise the fault that it meets, or return those that corrupt its record.
 
         An unplugged instrument is plugged in again by a ``reconnect`` after the fault's failing ones.
@@ -153,13 +153,13 @@ class FaultPlan:
                 raise TransientInstrumentError(self._device, doing, cause, remedy)
         return due
 
-    def _hangs(self, due: tuple[Fault, ...]) -> bool:
+    def _hangs(self, due: tuple[RigFault, ...]) -> bool:
         """Whether this call never returns; a record that is tried again does."""
         first = [fault for fault in due if fault.kind == "hang" and (fault.at_call or fault not in self._hung_before)]
         self._hung_before.update(first)
         return bool(first)
 
-    def _unplugged(self, operation: str, due: tuple[Fault, ...]) -> bool:
+    def _unplugged(self, operation: str, due: tuple[RigFault, ...]) -> bool:
         """Whether the instrument is unplugged at this call; a record that is tried again finds it plugged in."""
         for fault in due:
             if fault.kind == "unplugged" and fault not in self._unplugged_before:
@@ -185,7 +185,7 @@ class VirtualDevice:
     limits: Its limits, for people.
     """
 
-    def __init__(self, role: str, faults: tuple[Fault, ...], limits: str) -> None:
+    def __init__(self, role: str, faults: tuple[RigFault, ...], limits: str) -> None:
         self._name = f"virtual {role}"
         self._faults = FaultPlan(role, self._name, faults)
         self._limits = limits

@@ -10,7 +10,7 @@ import numpy as np
 
 from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.drivers.protocols import Float32Array, Recording, RecordLabel, RecordRequest
-from wavefocus.mocks.virtual.faults import Fault, VirtualDevice
+from wavefocus.mocks.virtual.faults import RigFault, VirtualDevice
 from wavefocus.mocks.virtual.laboratory import (
     DROPOUT,
     GROWING,
@@ -131,7 +131,7 @@ class VirtualRecorder(VirtualDevice):
         return None if under_way is None else under_way[0].label
 
     def _recording(
-        self, request: RecordRequest, start_ns: int, end_ns: int, rate_hz: float, faults: tuple[Fault, ...]
+        self, request: RecordRequest, start_ns: int, end_ns: int, rate_hz: float, faults: tuple[RigFault, ...]
     ) -> Recording:
         plays = self._player.plays_between(start_ns, end_ns)
         aims = self._mirror.motion.aims(start_ns, end_ns)
@@ -202,7 +202,7 @@ class VirtualRecorder(VirtualDevice):
         self,
         clean: tuple[Float32Array, Float32Array],
         range_v: tuple[float, float],
-        faults: tuple[Fault, ...],
+        faults: tuple[RigFault, ...],
         rate_hz: float,
     ) -> tuple[Float32Array, Float32Array]:
         reference_v, response_v = clean
@@ -221,7 +221,7 @@ class VirtualRecorder(VirtualDevice):
         return reference_v, response_v
 
 
-def _spoilt(response_v: Float32Array, fault: Fault, rate_hz: float) -> Float32Array:
+def _spoilt(response_v: Float32Array, fault: RigFault, rate_hz: float) -> Float32Array:
     """A response with one of the defects that no instrument reports."""
     level = 10 ** (fault.level_db / 20)
     if fault.kind == "clipped":
@@ -234,7 +234,7 @@ def _spoilt(response_v: Float32Array, fault: Fault, rate_hz: float) -> Float32Ar
     return np.asarray(response_v + level * np.sqrt(2) * float(response_v.std()) * hum, dtype=np.float32)
 
 
-def _hides(fault: Fault, spot: Spot) -> bool:
+def _hides(fault: RigFault, spot: Spot) -> bool:
     """Whether no light comes back from a spot."""
     if fault.spot_mm is None or spot.place_mm is None:
         return True

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.drivers.protocols import Instruments
-from wavefocus.mocks.virtual.faults import Fault
+from wavefocus.mocks.virtual.faults import RigFault
 from wavefocus.mocks.virtual.laboratory import PatchBay, VirtualClock, VirtualSensor
 from wavefocus.mocks.virtual.mirror import VirtualMirror
 from wavefocus.mocks.virtual.player import VirtualPlayer
@@ -14,7 +14,7 @@ from wavefocus.mocks.virtual.recorder import VirtualRecorder
 from wavefocus.mocks.virtual.settings import MirrorGeometry, VirtualSettings
 from wavefocus.mocks.virtual.synthesis import Synthesis
 
-__all__ = ["Fault", "MirrorGeometry", "VirtualRig", "VirtualSettings"]
+__all__ = ["MirrorGeometry", "RigFault", "VirtualRig", "VirtualSettings"]
 
 
 class VirtualRig:

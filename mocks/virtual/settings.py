@@ -10,7 +10,7 @@ import numpy as np
 
 from wavefocus.config.outline import Outline
 from wavefocus.drivers.protocols import Float64Array
-from wavefocus.mocks.virtual.faults import Fault
+from wavefocus.mocks.virtual.faults import RigFault
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +150,7 @@ class VirtualSettings:
     full_scale_v: float = 5.0
     largest_range_v: float = 10.0
     input_ranges_v: tuple[float, ...] = (0.2, 1.0, 5.0, 10.0)
-    fault_plan: tuple[Fault, ...] = ()
+    fault_plan: tuple[RigFault, ...] = ()
     room_c: tuple[tuple[float, float], ...] = ((0.0, 21.0),)
     light: tuple[tuple[float, float], ...] = ((0.0, 1.0),)
     realtime: bool = False

@@ -18,7 +18,7 @@ from wavefocus.rendering.greens.source import GreenSource
 from wavefocus.rendering.live.blocks import CrossfadedBlocks
 from wavefocus.rendering.live.emitted import Emitted, default_signal, live_samples
 from wavefocus.rendering.live.lives import JUMP_MM_S, LOOK_S, VELOCITY_S, Life, Timing, trajectory
-from wavefocus.rendering.live.surface import Surface
+from wavefocus.rendering.live.surface import PlayableSurface
 from wavefocus.rendering.scene.signals import Signal
 from wavefocus.rendering.scene.trajectory import Trajectory
 from wavefocus.storage.errors import InputError
@@ -138,7 +138,7 @@ class LiveEngine:
         regularisation = Regularisation() if regularisation is None else regularisation
         if independent and (regularisation.saturation or regularisation.saturation_absolute):
             raise InputError("independent sources are not saturated; leave out saturation and saturation_absolute")
-        self._surface = Surface(bank, interpolation, self._read)
+        self._surface = PlayableSurface(bank, interpolation, self._read)
         self._blocks = CrossfadedBlocks(
             BankRows(bank, regularisation),
             block_samples,

@@ -16,7 +16,7 @@ import numpy as np
 from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.rendering.greens.interpolation.base import Nodes, OffGridError
 from wavefocus.rendering.live.emitted import Emitted
-from wavefocus.rendering.live.surface import Surface
+from wavefocus.rendering.live.surface import PlayableSurface
 from wavefocus.rendering.scene.trajectory import Trajectory
 
 VELOCITY_S = 0.03
@@ -102,7 +102,7 @@ class Life:
         self,
         name: str,
         emitted: Emitted,
-        surface: Surface,
+        surface: PlayableSurface,
         timing: Timing,
         *,
         begin: int,

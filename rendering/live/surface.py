@@ -20,7 +20,7 @@ from wavefocus.rendering.greens.source import GreenSource, usable
 from wavefocus.storage.errors import InputError
 
 
-class Surface:
+class PlayableSurface:
     """Places of a bank from which the interpolation can be made; a row is read when a place first needs it.
 
     interpolation: "nearest" or "bilinear".

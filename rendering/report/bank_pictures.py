@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.rendering.arrays import Float64Array
-from wavefocus.rendering.report.canvas import Canvas, Picture, Surface, drawn_in_style
+from wavefocus.rendering.report.canvas import Canvas, Picture, ReportSurface, drawn_in_style
 from wavefocus.rendering.report.figures import SCAN, status_map, value_map
 
 WIDTH_PX, LEFT_PX, TOP_PX, HEIGHT_PX = 760, 66, 14, 200
 
 
-def quality_map(surface: Surface, status: NDArray[np.uint8], snr_db: NDArray[np.floating[Any]]) -> Picture:
+def quality_map(surface: ReportSurface, status: NDArray[np.uint8], snr_db: NDArray[np.floating[Any]]) -> Picture:
     """The signal-to-noise ratio of each position, median over actuators; its status where no ratio is known.
 
     status, (P,): Status bits. snr_db, (P, N): Signal-to-noise ratios, NaN where unknown.

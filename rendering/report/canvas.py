@@ -133,7 +133,7 @@ def drawn_in_style(draw: Callable[Parameters, Picture]) -> Callable[Parameters, 
 
 
 @dataclass(frozen=True, slots=True)
-class Surface:
+class ReportSurface:
     """Content of every map; places have shape (number, 2).
 
     The bank's positions and the side of a grid cell, actuators (NaN where unknown), the path of each source, and the
@@ -152,7 +152,7 @@ class Surface:
         bank: GreenSource,
         paths_mm: Sequence[Float64Array] = (),
         outline_mm: Float64Array | None = None,
-    ) -> Surface:
+    ) -> ReportSurface:
         """The surface of a bank."""
         position_mm = np.asarray(bank.position_mm, np.float64)
         spacing_mm = PositionGrid(position_mm).spacing_mm or 1.0
@@ -176,7 +176,7 @@ class Surface:
         return width_px * min(max((top - bottom) / (right - left), 0.25), 1.0)
 
 
-def draw_surface(axes: Axes, surface: Surface, *, path: bool, path_colour: str = "black") -> None:
+def draw_surface(axes: Axes, surface: ReportSurface, *, path: bool, path_colour: str = "black") -> None:
     """Draw outline and actuators, and the path above the cells when asked for."""
     if surface.outline_mm is not None:
         axes.plot(*surface.outline_mm.T, color=FAINT, lw=1.0, zorder=3)
@@ -192,7 +192,7 @@ def draw_surface(axes: Axes, surface: Surface, *, path: bool, path_colour: str =
 
 def draw_cells(
     axes: Axes,
-    surface: Surface,
+    surface: ReportSurface,
     rows: Int64Array,
     values: NDArray[np.floating[Any]] | None = None,
     *,
@@ -227,7 +227,7 @@ class Panel:
 
 def draw_maps(
     canvas: Canvas,
-    surface: Surface,
+    surface: ReportSurface,
     panels: Sequence[Panel],
     place_px: tuple[float, float, float],
     *,

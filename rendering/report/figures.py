@@ -20,7 +20,7 @@ from wavefocus.rendering.report.canvas import (
     Canvas,
     Panel,
     Picture,
-    Surface,
+    ReportSurface,
     draw_cells,
     draw_maps,
     draw_surface,
@@ -48,7 +48,7 @@ STATUS_COLOURS = {
 
 
 @drawn_in_style
-def status_map(surface: Surface, rows: Int64Array, status: NDArray[np.uint8], crossed: Int64Array) -> Picture:
+def status_map(surface: ReportSurface, rows: Int64Array, status: NDArray[np.uint8], crossed: Int64Array) -> Picture:
     """Positions coloured by status, with the number of each; some crossed out."""
     from matplotlib.patches import Patch
 
@@ -69,7 +69,7 @@ def status_map(surface: Surface, rows: Int64Array, status: NDArray[np.uint8], cr
 @drawn_in_style
 def value_map(
     name: str,
-    surface: Surface,
+    surface: ReportSurface,
     rows: Int64Array,
     values: NDArray[np.floating[Any]],
     label: str,
@@ -91,7 +91,7 @@ def value_map(
 
 
 @drawn_in_style
-def path_map(surface: Surface, fields: FieldComparison) -> Picture:
+def path_map(surface: ReportSurface, fields: FieldComparison) -> Picture:
     """Largest magnitude over the focus instants, predicted and scanned, as the paper's figure 4A2."""
     top = focus_level(surface, fields)
     factor, unit = scaled_unit(top, fields.response_unit)
@@ -109,7 +109,7 @@ def path_map(surface: Surface, fields: FieldComparison) -> Picture:
 
 
 @drawn_in_style
-def snapshots(surface: Surface, fields: FieldComparison, chosen: Int64Array) -> Picture:
+def snapshots(surface: ReportSurface, fields: FieldComparison, chosen: Int64Array) -> Picture:
     """Prediction, scan and their difference at focus instants, all on one colour scale."""
     top = focus_level(surface, fields)
     factor, unit = scaled_unit(top, fields.response_unit)
@@ -136,7 +136,7 @@ def snapshots(surface: Surface, fields: FieldComparison, chosen: Int64Array) -> 
 
 
 @drawn_in_style
-def waveforms(surface: Surface, fields: FieldComparison) -> Picture:
+def waveforms(surface: ReportSurface, fields: FieldComparison) -> Picture:
     """Prediction and scan over time at positions of the path."""
     from matplotlib.lines import Line2D
 
@@ -190,7 +190,7 @@ def drive_levels(drive_v: Float64Array) -> Picture:
     return canvas.picture()
 
 
-def focus_level(surface: Surface, fields: FieldComparison) -> float:
+def focus_level(surface: ReportSurface, fields: FieldComparison) -> float:
     """Largest predicted magnitude within 15 mm of a focus at its instant: the top of the colour scales.
 
     Next to an actuator the surface may move far more; a scale for that would hide the focus.
@@ -222,7 +222,7 @@ def _limits(values: NDArray[np.floating[Any]]) -> tuple[float, float]:
     return (low, high) if high > low else (low - 0.5, high + 0.5)
 
 
-def _single_map(name: str, surface: Surface) -> tuple[Canvas, Axes]:
+def _single_map(name: str, surface: ReportSurface) -> tuple[Canvas, Axes]:
     height = surface.height_px(480)
     canvas = Canvas(name, 548, MAP_TOP_PX + height + 100)
     axes = canvas.axes(56, MAP_TOP_PX, 480, height)

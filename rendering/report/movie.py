@@ -23,7 +23,7 @@ from wavefocus.rendering.report.canvas import (
     Canvas,
     Panel,
     Picture,
-    Surface,
+    ReportSurface,
     draw_cells,
     draw_maps,
     draw_surface,
@@ -194,19 +194,19 @@ MIN_WIDTH_PX = 240
 SNAPSHOT_PX, MAX_SNAPSHOTS = 346, 6
 
 
-def surface_of(bank: GreenSource, drive: Drive | None, outline_mm: Float64Array | None) -> Surface:
+def surface_of(bank: GreenSource, drive: Drive | None, outline_mm: Float64Array | None) -> ReportSurface:
     """The surface as movies show it: a path is the line through the positions of a source's foci."""
     paths_mm = []
     if drive is not None:
         for source in np.unique(drive.focus_source):
             paths_mm.append(np.asarray(bank.position_mm)[drive.focus_position[drive.focus_source == source]])
-    return Surface.of(bank, paths_mm, outline_mm)
+    return ReportSurface.of(bank, paths_mm, outline_mm)
 
 
 def write_movie(
     path: Path,
     field: FieldRowReader,
-    surface: Surface,
+    surface: ReportSurface,
     drive: Drive | None,
     plan: FramePlan,
     *,
@@ -238,7 +238,13 @@ class _Stage:
     """One figure that all frames are drawn on: what does not change is drawn once."""
 
     def __init__(
-        self, field: FieldRowReader, surface: Surface, drive: Drive | None, plan: FramePlan, top: float, width_px: int
+        self,
+        field: FieldRowReader,
+        surface: ReportSurface,
+        drive: Drive | None,
+        plan: FramePlan,
+        top: float,
+        width_px: int,
     ) -> None:
         self._field, self._surface, self._plan = field, surface, plan
         self._drive_foci = None if drive is None else Foci.of(drive)
@@ -305,7 +311,7 @@ class _Stage:
 
 
 @drawn_in_style
-def snapshots(field: FieldRowReader, surface: Surface, drive: Drive) -> Picture:
+def snapshots(field: FieldRowReader, surface: ReportSurface, drive: Drive) -> Picture:
     """Draw the field at focus instants chosen among them, all on one symmetric colour scale.
 
     The instant is where the response at the focus is largest between its emission and the next one of its source.

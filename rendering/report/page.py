@@ -16,7 +16,7 @@ from wavefocus.rendering.field import metrics
 from wavefocus.rendering.greens.regularisation import focus_gain_map
 from wavefocus.rendering.number_text import number
 from wavefocus.rendering.report import figures as report_figures
-from wavefocus.rendering.report.canvas import Picture, Surface
+from wavefocus.rendering.report.canvas import Picture, ReportSurface
 from wavefocus.rendering.report.figures import drift_over_time
 from wavefocus.rendering.report.html import html_page
 from wavefocus.rendering.report.waves import wave_figures, waves_of, waves_picture
@@ -61,7 +61,7 @@ def build_report(
     Returns the report.
     """
     paths_mm = [path_line_mm(source, PATH_POINTS if source.path.length_mm > 0.0 else 1) for source in scene.sources]
-    surface = Surface.of(bank, paths_mm, outline_mm)
+    surface = ReportSurface.of(bank, paths_mm, outline_mm)
     saturation = scene.regularisation.saturation
     gain = focus_gain_map(bank, saturation)
     pictures, captions = _pictures(surface, verification, drive, bank, gain)
@@ -97,7 +97,7 @@ def build_report(
 
 
 def _pictures(
-    surface: Surface,
+    surface: ReportSurface,
     verification: Verification,
     drive: Drive,
     bank: GreenSource,

@@ -16,7 +16,7 @@ from wavefocus.rendering.report.canvas import (
     INK,
     Canvas,
     Picture,
-    Surface,
+    ReportSurface,
     draw_cells,
     draw_surface,
     drawn_in_style,
@@ -63,7 +63,7 @@ def scene_picture(scene: Scene, bank: GreenSource, *, outline_mm: Float64Array |
     Raises InputError: a path leaves the bank's positions, or a source is not as stated.
     """
     sources = _sources(scene, bank)
-    surface = Surface.of(bank, [one.line_mm for one in sources], outline_mm)
+    surface = ReportSurface.of(bank, [one.line_mm for one in sources], outline_mm)
     height = surface.height_px(MAP_PX)
     lines = -(-min(len(sources), MAX_NAMED) // 2)
     canvas = Canvas("scene", 2 * MAP_PX + 152, TOP_PX + height + 66 + 16 * lines)
@@ -101,7 +101,7 @@ def _sources(scene: Scene, bank: GreenSource) -> list[_Drawn]:
     return drawn
 
 
-def _draw_asked(axes: Axes, surface: Surface, sources: list[_Drawn], bank: GreenSource) -> None:
+def _draw_asked(axes: Axes, surface: ReportSurface, sources: list[_Drawn], bank: GreenSource) -> None:
     allowed = usable(bank)
     position_mm = surface.position_mm
     axes.plot(*position_mm[allowed].T, ".", ms=1.6, color="#b6bec6", zorder=1)
@@ -128,7 +128,7 @@ def _draw_direction(axes: Axes, line_mm: Float64Array, colour: str) -> None:
 
 
 def _draw_snapped(
-    axes: Axes, surface: Surface, sources: list[_Drawn], rows: Int64Array, scene: Scene, bank: GreenSource
+    axes: Axes, surface: ReportSurface, sources: list[_Drawn], rows: Int64Array, scene: Scene, bank: GreenSource
 ) -> tuple[PolyCollection, str]:
     draw_cells(axes, surface, np.arange(len(surface.position_mm)), colour="#eef1f4")
     gain = _gains(scene, bank, rows) if scene.regularisation.normalise else None

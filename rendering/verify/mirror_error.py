@@ -74,7 +74,7 @@ SHIFT, ROTATION, SCALE = (0, 1), (2,), (3,)
 ALL = (0, 1, 2, 3, 4, 5)
 
 
-class Surface:
+class InterpolatedBank:
     """A bank as a field between its positions: damped waves, fitted to it, and a kernel regression from neighbours."""
 
     def __init__(self, bank: GreenSource) -> None:
@@ -130,7 +130,7 @@ class DisplacedBlock:
     rows: Bank rows of the block's own rows.
     """
 
-    def __init__(self, surface: Surface, block: Block, rows: Int64Array) -> None:
+    def __init__(self, surface: InterpolatedBank, block: Block, rows: Int64Array) -> None:
         self.block, self._surface = block, surface
         self.place_mm = surface.place_mm[rows]
         self.patches = [surface.patch(int(row)) for row in rows]
@@ -207,7 +207,7 @@ class _Part:
 class MirrorFit:
     """The search for the mirror's error that leaves least of the differences of some blocks."""
 
-    def __init__(self, surface: Surface, scan: Block, rows: Int64Array) -> None:
+    def __init__(self, surface: InterpolatedBank, scan: Block, rows: Int64Array) -> None:
         self._surface, self._displaced, self._scan = surface, DisplacedBlock(surface, scan, rows), scan
         chosen = evenly_spread(len(scan.frequency_hz), FIT_FREQUENCIES)
         low = chosen[scan.frequency_hz[chosen] <= np.median(scan.frequency_hz[chosen])][::2]

@@ -19,9 +19,9 @@ from wavefocus.rendering.verify.results import (
     ActuatorFigures,
     Changes,
     Correction,
-    Drift,
     Figure,
     PointMm,
+    SentinelDrift,
     SourceFigures,
     Symptom,
 )
@@ -141,7 +141,7 @@ class VerificationRecord(Message, frozen=True, dict=True, tag_field="format", ta
     symptoms: tuple[Symptom, ...] = ()
     actuators: tuple[ActuatorFigures, ...] = ()
     source_figures: tuple[SourceFigures, ...] = ()
-    drift: Drift | None = None
+    drift: SentinelDrift | None = None
     changes: Changes | None = None
     correction: Correction | None = None
 

@@ -95,7 +95,7 @@ class Sentinel:
 
 
 @dataclass(frozen=True)
-class Drift:
+class SentinelDrift:
     """The bank's sentinel position measured again, against its rows in the bank.
 
     level_db, delay_us, correlation: Over all actuators; delay above 0 where it is later.

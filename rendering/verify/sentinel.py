@@ -17,7 +17,7 @@ from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.config.messages.campaign import State, Subscriber
 from wavefocus.rendering.number_text import number
-from wavefocus.rendering.verify.results import Drift, Figure, Sentinel
+from wavefocus.rendering.verify.results import Figure, Sentinel, SentinelDrift
 from wavefocus.rendering.verify.symptoms import wave_speed
 
 if TYPE_CHECKING:
@@ -55,11 +55,11 @@ def measure_sentinel(
     return Sentinel(position, result.estimate.green, result.estimate.snr_db)
 
 
-def drift_of(sentinel: Sentinel, bank: GreenSource, limits: DriftLimits) -> Drift:
+def drift_of(sentinel: Sentinel, bank: GreenSource, limits: DriftLimits) -> SentinelDrift:
     """How the sentinel position differs from the bank: as a level, as a delay, and as a wave speed."""
     then, rate_hz = np.asarray(bank.green(sentinel.position), np.float32), bank.sample_rate_hz
     figures = compare_sentinel(then, sentinel.green, band_hz=bank.band_hz, sample_rate_hz=rate_hz)
-    return Drift(
+    return SentinelDrift(
         sentinel.position,
         float(figures.level_db),
         1e6 * figures.delay_samples / rate_hz,
@@ -69,7 +69,7 @@ def drift_of(sentinel: Sentinel, bank: GreenSource, limits: DriftLimits) -> Drif
     )
 
 
-def drift_figures(drift: Drift) -> tuple[Figure, ...]:
+def drift_figures(drift: SentinelDrift) -> tuple[Figure, ...]:
     """Lines of the table of figures; none has a limit, for the run's own limits give the verdict."""
     again = f"position {drift.position}, measured again before the scan, against its rows in the bank: "
     speed = drift.speed_percent
@@ -84,7 +84,7 @@ def drift_figures(drift: Drift) -> tuple[Figure, ...]:
     )  # fmt: skip
 
 
-def drift_sentence(drift: Drift) -> str:
+def drift_sentence(drift: SentinelDrift) -> str:
     """The drift in words."""
     speed = "" if drift.speed_percent is None else f", wave speed {number(drift.speed_percent, '%')}"
     state = {"steady": "steady", "warn": "changed", "stop": "changed much"}[drift.verdict]

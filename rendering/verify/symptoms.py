@@ -19,7 +19,15 @@ from wavefocus.calibration.numerics import evenly_spread, parabola_vertex
 from wavefocus.rendering.arrays import Complex128Array, Float64Array, Int64Array
 from wavefocus.rendering.verify.actuator_errors import ActuatorErrors, joint_errors, solved
 from wavefocus.rendering.verify.distortion import driven_powers, fit_distortion, response_powers
-from wavefocus.rendering.verify.mirror_error import ALL, ROTATION, SCALE, SHIFT, MirrorError, MirrorFit, Surface
+from wavefocus.rendering.verify.mirror_error import (
+    ALL,
+    ROTATION,
+    SCALE,
+    SHIFT,
+    InterpolatedBank,
+    MirrorError,
+    MirrorFit,
+)
 from wavefocus.rendering.verify.results import CERTAIN_SHARE, ActuatorFigures, Sentinel, Symptom, SymptomCode
 from wavefocus.rendering.verify.row_shift import find_shifts
 from wavefocus.rendering.verify.superposition import (
@@ -281,8 +289,8 @@ class _Search:
         return replace(symptom, value=100.0 * ((1.0 + symptom.value / 100.0) ** self._surface.dispersion - 1.0))
 
     @cached_property
-    def _surface(self) -> Surface:
-        return Surface(self._bank)
+    def _surface(self) -> InterpolatedBank:
+        return InterpolatedBank(self._bank)
 
     def _mirror_causes(self, state: _State) -> Iterator[_Cause]:
         if state is not self.state or len(self._bank.position_mm) < 2 or not self._surface.usable:

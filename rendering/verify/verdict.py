@@ -22,9 +22,9 @@ from wavefocus.rendering.verify.results import (
     ActuatorFigures,
     Changes,
     Correction,
-    Drift,
     Figure,
     Sentinel,
+    SentinelDrift,
     SourceFigures,
     Symptom,
 )
@@ -79,7 +79,7 @@ class Verification:
     noise_error: float | None
     figures: tuple[Figure, ...]
     diagnosis: Diagnosis
-    drift: Drift | None = None
+    drift: SentinelDrift | None = None
     changes: Changes | None = None
     correction: Correction | None = None
 

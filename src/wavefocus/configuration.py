@@ -59,9 +59,9 @@ def load_run(path: Path) -> Configuration:
     run = validated(RunConfig, data, str(path))
     rig = default_rig() if run.rig == "virtual" else load_rig(named_file(path, "rig", run.rig))
     if run.virtual is not None and run.virtual.fault_plan:
-        from wavefocus.mocks.virtual.faults import Fault
+        from wavefocus.mocks.virtual.faults import RigFault
 
-        _check_faults(Fault, run.virtual.fault_plan, f"{path}: virtual.fault_plan")
+        _check_faults(RigFault, run.virtual.fault_plan, f"{path}: virtual.fault_plan")
     position_mm = None
     if run.grid.positions_file is not None:
         positions_file = named_file(path, "grid.positions_file", run.grid.positions_file)

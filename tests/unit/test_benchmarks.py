@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from wavefocus.benchmarks import BENCHMARKS
-from wavefocus.benchmarks.harness import Findings, Mark, Point, Timing, measure
+from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times, measure
 from wavefocus.benchmarks.machine import conditions, load
 from wavefocus.benchmarks.page import draw_diagrams, html_page, pareto
 
@@ -39,16 +39,16 @@ def test_actions_take_turns_and_those_named_once_run_once() -> None:
 
 
 def test_a_peer_counts_no_more_than_its_cpu_time() -> None:
-    point = Point(work="w", method="m", timing=Timing(0.5, 0.5)).against(Timing(10.0, 2.0))
+    point = Entry(work="w", method="m", timing=Times(0.5, 0.5)).against(Times(10.0, 2.0))
     assert (point.row["times"], point.row["cpu_times"]) == (4.0, 4.0)
 
 
 def test_points_are_written_as_json_csv_and_tables_with_their_marks(tmp_path: Path) -> None:
     marks = (Mark("error", 1e-3, at_most=True), Mark("times", 5.0))
     points = [
-        Point(work="w", method="peer", timing=Timing(2.0, 2.0)),
-        Point(work="w", method="ours", parameters={"step_mm": 4.0}, error=1e-4, timing=Timing(1.0, 1.0), marks=marks)
-        .against(Timing(2.0, 2.0)),
+        Entry(work="w", method="peer", timing=Times(2.0, 2.0)),
+        Entry(work="w", method="ours", parameters={"step_mm": 4.0}, error=1e-4, timing=Times(1.0, 1.0), marks=marks)
+        .against(Times(2.0, 2.0)),
     ]  # fmt: skip
     findings = Findings(points, "the truth")
     written = json.loads(findings.write(tmp_path, "some", {"quick": False}).read_text(encoding="utf-8"))
@@ -65,7 +65,7 @@ def test_points_are_written_as_json_csv_and_tables_with_their_marks(tmp_path: Pa
 
 @pytest.mark.parametrize("value", [None, 3.0])
 def test_a_mark_of_a_figure_that_was_not_measured_is_not_judged(value: float | None) -> None:
-    point = Point(work="w", method="m", figures={"hours": value}, marks=(Mark("hours", 2.0, at_most=True),))
+    point = Entry(work="w", method="m", figures={"hours": value}, marks=(Mark("hours", 2.0, at_most=True),))
     assert point.judged(point.marks[0]) is (None if value is None else False)
 
 
@@ -73,13 +73,13 @@ def test_the_pareto_front_is_what_nothing_beats_in_cost_and_error() -> None:
     assert pareto([(3.0, 0.1), (1.0, 0.5), (2.0, 0.6), (2.0, 0.1), (4.0, 0.01)]) == [1, 3, 4]
 
 
-def _precision(method: str, step: float, error: float, wall_s: float) -> Point:
-    return Point(work="w", method=method, parameters={"step_mm": step}, error=error, timing=Timing(wall_s, wall_s))
+def _precision(method: str, step: float, error: float, wall_s: float) -> Entry:
+    return Entry(work="w", method=method, parameters={"step_mm": step}, error=error, timing=Times(wall_s, wall_s))
 
 
 def test_a_work_of_three_errors_is_a_diagram_on_a_page_that_needs_no_other_file(tmp_path: Path) -> None:
     findings = Findings([_precision("ours", 1.0, 1e-4, 3.0), _precision("ours", 2.0, 1e-3, 1.0),
-                         _precision("peer", 1.0, 1e-2, 2.0), Point(work="too few", method="m", error=0.1)])  # fmt: skip
+                         _precision("peer", 1.0, 1e-2, 2.0), Entry(work="too few", method="m", error=0.1)])  # fmt: skip
     diagrams = draw_diagrams(findings, tmp_path, "some")
     assert set(diagrams) == {"w"}
     made = conditions("wavefocus bench some") | {"load_after": None}

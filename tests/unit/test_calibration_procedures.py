@@ -24,7 +24,7 @@ from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.config.messages.rig_checks import Here
 from wavefocus.config.outline import Outline, default_marks_mm
 from wavefocus.drivers.errors import InstrumentLostError
-from wavefocus.mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
+from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
 from wavefocus.storage.errors import InputError
 
 RATE_HZ = 10_000.0
@@ -124,7 +124,7 @@ def test_given_a_person_who_gives_up_then_the_inputs_are_not_measured() -> None:
 
 
 def test_given_an_input_that_hears_the_same_cable_more_softly_then_the_inputs_are_refused() -> None:
-    rig, _, probe = bench(fault_plan=(Fault("recorder", "read", "drift", at_call=1, count=3, level_db=-3.0),))
+    rig, _, probe = bench(fault_plan=(RigFault("recorder", "read", "drift", at_call=1, count=3, level_db=-3.0),))
     with pytest.raises(NotMeasuredError, match=r"the same cable -29\.\d % apart: check cables and terminal"):
         measure_inputs(probe, Hands(rig))
 
@@ -150,19 +150,22 @@ def test_given_an_output_given_up_then_the_others_are_measured() -> None:
 
 
 def test_given_a_passing_fault_then_the_record_is_taken_again() -> None:
-    faults = (Fault("player", "wait", "underflow", at_call=2), Fault("recorder", "read", "short_read", at_call=4))
+    faults = (
+        RigFault("player", "wait", "underflow", at_call=2),
+        RigFault("recorder", "read", "short_read", at_call=4),
+    )
     rig, _, probe = bench(fault_plan=faults)
     assert measure_inputs(probe, Hands(rig)).late_s == pytest.approx(5e-6, abs=1e-7)
 
 
 def test_given_an_instrument_that_is_lost_then_the_procedure_ends_with_its_name() -> None:
-    rig, _, probe = bench(fault_plan=(Fault("recorder", "read", "lost", at_call=2),))
+    rig, _, probe = bench(fault_plan=(RigFault("recorder", "read", "lost", at_call=2),))
     with pytest.raises(InstrumentLostError, match="virtual recorder"):
         measure_inputs(probe, Hands(rig))
 
 
 def test_given_speckle_in_a_record_then_the_actuator_is_heard_again() -> None:
-    fault = Fault("recorder", "read", "dropout", position=1, attempt=1)
+    fault = RigFault("recorder", "read", "dropout", position=1, attempt=1)
     _, setup, _ = bench(fault_plan=(fault,))
     task = ActuatorsTask(listening_places(np.array(ACTUATORS), 30.0), 1.0, RATE_HZ)
     found = measure_actuators(task, setup, lambda done, total: None)

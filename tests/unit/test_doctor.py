@@ -15,7 +15,7 @@ from wavefocus.config.messages.rig_checks import Finding
 from wavefocus.config.rig import RigConfig
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.registry import VibrometerReading
-from wavefocus.mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
+from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
 
 
 def examined(
@@ -127,16 +127,16 @@ def test_given_one_that_is_not_there_then_the_others_are_still_examined(missing:
 @pytest.mark.parametrize(
     ("fault", "failing"),
     [
-        (Fault("mirror", "move_to", "lost", at_call=3), {("mirror", "corners")}),
-        (Fault("recorder", "read", "lost", at_call=1), {("recorder", "record")}),
-        (Fault("recorder", "identify", "lost", at_call=1), {("recorder", "identity"), ("recorder", "record")}),
-        (Fault("player", "play", "lost", at_call=1), {("player", "loopback")}),
-        (Fault("recorder", "read", "missing_reference", at_call=2), {("player", "loopback level")}),
-        (Fault("player", "identify", "lost", at_call=1), {("player", "identity"), ("player", "loopback")}),
+        (RigFault("mirror", "move_to", "lost", at_call=3), {("mirror", "corners")}),
+        (RigFault("recorder", "read", "lost", at_call=1), {("recorder", "record")}),
+        (RigFault("recorder", "identify", "lost", at_call=1), {("recorder", "identity"), ("recorder", "record")}),
+        (RigFault("player", "play", "lost", at_call=1), {("player", "loopback")}),
+        (RigFault("recorder", "read", "missing_reference", at_call=2), {("player", "loopback level")}),
+        (RigFault("player", "identify", "lost", at_call=1), {("player", "identity"), ("player", "loopback")}),
     ],
 )
 def test_given_an_instrument_that_fails_then_it_is_named_and_the_others_are_not_blamed(
-    fault: Fault, failing: set[tuple[str, str]]
+    fault: RigFault, failing: set[tuple[str, str]]
 ) -> None:
     findings = examined(VirtualRig(replace(SOUND, fault_plan=(fault,))))
     at_rest = {key for key in failed(findings) if key[1] == "putting it to rest"}
@@ -146,7 +146,7 @@ def test_given_an_instrument_that_fails_then_it_is_named_and_the_others_are_not_
 
 
 def test_given_a_passing_fault_then_the_second_try_counts_and_the_first_is_told() -> None:
-    fault = Fault("recorder", "read", "short_read", at_call=1)
+    fault = RigFault("recorder", "read", "short_read", at_call=1)
     findings = examined(VirtualRig(replace(SOUND, fault_plan=(fault,))))
     told = [one for one in findings if one.verdict != "ok"]
     assert [(one.instrument, one.check, one.verdict) for one in told] == [("recorder", "record", "warn")]

@@ -15,7 +15,7 @@ from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import RecordLabel
 from wavefocus.mocks.virtual.laboratory import label_share
 from wavefocus.mocks.virtual.player import VirtualPlayer
-from wavefocus.mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
+from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
 from wavefocus.trials.presentation import MASKING_CREST, Masking, RigPresenter, Sound, pink_noise, presented_v
 
 RATE_HZ = 10_000.0
@@ -24,7 +24,7 @@ SETTINGS = VirtualSettings(actuator_mm=((60.0, 0.0), (-60.0, 0.0), (0.0, 40.0)),
 STIMULUS = Sound(np.vstack([np.sin(np.arange(4000) / 8.0), np.zeros(4000), np.cos(np.arange(4000) / 8.0)]), 1500, 2)
 
 
-def presenter(*faults: Fault, masking: Masking | None = None) -> RigPresenter:
+def presenter(*faults: RigFault, masking: Masking | None = None) -> RigPresenter:
     return presenter_on(VirtualRig(replace(SETTINGS, fault_plan=faults)), masking)
 
 
@@ -117,22 +117,22 @@ def test_given_pink_noise_then_its_density_falls_by_3_db_per_octave_within_its_b
 @pytest.mark.parametrize(
     ("fault", "notes"),
     [
-        (Fault("recorder", "read", "missing_reference", position=2, purpose="presentation"), 1),
-        (Fault("player", "wait", "underflow", position=2, purpose="presentation"), 1),
-        (Fault("player", "wait", "unplugged", position=2, purpose="presentation", tries=2), 4),
+        (RigFault("recorder", "read", "missing_reference", position=2, purpose="presentation"), 1),
+        (RigFault("player", "wait", "underflow", position=2, purpose="presentation"), 1),
+        (RigFault("player", "wait", "unplugged", position=2, purpose="presentation", tries=2), 4),
     ],
     ids=["no marker", "underflow", "unplugged"],
 )
-def test_given_a_presentation_that_fails_then_it_is_repeated_said_and_counted(fault: Fault, notes: int) -> None:
+def test_given_a_presentation_that_fails_then_it_is_repeated_said_and_counted(fault: RigFault, notes: int) -> None:
     rig, said = presenter(fault), list[str]()
     assert [rig.present("any", trial, said.append).attempts for trial in (1, 2, 3)] == [1, 2, 1]
     assert len(said) == notes
 
 
 def test_given_a_loopback_that_stays_silent_then_the_cable_is_named() -> None:
-    fault = Fault("recorder", "read", "missing_reference", position=1, count=9, purpose="presentation")
+    fault = RigFault("recorder", "read", "missing_reference", position=1, count=9, purpose="presentation")
     with pytest.raises(InstrumentError, match="loopback cable, from output 3"):
         presenter(fault).present("any", 1, lambda note: None)
-    fault = Fault("recorder", "read", "short_read", position=1, count=9, purpose="presentation")
+    fault = RigFault("recorder", "read", "short_read", position=1, count=9, purpose="presentation")
     with pytest.raises(TransientInstrumentError):
         presenter(fault).present("any", 1, lambda note: None)

@@ -22,12 +22,12 @@ from wavefocus.config.messages.campaign import (
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, UnknownFaultError
 from wavefocus.drivers.protocols import Clock, Instruments, WallClock
 from wavefocus.ending import stop_on_signals
-from wavefocus.mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
+from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
 
-LOST = Fault("mirror", "move_to", "lost", at_call=1)
+LOST = RigFault("mirror", "move_to", "lost", at_call=1)
 
 
-def setup_of(*faults: Fault, clock: Clock | None = None, recovery_s: float = 600.0) -> Setup:
+def setup_of(*faults: RigFault, clock: Clock | None = None, recovery_s: float = 600.0) -> Setup:
     rig = VirtualRig(VirtualSettings(fault_plan=faults))
     instruments = rig.instruments if clock is None else dataclasses.replace(rig.instruments, clock=clock)
     return Setup(
@@ -77,7 +77,7 @@ def test_given_try_after_try_then_the_waits_grow_to_half_a_minute_and_no_further
 
 
 def test_given_an_instrument_that_comes_back_then_the_interrupted_work_is_done_again():
-    setup = setup_of(Fault("mirror", "move_to", "unplugged", at_call=2, tries=2))
+    setup = setup_of(RigFault("mirror", "move_to", "unplugged", at_call=2, tries=2))
     watched = Watched(setup)
     done = []
 
@@ -149,8 +149,8 @@ def test_given_a_failure_that_no_driver_knows_then_it_is_tried_once_more_and_fin
 
 
 def test_given_a_player_that_cannot_be_muted_then_its_fresh_connections_come_to_an_end():
-    mute = Fault("player", "mute", "timeout", at_call=1, count=10**6)
-    setup = setup_of(Fault("mirror", "move_to", "unplugged", at_call=1, tries=0), mute, recovery_s=60.0)
+    mute = RigFault("player", "mute", "timeout", at_call=1, count=10**6)
+    setup = setup_of(RigFault("mirror", "move_to", "unplugged", at_call=1, tries=0), mute, recovery_s=60.0)
     watched = Watched(setup)
     with pytest.raises(InstrumentLostError, match=r"player: muting: .*not cured within"):
         watched.recovery.retry_after_reconnect(lambda: point_at(setup, 0.0, 0.0))
@@ -170,14 +170,14 @@ def test_given_a_loss_that_nobody_owns_then_it_is_passed_on():
 
 @pytest.mark.parametrize("role", ["mirror", "recorder", "player"])
 def test_given_an_instrument_that_does_not_say_its_name_then_it_is_connected_afresh(role):
-    setup = setup_of(Fault(role, "identify", "timeout", at_call=1))
+    setup = setup_of(RigFault(role, "identify", "timeout", at_call=1))
     watched = Watched(setup)
     assert len(watched.recovery.retry_after_reconnect(lambda: names_of(setup.instruments))) == 3
     assert [(one.role, one.connected) for one in watched.tries] == [(role, True)]
 
 
 def test_given_a_measurement_between_two_losses_then_the_waits_begin_anew():
-    faults = [Fault("mirror", "move_to", "unplugged", at_call=call, tries=1) for call in (1, 3)]
+    faults = [RigFault("mirror", "move_to", "unplugged", at_call=call, tries=1) for call in (1, 3)]
     setup = setup_of(*faults)
     watched = Watched(setup)
     for _ in range(2):

@@ -9,7 +9,7 @@ import pytest
 
 from tests.unit.line_verification import rendered, scan_of
 from wavefocus.benchmarks import symptoms as simulated
-from wavefocus.benchmarks.symptoms import Case, lab, outcome
+from wavefocus.benchmarks.symptoms import SymptomCase, lab, outcome
 from wavefocus.rendering.verify.linearity import QUIETER_DB, nonlinear_share
 from wavefocus.rendering.verify.scan import Scan
 
@@ -37,7 +37,7 @@ def test_given_some_actuators_3_db_quieter_then_just_they_are_named(count: int) 
     chosen = tuple(sorted(chance(count).permutation(ACTUATORS)[:count].tolist()))
     factor = np.ones(ACTUATORS)
     factor[list(chosen)] = 10 ** (-3.0 / 20.0)
-    case = Case("level", "level", chosen, lab("soft").truth * factor[:, None])
+    case = SymptomCase("level", "level", chosen, lab("soft").truth * factor[:, None])
     (symptom,) = lab("soft").verified(case, chance()).symptoms
     assert (symptom.code, symptom.actuators, symptom.certain) == ("level", chosen, True)
     assert symptom.value == pytest.approx(-3.0, abs=0.1)
@@ -46,7 +46,7 @@ def test_given_some_actuators_3_db_quieter_then_just_they_are_named(count: int) 
 def test_given_reversed_silent_and_late_actuators_then_each_kind_is_named() -> None:
     factor = np.ones(ACTUATORS)
     factor[[1, 4]], factor[7] = -1.0, 0.0
-    case = Case("several", None, None, lab("soft").truth * factor[:, None])
+    case = SymptomCase("several", None, None, lab("soft").truth * factor[:, None])
     found = lab("soft").verified(case, chance()).symptoms
     assert {(one.code, one.actuators, one.certain) for one in found} == {
         ("polarity", (1, 4), True),
@@ -70,7 +70,7 @@ def test_given_a_cubic_of_half_per_square_volt_then_it_is_no_level() -> None:
 
 
 def test_given_a_sound_rig_then_nothing_is_named() -> None:
-    found = lab("soft").verified(Case("none", None, None, lab("soft").truth), chance())
+    found = lab("soft").verified(SymptomCase("none", None, None, lab("soft").truth), chance())
     assert found.symptoms == ()
     assert found.passed
 

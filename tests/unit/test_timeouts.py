@@ -12,7 +12,7 @@ import pytest
 
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.timeouts import CallThread, HungError, bounded
-from wavefocus.mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
+from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
 
 SOON_S = 0.05
 
@@ -86,7 +86,7 @@ HANGS = {
 @pytest.mark.parametrize("role", HANGS)
 def test_given_a_driver_that_hangs_then_its_instrument_is_lost_by_name_operation_and_time(role: str) -> None:
     operation, ask, doing = HANGS[role]
-    rig = VirtualRig(VirtualSettings(fault_plan=(Fault(role, operation, "hang", at_call=2),)))
+    rig = VirtualRig(VirtualSettings(fault_plan=(RigFault(role, operation, "hang", at_call=2),)))
     roles = bounded(rig.instruments, SOON_S)
     for instrument in (roles.mirror, roles.recorder, roles.player):
         if operation != "identify":
@@ -114,7 +114,7 @@ def test_given_an_operation_that_takes_its_time_then_its_own_time_is_allowed_for
 
 
 def test_given_a_failure_of_the_instrument_then_it_comes_through_with_its_role() -> None:
-    rig = VirtualRig(VirtualSettings(fault_plan=(Fault("mirror", "move_to", "lost", at_call=1),)))
+    rig = VirtualRig(VirtualSettings(fault_plan=(RigFault("mirror", "move_to", "lost", at_call=1),)))
     with pytest.raises(InstrumentLostError, match="does not answer any more") as lost:
         bounded(rig.instruments, 5.0).mirror.move_to(0.0, 0.0)
     assert lost.value.role == "mirror"

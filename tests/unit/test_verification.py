@@ -14,7 +14,7 @@ from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.drivers.errors import InstrumentLostError
-from wavefocus.mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
+from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
 from wavefocus.rendering.field.prediction import predict
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.verify.linearity import linearity_figures, linearity_rows, quieter
@@ -66,7 +66,7 @@ def setup_of(rig: VirtualRig) -> Setup:
     )
 
 
-def scanned(plan: ScanPlan, *faults: Fault, **changes: object) -> Scan:
+def scanned(plan: ScanPlan, *faults: RigFault, **changes: object) -> Scan:
     rig = VirtualRig(dataclasses.replace(SETTINGS, fault_plan=faults, **changes))
     return scan(plan, setup_of(rig), impulse_drive(), bank())
 
@@ -113,9 +113,9 @@ def test_given_a_wrong_channel_delay_then_the_comparison_names_it():
 @pytest.mark.parametrize(
     ("fault", "attempts"),
     [
-        (Fault("player", "wait", "underflow", position=49, count=2), 3),
-        (Fault("recorder", "read", "missing_reference", position=49), 2),
-        (Fault("recorder", "read", "dropout", position=49, purpose="scan"), 2),
+        (RigFault("player", "wait", "underflow", position=49, count=2), 3),
+        (RigFault("recorder", "read", "missing_reference", position=49), 2),
+        (RigFault("recorder", "read", "dropout", position=49, purpose="scan"), 2),
     ],
     ids=["underflow", "missing reference", "dropout"],
 )
@@ -130,7 +130,7 @@ def test_given_a_drive_with_noise_beyond_the_band_then_a_dropout_is_found_all_th
     # As banks measured with noise give: their Green's functions, reversed, are the drives.
     drive = impulse_drive()
     noise_v = 0.02 * np.random.default_rng(2).standard_normal(drive.drive_v.shape)
-    fault = Fault("recorder", "read", "dropout", position=49, purpose="scan")
+    fault = RigFault("recorder", "read", "dropout", position=49, purpose="scan")
     rig = VirtualRig(dataclasses.replace(SETTINGS, fault_plan=(fault,)))
     noisy = dataclasses.replace(drive, drive_v=drive.drive_v + noise_v)
     found = scan(ScanPlan((48, 49, 50)), setup_of(rig), noisy, bank())
@@ -146,7 +146,7 @@ def test_given_a_drive_with_noise_beyond_the_band_then_a_dropout_is_found_all_th
     ],
 )
 def test_given_a_fault_that_stays_then_the_position_is_marked_and_left_out(kind, status, attempts, reason):
-    fault = Fault("recorder", "read", kind, position=49, purpose="scan", count=9)
+    fault = RigFault("recorder", "read", kind, position=49, purpose="scan", count=9)
     progress: list[tuple[int, int]] = []
     rig = VirtualRig(dataclasses.replace(SETTINGS, fault_plan=(fault,)))
     plan = ScanPlan((50, 49, 48))
@@ -163,8 +163,8 @@ def test_given_a_fault_that_stays_then_the_position_is_marked_and_left_out(kind,
 
 def test_given_a_lost_recorder_or_a_reference_that_never_comes_then_the_scan_gives_up():
     with pytest.raises(InstrumentLostError, match="recorder"):
-        scanned(ScanPlan((48, 49)), Fault("recorder", "read", "lost", position=49))
-    faults = [Fault("recorder", "read", "missing_reference", position=row, count=9) for row in range(9)]
+        scanned(ScanPlan((48, 49)), RigFault("recorder", "read", "lost", position=49))
+    faults = [RigFault("recorder", "read", "missing_reference", position=row, count=9) for row in range(9)]
     with pytest.raises(ReferenceMissingError):
         scanned(ScanPlan(tuple(range(9)), attempts=1), *faults)
 

@@ -8,7 +8,7 @@ import pytest
 
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.protocols import PiecewisePlayer, Recording, RecordLabel, RecordRequest
-from wavefocus.mocks.virtual.rig import Fault, VirtualRig, VirtualSettings
+from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
 
 RATE_HZ = 10_000.0
 PRE_ROLL_S = 0.02
@@ -275,7 +275,7 @@ def test_given_an_impossible_setting_then_it_is_named(changes):
 
 
 def test_given_a_planned_underflow_then_the_player_says_so_and_the_record_breaks_off():
-    rig = VirtualRig(changed(fault_plan=(Fault("player", "wait", "underflow", position=5),)))
+    rig = VirtualRig(changed(fault_plan=(RigFault("player", "wait", "underflow", position=5),)))
     point(rig)
     drive_v = drive(2000)
     for label, complete in ((RecordLabel(5, 1, 0), False), (RecordLabel(5, 2, 0), True)):
@@ -291,7 +291,7 @@ def test_given_a_planned_underflow_then_the_player_says_so_and_the_record_breaks
 
 
 def test_given_a_short_read_then_the_next_attempt_succeeds():
-    rig = VirtualRig(changed(fault_plan=(Fault("recorder", "read", "short_read", at_call=2),)))
+    rig = VirtualRig(changed(fault_plan=(RigFault("recorder", "read", "short_read", at_call=2),)))
     record(rig, drive())
     with pytest.raises(TransientInstrumentError, match=r"recorder: recording capture of position 0.*half"):
         record(rig, drive())
@@ -299,7 +299,7 @@ def test_given_a_short_read_then_the_next_attempt_succeeds():
 
 
 def test_given_a_lost_mirror_then_it_stays_lost_but_parking_and_closing_are_tried():
-    rig = VirtualRig(changed(fault_plan=(Fault("mirror", "move_to", "lost", at_call=2),)))
+    rig = VirtualRig(changed(fault_plan=(RigFault("mirror", "move_to", "lost", at_call=2),)))
     point(rig)
     for _ in range(2):
         with pytest.raises(InstrumentLostError, match="mirror: moving"):
@@ -310,27 +310,27 @@ def test_given_a_lost_mirror_then_it_stays_lost_but_parking_and_closing_are_trie
 
 
 def test_given_a_missing_reference_then_its_channel_is_empty():
-    rig = VirtualRig(changed(fault_plan=(Fault("recorder", "read", "missing_reference", position=0),)))
+    rig = VirtualRig(changed(fault_plan=(RigFault("recorder", "read", "missing_reference", position=0),)))
     heard = record(rig, drive())
     assert np.all(heard.volts[0] == 0)
     assert np.abs(heard.volts[1]).max() > 0.01
 
 
 def test_given_a_planned_over_range_then_the_flag_is_up():
-    rig = VirtualRig(changed(fault_plan=(Fault("recorder", "read", "over_range", position=0, record=1),)))
+    rig = VirtualRig(changed(fault_plan=(RigFault("recorder", "read", "over_range", position=0, record=1),)))
     assert record(rig, drive(), RecordLabel(0, 1, 0)).over_range == (False, False)
     assert record(rig, drive(), RecordLabel(0, 1, 1)).over_range == (False, True)
     assert record(rig, drive(), RecordLabel(0, 2, 1)).over_range == (False, False)
 
 
 def test_given_a_planned_dropout_then_some_samples_are_lost():
-    rig = VirtualRig(changed(fault_plan=(Fault("recorder", "read", "dropout", position=0),)))
+    rig = VirtualRig(changed(fault_plan=(RigFault("recorder", "read", "dropout", position=0),)))
     lost = record(rig, 0 * drive(), range_v=(2.0, 10.0)).volts[1]
     assert 18 <= np.count_nonzero(lost) <= 100
 
 
 def test_given_a_drift_then_the_response_is_weaker_by_that_much():
-    drift = Fault("recorder", "read", "drift", at_call=2, count=100, level_db=-6.0)
+    drift = RigFault("recorder", "read", "drift", at_call=2, count=100, level_db=-6.0)
     rig = VirtualRig(changed(fault_plan=(drift,)))
     before, after = record(rig, drive()), record(rig, drive())
     assert after.volts[1].std() / before.volts[1].std() == pytest.approx(10**-0.3, rel=1e-3)
@@ -348,7 +348,7 @@ def test_given_a_drift_then_the_response_is_weaker_by_that_much():
 )
 def test_given_a_fault_that_cannot_be_then_it_is_named(wrong, named):
     with pytest.raises(ValueError, match=named):
-        Fault(*wrong)
+        RigFault(*wrong)
 
 
 def test_given_a_second_play_before_the_first_ended_then_it_is_refused():

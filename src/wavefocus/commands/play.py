@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from wavefocus.acquisition.wording import hours
 from wavefocus.config.messages.codec import to_line
-from wavefocus.config.messages.operate import Playing
+from wavefocus.config.messages.operate import DrivePlaying
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import named_rig
 from wavefocus.console import Report, print_line, progress, say, working_on
@@ -82,7 +82,7 @@ def play(drive_file: Path, rig_file: Path, *, loop: int, gain_db: float, as_json
                 f" {memory}"
             )
             if watched:
-                print_line(to_line(Playing(seconds)))
+                print_line(to_line(DrivePlaying(seconds)))
             signals_v = {
                 channel: _repeated(volts, loop)
                 for channel, volts in zip(rig.player.channels, drive.drive_v, strict=True)
@@ -262,7 +262,7 @@ def _play(
         seconds = samples / rate_hz
         say(f"{player.identify()}: {hours(seconds)} on {actuators} actuators, at most {renderer.peak_v:.3g} V")
         if watched:
-            print_line(to_line(Playing(seconds)))
+            print_line(to_line(DrivePlaying(seconds)))
         say(f"found the scale in {prepared_s:.1f} s; {latency}")
         pieces = rate.pieces(renderer.blocks(), actuators, samples, block_samples)
         least_s = _sounding(player, rig, pieces, ahead_s, seconds)

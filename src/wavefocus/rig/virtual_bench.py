@@ -9,7 +9,7 @@ import numpy as np
 from wavefocus.config.plate import plate_of
 from wavefocus.config.rig import Emulation, RigConfig, strength
 from wavefocus.config.run import Virtual
-from wavefocus.mocks.virtual.faults import Fault
+from wavefocus.mocks.virtual.faults import RigFault
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.mocks.virtual.settings import MirrorGeometry, VirtualSettings
 from wavefocus.mocks.virtual.synthesis import output_errors
@@ -64,7 +64,7 @@ def virtual_settings(rig: RigConfig, virtual: Virtual | None = None) -> VirtualS
         vibrometer_latency_s=rig.vibrometer.latency_s or 0.0,
         room_c=_room_c(emulation, virtual) or defaults.room_c,
         light=defaults.light if virtual is None or not virtual.light else virtual.light,
-        fault_plan=() if virtual is None else tuple(Fault(**fault.model_dump()) for fault in virtual.fault_plan),
+        fault_plan=() if virtual is None else tuple(RigFault(**fault.model_dump()) for fault in virtual.fault_plan),
     )
 
 

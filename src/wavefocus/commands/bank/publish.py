@@ -18,7 +18,7 @@ from wavefocus.console import progress, say, working_on
 from wavefocus.crate import Crate, Part, published_files
 from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.rendering.report.bank_pictures import green_over_time, quality_map, spectrum
-from wavefocus.rendering.report.canvas import Picture, Surface
+from wavefocus.rendering.report.canvas import Picture, ReportSurface
 from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange import EXPORTS
@@ -91,7 +91,7 @@ def _stem(view: Bank) -> str:
 
 def _pictures(view: Bank, folder: Path, configuration: Configuration | None) -> Iterator[Part]:
     outline_mm = configuration.rig.surface.outline.line(OUTLINE_POINTS) if configuration else None
-    surface = Surface.of(view, outline_mm=outline_mm)
+    surface = ReportSurface.of(view, outline_mm=outline_mm)
     rows = np.flatnonzero(usable(view.status))
     places_mm = view.position_mm[rows]
     row = int(rows[np.argmin(np.hypot(*(places_mm - places_mm.mean(axis=0)).T))])
