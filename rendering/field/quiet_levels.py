@@ -5,10 +5,12 @@ A place or a source that moves is followed: what counts is the response where it
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.rendering.field.focus_figures import emission_windows
@@ -84,14 +86,16 @@ def spread_mm(radius_mm: float, count: int = DISC_POINTS) -> Float64Array:
 
 
 def quiet_levels(drive: Drive, bank: GreenSource) -> tuple[QuietLevel, ...]:
-    """Find the levels at the quiet places of a drive, none where it has none.
+    """Find the levels at the quiet places of a drive, by the bank; none where it has none.
 
     Raises InputError: drive and bank do not fit, or a place is not on the bank's grid.
     """
-    if not drive.quiet:
-        return ()
     measured = [track for track in drive.quiet if track.source < 0]
-    reference = _loudest(drive, bank) if measured else 0.0
+    if not measured:
+        return rendered_levels(drive.quiet)
+    windows = emission_windows(drive)
+    response = Prediction(drive, bank, np.unique([one.row for one in windows]), dtype=np.float64).field()
+    reference = max(_focus_energies(drive, response.field, response.position_index), default=0.0)
     place_rows = PlaceRows(bank)
     found: list[QuietLevel] = []
     for track in drive.quiet:
@@ -103,44 +107,75 @@ def quiet_levels(drive: Drive, bank: GreenSource) -> tuple[QuietLevel, ...]:
             rows = place_rows.at((track.at_mm[:, None] + around_mm).reshape(-1, 2))
         except OffGridError as off:
             raise InputError(f"{track.name} {off}") from off
-        energy = _energy(drive, place_rows.rows, rows.reshape(-1, len(around_mm)), track.sample)
-        levels = energy / max(reference, 1e-300)
-        worst_db = _db(levels.max()) if track.radius_mm else None
-        found.append(QuietLevel(track, _db(levels.mean()), worst_db))
+        index, inverse = np.unique(rows, return_inverse=True)
+        there = Prediction(drive, place_rows.rows, index, dtype=np.float64).field().field
+        energy = np.sum(_followed(drive, there, list(inverse.reshape(-1, len(around_mm))), track.sample), axis=0)
+        worst_db = level_db_of(energy.max(), reference) if track.radius_mm else None
+        found.append(QuietLevel(track, level_db_of(energy.mean(), reference), worst_db))
     return tuple(found)
 
 
-def _loudest(drive: Drive, bank: GreenSource) -> float:
-    """Energy of the response at the loudest focus."""
-    windows = emission_windows(drive)
-    found = [0.0]
+def field_levels(
+    drive: Drive, field: NDArray[Any], position_index: Int64Array, position_mm: Float64Array, spacing_mm: float
+) -> list[tuple[QuietTrack, float | None, int]]:
+    """Levels at a drive's quiet places in a field that was scanned or predicted at positions of the bank.
+
+    field, (positions, samples): From the drive's first sample on.
+    position_mm, float64 (positions, 2): Places of its positions; of a disc those within it count, of a point the
+        nearest one within a grid spacing.
+
+    Returns each quiet place with its level, None where no focus or no position of it is in the field, and the number of
+    positions. Those of sources are left out: their own response is there.
+    """
+    reference = max(_focus_energies(drive, field, position_index), default=0.0)
+    found: list[tuple[QuietTrack, float | None, int]] = []
+    for track in drive.quiet:
+        if track.source >= 0:
+            continue
+        where, apart_mm = positions_at(track, position_mm)
+        level_db = None
+        if (apart_mm <= spacing_mm).all() and reference > 0:
+            energy = _followed(drive, field, where, track.sample)
+            level_db = level_db_of(float(sum(one.mean() for one in energy)), reference)
+        found.append((track, level_db, len(np.unique(np.concatenate(where)))))
+    return found
+
+
+def positions_at(track: QuietTrack, position_mm: Float64Array) -> tuple[list[Int64Array], Float64Array]:
+    """Positions (n, 2) in the disc of a place at each instant, or the nearest, and the distance of the nearest."""
+    apart_mm = np.hypot(*(position_mm - track.at_mm[:, None]).transpose(2, 0, 1))
+    within, nearest = apart_mm <= track.radius_mm, apart_mm.argmin(axis=1)
+    where = [np.flatnonzero(one) if one.any() else at[None] for one, at in zip(within, nearest, strict=True)]
+    return where, apart_mm.min(axis=1)
+
+
+def _focus_energies(drive: Drive, field: NDArray[Any], position_index: Int64Array) -> list[float]:
+    """Energy of the response at the foci of each source whose foci are all in a field."""
+    windows, place = emission_windows(drive), {row: at for at, row in enumerate(position_index.tolist())}
+    found = []
     for source in sorted({one.source for one in windows}):
         own = [one for one in windows if one.source == source]
-        rows = np.array([[one.row] for one in own], dtype=np.int64)
-        found.append(float(_energy(drive, bank, rows, np.array([one.start_sample for one in own])).sum()))
-    return max(found)
+        if all(one.row in place for one in own):
+            where = [np.array([place[one.row]]) for one in own]
+            energy = _followed(drive, field, where, np.array([one.start_sample for one in own]))
+            found.append(float(sum(one.sum() for one in energy)))
+    return found
 
 
-def _energy(drive: Drive, bank: GreenSource, rows: Int64Array, sample: Int64Array) -> Float64Array:
-    """Energy of the response at rows (instants, points) that take over from one another at samples, (points,).
+def _followed(drive: Drive, field: NDArray[Any], where: Sequence[Int64Array], sample: Int64Array) -> list[Float64Array]:
+    """Energies of a response that is followed from instant to instant: at rows of a field, (rows,) for each instant.
 
-    The response of one instant counts whole; of several, each from its sample to the next.
+    The only instant counts whole; of several, each from half-way to the one before to half-way to the next.
     """
-    unique, inverse = np.unique(rows, return_inverse=True)
-    inverse = inverse.reshape(rows.shape)
-    prediction = Prediction(drive, bank, unique, dtype=np.float64)
-    response = np.concatenate([one.field for one in prediction.rows()])
-    if len(rows) == 1:
-        return np.asarray(np.square(response[inverse[0]]).sum(axis=1))
+    if len(where) == 1:
+        return [np.square(field[where[0]], dtype=np.float64).sum(axis=1)]
     first = round(drive.start_s * drive.sample_rate_hz)
-    stop = first + drive.drive_v.shape[1]
-    middles = (sample[1:] + sample[:-1]) // 2
-    edges = np.concatenate([sample[:1], middles, [max(stop, int(sample[-1]) + 1)]]) - first
-    energy = np.zeros(rows.shape[1])
-    for own, begin, end in zip(inverse, edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-        energy += np.square(response[own, max(begin, 0) : max(end, 0)]).sum(axis=1)
-    return energy
+    stop = max(first + drive.drive_v.shape[1], int(sample[-1]) + 1)
+    edges = np.concatenate([sample[:1], (sample[1:] + sample[:-1]) // 2, [stop]]) - first
+    parts = zip(where, edges[:-1].tolist(), edges[1:].tolist(), strict=True)
+    return [np.square(field[rows, max(begin, 0) : end], dtype=np.float64).sum(axis=1) for rows, begin, end in parts]
 
 
-def _db(level: float) -> float:
-    return float(10.0 * np.log10(max(level, 10.0 ** (SILENT_DB / 10))))
+def level_db_of(energy: float, reference: float) -> float:
+    """A level in dB, at least `SILENT_DB`."""
+    return float(10.0 * np.log10(max(energy / max(reference, 1e-300), 10.0 ** (SILENT_DB / 10))))

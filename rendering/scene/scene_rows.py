@@ -29,7 +29,8 @@ class SceneRows:
     """Rows of a grid, each once, ascending.
 
     path, int64 (n,): Rows that the scene is rendered from, for any method and sample distance of the path.
-    checks, int64 (m,): Those within 15 mm of a path: there the foci are looked for when the scene is verified.
+    checks, int64 (m,): Those within 15 mm of a path: there the foci are looked for when the scene is verified; and
+        those at quiet places.
     """
 
     path: Int64Array
@@ -56,6 +57,13 @@ def scene_rows(scene: Scene, position_mm: Float64Array) -> SceneRows:
         rows = _nearby_rows(tree, points_mm, nearest.nodes(points_mm).distance_mm + step_mm)
         path |= rows | method.needed_rows(grid, rows, points_mm, step_mm)
         checks |= _nearby_rows(tree, points_mm, np.full(len(points_mm), FOCUS_RADIUS_MM + grid.spacing_mm))
+    for place in scene.quiet:
+        # Between positions a quiet place takes the best interpolation, whatever the scene's is.
+        points_mm, step_mm = _along(place.path, grid.spacing_mm, allow_large=scene.allow_large)
+        reach_mm = nearest.nodes(points_mm).distance_mm + step_mm + place.radius_mm
+        rows = _nearby_rows(tree, points_mm, reach_mm)
+        path |= rows | interpolation_method("kernel").needed_rows(grid, rows, points_mm, step_mm)
+        checks |= _nearby_rows(tree, points_mm, reach_mm + grid.spacing_mm)
     return SceneRows(np.array(sorted(path), dtype=np.int64), np.array(sorted(checks), dtype=np.int64))
 
 

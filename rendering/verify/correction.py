@@ -23,6 +23,7 @@ import scipy.fft
 
 from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
 from wavefocus.rendering.drive.coil_limits import DriveLimits, limit_drive
+from wavefocus.rendering.field.quiet_levels import positions_at
 from wavefocus.rendering.number_text import percent
 from wavefocus.rendering.verify.results import Correction, CorrectionRound, StopReason
 from wavefocus.rendering.verify.scan import Scan
@@ -120,8 +121,9 @@ def correction_lines(correction: Correction) -> list[str]:
 
 
 def control_rows(scene: Scene, drive: Drive, position_mm: Float64Array) -> Int64Array:
-    """Bank rows at which a correction is judged: those of the scene's foci."""
-    return np.unique(drive.focus_position)
+    """Bank rows at which a correction is judged: those of the scene's foci and quiet places."""
+    quiet = [row for track in drive.quiet for row in positions_at(track, position_mm)[0]]
+    return np.unique(np.concatenate([drive.focus_position, *quiet]))
 
 
 class _Model:

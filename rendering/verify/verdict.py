@@ -13,8 +13,10 @@ from wavefocus.calibration.crosstalk import Crosstalk
 from wavefocus.rendering.arrays import BoolArray, Float64Array
 from wavefocus.rendering.field import metrics
 from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusTable, focus_table, median_or_none
+from wavefocus.rendering.field.quiet_levels import field_levels
 from wavefocus.rendering.number_text import number, precise
 from wavefocus.rendering.verify.comparison import FieldComparison, compare_fields
+from wavefocus.rendering.verify.field_pair import BandLimit
 from wavefocus.rendering.verify.leak import crosstalk_symptom, with_crosstalk
 from wavefocus.rendering.verify.linearity import linearity_figures, nonlinear_share
 from wavefocus.rendering.verify.record import finite
@@ -231,10 +233,34 @@ def compare(
         diagnosis = replace(diagnosis, symptoms=symptoms)
     drift = None if sentinel is None else drift_of(sentinel, bank, drift_limits or DriftLimits())
     figures = (
-        *checks, *linear[:1], *_unlimited(fields, focus, noise_error), *linear[1:],
+        *checks, *linear[:1], *_unlimited(fields, focus, noise_error),
+        *_quiet_figures(prediction, scan, drive, fields, spacing_mm or 0.0), *linear[1:],
         *(drift_figures(drift) if drift else ()),
     )  # fmt: skip
     return Verification(fields, focus, spacing_mm, noise_error, figures, diagnosis, drift)
+
+
+def _quiet_figures(
+    prediction: Field, scan: Field | Scan, drive: Drive, fields: FieldComparison, spacing_mm: float
+) -> tuple[Figure, ...]:
+    """Levels at the quiet places of the scene, at the positions compared."""
+    if not any(track.source < 0 for track in drive.quiet):
+        return ()
+    band = BandLimit(scan.field.shape[1], fields.sample_rate_hz, fields.band_hz)
+    levels = []
+    for field in (prediction, scan):
+        rows = np.flatnonzero(np.isin(field.position_index, fields.position_index))
+        rows = rows[np.argsort(field.position_index[rows])]
+        limited = band.signals(band.spectrum(field.field[rows]))
+        levels.append(field_levels(drive, limited, fields.position_index, fields.position_mm, spacing_mm))
+    return tuple(
+        Figure(f"level at {track.name}", "dB",
+               f"energy of the response over that at the loudest focus, at {count} compared positions within"
+               f" {track.radius_mm:g} mm of the place or nearest to it; {track.level_db:g} dB was asked for",
+               predicted=predicted, scanned=scanned, value=scanned,
+               difference=None if predicted is None or scanned is None else scanned - predicted)
+        for (track, predicted, count), (_, scanned, _) in zip(*levels, strict=True)
+    )  # fmt: skip
 
 
 def _model_error(error: float, noise_error: float | None) -> float:

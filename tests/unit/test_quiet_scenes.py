@@ -14,7 +14,10 @@ from wavefocus.rendering.field.quiet_levels import quiet_levels
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.scene.model import QuietPlace, Scene, Source, read_scene
 from wavefocus.rendering.scene.paths import Circle, Line, Point
+from wavefocus.rendering.scene.scene_rows import scene_rows
 from wavefocus.rendering.scene.signals import Impulse, Noise, Sine
+from wavefocus.rendering.verify.correction import control_rows
+from wavefocus.rendering.verify.verdict import compare
 from wavefocus.storage.drive_file import read_drive, write_drive
 from wavefocus.storage.errors import InputError
 
@@ -219,6 +222,28 @@ def test_a_drive_file_keeps_its_quiet_places(bank, tmp_path):
     assert track.plain() == drive.quiet[0].plain()
     write_drive(tmp_path / "plain.h5", replace(drive, quiet=()))
     assert read_drive(tmp_path / "plain.h5").quiet == ()
+
+
+def test_a_verification_states_the_levels_of_prediction_and_scan(bank):
+    drive, _ = render_with_report(scene_of((16.0, 8.0), (8.0, -16.0), radius_mm=4.5, level_db=-20.0), bank)
+    prediction = predict(drive, bank)
+    louder = replace(prediction, field=prediction.field + 0.1 * prediction.field[row_at(bank, FOCUS)])
+    verification = compare(prediction, louder, drive, bank)
+    levels = [one for one in verification.figures if one.name.startswith("level at quiet")]
+    assert [one.name for one in levels] == ["level at quiet[0]", "level at quiet[1]"]
+    assert [one.predicted for one in levels] == pytest.approx([-20, -20], abs=1.5)
+    assert all(-20 < one.scanned < -14 for one in levels)
+    rows = control_rows(scene_of(), drive, bank.position_mm)
+    apart_mm = np.hypot(*(bank.position_mm[rows] - (16.0, 8.0)).T)
+    assert set(rows) >= set(drive.focus_position)
+    assert (apart_mm < 4.5).sum() == 5
+
+
+def test_a_scene_needs_the_positions_around_its_quiet_places(bank):
+    with_place, without = (scene_rows(one, bank.position_mm).path for one in (scene_of((16.5, 8.5)), scene_of()))
+    added = set(with_place) - set(without)
+    assert row_at(bank, (16.5, 8.5)) in added
+    assert len(added) >= 36
 
 
 REFUSED = {

@@ -28,6 +28,7 @@ from wavefocus.exits import Exit
 from wavefocus.input_files import name_unverified
 from wavefocus.rendering.drive.rendering import SceneRenderer
 from wavefocus.rendering.drive.wav import InterfaceRate
+from wavefocus.rendering.field.quiet_levels import rendered_levels
 from wavefocus.rendering.scene.model import Scene, load_scene
 from wavefocus.rig.instruments import open_player
 from wavefocus.rig.limits import check_drive, interface_of, limited_words, rig_of, within
@@ -253,6 +254,9 @@ def _play(
     prepared_s = time.monotonic() - begun_s
     for warning in facts.warnings:
         say(f"warning: {warning}")
+    quiet = rendered_levels(facts.quiet_tracks)
+    for level in quiet:
+        say(f"quiet: {level}")
     if facts.limiting.decided_by is not None:
         say(limited_words(facts.limiting, rig_file))
     rate = InterfaceRate(rate_hz, rig.player.interface_rate_hz)
@@ -269,6 +273,7 @@ def _play(
     if least_s is not None:
         say(f"rendering was never less than {1e3 * least_s:.0f} ms ahead of the sound")
     return {
+        **({"quiet": [level.plain for level in quiet]} if quiet else {}),
         "seconds": seconds,
         "peak_v": renderer.peak_v,
         "scale": facts.scale,
