@@ -49,6 +49,7 @@ class LiveReady(EventMessage, frozen=True, tag="ready"):
     interface_ms: From a sample written to its sound: what waits to be played, and the interface's own latency.
     x_mm, y_mm: From and to, of the measured surface's bounding box.
     osc: Address that takes OSC messages, or an empty text.
+    independent: Whether each source is quiet where the others are.
     """
 
     player: str
@@ -61,6 +62,7 @@ class LiveReady(EventMessage, frozen=True, tag="ready"):
     x_mm: PointMm
     y_mm: PointMm
     osc: str = ""
+    independent: bool = False
 
 
 class SoundingSource(Message, frozen=True):

@@ -165,6 +165,8 @@ class LivePanel(Themed, QWidget):
         tip = "Softer (negative) or louder than the chosen source's amplitude (dB), at once; the rig's limits hold"
         self.gain = ui.number_box("Gain of live sources in dB", tip, " dB", 1, -60.0, 60.0, prefix="gain ")
         self.gain.valueChanged.connect(partial(setattr, run, "gain_db"))
+        tip = "Each finger's source is quiet where the other fingers are, at up to ten times the energy"
+        self.independent = ui.check("&Independent", tip, "Independent sources")
         tip = "Save each session as a scene in a new folder, named by the time, inside this one"
         self.records = ui.check("&Record in", tip, "Record the session")
         self.folder = PathField("", "", "folder for recordings", context.settings)
@@ -185,7 +187,7 @@ class LivePanel(Themed, QWidget):
         self.buttons = {name: ui.button(action) for name, action in (("start", self.start), ("stop", self.stop))}
         ui.column(
             ui.row(*self.buttons.values(), 6, self.state, None, self.gain, self.look_ahead),
-            ui.row(self.records, (self.folder, 1)),
+            ui.row(self.independent, 6, self.records, (self.folder, 1)),
             (self.latency, 3), (self.load, 2), self.table, self.notices,
             owner=self, margins=(4, 0, 4, 0), spacing=4,
         )  # fmt: skip
@@ -213,7 +215,9 @@ class LivePanel(Themed, QWidget):
         elif self.records.isChecked() and record is None:
             self._context.messages.warn("choose the folder to record in, or record nothing")
         else:
-            act = partial(self._run.start, rig, self.look_ahead.whole(), record)
+            act = partial(
+                self._run.start, rig, self.look_ahead.whole(), record, independent=self.independent.isChecked()
+            )
             self._context.claim_instruments(self, "Start", act, virtual=names_virtual_rig(rig))
 
     def note(self, sentence: str) -> None:
@@ -229,7 +233,7 @@ class LivePanel(Themed, QWidget):
         ready = self._document.bank is not None and bool(self._rig())
         self.start.setEnabled(state == SILENT and ready and self.isVisible())
         self.stop.setEnabled(state in (STARTING, LIVE))
-        for part in (self.look_ahead, self.records):
+        for part in (self.look_ahead, self.independent, self.records):
             part.setEnabled(state == SILENT)
         self.folder.setEnabled(state == SILENT and self.records.isChecked())
         if state == STARTING:

@@ -80,12 +80,13 @@ class LiveRun(SceneTask):
         silent = self.state == SILENT or names_virtual_rig(self._rig)
         return "" if silent else f"the Scene tab plays live on {Path(self._rig).name}"
 
-    def start(self, rig: str, look_ahead_ms: int, record: Path | None) -> None:
+    def start(self, rig: str, look_ahead_ms: int, record: Path | None, *, independent: bool = False) -> None:
         """Start a session with the present scene's signal, regularisation and limits.
 
         rig: The rig file, or ``virtual``.
         look_ahead_ms: By how much sources lag the pointers, so that less has to be predicted.
         record: Folder for a new folder with the session's scene; None: not recorded.
+        independent: Each source is quiet where the others are.
         """
         if self.busy or not self.prepare("", "nothing sounds"):
             return
@@ -94,6 +95,7 @@ class LiveRun(SceneTask):
         name = f"live-{datetime.now():%Y-%m-%d-%H%M%S}"
         kept = [] if record is None else ["--record", str(record / name)]
         arguments = ["live", str(document.bank), "--rig", rig, "--json", f"--look-ahead-ms={look_ahead_ms}"]
+        arguments += ["--independent"] if independent else []
         self._rig, self._refusal, self.ready, self._ended = rig, "", None, None
         self.states.clear()
         self._process = self._context.run(

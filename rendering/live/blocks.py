@@ -208,14 +208,14 @@ class CrossfadedBlocks:
             # Where places are predicted, those around them are no better known.
             counted = 3 if hat[1] <= due and 3 * len(there) <= MAX_PLACES else 1
             own = tuple(tuple(places[number][part][index][0] for part in range(counted)) for number in there)
-            filters = self._filters(own) if own else ()
-            for number, one in zip(there, filters, strict=True):
+            weights = [self._gain(places[number][0][index][1]) for number in there]
+            filters = self._filters(own, tuple(by for _, by in weights)) if own else ()
+            for number, one, (gain, _) in zip(there, filters, weights, strict=True):
                 life = lives[number]
                 begin, end = max(first, life.begin, hat[0] + 1), min(stop, life.end + 1, hat[2])
                 since = max(first, life.begin)
                 loud = values[number][begin - since : end - since]
                 if loud.any():
-                    gain, _ = self._gain(places[number][0][index][1])
                     rise = np.interp(np.arange(begin, end), hat, (0.0, gain, 0.0))
                     emitted.append((one, [(begin - first, loud, rise)]))
         return emitted
@@ -277,13 +277,20 @@ class CrossfadedBlocks:
         spectra = np.fft.rfft(self._rows.read(row), n=self._fft_samples, axis=1)[:, : self._bins]
         return Filter(spectra.conj().astype(np.complex64))
 
-    def _make_filters(self, own: tuple[tuple[Place, ...], ...]) -> tuple[Filter, ...]:
-        """Filters of sources that are independent, by the places of each."""
+    def _make_filters(self, own: tuple[tuple[Place, ...], ...], saturated_by: tuple[int, ...]) -> tuple[Filter, ...]:
+        """Filters of sources that are independent, by the places of each, and the row that saturates it, or -1."""
         places = {place: index for index, place in enumerate(dict.fromkeys(one for mine in own for one in mine))}
-        reversed_in_time = [sum(weight * self._row_filter(row, -1).values for row, weight in place) for place in places]
+        reversed_in_time = [self._at(place, -1) for place in places]
         green = np.ascontiguousarray(np.array(reversed_in_time).conj().transpose(2, 0, 1))
-        filters = independent_filters(green, [[places[one] for one in mine] for mine in own])
+        plain = np.array([self._at(mine[0], by) for mine, by in zip(own, saturated_by, strict=True)])
+        filters = independent_filters(
+            green, [[places[one] for one in mine] for mine in own], np.ascontiguousarray(plain.transpose(2, 0, 1))
+        )
         return tuple(Filter(np.ascontiguousarray(one)) for one in filters.transpose(1, 2, 0))
+
+    def _at(self, place: Place, saturated_by: int) -> Complex64Array:
+        """Filters of time reversal at a place, (actuators, bins)."""
+        return np.asarray(sum(weight * self._row_filter(row, saturated_by).values for row, weight in place))
 
     def _make_gain(self, row: int) -> tuple[float, int]:
         """n(x) of a row, and the row itself where it saturates, else -1."""

@@ -136,8 +136,6 @@ class LiveEngine:
         self.frame_rate_hz = self.rate_hz if frame_rate_hz is None else frame_rate_hz
         self._look_ahead, self._most_sources = look_ahead_samples, most_sources
         regularisation = Regularisation() if regularisation is None else regularisation
-        if independent and (regularisation.saturation or regularisation.saturation_absolute):
-            raise InputError("independent sources are not saturated; leave out saturation and saturation_absolute")
         self._surface = PlayableSurface(bank, interpolation, self._read)
         self._blocks = CrossfadedBlocks(
             BankRows(bank, regularisation),

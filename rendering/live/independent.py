@@ -1,20 +1,22 @@
 """Filters of sources that are quiet at one another's places.
 
-At one frequency let h (1, N) be the Green's functions of a source's own place, and q_k those of the places where it is
-to be quiet. Its drives w (N, 1), per unit of its signal, make
+At one frequency let h (1, N) be the Green's functions of a source's own place, w0 = sigma h* (N, 1) the drives of time
+reversal with its saturation, and Q the rows of the places where it is to be quiet. Its drives w, per unit of its
+signal, make
 
-    |w|^2 + mu sum_k |q_k w|^2
+    |w - w0|^2 + mu |Q w|^2
 
-least under h w = |h|^2, which is the response that time reversal, w = h*, has at its own place. With A = I + mu Q* Q,
-Q the rows q_k, that is w ~ A^-1 h*. By Woodbury's identity this lies in the span of all rows, G = (h; Q):
+least under h w = h w0. Without saturation that is the least energy |w|^2, since |w - h*|^2 = |w|^2 - |h|^2. What is
+added lies in the span of all rows, G = (h; Q): w = w0 - G* y. With y_q = mu q w at the quiet places, b = (0; Q w0) and
+h G* y = 0 that is
 
-    w ~ G* x,  (G G* + I / mu) x = e_1.
+    (G G* + I / mu) y = b + t e_h,    t = y_h / mu.
 
-So one inverse of a small matrix for each frequency serves all sources: each takes the column of its own place, after
-elimination of places of its own that are no quiet places for itself (the Schur complement). Scaling gives h w = |h|^2.
+So one inverse of a small matrix for each frequency serves all sources. Places of its own where a source need not be
+quiet are eliminated (Schur complement).
 
-Where places are so near to one another that the energy |w|^2 would exceed E times |h|^2, that of time reversal,
-w = h* + t (w - h*) takes its place: h (w - h*) = 0, so that |w|^2 = |h|^2 + t^2 |w - h*|^2, and t makes it E times.
+Where places are so near to one another that |w|^2 would exceed E times |w0|^2, as much of G* y is subtracted as E
+allows: the response at the own place stays what it is.
 """
 
 from __future__ import annotations
@@ -33,12 +35,18 @@ MAX_ENERGY = 10.0
 
 
 def independent_filters(
-    green: Complex64Array, own: Sequence[Sequence[int]], *, quiet_db: float = QUIET_DB, max_energy: float = MAX_ENERGY
+    green: Complex64Array,
+    own: Sequence[Sequence[int]],
+    plain: Complex64Array,
+    *,
+    quiet_db: float = QUIET_DB,
+    max_energy: float = MAX_ENERGY,
 ) -> Complex64Array:
     """Filters of sources, each quiet at the others' places.
 
     green, complex64 (bins, places, actuators): Green's functions of all places, none twice.
     own: Of each source the indices of its own places: the one that it sounds at, and others where it need not be quiet.
+    plain, complex64 (bins, sources, actuators): Filters of time reversal, w0.
     quiet_db: 1 / mu, over the mean of |h|^2.
     max_energy: E, >= 1.
 
@@ -47,29 +55,41 @@ def independent_filters(
     conjugate = green.conj()
     gram = green @ conjugate.transpose(0, 2, 1)
     places = np.arange(gram.shape[1])
-    gram[:, places, places] += 10.0 ** (quiet_db / 10.0) * gram[:, places, places].real.mean()
+    floor = max(10.0 ** (quiet_db / 10.0) * float(gram[:, places, places].real.mean()), 1e-30)
+    gram[:, places, places] += floor
     inverse = np.linalg.inv(gram)
-    mixing = np.stack([_column(inverse, list(dict.fromkeys(mine))) for mine in own], axis=1)
-    filters = mixing @ conjugate
-    at = [mine[0] for mine in own]
-    reversed_in_time = conjugate[:, at]
-    response = (green[:, at] * filters).sum(axis=2)
-    plain = np.square(np.abs(reversed_in_time)).sum(axis=2)
+    loud = green @ plain.transpose(0, 2, 1)
+    for source, mine in enumerate(own):
+        loud[:, list(mine), source] = 0.0
+    answers = inverse @ loud
+    taken = [
+        _taken(answers[:, :, source], inverse, list(dict.fromkeys(mine)), floor) for source, mine in enumerate(own)
+    ]
+    change = -(np.stack(taken, axis=1) @ conjugate)
     with np.errstate(divide="ignore", invalid="ignore"):
-        filters *= np.nan_to_num(plain / response, nan=0.0, posinf=0.0, neginf=0.0)[..., None]
-    beyond = filters - reversed_in_time
-    excess = np.square(np.abs(beyond)).sum(axis=2)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = np.sqrt((max_energy - 1.0) * plain / excess)
-    result: Complex64Array = reversed_in_time + beyond * np.fmin(share, 1.0)[..., None].astype(np.float32)
-    return result
+        # To the last digit, also where places can hardly be told apart.
+        at = [mine[0] for mine in own]
+        heard = (green[:, at] * change).sum(axis=2) / np.square(np.abs(green[:, at])).sum(axis=2)
+        change -= conjugate[:, at] * np.nan_to_num(heard, posinf=0.0, neginf=0.0)[..., None]
+        # The part of the change with which the energy is E times that of time reversal.
+        power = np.square(np.abs(plain)).sum(axis=2, dtype=np.float64)
+        changed = np.square(np.abs(change)).sum(axis=2, dtype=np.float64)
+        along = (plain.conj() * change).real.sum(axis=2, dtype=np.float64)
+        part = (np.sqrt(along**2 + (max_energy - 1.0) * power * changed) - along) / changed
+    return np.asarray(plain + change * np.fmin(part, 1.0)[..., None], dtype=np.complex64)
 
 
-def _column(inverse: Complex64Array, own: list[int]) -> Complex64Array:
-    """The column of the first place in the inverse without the others, 0 in their rows, (bins, places)."""
-    columns = inverse[:, :, own]
-    for index in range(1, len(own)):
-        pivot = columns[:, own[index], index]
-        for other in (0, *range(index + 1, len(own))):
-            columns[:, :, other] -= columns[:, :, index] * (columns[:, own[index], other] / pivot)[:, None]
-    return columns[:, :, 0]
+def _taken(answer: Complex64Array, inverse: Complex64Array, own: list[int], floor: float) -> Complex64Array:
+    """The vector y of one source, (bins, places), 0 in the rows of its other own places.
+
+    answer: The inverse times b.
+    """
+    columns = np.concatenate([answer[:, :, None], inverse[:, :, own]], axis=2)
+    for index in range(2, columns.shape[2]):
+        place = own[index - 1]
+        pivot = columns[:, place, index]
+        for other in (0, 1, *range(index + 1, columns.shape[2])):
+            columns[:, :, other] -= columns[:, :, index] * (columns[:, place, other] / pivot)[:, None]
+    known, of_own = columns[:, :, 0], columns[:, :, 1]
+    share = floor * known[:, own[0]] / np.maximum(1.0 - floor * of_own[:, own[0]].real, 1e-6)
+    return np.asarray(known + of_own * share[:, None], dtype=np.complex64)

@@ -151,7 +151,11 @@ def test_given_a_source_that_sounds_then_leaving_the_page_or_closing_the_window_
 ) -> None:
     window = open_window()
     tab = live_page(qtbot, window, finished)
+    tab.live_panel.independent.setChecked(True)
     started(qtbot, tab)
+    assert tab.live_run.ready is not None
+    assert tab.live_run.ready.independent
+    assert not tab.live_panel.independent.isEnabled()
     tab.modes[DRAW].click()
     wait(qtbot, lambda: tab.live_run.state == SILENT)
     tab.modes[LIVE_PAGE].click()

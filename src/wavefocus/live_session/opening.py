@@ -136,6 +136,7 @@ def open_session(
             ahead_ms + 1e3 * (frames.delay_frames / frames.rate_hz + player.latency_s),
             engine.x_mm,
             engine.y_mm,
+            independent=options.independent,
         )
         yield session, ready
 
