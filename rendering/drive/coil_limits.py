@@ -178,23 +178,23 @@ def strictest(reached: Sequence[Reached]) -> Limiting:
     Raises InputError: a limit is not a finite number above 0, or no factor reaches so far.
     """
     least = Limiting()
-    for one in reached:
-        if not (math.isfinite(one.limit_v) and one.limit_v > 0):
-            raise InputError(f"{one.key} is {one.limit_v}; it must be a finite number above 0")
-        actuator = int(np.argmax(one.each_v))
-        most_v = float(one.each_v[actuator])
-        if most_v <= one.limit_v:
+    for level in reached:
+        if not (math.isfinite(level.limit_v) and level.limit_v > 0):
+            raise InputError(f"{level.key} is {level.limit_v}; it must be a finite number above 0")
+        actuator = int(np.argmax(level.each_v))
+        most_v = float(level.each_v[actuator])
+        if most_v <= level.limit_v:
             continue
         # The last bits of a sum depend on its order.
-        scale = one.limit_v / most_v * (1.0 - 1e-12 if one.summed else 1.0)
-        while most_v * scale > one.limit_v:
+        scale = level.limit_v / most_v * (1.0 - 1e-12 if level.summed else 1.0)
+        while most_v * scale > level.limit_v:
             scale = math.nextafter(scale, 0.0)
         if scale == 0.0:
             raise InputError(
-                f"{one.key} is {one.limit_v}, but the drive reaches {most_v:.3g} V; no factor reaches so far"
+                f"{level.key} is {level.limit_v}, but the drive reaches {most_v:.3g} V; no factor reaches so far"
             )
         if scale < least.scale:
-            least = Limiting(scale, one.key, actuator, most_v, one.limit_v)
+            least = Limiting(scale, level.key, actuator, most_v, level.limit_v)
     return least
 
 

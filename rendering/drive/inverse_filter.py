@@ -108,8 +108,8 @@ def inverse_filter(
     sampled = sample_scene(scene, bank, "sampled")
     kind, sources, samples = sampled.kind, sampled.sources, sampled.samples
     nodes = [
-        kind.follow(source.path, one.arc_length_mm)(one.arc_length_mm)
-        for source, one in zip(scene.sources, sources, strict=True)
+        kind.follow(source.path, sampled_source.arc_length_mm)(sampled_source.arc_length_mm)
+        for source, sampled_source in zip(scene.sources, sources, strict=True)
     ]
     rows = BankRows(kind.rows_of(bank), Regularisation(normalise=False))
     length = fast_length(samples + 3 * taps)
@@ -194,8 +194,10 @@ def _system(
 ) -> Complex128Array:
     """Transfer functions (bins, points, actuators), of rows as `rows` reads them."""
     uses: dict[int, dict[int, float]] = {}
-    for one, at in zip(nodes, place, strict=True):
-        for point, own_rows, weights in zip(at.tolist(), one.rows.tolist(), one.weights.tolist(), strict=True):
+    for source_nodes, at in zip(nodes, place, strict=True):
+        for point, own_rows, weights in zip(
+            at.tolist(), source_nodes.rows.tolist(), source_nodes.weights.tolist(), strict=True
+        ):
             for row, weight in zip(own_rows, weights, strict=True):
                 if weight:
                     uses.setdefault(row, {})[point] = weight

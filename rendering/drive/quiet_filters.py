@@ -210,7 +210,7 @@ def _sounding(moment: Moment) -> Moment:
     """The bins of a moment in which its sources emit something."""
     power = np.abs(np.einsum("jjf->jf", moment.emitted)).sum(axis=0)
     used = power > FAINT * power.max(initial=0.0)
-    foci = [replace(one, row=one.row[used], quiet=one.quiet[used]) for one in moment.foci]
+    foci = [replace(focus, row=focus.row[used], quiet=focus.quiet[used]) for focus in moment.foci]
     return replace(moment, foci=foci, emitted=moment.emitted[:, :, used], quiet=moment.quiet[used])
 
 
@@ -257,7 +257,7 @@ class _Search:
     def totals(self, multiplier: Float64Array, slack: float, cut: Cut) -> _Totals:
         """Energies of filters that are cut."""
         filters = self._filters(self._steered(multiplier), slack)
-        return self._summed([[cut(one) for one in own] for own in filters])
+        return self._summed([[cut(spectra) for spectra in own] for own in filters])
 
     def _met(self, relative: Float64Array, level: Float64Array, ceiling: float) -> tuple[Float64Array, float, _Totals]:
         """Multipliers up to a ceiling that meet the levels, in units of the reciprocals of the places' powers."""
@@ -292,9 +292,9 @@ class _Search:
         """The k with which all responses together deviate by e; 0 for e = 0."""
         if not self._error or not ds:
             return 0.0
-        a, d = np.concatenate([one for own in self._a for one in own]), np.concatenate(ds)
+        a, d = np.concatenate([values for own in self._a for values in own]), np.concatenate(ds)
         power = np.concatenate([m.emitted[j, j].real for m in self._moments for j in range(len(m.foci))])
-        edges = np.cumsum([0] + [len(one) for one in ds[:-1]])
+        edges = np.cumsum([0] + [len(values) for values in ds[:-1]])
         whole = power * np.square(a)
         low, high = -16.0, 16.0
         unit = float(whole @ d / max(float(whole.sum()), TINY))
@@ -319,10 +319,10 @@ class _Search:
             there = there * moment.applies[:, None, moment.place]
             share = _energies(moment.emitted, there) / np.bincount(moment.place)[moment.place]
             np.add.at(place, moment.place, share)
-            rows = np.stack([one.row for one in moment.foci])
+            rows = np.stack([source_focus.row for source_focus in moment.foci])
             at_foci = _energies(moment.emitted, np.einsum("lfn,jfn->jfl", rows, driven, optimize=True))
-            for one, energy in zip(moment.foci, at_foci.tolist(), strict=True):
-                focus[one.source] = focus.get(one.source, 0.0) + energy
+            for source_focus, energy in zip(moment.foci, at_foci.tolist(), strict=True):
+                focus[source_focus.source] = focus.get(source_focus.source, 0.0) + energy
         return _Totals(drive, np.maximum(place, 0.0), max(focus.values()))
 
 

@@ -92,8 +92,8 @@ def quiet_scene(scene: Scene, bank: GreenSource, sampled: SampledScene) -> tuple
         for source in scene.sources
     ]
     rows = QuietRows(scene, sampled, bank, place_rows, plan, tail)
-    rows.solve(scene, moments, [[(one.rows[m], one.weights[m], int(one.nearest[m])) for m in range(len(moments))]
-                                for one in at])  # fmt: skip
+    rows.solve(scene, moments, [[(nodes.rows[m], nodes.weights[m], int(nodes.nearest[m])) for m in range(len(moments))]
+                                for nodes in at])  # fmt: skip
     sources = [
         replace(source, emission=QuietEmission(source.emission, plan, index, rows), nodes=2 * source.nodes)
         for index, source in enumerate(sampled.sources)
@@ -163,11 +163,11 @@ class QuietRows(BankRows):
         by = regularised_by + 1 if self._saturates else np.zeros_like(regularised_by)
         key = (sets[:, None] * KEY + rows) * KEY + by[:, None]
         different, inverse = np.unique(key, return_inverse=True)
-        for one in different.tolist():
-            if one not in self._numbers:
-                self._numbers[one] = len(self._keys)
-                self._keys.append((one // KEY // KEY, one // KEY % KEY, one % KEY - 1))
-        numbers = np.array([self._numbers[one] for one in different.tolist()], dtype=np.int64)
+        for key in different.tolist():
+            if key not in self._numbers:
+                self._numbers[key] = len(self._keys)
+                self._keys.append((key // KEY // KEY, key // KEY % KEY, key % KEY - 1))
+        numbers = np.array([self._numbers[key] for key in different.tolist()], dtype=np.int64)
         return np.asarray(numbers[inverse].reshape(rows.shape))
 
     def read(self, row: int, *, single: bool = False) -> RealArray:
@@ -191,7 +191,7 @@ class QuietRows(BankRows):
         """The places with their levels."""
         plan, found = self.plan, self.found
         instants = min(TRACK_INSTANTS, max(2, MAX_TRACK_INSTANTS // len(plan.places)))
-        reached_db, plain_db = (10.0 * np.log10(np.maximum(one, 1e-30)) for one in (found.level, found.plain_level))
+        reached_db, plain_db = (10.0 * np.log10(np.maximum(level, 1e-30)) for level in (found.level, found.plain_level))
         tracks, warnings = [], list(plan.warnings)
         for place, level_db in zip(plan.places, reached_db.tolist(), strict=True):
             moves = place.path.length_mm > 0
@@ -232,7 +232,7 @@ class QuietRows(BankRows):
             for source, own in enumerate(foci) for m, (rows, weights, _) in enumerate(own)
             if self._sounds(emissions[source], int(moments[m]))
         }  # fmt: skip
-        energy = sum(np.square(np.abs(np.fft.rfft(one, self._length, axis=1))).sum(axis=0) for one in green.values())
+        energy = sum(np.square(np.abs(np.fft.rfft(row, self._length, axis=1))).sum(axis=0) for row in green.values())
         self._bins = np.flatnonzero(energy > FAINT * np.max(energy))
         row_bytes = 16 * len(self._bins) * self.bank.actuators
         self._quiet_spectrum = lru_cache(max(64, SPECTRA_BYTES // row_bytes))(self._transform)
@@ -293,10 +293,10 @@ class QuietRows(BankRows):
         span = max(ends) - min(begins) if coherent else max(len(signal) for signal in signals)
         samples = fast_length(2 * max(span, self._length))
         shift = [begin - min(begins) if coherent else 0 for begin in begins]
-        spectra = [np.fft.rfft(np.pad(one, (at, 0)), samples) for one, at in zip(signals, shift, strict=True)]
+        spectra = [np.fft.rfft(np.pad(signal, (at, 0)), samples) for signal, at in zip(signals, shift, strict=True)]
         if not coherent:
-            return np.stack([self._near(one * one.conj(), samples) for one in spectra])
-        return np.stack([[self._near(one * other.conj(), samples) for other in spectra] for one in spectra])
+            return np.stack([self._near(spectrum * spectrum.conj(), samples) for spectrum in spectra])
+        return np.stack([[self._near(spectrum * other.conj(), samples) for other in spectra] for spectrum in spectra])
 
     def _near(self, spectrum: Complex128Array, samples: int) -> Complex128Array:
         """A cross spectrum at this transform's bins, of its correlation's lags within half the transform."""

@@ -213,8 +213,8 @@ class SceneRenderer:
 
     def _limiting(self, between_v: Float64Array | None) -> Limiting:
         reached = [
-            Reached(one.key, one.limit_v, one.each_v * self._gain, one.summed)
-            for one in self._levels.against(self._limits)
+            Reached(level.key, level.limit_v, level.each_v * self._gain, level.summed)
+            for level in self._levels.against(self._limits)
         ]
         if self._interface is None or between_v is None:
             return strictest(reached)

@@ -76,7 +76,7 @@ class Windows:
         pairs = np.array(list(needed), dtype=np.int64)
         self.pairs = pairs // SPAN, pairs % SPAN
         lengths = np.concatenate([begins[1:], [len(key)]])[: len(begins)] - begins
-        self._pair = np.repeat(np.array([index[one] for one in of_run], dtype=np.int64), lengths)
+        self._pair = np.repeat(np.array([index[key] for key in of_run], dtype=np.int64), lengths)
         if -1 in of_run:
             loud = self._pair >= 0
             self._pair, self._sample, self._amount = self._pair[loud], self._sample[loud], self._amount[loud]

@@ -30,7 +30,7 @@ class LoudestInstants:
 
     def time_s(self, sample_rate_hz: float) -> Float64Array:
         """The instants in scene time, (K,)."""
-        return np.array([one.sample for one in self.instants]) / sample_rate_hz
+        return np.array([instant.sample for instant in self.instants]) / sample_rate_hz
 
 
 def loudest_instants(drive: Drive, bank: GreenSource) -> LoudestInstants:
@@ -45,12 +45,12 @@ def loudest_instants(drive: Drive, bank: GreenSource) -> LoudestInstants:
         windows = tuple(windows[index] for index in evenly_spread(len(windows), most))
     if not windows:
         return LoudestInstants((), np.zeros(0))
-    rows, place = np.unique([one.row for one in windows], return_inverse=True)
+    rows, place = np.unique([window.row for window in windows], return_inverse=True)
     field = Prediction(drive, bank, chosen_positions(drive, bank, rows.tolist())).field().field
     first = round(drive.start_s * drive.sample_rate_hz)
     instants = focus_instants(windows, field[place].astype(np.float32, copy=False), first)
     where = dict(zip(rows.tolist(), range(len(rows)), strict=True))
-    peak = np.array([abs(float(field[where[one.row], one.sample - first])) for one in instants])
+    peak = np.array([abs(float(field[where[instant.row], instant.sample - first])) for instant in instants])
     return LoudestInstants(instants, peak)
 
 
@@ -100,7 +100,7 @@ def focus_figures(
     rate_hz = float(drive.sample_rate_hz)
     rows = chosen_positions(drive, bank, None if field is None else field.position_index.tolist())
     instants = loudest_instants(drive, bank).instants
-    sample = np.array([one.sample for one in instants], np.int64)
+    sample = np.array([instant.sample for instant in instants], np.int64)
     if field is None:
         values = predicted_at(drive, bank, rows, sample)
     elif abs(field.sample_rate_hz / rate_hz - 1) > 1e-9:
@@ -113,16 +113,16 @@ def focus_figures(
     there, count = position_mm[rows], len(instants)
     spacing_mm = grid_spacing_mm(there) if len(there) > 1 else None
     at_mm, (peak, off_mm, width_mm, artefact_db) = np.full((count, 2), np.nan), np.full((4, count), np.nan)
-    for index, one in enumerate(instants):
+    for index, instant in enumerate(instants):
         if np.isfinite(values[index]).all() and (
-            spot := focus_spot(there, values[index], position_mm[one.row], FOCUS_RADIUS_MM, spacing_mm)
+            spot := focus_spot(there, values[index], position_mm[instant.row], FOCUS_RADIUS_MM, spacing_mm)
         ):
             at_mm[index], peak[index], off_mm[index] = spot.at_mm, spot.value, spot.off_mm
             width_mm[index], artefact_db[index] = spot.width_mm, spot.artefact_db
         if on_progress is not None:
             on_progress(index + 1, count)
-    position = np.array([one.row for one in instants], np.int64)
-    source = np.array([one.source for one in instants], np.int64)
+    position = np.array([instant.row for instant in instants], np.int64)
+    source = np.array([instant.source for instant in instants], np.int64)
     return FocusResults(
         source, position, sample / rate_hz, position_mm[position], at_mm, peak, off_mm, width_mm, artefact_db
     )

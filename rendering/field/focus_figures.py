@@ -113,7 +113,7 @@ def focus_instants(
             moved[index] = replace(window, sample=window.start_sample + int(np.argmax(part)))
             level[index] = part.max()
     quietest = QUIET * float(np.nanmax(level)) if np.isfinite(level).any() else 0.0
-    return tuple(one for one, loud in zip(moved, level, strict=True) if not loud < quietest)
+    return tuple(instant for instant, loud in zip(moved, level, strict=True) if not loud < quietest)
 
 
 def focus_table(
@@ -132,7 +132,7 @@ def focus_table(
     spacing_mm: Its spacing; None when it has but one position.
     """
     count = len(instants)
-    intended = np.array([position_mm[one.row] for one in instants]).reshape(count, 2)
+    intended = np.array([position_mm[instant.row] for instant in instants]).reshape(count, 2)
     places, widths, artefacts = np.full((2, count, 2), np.nan), np.full((2, count), np.nan), np.full((2, count), np.nan)
     there = position_mm[rows]
     for index, point in enumerate(intended):

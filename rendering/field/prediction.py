@@ -213,7 +213,7 @@ def predicted_focus_peak(drive: Drive, bank: GreenSource) -> float | None:
         prediction = Prediction(drive, bank, list(foci), dtype=np.float64)
         for row, instants in foci.items():
             response = np.abs(prediction.respond(np.array([row], dtype=np.int64))[0])
-            for one in instants:
-                part = response[one.start_sample - begin : one.stop_sample - begin]
+            for instant in instants:
+                part = response[instant.start_sample - begin : instant.stop_sample - begin]
                 peak = max(peak, float(part.max(initial=0.0)))
     return peak if math.isfinite(peak) else None

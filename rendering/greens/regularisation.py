@@ -224,7 +224,8 @@ class BankRows:
         regularised_by, int64 (k,): Bank rows.
         """
         weights = [self._of(row) for row in regularised_by.tolist()]
-        return np.array([one.gain for one in weights]), np.array([one.sigma is not None for one in weights], dtype=bool)
+        saturated = np.array([weight.sigma is not None for weight in weights], dtype=bool)
+        return np.array([weight.gain for weight in weights]), saturated
 
     def _of(self, row: int) -> RowWeights:
         if row not in self._weights:

@@ -69,13 +69,13 @@ def place_at(path: Path, speed_mm_s: float, start_s: float, sample: Int64Array, 
 def places_of(scene: Scene) -> tuple[Place, ...]:
     """The quiet places of a scene, and those of its sources where they are independent."""
     places = [
-        Place(f"quiet[{index}]", one.path, one.speed_mm_s, 0.0, one.radius_mm, one.level_db)
-        for index, one in enumerate(scene.quiet)
+        Place(f"quiet[{index}]", quiet.path, quiet.speed_mm_s, 0.0, quiet.radius_mm, quiet.level_db)
+        for index, quiet in enumerate(scene.quiet)
     ]
     if scene.regularisation.independent and len(scene.sources) > 1:
         places += [
-            Place(f"source {index}", one.path, one.speed_mm_s, one.start_s, 0.0, INDEPENDENT_LEVEL_DB, index)
-            for index, one in enumerate(scene.sources)
+            Place(f"source {index}", source.path, source.speed_mm_s, source.start_s, 0.0, INDEPENDENT_LEVEL_DB, index)
+            for index, source in enumerate(scene.sources)
         ]
     return tuple(places)
 
@@ -159,8 +159,8 @@ class QuietPlan:
 
     def rows_at(self, knot: int) -> tuple[Int64Array, Int64Array]:
         """Rows of all places at a knot, and the place of each."""
-        rows = [np.asarray(one[knot]) for one in self.place_rows]
-        return np.concatenate(rows), np.repeat(np.arange(len(rows)), [len(one) for one in rows])
+        rows = [np.asarray(rows_of_place[knot]) for rows_of_place in self.place_rows]
+        return np.concatenate(rows), np.repeat(np.arange(len(rows)), [len(rows_of_place) for rows_of_place in rows])
 
 
 def plan_quiet(scene: Scene, bank: GreenSource, sampled: SampledScene, place_rows: PlaceRows) -> QuietPlan:
@@ -177,7 +177,7 @@ def plan_quiet(scene: Scene, bank: GreenSource, sampled: SampledScene, place_row
     segment = max(1, round(SEGMENT_S * rate_hz))
     knots = np.arange(first, stop + segment, segment) if moving or apart else np.array([first])
     rows = tuple(_rows(place, knots, rate_hz, place_rows) for place in places)
-    total = sum(one.shape[1] for one in rows)
+    total = sum(rows_of_place.shape[1] for rows_of_place in rows)
     if total > MAX_ROWS or total * len(knots) * len(scene.sources) > MAX_INCIDENCES:
         raise InputError(
             f"{len(places)} quiet places of {total} rows for {len(scene.sources)} sources are too many; use fewer"
@@ -188,17 +188,18 @@ def plan_quiet(scene: Scene, bank: GreenSource, sampled: SampledScene, place_row
     sets: dict[tuple[int, bytes], QuietSet] = {}
     number: dict[tuple[int, bytes], int] = {}
     of_source = np.zeros((len(scene.sources), len(knots)), dtype=np.int64)
-    place_of = np.repeat(np.arange(len(places)), [one.shape[1] for one in rows])
+    place_of = np.repeat(np.arange(len(places)), [rows_of_place.shape[1] for rows_of_place in rows])
     for source in range(len(scene.sources)):
         used = np.concatenate(
-            [np.where(applies[source, index][:, None], one, -1) for index, one in enumerate(rows)], axis=1
+            [np.where(applies[source, index][:, None], rows_of_place, -1) for index, rows_of_place in enumerate(rows)],
+            axis=1,
         )
         different, inverse = np.unique(used, axis=0, return_inverse=True)
         numbers = []
-        for one in different:
-            key = (source, one.tobytes())
+        for used_rows in different:
+            key = (source, used_rows.tobytes())
             numbers.append(number.setdefault(key, len(number)))
-            sets.setdefault(key, QuietSet(source, one[one >= 0], place_of[one >= 0]))
+            sets.setdefault(key, QuietSet(source, used_rows[used_rows >= 0], place_of[used_rows >= 0]))
         of_source[source] = np.array(numbers)[inverse.ravel()]
     return QuietPlan(places, knots, rows, tuple(sets.values()), of_source, tuple(warnings))
 

@@ -235,7 +235,9 @@ class SampledScene:
         return (
             np.concatenate([source.focus_sample for source in self.sources]),
             np.concatenate([source.focus_position for source in self.sources]),
-            np.concatenate([np.full(len(one.focus_sample), one.index, dtype=np.int64) for one in self.sources]),
+            np.concatenate(
+                [np.full(len(source.focus_sample), source.index, dtype=np.int64) for source in self.sources]
+            ),
         )
 
     def naming(self, row: int, at_mm: Float64Array) -> str:

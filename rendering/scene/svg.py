@@ -241,14 +241,14 @@ def svg_path_ids(file: Path) -> tuple[str, ...]:
 
     Raises InputError: the file cannot be read, is no XML, or declares a document type or an entity.
     """
-    return tuple(one.path_id for one in _paths_of(file))
+    return tuple(drawn.path_id for drawn in _paths_of(file))
 
 
 def _find_path(file: Path, path_id: str) -> _Found:
     paths = _paths_of(file)
-    found = next((one for one in paths if not path_id or one.path_id == path_id), None)
+    found = next((drawn for drawn in paths if not path_id or drawn.path_id == path_id), None)
     if found is None:
-        names = ", ".join(repr(one.path_id) for one in paths[:10] if one.path_id) or "none with an id"
+        names = ", ".join(repr(drawn.path_id) for drawn in paths[:10] if drawn.path_id) or "none with an id"
         raise InputError(f"{file} has no path {path_id!r}; its paths are: {names}")
     return found
 

@@ -210,7 +210,7 @@ class _Emitted:
         if len(upto) and upto[-1] > 0:
             first, last = np.searchsorted(upto, [EDGE_SHARE * upto[-1], (1.0 - EDGE_SHARE) * upto[-1]])
             bins_hz = self._bins_hz[inside]
-            low_hz, high_hz = (float(bins_hz[min(int(one), len(bins_hz) - 1)]) for one in (first, last))
+            low_hz, high_hz = (float(bins_hz[min(int(edge), len(bins_hz) - 1)]) for edge in (first, last))
         low_hz = max(low_hz, within_hz[0], 1e-3 * high_hz)
         if high_hz <= low_hz * HALF_BAND:
             return np.array([high_hz])
