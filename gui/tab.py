@@ -47,7 +47,7 @@ class Drawing:
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
+class ClosingQuestion:
     """A question before the window closes; answers are texts of buttons with their actions."""
 
     sentence: str
@@ -177,7 +177,7 @@ class Tab(QWidget):
     def draw(self) -> None:
         """Draw what changed; called after `poll` while the tab is visible."""
 
-    def closing_question(self) -> Question | None:
+    def closing_question(self) -> ClosingQuestion | None:
         """Question before the window closes."""
         return None
 

@@ -16,7 +16,7 @@ from wavefocus.gui.files import FileKind, PathField, Settings, dropped_files, ma
 from wavefocus.gui.messages import ErrorHook, MessageBar
 from wavefocus.gui.process import Background, CommandProcess
 from wavefocus.gui.surface import VIRTUAL
-from wavefocus.gui.tab import Act, Question, Tab, TabContext, make_tabs
+from wavefocus.gui.tab import Act, ClosingQuestion, Tab, TabContext, make_tabs
 from wavefocus.gui.theme import CHOICES, BoxStyle, redraw_all, resized_text, set_theme, theme_named
 from wavefocus.storage.errors import InputError
 
@@ -153,7 +153,7 @@ class Window(QMainWindow):
             for path in dropped_files(event):
                 self.open_file(path)
 
-    def _ask(self, questions: Sequence[Question], chosen: Sequence[Act]) -> None:
+    def _ask(self, questions: Sequence[ClosingQuestion], chosen: Sequence[Act]) -> None:
         """Ask all questions before any answer is carried out, so that "Do not close" loses nothing."""
         if not questions:
             self._carry_out(chosen)

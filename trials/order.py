@@ -37,15 +37,6 @@ class Order(Protocol):
         """Take the answer to that trial."""
 
 
-def order_of(design: TrialsDesign, participant: str) -> Order:
-    """Make the order of a participant, at its first trial; give it the answers that are stored to go on."""
-    if design.config.adaptive is None:
-        return FixedOrder(design, participant)
-    from wavefocus.trials.adaptive import AdaptiveOrder
-
-    return AdaptiveOrder(design, participant)
-
-
 class Draws:
     """Draws that follow from a text, the same for every version of Python.
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from wavefocus.storage.errors import InputError
 from wavefocus.trials.answers import Row
 from wavefocus.trials.design import TrialsDesign
-from wavefocus.trials.order import Order, order_of
+from wavefocus.trials.order import FixedOrder, Order
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +18,15 @@ class Experiment:
     design: TrialsDesign
     stimulus_sha256: Mapping[str, str] = field(default_factory=dict)
     bank_sha256: str | None = None
+
+
+def order_of(design: TrialsDesign, participant: str) -> Order:
+    """Make the order of a participant, at its first trial; give it the answers that are stored to go on."""
+    if design.config.adaptive is None:
+        return FixedOrder(design, participant)
+    from wavefocus.trials.adaptive import AdaptiveOrder
+
+    return AdaptiveOrder(design, participant)
 
 
 def resume_sequence(experiment: Experiment, participant: str, rows: Sequence[Row]) -> tuple[Order, int]:

@@ -27,7 +27,7 @@ from wavefocus.gui.campaign.quality import NOT_GOOD
 from wavefocus.gui.files import FileKind, PathField, TomlKind, rig_of_run, runs_on_virtual_rig, toml_kind
 from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess
 from wavefocus.gui.surface import PlotSurface, raster_of
-from wavefocus.gui.tab import Question, Tab, TabContext
+from wavefocus.gui.tab import ClosingQuestion, Tab, TabContext
 from wavefocus.rendering.verify.record import FIELD_NAMES, RECORD_NAME
 from wavefocus.storage.errors import InputError
 
@@ -120,11 +120,11 @@ class CampaignRun:
             self._last_line = self.own.last_line
         return self._last_line
 
-    def closing_question(self) -> Question | None:
+    def closing_question(self) -> ClosingQuestion | None:
         if self.own is None:
             return None
         bank = self.bank
-        return Question(
+        return ClosingQuestion(
             f"{bank.name} is being measured by a run of this window. What should it do when the window closes?",
             (
                 ("Continue in the background", lambda close: close()),
@@ -300,7 +300,7 @@ class CampaignTab(Tab):
             return f"process {owner.pid} on {owner.host} measures {self.bank_field.path}"
         return self.run.instruments_held()
 
-    def closing_question(self) -> Question | None:
+    def closing_question(self) -> ClosingQuestion | None:
         return self.run.closing_question()
 
     def save_settings(self) -> None:

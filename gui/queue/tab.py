@@ -32,7 +32,7 @@ from wavefocus.gui import widgets as ui
 from wavefocus.gui.files import FileKind, PathField, TomlKind, dropped_files, make_dialog, toml_kind
 from wavefocus.gui.messages import error_text
 from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess
-from wavefocus.gui.tab import Question, Tab, TabContext
+from wavefocus.gui.tab import ClosingQuestion, Tab, TabContext
 from wavefocus.gui.theme import Themed
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.owner import Owner
@@ -170,7 +170,7 @@ class QueueTab(Themed, Tab):
     def instruments_held(self) -> str:
         return "The queue is carried out" if self._process is not None and self._process.running else ""
 
-    def closing_question(self) -> Question | None:
+    def closing_question(self) -> ClosingQuestion | None:
         if self._process is None or not self._process.running or self.file.path is None:
             return None
 
@@ -178,7 +178,7 @@ class QueueTab(Themed, Tab):
             self.stop()
             close()
 
-        return Question(
+        return ClosingQuestion(
             f"The queue {self.file.path.name} is carried out. Stop it when the window closes?",
             (("Continue in the background", lambda close: close()), ("Stop, mute and park", stop)),
         )

@@ -170,7 +170,7 @@ class Saving(SceneTask):
         self.changed.emit()
 
 
-class Playing(SceneTask):
+class PlayTask(SceneTask):
     """Renders the scene within the rig's limits and plays it; the process mutes the outputs when the window is gone."""
 
     def __init__(self, context: TabContext, document: SceneDocument, parent: QObject) -> None:

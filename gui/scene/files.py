@@ -15,7 +15,7 @@ from PyQt5.QtWidgets import QWidget
 
 from wavefocus.gui.files import choose_file, choose_place
 from wavefocus.gui.scene.document import SceneDocument
-from wavefocus.gui.tab import Act, Question, TabContext
+from wavefocus.gui.tab import Act, ClosingQuestion, TabContext
 from wavefocus.storage.errors import WavefocusError
 from wavefocus.storage.output_files import replacement
 
@@ -75,19 +75,19 @@ class SceneFiles(QObject):
         file = self._document.path or self._context.settings.folder(".toml") / "scene.toml"
         choose_place(self._owner, "Save the scene", file, "scene", ".toml", lambda chosen: self._save(chosen, then))
 
-    def closing_question(self) -> Question | None:
+    def closing_question(self) -> ClosingQuestion | None:
         """What to ask before the window closes."""
         if self._nothing_to_lose:
             return None
         answers: list[tuple[str, Act]] = [("Save and close", self.save), ("Close without saving", self._drop)]
         if self._context.settings.can_save():
             answers.append(("Close and keep for next time", self._keep))
-            return Question(f"{self.name} has unsaved changes. Save them?", answers)
+            return ClosingQuestion(f"{self.name} has unsaved changes. Save them?", answers)
         sentence = (
             f"{self.name} has unsaved changes. Save them to a file? They cannot be kept for next time: "
             f"{self._context.settings.place} cannot be written"
         )
-        return Question(sentence, answers)
+        return ClosingQuestion(sentence, answers)
 
     def save_settings(self) -> None:
         """Keep unsaved changes in the settings, for the next window."""

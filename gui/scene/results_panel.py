@@ -14,16 +14,16 @@ from wavefocus.gui.advice import in_window
 from wavefocus.gui.files import PathField, choose_place, names_virtual_rig
 from wavefocus.gui.scene.calculation import (
     Answer,
-    Calculation,
     CalculationProgress,
     DriveResult,
     Finished,
     FocusFigures,
     PredictedField,
 )
+from wavefocus.gui.scene.calculation_process import Calculation
 from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.scene.draft import EMPTY
-from wavefocus.gui.scene.exports import DRIVE, ENDINGS, IDLE, MOVIE, STOPPING, WAV, Playing, Saving
+from wavefocus.gui.scene.exports import DRIVE, ENDINGS, IDLE, MOVIE, STOPPING, WAV, PlayTask, Saving
 from wavefocus.gui.scene.figures_view import FiguresView, drive_figures, field_figures
 from wavefocus.gui.scene.result_views import DrivesView, FieldView
 from wavefocus.gui.surface import VIRTUAL
@@ -48,7 +48,7 @@ class ActionsBar(Themed, QWidget):
         self,
         context: TabContext,
         saving: Saving,
-        playing: Playing,
+        playing: PlayTask,
         save: Callable[[str, Path], None],
         play: Callable[[], None],
     ) -> None:
@@ -158,7 +158,7 @@ class ResultsPanel(QWidget):
         self.predicted: PredictedField | None = None
         self.complete = False
         self.drives, self.field, self.figures = DrivesView(), FieldView(), FiguresView()
-        self.saving, self.playing = Saving(context, document, self), Playing(context, document, self)
+        self.saving, self.playing = Saving(context, document, self), PlayTask(context, document, self)
         self.bar = ActionsBar(context, self.saving, self.playing, self.save, self.play)
         self.stage = ui.label("Stage of the calculation", any_width=True)
         self.problem = ui.label("Problem of the calculation", wraps=True)

@@ -23,7 +23,7 @@ from wavefocus.gui.scene.preview import LivePreview
 from wavefocus.gui.scene.results_panel import ResultsPanel
 from wavefocus.gui.scene.sources import SourceActions, SourceList
 from wavefocus.gui.scene.surface_panel import SurfacePanel
-from wavefocus.gui.tab import Drawing, Question, Tab, TabContext
+from wavefocus.gui.tab import ClosingQuestion, Drawing, Tab, TabContext
 from wavefocus.storage.units import response_unit
 
 # Modes of the tab: key of its page, button, tooltip.
@@ -111,7 +111,7 @@ class SceneTab(Tab):
     def instruments_held(self) -> str:
         return self.results.playing.instruments_held() or self.live_run.instruments_held()
 
-    def closing_question(self) -> Question | None:
+    def closing_question(self) -> ClosingQuestion | None:
         return self.files.closing_question()
 
     def shut_down(self) -> None:

@@ -23,7 +23,7 @@ from wavefocus.gui.files import TomlKind, toml_kind
 from wavefocus.gui.messages import error_text
 from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess
 from wavefocus.gui.surface import PlotSurface, raster_of
-from wavefocus.gui.tab import Question, TabContext
+from wavefocus.gui.tab import ClosingQuestion, TabContext
 from wavefocus.rendering.verify.record import (
     FIELD_NAMES,
     LOG_NAME,
@@ -151,7 +151,7 @@ class VerificationRun:
             self._reset()
             self._context.messages.warn("the verification of another process has written nothing for five minutes")
 
-    def closing_question(self) -> Question | None:
+    def closing_question(self) -> ClosingQuestion | None:
         """What to ask before the window closes; None without a verification of its own."""
         if self.own is None or not self.own.running or self.out is None:
             return None
@@ -162,7 +162,7 @@ class VerificationRun:
             if not self.running:
                 close()
 
-        return Question(
+        return ClosingQuestion(
             f"A verification plays and scans into {self.out.name}. Stop it when the window closes?",
             (("Continue in the background", lambda close: close()), ("Stop, mute and park", stop)),
         )

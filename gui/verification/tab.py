@@ -16,7 +16,7 @@ from wavefocus.gui import widgets as ui
 from wavefocus.gui.files import FileKind, PathField, choose_file, dropped_files, names_virtual_rig
 from wavefocus.gui.messages import error_text
 from wavefocus.gui.process import Background
-from wavefocus.gui.tab import Drawing, Question, Tab, TabContext
+from wavefocus.gui.tab import ClosingQuestion, Drawing, Tab, TabContext
 from wavefocus.gui.theme import Themed
 from wavefocus.gui.verification.panels import FiguresPanel, MapsPanel, WaveformPanel
 from wavefocus.gui.verification.run import (
@@ -381,7 +381,7 @@ class VerificationTab(Tab):
             self.run.progress, stopping=self.run.stopping, missing=self.form.missing(), reading=self._reading_text()
         )
 
-    def closing_question(self) -> Question | None:
+    def closing_question(self) -> ClosingQuestion | None:
         return self.run.closing_question()
 
     def instruments_held(self) -> str:
