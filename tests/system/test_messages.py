@@ -22,7 +22,7 @@ from wavefocus.config.messages.campaign import (
 )
 from wavefocus.config.rig import MessagesSection
 from wavefocus.configuration import load_rig
-from wavefocus.rig.messages import AppriseOutbox, Messenger, message_findings, messenger_for
+from wavefocus.rig.notifications import AppriseOutbox, Messenger, message_findings, messenger_for
 from wavefocus.storage.errors import InputError
 
 PASSWORD = "secret-word-7"

@@ -52,7 +52,7 @@ from wavefocus.exits import Exit
 from wavefocus.input_files import parse_positions
 from wavefocus.rig.calibration_validity import refuse_other_devices, with_one_calibration
 from wavefocus.rig.input_delay import note_delay_in_new_bank
-from wavefocus.rig.messages import messenger_for
+from wavefocus.rig.notifications import messenger_for
 from wavefocus.rig.setup import open_setup
 from wavefocus.storage.bank.origins import origins_of
 from wavefocus.storage.bank.reading import open_bank

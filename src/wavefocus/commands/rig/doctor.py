@@ -25,7 +25,7 @@ from wavefocus.ending import ending_at_once
 from wavefocus.exits import Exit
 from wavefocus.rig.calibration_validity import calibration_warnings
 from wavefocus.rig.instruments import openers
-from wavefocus.rig.messages import message_findings
+from wavefocus.rig.notifications import message_findings
 from wavefocus.storage.durable import is_network_mount
 from wavefocus.storage.errors import InputError
 

@@ -10,20 +10,15 @@ import socket
 import threading
 import time
 from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 
 from wavefocus.acquisition.event_wording import sentence
 from wavefocus.acquisition.wording import hours
 from wavefocus.campaign.control import resume_line
-from wavefocus.config.messages.campaign import (
-    Drift,
-    Event,
-    Fault,
-    SessionEnded,
-    State,
-    StateChanged,
-)
+from wavefocus.campaign.status import CampaignStatus
+from wavefocus.config.messages.campaign import Drift, Event, Logged, SessionEnded, State, StateChanged
 from wavefocus.config.messages.rig_checks import Act, Finding
 from wavefocus.config.rig import MessagesSection, RigConfig
 from wavefocus.console import say
@@ -94,9 +89,8 @@ class Messenger:
         self._bank, self._section, self._outbox = bank, section, outbox
         self._go_on = go_on or resume_line(Path(bank.name), None)
         self._events: queue.SimpleQueue[Event | None] = queue.SimpleQueue()
+        self._status = CampaignStatus()
         self._since_s: float | None = None
-        self._state: StateChanged | None = None
-        self._last_fault: Fault | None = None
         self._waiting_sent = False
         self._drift_sent = ""
         self._undelivered = 0
@@ -141,41 +135,35 @@ class Messenger:
         return max(0.0, self._since_s + 60 * self._section.suspended_after_min - time.monotonic())
 
     def _take(self, event: Event) -> None:
-        if isinstance(event, StateChanged):
-            waits = event.state in WAITING
-            if waits and self._since_s is None:
-                self._since_s = time.monotonic()
-            elif not waits:
+        self._status = self._status.after(Logged(datetime.now(UTC), event))
+        match event:
+            case StateChanged() if event.state in WAITING:
+                self._since_s = time.monotonic() if self._since_s is None else self._since_s
+            case StateChanged():
                 if self._waiting_sent and event.state is State.RUNNING:
                     self._send("suspended", "goes on", event.reason)
                 self._since_s, self._waiting_sent = None, False
-            self._state = event
-        elif isinstance(event, Fault):
-            self._last_fault = event
-        elif isinstance(event, Drift):
-            self._take_drift(event)
-        elif isinstance(event, SessionEnded):
-            self._take_end(event)
+            case Drift():
+                if event.verdict not in (self._drift_sent, "steady"):
+                    self._send("drift", "drift", sentence(event))
+                self._drift_sent = event.verdict
+            case SessionEnded():
+                self._send_end(event)
 
-    def _take_drift(self, drift: Drift) -> None:
-        if drift.verdict not in (self._drift_sent, "steady"):
-            self._send("drift", "drift", sentence(drift))
-        self._drift_sent = drift.verdict
-
-    def _take_end(self, ended: SessionEnded) -> None:
-        text = f"{sentence(ended)}."
+    def _send_end(self, ended: SessionEnded) -> None:
+        text, fault = f"{sentence(ended)}.", self._status.fault
         if ended.state is not State.FINISHED:
-            reason = "" if self._state is None else f"{self._state.reason}. "
+            reason = f"{self._status.reason}. " if self._status.reason else ""
             text = f"{reason}{text} Go on with: {self._go_on}"
-        if ended.state is State.FAILED and self._last_fault is not None:
-            text += f" What to do: {self._last_fault.remedy}"
+        if ended.state is State.FAILED and fault is not None:
+            text += f" What to do: {fault.remedy}"
         self._send(str(ended.state), str(ended.state), text)
 
     def _send_waiting(self) -> None:
         self._waiting_sent = True
-        if self._state is not None and self._since_s is not None:
+        if self._since_s is not None:
             waited = hours(time.monotonic() - self._since_s)
-            self._send("suspended", str(self._state.state), f"for {waited}: {self._state.reason}")
+            self._send("suspended", str(self._status.state), f"for {waited}: {self._status.reason}")
 
     def _send(self, about: str, title: str, text: str) -> None:
         if about not in self._section.about or self._outbox is None:
