@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from wavefocus.acquisition.defects import Cure
 from wavefocus.acquisition.judgement import Judgement, judge
-from wavefocus.acquisition.limits import QualityLimits
 from wavefocus.acquisition.plan import Plan
 from wavefocus.acquisition.plays import Play, keep_recordings
 from wavefocus.acquisition.setup import Setup, point_at, start_move, take_record
 from wavefocus.calibration import Float64Array, Int64Array
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.estimator.estimate import Estimate, PositionEstimator
+from wavefocus.config.limits import QualityLimits
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import Recording, RecordLabel
 from wavefocus.storage.bank.ledger import PointRecord

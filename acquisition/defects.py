@@ -8,9 +8,9 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.acquisition.limits import QualityLimits
 from wavefocus.calibration import BoolArray, Float64Array
 from wavefocus.calibration.estimator.estimate import Estimate
+from wavefocus.config.limits import QualityLimits
 
 MAINS_HZ = (50.0, 60.0)
 # A line belongs to the mains where it is this close to a multiple; their frequency itself strays by 0.2 Hz.

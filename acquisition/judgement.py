@@ -16,9 +16,9 @@ from wavefocus.acquisition.defects import (
     listed,
     named_defects,
 )
-from wavefocus.acquisition.limits import QualityLimits
 from wavefocus.calibration import BoolArray, Complex128Array, Float32Array, Float64Array
 from wavefocus.calibration.estimator.estimate import Estimate
+from wavefocus.config.limits import QualityLimits
 from wavefocus.storage.point_status import Status
 
 # A Green's function that is no farther from another than this is the same, whatever the noise.

@@ -1,9 +1,9 @@
-"""Limits of point quality and of drift, as a run file has them, and how far a sentinel position drifted."""
+"""How far a sentinel position drifted, and what the limits of drift say of it."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,72 +11,8 @@ from wavefocus.calibration import Float32Array
 from wavefocus.calibration.numerics import parabola_vertex
 from wavefocus.config.messages.codec import Instant, Number
 
-
-@dataclass(frozen=True, slots=True)
-class QualityLimits:
-    """When a position is good enough.
-
-    poor_residual_db: A record is suspect when the fitted response leaves more than this unexplained, in dB of the
-        response.
-    excess_noise_db: A suspect record makes the position poor when its residual in volts is also this much above the
-        residual of the position's quietest record. Both must hold: a far actuator's record is mostly noise and still
-        honest, a near one's residual is large in volts and still small next to its response.
-    poor_snr_db: The position is poor when even its best record has less signal-to-noise ratio.
-    max_attempts: Attempts at a position before it is committed as it is.
-    poor_harmonic_db: A record is clipped or distorted when the third harmonic at its loudest moment is above this, in
-        dB of the fundamental.
-    speckle_step_mm: How far the mirror moves aside where the light does not come back, >= 0.
-    remeasure_pass: How often, at the end of a campaign, all that is not valid is measured again, >= 0.
-    second_look: ``"auto"``: the pass also measures what neighbours cannot judge, and two measurements must agree;
-        ``"never"``.
-    reference_db: How far the level of the reference may be from that of the records before, in dB, > 0. From its
-        calibration it may be `CALIBRATION_SPARE` times as far.
-    """
-
-    poor_residual_db: float = -50.0
-    excess_noise_db: float = 8.0
-    poor_snr_db: float = 20.0
-    max_attempts: int = 3
-    poor_harmonic_db: float = -42.0
-    speckle_step_mm: float = 0.1
-    remeasure_pass: int = 1
-    second_look: str = "auto"
-    reference_db: float = 0.1
-
-    @property
-    def confirms(self) -> bool:
-        """Whether positions that neighbours cannot judge are measured twice."""
-        return self.second_look != "never" and self.remeasure_pass > 0
-
-
-@dataclass(frozen=True, slots=True)
-class DriftLimits:
-    """How often the sentinel position is measured again, and how far it may be from its first measurement.
-
-    At the default noise a re-measured position correlates above 0.999.
-
-    every_positions: Measured again after so many positions, > 0.
-    every_s: And after so long on the rig's clock, whichever comes first, > 0.
-    warn_level_db, stop_level_db: Largest change of level, either way, before a warning, and before the campaign stops.
-    warn_delay_samples, stop_delay_samples: Largest shift in time, either way.
-    warn_correlation, stop_correlation: Smallest correlation.
-    """
-
-    every_positions: int = 50
-    every_s: float = 3600.0
-    warn_level_db: float = 0.5
-    stop_level_db: float = 3.0
-    warn_delay_samples: float = 0.5
-    stop_delay_samples: float = 5.0
-    warn_correlation: float = 0.98
-    stop_correlation: float = 0.9
-
-    def passes(self, positions: int, position_s: float) -> int:
-        """How often the sentinel is measured with so many positions of so many seconds each, at their end too."""
-        if positions < 2 or position_s <= 0:
-            return 0
-        between = min(self.every_positions, max(1, math.ceil(self.every_s / position_s)))
-        return (positions - 1) // between + 1
+if TYPE_CHECKING:  # pydantic, which status does without
+    from wavefocus.config.limits import DriftLimits
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.acquisition.judgement import judge
-from wavefocus.acquisition.limits import QualityLimits
 from wavefocus.acquisition.plays import channels_of
 from wavefocus.acquisition.setup import Setup, record_samples, record_silence, take_record
 from wavefocus.calibration import Float32Array, Float64Array
@@ -16,6 +15,7 @@ from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.excitation import PlayedExcitation
+from wavefocus.config.limits import QualityLimits
 from wavefocus.config.messages.operate import ChannelLevel, Defect, InputLevels, SweepFigures, SweepTaken, TakeSweep
 from wavefocus.drivers.protocols import Recording, RecordLabel
 from wavefocus.storage.errors import InputError

@@ -9,11 +9,11 @@ from statistics import median
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.acquisition.limits import DriftLimits, QualityLimits
 from wavefocus.acquisition.setup import RecordMargins, record_samples
 from wavefocus.calibration import Float64Array, Int64Array
 from wavefocus.calibration.estimator.schedule_error import expected_error_db
 from wavefocus.calibration.excitation import PlayedExcitation, StaggeredSignal
+from wavefocus.config.limits import DriftLimits, QualityLimits
 
 # Time of a mirror move, of starting a task and of a commit, for the estimate before a run.
 POSITION_OVERHEAD_S = 0.05

@@ -12,11 +12,11 @@ from scipy import fft as scipy_fft
 from wavefocus.acquisition.engine.campaign import Campaign
 from wavefocus.acquisition.engine.session import StopRequest
 from wavefocus.acquisition.grid import surface_grid
-from wavefocus.acquisition.limits import QualityLimits
 from wavefocus.acquisition.plan import Plan
 from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.excitation import PlayedExcitation, StaggeredSignal
 from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.config.limits import QualityLimits
 from wavefocus.config.messages.campaign import Subscriber
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.rendering.field.metrics import band_weights

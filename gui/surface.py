@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.acquisition.limits import DriftLimits
+from wavefocus.config.limits import DriftLimits
 from wavefocus.rendering.arrays import Float64Array
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ import pyqtgraph
 from PyQt5.QtCore import QRectF, Qt
 from PyQt5.QtWidgets import QSizePolicy, QTabWidget, QWidget
 
-from wavefocus.acquisition.limits import DriftLimits
 from wavefocus.campaign.sidecar_files import raw_path
+from wavefocus.config.limits import DriftLimits
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.campaign.model import CampaignModel, clock
 from wavefocus.gui.campaign.quality import status_text

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.acquisition.limits import DriftLimits, DriftPoint
+from wavefocus.acquisition.limits import DriftPoint
+from wavefocus.config.limits import DriftLimits
 from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM
 from wavefocus.rendering.field.metrics import normalised_error

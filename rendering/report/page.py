@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.acquisition.limits import DriftLimits, DriftPoint
+from wavefocus.acquisition.limits import DriftPoint
 from wavefocus.calibration.numerics import evenly_spread
+from wavefocus.config.limits import DriftLimits
 from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.rendering.field import metrics
 from wavefocus.rendering.greens.regularisation import focus_gain_map

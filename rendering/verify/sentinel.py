@@ -10,11 +10,12 @@ from wavefocus.acquisition.attempt import Attempt, PositionRecords, evaluate
 from wavefocus.acquisition.drift_watch import measure_again
 from wavefocus.acquisition.engine.recovery import Recovery
 from wavefocus.acquisition.engine.session import Session, StopRequest
-from wavefocus.acquisition.limits import DriftLimits, compare_sentinel
+from wavefocus.acquisition.limits import compare_sentinel
 from wavefocus.acquisition.plan import Plan, sentinel_of
 from wavefocus.acquisition.plays import measuring_of
 from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.config.limits import DriftLimits
 from wavefocus.config.messages.campaign import State, Subscriber
 from wavefocus.rendering.number_text import number
 from wavefocus.rendering.verify.results import Figure, Sentinel, SentinelDrift

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from wavefocus.acquisition.limits import DriftLimits
 from wavefocus.calibration.crosstalk import Crosstalk
+from wavefocus.config.limits import DriftLimits
 from wavefocus.rendering.arrays import BoolArray, Float64Array
 from wavefocus.rendering.field import metrics
 from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusTable, focus_table, median_or_none

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.acquisition.judgement import judge
-from wavefocus.acquisition.limits import QualityLimits
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.estimator.raw_estimation import PositionResult, affordable_workers, estimate_positions
 from wavefocus.campaign.blueprint import carried_configuration, estimator_for, own_plan, require_same_plan
 from wavefocus.cluster import estimate_on_cluster
+from wavefocus.config.limits import QualityLimits
 from wavefocus.configuration import plate_behind
 from wavefocus.storage.argument_types import checked
 from wavefocus.storage.bank.layout import BankHeader

@@ -8,7 +8,8 @@ import pyqtgraph
 import pytest
 from pytestqt.qtbot import QtBot
 
-from wavefocus.acquisition.limits import DriftLimits, DriftPoint
+from wavefocus.acquisition.limits import DriftPoint
+from wavefocus.config.limits import DriftLimits
 from wavefocus.gui.campaign.position_panel import DriftPlot
 
 LIMITS = DriftLimits(warn_level_db=0.4, stop_level_db=2.0, warn_correlation=0.97, stop_correlation=0.8)

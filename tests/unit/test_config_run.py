@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wavefocus.acquisition.limits import QualityLimits
 from wavefocus.config.rig import RigConfig, default_rig
-from wavefocus.config.run import Quality, RunConfig, default_run
+from wavefocus.config.run import RunConfig, default_run
 from wavefocus.configuration import check_together, configuration_from_json, load_run, plan_sha256
 from wavefocus.storage.errors import InputError
 
@@ -36,10 +35,6 @@ def test_empty_run_file_is_the_default_campaign(tmp_path: Path) -> None:
     assert configuration.position_mm.shape == (1500, 2)
     capture = configuration.run.capture
     assert (capture.averages, capture.taps, capture.decay_s, capture.stagger_s) == (3, 2000, 0.2, 0.25)
-
-
-def test_default_quality_is_what_the_engine_judges_by() -> None:
-    assert QualityLimits(**Quality().model_dump()) == QualityLimits()
 
 
 MISTAKES = [

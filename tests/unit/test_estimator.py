@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from wavefocus.acquisition.defects import Cure
 from wavefocus.acquisition.judgement import judge
-from wavefocus.acquisition.limits import QualityLimits
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.estimator.estimate import Channels, Estimate
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.excitation import Excitation, PlayedExcitation, RecordedExcitation
+from wavefocus.config.limits import QualityLimits
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.point_status import Status
 

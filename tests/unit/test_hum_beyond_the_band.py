@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from wavefocus.acquisition.judgement import Judgement, in_band, judge
-from wavefocus.acquisition.limits import QualityLimits
 from wavefocus.calibration.estimator.estimate import Estimate, Records
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.estimator.staggered import StaggeredEstimator
 from wavefocus.calibration.excitation import PlayedExcitation, StaggeredSignal
+from wavefocus.config.limits import QualityLimits
 from wavefocus.storage.point_status import Status
 
 RATE_HZ, BAND_HZ, TAPS, ACTUATORS = 10_000.0, (50.0, 500.0), 1000, 3

@@ -10,12 +10,12 @@ import pytest
 
 from wavefocus.acquisition.defects import Cure
 from wavefocus.acquisition.judgement import Judgement, judge
-from wavefocus.acquisition.limits import QualityLimits
 from wavefocus.acquisition.setup import Setup, point_at, take_record
 from wavefocus.calibration.estimator.estimate import Channels
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.calibration.mirror_map import MirrorMap
+from wavefocus.config.limits import QualityLimits
 from wavefocus.drivers.protocols import RecordLabel
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
 from wavefocus.storage.point_status import Status

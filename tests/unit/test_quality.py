@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from wavefocus.acquisition.judgement import judge
-from wavefocus.acquisition.limits import QualityLimits
 from wavefocus.calibration.estimator.estimate import Estimate
+from wavefocus.config.limits import QualityLimits
 from wavefocus.storage.point_status import Status, status_counts
 
 LIMITS = QualityLimits()

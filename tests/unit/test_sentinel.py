@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from wavefocus.acquisition.limits import DriftFigures, DriftLimits, compare_sentinel
+from wavefocus.acquisition.limits import DriftFigures, compare_sentinel
+from wavefocus.config.limits import DriftLimits
 
 
 def _responses(seed: int = 1) -> np.ndarray:

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.acquisition.limits import DriftLimits, QualityLimits
 from wavefocus.acquisition.plan import Plan
 from wavefocus.calibration.excitation import PlayedExcitation, StaggeredSignal
 from wavefocus.configuration import (
@@ -169,8 +168,8 @@ def blueprint_of(configuration: Configuration) -> Blueprint:
         excitation=excitation,
         taps=capture.taps,
         sha256=configuration.plan_sha256,
-        quality=QualityLimits(**run.quality.model_dump()),
-        drift=DriftLimits(**run.drift.model_dump()),
+        quality=run.quality,
+        drift=run.drift,
         staggered=staggered,
     )
     return Blueprint(configuration, plan)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wavefocus.acquisition.limits import DriftLimits, compare_sentinel
+from wavefocus.acquisition.limits import compare_sentinel
 from wavefocus.acquisition.wording import row_ranges
 from wavefocus.calibration import Float32Array, Float64Array
 from wavefocus.campaign.blueprint import (
@@ -138,7 +138,7 @@ def _require_alike(first: Bank, row: int, second: Bank, other: int) -> None:
         first.quality["snr_db"][row], second.quality["snr_db"][other],
         band_hz=first.band_hz, sample_rate_hz=first.sample_rate_hz,
     )  # fmt: skip
-    limits = DriftLimits(**bank_configuration(first).run.drift.model_dump())
+    limits = bank_configuration(first).run.drift
     if figures.speaks_against(limits):
         raise InputError(
             f"{second.path}: position {other} is not what position {row} of {first.path} is, at the same place "

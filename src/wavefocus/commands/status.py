@@ -239,12 +239,11 @@ def _life_facts(beat: Heartbeat | None) -> dict[str, object] | None:
 def _draw(bank: Path, drift: list[DriftPoint], plot: Path) -> None:
     if not drift:
         raise InputError(f"{drift_path(bank)}: holds no drift to draw: the sentinel has not been measured again yet")
-    from wavefocus.acquisition.limits import DriftLimits
     from wavefocus.campaign.blueprint import bank_configuration
     from wavefocus.rendering.report.figures import drift_over_time  # the configuration is read for a picture alone
 
     with open_bank(bank) as view:
-        limits = DriftLimits(**bank_configuration(view).run.drift.model_dump())
+        limits = bank_configuration(view).run.drift
     write_whole(plot, drift_over_time(drift, limits).png)
     say(f"{plot}: drift of the sentinel position, {len(drift)} measurements")
 

@@ -17,7 +17,6 @@ from types import TracebackType
 import numpy as np
 
 from wavefocus.acquisition.doctor import crosstalk_alone
-from wavefocus.acquisition.limits import DriftLimits
 from wavefocus.acquisition.setup import Setup
 from wavefocus.acquisition.wording import hours
 from wavefocus.calibration.crosstalk import Crosstalk, crosstalk_of_bank
@@ -196,7 +195,7 @@ class _Work:
         write_field(out / SCAN_NAME, measured.as_field())
         outline_mm = self.rig.surface.outline.line(OUTLINE_POINTS)
         with self._step("compare and report", 3) as report:
-            drift_limits = DriftLimits(**self.configuration.run.drift.model_dump())
+            drift_limits = self.configuration.run.drift
             verification = compare(
                 prediction,
                 measured,
