@@ -94,7 +94,7 @@ def quiet_levels(drive: Drive, bank: GreenSource) -> tuple[QuietLevel, ...]:
     if not measured:
         return rendered_levels(drive.quiet)
     windows = emission_windows(drive)
-    response = Prediction(drive, bank, np.unique([one.row for one in windows]), dtype=np.float64).field()
+    response = Prediction(drive, bank, np.unique([window.row for window in windows]), dtype=np.float64).field()
     reference = max(_focus_energies(drive, response.field, response.position_index), default=0.0)
     place_rows = PlaceRows(bank)
     found: list[QuietLevel] = []
@@ -136,7 +136,7 @@ def field_levels(
         level_db = None
         if (apart_mm <= spacing_mm).all() and reference > 0:
             energy = _followed(drive, field, where, track.sample)
-            level_db = level_db_of(float(sum(one.mean() for one in energy)), reference)
+            level_db = level_db_of(float(sum(values.mean() for values in energy)), reference)
         found.append((track, level_db, len(np.unique(np.concatenate(where)))))
     return found
 
@@ -145,7 +145,7 @@ def positions_at(track: QuietTrack, position_mm: Float64Array) -> tuple[list[Int
     """Positions (n, 2) in the disc of a place at each instant, or the nearest, and the distance of the nearest."""
     apart_mm = np.hypot(*(position_mm - track.at_mm[:, None]).transpose(2, 0, 1))
     within, nearest = apart_mm <= track.radius_mm, apart_mm.argmin(axis=1)
-    where = [np.flatnonzero(one) if one.any() else at[None] for one, at in zip(within, nearest, strict=True)]
+    where = [np.flatnonzero(inside) if inside.any() else at[None] for inside, at in zip(within, nearest, strict=True)]
     return where, apart_mm.min(axis=1)
 
 
@@ -153,12 +153,12 @@ def _focus_energies(drive: Drive, field: NDArray[Any], position_index: Int64Arra
     """Energy of the response at the foci of each source whose foci are all in a field."""
     windows, place = emission_windows(drive), {row: at for at, row in enumerate(position_index.tolist())}
     found = []
-    for source in sorted({one.source for one in windows}):
-        own = [one for one in windows if one.source == source]
-        if all(one.row in place for one in own):
-            where = [np.array([place[one.row]]) for one in own]
-            energy = _followed(drive, field, where, np.array([one.start_sample for one in own]))
-            found.append(float(sum(one.sum() for one in energy)))
+    for source in sorted({window.source for window in windows}):
+        own = [window for window in windows if window.source == source]
+        if all(window.row in place for window in own):
+            where = [np.array([place[window.row]]) for window in own]
+            energy = _followed(drive, field, where, np.array([window.start_sample for window in own]))
+            found.append(float(sum(values.sum() for values in energy)))
     return found
 
 

@@ -210,14 +210,14 @@ class CrossfadedBlocks:
             own = tuple(tuple(places[number][part][index][0] for part in range(counted)) for number in there)
             weights = [self._gain(places[number][0][index][1]) for number in there]
             filters = self._filters(own, tuple(by for _, by in weights)) if own else ()
-            for number, one, (gain, _) in zip(there, filters, weights, strict=True):
+            for number, row_filter, (gain, _) in zip(there, filters, weights, strict=True):
                 life = lives[number]
                 begin, end = max(first, life.begin, hat[0] + 1), min(stop, life.end + 1, hat[2])
                 since = max(first, life.begin)
                 loud = values[number][begin - since : end - since]
                 if loud.any():
                     rise = np.interp(np.arange(begin, end), hat, (0.0, gain, 0.0))
-                    emitted.append((one, [(begin - first, loud, rise)]))
+                    emitted.append((row_filter, [(begin - first, loud, rise)]))
         return emitted
 
     def _places(self, at_mm: Sequence[Float64Array]) -> list[list[list[tuple[Place, int]]]]:
@@ -249,11 +249,11 @@ class CrossfadedBlocks:
             spectra = scipy.fft.rfft(windows, axis=1)[:, : self._bins]
             kept = self._bins
             if bound_db is not None:
-                kept = self._kept([one for one, _ in emitted], spectra, self._error(bound_db, unit))
+                kept = self._kept([row_filter for row_filter, _ in emitted], spectra, self._error(bound_db, unit))
             total = np.zeros((self._rows.bank.actuators, kept), dtype=np.complex64)
             product = np.empty_like(total)
-            for (one, _), spectrum in zip(emitted, spectra, strict=True):
-                np.multiply(one.values[:, :kept], spectrum[:kept], out=product)
+            for (row_filter, _), spectrum in zip(emitted, spectra, strict=True):
+                np.multiply(row_filter.values[:, :kept], spectrum[:kept], out=product)
                 total += product
             late = float(self._frame(first) / self._frames_per_sample - first)
             if late:
@@ -279,14 +279,14 @@ class CrossfadedBlocks:
 
     def _make_filters(self, own: tuple[tuple[Place, ...], ...], saturated_by: tuple[int, ...]) -> tuple[Filter, ...]:
         """Filters of sources that are independent, by the places of each, and the row that saturates it, or -1."""
-        places = {place: index for index, place in enumerate(dict.fromkeys(one for mine in own for one in mine))}
+        places = {place: index for index, place in enumerate(dict.fromkeys(place for mine in own for place in mine))}
         reversed_in_time = [self._at(place, -1) for place in places]
         green = np.ascontiguousarray(np.array(reversed_in_time).conj().transpose(2, 0, 1))
         plain = np.array([self._at(mine[0], by) for mine, by in zip(own, saturated_by, strict=True)])
         filters = independent_filters(
-            green, [[places[one] for one in mine] for mine in own], np.ascontiguousarray(plain.transpose(2, 0, 1))
+            green, [[places[place] for place in mine] for mine in own], np.ascontiguousarray(plain.transpose(2, 0, 1))
         )
-        return tuple(Filter(np.ascontiguousarray(one)) for one in filters.transpose(1, 2, 0))
+        return tuple(Filter(np.ascontiguousarray(spectra)) for spectra in filters.transpose(1, 2, 0))
 
     def _at(self, place: Place, saturated_by: int) -> Complex64Array:
         """Filters of time reversal at a place, (actuators, bins)."""
@@ -302,8 +302,8 @@ class CrossfadedBlocks:
         if not error > 0:
             return self._bins
         summed = np.zeros(self._bins)
-        for one, spectrum in zip(filters, np.abs(spectra), strict=True):
-            summed += spectrum * one.magnitude
+        for row_filter, spectrum in zip(filters, np.abs(spectra), strict=True):
+            summed += spectrum * row_filter.magnitude
         beyond = np.cumsum(np.square(summed[::-1])) * (2.0 / self._fft_samples)
         return max(self._bins - int(np.searchsorted(beyond, error**2, side="right")), 1)
 

@@ -270,7 +270,7 @@ class LiveEngine:
     def late_sources(self) -> list[str]:
         """Names of sources that fade since no position came in time."""
         latest = self.next_sample + self._look_ahead - self._timing.hold
-        return [name for name, one in self._sources.items() if one.life is not None and 0 <= one.due < latest]
+        return [name for name, source in self._sources.items() if source.life is not None and 0 <= source.due < latest]
 
     def take_record(self) -> tuple[RecordedLife, ...]:
         """Knots that became final since the last call, life by life; they are given once."""
@@ -333,7 +333,9 @@ class LiveEngine:
 
     def _active(self, due: int) -> list[str]:
         """Names that sound or are dropped, in the order of their appearance: those with a position not too late."""
-        names = [name for name, one in self._sources.items() if one.due >= 0 and due <= one.due + self._timing.hold]
+        names = [
+            name for name, source in self._sources.items() if source.due >= 0 and due <= source.due + self._timing.hold
+        ]
         return sorted(names, key=lambda name: self._sources[name].appeared)
 
     def _dropped(self, due: int) -> list[str]:
@@ -349,6 +351,6 @@ class LiveEngine:
         source = _Source(self._default if emitted is None else emitted)
         active = self._active(self.next_sample + self._look_ahead)
         while len(self._sources) >= max(MAX_NAMES, self._most_sources + 1):
-            del self._sources[next(one for one in self._sources if one not in active)]
+            del self._sources[next(name for name in self._sources if name not in active)]
         self._sources[name] = source
         return source

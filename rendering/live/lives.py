@@ -163,7 +163,7 @@ class Life:
 
     def runs(self, first: int, stop: int) -> list[Run]:
         """What it passes at samples [first, stop)."""
-        return [one.between(first, stop) for one in self._runs if one.begin < stop and one.end > first]
+        return [run.between(first, stop) for run in self._runs if run.begin < stop and run.end > first]
 
     def values(self, first: int, stop: int) -> Float64Array:
         """What it emits at samples [first, stop), all of them from `begin` to `end`, float64 (stop - first,)."""
@@ -242,9 +242,9 @@ class Life:
     def _recent(self, position: Knot) -> list[Knot]:
         """Positions by which the velocity is taken, the given one the last: those of `VELOCITY_S`, at least two."""
         earlier = [
-            one for one in self._positions if position.sample - self._timing.hold <= one.sample < position.sample
+            knot for knot in self._positions if position.sample - self._timing.hold <= knot.sample < position.sample
         ]
-        within = [one for one in earlier if one.sample >= position.sample - self._timing.velocity]
+        within = [knot for knot in earlier if knot.sample >= position.sample - self._timing.velocity]
         return [*(within or earlier[-1:]), position]
 
     def _trace(self, knots: list[Knot], changed: int) -> None:
@@ -252,7 +252,7 @@ class Life:
         course = trajectory(knots)
         runs = self._traced(course, changed, knots[-1].sample)
         former = [
-            one.between(self._needed, changed) for one in self._runs if one.end > self._needed and one.begin < changed
+            run.between(self._needed, changed) for run in self._runs if run.end > self._needed and run.begin < changed
         ]
         if former and former[-1].goes_on(runs[0]):
             runs[0] = runs[0]._replace(begin=former.pop().begin)
@@ -270,12 +270,13 @@ class Life:
         same = (nodes.rows[1:] == nodes.rows[:-1]) & (nodes.weights[1:] == nodes.weights[:-1])
         same = same.all(axis=1) & (nodes.nearest[1:] == nodes.nearest[:-1]) | (sample[1:] <= sample[:-1] + 1)
         if len(differ := np.flatnonzero(~same)):
-            missing = np.concatenate([np.arange(sample[one] + 1, sample[one + 1]) for one in differ.tolist()])
+            missing = np.concatenate([np.arange(sample[index] + 1, sample[index + 1]) for index in differ.tolist()])
             both = [nodes, self._nodes(course, missing, first)]
             order = np.argsort(np.concatenate([sample, missing]), kind="stable")
             sample = np.concatenate([sample, missing])[order]
             rows, weights, nearest = (
-                np.concatenate([getattr(one, part) for one in both])[order] for part in ("rows", "weights", "nearest")
+                np.concatenate([getattr(nodes, part) for nodes in both])[order]
+                for part in ("rows", "weights", "nearest")
             )
             nodes = Nodes(rows, weights, nearest, np.zeros(0))
         return _runs(sample, nodes, last + 1)
@@ -314,11 +315,11 @@ def _runs(sample: Int64Array, nodes: Nodes, stop: int) -> list[Run]:
 
 def _velocity(positions: list[Knot]) -> tuple[float, float]:
     """Millimetres per sample along x and y, by least squares; 0 of one position."""
-    last, mean = positions[-1], sum(one.sample for one in positions) / len(positions)
-    offsets = [one.sample - mean for one in positions]
+    last, mean = positions[-1], sum(knot.sample for knot in positions) / len(positions)
+    offsets = [knot.sample - mean for knot in positions]
     square = sum(offset * offset for offset in offsets)
     if not square:
         return 0.0, 0.0
-    right = sum(offset * (one.x_mm - last.x_mm) for offset, one in zip(offsets, positions, strict=True))
-    up = sum(offset * (one.y_mm - last.y_mm) for offset, one in zip(offsets, positions, strict=True))
+    right = sum(offset * (knot.x_mm - last.x_mm) for offset, knot in zip(offsets, positions, strict=True))
+    up = sum(offset * (knot.y_mm - last.y_mm) for offset, knot in zip(offsets, positions, strict=True))
     return right / square, up / square

@@ -146,8 +146,8 @@ def waveforms(surface: ReportSurface, fields: FieldComparison) -> Picture:
     time_ms = 1e3 * (fields.start_s + np.arange(fields.predicted_waveform.shape[1]) / rate_hz)
     factor, unit = scaled_unit(float(np.max(np.abs(fields.scanned_waveform))), fields.response_unit)
     canvas = Canvas("waveforms", 1120, 30 + 176 * math.ceil(count / 2))
-    windows = [next(one for one in fields.instant if one.row == row) for row in fields.waveform_index]
-    for place, index in enumerate(np.argsort([one.sample for one in windows], kind="stable")):
+    windows = [next(instant for instant in fields.instant if instant.row == row) for row in fields.waveform_index]
+    for place, index in enumerate(np.argsort([window.sample for window in windows], kind="stable")):
         row, window = fields.waveform_index[index], windows[index]
         predicted, scanned = fields.predicted_waveform[index], fields.scanned_waveform[index]
         start_ms, stop_ms = 1e3 * window.start_sample / rate_hz, 1e3 * window.stop_sample / rate_hz

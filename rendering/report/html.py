@@ -12,7 +12,7 @@ def html_page(template: str, package: str = "wavefocus.rendering", /, **content:
     """Fill a template from a package's folder ``templates``; it may extend those of ``rendering``."""
     from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
-    loader = ChoiceLoader([PackageLoader(one) for one in dict.fromkeys((package, "wavefocus.rendering"))])
+    loader = ChoiceLoader([PackageLoader(name) for name in dict.fromkeys((package, "wavefocus.rendering"))])
     environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
     environment.filters |= {
         "number": number,

@@ -143,8 +143,8 @@ class Foci:
                     magnitude = np.abs(values[row - start, first:last])
                     found[focus] = (first + int(np.argmax(magnitude)), float(magnitude.max()))
         held = sorted(found)
-        sample = np.array([found[one][0] for one in held], dtype=np.int64)
-        return Seen(np.array(held, dtype=np.int64), sample, np.array([found[one][1] for one in held]))
+        sample = np.array([found[focus][0] for focus in held], dtype=np.int64)
+        return Seen(np.array(held, dtype=np.int64), sample, np.array([found[focus][1] for focus in held]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,7 +277,7 @@ class _Stage:
         self._background = self._canvas.copy_from_bbox(figure.bbox)
         # The axes' ticks and labels lie outside of the cells.
         below = (*moving, axes.patch, axes.xaxis, axes.yaxis)
-        self._still = [one for one in axes.get_children() if one not in below]
+        self._still = [artist for artist in axes.get_children() if artist not in below]
 
     def draw(self, frames: Float32Array, frame: int) -> NDArray[np.uint8]:
         """Draw one frame; uint8 (height, width, 3)."""
@@ -289,7 +289,7 @@ class _Stage:
         self._canvas.restore_region(self._background)
         # Outline, actuators and paths lie above the cells, so that they are drawn anew with them.
         self._axes.draw_artist(self._cells)
-        for artist in sorted(self._still, key=lambda one: one.get_zorder()):
+        for artist in sorted(self._still, key=lambda child: child.get_zorder()):
             self._axes.draw_artist(artist)
         self._axes.draw_artist(self._foci)
         self._figure.draw_artist(self._time)
@@ -329,9 +329,9 @@ def snapshots(field: FieldRowReader, surface: ReportSurface, drive: Drive) -> Pi
     factor, unit = scaled_unit(top, field.response_unit)
     columns = min(3, len(sample))
     panels = []
-    for at, one, values in zip(sample.tolist(), focus.tolist(), frames, strict=True):
-        title = f"t = {1e3 * (field.start_s + at / field.sample_rate_hz):.1f} ms, source {foci.source[one]}"
-        panels.append(Panel(title, factor * values, surface.position_mm[[foci.position[one]]]))
+    for at, index, values in zip(sample.tolist(), focus.tolist(), frames, strict=True):
+        title = f"t = {1e3 * (field.start_s + at / field.sample_rate_hz):.1f} ms, source {foci.source[index]}"
+        panels.append(Panel(title, factor * values, surface.position_mm[[foci.position[index]]]))
     pitch = surface.height_px(SNAPSHOT_PX) + TITLE_PX
     width = 62 + columns * (SNAPSHOT_PX + 12)
     canvas = Canvas("snapshots", width, 58 + pitch * math.ceil(len(sample) / columns) + 44)

@@ -89,9 +89,9 @@ def build_report(
     )
     out_dir.mkdir(parents=True, exist_ok=True)
     if save_pictures:
-        for one in pictures.values():
-            if one is not None:
-                write_whole(out_dir / f"{one.name}.png", one.png)
+        for picture in pictures.values():
+            if picture is not None:
+                write_whole(out_dir / f"{picture.name}.png", picture.png)
     report = out_dir / REPORT_NAME
     write_whole(report, html)
     return report

@@ -63,7 +63,7 @@ def scene_picture(scene: Scene, bank: GreenSource, *, outline_mm: Float64Array |
     Raises InputError: a path leaves the bank's positions, or a source is not as stated.
     """
     sources = _sources(scene, bank)
-    surface = ReportSurface.of(bank, [one.line_mm for one in sources], outline_mm)
+    surface = ReportSurface.of(bank, [drawn.line_mm for drawn in sources], outline_mm)
     height = surface.height_px(MAP_PX)
     lines = -(-min(len(sources), MAX_NAMED) // 2)
     canvas = Canvas("scene", 2 * MAP_PX + 152, TOP_PX + height + 66 + 16 * lines)
@@ -75,8 +75,8 @@ def scene_picture(scene: Scene, bank: GreenSource, *, outline_mm: Float64Array |
     left.set(title=f"{scene.name}: as asked for", ylabel="y (mm)")
     right.tick_params(labelleft=False)
     _draw_asked(left, surface, sources, bank)
-    points, largest_mm = sum(len(one.rows) for one in sources), max(float(one.snap_mm.max()) for one in sources)
-    rows = np.unique(np.concatenate([one.rows for one in sources]))
+    points, largest_mm = sum(len(drawn.rows) for drawn in sources), max(float(drawn.snap_mm.max()) for drawn in sources)
+    rows = np.unique(np.concatenate([drawn.rows for drawn in sources]))
     places = f"{points} points on {len(rows)} positions" if points > 1 else "its position"
     moved = "snapped by" if scene.output.interpolation == "nearest" else f"{scene.output.interpolation}; nearest within"
     right.set_title(f"{places}, {moved} up to {largest_mm:.2g} mm".replace("within up to", "within"))
@@ -106,12 +106,12 @@ def _draw_asked(axes: Axes, surface: ReportSurface, sources: list[_Drawn], bank:
     position_mm = surface.position_mm
     axes.plot(*position_mm[allowed].T, ".", ms=1.6, color="#b6bec6", zorder=1)
     axes.plot(*position_mm[~allowed].T, "x", ms=2.0, color=UNMEASURED, mew=0.5, zorder=1)
-    for index, one in enumerate(sources):
+    for index, drawn in enumerate(sources):
         colour = SOURCE_COLOURS[index % len(SOURCE_COLOURS)]
-        axes.plot(*_broken(one.line_mm, surface.spacing_mm).T, color=colour, lw=1.1, zorder=5)
-        axes.plot(*one.points_mm.T, ".", color=colour, ms=3.5, zorder=6)
-        axes.plot(*one.points_mm[0], "o", ms=7, mfc="none", mec=colour, mew=1.4, zorder=7)
-        _draw_direction(axes, one.line_mm, colour)
+        axes.plot(*_broken(drawn.line_mm, surface.spacing_mm).T, color=colour, lw=1.1, zorder=5)
+        axes.plot(*drawn.points_mm.T, ".", color=colour, ms=3.5, zorder=6)
+        axes.plot(*drawn.points_mm[0], "o", ms=7, mfc="none", mec=colour, mew=1.4, zorder=7)
+        _draw_direction(axes, drawn.line_mm, colour)
 
 
 def _draw_direction(axes: Axes, line_mm: Float64Array, colour: str) -> None:
@@ -141,14 +141,14 @@ def _draw_snapped(
     if high - low < 1e-9:
         low, high = low - 0.5, high + 0.5
     cells = draw_cells(axes, surface, rows, values, colours="viridis", limits=(low, high))
-    for index, one in enumerate(sources):
+    for index, drawn in enumerate(sources):
         colour = SOURCE_COLOURS[index % len(SOURCE_COLOURS)]
-        visited = surface.position_mm[one.rows]
-        furthest_mm = 1.5 * (one.source.step_mm or np.inf) + surface.spacing_mm
+        visited = surface.position_mm[drawn.rows]
+        furthest_mm = 1.5 * (drawn.source.step_mm or np.inf) + surface.spacing_mm
         axes.plot(*_broken(visited, furthest_mm).T, color=colour, lw=0.8, zorder=5)
-        moved = np.stack([one.points_mm, visited, np.full_like(visited, np.nan)], axis=1).reshape(-1, 2)
+        moved = np.stack([drawn.points_mm, visited, np.full_like(visited, np.nan)], axis=1).reshape(-1, 2)
         axes.plot(*moved.T, color=INK, lw=0.5, zorder=5)
-        axes.plot(*one.points_mm.T, ".", color=INK, ms=1.8, zorder=6)
+        axes.plot(*drawn.points_mm.T, ".", color=INK, ms=1.8, zorder=6)
         axes.plot(*visited[0], "o", ms=7, mfc="none", mec=colour, mew=1.4, zorder=7)
     return cells, label
 
@@ -165,8 +165,8 @@ def _gains(scene: Scene, bank: GreenSource, rows: Int64Array) -> Float64Array | 
 
 def _first_instants(sources: list[_Drawn], rows: Int64Array) -> Float64Array:
     first = dict.fromkeys(rows.tolist(), np.inf)
-    for one in sources:
-        for row, focus_s in zip(one.rows.tolist(), one.focus_s.tolist(), strict=True):
+    for drawn in sources:
+        for row, focus_s in zip(drawn.rows.tolist(), drawn.focus_s.tolist(), strict=True):
             first[row] = min(first[row], focus_s)
     return np.array([first[row] for row in rows.tolist()])
 
@@ -181,14 +181,14 @@ def _keys(sources: list[_Drawn]) -> list[object]:
     from matplotlib.lines import Line2D
 
     keys: list[object] = []
-    for index, one in enumerate(sources[:MAX_NAMED]):
-        source = one.source
-        if len(one.rows) > 1:
+    for index, drawn in enumerate(sources[:MAX_NAMED]):
+        source = drawn.source
+        if len(drawn.rows) > 1:
             pace = f"at {source.speed_mm_s:g} mm/s" if source.speed_mm_s else f"in {source.travel_s:.3g} s"
             way = f"{source.path.length_mm:.0f} mm {pace}"
             text = f"source {index}: {way}, from {source.start_s:g} s"
         else:
-            x_mm, y_mm = one.points_mm[0]
+            x_mm, y_mm = drawn.points_mm[0]
             text = f"source {index}: at ({x_mm:.3g}, {y_mm:.3g}) mm, from {source.start_s:g} s"
         if index == MAX_NAMED - 1 and len(sources) > MAX_NAMED:
             text, colour = f"and {len(sources) - MAX_NAMED + 1} more", FAINT

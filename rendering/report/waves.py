@@ -75,7 +75,9 @@ def waves_of(scene: Scene, bank: GreenSource, fields: FieldComparison, spacing_m
             crosstalk = crosstalk_table(
                 bank, line.tolist(), spacing_mm, SPEEDS_MM_S, EVERY, regularisation=scene.regularisation
             )
-    predicted, scanned = (_spectrum(fields, one) for one in (fields.predicted_waveform, fields.scanned_waveform))
+    predicted, scanned = (
+        _spectrum(fields, waveform) for waveform in (fields.predicted_waveform, fields.scanned_waveform)
+    )
     return Waves(travel, correlation, crosstalk, predicted, scanned)
 
 
@@ -221,13 +223,13 @@ def _say(axes: Axes, text: str) -> None:
 
 def _spectrum(fields: FieldComparison, waveforms: Float32Array) -> PathSpectrum | None:
     place = {int(row): number for number, row in enumerate(fields.waveform_index)}
-    kept = [one for one in fields.instant if one.row in place]
+    kept = [instant for instant in fields.instant if instant.row in place]
     if not kept:
         return None
     rate_hz = fields.sample_rate_hz
     lead = round((fields.start_s + BEFORE_S) * rate_hz)
-    first = np.array([one.sample - lead for one in kept], dtype=np.int64)
-    responses = waveforms[[place[one.row] for one in kept]]
+    first = np.array([instant.sample - lead for instant in kept], dtype=np.int64)
+    responses = waveforms[[place[instant.row] for instant in kept]]
     return path_spectrum(responses, rate_hz, first, round((BEFORE_S + AFTER_S) * rate_hz))
 
 

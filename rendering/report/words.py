@@ -42,7 +42,11 @@ class FigureLine:
 
 def figure_lines(verification: Verification, gain_range_db: float) -> list[FigureLine]:
     """The figures without a limit, with those of the report alone."""
-    lines = [FigureLine(one.name, _value(one), one.definition) for one in verification.figures if not one.relation]
+    lines = [
+        FigureLine(figure.name, _value(figure), figure.definition)
+        for figure in verification.figures
+        if not figure.relation
+    ]
     gain_range = FigureLine(
         "range of n(x)",
         number(gain_range_db, "dB"),

@@ -51,7 +51,7 @@ def change_lines(changes: Changes) -> list[str]:
         *changes.inputs,
         *(f"no longer: {_text(symptom)}" for symptom in changes.symptoms_gone),
         *(f"new: {_text(symptom)}" for symptom in changes.symptoms_new),
-        *(_line(one) for one in changes.figures if one.noted),
+        *(_line(change) for change in changes.figures if change.noted),
     ]
     return lines or ["no figure has changed by more than two scans of a steady rig differ"]
 
@@ -68,8 +68,11 @@ def _values(
     for index, source in enumerate(sources, 1):
         values[f"source {index}: error"] = "%", None if source.error is None else 100.0 * source.error
         values[f"source {index}: focus to path point"] = "mm", source.focus_mm
-    for index, one in enumerate(actuators):
-        values |= {f"actuator {index}: level": ("dB", one.level_db), f"actuator {index}: delay": ("µs", one.delay_us)}
+    for index, actuator in enumerate(actuators):
+        values |= {
+            f"actuator {index}: level": ("dB", actuator.level_db),
+            f"actuator {index}: delay": ("µs", actuator.delay_us),
+        }
     return values
 
 
@@ -79,5 +82,7 @@ def _change(name: str, unit: str, before: float | None, now: float | None) -> Ch
 
 
 def _line(change: Change) -> str:
-    before, now = (precise(one) if not change.unit else number(one, change.unit) for one in (change.before, change.now))
+    before, now = (
+        precise(value) if not change.unit else number(value, change.unit) for value in (change.before, change.now)
+    )
     return f"{change.name}: {before} then, {now} now"

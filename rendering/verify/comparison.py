@@ -122,17 +122,17 @@ def compare_fields(prediction: Field, scan: Field | Scan, drive: Drive, bank: Gr
     first_sample = round(scan.start_s * rate_hz)
     band = BandLimit(samples, rate_hz, bank.band_hz)
 
-    windows = [one for one in emission_windows(drive) if one.start_sample - first_sample < samples]
-    compared = np.isin([one.row for one in windows], rows)
+    windows = [window for window in emission_windows(drive) if window.start_sample - first_sample < samples]
+    compared = np.isin([window.row for window in windows], rows)
     at_foci = np.full((len(windows), samples), np.nan, np.float32)
     if compared.any():
-        focus_rows = np.array([one.row for one in windows])[compared]
+        focus_rows = np.array([window.row for window in windows])[compared]
         at_foci[compared] = band.signals(
             band.spectrum(prediction.field[in_prediction[np.searchsorted(rows, focus_rows)]])
         )
     instants = focus_instants(tuple(windows), at_foci, first_sample)
-    columns = np.array([one.sample - first_sample for one in instants], np.int64)
-    focused = np.unique([one.row for one in instants if one.row in rows]).astype(np.int64)
+    columns = np.array([instant.sample - first_sample for instant in instants], np.int64)
+    focused = np.unique([instant.row for instant in instants if instant.row in rows]).astype(np.int64)
     waveform_index = focused[evenly_spread(len(focused), MAX_WAVEFORMS)]
 
     scanned_energy, predicted_energy, product, error_energy = np.zeros((4, rows.size))

@@ -79,8 +79,8 @@ def correct_drive(
             stopped = "dropouts"
             break
         found.append(state)
-        if number and state.error > NO_BETTER * min(one.error for one in found[:-1]):
-            best = played if state.error < min(one.error for one in found[:-1]) else best
+        if number and state.error > NO_BETTER * min(earlier.error for earlier in found[:-1]):
+            best = played if state.error < min(earlier.error for earlier in found[:-1]) else best
             stopped = "no better"
             break
         best = played
@@ -95,7 +95,7 @@ def correct_drive(
             break
         played = corrected
         scan = measure(played)
-    errors = [one.error for one in found]
+    errors = [state.error for state in found]
     return best, Correction(tuple(found), int(np.argmin(errors)) if errors else None, stopped)
 
 
@@ -111,10 +111,10 @@ STOPPED_WORDS = {
 def correction_lines(correction: Correction) -> list[str]:
     """A line for each scan, and one for the end."""
     lines = [
-        f"{'uncorrected' if not number else f'correction {number}'}: error {percent(one.error)} at "
-        f"{one.positions} control places (noise {percent(one.noise)}), energy {one.energy:.3g} times, "
-        f"peak {one.peak_v:.3g} V"
-        for number, one in enumerate(correction.rounds)
+        f"{'uncorrected' if not number else f'correction {number}'}: error {percent(state.error)} at "
+        f"{state.positions} control places (noise {percent(state.noise)}), energy {state.energy:.3g} times, "
+        f"peak {state.peak_v:.3g} V"
+        for number, state in enumerate(correction.rounds)
     ]
     kept = "the uncorrected drive is kept" if not correction.best else f"correction {correction.best} is kept"
     return [*lines, f"{STOPPED_WORDS[correction.stopped]}; {kept}"]

@@ -128,7 +128,7 @@ class FieldPair:
 
     def figures(self, index: int) -> PositionFigures:
         """Agreement of both at the `index`-th position."""
-        predicted, scanned = (one.astype(np.float64) for one in self.at_position(index))
+        predicted, scanned = (values.astype(np.float64) for values in self.at_position(index))
         norms = float(np.linalg.norm(predicted)), float(np.linalg.norm(scanned))
         if not (norms[0] > 0.0 and norms[1] > 0.0):
             return PositionFigures(math.nan, math.nan, math.nan)
@@ -140,7 +140,7 @@ class FieldPair:
         """Magnitude that all but a thousandth of both fields, and of their difference, keep to."""
         fields, differences = [np.zeros(0)], [np.zeros(0)]
         for sample in samples:
-            predicted, scanned = (one[compared] for one in self.at_sample(int(sample)))
+            predicted, scanned = (values[compared] for values in self.at_sample(int(sample)))
             fields.append(np.maximum(np.abs(predicted), np.abs(np.nan_to_num(scanned))))
             differences.append(np.abs(scanned - predicted))
         return _loud(np.concatenate(fields)), _loud(np.concatenate(differences))
@@ -212,8 +212,8 @@ _AT_ONCE = 32
 
 def _require_one_grid(predicted: FieldRowReader, scanned: FieldRowReader) -> None:
     for name in ("sample_rate_hz", "start_s", "samples"):
-        one, other = getattr(predicted, name), getattr(scanned, name)
-        if one != other:
+        first, other = getattr(predicted, name), getattr(scanned, name)
+        if first != other:
             raise InputError(
-                f"{name} of {predicted.path} is {one} and of {scanned.path} {other}; they are not of one verification"
+                f"{name} of {predicted.path} is {first} and of {scanned.path} {other}; they are not of one verification"
             )

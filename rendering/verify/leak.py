@@ -33,7 +33,7 @@ def crosstalk_symptom(found: Crosstalk, fields: FieldComparison, marker_v: Float
     excess = float(np.sum(np.abs(difference) ** 2)) - float(np.nansum(spectra.noise))
     # Real factors: a leak is a share. The mean over the positions is all that it can change.
     mean = difference.mean(axis=0)
-    basis = np.stack([np.concatenate([one.real, one.imag]) for one in pulses], axis=1)
+    basis = np.stack([np.concatenate([pulse.real, pulse.imag]) for pulse in pulses], axis=1)
     wanted = np.concatenate([mean.real, mean.imag])
     fitted = basis @ np.linalg.lstsq(basis, wanted, rcond=None)[0]
     gained = len(difference) * (float(wanted @ wanted) - float(np.sum((wanted - fitted) ** 2)))

@@ -50,12 +50,12 @@ def linearity_figures(
 
     Returns no figure where no position has a sound record in both.
     """
-    sound = [one.position_index[one.status == Status.VALID] for one in (loud, quiet)]
+    sound = [scanned.position_index[scanned.status == Status.VALID] for scanned in (loud, quiet)]
     rows = np.intersect1d(*sound)
     if not rows.size:
         return ()
     band = BandLimit(loud.field.shape[1], loud.sample_rate_hz, band_hz)
-    at_loud, at_quiet = (np.searchsorted(one.position_index, rows) for one in (loud, quiet))
+    at_loud, at_quiet = (np.searchsorted(scanned.position_index, rows) for scanned in (loud, quiet))
     fields = [
         band.signals(band.spectrum(field)).astype(np.float64)
         for field in (loud.field[at_loud], _factor() * quiet.field[at_quiet])
@@ -87,7 +87,7 @@ def nonlinear_share(prediction: Field, loud: Scan, quiet: Scan, band_hz: tuple[f
 
     Noise is taken off both. Returns None where no position has a sound record in both scans, or nothing but noise.
     """
-    sound = [one.position_index[one.status == Status.VALID] for one in (loud, quiet)]
+    sound = [scanned.position_index[scanned.status == Status.VALID] for scanned in (loud, quiet)]
     rows = np.intersect1d(np.intersect1d(*sound), prediction.position_index)
     if not rows.size:
         return None

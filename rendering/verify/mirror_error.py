@@ -136,7 +136,7 @@ class DisplacedBlock:
         self.patches = [surface.patch(int(row)) for row in rows]
         used = np.unique(np.concatenate([patch.rows for patch in self.patches]))
         green = [np.asarray(surface.bank.green(int(row)), np.float32) for row in used]
-        self._green = np.stack([transforms(one, block.frequency_hz, block.rate_hz) for one in green])
+        self._green = np.stack([transforms(row, block.frequency_hz, block.rate_hz) for row in green])
         self._at = np.stack([np.searchsorted(used, patch.rows) for patch in self.patches])
 
     def green(self) -> Expansion:

@@ -168,7 +168,7 @@ class VerificationRecord(Message, frozen=True, dict=True, tag_field="format", ta
     @property
     def focus_s(self) -> list[float]:
         """Focus instants that were compared."""
-        return [one.time_s for one in self.foci]
+        return [focus.time_s for focus in self.foci]
 
     @property
     def compared(self) -> BoolArray:
@@ -215,8 +215,13 @@ def write_record(
         spacing_mm=verification.spacing_mm,
         figures=verification.figures,
         foci=tuple(
-            RecordedFocus(one.source, one.row, one.sample / compared.sample_rate_hz, _points(position_mm[[one.row]])[0])
-            for one in compared.instant
+            RecordedFocus(
+                instant.source,
+                instant.row,
+                instant.sample / compared.sample_rate_hz,
+                _points(position_mm[[instant.row]])[0],
+            )
+            for instant in compared.instant
         ),
         sources=tuple(_recorded(source) for source in scene.sources),
         outline_mm=None if outline_mm is None else _points(np.round(outline_mm, 3)),

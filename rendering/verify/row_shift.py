@@ -104,8 +104,8 @@ def find_shifts(fields: FieldComparison, bank: GreenSource, predict: Callable[[i
             if len(members) >= MIN_LINE and np.mean(wrong[members]) > 0.5:
                 left, step = neighbours.best_step(members)
                 if step is not None:
-                    one = _shift(neighbours, members, step, left)
-                    found = Shifts((*found.symptoms, *one.symptoms), found.row_at | one.row_at)
+                    shift = _shift(neighbours, members, step, left)
+                    found = Shifts((*found.symptoms, *shift.symptoms), found.row_at | shift.row_at)
         if found.symptoms:
             break
     return found
@@ -113,7 +113,7 @@ def find_shifts(fields: FieldComparison, bank: GreenSource, predict: Callable[[i
 
 def _shift(neighbours: _Neighbours, members: Int64Array, step: tuple[int, int], left: float) -> Shifts:
     rows = neighbours.rows[members]
-    x_mm, y_mm = (float(one) for one in np.array(step) * neighbours.pitch_mm)
+    x_mm, y_mm = (float(part_mm) for part_mm in np.array(step) * neighbours.pitch_mm)
     shown = neighbours.shifted_rows(step, rows)
     distance_mm, positions = float(np.hypot(x_mm, y_mm)), tuple(rows.tolist())
     symptom = Symptom("shifted", (), distance_mm, 1.0 - left, positions=positions, shift_mm=(x_mm, y_mm))

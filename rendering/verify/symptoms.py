@@ -569,7 +569,9 @@ def _actuator_symptoms(errors: ActuatorErrors) -> tuple[Symptom, ...]:
 
 def _merged(symptoms: list[Symptom]) -> Symptom:
     actuators = sorted(actuator for symptom in symptoms for actuator in symptom.actuators)
-    return replace(symptoms[0], actuators=tuple(actuators), value=float(np.median([one.value for one in symptoms])))
+    return replace(
+        symptoms[0], actuators=tuple(actuators), value=float(np.median([symptom.value for symptom in symptoms]))
+    )
 
 
 def _actuator_figures(state: _State) -> tuple[ActuatorFigures, ...]:

@@ -98,7 +98,7 @@ class Verification:
     @property
     def sources(self) -> tuple[SourceFigures, ...]:
         """Figures of each source, in the scene's order, up to the last one of which a focus was compared."""
-        sources = np.array([one.source for one in self.fields.instant], np.int64)
+        sources = np.array([instant.source for instant in self.fields.instant], np.int64)
         return tuple(self._source(sources == source) for source in range(int(sources.max(initial=-1)) + 1))
 
     @property
