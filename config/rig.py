@@ -88,6 +88,14 @@ class MessagesSection(Table):
     suspended_after_min: Annotated[NonNegative, Field(le=10_000)] = Field(
         default=10.0, description="Wait, suspended or for a lost instrument, after which a message is sent"
     )
+    alive_url: Annotated[Text | None, Field(exclude=True, repr=False)] = Field(
+        default=None,
+        description="Address that is asked for each minute while a run is on, so that its service raises the alarm "
+        "when all is silent; a secret, in no bank or log",
+    )
+    alive_file: Text | None = Field(
+        default=None, description="File that is touched each minute while a run is on, relative to the rig file"
+    )
 
 
 Actuator = Annotated[Whole, Field(ge=0, le=1023)]

@@ -253,7 +253,10 @@ def _live(**given: Any) -> int:
 
 QUEUE = file("queue", metavar="QUEUE.json", help="The queue file.")
 RUN_NUMBER = "Number of the run, as `queue list` shows it."
-GROUPS = {"queue": "Carry out several runs, one after the other, with nobody there."}
+GROUPS = {
+    "queue": "Carry out several runs, one after the other, with nobody there.",
+    "service": "Let the system carry on with a run by itself after a reboot.",
+}
 """Commands of two words: their first word, and its help."""
 
 COMMANDS = (
@@ -394,6 +397,17 @@ COMMANDS = (
         "A run that fails does not end the queue; the same command goes on where it was stopped or killed. Ctrl-C "
         "finishes the position; twice stops at once.",
         (QUEUE, JSON_LINES),
+    ),
+    Command(
+        "service install", "service:install",
+        "Write a user service that carries on with a queue or a campaign after a reboot.\n\n"
+        "A unit of systemd on Linux, an agent of launchd on macOS, a task of the Task Scheduler on Windows. It is "
+        "written and not started: the answer states the commands that do that.",
+        (
+            file("what", metavar="QUEUE.json|BANK.h5", help="A queue file, or the bank of a campaign."),
+            file("--rig", dest="rig_file", metavar="RIG.toml", help="With a bank: the rig file to resume with."),
+            FORCE, JSON,
+        ),
     ),
     Command("pause", _order("pause"), "Pause a running capture after its position.", (BANK, WAIT, JSON)),
     Command("go-on", _order("go-on"), "Let a paused capture go on.", (BANK, WAIT, JSON)),

@@ -106,6 +106,9 @@ def load_rig(path: Path) -> RigConfig:
             if isinstance(recorder.get(key), str):
                 # A bank holds the rig; it may be resumed from any folder.
                 recorder[key] = str(named_file(path, f"recorder.{key}", recorder[key]).absolute())
+    messages = data.get("messages")
+    if isinstance(messages, dict) and isinstance(messages.get("alive_file"), str):
+        messages["alive_file"] = str((path.parent / messages["alive_file"]).absolute())
     rig = validated(RigConfig, data, str(path))
     if rig.emulation.fault_plan:
         from wavefocus.mocks.wire.faults import WireFault

@@ -47,7 +47,7 @@ STEPS: dict[str, tuple[list[list[str]], list[str], list[str]]] = {
 # Commands whose smoke test is elsewhere: they need standard input, another process, or minutes.
 ELSEWHERE = {
     "operate", "emulate", "pause", "go-on", "stop", "estimate", "live", "trials", "analyse", "bench", "gui", "demo",
-    "queue run",
+    "queue run", "service install",
 }  # fmt: skip
 
 

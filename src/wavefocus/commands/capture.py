@@ -50,6 +50,8 @@ from wavefocus.drivers.errors import InstrumentError
 from wavefocus.ending import stop_on_signals
 from wavefocus.exits import Exit
 from wavefocus.input_files import parse_positions
+from wavefocus.rig.alive import AliveSignal
+from wavefocus.rig.awake import kept_awake
 from wavefocus.rig.calibration_validity import refuse_other_devices, with_one_calibration
 from wavefocus.rig.input_delay import note_delay_in_new_bank
 from wavefocus.rig.notifications import messenger_for
@@ -236,6 +238,8 @@ def _session(
     with (
         _naming_resume_command(bank, rig_file),
         messenger_for(bank, blueprint.configuration.rig.messages, resume_line(bank, rig_file)) as messenger,
+        AliveSignal(blueprint.configuration.rig.messages),
+        kept_awake(f"measuring {bank.name}"),
         BankWriter.open(bank, plan_sha256=plan.sha256) as writer,
         # Outside of the instruments, so that no second Ctrl-C keeps them from being put to rest.
         stop_on_signals(stop),

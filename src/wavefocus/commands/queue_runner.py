@@ -33,6 +33,7 @@ from wavefocus.config.messages.codec import Message
 from wavefocus.console import say
 from wavefocus.ending import WATCHED_VARIABLE, stop_on_signals
 from wavefocus.exits import Exit, sentence
+from wavefocus.rig.awake import kept_awake
 from wavefocus.storage.claims import claimed
 from wavefocus.storage.errors import BankBusyError, InputError
 
@@ -60,7 +61,7 @@ def run_queue(path: Path, publish: Callable[[Message], object]) -> Exit:
     stopped waits again.
     """
     read_queue(path)  # a wrong file name is refused before anything is held
-    with claimed(queue_claim(path)), ExitStack() as instruments:
+    with claimed(queue_claim(path)), ExitStack() as instruments, kept_awake(f"carrying out {path.name}"):
         return _QueueRunner(path, publish, instruments).run()
 
 

@@ -66,6 +66,8 @@ from wavefocus.rendering.verify.scan import Scan, ScanPlan, scan
 from wavefocus.rendering.verify.scan_signals import marker_v
 from wavefocus.rendering.verify.sentinel import drift_sentence, measure_sentinel
 from wavefocus.rendering.verify.verdict import Tolerances, Verification, compare
+from wavefocus.rig.alive import AliveSignal
+from wavefocus.rig.awake import kept_awake
 from wavefocus.rig.limits import check_drive, stricter
 from wavefocus.rig.setup import open_setup
 from wavefocus.storage.bank.reading import Bank, open_bank
@@ -123,7 +125,13 @@ def verify(
         rig = _checked_rig(rig_file, configuration, view)
         rows = scan_rows(positions, scene, view.position_mm, scene_file)
         out.mkdir(parents=True, exist_ok=True)
-        with ending_at_once(), ended_by_file(out / STOP_NAME), VerifyLog(out) as log:
+        with (
+            AliveSignal(rig.messages),
+            kept_awake(f"verifying {scene_file.name}"),
+            ending_at_once(),
+            ended_by_file(out / STOP_NAME),
+            VerifyLog(out) as log,
+        ):
             with staged_folder(out, RECORD_NAME, results) as staged:
                 work = _Work(scene_file, scene, view, configuration, rig, staged, log, out, linearity, sentinel, force)
                 work = replace(work, corrections=corrections, control=control)

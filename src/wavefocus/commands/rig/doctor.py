@@ -23,6 +23,8 @@ from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.drivers.registry import MIRRORS, PLAYERS, RECORDERS, VIBROMETERS
 from wavefocus.ending import ending_at_once
 from wavefocus.exits import Exit
+from wavefocus.rig.alive import alive_findings
+from wavefocus.rig.awake import awake_finding
 from wavefocus.rig.calibration_validity import calibration_warnings
 from wavefocus.rig.instruments import openers
 from wavefocus.rig.notifications import message_findings
@@ -68,6 +70,9 @@ def doctor(
         check_surroundings(rig, folder, identities, publish)
         for finding in message_findings(rig, rig_file.name, send=test_message):
             publish(finding)
+        for finding in alive_findings(rig.messages) if test_message else ():
+            publish(finding)
+        publish(awake_finding())
     failed = sum(one.verdict == "fail" for one in findings)
     if as_json or as_lines:
         counts = {word: sum(one.verdict == word for one in findings) for word in STYLES}

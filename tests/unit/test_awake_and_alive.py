@@ -1,0 +1,145 @@
+"""Signs of life to a file and a real web server; the request to the system to stay awake."""
+
+from __future__ import annotations
+
+import http.server
+import os
+import stat
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from wavefocus.config.rig import MessagesSection
+from wavefocus.rig.alive import AliveSignal, alive_findings
+from wavefocus.rig.awake import inhibitor, kept_awake
+from wavefocus.storage.errors import InputError
+
+
+class Watch:
+    """A web server that notes when it was asked; `hangs` lets it never answer."""
+
+    def __init__(self) -> None:
+        self.asked: list[str] = []
+        self.hangs = threading.Event()
+        self.status = 200
+        watch = self
+
+        class Handler(http.server.BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                watch.asked.append(self.path)
+                if watch.hangs.is_set():
+                    time.sleep(30)
+                self.send_response(watch.status)
+                self.end_headers()
+
+            def log_message(self, *_: object) -> None:
+                pass
+
+        self.server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self.server.daemon_threads = True
+        self.server.block_on_close = False
+        self.thread = threading.Thread(target=self.server.serve_forever)
+        self.thread.start()
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.server.server_port}/secret-check"
+
+
+@pytest.fixture
+def watch() -> Iterator[Watch]:
+    one = Watch()
+    yield one
+    one.server.shutdown()
+    one.thread.join()
+    one.server.server_close()
+
+
+def until(true: object, within_s: float = 20.0) -> None:
+    assert callable(true)
+    latest_s = time.monotonic() + within_s
+    while not true():
+        assert time.monotonic() < latest_s
+        time.sleep(0.01)
+
+
+def test_given_a_file_and_an_address_then_both_receive_signs_of_life_until_the_end(
+    watch: Watch, tmp_path: Path
+) -> None:
+    file = tmp_path / "alive"
+    section = MessagesSection(alive_url=watch.url, alive_file=str(file))
+    with AliveSignal(section, every_s=0.05):
+        until(lambda: len(watch.asked) >= 3 and file.exists())
+        os.utime(file, (0, 0))
+        until(lambda: file.stat().st_mtime > 1e9)
+    assert set(watch.asked) == {"/secret-check"}
+    time.sleep(0.2)
+    count = len(watch.asked)
+    time.sleep(0.2)
+    assert len(watch.asked) == count
+
+
+def test_given_a_server_that_hangs_then_the_file_is_still_touched_and_the_end_is_not_held_up(
+    watch: Watch, tmp_path: Path
+) -> None:
+    watch.hangs.set()
+    file = tmp_path / "alive"
+    with AliveSignal(MessagesSection(alive_url=watch.url, alive_file=str(file)), every_s=0.05):
+        until(lambda: len(watch.asked) == 1 and file.exists())
+        for _ in range(3):
+            os.utime(file, (0, 0))
+            until(lambda: file.stat().st_mtime > 1e9)
+        began_s = time.monotonic()
+    assert time.monotonic() - began_s < 5.0
+    watch.hangs.clear()
+
+
+def test_given_no_server_or_folder_then_it_is_said_once_and_without_the_address(
+    watch: Watch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    watch.status = 500
+    section = MessagesSection(alive_url=watch.url, alive_file=str(tmp_path / "none" / "alive"))
+    with AliveSignal(section, every_s=0.05):
+        until(lambda: len(watch.asked) >= 3)
+    said = capsys.readouterr().err
+    assert said.count("messages.alive_url") == said.count("messages.alive_file") == 1
+    assert "secret-check" not in said
+    assert {one.verdict for one in alive_findings(section)} == {"fail"}
+    with pytest.raises(InputError, match="alive_url"):
+        AliveSignal(MessagesSection(alive_url="ftp://secret-check"))
+    assert "secret-check" not in section.model_dump_json()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="systemd-inhibit")
+def test_given_a_session_manager_then_it_is_told_the_reason_and_released_however_the_run_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    noted = tmp_path / "noted"
+    stand_in = tmp_path / "systemd-inhibit"  # takes the same options and starts the command, as the real one does
+    stand_in.write_text(f'#!/bin/sh\necho "$@" >> {noted}\nshift 4\n"$@"\necho over >> {noted}\n')
+    stand_in.chmod(stand_in.stat().st_mode | stat.S_IXUSR)
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    with kept_awake("measuring plate.h5") as accepted:
+        assert accepted
+        until(noted.exists)
+        assert "--who=wavefocus --why=measuring plate.h5" in noted.read_text()
+    assert noted.read_text().endswith("over\n")
+    noted.unlink()
+    hold = "import time; from wavefocus.rig.awake import kept_awake\nwith kept_awake('x'): time.sleep(100)"
+    with subprocess.Popen([sys.executable, "-c", hold]) as holder:
+        until(noted.exists)
+        holder.kill()
+    until(lambda: "over" in noted.read_text())
+
+
+def test_given_a_system_that_refuses_then_the_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with kept_awake("measuring") as accepted:
+        assert accepted is (sys.platform == "win32")
+    assert inhibitor("darwin", "x")[-1] == str(os.getpid())
+    assert inhibitor("sunos5", "x") == []
