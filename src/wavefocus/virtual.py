@@ -17,8 +17,8 @@ from wavefocus.acquisition.plays import measuring_of
 from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.campaign.blueprint import blueprint_of
+from wavefocus.campaign.session_files import opened_raw, with_bank
 from wavefocus.campaign.sidecar_files import EventLog, drift_path, log_path, unvouched_rows
-from wavefocus.commands.capture import opened_raw, with_bank
 from wavefocus.config.loading import validated
 from wavefocus.config.messages.campaign import CrosstalkMeasured, Drift, Event, Progress, State
 from wavefocus.config.rig import RigConfig

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, closing, contextmanager, nullcontext, suppress
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,8 +12,7 @@ import numpy as np
 from wavefocus.acquisition.engine.campaign import Campaign
 from wavefocus.acquisition.engine.session import EventPublisher, StopRequest
 from wavefocus.acquisition.plan import Plan
-from wavefocus.acquisition.plays import raw_header, require_same, without_recordings
-from wavefocus.acquisition.setup import Setup
+from wavefocus.acquisition.plays import without_recordings
 from wavefocus.acquisition.wording import row_ranges
 from wavefocus.calibration.crosstalk import REMEDY
 from wavefocus.campaign.blueprint import (
@@ -21,20 +20,17 @@ from wavefocus.campaign.blueprint import (
     blueprint_from_bank,
     blueprint_from_files,
     blueprint_with_rig,
-    require_same_plan,
-    ringing_of,
 )
 from wavefocus.campaign.campaign_view import CampaignView
 from wavefocus.campaign.control import CampaignControl, resume_line
 from wavefocus.campaign.documents import Documents
 from wavefocus.campaign.extension import extend as extended
-from wavefocus.campaign.schedule_choice import choose_schedule, with_chosen_schedule
+from wavefocus.campaign.session_files import opened_raw, with_bank
 from wavefocus.campaign.sidecar_files import (
     EventLines,
     EventLog,
     drift_path,
     log_path,
-    raw_path,
     read_drift,
     unvouched_rows,
 )
@@ -58,11 +54,9 @@ from wavefocus.rig.notifications import messenger_for
 from wavefocus.rig.setup import open_setup
 from wavefocus.storage.bank.origins import origins_of
 from wavefocus.storage.bank.reading import open_bank
-from wavefocus.storage.bank.writer import BankWriter, create_bank
-from wavefocus.storage.durable import is_network_mount
-from wavefocus.storage.errors import ExistsError, InputError
+from wavefocus.storage.bank.writer import BankWriter
+from wavefocus.storage.errors import InputError
 from wavefocus.storage.point_status import STATUS_WORDS, Status, not_valid
-from wavefocus.storage.raw.writer import RawWriter, create_raw
 from wavefocus.storage.sidecar_files import Log
 
 
@@ -110,24 +104,6 @@ def capture(
         f"{len(left) - len(rows)} are left, and measured by: {resume_line(bank, rig_file)}"
     )
     return done
-
-
-def with_bank(
-    blueprint: Blueprint, bank: Path, run_file: Path, *, accept_calibration: bool = False
-) -> tuple[Blueprint, tuple[Event, ...]]:
-    """Make the bank unless it is there; return the campaign as the bank has it, and what happened on the way."""
-    if not bank.exists():
-        settled, earlier = choose_schedule(blueprint, str(run_file))
-        if is_network_mount(bank.absolute().parent):
-            say(f"{bank} is on a network drive, where locks and syncs are unreliable: measure to a local disk")
-        if (rings := ringing_of(settled)) is not None and rings.advice:
-            say(f"warning: {rings.advice}")
-        with suppress(ExistsError):  # another capture was quicker: go on as one that came later
-            create_bank(bank, settled.bank_header())
-            return settled, earlier
-    blueprint = with_one_calibration(with_chosen_schedule(blueprint, bank), bank, run_file, accept=accept_calibration)
-    require_same_plan(bank, blueprint.configuration, blueprint.plan.sha256)
-    return blueprint, ()
 
 
 def resume(
@@ -318,34 +294,3 @@ def _naming_resume_command(bank: Path, rig_file: Path | None) -> Iterator[None]:
         remedy = f"{failure.remedy}; nothing measured is lost{corrected}; then go on with: "
         remedy += resume_line(bank, rig_file)
         raise type(failure)(failure.instrument, failure.operation, failure.cause, remedy) from failure
-
-
-def opened_raw(
-    blueprint: Blueprint, setup: Setup, bank: BankWriter
-) -> AbstractContextManager[RawWriter] | AbstractContextManager[None]:
-    """Own the raw file of a campaign that keeps its recordings; it is made while the bank is still empty.
-
-    Raises InputError: the file is missing though the bank holds positions, of another plan, or recorded with another
-    scale.
-    """
-    if not blueprint.configuration.run.capture.keep_raw:
-        return nullcontext()
-    path = raw_path(bank.path)
-    header = blueprint.bank_header()
-    wanted = raw_header(
-        blueprint.plan, setup, rig_json=header.rig_json, run_json=header.run_json, software=header.software
-    )
-    if not path.exists():
-        if np.any(bank.status):
-            raise InputError(
-                f"{path} is missing, and {bank.path} holds positions whose recordings it kept; put it back, or start a "
-                "new bank"
-            )
-        create_raw(path, wanted)
-    raw = RawWriter.open(path, plan_sha256=blueprint.plan.sha256)
-    try:
-        require_same(raw, wanted)
-    except BaseException:
-        raw.close()
-        raise
-    return raw

@@ -1,0 +1,70 @@
+"""Bank and raw file of a session: made where there are none, else found to be of its plan."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager, nullcontext, suppress
+from pathlib import Path
+
+import numpy as np
+
+from wavefocus.acquisition.plays import raw_header, require_same
+from wavefocus.acquisition.setup import Setup
+from wavefocus.campaign.blueprint import Blueprint, require_same_plan, ringing_of
+from wavefocus.campaign.schedule_choice import choose_schedule, with_chosen_schedule
+from wavefocus.campaign.sidecar_files import raw_path
+from wavefocus.config.messages.campaign import Event
+from wavefocus.console import say
+from wavefocus.rig.calibration_validity import with_one_calibration
+from wavefocus.storage.bank.writer import BankWriter, create_bank
+from wavefocus.storage.durable import is_network_mount
+from wavefocus.storage.errors import ExistsError, InputError
+from wavefocus.storage.raw.writer import RawWriter, create_raw
+
+
+def with_bank(
+    blueprint: Blueprint, bank: Path, run_file: Path, *, accept_calibration: bool = False
+) -> tuple[Blueprint, tuple[Event, ...]]:
+    """Make the bank unless it is there; return the campaign as the bank has it, and what happened on the way."""
+    if not bank.exists():
+        settled, earlier = choose_schedule(blueprint, str(run_file))
+        if is_network_mount(bank.absolute().parent):
+            say(f"{bank} is on a network drive, where locks and syncs are unreliable: measure to a local disk")
+        if (rings := ringing_of(settled)) is not None and rings.advice:
+            say(f"warning: {rings.advice}")
+        with suppress(ExistsError):  # another capture was quicker: go on as one that came later
+            create_bank(bank, settled.bank_header())
+            return settled, earlier
+    blueprint = with_one_calibration(with_chosen_schedule(blueprint, bank), bank, run_file, accept=accept_calibration)
+    require_same_plan(bank, blueprint.configuration, blueprint.plan.sha256)
+    return blueprint, ()
+
+
+def opened_raw(
+    blueprint: Blueprint, setup: Setup, bank: BankWriter
+) -> AbstractContextManager[RawWriter] | AbstractContextManager[None]:
+    """Own the raw file of a campaign that keeps its recordings; it is made while the bank is still empty.
+
+    Raises InputError: the file is missing though the bank holds positions, of another plan, or recorded with another
+    scale.
+    """
+    if not blueprint.configuration.run.capture.keep_raw:
+        return nullcontext()
+    path = raw_path(bank.path)
+    header = blueprint.bank_header()
+    wanted = raw_header(
+        blueprint.plan, setup, rig_json=header.rig_json, run_json=header.run_json, software=header.software
+    )
+    if not path.exists():
+        if np.any(bank.status):
+            raise InputError(
+                f"{path} is missing, and {bank.path} holds positions whose recordings it kept; put it back, or start a "
+                "new bank"
+            )
+        create_raw(path, wanted)
+    raw = RawWriter.open(path, plan_sha256=blueprint.plan.sha256)
+    try:
+        require_same(raw, wanted)
+    except BaseException:
+        raw.close()
+        raise
+    return raw
