@@ -1,4 +1,4 @@
-"""Where arrays are computed, by the array API's names alone: this processor and its threads, or a GPU through CuPy."""
+"""Where arrays are computed, only by names of the array API: this processor and its threads, or a GPU through CuPy."""
 
 from __future__ import annotations
 

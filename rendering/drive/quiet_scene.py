@@ -276,7 +276,7 @@ class QuietRows(BankRows):
         return bool(knots[knot] < emission.stop_sample and knots[knot] + knots[1] - knots[0] > emission.first_sample)
 
     def _emitted(self, scene: Scene, emissions: Sequence[Emission]) -> Complex128Array:
-        """Cross spectra (sources, sources, bins) of what the sources emit, of many the spectra alone, (sources, bins).
+        """Cross spectra (sources, sources, bins) of what the sources emit, of many only the spectra, (sources, bins).
 
         As far as responses can meet: of correlations, the lags within the transform.
         """

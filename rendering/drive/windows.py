@@ -66,7 +66,7 @@ class Windows:
         key[self._amount == 0] = -1
         self._sample = np.concatenate([events.sample + delay] * nodes)
         self._piece = None if events.piece is None else np.concatenate([events.piece] * nodes)
-        # Runs of one key are few: what takes long is done with them alone.
+        # Runs of one key are few: only they go through what takes long.
         begins = np.concatenate([[0], np.flatnonzero(key[1:] != key[:-1]) + 1])[: len(key)]
         first = np.minimum.reduceat(self._sample, begins) if len(begins) else begins
         of_run = key[begins].tolist()

@@ -91,8 +91,8 @@ def focus_figures(
 ) -> FocusResults:
     """Find place, height, width and artefacts of a drive's foci, at most 64 of them, evenly chosen.
 
-    field: The field to look at; by default the predicted one at all measured positions, computed at those instants
-        alone.
+    field: The field to look at; by default the predicted one at all measured positions, computed only at
+        those instants.
     on_progress: Called with foci done and foci in all.
 
     Raises InputError: drive, bank and field do not belong together, or nothing is measured.

@@ -6,7 +6,7 @@ source at sample s):
     f_i[n] = sum_s u[s] g_i(p(s))[s - n]
 
 At frequency k of a transform of all of these samples that is F_i = sum_r U_r conj(G_ir), U_r the transform of what is
-emitted at the places of row r. It is evaluated at the frequencies of the bank's band alone, with a margin, since rows
+emitted at the places of row r. It is evaluated only at the frequencies of the bank's band, with a margin, since rows
 have next to nothing elsewhere. Samples before n, which have no effect on it, let the sum begin smoothly. The drives at
 the instants t of the interface's samples are one product with a fixed matrix:
 
@@ -58,7 +58,7 @@ AROUND_S = 0.01
 MAX_PLACES = 24
 """Where there would be more, those before and after are left out."""
 
-Place = tuple[tuple[int, float], ...]
+WeightedRows = tuple[tuple[int, float], ...]
 """Rows of a place, and their weights."""
 Piece = tuple[int, Float64Array, float | Float64Array]
 """Part of what is emitted through a filter: its first sample in the window, values, and a factor or a factor each."""
@@ -220,7 +220,7 @@ class CrossfadedBlocks:
                     emitted.append((row_filter, [(begin - first, loud, rise)]))
         return emitted
 
-    def _places(self, at_mm: Sequence[Float64Array]) -> list[list[list[tuple[Place, int]]]]:
+    def _places(self, at_mm: Sequence[Float64Array]) -> list[list[list[tuple[WeightedRows, int]]]]:
         """Rows and weights, and nearest rows, of the places of lives: before, at and after each instant."""
         assert self._nodes_at is not None
         nodes = self._nodes_at(np.concatenate(at_mm))
@@ -277,7 +277,9 @@ class CrossfadedBlocks:
         spectra = np.fft.rfft(self._rows.read(row), n=self._fft_samples, axis=1)[:, : self._bins]
         return Filter(spectra.conj().astype(np.complex64))
 
-    def _make_filters(self, own: tuple[tuple[Place, ...], ...], saturated_by: tuple[int, ...]) -> tuple[Filter, ...]:
+    def _make_filters(
+        self, own: tuple[tuple[WeightedRows, ...], ...], saturated_by: tuple[int, ...]
+    ) -> tuple[Filter, ...]:
         """Filters of sources that are independent, by the places of each, and the row that saturates it, or -1."""
         places = {place: index for index, place in enumerate(dict.fromkeys(place for mine in own for place in mine))}
         reversed_in_time = [self._at(place, -1) for place in places]
@@ -288,7 +290,7 @@ class CrossfadedBlocks:
         )
         return tuple(Filter(np.ascontiguousarray(spectra)) for spectra in filters.transpose(1, 2, 0))
 
-    def _at(self, place: Place, saturated_by: int) -> Complex64Array:
+    def _at(self, place: WeightedRows, saturated_by: int) -> Complex64Array:
         """Filters of time reversal at a place, (actuators, bins)."""
         return np.asarray(sum(weight * self._row_filter(row, saturated_by).values for row, weight in place))
 

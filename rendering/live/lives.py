@@ -181,7 +181,7 @@ class Life:
         return taken
 
     def forget(self, sample: int) -> None:
-        """Drop what says nothing of `sample` and later, taken knots alone."""
+        """Drop taken knots that do not count at `sample` and later."""
         needless = 0
         while needless < self._taken - 1 and self._knots[needless + 1].sample <= sample:
             needless += 1

@@ -238,7 +238,7 @@ def draw_maps(
     path_colour: str | None = None,
     ring_colour: str = INK,
 ) -> PolyCollection:
-    """Draw maps in rows, on one colour scale; the outer ones alone are labelled.
+    """Draw maps in rows, on one colour scale; only the outer ones are labelled.
 
     place_px: Left and top of the first map's frame (its title is above), and the width of each.
     rows, int64 array: Positions that the values are of; by default all.

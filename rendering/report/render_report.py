@@ -60,7 +60,7 @@ def response_tail(bank: GreenSource, rows: Sequence[int]) -> ResponseTail | None
     """Look at the ends of at most six of the rows, evenly chosen.
 
     A long response has a loud end with and without a low-pass at the upper end of the bank's band; noise beyond the
-    band has it without alone, the low-pass's own ringing with it alone. So the quieter of both counts.
+    band has it only without, the low-pass's own ringing only with it. So the quieter of both counts.
 
     Returns ResponseTail or None: None where there is no row, none that is not silent, or Green's functions have fewer
     than ten taps.

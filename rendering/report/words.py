@@ -41,7 +41,7 @@ class FigureLine:
 
 
 def figure_lines(verification: Verification, gain_range_db: float) -> list[FigureLine]:
-    """The figures without a limit, with those of the report alone."""
+    """The figures without a limit, with those that only the report has."""
     lines = [
         FigureLine(figure.name, _value(figure), figure.definition)
         for figure in verification.figures

@@ -32,7 +32,7 @@ MAX_INCIDENCES = 10**8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Place:
+class PlannedPlace:
     """A place that is to be quiet.
 
     words: Its name in messages, "quiet[0]", or "source 1" where sources are independent.
@@ -66,21 +66,23 @@ def place_at(path: Path, speed_mm_s: float, start_s: float, sample: Int64Array, 
     return path.point_at(along_mm)
 
 
-def places_of(scene: Scene) -> tuple[Place, ...]:
+def places_of(scene: Scene) -> tuple[PlannedPlace, ...]:
     """The quiet places of a scene, and those of its sources where they are independent."""
     places = [
-        Place(f"quiet[{index}]", quiet.path, quiet.speed_mm_s, 0.0, quiet.radius_mm, quiet.level_db)
+        PlannedPlace(f"quiet[{index}]", quiet.path, quiet.speed_mm_s, 0.0, quiet.radius_mm, quiet.level_db)
         for index, quiet in enumerate(scene.quiet)
     ]
     if scene.regularisation.independent and len(scene.sources) > 1:
         places += [
-            Place(f"source {index}", source.path, source.speed_mm_s, source.start_s, 0.0, INDEPENDENT_LEVEL_DB, index)
+            PlannedPlace(
+                f"source {index}", source.path, source.speed_mm_s, source.start_s, 0.0, INDEPENDENT_LEVEL_DB, index
+            )
             for index, source in enumerate(scene.sources)
         ]
     return tuple(places)
 
 
-def paths_of(scene: Scene, places: tuple[Place, ...]) -> list[Path]:
+def paths_of(scene: Scene, places: tuple[PlannedPlace, ...]) -> list[Path]:
     """Paths of all places and sources."""
     return [*(place.path for place in places), *(source.path for source in scene.sources)]
 
@@ -150,7 +152,7 @@ class QuietPlan:
     warnings: Of places that a source passes.
     """
 
-    places: tuple[Place, ...]
+    places: tuple[PlannedPlace, ...]
     knots: Int64Array
     place_rows: tuple[Int64Array, ...]
     sets: tuple[QuietSet, ...]
@@ -204,7 +206,7 @@ def plan_quiet(scene: Scene, bank: GreenSource, sampled: SampledScene, place_row
     return QuietPlan(places, knots, rows, tuple(sets.values()), of_source, tuple(warnings))
 
 
-def _rows(place: Place, knots: Int64Array, rate_hz: float, place_rows: PlaceRows) -> Int64Array:
+def _rows(place: PlannedPlace, knots: Int64Array, rate_hz: float, place_rows: PlaceRows) -> Int64Array:
     """Rows of a place at all knots, (knots, rows); a point that moves has those of the knots beside, too."""
     at_mm = place.at(knots, rate_hz)
     around_mm = disc_mm(place.radius_mm)
@@ -221,7 +223,7 @@ def _rows(place: Place, knots: Int64Array, rate_hz: float, place_rows: PlaceRows
 
 def _applies(
     scene: Scene,
-    places: tuple[Place, ...],
+    places: tuple[PlannedPlace, ...],
     sampled: SampledScene,
     knots: Int64Array,
     rate_hz: float,

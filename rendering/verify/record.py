@@ -302,6 +302,6 @@ def _check(record: VerificationRecord) -> None:
         if len(getattr(record.positions, name)) != count:
             raise MessageError(f"positions.{name} has other than {count} entries")
     if not count or not np.isfinite(record.position_mm).all():
-        raise MessageError("positions.at_mm is no list of points [x, y]")
+        raise MessageError("positions.at_mm is not a list of points [x, y]")
     if not all(len(source.path_mm) and np.isfinite(source.path_mm).all() for source in record.sources):
-        raise MessageError("sources.path_mm is no list of points [x, y]")
+        raise MessageError("sources.path_mm is not a list of points [x, y]")

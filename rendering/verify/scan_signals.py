@@ -80,7 +80,7 @@ def marker_v(setup: Setup, samples: int, rate_hz: float) -> Float64Array:
 class Alignment:
     """Brings the responses of one scan to the playback clock, in response units.
 
-    Safe to share between threads; a result depends on its recording alone. `signals_v` are those of every record, from
+    Safe to share between threads; a result depends only on its recording. `signals_v` are those of every record, from
     `scan_signals`, `rate_hz` their rate; above `quiet_hz` no response has energy to speak of.
     """
 
@@ -116,7 +116,7 @@ class Alignment:
         )
 
 
-# Share of a response's energy above the frequency from which it is taken to be noise alone.
+# Share of a response's energy above the frequency from which it is taken to be only noise.
 QUIET_SHARE = 1e-5
 # A dropout lasts some milliseconds (speckle crossing the spot); windows of this length overlap by half.
 WINDOW_S = 0.0032

@@ -197,7 +197,7 @@ def compare(
     quiet: A scan of `wavefocus.rendering.verify.linearity.quieter`, at some of the positions, for the linearity.
     sentinel: The bank's sentinel position, measured again at the time of the scan; `drift_limits` judge it.
     leak: Crosstalk that was measured by itself; `marker_v` (samples,) is what the loopback played in the scan, None
-        where the leak is in the bank alone.
+        where only the bank has the leak.
 
     Raises InputError: the fields do not belong together, or no position can be compared.
     """

@@ -89,7 +89,7 @@ class Interpolation(ABC):
 
 
 class GridInterpolation(Interpolation):
-    """A method whose nodes are rows of the bank and depend on the point alone."""
+    """A method whose nodes are rows of the bank and depend only on the point."""
 
     def __init__(self, grid: PositionGrid) -> None:
         self.grid = grid
