@@ -46,6 +46,19 @@ class CalculationProgress:
     share: float
 
 
+@dataclass(frozen=True, slots=True)
+class ReachedLevel:
+    """A quiet place, or the place of an independent source, by its name: the level asked for and the one reached."""
+
+    name: str
+    asked_db: float
+    reached_db: float
+
+    @property
+    def text(self) -> str:
+        return f"{self.reached_db:.1f}"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveResult:
     """The drives within the limits of scene and rig; `lasts_s` is the duration of the whole scene.
@@ -57,6 +70,7 @@ class DriveResult:
         the next one of its source.
     paths_mm, list of float64 (n, 2): The sources' paths, NaN where they jump.
     snap_mm: Largest distance of a path point from its position.
+    levels: At the quiet places.
     """
 
     number: int
@@ -80,6 +94,7 @@ class DriveResult:
     snap_mm: float
     warnings: tuple[str, ...]
     unit: str = "V"
+    levels: tuple[ReachedLevel, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,17 +10,19 @@ import pyqtgraph
 from PyQt5.QtCore import Qt, pyqtSignal
 from PyQt5.QtGui import QKeyEvent, QMouseEvent
 
-from wavefocus.config.scene import CircleTable, LineTable, PathTable, PolylineTable
+from wavefocus.config.scene import CircleTable, LineTable, PathTable, PointTable, PolylineTable, QuietTable
 from wavefocus.gui.scene.document import SceneDocument
-from wavefocus.gui.scene.draft import PointMm
+from wavefocus.gui.scene.draft import PointMm, changed
 from wavefocus.gui.scene.preview import Backdrop, LivePreview, Trace
 from wavefocus.gui.scene.tools import (
+    QUIET,
     Box,
     Handle,
     Tool,
     anchor_of,
     box_of,
     handles_of,
+    rounded,
     shifted,
     tool_of,
     with_handle_at,
@@ -55,6 +57,7 @@ class SceneCanvas(SurfaceView):
         self._tool: Tool | None = None
         self._held = ""
         self._dragged: tuple[PathTable, Box | None, str] | None = None
+        self._dragged_quiet: PointMm | None = None
         self._gesture = 0
         self._outline_mm = np.zeros((0, 2))
         self.items: SceneItems | None = None
@@ -62,6 +65,7 @@ class SceneCanvas(SurfaceView):
         self.setAccessibleDescription("Arrow keys move the chosen source, Del deletes it")
         self.picture = self.items = SceneItems(self)
         document.edited.connect(self._show_handles)
+        document.edited.connect(self._show_quiet)
         document.chosen_changed.connect(self._release)
         live.updated.connect(self.show_scene)
         live.backdrop_changed.connect(self._show_backdrop)
@@ -95,6 +99,7 @@ class SceneCanvas(SurfaceView):
         traces = preview.traces if preview.backdrop is self._live.backdrop else []
         self.picture.show_traces(traces, self._document.chosen, self._live.backdrop)
         self._show_handles()
+        self._show_quiet()
 
     def redraw(self) -> None:
         super().redraw()
@@ -113,6 +118,10 @@ class SceneCanvas(SurfaceView):
             self.use_tool("")
         elif key == Qt.Key.Key_Escape and source is not None:
             self._document.choose(-1)
+        elif key == Qt.Key.Key_Escape and self._document.chosen_quiet >= 0:
+            self._document.choose_quiet(-1)
+        elif tool is None and key in _DELETES and self._document.chosen_quiet >= 0:
+            self._document.delete_quiet()
         elif tool is None and key in STEPS and source is not None:
             long = bool(event.modifiers() & Qt.KeyboardModifier.ShiftModifier)
             self._nudge(STEPS[key], _LONG_NUDGE_MM if long else _NUDGE_MM)
@@ -142,9 +151,14 @@ class SceneCanvas(SurfaceView):
     def claims_drag(self, at_mm: PointMm, _keys: Keys) -> bool:
         """Whether a drag from here draws, or moves something."""
         self._gesture += 1
+        self._dragged = self._dragged_quiet = None
         if self._tool is not None:
             return True
         handle = self._handle_at(at_mm)
+        if not handle and (place := self._quiet_at(at_mm)) >= 0:
+            self._document.choose_quiet(place)
+            self._dragged_quiet = self._document.draft.quiet[place].at_mm
+            return self._dragged_quiet is not None
         index = self._document.chosen if handle else self._source_at(at_mm)
         if index < 0:
             return False
@@ -159,6 +173,11 @@ class SceneCanvas(SurfaceView):
         if self._tool is not None:
             self._tool.drag(self._snapped(start_mm), self._snapped(at_mm), ended=ended)
             self._show_tool()
+        elif self._dragged_quiet is not None:
+            (x, y), index = self._dragged_quiet, self._document.chosen_quiet
+            to = rounded(self._snapped((x + at_mm[0] - start_mm[0], y + at_mm[1] - start_mm[1])))
+            moved = changed(self._document.draft.quiet[index], at_mm=to)
+            self._document.edit_quiet(index, "move a quiet place", moved, f"drag {self._gesture}")
         elif self._dragged is not None:
             path, box_mm, handle = self._dragged
             if handle:
@@ -175,8 +194,11 @@ class SceneCanvas(SurfaceView):
             self._show_tool()
             return
         self._held = self._handle_at(at_mm)
-        if not self._held:
+        if not self._held and (place := self._quiet_at(at_mm)) >= 0:
+            self._document.choose_quiet(place)
+        elif not self._held:
             self._document.choose(self._source_at(at_mm))
+            self._document.choose_quiet(-1)
         self._show_handles()
 
     def double_click_at(self, at_mm: PointMm) -> None:
@@ -198,8 +220,12 @@ class SceneCanvas(SurfaceView):
     def _show_tool(self) -> None:
         tool = self._tool
         if tool is not None and tool.done is not None:
+            quiet = self.kind == QUIET
             self.use_tool("")
-            self.drawn.emit(tool.done)
+            if quiet and isinstance(tool.done, PointTable):
+                self._document.add_quiet(tool.done.at_mm)
+            else:
+                self.drawn.emit(tool.done)
         elif tool is not None:
             self.picture.show_sketch(sketched(tool.sketch))
 
@@ -253,6 +279,19 @@ class SceneCanvas(SurfaceView):
         best = min(near, default=(True, True, 0.0, -1))
         return -1 if best[0] else best[3]
 
+    def _quiet_at(self, at: PointMm) -> int:
+        """The quiet place below the mouse: its disc, or its mark; -1 for none."""
+        reach_mm = _HANDLE_PX * self.box.mm_per_pixel
+        near = [
+            (math.dist(at, place.at_mm), index)
+            for index, place in enumerate(self._document.draft.quiet)
+            if place.at_mm is not None and math.dist(at, place.at_mm) <= max(place.radius_mm, reach_mm)
+        ]
+        return min(near, default=(0.0, -1))[1]
+
+    def _show_quiet(self) -> None:
+        self.picture.show_quiet(self._document.draft.quiet, self._document.chosen_quiet)
+
     def _box_mm(self) -> Box | None:
         """Corners of the chosen path as it is drawn; None where the preview is of another kind of path."""
         preview, chosen, source = self._live.preview, self._document.chosen, self._document.source
@@ -267,7 +306,7 @@ class SceneCanvas(SurfaceView):
     def _point_at(self, at: PointMm) -> None:
         """Show by the cursor and the tooltip what a drag would move."""
         handle = self._handle(self._handle_at(at))
-        over = handle is not None or self._source_at(at) >= 0
+        over = handle is not None or self._source_at(at) >= 0 or self._quiet_at(at) >= 0
         self.setCursor(Qt.CursorShape.SizeAllCursor if over else Qt.CursorShape.ArrowCursor)
         self.setToolTip("" if handle is None else f"{handle.words}: ({handle.at_mm[0]:.6g}, {handle.at_mm[1]:.6g}) mm")
 
@@ -298,6 +337,7 @@ class SceneCanvas(SurfaceView):
 
 _NONE_MM = np.zeros((0, 2))
 _CIRCLE_POINTS = 91
+_CROSS_MM = np.array([(-2.0, -2.0), (2.0, 2.0), (np.nan, np.nan), (-2.0, 2.0), (2.0, -2.0), (np.nan, np.nan)])
 _HEAD_PX = 14
 _DOT_PX, _SMALL_DOT_PX = 5, 3
 
@@ -312,6 +352,9 @@ class SceneItems:
         self._off = Spots(symbol="x", size=7)
         self._starts = Spots(symbol="o", size=11)
         self._sketch = pyqtgraph.PlotCurveItem(antialias=True)
+        self._quiet, self._chosen_quiet = (pyqtgraph.PlotCurveItem(antialias=True) for _ in range(2))
+        view.add_item(self._quiet, 28)
+        view.add_item(self._chosen_quiet, 28)
         self._handles = Spots(symbol="s", size=10)
         self._held = Spots(symbol="s", size=13)
         self._lines: list[pyqtgraph.PlotCurveItem] = []
@@ -357,6 +400,13 @@ class SceneItems:
         self._handles.setData(pos=np.array([one.at_mm for one in handles if one.name != held]).reshape(-1, 2))
         self._held.setData(pos=np.array([one.at_mm for one in handles if one.name == held]).reshape(-1, 2))
 
+    def show_quiet(self, places: Sequence[QuietTable], chosen: int) -> None:
+        """Show quiet places as crosses in their discs, dashed; the chosen one is marked."""
+        for item, indices in ((self._quiet, range(len(places))), (self._chosen_quiet, [chosen] if chosen >= 0 else [])):
+            lines = [_NONE_MM, *(_quiet_line(places[index]) for index in indices if index < len(places))]
+            line_mm = np.concatenate(lines)
+            item.setData(line_mm[:, 0], line_mm[:, 1], connect="finite")
+
     def show_sketch(self, points_mm: Float64Array) -> None:
         self._sketch.setData(points_mm[:, 0], points_mm[:, 1])
 
@@ -373,6 +423,8 @@ class SceneItems:
             item.setPen(pen)
             item.setBrush(None if brush is None else pyqtgraph.mkBrush(brush))
         self._sketch.setPen(pyqtgraph.mkPen(MARK, width=2, style=Qt.PenStyle.DashLine))
+        self._quiet.setPen(pyqtgraph.mkPen(theme.text, width=1.5, style=Qt.PenStyle.DashLine))
+        self._chosen_quiet.setPen(pyqtgraph.mkPen(MARK, width=2))
 
     def _make_lines(self, count: int) -> None:
         while len(self._lines) < count:
@@ -415,6 +467,15 @@ def sketched(path: PathTable | None) -> Float64Array:
     if isinstance(path, LineTable):
         return np.array([path.start_mm, path.end_mm])
     return np.array(path.points_mm) if isinstance(path, PolylineTable) else _NONE_MM
+
+
+def _quiet_line(place: QuietTable) -> Float64Array:
+    """A cross and, of a disc, its rim; of a place that moves, its path as far as its table says it."""
+    if place.at_mm is None:
+        return sketched(place.path)
+    angle = np.linspace(0.0, 2 * np.pi, _CIRCLE_POINTS)
+    rim = place.radius_mm * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return np.asarray(np.array(place.at_mm) + np.concatenate([_CROSS_MM, rim if place.radius_mm > 0 else _NONE_MM]))
 
 
 def _place_head(head: pyqtgraph.ArrowItem, line_mm: Float64Array, colour: str) -> None:

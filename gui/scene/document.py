@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from PyQt5.QtCore import QObject, QTimer, pyqtSignal
 from PyQt5.QtWidgets import QUndoCommand, QUndoStack
 
-from wavefocus.config.scene import SceneConfig, SourceTable
+from wavefocus.config.scene import QuietTable, SceneConfig, SourceTable
 from wavefocus.gui.scene.draft import EMPTY, NEW_SCENE, build_draft, changed, read_draft, scene_toml, with_source
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import replacement
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 # A drag makes more changes than can be seen.
 COALESCED_MS = 30
 MAX_STEPS = 500
+FINGERTIP_MM, FINGERTIP_DB = 4.0, -20.0
+"""A new quiet place is as large as a fingertip, at a level that several of them reach."""
 _UNNAMED = "scene.toml"
 
 # A scene and the index of its chosen source.
@@ -45,7 +47,7 @@ class SceneDocument(QObject):
     def __init__(self, parent: QObject | None = None) -> None:
         super().__init__(parent)
         self.draft = NEW_SCENE
-        self.chosen = -1
+        self.chosen = self.chosen_quiet = -1
         self.path: Path | None = None
         self.bank: Path | None = None
         self.allow_large = False
@@ -111,8 +113,34 @@ class SceneDocument(QObject):
     def choose(self, index: int) -> None:
         """Choose a source, -1 for none."""
         index = index if 0 <= index < len(self.draft.source) else -1
-        if index != self.chosen:
-            self.chosen = index
+        if index != self.chosen or (index >= 0 and self.chosen_quiet >= 0):
+            self.chosen, self.chosen_quiet = index, -1 if index >= 0 else self.chosen_quiet
+            self.chosen_changed.emit()
+
+    def edit_quiet(self, index: int, words: str, place: QuietTable, gesture: str = "") -> None:
+        """Change a quiet place; one past the last is added."""
+        places = self.draft.quiet
+        gesture = f"{gesture} of quiet place {index}" if gesture else ""
+        self.edit(words, changed(self.draft, quiet=(*places[:index], place, *places[index + 1 :])), gesture=gesture)
+
+    def add_quiet(self, at_mm: tuple[float, float]) -> None:
+        """Add a quiet place like the last one and choose it."""
+        places = self.draft.quiet
+        like = places[-1] if places else QuietTable(at_mm=at_mm, radius_mm=FINGERTIP_MM, level_db=FINGERTIP_DB)
+        self.edit_quiet(len(places), "add a quiet place", changed(like, at_mm=at_mm, path=None, speed_mm_s=None))
+        self.choose_quiet(len(places))
+
+    def delete_quiet(self) -> None:
+        """Delete the chosen quiet place."""
+        index, places = self.chosen_quiet, self.draft.quiet
+        if index >= 0:
+            self.edit("delete a quiet place", changed(self.draft, quiet=(*places[:index], *places[index + 1 :])))
+
+    def choose_quiet(self, index: int) -> None:
+        """Choose a quiet place, -1 for none; no source is chosen with it."""
+        index = index if 0 <= index < len(self.draft.quiet) else -1
+        if index != self.chosen_quiet:
+            self.chosen_quiet, self.chosen = index, -1 if index >= 0 else self.chosen
             self.chosen_changed.emit()
 
     def use_bank(self, bank: Path | None) -> None:
@@ -168,8 +196,9 @@ class SceneDocument(QObject):
     def _show(self, state: State) -> None:
         self.draft, chosen = state
         chosen = min(chosen, len(self.draft.source) - 1)
-        moved = chosen != self.chosen
-        self.chosen = chosen
+        quiet = min(self.chosen_quiet, len(self.draft.quiet) - 1)
+        moved = (chosen, quiet) != (self.chosen, self.chosen_quiet)
+        self.chosen, self.chosen_quiet = chosen, quiet
         self.edited.emit()
         if moved:
             self.chosen_changed.emit()

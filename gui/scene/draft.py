@@ -12,6 +12,7 @@ from wavefocus.config.scene import (
     FileTable,
     Output,
     PathTable,
+    QuietTable,
     SceneConfig,
     SignalTable,
     SourceTable,
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
 PointMm = tuple[float, float]
 AnyTable = TypeVar("AnyTable", bound=Table)
+FilesTable = TypeVar("FilesTable", SourceTable, QuietTable)
 
 
 def _new(table: Any) -> Any:
@@ -88,6 +90,7 @@ def scene_toml(scene: SceneConfig, folder: Path | None = None) -> str:
         [
             toml_table("[scene]", scene.scene),
             *(source_toml(source, folder) for source in scene.source),
+            *(quiet_toml(place, folder) for place in scene.quiet),
             regularisation_toml(scene.regularisation),
             toml_table("[output]", scene.output),
         ]
@@ -99,6 +102,11 @@ def source_toml(source: SourceTable, folder: Path | None = None) -> str:
     return toml_table("[[source]]", source if folder is None else _relative(source, folder))
 
 
+def quiet_toml(place: QuietTable, folder: Path | None = None) -> str:
+    """Write one quiet place as its `[[quiet]]` table."""
+    return toml_table("[[quiet]]", place if folder is None else _relative(place, folder))
+
+
 def read_draft(text: str, path: Path) -> SceneConfig:
     """Read the text of a scene file, but not the files that it names.
 
@@ -108,18 +116,25 @@ def read_draft(text: str, path: Path) -> SceneConfig:
     Raises InputError: The text is no scene.
     """
     scene = validated(SceneConfig, parse_toml(text, str(path)), str(path))
+    return _with_all_files(scene, lambda file: str(path.parent / file))
+
+
+def with_files(table: FilesTable, rename: Callable[[str], str]) -> FilesTable:
+    """Return a source or a quiet place with other names of the files that it has."""
+    if isinstance(table.path, SvgTable | TrajectoryTable):
+        table = changed(table, path=changed(table.path, file=rename(table.path.file)))
+    if isinstance(table, SourceTable) and isinstance(table.signal, FileTable):
+        table = changed(table, signal=changed(table.signal, path=rename(table.signal.path)))
+    return table
+
+
+def _with_all_files(scene: SceneConfig, rename: Callable[[str], str]) -> SceneConfig:
+    """The scene with other names of all files."""
     return changed(
-        scene, source=tuple(with_files(source, lambda file: str(path.parent / file)) for source in scene.source)
+        scene,
+        source=tuple(with_files(one, rename) for one in scene.source),
+        quiet=tuple(with_files(one, rename) for one in scene.quiet),
     )
-
-
-def with_files(source: SourceTable, rename: Callable[[str], str]) -> SourceTable:
-    """Return the source with other names of the files that it has."""
-    if isinstance(source.path, SvgTable | TrajectoryTable):
-        source = changed(source, path=changed(source.path, file=rename(source.path.file)))
-    if isinstance(source.signal, FileTable):
-        source = changed(source, signal=changed(source.signal, path=rename(source.signal.path)))
-    return source
 
 
 def build_draft(draft: SceneConfig, place: Path, *, allow_large: bool = False) -> Scene:
@@ -135,7 +150,7 @@ def build_draft(draft: SceneConfig, place: Path, *, allow_large: bool = False) -
 
     if not draft.source:
         raise InputError(EMPTY)
-    named = changed(draft, source=tuple(_relative(source, place.parent) for source in draft.source))
+    named = _with_all_files(draft, lambda file: file.removeprefix(f"{place.parent}/"))
     try:
         config = validated(SceneConfig, named.model_dump(exclude_none=True, warnings=False), str(place))
         return build_scene(config, place, allow_large=allow_large)
@@ -143,7 +158,7 @@ def build_draft(draft: SceneConfig, place: Path, *, allow_large: bool = False) -
         raise InputError(str(error).removeprefix(f"{place}: ")) from None
 
 
-def _relative(source: SourceTable, folder: Path) -> SourceTable:
-    """The source with the names that its files have in a scene file of that folder."""
+def _relative(table: FilesTable, folder: Path) -> FilesTable:
+    """The table with the names that its files have in a scene file of that folder."""
     start = f"{folder}/"
-    return with_files(source, lambda file: file.removeprefix(start))
+    return with_files(table, lambda file: file.removeprefix(start))

@@ -12,7 +12,7 @@ import numpy as np
 from wavefocus.acquisition.wording import hours
 from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.config.scene import Output
-from wavefocus.gui.scene.calculation import DriveResult, FocusFigures, interpolate_frame
+from wavefocus.gui.scene.calculation import DriveResult, FocusFigures, ReachedLevel, interpolate_frame
 from wavefocus.gui.surface import path_line
 from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
 from wavefocus.rendering.drive.coil_limits import DriveLimits, Limiting, levels_of, limit_drive
@@ -20,6 +20,7 @@ from wavefocus.rendering.drive.rendering import SceneRenderer, render_with_repor
 from wavefocus.rendering.field.crosstalk import PathResponses
 from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusInstant
 from wavefocus.rendering.field.metrics import focus_spot, grid_spacing_mm
+from wavefocus.rendering.field.quiet_levels import quiet_levels
 from wavefocus.rendering.greens.regularisation import focus_gains, saturation_threshold
 from wavefocus.rendering.greens.source import refusal
 from wavefocus.rendering.report.movie import Foci
@@ -66,7 +67,8 @@ def render_while_edited(
 
     Raises InputError: The scene does not fit the bank, or lasts too long.
     """
-    plain = replace(scene, output=Output(interpolation=scene.output.interpolation))
+    free = Output(interpolation=scene.output.interpolation, most_energy=scene.output.most_energy)
+    plain = replace(scene, output=free)
     lasts_s = max(emission_s(source, bank.sample_rate_hz) for source in scene.sources)
     if lasts_s > MAX_S:
         length = hours(min(lasts_s, sys.float_info.max))
@@ -128,6 +130,9 @@ def summarise(
         snap_mm=max(snaps),
         warnings=rendered.warnings,
         unit=drive.drive_unit,
+        levels=tuple(
+            ReachedLevel(one.track.name, one.track.level_db, one.reached_db) for one in quiet_levels(drive, bank)
+        ),
     )
 
 

@@ -16,14 +16,15 @@ from wavefocus.rendering.arrays import Float64Array
 from wavefocus.storage.units import quantity
 
 # Verdicts.
-GOOD, HELD = "within", "held back"
+GOOD, HELD, MISSED = "within", "held back", "not reached"
 
 
 @dataclass(frozen=True, slots=True)
 class SceneMetric:
     """One line of the table; the value is empty where unknown, the limit where there is none.
 
-    The verdict is `GOOD`, `HELD` where all drives were scaled down for it, or empty.
+    The verdict is `GOOD`, `HELD` where all drives were scaled down for it, `MISSED` where a level is not reached, or
+    empty.
     """
 
     name: str
@@ -101,6 +102,15 @@ def drive_figures(driven: DriveResult) -> list[SceneMetric]:
             "largest snap", f"{driven.snap_mm:.2f}", "mm",
             "Largest distance of a path point from the bank's position nearest to it.",
         ),
+    ]  # fmt: skip
+    figures += [
+        SceneMetric(
+            f"level at {one.name}", one.text, "dB",
+            "Energy of the response there over that at the loudest focus, by the bank; of a source, that of the other"
+            " sources. Less is reached where it would cost more than output.most_energy.",
+            f"{one.asked_db:g} dB", GOOD if one.reached_db <= one.asked_db + 0.5 else MISSED,
+        )
+        for one in driven.levels
     ]  # fmt: skip
     return figures
 
@@ -183,5 +193,5 @@ class FiguresView(Themed, QWidget):
         self.table.setRowCount(len(self.figures))
         for number, one in enumerate(self.figures):
             texts = (one.name, quantity(one.value, one.unit) if one.value else "—", one.limit, one.verdict)
-            colours = {3: self.theme.warning if one.verdict == HELD else self.theme.good}
+            colours = {3: self.theme.warning if one.verdict in (HELD, MISSED) else self.theme.good}
             ui.fill_row(self.table, number, texts, colours, right=(1, 2), tip=one.definition)

@@ -148,6 +148,9 @@ class CalculationError(RuntimeError):
 class ResultsPanel(QWidget):
     """Results of the present scene."""
 
+    #: Levels at the quiet places of the latest drives.
+    levels_changed = pyqtSignal(object)
+
     def __init__(self, context: TabContext, document: SceneDocument) -> None:
         super().__init__()
         self.setAccessibleName("Results of the scene")
@@ -260,6 +263,7 @@ class ResultsPanel(QWidget):
                 self.driven = answer
                 self.drives.show_driven(answer)
                 self.figures.show_figures(drive_figures(answer), answer.warnings)
+                self.levels_changed.emit(answer.levels)
                 self.bar.show_ready(True)
             case PredictedField():
                 assert self.driven is not None
@@ -286,6 +290,7 @@ class ResultsPanel(QWidget):
         self.drives.show_driven(None)
         self.field.clear()
         self.figures.show_figures([], [])
+        self.levels_changed.emit(())
         self.bar.show_ready(False)
 
     def _show_progress(self, stage: str, share: float) -> None:

@@ -18,6 +18,7 @@ from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.scene.draft import EMPTY
 from wavefocus.gui.scene.preview import LivePreview, problem_of
 from wavefocus.gui.scene.sources import SourceActions
+from wavefocus.gui.scene.tools import QUIET
 from wavefocus.gui.theme import Themed
 
 _TOOLS = (
@@ -27,6 +28,7 @@ _TOOLS = (
     ("circle", "Circle", "C", "Draw a circle from its centre"),
     ("polyline", "Polyline", "P", "Draw straight lines from corner to corner"),
     ("text", "Text", "T", "Write a text"),
+    (QUIET, "Quiet", "Q", "Place a finger that is kept quiet"),
 )
 _LONGEST = 240
 _HINT_LINES = 3
@@ -47,7 +49,7 @@ class SurfacePanel(Themed, QWidget):
         tip = "Draw and move from position to position of the bank; whole millimetres without a bank"
         self.snaps = ui.check("Snap", tip, "Snap to positions")
         choices = [(kind, text, f"{tip} ({key}, on the surface)", f"Tool: {text}") for kind, text, key, tip in _TOOLS]
-        self.tools = ui.exclusive_buttons(choices, self._use_tool)
+        self.tools = ui.exclusive_buttons(choices, self.use_tool)
         for kind, text, key, _ in _TOOLS:
             action = ui.action(self.canvas, text, partial(self.canvas.use_tool, kind), key)
             action.setShortcutContext(Qt.ShortcutContext.WidgetShortcut)
@@ -77,7 +79,8 @@ class SurfacePanel(Themed, QWidget):
         live.updated.connect(self._show_preview)
         self._tool_changed("")
 
-    def _use_tool(self, kind: str) -> None:
+    def use_tool(self, kind: str) -> None:
+        """Draw paths of a kind, or quiet places, and focus the surface."""
         self.canvas.use_tool(kind)
         self.canvas.setFocus(Qt.FocusReason.OtherFocusReason)
 

@@ -20,9 +20,11 @@ from wavefocus.gui.scene.live_panel import LivePanel
 from wavefocus.gui.scene.live_run import LiveRun
 from wavefocus.gui.scene.live_surface import LiveSurface
 from wavefocus.gui.scene.preview import LivePreview
+from wavefocus.gui.scene.quiet_panel import QuietPanel
 from wavefocus.gui.scene.results_panel import ResultsPanel
 from wavefocus.gui.scene.sources import SourceActions, SourceList
 from wavefocus.gui.scene.surface_panel import SurfacePanel
+from wavefocus.gui.scene.tools import QUIET
 from wavefocus.gui.tab import ClosingQuestion, Drawing, Tab, TabContext
 from wavefocus.storage.units import response_unit
 
@@ -55,6 +57,9 @@ class SceneTab(Tab):
         self.scene_form = SceneForm(self.document)
         self.surface = SurfacePanel(self.document, self.live, self.acts)
         self.results = ResultsPanel(context, self.document)
+        self.quiet = QuietPanel(self.document)
+        self.quiet.add_wanted.connect(lambda: self.surface.use_tool(QUIET))
+        self.results.levels_changed.connect(self.quiet.show_levels)
         self.live_run = LiveRun(context, self.document, self)
         self.live_surface = LiveSurface(self.live_run, self.live)
         bar, playing = self.results.bar, self.results.playing
@@ -186,10 +191,11 @@ class SceneTab(Tab):
     def _lay_out(self) -> None:
         buttons = [ui.button(self.actions_by_name[name]) for name in ("new", "open", "save", "save as", "undo", "redo")]
         areas = {"Source": ui.scrolling(self.source_form), "Scene": ui.scrolling(self.scene_form)}
+        pages: dict[str, QWidget] = {**areas, "Quiet": self.quiet}
         for area in areas.values():
             area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        pages = ui.tab_pages("Forms of the source and of the scene", areas)
-        left = ui.stacked((self.sources, 130), (pages, 500), growing=[1])
+        forms = ui.tab_pages("Forms of the source, the scene and its quiet places", pages)
+        left = ui.stacked((self.sources, 130), (forms, 500), growing=[1])
         surface = QWidget()
         ui.column((self.live_surface, 1), self.live_panel.hint, owner=surface, spacing=4)
         middle, right = self._stacks

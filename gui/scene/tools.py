@@ -20,6 +20,8 @@ from wavefocus.gui.scene.draft import NEW_PATHS, PointMm, changed
 
 Box = tuple[PointMm, PointMm]
 
+QUIET = "quiet"
+"""The tool that draws quiet places; the other tools are kinds of paths."""
 _MIN_MM = 0.1
 # As fine as any stage or laser spot; files stay short and readable.
 _DECIMALS = 2
@@ -256,6 +258,7 @@ def tool_of(kind: str) -> Tool:
     """The tool that draws a kind of path; there is none for those that are chosen from a file."""
     return {
         "point": lambda: Tool(lambda at: changed(NEW_PATHS["point"], at_mm=at), "Click its position", 1),
+        QUIET: lambda: Tool(lambda at: changed(NEW_PATHS["point"], at_mm=at), "Click the place to keep quiet", 1),
         "text": lambda: Tool(lambda at: changed(NEW_PATHS["text"], centre_mm=at), "Click its position", 1),
         "line": lambda: Tool(_line, "Drag from start to end, or click both", 2),
         "circle": lambda: Tool(_circle, "Drag from the centre to the rim, or click both", 2),

@@ -109,7 +109,7 @@ class BankCache:
         if self._median is None:
             self._median = saturation_threshold(Regularisation(saturation=1.0), self.bank)
         threshold = float(np.float64(regularisation.saturation) * self._median)
-        return Regularisation(saturation_absolute=threshold, normalise=regularisation.normalise)
+        return regularisation.model_copy(update={"saturation": 0.0, "saturation_absolute": threshold})
 
     @property
     def factor(self) -> int:

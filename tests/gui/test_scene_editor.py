@@ -290,6 +290,41 @@ def test_given_the_form_then_every_number_reaches_the_scene_and_undo_brings_it_b
     assert document.draft.regularisation == Regularisation(saturation=0.5)
 
 
+def test_given_quiet_places_then_they_are_drawn_edited_moved_deleted_undone_and_saved(
+    qtbot: QtBot, tab: SceneTab, tmp_path: Path
+) -> None:
+    document, canvas, panel = tab.document, tab.surface.canvas, tab.quiet
+    draw(qtbot, tab, "line")
+    canvas.use_tool("quiet")
+    click(canvas, pixel(canvas, 30.0, 20.0))
+    (place,) = document.draft.quiet
+    assert place.at_mm is not None
+    assert near(place.at_mm, 30.0, 20.0)
+    assert (canvas.kind, document.chosen, document.chosen_quiet) == ("", -1, 0)
+    drag(qtbot, canvas, [pixel(canvas, 30.0, 20.0), pixel(canvas, 40.0, -10.0)], NO_KEY)
+    moved = document.draft.quiet[0]
+    assert moved.at_mm is not None
+    assert near(moved.at_mm, 40.0, -10.0, 2.5)
+    panel.table.item(0, 3).setText("6")
+    panel.table.item(0, 4).setText("-25")
+    assert (document.draft.quiet[0].radius_mm, document.draft.quiet[0].level_db) == (6.0, -25.0)
+    panel.table.item(0, 4).setText("loud")
+    assert panel.table.item(0, 4).text() == "-25"
+    document.save(tmp_path / "scene.toml")
+    assert load_scene(tmp_path / "scene.toml").quiet[0].level_db == -25.0
+    for _ in range(2):
+        tab.actions_by_name["undo"].trigger()
+    assert document.draft.quiet[0] == moved
+    tab.actions_by_name["undo"].trigger()
+    assert document.draft.quiet[0] == place
+    click(canvas, pixel(canvas, 30.0, 20.0))
+    qtbot.keyClick(canvas, Qt.Key.Key_Delete)
+    assert document.draft.quiet == ()
+    assert len(document.draft.source) == 1
+    tab.actions_by_name["undo"].trigger()
+    assert document.draft.quiet == (place,)
+
+
 def test_given_sources_then_they_are_copied_as_text_pasted_duplicated_reordered_and_deleted(
     qtbot: QtBot, tab: SceneTab
 ) -> None:

@@ -15,13 +15,13 @@ from PyQt5.QtCore import Qt, QTimer
 from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import LEFT, Opens, click, line_scene, pixel, wait
-from wavefocus.config.scene import SceneConfig
+from wavefocus.config.scene import Output, QuietTable, SceneConfig
 from wavefocus.gui.process import WAVEFOCUS
 from wavefocus.gui.scene.calculation import interpolate_frame
 from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.scene.draft import EMPTY
 from wavefocus.gui.scene.exports import DRIVE, IDLE, MOVIE, OPENING, PLAYING, RENDERING, WAV
-from wavefocus.gui.scene.figures_view import GOOD, HELD
+from wavefocus.gui.scene.figures_view import GOOD, HELD, MISSED
 from wavefocus.gui.scene.results_panel import NO_BANK, ResultsPanel
 from wavefocus.gui.theme import redraw_all
 from wavefocus.gui.window import Window
@@ -251,3 +251,19 @@ def test_given_a_play_that_is_watched_then_it_ends_muted_when_its_input_closes(f
     ended = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
     assert ended.returncode == 130
     assert "stopped by the user; the outputs are muted" in ended.stderr
+
+
+def test_given_quiet_places_then_the_levels_reached_are_shown_beside_those_asked_for(
+    qtbot: QtBot, bench: Bench
+) -> None:
+    seen: list[object] = []
+    bench.panel.levels_changed.connect(seen.append)
+    quiet = (QuietTable(at_mm=(4.5, 4.5), level_db=-20.0),)
+    draft = line_scene(end_mm=1.5).model_copy(update={"quiet": quiet, "output": Output(most_energy=1.5)})
+    bench.edit(draft)
+    (level,) = bench.panel.driven.levels
+    assert (level.name, level.asked_db) == ("quiet[0]", -20.0)
+    assert seen[-1] == (level,)
+    (metric,) = [one for one in bench.panel.figures.figures if one.name == "level at quiet[0]"]
+    assert (metric.value, metric.limit) == (level.text, "-20 dB")
+    assert metric.verdict == (GOOD if level.reached_db <= -19.5 else MISSED)

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.config.scene import Output, Regularisation
 from wavefocus.console import progress, say, working_on
 from wavefocus.drives import RenderOptions, naming, render_by_options
 from wavefocus.input_files import input_files
@@ -142,8 +141,8 @@ def _in_memory(job: _Job) -> _Rendered:
     if job.options.focusing == "time-reversal" and (regularisation.saturation or regularisation.saturation_absolute):
         plain = replace(  # limits change no ratio
             job.scene,
-            regularisation=Regularisation(normalise=regularisation.normalise),
-            output=Output(interpolation=job.scene.output.interpolation),
+            regularisation=regularisation.model_copy(update={"saturation": 0.0, "saturation_absolute": 0.0}),
+            output=job.scene.output.model_copy(update={"limit_v": None, "limit_rms_v": None}),
         )
         with progress("render", 1) as report:
             unsaturated = render_by_options(plain, job.bank, job.options, report)[1].relative_rms_drive
