@@ -252,11 +252,6 @@ def write_record(
     return path
 
 
-def finite(value: float | None) -> float | None:
-    """None in place of NaN and infinity, which JSON lacks."""
-    return value if value is not None and math.isfinite(value) else None
-
-
 def _recorded(source: Source) -> RecordedSource:
     line_mm = path_line_mm(source, PATH_POINTS if source.travel_s else 1)
     return RecordedSource(source.start_s, source.start_s + source.travel_s, _points(np.round(line_mm, 3)))

@@ -14,12 +14,11 @@ from wavefocus.rendering.arrays import BoolArray, Float64Array
 from wavefocus.rendering.field import metrics
 from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusTable, focus_table, median_or_none
 from wavefocus.rendering.field.quiet_levels import field_levels
-from wavefocus.rendering.number_text import number, precise
+from wavefocus.rendering.number_text import finite, number, precise
 from wavefocus.rendering.verify.comparison import FieldComparison, compare_fields
 from wavefocus.rendering.verify.field_pair import BandLimit
 from wavefocus.rendering.verify.leak import crosstalk_symptom, with_crosstalk
 from wavefocus.rendering.verify.linearity import linearity_figures, nonlinear_share
-from wavefocus.rendering.verify.record import finite
 from wavefocus.rendering.verify.results import (
     ActuatorFigures,
     Changes,
