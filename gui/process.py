@@ -18,7 +18,7 @@ from typing import IO, Any
 
 from PyQt5.QtCore import QObject, QTimer, pyqtSignal
 
-from wavefocus.gui.messages import error_text
+from wavefocus.gui.message_bar import error_text
 from wavefocus.storage.sidecar_files import create
 
 Message = dict[str, object]

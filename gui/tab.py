@@ -13,7 +13,7 @@ from PyQt5.QtGui import QDesktopServices
 from PyQt5.QtWidgets import QAction, QWidget
 
 from wavefocus.gui.files import FileKind, Settings
-from wavefocus.gui.messages import MessageBar, error_text
+from wavefocus.gui.message_bar import MessageBar, error_text
 from wavefocus.gui.process import Background, CommandProcess, Message
 from wavefocus.storage.errors import WavefocusError
 

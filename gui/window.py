@@ -13,7 +13,7 @@ from PyQt5.QtWidgets import QAction, QActionGroup, QApplication, QFileDialog, QM
 
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.files import FileKind, PathField, Settings, dropped_files, make_dialog, short_path
-from wavefocus.gui.messages import ErrorHook, MessageBar
+from wavefocus.gui.message_bar import ErrorHook, MessageBar
 from wavefocus.gui.process import Background, CommandProcess
 from wavefocus.gui.surface import VIRTUAL
 from wavefocus.gui.tab import Act, ClosingQuestion, Tab, TabContext, make_tabs

@@ -30,7 +30,7 @@ from wavefocus.acquisition.wording import hours
 from wavefocus.campaign.control import command_line, expected_finish
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.files import FileKind, PathField, TomlKind, dropped_files, make_dialog, toml_kind
-from wavefocus.gui.messages import error_text
+from wavefocus.gui.message_bar import error_text
 from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess
 from wavefocus.gui.tab import ClosingQuestion, Tab, TabContext
 from wavefocus.gui.theme import Themed

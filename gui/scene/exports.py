@@ -11,7 +11,7 @@ from PyQt5.QtCore import QObject, QTimer, pyqtSignal
 
 from wavefocus.acquisition.wording import hours
 from wavefocus.gui.files import names_virtual_rig
-from wavefocus.gui.messages import error_text
+from wavefocus.gui.message_bar import error_text
 from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess, Message
 from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.scene.draft import scene_toml

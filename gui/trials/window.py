@@ -25,7 +25,7 @@ from wavefocus.config.messages.trials import (
 )
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.files import Settings
-from wavefocus.gui.messages import ErrorHook
+from wavefocus.gui.message_bar import ErrorHook
 from wavefocus.gui.process import CommandProcess, Message
 from wavefocus.gui.theme import set_theme, theme_named
 from wavefocus.gui.trials.pages import REPLAY_KEY, NoticePage, QuestionPage, WelcomePage

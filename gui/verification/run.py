@@ -20,7 +20,7 @@ from wavefocus.config.messages.codec import MessageError, message_of
 from wavefocus.config.messages.rig_checks import VERIFY_MESSAGES, VerifyEnded, VerifyStarted, VerifyStep
 from wavefocus.gui.campaign.follower import LogTail
 from wavefocus.gui.files import TomlKind, toml_kind
-from wavefocus.gui.messages import error_text
+from wavefocus.gui.message_bar import error_text
 from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess
 from wavefocus.gui.surface import PlotSurface, raster_of
 from wavefocus.gui.tab import ClosingQuestion, TabContext

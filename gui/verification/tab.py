@@ -14,7 +14,7 @@ from PyQt5.QtWidgets import QAction, QComboBox, QGridLayout, QLabel, QLineEdit, 
 
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.files import FileKind, PathField, choose_file, dropped_files, names_virtual_rig
-from wavefocus.gui.messages import error_text
+from wavefocus.gui.message_bar import error_text
 from wavefocus.gui.process import Background
 from wavefocus.gui.tab import ClosingQuestion, Drawing, Tab, TabContext
 from wavefocus.gui.theme import Themed

@@ -78,20 +78,20 @@ class LinesIn:
 
     def start(
         self,
-        overtakes: Callable[[Mapping[str, object]], object] = lambda _line: None,
-        fails: Callable[[], object] = lambda: None,
-        ends: Callable[[], object] = lambda: None,
+        on_line: Callable[[Mapping[str, object]], object] = lambda _line: None,
+        on_error: Callable[[], object] = lambda: None,
+        on_eof: Callable[[], object] = lambda: None,
     ) -> None:
-        """Begin to read; `ends` is called at the end of the input, whatever still waits."""
+        """Begin to read; `on_line` gets each object as it is read, `on_eof` is called after the last."""
 
         def read() -> None:
             try:
-                self._read(overtakes)
-                ends()
+                self._read(on_line)
+                on_eof()
             except BaseException as failure:  # raised again by `next`
                 self._failure = failure
                 try:
-                    fails()
+                    on_error()
                 finally:
                     self._lines.put(None)
 
@@ -119,21 +119,21 @@ class LinesIn:
         self._over = line is None
         return line
 
-    def forget(self, keeps: Callable[[Mapping[str, object]], bool]) -> None:
+    def discard(self, unless: Callable[[Mapping[str, object]], bool]) -> None:
         """Drop what waits, but for the end and for what is to be kept."""
         kept: list[Mapping[str, object] | InputError | None] = []
         with suppress(queue.Empty):
             while True:
                 line = self._lines.get_nowait()
-                if line is None or (not isinstance(line, InputError) and keeps(line)):
+                if line is None or (not isinstance(line, InputError) and unless(line)):
                     kept.append(line)
         for line in kept:
             self._lines.put(line)
 
-    def _read(self, overtakes: Callable[[Mapping[str, object]], object]) -> None:
+    def _read(self, on_line: Callable[[Mapping[str, object]], object]) -> None:
         for line, _ in input_objects():
             if not isinstance(line, InputError):
-                overtakes(line)
+                on_line(line)
             self._lines.put(line)
         self._lines.put(None)
 

@@ -171,7 +171,7 @@ def test_given_a_reading_thread_that_fails_then_it_is_acted_on_at_once_and_repor
         "from wavefocus.json_lines import LinesIn, ReadingFailedError\n"
         "def fail(content): raise KeyError(content['order'])\n"
         "lines = LinesIn()\n"
-        "lines.start(fail, fails=lambda: print('muted', flush=True))\n"
+        "lines.start(fail, on_error=lambda: print('muted', flush=True))\n"
         "try: lines.next(30)\n"
         "except ReadingFailedError as failure: print(type(failure.__cause__).__name__)\n"
     )

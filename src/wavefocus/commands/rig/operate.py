@@ -81,10 +81,10 @@ def _carry_out(operation: Operation, player: BoundedPlayer, rig: RigConfig, publ
     def overtake(content: Mapping[str, object]) -> None:
         """What shall be silent is so at once, whatever is under way; orders that wait are no longer wanted."""
         if is_mute(content):
-            orders.forget(is_mute)
+            orders.discard(is_mute)
             mute()
 
-    orders.start(overtake, fails=mute)
+    orders.start(overtake, on_error=mute)
     while not publish.gone:
         operation.look()
         due_s = operation.due_s()
