@@ -205,6 +205,10 @@ class CrossfadedBlocks:
         for index in range(1, len(instants) - 1):
             hat = instants[index - 1 : index + 2]
             there = [number for number, life in enumerate(lives) if life.begin < hat[2] and life.end > hat[0]]
+            share = np.concatenate([
+                np.linspace(0.0, 1.0, hat[1] - hat[0], endpoint=False),
+                np.linspace(1.0, 0.0, hat[2] - hat[1], endpoint=False),
+            ])  # fmt: skip
             # Where places are predicted, those around them are no better known.
             counted = 3 if hat[1] <= due and 3 * len(there) <= MAX_PLACES else 1
             own = tuple(tuple(places[number][part][index][0] for part in range(counted)) for number in there)
@@ -212,12 +216,11 @@ class CrossfadedBlocks:
             filters = self._filters(own, tuple(by for _, by in weights)) if own else ()
             for number, row_filter, (gain, _) in zip(there, filters, weights, strict=True):
                 life = lives[number]
-                begin, end = max(first, life.begin, hat[0] + 1), min(stop, life.end + 1, hat[2])
+                begin, end = max(first, life.begin, hat[0]), min(stop, life.end + 1, hat[2])
                 since = max(first, life.begin)
-                loud = values[number][begin - since : end - since]
+                loud = values[number][begin - since : end - since] * share[begin - hat[0] : end - hat[0]]
                 if loud.any():
-                    rise = np.interp(np.arange(begin, end), hat, (0.0, gain, 0.0))
-                    emitted.append((row_filter, [(begin - first, loud, rise)]))
+                    emitted.append((row_filter, [(begin - first, loud, gain)]))
         return emitted
 
     def _places(self, at_mm: Sequence[Float64Array]) -> list[list[list[tuple[WeightedRows, int]]]]:
