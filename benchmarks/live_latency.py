@@ -35,6 +35,7 @@ from wavefocus.benchmarks.harness import Entry, Findings, Mark
 from wavefocus.benchmarks.machine import run_command
 from wavefocus.benchmarks.rig_bank import RATE_HZ, TAPS, true_bank
 from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.config.scene import Regularisation
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.drive.coil_limits import DriveLimits
@@ -109,7 +110,7 @@ def _places_mm(time_s: float, sources: int, radius_mm: float = RADIUS_MM) -> lis
 def _engine(bank: Bank, *, independent: bool, frame_rate_hz: float | None = None, **options: Any) -> LiveEngine:
     engine = LiveEngine(
         bank, block_samples=round(BLOCK_S * RATE_HZ), look_ahead_samples=round(LOOK_AHEAD_S * RATE_HZ),
-        frame_rate_hz=frame_rate_hz, independent=independent, **options,
+        frame_rate_hz=frame_rate_hz, regularisation=Regularisation(independent=independent), **options,
     )  # fmt: skip
     engine.preload()
     return engine

@@ -94,15 +94,14 @@ class LiveEngine:
     bank: Read a row at a time, when a source first comes near; see `preload`.
     block_samples: Drive samples of a block, at the bank's rate, B.
     look_ahead_samples: By how much sources lag their positions, >= 0.
-    regularisation, interpolation: As of a scene; an interpolation that prepares paths beforehand is refused.
+    regularisation, interpolation: As of a scene; sources that are independent are as
+        `wavefocus.rendering.live.independent` has them. An interpolation that prepares paths beforehand is refused.
     hold_s: For how long a source goes on at its last velocity without a position.
     fade_s: Duration of each fade.
     most_sources: Names that may sound at a time.
     signal: Of sources that were given none; by default noise of the bank's band, 1 s, repeating.
     record: Whether knots are kept for `take_record`.
     frame_rate_hz: Rate of the blocks that come out; by default the bank's.
-    independent: Whether each source is quiet where the others are, as `wavefocus.rendering.live.independent` has it; a
-        source of amplitude 0 is a place where the others are quiet.
 
     Raises InputError: a value is out of range, or the bank does not allow the interpolation or regularisation.
     """
@@ -124,7 +123,6 @@ class LiveEngine:
         signal: Signal | None = None,
         record: bool = False,
         frame_rate_hz: float | None = None,
-        independent: bool = False,
     ) -> None:
         for key, value, least in (
             ("block_samples", block_samples, 1), ("look_ahead_samples", look_ahead_samples, 0),
@@ -141,7 +139,7 @@ class LiveEngine:
             BankRows(bank, regularisation),
             block_samples,
             self.frame_rate_hz,
-            self._surface.nodes if independent else None,
+            self._surface.nodes if regularisation.independent else None,
         )
         self.sufficient_samples = self._blocks.window_samples
         self.x_mm, self.y_mm = self._surface.x_mm, self._surface.y_mm

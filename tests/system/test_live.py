@@ -44,8 +44,9 @@ def test_given_positions_on_standard_input_then_sources_sound_there_until_the_or
     scene = bank.parent / "scene.toml"
     text = scene.read_text(encoding="utf-8").replace("limit_v = 1.0", "limit_v = 1e-6")
     scene.write_text(text, encoding="utf-8")
-    with live(bank.parent, "--scene", scene, "--record", bank.parent / "felt") as running:
+    with live(bank.parent, "--scene", scene, "--record", bank.parent / "felt", "--independent") as running:
         ready = running.hear("ready")
+        assert ready["independent"] is True
         assert (ready["actuators"], ready["block_ms"], ready["osc"]) == (3, 5.0, "")
         assert (ready["x_mm"], ready["y_mm"]) == ([0.0, 8.0], [0.0, 4.0])
         state = move_until_heard(running, "left", "right")
@@ -77,7 +78,9 @@ def test_given_positions_on_standard_input_then_sources_sound_there_until_the_or
     assert ended["latency_p999_ms"] > 0
     assert ended["limited_s"] > 0
     assert Path(ended["recorded"]) == bank.parent / "felt" / "scene.toml"
-    assert {type(source.path) for source in load_scene(ended["recorded"]).sources} == {TrajectoryPath}
+    recorded = load_scene(ended["recorded"])
+    assert {type(source.path) for source in recorded.sources} == {TrajectoryPath}
+    assert recorded.regularisation.independent
 
 
 def message(address: str, *values: object) -> OscMessage:

@@ -317,7 +317,8 @@ def test_given_the_interface_rate_then_the_drives_are_those_of_the_banks_rate_be
     bank, drives = plate_bank(), []
     for rate_hz in (bank.sample_rate_hz, frame_rate_hz):
         engine = LiveEngine(
-            bank, block_samples=11, look_ahead_samples=360, frame_rate_hz=rate_hz, independent=independent,
+            bank, block_samples=11, look_ahead_samples=360, frame_rate_hz=rate_hz,
+            regularisation=Regularisation(independent=independent),
             signal=Noise((80.0, 300.0), 0.2, 6),
         )  # fmt: skip
         drives.append(

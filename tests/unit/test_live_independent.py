@@ -62,10 +62,19 @@ def test_given_places_that_cannot_be_told_apart_then_the_response_stays_and_the_
 
 
 def played(
-    places_mm, amplitudes, *, bank: GreenArray = BANK, blocks: int = 100, velocity_mm_s: float = 0.0, **options
+    places_mm,
+    amplitudes,
+    *,
+    bank: GreenArray = BANK,
+    blocks: int = 100,
+    velocity_mm_s: float = 0.0,
+    independent: bool,
+    saturation: float = 0.0,
+    **options,
 ) -> np.ndarray:
     """Drives, without look-ahead, of sources that move to the right."""
-    engine = LiveEngine(bank, block_samples=BLOCK, look_ahead_samples=0, signal=SIGNAL, **options)
+    held = Regularisation(independent=independent, saturation=saturation)
+    engine = LiveEngine(bank, block_samples=BLOCK, look_ahead_samples=0, signal=SIGNAL, regularisation=held, **options)
     drives = []
     for block in range(blocks):
         if block % 2 == 0:
@@ -122,7 +131,9 @@ def test_given_a_finger_alone_or_two_that_jump_onto_one_place_then_the_drives_ar
     for places_mm, loud in (([(3.0, 3.0)], [1.0]), ([(3.0, 3.0), (3.0, 3.0)], [0.5, 0.5])):
         plain, quiet = (played(places_mm, loud, independent=one) for one in (False, True))
         np.testing.assert_allclose(quiet, plain, rtol=0, atol=2e-3 * np.abs(plain).max())
-    engine = LiveEngine(BANK, block_samples=BLOCK, look_ahead_samples=0, signal=SIGNAL, independent=True)
+    engine = LiveEngine(
+        BANK, block_samples=BLOCK, look_ahead_samples=0, signal=SIGNAL, regularisation=Regularisation(independent=True)
+    )
     largest_v = []
     for block in range(60):
         engine.move("finger", (-12.0, -4.0))
@@ -138,9 +149,6 @@ def test_given_one_actuator_then_independent_drives_are_plain_ones():
 
 
 def test_given_saturation_then_fingers_are_as_quiet():
-    held = Regularisation(saturation=0.5)
-    plain, quiet = (
-        played(FINGERS_MM, [1.0, 0.0, 0.0, 0.0], independent=one, regularisation=held) for one in (False, True)
-    )
+    plain, quiet = (played(FINGERS_MM, [1.0, 0.0, 0.0, 0.0], independent=one, saturation=0.5) for one in (False, True))
     assert level_db(plain, FINGERS_MM) > -12.0
     assert level_db(quiet, FINGERS_MM) < -25.0

@@ -43,7 +43,7 @@ class LiveOptions:
     gain_db: On the amplitudes of all orders.
     duration_s: The session ends by itself after so long.
     record: Folder in which the session is recorded as a scene.
-    independent: Each source is quiet where the others are.
+    independent: Each source is quiet where the others are, also where the scene does not say so.
     """
 
     scene_file: Path | None = None
@@ -72,6 +72,8 @@ def open_session(
     Raises InputError: bank, rig and scene do not go together. Raises InstrumentError: the interface cannot be opened.
     """
     regularisation, output, signal = _of_scene(options.scene_file)
+    if options.independent:
+        regularisation = regularisation.model_copy(update={"independent": True})
     with ExitStack() as opened:
         view = opened.enter_context(open_bank(bank))
         view.require_sound()
@@ -94,7 +96,6 @@ def open_session(
                 signal=signal,
                 record=options.record is not None,
                 frame_rate_hz=interface.rate_hz,
-                independent=options.independent,
             )
             return engine, LiveOutput(interface, stricter(output, rig.player))
 
@@ -136,7 +137,7 @@ def open_session(
             ahead_ms + 1e3 * (frames.delay_frames / frames.rate_hz + player.latency_s),
             engine.x_mm,
             engine.y_mm,
-            independent=options.independent,
+            independent=regularisation.independent,
         )
         yield session, ready
 

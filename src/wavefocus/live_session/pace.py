@@ -9,9 +9,8 @@ from wavefocus.config.messages.live import Degradation
 from wavefocus.rendering.live.engine import Effort
 
 BOUNDS_DB = (None, -30.0, -20.0)
-"""Proved bounds on the relative error from bins left out, in the order in which they are given up. On the soft plate
-the error itself is at most -54 and -44 dB, and a block of four fast sources takes 0.7 and 0.6 of its time, of one slow
-source 0.95 and 0.9; within -60 dB next to no bin can be left out."""
+"""Proved bounds on the relative error from bins left out, in the order in which they are given up. Of a bank whose band
+is known little is left to leave out: a block takes 0.95 to 1 of its time."""
 BUSY = 0.8
 """Share of a block's time above which computing it counts as too slow."""
 LOOKED_AT = 10
