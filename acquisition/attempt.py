@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,7 @@ from wavefocus.acquisition.plays import Play, keep_recordings
 from wavefocus.acquisition.setup import Setup, point_at, start_move, take_record
 from wavefocus.calibration import Float64Array, Int64Array
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
-from wavefocus.calibration.estimator.estimate import Estimate, PositionEstimator
+from wavefocus.calibration.estimator.estimate import Estimate, PositionEstimator, bank_figures
 from wavefocus.config.limits import QualityLimits
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import Recording, RecordLabel
@@ -231,16 +230,11 @@ def commit_attempt(
         return replace(result, committed=False, recordings=())
     actuators, taps = len(bank.header.actuator_mm), bank.header.taps
     estimate = result.estimate
-    figures: dict[str, Any] = {
-        name: np.full(actuators, np.nan, np.float32) if estimate is None else getattr(estimate, name)
-        for name in ("snr_db", "residual_db", "coherence", "peak_v")
-    }
     record = PointRecord(
         status=int(result.judgement.status),
         attempts=attempts,
-        **figures,
+        **bank_figures(estimate, actuators),
         moved_mm=math.hypot(*result.attempt.moved_mm),
-        reference_db=float("nan") if estimate is None else float(np.median(estimate.reference_db)),
         neighbour_round=bank.record(position).neighbour_round if held else 0,
         unjudgeable=bool(held) and bank.record(position).unjudgeable,
     )

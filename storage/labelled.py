@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wavefocus.storage.bank.layout import QUALITY_UNITS
+from wavefocus.storage.bank.ledger import QUALITY
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.hdf5_writing import sample_times
 
@@ -55,9 +55,7 @@ def bank_dataset(bank: Bank) -> Dataset:
     data = {
         "green": ((*pair, "time_s"), indexing.LazilyIndexedArray(Rows()), {"units": bank.response_unit}),
         "rms": (pair, bank.rms, {"units": bank.response_unit}),
-    } | {
-        name: (pair[: figures.ndim], figures, {"units": QUALITY_UNITS[name]}) for name, figures in bank.quality.items()
-    }
+    } | {name: (pair[: figures.ndim], figures, {"units": QUALITY[name][0]}) for name, figures in bank.quality.items()}
     coordinates = {
         "position": np.arange(bank.positions),
         "actuator": np.arange(bank.actuators),

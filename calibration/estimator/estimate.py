@@ -193,3 +193,11 @@ class PositionEstimator(Protocol):
 def decibel(part: Float64Array | float, whole: Float64Array | float) -> Float32Array:
     """Energy `part` over energy `whole` in dB; 0 dB where both are zero."""
     return np.asarray(10 * np.log10((np.asarray(part) + FLOOR) / (np.asarray(whole) + FLOOR))).astype(np.float32)
+
+
+def bank_figures(estimate: Estimate | None, actuators: int) -> dict[str, Any]:
+    """Figures that a bank keeps of a position, NaN without an estimate; the reference's is the records' median."""
+    unknown = np.full(actuators, np.nan, np.float32)
+    names = ("snr_db", "residual_db", "coherence", "peak_v")
+    figures: dict[str, Any] = {name: unknown if estimate is None else getattr(estimate, name) for name in names}
+    return {**figures, "reference_db": float("nan") if estimate is None else float(np.median(estimate.reference_db))}

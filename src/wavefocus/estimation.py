@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from wavefocus.acquisition.judgement import judge
 from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.calibration.estimator.estimate import bank_figures
 from wavefocus.calibration.estimator.raw_estimation import PositionResult, affordable_workers, estimate_positions
 from wavefocus.campaign.blueprint import carried_configuration, estimator_for, own_plan, require_same_plan
 from wavefocus.cluster import estimate_on_cluster
@@ -160,21 +161,12 @@ def _commit(writer: BankWriter, result: PositionResult, limits: QualityLimits, *
     actuators, taps = writer.header.actuators, writer.header.taps
     found = result.estimate
     if found is None:
-        nothing = np.full(actuators, np.nan, np.float32)
-        record = PointRecord(int(Status.FAILED), 1, nothing, nothing, nothing, nothing)
+        record = PointRecord(int(Status.FAILED), 1, **bank_figures(None, actuators))
         writer.commit(result.position, np.zeros((actuators, taps), np.float32), record)
         return f"position {result.position} failed: {result.fault}"
     before_db = writer.reference_before_db(result.position)
     judgement = judge(found, False, limits, before_db=before_db, calibrated=calibrated)
-    record = PointRecord(
-        status=int(judgement.status),
-        attempts=1,
-        snr_db=found.snr_db,
-        residual_db=found.residual_db,
-        coherence=found.coherence,
-        peak_v=found.peak_v,
-        reference_db=float(np.median(found.reference_db)),
-    )
+    record = PointRecord(int(judgement.status), 1, **bank_figures(found, actuators))
     writer.commit(result.position, found.green, record)
     return "" if judgement.good else f"position {result.position}: {judgement.reason}"
 

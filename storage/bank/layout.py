@@ -11,7 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.storage import durable, hdf5_digest, hdf5_reading
-from wavefocus.storage.bank.ledger import BANK, FIRST_QUALITY_NAMES, LATER_QUALITY_NAMES, QUALITY_NAMES, bank_row_shape
+from wavefocus.storage.bank.ledger import (
+    BANK,
+    FIRST_QUALITY_NAMES,
+    LATER_QUALITY_NAMES,
+    QUALITY,
+    QUALITY_NAMES,
+    bank_row_shape,
+)
 from wavefocus.storage.errors import InputError, OtherLayoutError
 from wavefocus.storage.hdf5_writing import (
     METADATA_BLOCK,
@@ -116,15 +123,6 @@ class BankHeader:
         return crc
 
 
-QUALITY_UNITS = {
-    "snr_db": "dB",
-    "residual_db": "dB",
-    "coherence": "1",
-    "peak_v": "V",
-    "attempts": "1",
-    "moved_mm": "mm",
-    "reference_db": "dB",
-}
 _FIRST_FIGURES = ("/status", *(f"/quality/{name}" for name in FIRST_QUALITY_NAMES))
 
 
@@ -205,7 +203,7 @@ def _lay_out(file: h5py.File, header: BankHeader) -> LedgerLayout:
     for name in QUALITY_NAMES:
         shape = quality_shape(name, count, actuators)
         empty = np.full(shape, 0 if name == "attempts" else np.nan, "<f4")
-        attach(filled(file, f"/quality/{name}", empty, QUALITY_UNITS[name]), *(position, actuator)[: len(shape)])
+        attach(filled(file, f"/quality/{name}", empty, QUALITY[name][0]), *(position, actuator)[: len(shape)])
     row_byte = bare_dimension(file, "durability/ledger_byte", header.rows.row_bytes)
     journal_byte = bare_dimension(file, "durability/journal_byte", header.rows.journal_bytes)
     lay_out_ledger(file, header.rows, count, position, row_byte, journal_byte)

@@ -13,10 +13,19 @@ from wavefocus.storage.ledger.pages import Bytes, LedgerFormat, RowShape, round_
 
 Float32Array = NDArray[np.float32]
 
-FIRST_QUALITY_NAMES = ("snr_db", "residual_db", "coherence", "peak_v", "attempts")
-LATER_QUALITY_NAMES = ("moved_mm", "reference_db")
-"""One figure per position, which banks of the first edition do not have."""
-QUALITY_NAMES = FIRST_QUALITY_NAMES + LATER_QUALITY_NAMES
+QUALITY = {
+    "snr_db": ("dB", "signal-to-noise ratio"),
+    "residual_db": ("dB", "energy that the filters leave unexplained"),
+    "coherence": ("1", "coherence of repeats"),
+    "peak_v": ("V", "largest response at the recorder's input"),
+    "attempts": ("1", "number of measurements of the position"),
+    "moved_mm": ("mm", "distance of the laser from the position"),
+    "reference_db": ("dB", "level of the reference relative to its calibration"),
+}
+"""Unit and meaning of each figure of ``/quality``."""
+QUALITY_NAMES = tuple(QUALITY)
+FIRST_QUALITY_NAMES, LATER_QUALITY_NAMES = QUALITY_NAMES[:5], QUALITY_NAMES[5:]
+"""The later ones, one figure per position, are not in banks of the first edition."""
 _PER_ACTUATOR = FIRST_QUALITY_NAMES[:-1]
 VALID, OVER_RANGE, POOR_SIGNAL, FAILED, DISABLED = 1, 2, 4, 8, 16
 _ALL_BITS = 31

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.storage import hdf5_reading
-from wavefocus.storage.bank.layout import QUALITY_UNITS
+from wavefocus.storage.bank.ledger import QUALITY
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress
 from wavefocus.storage.exchange.hdf5_arrays import compound_complex, read_arrays, text_attribute
@@ -54,9 +54,7 @@ Example: y = filter(squeeze(green(1, 1, :)), 1, drive);   % response at the firs
 def _about(rows: ExportedRows) -> dict[str, Any]:
     bank = rows.bank
     units = {"green": rows.units[0], "position_mm": "mm", "actuator_mm": "mm", "time_s": "s"}
-    units |= {"sample_rate_hz": "Hz", "band_hz": "Hz"} | {
-        f"quality_{name}": QUALITY_UNITS[name] for name in bank.quality
-    }
+    units |= {"sample_rate_hz": "Hz", "band_hz": "Hz"} | {f"quality_{name}": QUALITY[name][0] for name in bank.quality}
     return {"readme": README, "units": units, "publication": dict(rows.publication), "source": rows.bank_name}
 
 

@@ -13,7 +13,8 @@ import h5py
 import numpy as np
 
 from wavefocus.storage import hdf5_reading
-from wavefocus.storage.bank.layout import QUALITY_UNITS, describe_status
+from wavefocus.storage.bank.layout import describe_status
+from wavefocus.storage.bank.ledger import QUALITY
 from wavefocus.storage.bank.notes import Note, notes_of
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress
@@ -35,13 +36,7 @@ LONG_NAMES = {
     "y_mm": "place of the position, above the centre",
     "actuator_mm": "place of the actuator, NaN where unknown",
     "status": "status bits of the position",
-    "snr_db": "signal-to-noise ratio",
-    "residual_db": "energy that the filters leave unexplained",
-    "coherence": "coherence of repeats",
-    "peak_v": "largest response at the recorder's input",
-    "attempts": "number of measurements of the position",
-    "moved_mm": "distance of the laser from the position",
-    "reference_db": "level of the reference relative to its calibration",
+    **{name: about for name, (_, about) in QUALITY.items()},
 }
 
 UDUNITS = {"dB": "0.1 lg(re 1)"}
@@ -71,7 +66,7 @@ def write(path: Path, rows: ExportedRows, on_progress: OnProgress | None = None)
         attach(status, position)
         for name, values in bank.quality.items():
             figures = filled(
-                file, name, values[rows.row].astype("<f4"), UDUNITS.get(QUALITY_UNITS[name], QUALITY_UNITS[name])
+                file, name, values[rows.row].astype("<f4"), UDUNITS.get(QUALITY[name][0], QUALITY[name][0])
             )
             attach(figures, *(position, actuator)[: figures.ndim])
             file[f"quality/{name}"] = figures
