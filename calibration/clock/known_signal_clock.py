@@ -54,16 +54,18 @@ class KnownSignalClock:
     period: Samples of the period on the playback clock.
     max_ppm: Largest clock skew in parts per million.
     below_share: Share of the energy in the lowest bins that is left out.
+
+    highest: Upper end of the band in cycles per sample.
     """
 
     def __init__(self, spectrum: Complex128Array, period: int, max_ppm: float, *, below_share: float = 1e-6) -> None:
-        self._period, self._max_ppm, self._whole = period, max_ppm, spectrum
+        self.period, self._max_ppm, self._whole = period, max_ppm, spectrum
         power = np.abs(spectrum) ** 2
         below = np.cumsum(power)
         self._first = max(int(np.searchsorted(below, below_share * below[-1])), 1)
         self._spectrum = spectrum[self._first :]
         bins = np.arange(self._first, spectrum.size)
-        self._highest = spectrum.size / period
+        self.highest = spectrum.size / period
         self._amplitudes = self._spectrum * 2 / period
         lowest = max(int(np.searchsorted(below, 0.01 * below[-1])), 1)
         self._slope = 2j * np.pi * bins / period
@@ -85,13 +87,11 @@ class KnownSignalClock:
 
         Returns KnownSignalFit: the best there is; its `explained` shows how good it is.
         """
-        inside = decimated.inside
-        values = decimated.values[0, inside].astype(np.float64)
-        place = decimated.first + decimated.step * np.arange(inside.start, inside.stop)
+        values, place = _inside(decimated)
         # One period is enough to begin with, and lets the search take wider steps.
-        short = math.ceil(self._period / decimated.step)
+        short = math.ceil(self.period / decimated.step)
         short = values.size if values.size < 1.5 * short else short
-        step = 2 * SEARCH_TURN / (math.pi * self._highest * (place[short - 1] - place[0]))
+        step = 2 * SEARCH_TURN / (math.pi * self.highest * (place[short - 1] - place[0]))
         best: KnownSignalFit | None = None
         for turn in range(2 * math.ceil(1e-6 * self._max_ppm / step) + 1 if search else 1):
             ratio = expected + (turn // 2 + turn % 2) * (1 if turn % 2 else -1) * step
@@ -108,23 +108,22 @@ class KnownSignalClock:
             best = self._gauss_newton(values, place, best.offset_samples, best.ratio)
         return best
 
-    def refined(self, decimated: Decimated, offset: float, ratio: float) -> KnownSignalFit:
-        """Fit offset and ratio from near guesses, in a recording with silence beyond its ends."""
-        place = decimated.first + decimated.step * np.arange(decimated.values.shape[1])
-        return self._gauss_newton(decimated.values[0].astype(np.float64), place, offset, ratio)
+    def offset(self, decimated: Decimated, ratio: float) -> float:
+        """Offset in samples to about one, at a ratio that is nearly right."""
+        return self._offset(*_inside(decimated), ratio)
 
     def _offset(self, values: Float64Array, place: Int64Array, ratio: float) -> float:
         """Offset in samples to about one, from the envelope of the cross-correlation on the ring."""
         step = int(place[1] - place[0])
-        turn = 2 * np.pi / (self._period * ratio)
+        turn = 2 * np.pi / (self.period * ratio)
         sums = fourier_sum(values, turn * step, self._first, self._spectrum.size)
         sums = sums * np.exp(-1j * turn * place[0] * (self._first + np.arange(sums.size)))
         length = scipy.fft.next_fast_len(2 * self._spectrum.size)
         envelope = np.abs(scipy.fft.ifft(sums * self._spectrum.conj(), length))
         top = int(np.argmax(envelope))
         peak = top + parabola_vertex(*(envelope[(top + side) % length] for side in (-1, 0, 1)))
-        late = peak / length * self._period
-        return float((late - self._period if late > self._period / 2 else late) * ratio)
+        late = peak / length * self.period
+        return float((late - self.period if late > self.period / 2 else late) * ratio)
 
     def _gauss_newton(self, values: Float64Array, place: Int64Array, offset: float, ratio: float) -> KnownSignalFit:
         energy = float(values @ values)
@@ -152,7 +151,7 @@ class KnownSignalClock:
                 break
             # base(theta + moved) = base + base' * moved, theta = (n - offset) / ratio
             moved, stretched = shares[1] / gain, shares[2] / gain
-            limit = 0.25 / self._highest
+            limit = 0.25 / self.highest
             moved, stretched = (float(np.clip(one, -limit, limit)) for one in (moved, stretched))
             slope = 1 / ratio + stretched / max(place[-1] - middle, 1.0)
             at_middle = (middle - offset) / ratio + moved
@@ -161,13 +160,20 @@ class KnownSignalClock:
             far = abs(moved) + abs(stretched) > FAR_SAMPLES
             if step and abs(moved) + abs(stretched) < ENOUGH_SAMPLES:
                 break
-        period = self._period * ratio
+        period = self.period * ratio
         left = (1 - explained) * energy * float(place[1] - place[0])
         return KnownSignalFit(offset - period * round(offset / period), ratio, gain, explained, coupling, left)
 
     def _waves_at(self, amplitudes: Complex128Array, place: Int64Array, offset: float, ratio: float) -> Float64Array:
         """Ring signals (rows, values) at places of the recording."""
-        turn = 2 * np.pi / (self._period * ratio)
+        turn = 2 * np.pi / (self.period * ratio)
         bins = self._first + np.arange(amplitudes.shape[1])
         moved = amplitudes * np.exp(1j * turn * (place[0] - offset) * bins)
         return periodic_signal(moved, turn * float(place[1] - place[0]), self._first, place.size)
+
+
+def _inside(decimated: Decimated) -> tuple[Float64Array, Int64Array]:
+    """Values that count, and the samples of the recording at which they lie."""
+    inside = decimated.inside
+    place = decimated.first + decimated.step * np.arange(inside.start, inside.stop)
+    return decimated.values[0, inside].astype(np.float64), place

@@ -58,6 +58,23 @@ def test_one_burst_of_noise_is_enough_to_tell_the_time() -> None:
     assert fit.skew_ppm == pytest.approx(-80, abs=0.1)
 
 
+@pytest.mark.parametrize("offset", [40.3, 31_000.6, 56_500.2])
+def test_a_short_signal_is_found_anywhere_in_a_long_record_and_the_rest_does_not_count(offset: float) -> None:
+    known = sweep(3000, 1000.0)
+    recorded = played(np.pad(known, (0, 60_000)), 60_000, offset, 1 + 200e-6)
+    recorded += 1e-3 * np.sqrt(0.5) * np.random.default_rng(3).standard_normal(recorded.size)
+    fit = fit_clock(recorded, known)
+    assert fit.offset_samples == pytest.approx(offset, abs=0.01)
+    assert fit.skew_ppm == pytest.approx(200, abs=0.5)
+    assert fit.residual_db == pytest.approx(-60, abs=1)
+
+
+def test_a_record_shorter_than_the_signal_holds_only_a_part_of_it() -> None:
+    with pytest.raises(ReferenceMissingError) as missing:
+        fit_clock(KNOWN[:20_000], KNOWN)
+    assert missing.value.cause == "cut"
+
+
 def test_noise_alone_is_a_missing_reference() -> None:
     with pytest.raises(ReferenceMissingError, match="does not carry"):
         fit_clock(np.random.default_rng(1).standard_normal(SAMPLES), KNOWN)
