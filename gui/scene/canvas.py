@@ -337,6 +337,7 @@ class SceneCanvas(SurfaceView):
 
 _NONE_MM = np.zeros((0, 2))
 _CIRCLE_POINTS = 91
+_GAP_MM = np.full((1, 2), np.nan)
 _CROSS_MM = np.array([(-2.0, -2.0), (2.0, 2.0), (np.nan, np.nan), (-2.0, 2.0), (2.0, -2.0), (np.nan, np.nan)])
 _HEAD_PX = 14
 _DOT_PX, _SMALL_DOT_PX = 5, 3
@@ -472,10 +473,11 @@ def sketched(path: PathTable | None) -> Float64Array:
 def _quiet_line(place: QuietTable) -> Float64Array:
     """A cross and, of a disc, its rim; of a place that moves, its path as far as its table says it."""
     if place.at_mm is None:
-        return sketched(place.path)
+        return np.concatenate([sketched(place.path), _GAP_MM])
     angle = np.linspace(0.0, 2 * np.pi, _CIRCLE_POINTS)
     rim = place.radius_mm * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return np.asarray(np.array(place.at_mm) + np.concatenate([_CROSS_MM, rim if place.radius_mm > 0 else _NONE_MM]))
+    disc_mm = rim if place.radius_mm > 0 else _NONE_MM
+    return np.asarray(np.array(place.at_mm) + np.concatenate([_CROSS_MM, disc_mm, _GAP_MM]))
 
 
 def _place_head(head: pyqtgraph.ArrowItem, line_mm: Float64Array, colour: str) -> None:

@@ -16,7 +16,12 @@ from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.scene.draft import changed
 from wavefocus.gui.theme import Themed
 
-_TITLES = ("place", "x (mm)", "y (mm)", "radius (mm)", "level (dB)", "reached (dB)")
+_TITLES = ("", "x", "y", "radius", "level", "reached")
+_TIPS = (
+    "Number, as in files", "x in mm", "y in mm", "Radius of a disc in mm; 0: a point",
+    "Level asked for, in dB: energy of the response there over that at the loudest focus",
+    "Level that the drives reach, in dB",
+)  # fmt: skip
 _X, _Y, _RADIUS, _LEVEL, _REACHED = range(1, 6)
 _NEAR_DB = 0.5
 
@@ -38,6 +43,10 @@ class QuietPanel(Themed, QWidget):
         assert header is not None
         assert numbers is not None
         header.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
+        header.setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
+        for column, about in enumerate(_TIPS):
+            if (title := self.table.horizontalHeaderItem(column)) is not None:
+                title.setToolTip(about)
         numbers.hide()
         self.table.setSelectionBehavior(QTableWidget.SelectionBehavior.SelectRows)
         add = ui.tool_button("Add", "Choose the tool, then click on the surface", self.add_wanted.emit, "Add a place")
@@ -67,7 +76,7 @@ class QuietPanel(Themed, QWidget):
             kind = place.path.kind if place.path else ""
             where = ("path", kind) if point is None else (f"{point[0]:.6g}", f"{point[1]:.6g}")
             found = "—" if reached is None else reached.text
-            texts = name, *where, f"{place.radius_mm:g}", f"{place.level_db:g}", found
+            texts = str(row), *where, f"{place.radius_mm:g}", f"{place.level_db:g}", found
             for column, text in enumerate(texts):
                 item = QTableWidgetItem(text)
                 fixed = column in (0, _REACHED) or (point is None and column in (_X, _Y))
