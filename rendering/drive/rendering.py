@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,7 +21,6 @@ from wavefocus.rendering.drive.coil_limits import (
     rms_window,
     strictest,
 )
-from wavefocus.rendering.drive.quiet_scene import QuietRows, quiet_scene
 from wavefocus.rendering.drive.wav import Interface, InterfaceRate, largest_of
 from wavefocus.rendering.greens.interpolation.errors import judged_errors
 from wavefocus.rendering.greens.regularisation import BankRows
@@ -30,6 +30,9 @@ from wavefocus.rendering.scene.model import Scene
 from wavefocus.rendering.scene.sampling import Method, SampledScene, sample_scene
 from wavefocus.storage.drive_file import Drive
 from wavefocus.storage.errors import InputError
+
+if TYPE_CHECKING:
+    from wavefocus.rendering.drive.quiet_scene import QuietRows
 
 OnProgress = Callable[[int, int], None]
 
@@ -90,7 +93,13 @@ class SceneRenderer:
         self._limits = DriveLimits(scene.output.limit_v, scene.output.limit_rms_v)
         self._interface, self._rate_hz = interface, float(bank.sample_rate_hz)
         self._rate = None if interface is None else InterfaceRate(self._rate_hz, interface.rate_hz)
-        self.sampled, self._rows = _scene_rows(scene, bank, method)
+        self.sampled = sample_scene(scene, bank, method)
+        self._quiet: QuietRows | None = None
+        if scene.has_quiet_places:
+            from wavefocus.rendering.drive.quiet_scene import quiet_scene  # only such scenes wait for it
+
+            self.sampled, self._quiet = quiet_scene(scene, bank, self.sampled)
+        self._rows = self._quiet or BankRows(self.sampled.kind.rows_of(bank), scene.regularisation, self.sampled.naming)
         self.shape = bank.actuators, self.sampled.samples
         self._single = self._tolerance > 0
         self._accumulator = self._new_accumulator()
@@ -148,7 +157,7 @@ class SceneRenderer:
         self._report = report_render(
             self._scene, self._rows, self.sampled.sources, self._accumulator.statistics, self._levels.norms,
             limiting=self._limiting(between), omitted_bound=self._bound(), errors=errors, remarks=remarks,
-            quiet=self._rows.figures() if isinstance(self._rows, QuietRows) else None,
+            quiet=None if self._quiet is None else self._quiet.figures(),
         )  # fmt: skip
         return self._report
 
@@ -219,14 +228,6 @@ class SceneRenderer:
         if self._interface is None or between_v is None:
             return strictest(reached)
         return self._interface.strictest(reached, self._levels.peaks_v * self._gain, between_v * self._gain)
-
-
-def _scene_rows(scene: Scene, bank: GreenSource, method: Method | None) -> tuple[SampledScene, BankRows]:
-    """A scene in samples, and the rows that it is rendered from."""
-    sampled = sample_scene(scene, bank, method)
-    if scene.has_quiet_places:
-        return quiet_scene(scene, bank, sampled)
-    return sampled, BankRows(sampled.kind.rows_of(bank), scene.regularisation, sampled.naming)
 
 
 def render_with_report(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,7 +14,6 @@ from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.device import fast_length
 from wavefocus.rendering.drive.accumulate import SourceStatistics
 from wavefocus.rendering.drive.coil_limits import Limiting, dynamic_range_db
-from wavefocus.rendering.drive.quiet_scene import QuietFigures
 from wavefocus.rendering.field.metrics import band_weights
 from wavefocus.rendering.field.wave_figures import impulse_travel
 from wavefocus.rendering.greens.interpolation.errors import InterpolationErrors
@@ -24,6 +24,9 @@ from wavefocus.rendering.scene.model import Scene
 from wavefocus.rendering.scene.sampling import SampledSource
 from wavefocus.storage.drive_file import QuietTrack
 from wavefocus.storage.errors import InputError
+
+if TYPE_CHECKING:
+    from wavefocus.rendering.drive.quiet_scene import QuietFigures
 
 ROWS = 6
 LOUD_DB = -40.0
