@@ -170,15 +170,54 @@ class Saving(SceneTask):
         self.changed.emit()
 
 
-class PlayTask(SceneTask):
-    """Renders the scene within the rig's limits and plays it; the process mutes the outputs when the window is gone."""
+class RigTask(SceneTask):
+    """A task that sounds on a rig; its process mutes the outputs when it is stopped, and when the window is gone.
+
+    verb: Of the sentence that says which rig it holds.
+    """
+
+    verb = "plays"
 
     def __init__(self, context: TabContext, document: SceneDocument, parent: QObject) -> None:
         super().__init__(context, document, parent)
-        self._player: CommandProcess | None = None
-        self._started_s = self._lasts_s = 0.0
         self._rig = ""
         self.state = IDLE
+
+    @property
+    def pid(self) -> int | None:
+        """Process id of the running command, None while none runs."""
+        return None if self._process is None else self._process.pid
+
+    def instruments_held(self) -> str:
+        """Subject and verb of a message about a real rig that sounds; empty for none."""
+        silent = self.state == IDLE or names_virtual_rig(self._rig)
+        return "" if silent else f"the Scene tab {self.verb} on {Path(self._rig).name}"
+
+    def close(self) -> None:
+        """The window closes: the process mutes and ends by itself."""
+        if self._process is not None:
+            self._process.detach()
+            self._process = None
+        self.state = IDLE
+        self.release()
+
+    def _end_process(self, *, sounds: bool) -> None:
+        """Mute and end it; one that is still opening the rig ends, silent, when it has."""
+        if self._process is not None:
+            self._enter(STOPPING)
+            self._process.stop(_MUTES_WITHIN_MS if sounds else _OPENS_WITHIN_MS, _MUTES_WITHIN_MS)
+
+    def _enter(self, state: str) -> None:
+        self.state = state
+        self.changed.emit()
+
+
+class PlayTask(RigTask):
+    """Renders the scene within the rig's limits and plays it."""
+
+    def __init__(self, context: TabContext, document: SceneDocument, parent: QObject) -> None:
+        super().__init__(context, document, parent)
+        self._started_s = self._lasts_s = 0.0
         self._tick = QTimer(self)
         self._tick.setInterval(_TICK_MS)
         self._tick.timeout.connect(self.changed.emit)
@@ -189,16 +228,6 @@ class PlayTask(SceneTask):
         if self.state != PLAYING:
             return self.state
         return f"playing, {hours(min(time.monotonic() - self._started_s, self._lasts_s))} of {hours(self._lasts_s)}"
-
-    @property
-    def pid(self) -> int | None:
-        """Process id of the play command, None while none runs."""
-        return None if self._player is None else self._player.pid
-
-    def instruments_held(self) -> str:
-        """Subject and verb of a message about a real rig that plays; empty for none."""
-        silent = self.state == IDLE or names_virtual_rig(self._rig)
-        return "" if silent else f"the Scene tab plays on {Path(self._rig).name}"
 
     def play(self, rig: str, gain_db: float, loops: int, lasts_s: float) -> None:
         """Play the present scene.
@@ -211,16 +240,8 @@ class PlayTask(SceneTask):
         if self.busy or not self.prepare(rig, "nothing is played"):
             return
         self._rig, self._lasts_s = rig, loops * lasts_s
-        play = [
-            "play",
-            str(self._drive_file),
-            "--rig",
-            rig,
-            "--loop",
-            str(loops),
-            f"--gain-db={gain_db:g}",
-            "--watched",
-        ]
+        options = ["--rig", rig, "--loop", str(loops), f"--gain-db={gain_db:g}", "--watched"]
+        play = ["play", str(self._drive_file), *options]
         self._enter(RENDERING)
         self._run([self.render()], lambda code, message: self._rendered(code, message, play))
 
@@ -228,23 +249,18 @@ class PlayTask(SceneTask):
         """Stop and mute."""
         if self.state == RENDERING:
             self.cancel()
-        elif self._player is not None and self.state in (OPENING, PLAYING):
-            grace_ms = _MUTES_WITHIN_MS if self.state == PLAYING else _OPENS_WITHIN_MS
-            self._enter(STOPPING)
-            self._player.stop(grace_ms, _MUTES_WITHIN_MS)
+        elif self.state in (OPENING, PLAYING):
+            self._end_process(sounds=self.state == PLAYING)
 
     def close(self) -> None:
-        """The window closes: the process mutes and ends by itself."""
-        if self._player is not None:
-            self._player.detach()
-            self._player = None
-        super().close()
-        self.state = IDLE
         self._tick.stop()
+        if self.state == RENDERING:
+            self.cancel()
+        super().close()
 
     def _rendered(self, code: int, message: str, play: list[str]) -> None:
         if code == 0:
-            self._player = self._context.run(play, self._finished, self._received)
+            self._process = self._context.run(play, self._finished, self._received)
             self._tick.start()
             self._enter(OPENING)
             return
@@ -271,10 +287,6 @@ class PlayTask(SceneTask):
 
     def _end(self) -> None:
         self._tick.stop()
-        self._player = None
+        self._process = None
         self.release()
         self._enter(IDLE)
-
-    def _enter(self, state: str) -> None:
-        self.state = state
-        self.changed.emit()

@@ -20,7 +20,8 @@ from wavefocus.gui.advice import in_window
 from wavefocus.gui.field_map import Plot
 from wavefocus.gui.files import PathField, names_virtual_rig
 from wavefocus.gui.scene.document import SceneDocument
-from wavefocus.gui.scene.live_run import LIVE, SILENT, STARTING, STOPPING, LiveRun
+from wavefocus.gui.scene.exports import IDLE, STOPPING
+from wavefocus.gui.scene.live_run import LIVE, STARTING, LiveRun
 from wavefocus.gui.tab import TabContext
 from wavefocus.gui.theme import Themed
 
@@ -34,7 +35,7 @@ _NOTICES_KEPT = 100
 _NOTICE_LINES = 3
 _HINT_LINES = 3
 _HINTS = {
-    SILENT: "Press Start (F8); sources then follow mouse and fingers on the surface",
+    IDLE: "Press Start (F8); sources then follow mouse and fingers on the surface",
     STARTING: "Bank and rig are being opened",
     LIVE: "Press on the surface and drag; each finger has a source of its own. Or use Space and the arrow keys",
     STOPPING: "The sources fade",
@@ -231,15 +232,15 @@ class LivePanel(Themed, QWidget):
         """Show what can be done, and the state of the session."""
         state = self._run.state
         ready = self._document.bank is not None and bool(self._rig())
-        self.start.setEnabled(state == SILENT and ready and self.isVisible())
+        self.start.setEnabled(state == IDLE and ready and self.isVisible())
         self.stop.setEnabled(state in (STARTING, LIVE))
         for part in (self.look_ahead, self.independent, self.records):
-            part.setEnabled(state == SILENT)
-        self.folder.setEnabled(state == SILENT and self.records.isChecked())
+            part.setEnabled(state == IDLE)
+        self.folder.setEnabled(state == IDLE and self.records.isChecked())
         if state == STARTING:
             self.notices.clear()
         ui.put(self.hint, self._hint())
-        self.state.show_word(state, {LIVE: self.theme.good, SILENT: self.theme.faint}.get(state, self.theme.warning))
+        self.state.show_word(state, {LIVE: self.theme.good, IDLE: self.theme.faint}.get(state, self.theme.warning))
         self._show_figures()
 
     def redraw(self) -> None:

@@ -24,32 +24,31 @@ from wavefocus.config.messages.live import (
     SetSignal,
 )
 from wavefocus.config.scene import ImpulseTable, SignalTable
-from wavefocus.gui.files import names_virtual_rig
 from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess
 from wavefocus.gui.process import Message as Record
 from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.scene.draft import NEW_AMPLITUDE
-from wavefocus.gui.scene.exports import SceneTask
+from wavefocus.gui.scene.exports import IDLE, RigTask
 from wavefocus.gui.tab import TabContext
 
-SILENT, STARTING, LIVE, STOPPING = "silent", "starting", "live", "stopping"
-# Muting takes a moment; a process that is still opening bank and rig ends, silent, when it has.
-_MUTES_WITHIN_MS, _OPENS_WITHIN_MS = 4000, 30_000
+STARTING, LIVE = "starting", "live"
 # States come five times a second. A session that writes none for so long gets no positions: writing to a full pipe
 # would hold up the window.
 _STALLED_AFTER_S = 2.0
 _STATES_KEPT = 300
 
 
-class LiveRun(SceneTask):
+class LiveRun(RigTask):
     """At most one live session of the window; `changed` is emitted when its state is another one.
 
-    state: `SILENT`, `STARTING`, `LIVE` or `STOPPING`.
+    state: `IDLE`, `STARTING`, `LIVE` or `STOPPING`.
     ready: Facts of the session, from `LIVE` on.
     states: Figures of the last minute.
     places: Where pointers hold sources, by name, in mm.
     gain_db: Gain on the amplitudes of all sources; it counts from the next position on.
     """
+
+    verb = "plays live"
 
     #: A `LiveState` has arrived.
     figures_changed = pyqtSignal()
@@ -58,27 +57,16 @@ class LiveRun(SceneTask):
 
     def __init__(self, context: TabContext, document: SceneDocument, parent: QObject) -> None:
         super().__init__(context, document, parent)
-        self.state = SILENT
         self.ready: LiveReady | None = None
         self.states: deque[LiveState] = deque(maxlen=_STATES_KEPT)
         self.places: dict[str, PointMm] = {}
         self.gain_db = 0.0
-        self._rig = self._refusal = ""
+        self._refusal = ""
         self._signal: SignalTable | None = None
         self._heard_s = 0.0
         self._ended: LiveEnded | None = None
         document.edited.connect(self._set_signals)
         document.chosen_changed.connect(self._set_signals)
-
-    @property
-    def pid(self) -> int | None:
-        """Process id of the session, None while there is none."""
-        return None if self._process is None else self._process.pid
-
-    def instruments_held(self) -> str:
-        """Subject and verb of a message about a real rig that sounds; empty for none."""
-        silent = self.state == SILENT or names_virtual_rig(self._rig)
-        return "" if silent else f"the Scene tab plays live on {Path(self._rig).name}"
 
     def start(self, rig: str, look_ahead_ms: int, record: Path | None, *, independent: bool = False) -> None:
         """Start a session with the present scene's signal, regularisation and limits.
@@ -105,21 +93,13 @@ class LiveRun(SceneTask):
 
     def stop(self) -> None:
         """Let the sources fade, mute, and end the session."""
-        if self._process is not None and self.state in (STARTING, LIVE):
-            grace_ms = _MUTES_WITHIN_MS if self.state == LIVE else _OPENS_WITHIN_MS
-            if self.state == LIVE:
-                self._send(EndLive())
-            self._enter(STOPPING)
-            self._process.stop(grace_ms, _MUTES_WITHIN_MS)
+        if self.state in (STARTING, LIVE):
+            self._send(EndLive())
+            self._end_process(sounds=self.state == LIVE)
 
     def close(self) -> None:
-        """The window closes: the process mutes and ends by itself."""
-        if self._process is not None:
-            self._process.detach()
-            self._process = None
         self.places.clear()
-        self.state = SILENT
-        self.release()
+        super().close()
 
     def press(self, name: str, at_mm: PointMm) -> None:
         """Let a source begin to sound."""
@@ -195,11 +175,7 @@ class LiveRun(SceneTask):
             messages.fault(self._plain(process.failure))
         self.places.clear()
         self.release()
-        self._enter(SILENT)
-
-    def _enter(self, state: str) -> None:
-        self.state = state
-        self.changed.emit()
+        self._enter(IDLE)
 
 
 def _summary(ended: LiveEnded) -> str:

@@ -13,8 +13,9 @@ from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import NO_KEY, Opens, line_scene, mouse, pixel, press, shown_tab, wait
 from wavefocus.config.messages.live import LiveReady, LiveState
+from wavefocus.gui.scene.exports import IDLE
 from wavefocus.gui.scene.live_panel import figures_of
-from wavefocus.gui.scene.live_run import LIVE, SILENT
+from wavefocus.gui.scene.live_run import LIVE
 from wavefocus.gui.scene.live_surface import KEYS, MOUSE, LiveSurface
 from wavefocus.gui.scene.tab import DRAW, SceneTab
 from wavefocus.gui.scene.tab import LIVE as LIVE_PAGE
@@ -37,7 +38,7 @@ def live_page(qtbot: QtBot, window: Window, bank: Path, rig: str = "") -> SceneT
 
 def started(qtbot: QtBot, tab: SceneTab) -> None:
     press(qtbot, tab.live_panel.buttons["start"])
-    wait(qtbot, lambda: tab.live_run.state in (LIVE, SILENT))
+    wait(qtbot, lambda: tab.live_run.state in (LIVE, IDLE))
     assert tab.live_run.state == LIVE, tab.context.messages.sentence
 
 
@@ -140,7 +141,7 @@ def test_given_mouse_fingers_and_keys_then_sources_sound_follow_and_end_and_stop
 
     assert value(tab, "latency").endswith(" ms")
     press(qtbot, tab.live_panel.buttons["stop"])
-    wait(qtbot, lambda: run.state == SILENT)
+    wait(qtbot, lambda: run.state == IDLE)
     assert "muted" in window.messages.sentence
     (scene,) = tmp_path.glob("live-*/scene.toml")
     assert scene.read_text(encoding="utf-8").count("[[source]]") >= 4  # late positions begin another
@@ -157,7 +158,7 @@ def test_given_a_source_that_sounds_then_leaving_the_page_or_closing_the_window_
     assert tab.live_run.ready.independent
     assert not tab.live_panel.independent.isEnabled()
     tab.modes[DRAW].click()
-    wait(qtbot, lambda: tab.live_run.state == SILENT)
+    wait(qtbot, lambda: tab.live_run.state == IDLE)
     tab.modes[LIVE_PAGE].click()
     started(qtbot, tab)
     surface, pid = tab.live_surface, tab.live_run.pid
@@ -175,7 +176,7 @@ def test_given_a_rig_of_other_actuators_then_one_sentence_says_so_and_nothing_so
     window = open_window()
     tab = live_page(qtbot, window, finished, VIRTUAL)  # it has 20 actuators, the bank three
     press(qtbot, tab.live_panel.buttons["start"])
-    wait(qtbot, lambda: tab.live_run.state == SILENT)
+    wait(qtbot, lambda: tab.live_run.state == IDLE)
     assert str(finished) in window.messages.sentence
     assert not tab.live_run.busy
 
