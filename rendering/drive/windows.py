@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
-from wavefocus.rendering.band import Band, norm_of, power_over
+from wavefocus.rendering.band import Band, norm_of
 from wavefocus.rendering.device import WORKERS, Device, in_order
 from wavefocus.rendering.greens.regularisation import BankRows
 
@@ -125,12 +125,10 @@ class RowSpectrum:
     """The spectrum of one row.
 
     values, complex array of the device, shape (actuators, bins).
-    magnitude, float64 (bins,), or None: Norm over the actuators of every bin, where asked for.
     norm: Norm over actuators and bins, at least `MIN_ROW_NORM`; in single precision only.
     """
 
     values: Any
-    magnitude: Float64Array | None = None
     norm: float = 0.0
 
 
@@ -139,11 +137,10 @@ class RowSpectra:
 
     band: Transform length and precision.
     device: Where they are computed and kept, within its memory.
-    magnitudes: Whether magnitudes are asked for.
     """
 
-    def __init__(self, rows: BankRows, band: Band, device: Device, *, magnitudes: bool = False) -> None:
-        self._rows, self._device, self._magnitudes, self.band = rows, device, magnitudes, band
+    def __init__(self, rows: BankRows, band: Band, device: Device) -> None:
+        self._rows, self._device, self.band = rows, device, band
         self._spectra: OrderedDict[int, RowSpectrum] = OrderedDict()
         row_bytes = band.bins * rows.bank.actuators * np.dtype(band.complex).itemsize
         self.most_rows = int(max(1, device.memory_bytes // row_bytes))
@@ -168,7 +165,6 @@ class RowSpectra:
         green = self._rows.read(row, single=single)
         reversed_in_time = xp.asarray(np.ascontiguousarray(green[:, ::-1]))
         values = self._device.fft(single=single).rfft(reversed_in_time, n=self.band.fft_samples, axis=1)
-        magnitude = np.sqrt(power_over(self._device.to_host(values), axis=0)) if self._magnitudes else None
         # Of what is transformed: the spectrum of a whole transform has sqrt(n) times the norm.
         norm = math.sqrt(self.band.fft_samples) * norm_of(green) if single else 0.0
-        return RowSpectrum(values, magnitude, max(norm, MIN_ROW_NORM))
+        return RowSpectrum(values, max(norm, MIN_ROW_NORM))
