@@ -75,7 +75,7 @@ class OutputsMeasured(Table):
 
     @model_validator(mode="after")
     def _each_once(self) -> OutputsMeasured:
-        seen = [one.channel for one in self.channel]
+        seen = [output.channel for output in self.channel]
         for index, channel in enumerate(seen):
             if channel in seen[:index]:
                 raise mistake(f"channel.[{index}].channel", channel, "is there already")
@@ -166,7 +166,7 @@ def calibrated(record: CalibrationRecord) -> str:
     if record.inputs is not None:
         parts.append(f"inter-channel delay {1e6 * record.inputs.inter_channel_delay_s:.2f} us")
     if record.outputs is not None:
-        known = sum(one.full_scale_v is not None for one in record.outputs.channel)
+        known = sum(output.full_scale_v is not None for output in record.outputs.channel)
         parts.append(f"full scale of {known} outputs" if known else "latency of the outputs")
     return ", ".join(parts) or "nothing that the rig uses"
 
@@ -174,7 +174,7 @@ def calibrated(record: CalibrationRecord) -> str:
 def _with_full_scales(player: dict[str, Any], record: CalibrationRecord) -> dict[str, Any]:
     """The player's table with the full scale of every output, the nominal one where none was measured."""
     outputs = record.outputs.channel if record.outputs is not None else ()
-    measured = {one.channel: one.full_scale_v for one in outputs if one.full_scale_v is not None}
+    measured = {output.channel: output.full_scale_v for output in outputs if output.full_scale_v is not None}
     channels, loopback = player.get("channels"), player.get("loopback_channel")
     if not measured or not isinstance(channels, list | tuple):
         return player
@@ -199,9 +199,9 @@ def _refuse_other_wiring(player: dict[str, Any], record: CalibrationRecord) -> N
     channels = player.get("channels")
     if record.actuators is None or not isinstance(channels, list | tuple):
         return
-    for one in record.actuators.actuator:
-        if one.actuator >= len(channels) or channels[one.actuator] != one.channel:
-            allowed = f"must have actuator {one.actuator} on output {one.channel}, {or_else}"
+    for actuator in record.actuators.actuator:
+        if actuator.actuator >= len(channels) or channels[actuator.actuator] != actuator.channel:
+            allowed = f"must have actuator {actuator.actuator} on output {actuator.channel}, {or_else}"
             raise mistake("player.channels", list(channels), allowed)
 
 

@@ -65,7 +65,7 @@ class DriverTable(Table):
     def _plan_default(self, key: str) -> object:
         """The driver's own default of its key."""
         driver = self.drivers.get(self.driver)
-        own = {one.name: one.default for one in fields(driver)} if driver is not None else {}
+        own = {key.name: key.default for key in fields(driver)} if driver is not None else {}
         return own[key] if own.get(key, MISSING) is not MISSING else super()._plan_default(key)
 
     @model_validator(mode="before")
@@ -142,7 +142,7 @@ def with_drivers(section: type[Section], registry: Registry[Any]) -> type[Sectio
 
 def _checked(hint: Any, about: Mapping[str, Any]) -> Any:
     """A type as strict as those of every table, within the bounds of a key."""
-    parts = tuple(one if one is Ellipsis else _checked(one, about) for one in get_args(hint))
+    parts = tuple(part if part is Ellipsis else _checked(part, about) for part in get_args(hint))
     if get_origin(hint) in (Union, UnionType):
         return Union[parts]  # noqa: UP007  # made here
     if get_origin(hint) is tuple:

@@ -66,7 +66,7 @@ class Table(BaseModel):
 
 def plan_mark(field: FieldInfo) -> PlanMark | None:
     """The mark of a key; None where it has none."""
-    return next((one for one in field.metadata if isinstance(one, PlanMark)), None)
+    return next((mark for mark in field.metadata if isinstance(mark, PlanMark)), None)
 
 
 def mistake(key: str, value: object, allowed: str) -> PydanticCustomError:
@@ -126,9 +126,9 @@ def fields_of(model: type[BaseModel], path: str = "") -> dict[str, FieldInfo]:
     """The fields of a table of a file, by its heading: ``"watch.noise"``; none where there is no such table."""
     models = [model]
     for name in path.split(".") if path else ():
-        fields = {key: field for one in models for key, field in one.model_fields.items()}
+        fields = {key: field for table in models for key, field in table.model_fields.items()}
         models = list(_models(fields[name].annotation)) if name in fields else []
-    return {key: field for one in models for key, field in one.model_fields.items()}
+    return {key: field for table in models for key, field in table.model_fields.items()}
 
 
 def with_explanations(text: str, model: type[BaseModel]) -> str:
@@ -149,9 +149,9 @@ def with_explanations(text: str, model: type[BaseModel]) -> str:
         column = max(_COLUMN, len(line) + 2)
         about = textwrap.wrap(explanation(key[1], fields[key[1]]), _WIDTH - _COLUMN - 2)
         if column + 2 + len(about[0]) > _WIDTH:
-            lines += [*(f"# {one}" for one in about), line]
+            lines += [*(f"# {words}" for words in about), line]
         else:
-            lines += [f"{line:<{column - 1}} # {about[0]}", *(f"{'#':<{_COLUMN}}# {one}" for one in about[1:])]
+            lines += [f"{line:<{column - 1}} # {about[0]}", *(f"{'#':<{_COLUMN}}# {words}" for words in about[1:])]
     return "\n".join(lines) + "\n"
 
 
@@ -188,13 +188,13 @@ def _allowed(field: FieldInfo) -> tuple[str, str]:
     choices: list[str] = []
 
     def gather(metadata: Any) -> None:
-        for one in metadata:
-            bounds.update({name: getattr(one, name) for name in _BOUNDS if getattr(one, name, None) is not None})
-            gather(getattr(one, "metadata", ()))
+        for part in metadata:
+            bounds.update({name: getattr(part, name) for name in _BOUNDS if getattr(part, name, None) is not None})
+            gather(getattr(part, "metadata", ()))
 
     def walk(annotation: Any) -> None:
         if get_origin(annotation) is Literal:
-            choices.extend(json.dumps(one) for one in get_args(annotation))
+            choices.extend(json.dumps(choice) for choice in get_args(annotation))
         elif get_origin(annotation) is not tuple:
             gather(getattr(annotation, "__metadata__", ()))
             for part in get_args(annotation):

@@ -461,7 +461,7 @@ class RigConfig(Table):
                     allowed = f"must be below {len(points)}, the number of actuators"
                     raise mistake(f"emulation.{key}.[{index}]", actuator, allowed)
         outputs = self.player.outputs
-        pairs = {"reversed_outputs": [(one,) for one in self.emulation.reversed_outputs]}
+        pairs = {"reversed_outputs": [(output,) for output in self.emulation.reversed_outputs]}
         for key, named in {**pairs, "swapped_outputs": self.emulation.swapped_outputs}.items():
             for index, of_entry in enumerate(named):
                 if max(of_entry) >= outputs:

@@ -243,7 +243,7 @@ class PlayerSection(DriverTable):
             limits.append(("player.limit_rms_v", self.limit_rms_v))
         if self.limit_power_w is not None and self.coil_resistance_ohm is not None:
             limits.append(("player.limit_power_w", (self.limit_power_w * self.coil_resistance_ohm) ** 0.5))
-        return min(limits, key=lambda one: one[1], default=None)
+        return min(limits, key=lambda limit: limit[1], default=None)
 
     @model_validator(mode="after")
     def _wired_once(self) -> PlayerSection:

@@ -65,27 +65,28 @@ def navigation(index: str) -> Iterator[str]:
 
 def section(command: Command) -> str:
     """Describe a command: how it is typed, what it does, its arguments."""
-    needed = [spelled(one) for one in command.arguments if is_needed(one)]
+    needed = [spelled(given) for given in command.arguments if is_needed(given)]
     options = [] if len(needed) == len(command.arguments) else ["[options]"]
     typed = " ".join(["wavefocus", command.name, *needed, *options])
     rows = "".join(
-        "| `{}` | {} |\n".format(spelled(one).replace("|", r"\|"), one.settings["help"]) for one in command.arguments
+        "| `{}` | {} |\n".format(spelled(given).replace("|", r"\|"), given.settings["help"])
+        for given in command.arguments
     )
     return (
         f"\n## {command.name}\n\n```text\n{typed}\n```\n\n{command.help}\n\n| argument | meaning |\n|---|---|\n{rows}"
     )
 
 
-def is_needed(one: Argument) -> bool:
+def is_needed(given: Argument) -> bool:
     """Whether a command line must have an argument."""
-    optional = one.names[0].startswith("-") or one.settings.get("nargs") in ("?", "*")
-    return bool(one.settings.get("required", not optional))
+    optional = given.names[0].startswith("-") or given.settings.get("nargs") in ("?", "*")
+    return bool(given.settings.get("required", not optional))
 
 
-def spelled(one: Argument) -> str:
+def spelled(given: Argument) -> str:
     """An argument as it is typed."""
-    choices = ", ".join(one.settings.get("choices", ()))
-    value = one.settings.get("metavar", choices or "TEXT")
-    if not one.names[0].startswith("-"):
+    choices = ", ".join(given.settings.get("choices", ()))
+    value = given.settings.get("metavar", choices or "TEXT")
+    if not given.names[0].startswith("-"):
         return value
-    return one.names[0] if str(one.settings.get("action")).startswith("store_") else f"{one.names[0]} {value}"
+    return given.names[0] if str(given.settings.get("action")).startswith("store_") else f"{given.names[0]} {value}"

@@ -218,7 +218,7 @@ def _fits_tuple(value: Any, parts: tuple[Any, ...]) -> bool:
         return False
     if len(parts) == 2 and parts[1] is Ellipsis:
         return all(_fits(entry, parts[0]) for entry in value)
-    return len(value) == len(parts) and all(_fits(one, part) for one, part in zip(value, parts, strict=True))
+    return len(value) == len(parts) and all(_fits(entry, part) for entry, part in zip(value, parts, strict=True))
 
 
 def _refused(name: str, value: object, allowed: str) -> InputError:

@@ -62,7 +62,7 @@ def _page(measured: dict[str, Any]) -> str:
     for name, found in measured.items():
         head = f"## {BENCHMARKS[name].title.capitalize()}\n\n`wavefocus bench {name}`, {found['made']['seconds']:.0f} s"
         drawn = {f"**{work}**": ["", f"![{work}]({file})"] for work, file in found["diagrams"].items()}
-        parts.append("\n".join([head, "", *(one for line in found["lines"] for one in (line, *drawn.get(line, [])))]))
+        parts.append("\n".join([head, "", *(text for line in found["lines"] for text in (line, *drawn.get(line, [])))]))
     return "\n".join(parts)
 
 

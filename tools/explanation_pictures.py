@@ -78,9 +78,9 @@ def draw_recording(folder: Path) -> None:
     axes[1, 1].plot(tap_ms, _in_band(truth, period, band), lw=0.8, ls="--", color="#222222", label="true, 20-500 Hz")
     axes[1, 1].set(title="4  Green's function", xlabel="time (ms)", ylabel="V/V per sample", xlim=(0, 80))
     axes[1, 1].legend(loc="upper right", fontsize=8)
-    for one in axes.ravel():
-        one.title.set_fontsize(10)
-        one.spines[["top", "right"]].set_visible(False)
+    for panel in axes.ravel():
+        panel.title.set_fontsize(10)
+        panel.spines[["top", "right"]].set_visible(False)
     folder.mkdir(parents=True, exist_ok=True)
     figure.savefig(folder / "recording-to-green.png", dpi=110)
     error_db = 10 * np.log10(np.sum(np.abs(fitted - wanted) ** 2) / np.sum(np.abs(wanted) ** 2))
@@ -191,8 +191,8 @@ def draw_scene(folder: Path) -> None:
     shown_ms = 1e3 * (field.start_s + sample / rate_hz)
     title = f"4. Predicted field, {shown_ms:.0f} ms after the first focus"
     axes[1, 1].set(title=title, xlabel="x in mm", ylabel="y in mm", aspect="equal")
-    for one in axes.ravel():
-        one.spines[["top", "right"]].set_visible(False)
+    for panel in axes.ravel():
+        panel.spines[["top", "right"]].set_visible(False)
     figure.savefig(folder / "scene-to-drive.png", dpi=100)
 
 

@@ -49,7 +49,7 @@ def table(file: str, heading: str = "") -> str:
                 name: next(own.default for own in fields(driver) if own.name == key) for name, driver in owners.items()
             }
             default = ", ".join(
-                dict.fromkeys(filter(None, ("needed" if one is MISSING else _shown(one) for one in own.values())))
+                dict.fromkeys(filter(None, ("needed" if value is MISSING else _shown(value) for value in own.values())))
             )
         mark = " #" if in_plan and plan_mark(field) is not FREE else ""
         meaning = explanation(key, field).removeprefix(": ")

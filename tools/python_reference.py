@@ -62,15 +62,15 @@ def function_entry(name: str) -> str:
 def class_entry(name: str) -> str:
     """A class: what it holds, its properties as a list, and its methods."""
     kind = getattr(wavefocus, name)
-    own = {one: member for one, member in vars(kind).items() if not one.startswith("_") and inspect.getdoc(member)}
+    own = {key: member for key, member in vars(kind).items() if not key.startswith("_") and inspect.getdoc(member)}
     call = f"{code(signature(f'wf.{name}', kind))}\n\n" if name in CALLED else ""
     parts = [f"### `{name}`\n\n{call}{markdown(kind)}"]
-    if values := {one: member for one, member in own.items() if isinstance(member, property)}:
-        lines = (f"- `{one}`: {paragraph(code_marks(inspect.getdoc(member)))}" for one, member in values.items())
+    if values := {key: member for key, member in own.items() if isinstance(member, property)}:
+        lines = (f"- `{key}`: {paragraph(code_marks(inspect.getdoc(member)))}" for key, member in values.items())
         parts.append("\n".join(lines) + "\n")
-    for one, member in own.items():
+    for key, member in own.items():
         if inspect.isroutine(member):
-            parts.append(f"#### `{name}.{one}`\n\n{code(signature(one, member))}\n\n{markdown(member)}")
+            parts.append(f"#### `{name}.{key}`\n\n{code(signature(key, member))}\n\n{markdown(member)}")
     return "\n".join(parts)
 
 
@@ -87,13 +87,13 @@ class Bare:
 def signature(name: str, function: Any) -> str:
     """A call with the types of its parameters, a line for each where it is long."""
     found = inspect.signature(function)
-    parameters = [_bare(one) for one in found.parameters.values() if one.name != "self"]
+    parameters = [_bare(parameter) for parameter in found.parameters.values() if parameter.name != "self"]
     result = "" if found.return_annotation is found.empty else f" -> {found.return_annotation}"
     call = found.replace(parameters=parameters, return_annotation=found.empty)
     if len(line := f"{name}{call}{result}") <= WIDTH:
         return line
-    lines = [str(one) for one in parameters]
-    if (keys := [one.kind is one.KEYWORD_ONLY for one in parameters]) and any(keys):
+    lines = [str(parameter) for parameter in parameters]
+    if (keys := [parameter.kind is parameter.KEYWORD_ONLY for parameter in parameters]) and any(keys):
         lines.insert(keys.index(True), "*")
     return "\n".join([f"{name}(", *(f"    {line}," for line in lines), f"){result}"])
 
@@ -137,8 +137,8 @@ def listed(text: str) -> str:
     found = [first]
     for block in blocks:
         entries = re.split(r"\n(?! )", block)
-        if all(re.match(r"[a-z]\w*(, [^:]+)?: ", one) for one in entries):
-            found.append("\n".join(re.sub(r"^([^:]+): ", r"- `\1`: ", paragraph(one)) for one in entries))
+        if all(re.match(r"[a-z]\w*(, [^:]+)?: ", entry) for entry in entries):
+            found.append("\n".join(re.sub(r"^([^:]+): ", r"- `\1`: ", paragraph(entry)) for entry in entries))
         else:
             found.append(block)
     return "\n\n".join(found) + "\n"

@@ -152,7 +152,7 @@ class Pictures:
         self.window.show()
 
     def tab(self, kind: type[Tab]) -> Tab:
-        return next(one for one in self.window.tabs if isinstance(one, kind))
+        return next(tab for tab in self.window.tabs if isinstance(tab, kind))
 
     def until(self, true: Callable[[], object], longest_s: float = 600.0) -> None:
         """Run the window until something is true."""

@@ -47,7 +47,7 @@ def draw(folder: Path) -> None:
     axes.loglog(h[found], dt[found], "o", ms=3.5, color="#0b5fa5", label=f"bounded after {STEPS} steps")
     axes.loglog(h[~found], dt[~found], "x", ms=4, color="#b3541e", label="grown 1000 times or more")
     line = np.linspace(spacing_m[-1], spacing_m[0], 50)
-    limit_us = [1e6 * explicit_limit_s(PLATE, one) for one in line.tolist()]
+    limit_us = [1e6 * explicit_limit_s(PLATE, spacing_m) for spacing_m in line.tolist()]
     axes.loglog(1e3 * line, limit_us, color="#222222", label=r"theory: $h^2 / (4 \kappa)$")
     axes.set(
         title="Leapfrog on 1 mm of glass", xlabel="grid spacing h (mm)", ylabel=r"time step ($\mu$s)",

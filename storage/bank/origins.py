@@ -29,6 +29,6 @@ def origins_of(bank: Bank) -> tuple[Origin, ...]:
     """Where the rows of a bank come from that it did not measure itself; empty where it has none."""
     try:
         held = json.loads(bank.origins or "[]")
-        return tuple(Origin(**{key: str(one[key]) for key in Origin.__slots__}) for one in held)
+        return tuple(Origin(**{key: str(origin[key]) for key in Origin.__slots__}) for origin in held)
     except (ValueError, TypeError, KeyError, RecursionError):
         raise InputError(f"{bank.path}: attribute origins is not as this program writes it") from None

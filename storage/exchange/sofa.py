@@ -400,8 +400,8 @@ class _Responses:
             return responses
         emitters, samples = responses.shape
         late = np.zeros((emitters, samples + self.extra))
-        for emitter, one in enumerate(np.floor(delay).astype(int)):
-            late[emitter, one : one + samples] = responses[emitter]
+        for emitter, first in enumerate(np.floor(delay).astype(int)):
+            late[emitter, first : first + samples] = responses[emitter]
         part = delay % 1
         if part.any():
             length = 2 * late.shape[1]

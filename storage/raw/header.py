@@ -102,8 +102,8 @@ class Schedule:
 
 def sequential(actuators: int) -> Schedule:
     """One record per actuator."""
-    one = (actuators, 1)
-    return Schedule(np.arange(actuators, dtype=np.int32)[:, None], np.zeros(one), np.ones(one))
+    shape = (actuators, 1)
+    return Schedule(np.arange(actuators, dtype=np.int32)[:, None], np.zeros(shape), np.ones(shape))
 
 
 def staggered(actuators: int, stagger_s: float, groups: int = 1) -> Schedule:
