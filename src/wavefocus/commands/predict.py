@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,6 @@ from wavefocus.console import Report, progress, say
 from wavefocus.input_files import name_unverified, parse_positions
 from wavefocus.rendering.device import cuda_device
 from wavefocus.rendering.field.prediction import Prediction, chosen_positions, field_unit
-from wavefocus.rendering.field.quiet_levels import quiet_levels
 from wavefocus.rendering.field.response_spectra import predict_spectra, share_above
 from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.drive_file import Drive, read_drive
@@ -23,6 +22,9 @@ from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import field_in_rows
 from wavefocus.storage.output_files import replacement, require_outputs
 from wavefocus.storage.units import quantity
+
+if TYPE_CHECKING:
+    from wavefocus.rendering.field.quiet_levels import QuietLevel
 
 
 def predict(
@@ -67,7 +69,11 @@ def predict(
                 writer.write(first, field)
                 peak = max(peak, float(np.abs(field).max(initial=0.0)))
         lost = share_above(drive, view, index, prediction.passed_hz) if prediction.low_pass else 0.0
-        quiet = quiet_levels(drive, view)
+        quiet: tuple[QuietLevel, ...] = ()
+        if drive.quiet:
+            from wavefocus.rendering.field.quiet_levels import quiet_levels  # 0.1 s, with the tables of scenes
+
+            quiet = quiet_levels(drive, view)
         if left_out := 0 if positions else view.positions - len(index):
             say(f"{left_out} positions are not measured and are left out")
     say(
