@@ -111,7 +111,7 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
         points,
         truth="the drives of the true path, later by the look-ahead",
         notes=[
-            "From 210 ms and the time between two positions on nothing is predicted: 2000 taps, two blocks of 5 ms."
+            "From 215 ms and the time between two positions on nothing is predicted: 2000 taps, three blocks of 5 ms."
         ],
     )
 

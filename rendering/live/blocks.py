@@ -17,8 +17,9 @@ longer: `EXTENSION_S` of source samples more are taken at either end. A filter i
 one instant, and serves samples around it, weighted by a hat: every `HAT_S`, and more and more rarely where places are
 predicted.
 
-Two blocks are computed at once. The first is crossfaded with what the computation before gave for it, so that a
-prediction that did not come true makes no click; where nothing has changed both are the same numbers.
+Three blocks are computed at once. Where an order changes a course the next block is computed anew, and crossfaded with
+what the computation before gave for it, so that a prediction that did not come true makes no click. Where nothing
+changes, both are the same numbers, and the second block is taken as it is.
 """
 
 from __future__ import annotations
@@ -55,6 +56,8 @@ RAMP_S = 0.02
 HAT_S, EXTENSION_S = 0.02, 0.02
 AROUND_S = 0.01
 """Sources are quiet where the others were so long before, and where they will be so long after."""
+AT_ONCE = 3
+"""Blocks computed at once: the one that is due, one that stands where no order comes, and one to fade from."""
 MAX_PLACES = 24
 """Where there would be more, those before and after are left out."""
 
@@ -89,7 +92,7 @@ class CrossfadedBlocks:
     """
 
     window_samples: int
-    """Source samples that a computation takes from the block's first one on: L - 1 + 2 B, and the extension."""
+    """Source samples that a computation takes from the block's first one on: L - 1 + 3 B, and the extension."""
     extension_samples: int
     """Those before it."""
 
@@ -107,7 +110,7 @@ class CrossfadedBlocks:
         ramp = round(RAMP_S * rate_hz)
         self._ramp = np.sin(np.pi / 2 * (np.arange(ramp) + 0.5) / max(ramp, 1)).astype(np.float32) ** 2
         self.extension_samples = ramp + extension
-        self.window_samples = bank.taps - 1 + 2 * block_samples + extension
+        self.window_samples = bank.taps - 1 + AT_ONCE * block_samples + extension
         self._fft_samples = fast_length(self.extension_samples + self.window_samples)
         top_hz = min(rate_hz, frame_rate_hz) / 2.0
         self._bins = math.floor(top_hz * self._fft_samples / rate_hz + 1e-9) + 1
@@ -120,7 +123,7 @@ class CrossfadedBlocks:
         self._filters = lru_cache(MAX_INSTANTS)(self._make_filters)
         self._gain = lru_cache(None)(self._make_gain)
         self._ahead: Float64Array = np.zeros((bank.actuators, self._frame(block_samples)))
-        """What the last computation gave for the next block."""
+        """What the last computation gave for the blocks to come."""
         self._blocks_per_second = max(1, round(rate_hz / block_samples))
         self._norms: deque[float] = deque(maxlen=self._blocks_per_second)
         """Norms of the blocks of the last second, in volts."""
@@ -158,16 +161,30 @@ class CrossfadedBlocks:
         begin, stop = first - self.extension_samples, first + self.window_samples
         heard = [life for life in lives if life.begin < stop and life.end >= begin]
         emitted = self._plain(heard, begin, stop) if self._nodes_at is None else self._mixed(heard, begin, stop, due)
-        size, ahead = (self._frame(first + blocks * self._block_samples) - self._frame(first) for blocks in (1, 2))
-        computed = np.zeros((len(self._ahead), ahead))
+        size, frames = self._frames(first, 1), self._frames(first, AT_ONCE)
+        computed = np.zeros((len(self._ahead), frames))
         if emitted:
-            computed = self._computed(emitted, first, ahead, bound_db)
+            computed = self._computed(emitted, first, frames, bound_db)
         rise = (np.arange(size) + 0.5) / size
         block = computed[:, :size] * rise
-        block += self._ahead * (1.0 - rise)
-        self._ahead = computed[:, size:]
+        block += self._ahead[:, :size] * (1.0 - rise)
+        return self._given(block, computed[:, size:])
+
+    def unchanged(self, first: int) -> Float64Array | None:
+        """The next block where no course has changed since the last one; None where it is to be computed."""
+        size = self._frames(first, 1)
+        if self._ahead.shape[1] <= size:
+            return None
+        return self._given(self._ahead[:, :size].copy(), self._ahead[:, size:])
+
+    def _given(self, block: Float64Array, ahead: Float64Array) -> Float64Array:
         self._norms.append(norm_of(block))
+        self._ahead = ahead
         return block
+
+    def _frames(self, first: int, blocks: int) -> int:
+        """Number of frames of so many blocks from a sample on."""
+        return self._frame(first + blocks * self._block_samples) - self._frame(first)
 
     def _frame(self, sample: int) -> int:
         """Number of the first frame not before a sample."""
@@ -264,8 +281,8 @@ class CrossfadedBlocks:
             return apply_exponent(total.view(np.float32) @ self._synthesis[: 2 * kept, :frames], unit)
 
     def _synthesis_matrix(self) -> NDArray[np.float32]:
-        """From real and imaginary parts of bins, one after the other, to the frames of two blocks."""
-        frames = math.ceil(2 * self._block_samples * self._frames_per_sample) + 1
+        """From real and imaginary parts of bins, one after the other, to the frames of blocks."""
+        frames = math.ceil(AT_ONCE * self._block_samples * self._frames_per_sample) + 1
         sample = self.extension_samples + np.arange(frames) / float(self._frames_per_sample)
         bins = np.arange(self._bins)
         turns = np.exp(2j * np.pi / self._fft_samples * bins[:, None] * sample) * (2.0 / self._fft_samples)

@@ -154,6 +154,7 @@ class LiveEngine:
         self._sources: dict[str, _Source] = {}
         self._lives: dict[int, Life] = {}
         self._lives_begun = self._appearances = 0
+        self._changed = False  # a course, since the last block
 
     def preload(self) -> None:
         """Read rows beforehand, as many as fit into memory: about 1 ms each."""
@@ -190,7 +191,7 @@ class LiveEngine:
         if former is None:
             self._appearances += 1
             source.appeared, source.life = self._appearances, None
-        source.at_mm, source.due, source.amplitude = place, due, loudness
+        source.at_mm, source.due, source.amplitude, self._changed = place, due, loudness, True
         if goes_on or name in self._dropped(due):
             return
         if life is not None:
@@ -213,6 +214,7 @@ class LiveEngine:
         due, before = self.next_sample + self._look_ahead, source.life
         if before is None:
             return
+        self._changed = True
         before.settle(due)
         if not before.ended:
             (place_mm,), _ = before.course.at(np.array([due]))
@@ -225,7 +227,7 @@ class LiveEngine:
         if name not in self._active(due):
             raise InputError(f"no source {name[:MAX_NAME]!r} sounds; allowed are the names that do")
         source = self._sources[name]
-        source.due = -1
+        source.due, self._changed = -1, True
         if source.life is not None:
             source.life.settle(due)
             source.life.finish(due)
@@ -241,7 +243,7 @@ class LiveEngine:
             raise InputError(f"bound_db is {effort.bound_db}; it must be a finite number below 0")
         if effort.most_sources is not None and effort.most_sources < 0:
             raise InputError(f"most_sources is {effort.most_sources}; it must be 0 or more")
-        self._effort = effort
+        self._effort, self._changed = effort, True
         due = self.next_sample + self._look_ahead
         for name in self._dropped(due):
             life = self._sources[name].life
@@ -292,7 +294,10 @@ class LiveEngine:
         due = self.next_sample + self._look_ahead
         for life in self._lives.values():
             life.settle(due)
-        block = self._blocks.next(self._lives.values(), self.next_sample, due, self._effort.bound_db)
+        block = None if self._changed else self._blocks.unchanged(self.next_sample)
+        if block is None:
+            block = self._blocks.next(self._lives.values(), self.next_sample, due, self._effort.bound_db)
+        self._changed = False
         if not np.isfinite(block).all():
             raise InputError(
                 f"the drive from sample {self.next_sample} on does not fit into float32; lower the amplitude or check"

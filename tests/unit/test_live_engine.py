@@ -24,7 +24,7 @@ from wavefocus.rendering.scene.trajectory import Trajectory
 from wavefocus.storage.errors import InputError
 
 RATE_HZ, TAPS, BLOCK = 1000.0, 60, 8
-SUFFICIENT = TAPS - 1 + 2 * BLOCK
+SUFFICIENT = TAPS - 1 + 3 * BLOCK
 GRID_MM = np.array([(4.0 * x - 20.0, 4.0 * y - 20.0) for y in range(11) for x in range(11)])
 DECAY = np.exp(-np.arange(TAPS) / 15.0)
 GREEN = np.random.default_rng(3).standard_normal((len(GRID_MM), 3, TAPS)) * DECAY
