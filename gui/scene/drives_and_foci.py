@@ -24,9 +24,9 @@ from wavefocus.rendering.field.quiet_levels import quiet_levels
 from wavefocus.rendering.greens.regularisation import focus_gains, saturation_threshold
 from wavefocus.rendering.greens.source import refusal
 from wavefocus.rendering.report.movie import Foci
-from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.model import Scene
 from wavefocus.rendering.scene.scene_rows import scene_rows
-from wavefocus.rendering.scene.size import points_and_travel
+from wavefocus.rendering.scene.size import scene_size
 from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
 from wavefocus.storage.bank.reading import Bank
 from wavefocus.storage.drive_file import Drive
@@ -69,7 +69,7 @@ def render_while_edited(
     """
     free = Output(interpolation=scene.output.interpolation, most_energy=scene.output.most_energy)
     plain = replace(scene, output=free)
-    lasts_s = max(emission_s(source, bank.sample_rate_hz) for source in scene.sources)
+    lasts_s = scene_size(scene, sample_rate_hz=float(bank.sample_rate_hz), taps=1, actuators=1).seconds
     if lasts_s > MAX_S:
         length = hours(min(lasts_s, sys.float_info.max))
         raise InputError(
@@ -153,16 +153,6 @@ def missing_text(rows: tuple[int, ...], why: str) -> str:
         f"the bank has no measurement at {len(rows)} positions on the scene's paths: {listed}. Measure them, or move"
         f" the path ({why}); results are shown as soon as they are measured"
     )
-
-
-def emission_s(source: Source, sample_rate_hz: float) -> float:
-    """Return how long a source emits, from scene time zero, without sampling it; s."""
-    signal_s = getattr(source.signal, "duration_s", None)
-    if signal_s is None:
-        signal_s = len(source.signal.samples(sample_rate_hz)) / sample_rate_hz
-    _, travel_s = points_and_travel(source)
-    runs_on = travel_s > 0 and source.emission == "continuous"
-    return source.start_s + travel_s + (0.0 if runs_on else float(signal_s))
 
 
 def _beginning(scene: Scene, bank: Bank, most: int, on_progress: OnProgress) -> Drive:

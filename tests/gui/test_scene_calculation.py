@@ -22,14 +22,14 @@ from wavefocus.gui.scene.calculation import (
     interpolate_frame,
 )
 from wavefocus.gui.scene.draft import changed, scene_toml
-from wavefocus.gui.scene.drives_and_foci import emission_s, render_while_edited
+from wavefocus.gui.scene.drives_and_foci import render_while_edited
 from wavefocus.gui.scene.worker import Calculator, SupersededError
 from wavefocus.rendering.drive.coil_limits import DriveLimits
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.field.prediction import predict
 from wavefocus.rendering.scene.model import Scene, Source
 from wavefocus.rendering.scene.paths import Line, Point
-from wavefocus.rendering.scene.signals import Impulse, Noise, Sine
+from wavefocus.rendering.scene.signals import Noise, Sine
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.drive_file import read_drive
 from wavefocus.storage.errors import InputError
@@ -181,19 +181,6 @@ def test_given_a_drive_that_is_too_long_then_its_beginning_is_rendered(finished:
     assert np.linalg.norm(drive.drive_v - expected) < 2e-3 * np.linalg.norm(expected)
     assert limiting.decided_by == "limit_v"
     assert "only their first" in rendered.warnings[0]
-
-
-@pytest.mark.parametrize(
-    ("source", "lasts_s"),
-    [
-        (Source(Point((0.0, 0.0)), Sine(100.0, 0.5), start_s=1.0), 1.5),
-        (Source(Line((0.0, 0.0), (4.5, 0.0)), Sine(100.0, 0.5), speed_mm_s=15.0, step_mm=1.5), 0.4),
-        (Source(Line((0.0, 0.0), (4.5, 0.0)), Impulse(), speed_mm_s=15.0, step_mm=1.5, emission="per_point"), 0.4001),
-        (Source(Line((0.0, 0.0), (1e308, 1e308)), Impulse(), speed_mm_s=1.0, step_mm=1e-12), np.inf),
-    ],
-)
-def test_given_a_source_then_it_is_known_how_long_it_emits_before_it_is_sampled(source: Source, lasts_s: float) -> None:
-    assert emission_s(source, 10_000.0) == pytest.approx(lasts_s)
 
 
 def test_given_a_scene_of_hours_then_it_is_refused_at_once(finished: Path) -> None:
