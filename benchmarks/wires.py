@@ -81,6 +81,7 @@ def serve_instruments(period_frames: int) -> None:
         period_frames=period_frames,
     )
     with EmulatedRig(virtual, wiring) as sides:
+        assert sides.mirror is not None  # it is on a serial line
         places = {"mirror": sides.mirror.address, "recorder": sides.recorder.address}
         print(json.dumps({**places, "environment": sides.audio.environment}), flush=True)
         for _ in sys.stdin:

@@ -61,11 +61,19 @@ class NiDaqmx:
 
     def open(self) -> Recorder:
         """Open the device: in a process of its own, unless a server has it."""
+        return self._opened(resets=True)
+
+    def open_shared(self) -> Recorder:
+        """Open a device whose outputs another instrument of the rig uses: it is never reset."""
+        return self._opened(resets=False)
+
+    def _opened(self, *, resets: bool) -> Recorder:
         wiring: dict[str, Any] = {
             "reference_input": self.reference_input,
             "response_input": self.response_input,
             "terminal": self.terminal,
             "trigger": self.trigger or None,
+            "resets": resets,
         }
         if self.address is None:
             from wavefocus.drivers.daq.ni.recorder_process import ProcessRecorder

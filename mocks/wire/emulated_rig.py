@@ -18,6 +18,7 @@ from wavefocus.mocks.virtual.mirror import MirrorMotion
 from wavefocus.mocks.virtual.settings import VirtualSettings
 from wavefocus.mocks.virtual.signals import SignalStore
 from wavefocus.mocks.virtual.synthesis import TAIL_S, Synthesis, VirtualPlay
+from wavefocus.mocks.wire.analog_scanner import AnalogScanner
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial, PtyWire, SerialDevice, TcpWire, Wire
 from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
 from wavefocus.mocks.wire.jack_capture import PlayedAudio
@@ -180,6 +181,8 @@ class Wiring:
     full_scale_v: Volts at full scale that each output of the audio interface is believed to have.
     interface_rate_hz, period_frames: Of the audio interface.
     vibrometer_port: Where a Polytec OFV-5000 is reached, as `mirror_port`; none, if absent.
+    mirror_outputs, mirror_volts_per_degree: Analog outputs of the NI box that the mirror of dialect ``"analog"``
+        follows, and how far.
     """
 
     mirror_dialect: str
@@ -194,6 +197,8 @@ class Wiring:
     interface_rate_hz: int = 48_000
     period_frames: int = 4096
     vibrometer_port: str | None = None
+    mirror_outputs: tuple[str, str] = ("ao0", "ao1")
+    mirror_volts_per_degree: float = 0.8
 
 
 class EmulatedRig(ExitStack):
@@ -238,13 +243,18 @@ class EmulatedRig(ExitStack):
         self.recorder = NiServer(self.bench, wiring.ni_product, wiring.ni_device, wiring.ni_address, faults)
         self.recorder.start()
         self.callback(self.recorder.stop)
-        device = mirror_device(wiring.mirror_dialect, motion, wiring.mirror_full_scale_mrad)
-        self.mirror = self._serial("mirror", device, wiring.mirror_port, faults)
         self._plugs: dict[str, tuple[Callable[[], None], Callable[[], None]]] = {
-            "mirror": (self.mirror.unplug, self.mirror.plug),
             "recorder": (self.recorder.unplug, self.recorder.plug),
             "player": (self.audio.kill, self.audio.restart),
         }
+        self.mirror: EmulatedSerial | None = None
+        if wiring.mirror_dialect == "analog":
+            scanner = AnalogScanner(motion, wiring.mirror_outputs, wiring.mirror_volts_per_degree)
+            self.recorder.watch_outputs(scanner)
+        else:
+            device = mirror_device(wiring.mirror_dialect, motion, wiring.mirror_full_scale_mrad)
+            self.mirror = self._serial("mirror", device, wiring.mirror_port, faults)
+            self._plugs["mirror"] = (self.mirror.unplug, self.mirror.plug)
         if wiring.vibrometer_port is not None:
             polytec = PolytecDevice(
                 f"{1000 * settings.sensitivity_m_s_per_v:g}mm/s/V",

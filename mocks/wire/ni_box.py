@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 from typing import Protocol
@@ -112,6 +112,8 @@ class NiTask:
         self.samples = 0
         self.trigger = ""
         self.channel_delay_s = 0.0
+        self.outputs: list[str] = []
+        """Analog outputs or digital lines, in order; a task has inputs or outputs."""
         self.state = TaskState.IDLE
         self.commits = False  # asked to stay committed between starts
         self.broken: NiError | None = None
@@ -151,6 +153,11 @@ class NiTask:
             return 0
         elapsed_s = (time.monotonic_ns() - self._start_ns) / NANOSECONDS * self._speed
         return min(int(elapsed_s * self.rate_hz), self.samples)
+
+    @property
+    def resources(self) -> tuple[str, ...]:
+        """What no other task may have: the one converter of the inputs, or each output."""
+        return tuple(self.outputs) or ("inputs",)
 
     @property
     def unread(self) -> int:
@@ -249,16 +256,20 @@ class NiBox:
         self._speed = speed
         self._tasks: dict[str, NiTask] = {}
         self._made = 0
-        self._reserved: NiTask | None = None
+        self._reserved: dict[str, NiTask] = {}
+        self._levels: dict[str, float] = {}
+        self.output_changed: Callable[[Mapping[str, float]], object] = lambda levels: None
+        """Called with the levels of all outputs, in volts or 0 and 1, when one has changed."""
         self._absent_until_s: float | None = None
 
     # -- hands on the hardware -----------------------------------------------------------------
 
     def unplug(self, seconds: float = 0.0) -> None:
-        """Pull the cable, for good or for some seconds; what runs is lost."""
+        """Pull the cable, for good or for some seconds; what runs is lost, and the outputs fall to 0 V."""
         with self.condition:
             self._absent_until_s = time.monotonic() + seconds if seconds else float("inf")
             self._break_all()
+            self._drop_outputs()
 
     def plug(self) -> None:
         """Put the cable back; tasks from before stay broken."""
@@ -278,13 +289,14 @@ class NiBox:
                 task.edge(terminal)
 
     def reset(self, name: str) -> None:
-        """Abort what runs and take every reservation back."""
+        """Abort what runs, take every reservation back, and put all outputs to 0 V."""
         with self.condition:
             self.touch(name)
             for task in self._tasks.values():
                 task.commits = False
-                task.end()
-            self._reserved = None
+                task.end(NiError(NiCode.ABORTED) if task.outputs else None)
+            self._reserved.clear()
+            self._drop_outputs()
 
     def touch(self, name: str) -> None:
         """What every call does that needs the box itself; raises `NiError` where it is not there."""
@@ -341,18 +353,37 @@ class NiBox:
             return task
 
     def reserve(self, task: NiTask) -> None:
-        """Take the inputs for one task; they serve one at a time."""
+        """Take the inputs, or some outputs, for one task; they serve one at a time."""
         with self.condition:
             self.touch(self.name)
-            if self._reserved not in (None, task):
+            if any(self._reserved.get(resource) not in (None, task) for resource in task.resources):
                 raise NiError(NiCode.IN_USE, f"Device: {self.name}")
-            self._reserved = task
+            self._reserved.update(dict.fromkeys(task.resources, task))
 
     def release(self, task: NiTask) -> None:
-        """Give the inputs back, if that task had them."""
+        """Give back what that task had."""
         with self.condition:
-            if self._reserved is task:
-                self._reserved = None
+            self._reserved = {name: other for name, other in self._reserved.items() if other is not task}
+
+    # -- outputs -----------------------------------------------------------------------------------
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Analog outputs and digital lines."""
+        return (*(f"ao{number}" for number in range(self.product.outputs)), *self.product.lines)
+
+    def level(self, name: str) -> float:
+        """Volts at an analog output, 0 or 1 at a digital line; an output keeps its level when its task ends."""
+        return self._levels.get(name, 0.0)
+
+    def set_levels(self, levels: Mapping[str, float]) -> None:
+        """Put voltages, or 0 and 1, at some outputs."""
+        self._levels.update(levels)
+        self.output_changed(dict(self._levels))
+
+    def _drop_outputs(self) -> None:
+        if self._levels:
+            self.set_levels(dict.fromkeys(self._levels, 0.0))
 
     def _named(self, name: str) -> NiTask:
         task = self._tasks.get(name)
@@ -363,4 +394,4 @@ class NiBox:
     def _break_all(self) -> None:
         for task in self._tasks.values():
             task.end(NiError(NiCode.UNPLUGGED, f"Device: {self.name}"))
-        self._reserved = None
+        self._reserved.clear()

@@ -63,6 +63,11 @@ class NiCalls:
             "GetChanAttributeString": self._channel_attribute,
             "GetChanAttributeDouble": self._channel_attribute,
             "GetChanAttributeDoubleArray": self._channel_attribute,
+            "CreateAOVoltageChan": self._create_outputs,
+            "CreateDOChan": self._create_lines,
+            "WriteAnalogF64": self._write_volts,
+            "WriteDigitalLines": self._write_lines,
+            "ReadDigitalLines": self._read_lines,
             "CfgSampClkTiming": self._time,
             "GetTimingAttributeDouble": self._timing_attribute,
             "GetTimingAttributeInt32": self._timing_attribute,
@@ -126,7 +131,7 @@ class NiCalls:
 
     def _task_number(self, request: Any, alive: Alive) -> Answer:
         task = self._task(request)
-        return {"value": _found({0x2181: len(task.channels), 0x230F: 1}, request.attribute_raw)}
+        return {"value": _found({0x2181: len(task.channels) or len(task.outputs), 0x230F: 1}, request.attribute_raw)}
 
     def _is_done(self, request: Any, alive: Alive) -> Answer:
         with self._box.condition:
@@ -155,6 +160,56 @@ class NiCalls:
         if range_v is None or not request.min_val < request.max_val:
             raise NiError(NiCode.INVALID_VALUE, "Property: DAQmx_AI_Max")
         return Channel(name, wanted, product.converter(terminal, range_v, self._box.serial_number, number))
+
+    def _create_outputs(self, request: Any, alive: Alive) -> Answer:
+        lowest_v, highest_v = self._box.product.output_range_v
+        if not lowest_v <= request.min_val < request.max_val <= highest_v:
+            raise NiError(NiCode.INVALID_VALUE, "Property: DAQmx_AO_Max")
+        return self._create_named(request, request.physical_channel)
+
+    def _create_lines(self, request: Any, alive: Alive) -> Answer:
+        return self._create_named(request, request.lines)
+
+    def _create_named(self, request: Any, physical: str) -> Answer:
+        with self._box.condition:
+            task = self._task(request, at_rest=True)
+            for device, wanted in _inputs(physical):
+                self._box.touch(device)
+                if wanted not in self._box.output_names:
+                    raise NiError(NiCode.NO_SUCH_INPUT, f"Physical Channel: {wanted}")
+                task.outputs.append(wanted)
+            return {}
+
+    def _write_volts(self, request: Any, alive: Alive) -> Answer:
+        with self._box.condition:
+            task, volts = self._writing(request), list(request.write_array)
+            lowest_v, highest_v = self._box.product.output_range_v
+            if not all(lowest_v <= value <= highest_v for value in volts):
+                raise NiError(NiCode.INVALID_VALUE, "Generated data is outside the range of the channel.")
+            self._box.set_levels(dict(zip(task.outputs, volts, strict=True)))
+            return {"samps_per_chan_written": 1}
+
+    def _write_lines(self, request: Any, alive: Alive) -> Answer:
+        with self._box.condition:
+            task = self._writing(request)
+            self._box.set_levels(dict(zip(task.outputs, map(float, request.write_array), strict=True)))
+            return {"samps_per_chan_written": 1}
+
+    def _read_lines(self, request: Any, alive: Alive) -> Answer:
+        with self._box.condition:
+            task = self._writing(request)
+            levels = bytes(int(self._box.level(name)) for name in task.outputs)
+            return {"read_array": levels, "samps_per_chan_read": 1, "num_bytes_per_samp": 1}
+
+    def _writing(self, request: Any) -> NiTask:
+        """The task of an output that is written or read back now."""
+        task = self._task(request)
+        self._box.touch(self._box.name)
+        if not task.outputs:
+            raise NiError(NiCode.NO_CHANNELS)
+        self._box.reserve(task)
+        task.state = TaskState.RUNNING
+        return task
 
     def _channel_attribute(self, request: Any, alive: Alive) -> Answer:
         task = self._task(request)
@@ -237,7 +292,7 @@ class NiCalls:
     def _start(self, request: Any, alive: Alive) -> Answer:
         with self._box.condition:
             task = self._task(request, at_rest=True)
-            if not task.channels or not task.rate_hz:
+            if not task.outputs and (not task.channels or not task.rate_hz):
                 raise NiError(NiCode.NO_CHANNELS)
             self._box.reserve(task)
             task.begin()
@@ -328,6 +383,8 @@ def _device_value(product: Product, name: str, serial_number: int, attribute: in
         0x0631: product.name,
         0x0632: serial_number,
         0x231E: ", ".join(f"{name}/ai{number}" for number in range(product.inputs)),
+        0x231F: ", ".join(f"{name}/ao{number}" for number in range(product.outputs)),
+        0x2322: ", ".join(f"{name}/{line}" for line in product.lines),
         0x2A40: ", ".join(f"/{name}/{terminal}" for terminal in product.triggers),
         0x22CA: False,  # simulated
         0x29A9: PRODUCT_CATEGORY,

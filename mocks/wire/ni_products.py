@@ -57,6 +57,9 @@ class Product:
     triggers: Terminals that can start a task.
     spare_codes: Part of the codes outside the range.
     simultaneous: Whether every input has a converter of its own.
+    outputs: Analog outputs.
+    output_range_v: Lowest and highest output voltage.
+    lines: Digital outputs: ``"port0/line0"`` and so on.
     """
 
     name: str
@@ -69,6 +72,9 @@ class Product:
     triggers: tuple[str, ...]
     spare_codes: float = 0.0
     simultaneous: bool = False
+    outputs: int = 2
+    output_range_v: tuple[float, float] = (-10.0, 10.0)
+    lines: tuple[str, ...] = ()
 
     @property
     def all_ranges_v(self) -> tuple[float, ...]:
@@ -120,6 +126,10 @@ def _pfi(numbers: Iterable[int]) -> tuple[str, ...]:
     return tuple(f"PFI{number}" for number in numbers)
 
 
+def _lines(port: int, count: int) -> tuple[str, ...]:
+    return tuple(f"port{port}/line{number}" for number in range(count))
+
+
 TEN_V = (10.0,)
 RANGES_621X_V = (0.2, 1.0, 5.0, 10.0)
 _600X = Product(
@@ -131,6 +141,7 @@ _600X = Product(
     aggregate_hz=0.0,
     timebase_hz=80e6,
     triggers=("PFI0", "PFI1"),
+    lines=_lines(0, 8),
 )
 # Single-ended signals use the upper half of the codes only.
 _6009 = Product(
@@ -142,6 +153,8 @@ _6009 = Product(
     aggregate_hz=48e3,
     timebase_hz=24e6,
     triggers=("PFI0",),
+    output_range_v=(0.0, 5.0),
+    lines=_lines(0, 8),
 )
 _621X = Product(
     name="",
@@ -153,6 +166,7 @@ _621X = Product(
     timebase_hz=20e6,
     triggers=_pfi(range(4)),
     spare_codes=SPARE_CODES_621X,
+    lines=_lines(1, 4),
 )
 _6356 = Product(
     name="USB-6356",
@@ -164,6 +178,7 @@ _6356 = Product(
     timebase_hz=100e6,
     triggers=_pfi(range(16)),
     simultaneous=True,
+    lines=_lines(0, 8),
 )
 
 PRODUCTS = {
@@ -174,7 +189,7 @@ PRODUCTS = {
         replace(_600X, name="USB-6003", aggregate_hz=100e3),
         replace(_6009, name="USB-6008", bits={DIFFERENTIAL: 12, RSE: 11}, aggregate_hz=10e3),
         _6009,
-        replace(_621X, name="USB-6210"),
+        replace(_621X, name="USB-6210", outputs=0),
         replace(_621X, name="USB-6211"),
         replace(_621X, name="USB-6212", aggregate_hz=400e3, triggers=_pfi(range(16))),
         replace(_621X, name="USB-6215"),

@@ -6,7 +6,7 @@ import functools
 import threading
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -125,6 +125,14 @@ class NiServer:
     def plug(self) -> None:
         """Put the box's cable back."""
         self._box.plug()
+
+    def level(self, name: str) -> float:
+        """Volts at an analog output such as ``"ao0"``, 0 or 1 at a digital line."""
+        return self._box.level(name)
+
+    def watch_outputs(self, changed: Callable[[Mapping[str, float]], object]) -> None:
+        """Have a function called with the levels of all outputs whenever one changes."""
+        self._box.output_changed = changed
 
     def edge(self, terminal: str) -> None:
         """A rising edge at a digital input such as ``"PFI0"``."""

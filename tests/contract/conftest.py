@@ -14,6 +14,8 @@ from typing import TypeVar
 
 import pytest
 
+from tests.wire.analog_bench import analog_rig
+from tests.wire.daq_bench import Tone
 from tests.wire.emulated import free_port, rig_text
 from tests.wire.serial_bench import DIALECTS, LOCAL
 from tests.wire.serial_bench import wire as serial_wire
@@ -26,6 +28,7 @@ from wavefocus.mocks.virtual.mirror import MirrorMotion
 from wavefocus.mocks.wire.emulated_rig import EmulatedRig
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial
 from wavefocus.mocks.wire.mirrors import mirror_device
+from wavefocus.mocks.wire.ni_server import NiServer
 from wavefocus.rig.instruments import Openers, openers
 from wavefocus.rig.virtual_bench import virtual_settings
 
@@ -157,9 +160,14 @@ def wire(emulated: Callable[[], RigConfig]) -> Iterator[Callable[[], Bench]]:
 @pytest.fixture
 def mirror_side(tmp_path: Path) -> Iterator[Callable[[str], RigConfig]]:
     """A rig of which only the mirror is there, in the dialect that is asked for."""
-    started: list[EmulatedSerial] = []
+    started: list[EmulatedSerial | NiServer] = []
 
     def start(dialect: str) -> RigConfig:
+        if dialect == "analog":
+            server = NiServer(Tone(), "USB-6211")
+            server.start()
+            started.append(server)
+            return analog_rig(tmp_path, server.address)
         motion = MirrorMotion((-240.0, -240.0), 0.005, math.inf, 250.0)
         started.append(EmulatedSerial(mirror_device(dialect, motion, 260.0), serial_wire(LOCAL, tmp_path)).start())
         rig_file = tmp_path / "rig.toml"
@@ -168,7 +176,7 @@ def mirror_side(tmp_path: Path) -> Iterator[Callable[[str], RigConfig]]:
 
     yield start
     for side in started:
-        side.close()
+        side.stop() if isinstance(side, NiServer) else side.close()
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
@@ -179,7 +187,8 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         metafunc.parametrize("bench", ["hardware"], indirect=True)
         return
     of_mirrors = metafunc.module.__name__.endswith("test_mirror_contract")
-    metafunc.parametrize("bench", ["virtual", *(DIALECTS if of_mirrors else ["wire"])], indirect=True)
+    kinds = [*DIALECTS, "analog"] if of_mirrors else ["wire"]
+    metafunc.parametrize("bench", ["virtual", *kinds], indirect=True)
 
 
 @pytest.fixture

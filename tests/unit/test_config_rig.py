@@ -74,7 +74,7 @@ MISTAKES = [
         "[actuators]\nposition_mm = [[1, 2], [0, 0], [1, 2]]",
         "actuators.position_mm[2] = [1.0, 2.0]: is already the place of actuator 0",
     ),
-    ("[mirror]\ndriver = 'asi'", 'mirror.driver = "asi": must be "virtual", "asi-tiger", "generic"'),
+    ("[mirror]\ndriver = 'asi'", 'mirror.driver = "asi": must be "virtual", "analog", "asi-tiger", "generic"'),
     ("[mirror]\ndriver = 'asi-tiger'", 'mirror.port: is missing; driver "asi-tiger" needs it, such as "/dev/ttyUSB0"'),
     (
         "[mirror]\nport = 'COM3'",

@@ -25,7 +25,8 @@ def bench(request, tmp_path):
 
 
 def test_every_dialect_is_in_the_table_and_has_an_emulated_device():
-    assert set(MIRRORS.all()) == set(MIRROR_DEVICES.all()) == set(DIALECTS)
+    # "analog" follows outputs of the emulated NI box.
+    assert set(MIRRORS.all()) - {"analog"} == set(MIRROR_DEVICES.all()) == set(DIALECTS)
 
 
 def test_given_a_move_then_the_beam_stands_there_when_the_driver_says_so(bench):

@@ -44,6 +44,8 @@ class NiRecorder:
     answer_s: How long a server may take to answer beyond what a call asks for, in s, > 0.
     identity: The device that must answer, where it has answered before.
     owned: Whether this program had the device before: it is reset then, see `reconnect`.
+    resets: Whether it may be reset at all. A reset puts every output of the device to 0 V: it is not, where a mirror or
+        a shutter hangs on them.
     tls: For a server with a certificate.
     """
 
@@ -59,12 +61,14 @@ class NiRecorder:
         answer_s: float = ANSWER_S,
         identity: DeviceIdentity | None = None,
         owned: bool = False,
+        resets: bool = True,
         tls: TlsFiles | None = None,
     ) -> None:
         self._device = device
         self._address = address or None
         self._answer_s = answer_s
         self._tls = tls
+        self._resets = resets
         self._wiring = InputWiring((reference_input, response_input), terminal, trigger or None)
         self._lock = threading.RLock()
         self._task: RecordTask | None = None
@@ -250,7 +254,7 @@ class NiRecorder:
                 cause = f"{session.identity} answers instead of {identity}"
                 remedy = "plug the right one in, or start a new campaign with this one"
                 raise InstrumentError(session.instrument, doing, cause, remedy)
-            if self._owned:
+            if self._owned and self._resets:
                 with session.explaining("resetting the device"):
                     session.reset()
         except BaseException:

@@ -153,6 +153,7 @@ class NiSession:
     known: Whether it has answered before: then it is gone where it does not answer, and not misspelt.
     owned: Whether this program may have reserved it before.
     tls: For a server with a certificate.
+    role: Table of the rig file that names it.
     """
 
     def __init__(
@@ -161,12 +162,14 @@ class NiSession:
         address: str | None,
         answer_s: float,
         *,
+        role: str = "recorder",
         known: bool = False,
         owned: bool = False,
         tls: TlsFiles | None = None,
     ) -> None:
         self.device = device
-        self.instrument = f"recorder {device}" + (f" at {address}" if address else "")
+        self._role = role
+        self.instrument = f"{role} {device}" + (f" at {address}" if address else "")
         self.owned = owned
         self._seen = known
         self._channel: Any = None
@@ -189,7 +192,7 @@ class NiSession:
             return open_channel(address, answer_s, tls)
         except OSError as failure:
             cause = f"{failure.filename} cannot be read ({failure.strerror})"
-            remedy = "correct tls_root, tls_certificate and tls_key of [recorder]"
+            remedy = f"correct tls_root, tls_certificate and tls_key of [{self._role}]"
             raise InstrumentError(self.instrument, "opening", cause, remedy) from failure
 
     def _open(self) -> None:
@@ -207,8 +210,8 @@ class NiSession:
         except (self._nidaqmx.errors.DaqNotFoundError, self._nidaqmx.errors.DaqNotSupportedError, OSError) as error:
             cause = f"the NI-DAQmx driver is not on this computer ({' '.join(str(error).split())})"
             remedy = (
-                "install NI-DAQmx from ni.com, or give address of [recorder], a computer that runs NI's gRPC Device "
-                "Server"
+                f"install NI-DAQmx from ni.com, or give address of [{self._role}], a computer that runs NI's gRPC "
+                "Device Server"
             )
             raise InstrumentError(self.instrument, "opening", cause, remedy) from error
         self.limits = self._ask_limits()
@@ -219,7 +222,7 @@ class NiSession:
         names = [name for name in system.devices.device_names if name != self.device]
         if not names:
             return explained
-        remedy = f"put a name that is there into device of [recorder]: {', '.join(names)}; or plug it in"
+        remedy = f"put a name that is there into device of [{self._role}]: {', '.join(names)}; or plug it in"
         return type(explained)(self.instrument, "opening", explained.cause, remedy)
 
     def ask_identity(self) -> DeviceIdentity:
@@ -263,7 +266,9 @@ class NiSession:
         try:
             yield
         except (errors.Error, errors.DaqWarning, ServerSilentError, ValueError) as failure:
-            raise explain(failure, self.instrument, operation, known=self._seen, owned=self.owned) from failure
+            explained = explain(failure, self.instrument, operation, known=self._seen, owned=self.owned)
+            remedy = explained.remedy.replace("[recorder]", f"[{self._role}]")
+            raise type(explained)(self.instrument, operation, explained.cause, remedy) from failure
 
     def _ask_limits(self) -> Limits:
         device = self.handle

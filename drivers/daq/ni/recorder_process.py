@@ -74,11 +74,18 @@ class ProcessRecorder:
     Raises InstrumentLostError or InstrumentError.
 
     device: Name in NI MAX: ``"Dev1"``.
-    reference_input, response_input, terminal, trigger: See `wavefocus.drivers.daq.ni.ni_recorder.NiRecorder`.
+    reference_input, response_input, terminal, trigger, resets: See `wavefocus.drivers.daq.ni.ni_recorder.NiRecorder`.
     """
 
     def __init__(
-        self, device: str, *, reference_input: str, response_input: str, terminal: str, trigger: str | None
+        self,
+        device: str,
+        *,
+        reference_input: str,
+        response_input: str,
+        terminal: str,
+        trigger: str | None,
+        resets: bool = True,
     ) -> None:
         self._instrument = f"recorder {device}"
         self._wiring: dict[str, Any] = {
@@ -87,6 +94,7 @@ class ProcessRecorder:
             "response_input": response_input,
             "terminal": terminal,
             "trigger": trigger,
+            "resets": resets,
         }
         self._identity: DeviceIdentity | None = None
         self._owned = False

@@ -13,7 +13,9 @@ from wavefocus.config.rig import RigConfig
 from wavefocus.config.rig_instruments import VibrometerSection
 from wavefocus.config.run import Virtual
 from wavefocus.console import say
+from wavefocus.drivers.daq.nidaqmx import NiDaqmx
 from wavefocus.drivers.errors import InstrumentError, MissingPackageError
+from wavefocus.drivers.mirror.analog import AnalogMirrorDriver
 from wavefocus.drivers.protocols import Clock, Instruments, Mirror, Player, Recorder, WallClock
 from wavefocus.drivers.registry import (
     MirrorDriver,
@@ -103,7 +105,13 @@ def _mirror(rig: RigConfig, clock: Clock) -> Mirror:
 def _recorder(rig: RigConfig) -> Recorder:
     driver: RecorderDriver = rig.recorder.make_driver()
     with reporting_missing_packages("recorder", rig.recorder.driver):
-        return driver.open()
+        return driver.open_shared() if isinstance(driver, NiDaqmx) and _outputs_in_use(rig) else driver.open()
+
+
+def _outputs_in_use(rig: RigConfig) -> bool:
+    """Whether another instrument of the rig uses outputs of the recorder's box: a reset would put them to 0 V."""
+    box = (rig.recorder.device, rig.recorder.address)
+    return rig.mirror.driver == AnalogMirrorDriver.name and (rig.mirror.device, rig.mirror.address) == box
 
 
 def _player(rig: RigConfig, outputs: int) -> Player:

@@ -74,6 +74,11 @@ def wiring_of(rig: RigConfig, rig_file: Path) -> Wiring:
         raise InputError(
             f'{rig_file}: recorder.address is missing: an emulated box is behind a gRPC Device Server; give "HOST:PORT"'
         )
+    if mirror.driver == "analog" and (mirror.device, mirror.address) != (recorder.device, recorder.address):
+        raise InputError(
+            f"{rig_file}: mirror.device = {mirror.device!r}: only outputs of the recorder's own box are emulated; "
+            "give it the recorder's device and address"
+        )
     for key, port in (("mirror.port", mirror.port), ("vibrometer.port", rig.vibrometer.port)):
         if port is not None:
             _check_free(f"{rig_file}: {key} = {port}", port)
@@ -90,6 +95,8 @@ def wiring_of(rig: RigConfig, rig_file: Path) -> Wiring:
         interface_rate_hz=player.interface_rate_hz,
         period_frames=rig.emulation.period_frames,
         vibrometer_port=rig.vibrometer.port,
+        mirror_outputs=(mirror.x_output or "", mirror.y_output or ""),
+        mirror_volts_per_degree=mirror.volts_per_degree or 0.0,
     )
 
 
@@ -109,7 +116,8 @@ def _check_free(key: str, port: str) -> None:
 def _announce(emulated: EmulatedRig, *, as_json: bool) -> None:
     environment = emulated.audio.environment
     if as_json:
-        print(json.dumps({"environment": environment, "mirror": emulated.mirror.address}), flush=True)
+        mirror = None if emulated.mirror is None else emulated.mirror.address
+        print(json.dumps({"environment": environment, "mirror": mirror}), flush=True)
     settings = " ".join(f"{name}={value}" for name, value in environment.items())
     say("the emulated instruments run; in the other terminal, before wavefocus doctor, calibrate or capture, type")
     say(f"    export {settings}")

@@ -1,0 +1,209 @@
+"""Galvanometer mirrors that follow a voltage, on two analog outputs of an NI device.
+
+Thorlabs GVS, Cambridge Technology, ScannerMAX; ASI and Optotune in their analogue mode. What a GVS takes (manual
+GVS201): +-10 V, 0.5, 0.8 or 1.0 V per mechanical degree by jumper, a step of 0.2 degrees in 0.4 ms. The beam turns by
+twice the mirror's angle.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import ClassVar
+
+from wavefocus.drivers.daq.ni.ni_outputs import AnalogOutputs
+from wavefocus.drivers.daq.ni.ni_session import NiSession
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
+from wavefocus.drivers.protocols import DeviceIdentity, Mirror
+from wavefocus.drivers.registry import MIRRORS, KeyMistakeError, MirrorSettings, rig_key
+
+ANALOG_OUTPUT = (r"ao\d{1,2}", 'must be "ao0", "ao1" and so on')
+ANSWER_S = 5.0
+
+
+@MIRRORS.register
+@dataclass(frozen=True, kw_only=True)
+class AnalogMirrorDriver:
+    """A mirror on two analog outputs of an NI device, which may be the recorder's."""
+
+    device: str = rig_key("Device", 'the name that NI MAX shows, such as "Dev1"', in_plan="free")
+    address: str | None = rig_key(
+        "Address", "HOST:PORT of NI's gRPC Device Server, if the box is behind one", default=None, in_plan="free"
+    )
+    x_output: str = rig_key(
+        "Output for x", "Analog output of the mirror that moves the beam in x", default="ao0", in_plan="free",
+        pattern=ANALOG_OUTPUT,
+    )  # fmt: skip
+    y_output: str = rig_key(
+        "Output for y", "Analog output of the mirror that moves the beam in y", default="ao1", in_plan="free",
+        pattern=ANALOG_OUTPUT,
+    )  # fmt: skip
+    volts_per_degree: float = rig_key(
+        "Volts per degree", "Volts per degree of the mirror, of which the beam turns by two; by its jumper",
+        default=0.8, in_plan="free", gt=0, le=100,
+    )  # fmt: skip
+    limit_v: float = rig_key("Limit in volts", "Largest voltage", default=9.5, in_plan="free", gt=0, le=10)
+    slew_v_per_s: float = rig_key(
+        "Slew rate", "Fastest change of a voltage, in V/s", default=500.0, in_plan="free", gt=0, le=1e6
+    )
+
+    name = "analog"
+    without_keys = ("port", "baud", "identity")
+    table_defaults: ClassVar[Mapping[str, object]] = {}
+
+    def __post_init__(self) -> None:
+        if self.x_output == self.y_output:
+            raise KeyMistakeError("y_output", self.y_output, "is already the x_output")
+
+    def open(self, settings: MirrorSettings) -> Mirror:
+        """Open the outputs; the mirror does not move yet."""
+        return AnalogMirror(self, settings)
+
+
+class AnalogMirror:
+    """Points the laser by two voltages; implements `wavefocus.drivers.protocols.Mirror`.
+
+    On its way out it is left at the voltage of `park_mrad`, which the outputs keep as long as the device has power.
+
+    Raises InstrumentLostError or InstrumentError.
+    """
+
+    def __init__(self, driver: AnalogMirrorDriver, settings: MirrorSettings) -> None:
+        self._driver, self._settings, self._clock = driver, settings, settings.clock
+        self._name = f"mirror ({driver.name} at {driver.device})"
+        self._closed = False
+        self._level_v: tuple[float, ...] = (0.0, 0.0)  # of a device that was just switched on; else unknown
+        self._settled_s: float | None = None
+        self._session: NiSession | None = None
+        self._outputs: AnalogOutputs | None = None
+        self._identity: DeviceIdentity | None = None
+        for angles in ((settings.limit_mrad, settings.limit_mrad), settings.park_mrad):
+            self._volts_at(*angles, "preparing")
+        self._open("opening")
+
+    @property
+    def identity(self) -> DeviceIdentity:
+        assert self._identity is not None  # since it was opened
+        return self._identity
+
+    def identify(self) -> str:
+        self._check_open("identifying")
+        session, driver = self._connected("identifying"), self._driver
+        with session.explaining("identifying"):
+            session.ask_identity()
+        return (
+            f"{self._name}: {self.identity}, {driver.x_output} and {driver.y_output} at {driver.volts_per_degree:g} V "
+            f"per degree, within +-{self._settings.limit_mrad:g} mrad"
+        )
+
+    def move_to(self, x_mrad: float, y_mrad: float) -> None:
+        doing = f"moving to ({x_mrad:.3f}, {y_mrad:.3f}) mrad"
+        self._check_open(doing)
+        limit = self._settings.limit_mrad
+        if not (abs(x_mrad) <= limit and abs(y_mrad) <= limit):
+            cause = f"({x_mrad:g}, {y_mrad:g}) mrad is beyond the limit of +-{limit:g} mrad"
+            raise InstrumentError(self._name, doing, cause, "choose a grid within the mirror's reach")
+        self._go(self._volts_at(x_mrad, y_mrad, doing), doing)
+
+    def wait_settled(self, timeout_s: float) -> None:
+        self._check_open("settling")
+        if self._settled_s is None:
+            cause = "it has been sent nowhere since it was opened, or its last move failed"
+            raise TransientInstrumentError(self._name, "settling", cause, "send it there again")
+        left_s = self._settled_s - self._clock.now_s()
+        if left_s > timeout_s:
+            remedy = "allow more time to settle"
+            raise TransientInstrumentError(self._name, "settling", f"still moving after {timeout_s:g} s", remedy)
+        if left_s > 0:
+            self._clock.sleep(left_s)
+
+    def park(self) -> None:
+        """Move to the safe direction; a lost device is given one more chance. Does nothing once closed."""
+        if self._closed:
+            return
+        volts = self._volts_at(*self._settings.park_mrad, "parking")
+        try:
+            self._go(volts, "parking")
+        except InstrumentLostError:
+            self._open("parking")
+            self._go(volts, "parking")
+
+    def reconnect(self) -> None:
+        """Open the outputs of the same device afresh; the device is not reset, for the recorder may have it, too."""
+        self._check_open("reconnecting")
+        self._open("reconnecting")
+
+    def close(self) -> None:
+        """Park, and release the outputs; twice does no harm."""
+        if self._closed:
+            return
+        try:
+            with suppress(InstrumentLostError):  # its outputs fall to 0 V with its power
+                self.park()
+        finally:
+            self._closed = True
+            self._drop()
+
+    # -- inside --------------------------------------------------------------------------------------
+
+    def _open(self, doing: str) -> None:
+        self._settled_s = None
+        self._drop()
+        driver, known = self._driver, self._identity
+        self._session = NiSession(driver.device, driver.address, ANSWER_S, role="mirror", known=known is not None)
+        session = self._session
+        own = session.identity
+        outputs = f"{driver.x_output} and {driver.y_output}"
+        identity = DeviceIdentity(own.maker, f"{own.product} outputs {outputs}", own.serial)
+        if known is not None and identity != known:
+            self._drop()
+            remedy = "plug the right one in, or start a new campaign with this one"
+            raise InstrumentError(self._name, doing, f"{identity} answers instead of {known}", remedy)
+        try:
+            names = (driver.x_output, driver.y_output)
+            self._outputs = AnalogOutputs(
+                session, names, "x_output and y_output of [mirror]", driver.limit_v, self._level_v
+            )
+        except BaseException:
+            self._drop()
+            raise
+        self._identity = identity
+
+    def _drop(self) -> None:
+        session, self._session = self._session, None
+        outputs, self._outputs = self._outputs, None
+        if outputs is not None:
+            self._level_v = outputs.level_v
+            with suppress(InstrumentError):  # the device, or its server, is gone
+                outputs.close()
+        if session is not None:
+            session.close()
+
+    def _go(self, volts: Sequence[float], doing: str) -> None:
+        self._settled_s = None
+        self._connected(doing)
+        assert self._outputs is not None
+        self._outputs.ramp_to(volts, self._driver.slew_v_per_s, self._clock, doing)
+        self._settled_s = self._clock.now_s() + self._settings.settle_s
+
+    def _volts_at(self, x_mrad: float, y_mrad: float, doing: str) -> tuple[float, float]:
+        """Voltages for a direction of the beam. Raises InstrumentError: one is beyond the limit."""
+        per_mrad = math.degrees(1e-3) / 2 * self._driver.volts_per_degree
+        volts = (x_mrad * per_mrad, y_mrad * per_mrad)
+        if max(map(abs, volts)) > self._driver.limit_v:
+            most_mrad = self._driver.limit_v / per_mrad
+            cause = f"({x_mrad:g}, {y_mrad:g}) mrad needs more than limit_v = {self._driver.limit_v:g} V"
+            remedy = f"lower limit_mrad and park_mrad of [mirror] to {math.floor(10 * most_mrad) / 10:g} or less"
+            raise InstrumentError(self._name, doing, cause, remedy)
+        return volts
+
+    def _connected(self, doing: str) -> NiSession:
+        if self._session is None:
+            raise InstrumentLostError(self._name, doing, "it is not connected", "reconnect first")
+        return self._session
+
+    def _check_open(self, doing: str) -> None:
+        if self._closed:
+            raise InstrumentError(self._name, doing, "it is closed", "open the rig again")
