@@ -21,9 +21,8 @@ from wavefocus.rendering.greens.interpolation.base import (
 from wavefocus.rendering.greens.source import GreenSource
 from wavefocus.rendering.scene.emission import ContinuousEmission, Emission, PointEmission
 from wavefocus.rendering.scene.model import Scene, Source
-from wavefocus.rendering.scene.paths import Point
 from wavefocus.rendering.scene.signals import MAX_SAMPLES
-from wavefocus.rendering.scene.size import check_scene_size
+from wavefocus.rendering.scene.size import check_scene_size, points_and_travel
 from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
 from wavefocus.storage.errors import InputError
 
@@ -192,23 +191,19 @@ def point_count(source: Source, index: int) -> int:
 
     Raises InputError: the source does not move although its path does, or it has too many path points.
     """
-    if isinstance(source.path, TrajectoryPath):
-        return len(source.path.focus_rows)
-    length = source.path.length_mm
-    if isinstance(source.path, Point) or length == 0:
-        return 1
+    points, _ = points_and_travel(source)
+    if isinstance(source.path, TrajectoryPath) or source.path.length_mm == 0:
+        return int(points)
     if source.step_mm <= 0:
         raise InputError(f"step_mm of source {index} is {source.step_mm:g}; on a path it must be above 0")
-    ratio = length / source.step_mm + 1e-9
-    if ratio > MAX_POINTS:
+    if points > MAX_POINTS:
         raise InputError(
-            f"step_mm of source {index} is {source.step_mm:g}, which makes {ratio:.3g} path points; at most"
+            f"step_mm of source {index} is {source.step_mm:g}, which makes {points:.3g} path points; at most"
             f" {MAX_POINTS} are allowed"
         )
-    points = int(np.floor(ratio)) + 1
     if points > 1 and source.speed_mm_s <= 0:
         raise InputError(f"speed_mm_s of source {index} is {source.speed_mm_s:g}; on a path it must be above 0")
-    return points
+    return int(points)
 
 
 def _located(index: int, follow: Follow, along_mm: Float64Array, name: Callable[[int], str]) -> Nodes:
