@@ -125,7 +125,7 @@ def render(
         with naming(scene_file, view):
             streamed = not whole and (stream or _too_large(job))
             rendered = _in_two_passes(job) if streamed else _in_memory(job)
-            peak_v = _write(job, rendered, out, wav, force=force)
+        peak_v = _write(job, rendered, out, wav, force=force)
         if picture is not None:
             _write_picture(job, picture)
         figures = _report(job, rendered, out, peak_v, rig_file)
