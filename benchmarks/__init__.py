@@ -28,6 +28,7 @@ BENCHMARKS = {
     "render": Benchmark("renderers and predictors side by side"),
     "interpolation": Benchmark("the bank between its positions"),
     "focusing": Benchmark("focusing methods on one scene"),
+    "quiet": Benchmark("quiet places: level, drive energy, run time", on_request=True),
     "commands": Benchmark("commands from the shell"),
     "symptoms": Benchmark("causes of a failed verification, one by one on four plates", on_request=True),
     "trials": Benchmark("analysis of trials against simulated participants", on_request=True),
