@@ -74,29 +74,44 @@ def of_rows(multiplier: Float64Array, place: Int64Array) -> Float64Array:
     return np.asarray(multiplier[place] / np.bincount(place, minlength=len(multiplier))[place])
 
 
-def least_energy(focus: Focus, multiplier: Float64Array) -> tuple[Complex128Array, Float64Array]:
-    """Steer around quiet rows with multipliers > 0, (rows,).
+class Steering:
+    """The solutions z of one focus for any multipliers; what does not depend on them is computed once."""
 
-    Returns z, times the root of sigma, complex128 (bins, actuators), and d, float64 (bins,).
-    """
-    root = 1.0 if focus.sigma is None else np.sqrt(focus.sigma)
-    adjoint, quiet = np.conj(focus.row * root), focus.quiet * root
-    rows, actuators = quiet.shape[1:]
-    if not rows:
-        return np.asarray(adjoint * root), np.square(np.abs(adjoint)).sum(axis=1)
-    across = quiet.conj().transpose(0, 2, 1)
-    if rows < actuators:
-        # A^-1 = I - q* (diag(1/m) + q q*)^-1 q, of as many unknowns as there are rows.
-        gram = quiet @ across
-        gram[:, np.arange(rows), np.arange(rows)] += 1.0 / multiplier
-        steered = adjoint - (across @ np.linalg.solve(gram, quiet @ adjoint[..., None]))[..., 0]
-    else:
-        normal = (across * multiplier) @ quiet + np.eye(actuators)
-        steered = np.linalg.solve(normal, adjoint[..., None])[..., 0]
-    # z* A z, a sum of positive terms: h z would lose all digits where the focus hardly differs from a quiet place.
-    there = (quiet @ steered[..., None])[..., 0]
-    d = np.square(np.abs(steered)).sum(axis=1) + np.square(np.abs(there)) @ multiplier
-    return np.asarray(steered * root), d
+    def __init__(self, focus: Focus) -> None:
+        self._root = 1.0 if focus.sigma is None else np.sqrt(focus.sigma)
+        self._adjoint, self._quiet = np.conj(focus.row * self._root), focus.quiet * self._root
+        rows, actuators = focus.quiet.shape[1:]
+        self._by_rows = rows < actuators
+        self._across = self._quiet.conj().transpose(0, 2, 1)
+        if rows and self._by_rows:
+            self._gram, self._there = self._quiet @ self._across, self._quiet @ self._adjoint[..., None]
+
+    def at(self, multiplier: Float64Array) -> tuple[Complex128Array, Float64Array]:
+        """Steer around the quiet rows with their multipliers > 0, (rows,).
+
+        Returns z, times the root of sigma, complex128 (bins, actuators), and d, float64 (bins,).
+        """
+        rows, adjoint = len(multiplier), self._adjoint
+        # d is z* A z, a sum of positive terms: h z would lose all digits where the focus is nearly a quiet place.
+        if not rows:
+            return np.asarray(adjoint * self._root), np.square(np.abs(adjoint)).sum(axis=1)
+        if self._by_rows:
+            # A^-1 = I - q* (diag(1/m) + q q*)^-1 q, of as many unknowns as there are rows; q z is x / m.
+            gram = self._gram.copy()
+            gram[:, np.arange(rows), np.arange(rows)] += 1.0 / multiplier
+            x = np.linalg.solve(gram, self._there)
+            steered = adjoint - (self._across @ x)[..., 0]
+            quiet = np.square(np.abs(x[..., 0])) @ (1.0 / multiplier)
+        else:
+            normal = (self._across * multiplier) @ self._quiet + np.eye(adjoint.shape[1])
+            steered = np.linalg.solve(normal, adjoint[..., None])[..., 0]
+            quiet = np.square(np.abs((self._quiet @ steered[..., None])[..., 0])) @ multiplier
+        return np.asarray(steered * self._root), np.square(np.abs(steered)).sum(axis=1) + quiet
+
+
+def least_energy(focus: Focus, multiplier: Float64Array) -> tuple[Complex128Array, Float64Array]:
+    """Steer one focus around its quiet rows; see `Steering.at`."""
+    return Steering(focus).at(multiplier)
 
 
 def reversed_in_time(focus: Focus) -> Complex128Array:
@@ -220,6 +235,8 @@ class _Search:
     def __init__(self, moments: Sequence[Moment], response_error: float) -> None:
         self._moments, self._error = moments, response_error
         self._a = [[reversed_power(focus) for focus in moment.foci] for moment in moments]
+        self._steering = [[Steering(focus) for focus in moment.foci] for moment in moments]
+        self._emitted = [np.ascontiguousarray(moment.emitted.transpose(2, 0, 1)) for moment in moments]
         places = moments[0].applies.shape[1]
         power, emitted = np.zeros(places), np.zeros(places)
         for moment in moments:
@@ -274,7 +291,8 @@ class _Search:
 
     def _steered(self, multiplier: Float64Array) -> list[list[tuple[Complex128Array, Float64Array]]]:
         return [
-            [least_energy(focus, of_rows(multiplier, focus.place)) for focus in moment.foci] for moment in self._moments
+            [one.at(of_rows(multiplier, focus.place)) for one, focus in zip(own, moment.foci, strict=True)]
+            for own, moment in zip(self._steering, self._moments, strict=True)
         ]
 
     def _filters(
@@ -312,21 +330,17 @@ class _Search:
     def _summed(self, filters: list[list[Complex128Array]]) -> _Totals:
         drive, places = 0.0, self._moments[0].applies.shape[1]
         place, focus = np.zeros(places), dict[int, float]()
-        for moment, own in zip(self._moments, filters, strict=True):
-            driven = np.stack(own)
-            drive += float(_energies(moment.emitted, driven).sum())
-            there = np.einsum("frn,jfn->jfr", moment.quiet, driven, optimize=True)
-            there = there * moment.applies[:, None, moment.place]
-            share = _energies(moment.emitted, there) / np.bincount(moment.place)[moment.place]
-            np.add.at(place, moment.place, share)
-            rows = np.stack([source_focus.row for source_focus in moment.foci])
-            at_foci = _energies(moment.emitted, np.einsum("lfn,jfn->jfl", rows, driven, optimize=True))
-            for source_focus, energy in zip(moment.foci, at_foci.tolist(), strict=True):
-                focus[source_focus.source] = focus.get(source_focus.source, 0.0) + energy
+        for moment, emitted, own in zip(self._moments, self._emitted, filters, strict=True):
+            driven = np.stack(own, axis=2)
+            drive += float(_energies(emitted, driven).sum())
+            there = (moment.quiet @ driven) * moment.applies[:, moment.place].T
+            np.add.at(place, moment.place, _energies(emitted, there) / np.bincount(moment.place)[moment.place])
+            rows = np.stack([one.row for one in moment.foci], axis=1)
+            for one, energy in zip(moment.foci, _energies(emitted, rows @ driven).tolist(), strict=True):
+                focus[one.source] = focus.get(one.source, 0.0) + energy
         return _Totals(drive, np.maximum(place, 0.0), max(focus.values()))
 
 
 def _energies(emitted: Complex128Array, response: Complex128Array) -> Float64Array:
-    """Energy over all bins of the sum of the sources' responses (sources, bins, columns), (columns,)."""
-    mixed = np.einsum("jlf,jfc->lfc", emitted, response)
-    return np.asarray((mixed * response.conj()).real.sum(axis=(0, 1)))
+    """Energy over all bins of the sum of the sources' responses (bins, rows, sources), (rows,)."""
+    return np.asarray(((response @ emitted) * response.conj()).real.sum(axis=(0, 2)))
