@@ -89,7 +89,7 @@ Result = TypeVar("Result")
 WORKERS = 2
 
 
-def in_order(task: Callable[[Item], Result], items: Iterable[Item], workers: int = WORKERS) -> Iterator[Result]:
+def threaded_map(task: Callable[[Item], Result], items: Iterable[Item], workers: int = WORKERS) -> Iterator[Result]:
     """Results of a task for each item, in the items' order, computed by threads at most `workers` items ahead.
 
     An error is raised when its result is due; what was not begun is dropped.

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.rendering.band import Band
-from wavefocus.rendering.device import WORKERS, Device, fast_length, host_device, in_order
+from wavefocus.rendering.device import WORKERS, Device, fast_length, host_device, threaded_map
 from wavefocus.rendering.drive.windows import RowSpectra, Windows
 from wavefocus.rendering.greens.regularisation import BankRows
 from wavefocus.rendering.scene.emission import Emission
@@ -169,7 +169,7 @@ class BlockAccumulator:
             if windows is not None:
                 windows.weigh(self._rows.weigh)
         workers = WORKERS if self._device.is_host and len(planned) > 1 else 1
-        yield from in_order(lambda block: self._sum(block, spectra, loaded=fits), planned, workers)
+        yield from threaded_map(lambda block: self._sum(block, spectra, loaded=fits), planned, workers)
 
     @np.errstate(over="ignore", invalid="ignore")
     def _sum(self, block: Sequence[Windows | None], spectra: RowSpectra, *, loaded: bool) -> _Block:

@@ -106,12 +106,12 @@ def inverse_filter(
         raise InputError(f"regularisation_db is {regularisation_db}; it must be a finite number below 0")
     rate_hz, taps = float(bank.sample_rate_hz), bank.taps
     sampled = sample_scene(scene, bank, "sampled")
-    kind, sources, samples = sampled.kind, sampled.sources, sampled.samples
+    interpolation, sources, samples = sampled.interpolation, sampled.sources, sampled.samples
     nodes = [
-        kind.follow(source.path, sampled_source.arc_length_mm)(sampled_source.arc_length_mm)
+        interpolation.follow(source.path, sampled_source.arc_length_mm)(sampled_source.arc_length_mm)
         for source, sampled_source in zip(scene.sources, sources, strict=True)
     ]
-    rows = BankRows(kind.rows_of(bank), Regularisation(normalise=False))
+    rows = BankRows(interpolation.rows_of(bank), Regularisation(normalise=False))
     length = fast_length(samples + 3 * taps)
     band = _Band(length, rate_hz, bank.band_hz)
     points_mm, place = _control_points(sources)

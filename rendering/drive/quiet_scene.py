@@ -81,12 +81,12 @@ def quiet_scene(scene: Scene, bank: GreenSource, sampled: SampledScene) -> tuple
 
     Raises InputError: a quiet place is at a focus, off the grid or not measured.
     """
-    place_rows = PlaceRows(bank, sampled.kind)
+    place_rows = PlaceRows(bank, sampled.interpolation)
     plan = plan_quiet(scene, bank, sampled, place_rows)
     tail = max(1, round(TAIL_S * float(bank.sample_rate_hz)))
     moments = _instants(scene, sampled, plan)
     at = [
-        sampled.kind.nodes(
+        sampled.interpolation.nodes(
             place_at(source.path, source.speed_mm_s, source.start_s, plan.knots[moments], float(bank.sample_rate_hz))
         )
         for source in scene.sources
@@ -144,7 +144,7 @@ class QuietRows(BankRows):
         tail: int,
     ) -> None:
         regularisation: Regularisation = scene.regularisation
-        super().__init__(sampled.kind.rows_of(bank), regularisation, sampled.naming)
+        super().__init__(sampled.interpolation.rows_of(bank), regularisation, sampled.naming)
         self.plan, self._sampled, self._tail = plan, sampled, tail
         self._most_energy = scene.output.most_energy
         self._saturates = bool(regularisation.saturation or regularisation.saturation_absolute)

@@ -99,7 +99,9 @@ class SceneRenderer:
             from wavefocus.rendering.drive.quiet_scene import quiet_scene  # only such scenes wait for it
 
             self.sampled, self._quiet = quiet_scene(scene, bank, self.sampled)
-        self._rows = self._quiet or BankRows(self.sampled.kind.rows_of(bank), scene.regularisation, self.sampled.naming)
+        self._rows = self._quiet or BankRows(
+            self.sampled.interpolation.rows_of(bank), scene.regularisation, self.sampled.naming
+        )
         self.shape = bank.actuators, self.sampled.samples
         self._single = self._tolerance > 0
         self._accumulator = self._new_accumulator()
@@ -147,7 +149,7 @@ class SceneRenderer:
         """
         signals = [source.signal for source in self.sampled.sources]
         errors, remarks = judged_errors(
-            self._scene, self._bank, self.sampled.kind, signals, self._interpolation_tolerance
+            self._scene, self._bank, self.sampled.interpolation, signals, self._interpolation_tolerance
         )
         between = self._first_pass(on_progress, keep_v)
         if self._bound() > self._tolerance:

@@ -12,7 +12,7 @@ import numpy as np
 
 from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
 from wavefocus.rendering.band import Band, norm_of
-from wavefocus.rendering.device import WORKERS, Device, in_order
+from wavefocus.rendering.device import WORKERS, Device, threaded_map
 from wavefocus.rendering.greens.regularisation import BankRows
 
 Weigh = Callable[[Int64Array], tuple[Float64Array, BoolArray]]
@@ -157,7 +157,7 @@ class RowSpectra:
         while self._spectra and len(self._spectra) + len(missing) > self.most_rows:
             self._spectra.popitem(last=False)
         workers = WORKERS if self._device.is_host and len(missing) > 1 else 1
-        for row, spectrum in zip(missing, in_order(self._transform, missing, workers), strict=True):
+        for row, spectrum in zip(missing, threaded_map(self._transform, missing, workers), strict=True):
             self._spectra[row] = spectrum
 
     def _transform(self, row: int) -> RowSpectrum:

@@ -9,7 +9,7 @@ import numpy as np
 
 from wavefocus.rendering.arrays import Complex128Array, Int64Array
 from wavefocus.rendering.band import Band
-from wavefocus.rendering.device import Device, fast_length, host_device, in_order
+from wavefocus.rendering.device import Device, fast_length, host_device, threaded_map
 from wavefocus.rendering.greens.source import GreenSource, RowReader, to_single
 from wavefocus.storage.errors import InputError
 
@@ -71,7 +71,7 @@ class BankSpectra:
             where = slice(first, first + ROWS_AT_ONCE)
             kept[:, where] = transform_rows(self.reader, rows[where].tolist(), self.band, host_device())
 
-        for _ in in_order(fill, range(0, len(rows), ROWS_AT_ONCE)):
+        for _ in threaded_map(fill, range(0, len(rows), ROWS_AT_ONCE)):
             pass
         self._made = kept
 

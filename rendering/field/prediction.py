@@ -12,7 +12,7 @@ from numpy.typing import DTypeLike
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
-from wavefocus.rendering.device import WORKERS, Device, host_device, in_order
+from wavefocus.rendering.device import WORKERS, Device, host_device, threaded_map
 from wavefocus.rendering.field.bank_spectra import BankSpectra, Decimation
 from wavefocus.rendering.field.convolution import Convolution
 from wavefocus.rendering.field.focus_figures import FocusInstant, emission_windows
@@ -101,7 +101,9 @@ class Prediction:
         index, parts = self.position_index, self.parts()
         workers = WORKERS if self._device.is_host and len(parts) > 1 else 1
         with one_blas_thread():
-            computed = in_order(lambda part: self._convolution.respond(index[part.start : part.stop]), parts, workers)
+            computed = threaded_map(
+                lambda part: self._convolution.respond(index[part.start : part.stop]), parts, workers
+            )
             for part, response in zip(parts, computed, strict=True):
                 yield FieldRows(part.start, index[part.start : part.stop], response)
                 if on_progress is not None:

@@ -218,7 +218,7 @@ def _located(index: int, follow: Follow, along_mm: Float64Array, name: Callable[
 class SampledScene:
     """The sources of a scene over a bank: `samples` of drives from `start_s` on, which is the lead-in before 0."""
 
-    kind: Interpolation
+    interpolation: Interpolation
     sources: list[SampledSource]
     method: Method
     samples: int
@@ -263,10 +263,10 @@ def sample_scene(scene: Scene, bank: GreenSource, method: str | None = None) -> 
     for index, source in enumerate(scene.sources):
         point_count(source, index)
     check_scene_size(scene, sample_rate_hz=rate_hz, taps=taps, actuators=bank.actuators)
-    kind = scene_interpolation(scene, bank)
+    interpolation = scene_interpolation(scene, bank)
     sources = [
-        sample_source(source, index, kind, sample_rate_hz=rate_hz, taps=taps, method=chosen)
+        sample_source(source, index, interpolation, sample_rate_hz=rate_hz, taps=taps, method=chosen)
         for index, source in enumerate(scene.sources)
     ]
     samples = max(source.emission.stop_sample for source in sources) + taps - 1
-    return SampledScene(kind, sources, chosen, samples, -(taps - 1) / rate_hz)
+    return SampledScene(interpolation, sources, chosen, samples, -(taps - 1) / rate_hz)

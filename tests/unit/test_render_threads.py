@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from wavefocus.rendering.device import WORKERS, in_order
+from wavefocus.rendering.device import WORKERS, threaded_map
 
 
 @pytest.mark.parametrize("workers", [1, WORKERS])
@@ -18,7 +18,7 @@ def test_given_items_then_results_come_in_their_order_and_a_few_items_are_taken_
             taken.append(number)
             yield number
 
-    for number, result in enumerate(in_order(lambda item: item**2, items(), workers)):
+    for number, result in enumerate(threaded_map(lambda item: item**2, items(), workers)):
         assert result == number**2
         assert len(taken) <= number + workers + 2
     assert taken == list(range(20))
@@ -26,7 +26,7 @@ def test_given_items_then_results_come_in_their_order_and_a_few_items_are_taken_
 
 def test_given_several_workers_then_they_work_side_by_side():
     together = threading.Barrier(WORKERS)
-    assert len(list(in_order(lambda _: together.wait(timeout=60), range(WORKERS)))) == WORKERS
+    assert len(list(threaded_map(lambda _: together.wait(timeout=60), range(WORKERS)))) == WORKERS
 
 
 def test_given_an_error_then_it_is_raised_when_its_turn_comes_and_the_rest_is_not_begun():
@@ -36,7 +36,7 @@ def test_given_an_error_then_it_is_raised_when_its_turn_comes_and_the_rest_is_no
         begun.append(item)
         return 1 // (3 - item)
 
-    results = in_order(task, range(1000))
+    results = threaded_map(task, range(1000))
     assert [next(results) for _ in range(3)] == [0, 0, 1]
     with pytest.raises(ZeroDivisionError):
         next(results)
@@ -45,7 +45,7 @@ def test_given_an_error_then_it_is_raised_when_its_turn_comes_and_the_rest_is_no
 
 def test_given_results_that_are_not_asked_for_then_what_was_begun_ends():
     done = []
-    results = in_order(done.append, range(1000))
+    results = threaded_map(done.append, range(1000))
     next(results)
     results.close()
     assert len(done) <= WORKERS + 2
