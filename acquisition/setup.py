@@ -111,29 +111,30 @@ class Setup:
         Raises ExceptionGroup: of all that failed, after everything was tried. KeyboardInterrupt: an impatient Ctrl-C;
         it cut one step short, and the others were tried.
         """
-        failures: list[Exception] = []
-        interrupt: KeyboardInterrupt | None = None
-        roles = self.instruments
-        for step in (
-            roles.player.mute,
-            roles.recorder.abort,
-            roles.mirror.park,
-            roles.player.close,
-            roles.recorder.close,
-            roles.mirror.close,
-        ):
-            try:
-                step()
-            except Exception as failure:
-                failures.append(failure)
-            except KeyboardInterrupt as impatience:
-                interrupt = impatience
-        if interrupt is not None:
-            for also in failures:
-                interrupt.add_note(str(also))
-            raise interrupt
-        if failures:
-            raise ExceptionGroup("the instruments could not all be put to rest", failures)
+        mirror, recorder, player = self.instruments.mirror, self.instruments.recorder, self.instruments.player
+        try_all(player.mute, recorder.abort, mirror.park, player.close, recorder.close, mirror.close)
+
+
+def try_all(*steps: Callable[[], object]) -> None:
+    """Take every step, whatever fails on the way.
+
+    Raises ExceptionGroup: of all that failed. KeyboardInterrupt: it cut one step short, and the others were tried.
+    """
+    failures: list[Exception] = []
+    interrupt: KeyboardInterrupt | None = None
+    for step in steps:
+        try:
+            step()
+        except Exception as failure:
+            failures.append(failure)
+        except KeyboardInterrupt as impatience:
+            interrupt = impatience
+    if interrupt is not None:
+        for also in failures:
+            interrupt.add_note(str(also))
+        raise interrupt
+    if failures:
+        raise ExceptionGroup("the instruments could not all be put to rest", failures)
 
 
 def wired(rig: RigConfig, instruments: Instruments, vibrometer: VibrometerReading) -> Setup:

@@ -30,8 +30,8 @@ from wavefocus.rendering.drive.rendering import SceneRenderer
 from wavefocus.rendering.drive.wav import InterfaceRate
 from wavefocus.rendering.field.quiet_levels import rendered_levels
 from wavefocus.rendering.scene.model import Scene, load_scene
-from wavefocus.rig.instruments import open_player
 from wavefocus.rig.limits import check_drive, interface_of, limited_words, rig_of, within
+from wavefocus.rig.setup import open_player
 from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.drive_file import Drive, read_drive
 from wavefocus.storage.errors import InputError

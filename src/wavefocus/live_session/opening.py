@@ -20,8 +20,8 @@ from wavefocus.rendering.live.engine import LiveEngine
 from wavefocus.rendering.live.recording import SessionRecording
 from wavefocus.rendering.scene.model import load_scene
 from wavefocus.rendering.scene.signals import Signal
-from wavefocus.rig.instruments import open_player
 from wavefocus.rig.limits import interface_of, rig_of, stricter
+from wavefocus.rig.setup import open_player
 from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.units import PLAYED_UNITS

@@ -12,7 +12,6 @@ from wavefocus.acquisition.setup import Openers
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.rig_instruments import VibrometerSection
 from wavefocus.config.run import Virtual
-from wavefocus.console import say
 from wavefocus.drivers.daq.nidaqmx import NiDaqmx
 from wavefocus.drivers.errors import InstrumentError, MissingPackageError
 from wavefocus.drivers.mirror.analog import AnalogMirrorDriver
@@ -26,7 +25,7 @@ from wavefocus.drivers.registry import (
     VibrometerDriver,
     VibrometerReading,
 )
-from wavefocus.drivers.timeouts import RECONNECTING, BoundedPlayer, in_time
+from wavefocus.drivers.timeouts import RECONNECTING, in_time
 from wavefocus.storage.errors import InputError
 
 # A decoder's range is a round number; what differs by more is another range.
@@ -194,24 +193,3 @@ def require_address_space() -> None:
             f"{max(spare, 0) >> 20} MiB of address space are left to this process, and measuring needs "
             f"{MIN_BYTES >> 20}: raise its limit (ulimit -v, or the batch queue's memory); no instrument was opened"
         )
-
-
-@contextmanager
-def open_player(rig: RigConfig, *, realtime: bool = False) -> Iterator[tuple[BoundedPlayer, Clock]]:
-    """Open the interface alone, `realtime` as of `openers`; whatever happens, its outputs are muted and released."""
-    ways = openers(rig, realtime=realtime)
-    player = BoundedPlayer(in_time("player", "opening", ways.player, ways.limit_s), rig.recovery.hung_after_s)
-    try:
-        yield player, ways.clock
-    except BaseException:
-        # The first failure is the one to act on; what else fails on the way out is reported and does not hide it.
-        for step in (player.mute, player.close):
-            try:
-                step()
-            except Exception as failure:
-                say(f"on the way out: {failure}")
-        raise
-    try:
-        player.mute()
-    finally:
-        player.close()

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Protocol
 
-from wavefocus.acquisition.setup import Openers, Setup, identities_of, wired
+from wavefocus.acquisition.setup import Openers, Setup, identities_of, try_all, wired
 from wavefocus.acquisition.watch import AllowedRange, Sensor, Watch
 from wavefocus.config.calibration import calibrated
 from wavefocus.config.rig import BandSection, RigConfig, RoomSection
@@ -16,9 +16,9 @@ from wavefocus.config.rig_instruments import VibrometerSection
 from wavefocus.config.run import RunConfig
 from wavefocus.console import say, working_on
 from wavefocus.drivers.errors import InstrumentError
-from wavefocus.drivers.protocols import OffersRanges, Recorder
+from wavefocus.drivers.protocols import Clock, OffersRanges, Recorder
 from wavefocus.drivers.registry import VibrometerReading
-from wavefocus.drivers.timeouts import bounded, in_time
+from wavefocus.drivers.timeouts import BoundedPlayer, bounded, in_time
 from wavefocus.rig.calibration_validity import calibration_warnings
 from wavefocus.rig.input_delay import with_input_delay
 from wavefocus.rig.instruments import SAME_SENSITIVITY, open_instruments, openers, read_vibrometer
@@ -67,7 +67,7 @@ def setup_in_use(
 
     Raises InstrumentError, InputError: see `open_setup`.
     """
-    with shut_down(setup):
+    with shut_down(setup.close):
         yield setup if sample_rate_hz is None else with_input_delay(setup, rig, sample_rate_hz, bank)
 
 
@@ -93,8 +93,22 @@ def _response_ranges_v(rig: RigConfig, recorder: Recorder) -> tuple[float, ...]:
 
 
 @contextmanager
-def shut_down(setup: Setup) -> Iterator[None]:
-    """Mute, park and release the instruments on the way out, whatever happens before.
+def open_player(rig: RigConfig, *, realtime: bool = False) -> Iterator[tuple[BoundedPlayer, Clock]]:
+    """Open the interface alone, `realtime` as of `openers`; whatever happens, its outputs are muted and released.
+
+    Raises InstrumentError: it cannot be opened, or could not be muted and released.
+    """
+    ways = openers(rig, realtime=realtime)
+    player = BoundedPlayer(in_time("player", "opening", ways.player, ways.limit_s), rig.recovery.hung_after_s)
+    with shut_down(lambda: try_all(player.mute, player.close)):
+        yield player, ways.clock
+
+
+@contextmanager
+def shut_down(close: Callable[[], None]) -> Iterator[None]:
+    """Mute, park and release instruments on the way out, whatever happens before.
+
+    close: Does so, and raises ExceptionGroup of all that failed.
 
     Raises InstrumentError: one of them could not be put to rest, and nothing else had failed.
     """
@@ -103,13 +117,13 @@ def shut_down(setup: Setup) -> Iterator[None]:
     except BaseException:
         # The first failure is the one to act on; what else fails on the way out is reported and does not hide it.
         try:
-            setup.close()
+            close()
         except* Exception as group:
             for one in group.exceptions:
                 say(f"on the way out: {one}")
         raise
     try:
-        setup.close()
+        close()
     except* InstrumentError as group:
         causes = "; ".join(str(one) for one in group.exceptions)
         raise InstrumentError("rig", "putting the instruments to rest", causes, "check them by hand") from group
