@@ -196,14 +196,14 @@ def evaluate(
         range_v = (range_v[0], recorded.attempt.response_range_v)
     if not recorded.recordings:
         return AttemptResult(recorded.attempt, None, Judgement(Status.FAILED, recorded.fault, np.inf))
-    reference_v = np.stack([one.volts[0] for one in recorded.recordings])
-    response_v = np.stack([one.volts[1] for one in recorded.recordings])
+    reference_v = np.stack([recording.volts[0] for recording in recorded.recordings])
+    response_v = np.stack([recording.volts[1] for recording in recorded.recordings])
     try:
         estimate = estimator.estimate(reference_v, response_v, range_v=range_v)
     except ReferenceMissingError as missing:
         judgement = Judgement(Status.FAILED, str(missing), np.inf)
         return AttemptResult(recorded.attempt, None, judgement, recordings=recorded.recordings)
-    over_range = any(any(one.over_range) for one in recorded.recordings)
+    over_range = any(any(recording.over_range) for recording in recorded.recordings)
     judgement = judge(estimate, over_range, limits, distance_mm, before_db)
     return AttemptResult(recorded.attempt, estimate, judgement, recordings=recorded.recordings)
 
@@ -277,7 +277,9 @@ def next_attempt(
     following = attempt.next()
     if any(defect.cure is Cure.RANGE for defect in judgement.defects):
         used_v = attempt.response_range_v or setup.range_v[1]
-        larger_v = min((one for one in setup.response_ranges_v if one > used_v * (1 + 1e-9)), default=used_v)
+        larger_v = min(
+            (range_v for range_v in setup.response_ranges_v if range_v > used_v * (1 + 1e-9)), default=used_v
+        )
         following = replace(following, response_range_v=larger_v)
     dark = not joint and any(defect.cure is Cure.MOVE for defect in judgement.defects)
     again = judgement.status & earlier & Status.POOR_SIGNAL and any(

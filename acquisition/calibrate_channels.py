@@ -82,13 +82,13 @@ class Probe:
         of the instrument that failed for good.
         """
         found = [self._once(output, record) for record in range(RECORDS)]
-        late_s = [one.late_s for one in found]
+        late_s = [comparison.late_s for comparison in found]
         return Figures(
             late_s=float(np.median(late_s)),
             spread_s=max(late_s) - min(late_s),
-            reference_gain=float(np.median([one.reference.gain for one in found])),
-            response_gain=float(np.median([one.response.gain for one in found])),
-            clock_ppm=float(np.median([one.reference.skew_ppm for one in found])),
+            reference_gain=float(np.median([comparison.reference.gain for comparison in found])),
+            response_gain=float(np.median([comparison.response.gain for comparison in found])),
+            clock_ppm=float(np.median([comparison.reference.skew_ppm for comparison in found])),
         )
 
     def detects(self, output: int | None) -> bool:
@@ -258,7 +258,7 @@ def _heard(task: OutputsTask, channel: int, probe: Probe, operator: Operator) ->
         if not task.summing_box:
             operator.connect(output(channel))
             # Played without it: a signal now comes by another cable.
-            other = next((one for one in task.channels if one != channel), None)
+            other = next((candidate for candidate in task.channels if candidate != channel), None)
             if probe.detects(other):
                 source = "the loopback" if other is None else f"output {other} or the loopback"
                 if operator.again(f"the response input carries {source}, not output {channel} alone"):
@@ -344,8 +344,8 @@ def measure_actuators(task: ActuatorsTask, setup: Setup, progress: Callable[[int
         point_at(setup, float(x_mm), float(y_mm))
         estimates.append(_best_of(setup, excitation, estimator, actuator))
     progress(len(task.position_mm), len(task.position_mm))
-    green = np.stack([one.green[0] for one in estimates])
-    return compare_actuators(green, np.array([one.snr_db[0] for one in estimates]), task.sample_rate_hz)
+    green = np.stack([estimate.green[0] for estimate in estimates])
+    return compare_actuators(green, np.array([estimate.snr_db[0] for estimate in estimates]), task.sample_rate_hz)
 
 
 def _best_of(setup: Setup, excitation: PlayedExcitation, estimator: SequentialEstimator, actuator: int) -> Estimate:

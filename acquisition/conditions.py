@@ -44,11 +44,11 @@ class Conditions:
         """
         values: dict[str, float] = {}
         if REFERENCE in self.watch.bands:
-            levels = [self._reference_db(play, one) for play, one in zip(plays, recordings, strict=True)]
+            levels = [self._reference_db(play, recording) for play, recording in zip(plays, recordings, strict=True)]
             values[REFERENCE] = self._worst(REFERENCE, levels)
         if NOISE in self.watch.bands and self._above_hz < self._rate_hz / 2:
             # Speckle hides the surface for milliseconds of one record; what lasts is in most of them.
-            values[NOISE] = float(np.median([self._noise_v(one) for one in recordings]))
+            values[NOISE] = float(np.median([self._noise_v(recording) for recording in recordings]))
         self.silent_sensors.clear()
         for name, sensor in self.watch.sensors.items():
             try:
@@ -74,8 +74,8 @@ class Conditions:
     def _worst(self, name: str, levels: Sequence[float]) -> float:
         """The value that is farthest outside of its band; the median where all are inside."""
         middle = float(np.median(levels))
-        outside = [one for one in levels if self.watch.bands[name].left(one)]
-        return max(outside, key=lambda one: abs(one - middle), default=middle)
+        outside = [level for level in levels if self.watch.bands[name].left(level)]
+        return max(outside, key=lambda level: abs(level - middle), default=middle)
 
     def _reference_db(self, play: Play, recording: Recording) -> float:
         """Energy of the reference over that of the loopback's signal, in what counts of the record."""

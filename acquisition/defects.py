@@ -235,7 +235,7 @@ def _clipped(estimate: Estimate, worst: NDArray[np.intp], kind: _Kind) -> list[R
     elif figures["harmonic_db"][telling[0]] <= figures["cut_db"][telling[0]]:
         even = open_to_doubt
     parts = ((_COARSE, coarse), (_EVEN, even), (_EITHER, either), (kind, ~coarse & ~even & ~either))
-    return [one.of(estimate, worst[which]) for one, which in parts if np.any(which)]
+    return [wording.of(estimate, worst[which]) for wording, which in parts if np.any(which)]
 
 
 def _line(estimate: Estimate, worst: NDArray[np.intp]) -> RecordDefect:

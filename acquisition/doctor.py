@@ -265,7 +265,9 @@ class _Examination:
         found = self._findings.ask(instrument, check, listen, OPEN_S)
         for finding in found or ():
             self._findings.publish(finding)
-        return found is not None and all(one.verdict != "fail" for one in found if one.instrument == instrument)
+        return found is not None and all(
+            finding.verdict != "fail" for finding in found if finding.instrument == instrument
+        )
 
     def _put_to_rest(self) -> None:
         """Mute, park and release whatever is open; only failures are reported."""

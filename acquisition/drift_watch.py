@@ -89,7 +89,7 @@ class DriftWatch:
 
     def _suspects(self, sentinel: int | None) -> tuple[int, ...]:
         """What was committed since the sentinel was last steady; the sentinel is what the others are compared with."""
-        return tuple(dict.fromkeys(one for one in self._since if one != sentinel))
+        return tuple(dict.fromkeys(position for position in self._since if position != sentinel))
 
     def check(self) -> None:
         """Measure the sentinel again before a session adds anything, if there is one.

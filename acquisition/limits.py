@@ -94,8 +94,8 @@ def compare_sentinel(
     """
     first, second = then.astype(np.float64), now.astype(np.float64)
     snr_db = [
-        np.full(len(first), np.inf) if one is None else np.nan_to_num(one.astype(np.float64), nan=np.inf)
-        for one in (snr_then_db, snr_now_db)
+        np.full(len(first), np.inf) if snr_db is None else np.nan_to_num(snr_db.astype(np.float64), nan=np.inf)
+        for snr_db in (snr_then_db, snr_now_db)
     ]
     # A response that has vanished since is no noise: what was clear then decides.
     clear = snr_db[0] >= min(CLEAR_DB, float(np.max(snr_db[0], initial=-np.inf)))

@@ -114,7 +114,8 @@ class ManualMeasurements:
         judgement = judge(estimate, any(record.over_range), QualityLimits())
         # The estimator counts records; here there is one, and it is this actuator's.
         named = tuple(
-            Defect(one.name, one.sentence.replace("actuator 0", f"actuator {actuator}")) for one in judgement.defects
+            Defect(defect.name, defect.sentence.replace("actuator 0", f"actuator {actuator}"))
+            for defect in judgement.defects
         )
         return SweepFigures(
             snr_db=float(estimate.snr_db[0]),

@@ -161,7 +161,7 @@ class NeighbourWatch:
         if not differences:
             return before, position in judged
         held = self._bank.green(position)
-        if all(one.kind == "other" and _same(held, green, one) for one in differences):
+        if all(difference.kind == "other" and _same(held, green, difference) for difference in differences):
             return before, True
         return _judgement(differences), True
 
@@ -195,9 +195,9 @@ class NeighbourWatch:
         if np.count_nonzero(judge.judged & strong) < TRUSTED * np.count_nonzero(strong):
             return found, frozenset()
         verdict = judge.find()
-        for one in verdict.differences:
-            row = int(rows[one.position])
-            found[row] = (*found.get(row, ()), one)
+        for contradiction in verdict.differences:
+            row = int(rows[contradiction.position])
+            found[row] = (*found.get(row, ()), contradiction)
         return found, frozenset(rows[(verdict.judged | ~strong).all(axis=1)].tolist())
 
     def _strong(self, rows: Int64Array) -> BoolArray:
@@ -233,9 +233,10 @@ def mark_suspects(bank: BankWriter, positions: Sequence[int], reason: str) -> It
 def _judgement(differences: tuple[NeighbourDifference, ...]) -> Judgement:
     """Poor, naming what differs."""
     defects = tuple(
-        RecordDefect(f"neighbour {one.kind}", one.actuators, one.sentence, Cure.REPEAT) for one in differences
+        RecordDefect(f"neighbour {difference.kind}", difference.actuators, difference.sentence, Cure.REPEAT)
+        for difference in differences
     )
-    score = max(one.relative for one in differences)
+    score = max(difference.relative for difference in differences)
     return Judgement(Status.POOR_SIGNAL, "; ".join(defect.sentence for defect in defects), score, defects)
 
 

@@ -95,7 +95,11 @@ def _plays(plan: Plan, setup: Setup) -> tuple[Play, ...]:
         )
     used = used_samples(plan, setup)
     return tuple(
-        Play(min(sounding), {loopback: base_v} | {channels[one]: volts for one, volts in sounding.items()}, used)
+        Play(
+            min(sounding),
+            {loopback: base_v} | {channels[actuator]: volts for actuator, volts in sounding.items()},
+            used,
+        )
         for base_v, sounding in plan.staggered.played_v(lead_samples(plan.staggered, setup))
     )
 
@@ -165,7 +169,7 @@ def keep_recordings(raw: RawWriter, position: int, recordings: Sequence[Recordin
     """
     kept = []
     for channel, step_v in enumerate(raw.header.volts_per_count):
-        volts = np.stack([one.volts[channel] for one in recordings])
+        volts = np.stack([recording.volts[channel] for recording in recordings])
         kept.append(np.clip(volts, -COUNTS * step_v, (COUNTS - 1) * step_v, dtype=np.float32))
     raw.commit(position, kept[0], kept[1])
 

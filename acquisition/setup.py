@@ -103,7 +103,9 @@ class Setup:
 
     def signals_v(self, signal_v: Float64Array, *actuators: int) -> dict[int, Float64Array]:
         """One signal for the loopback and some actuators, by player channel."""
-        return dict.fromkeys((self.loopback_channel, *(self.actuator_channels[one] for one in actuators)), signal_v)
+        return dict.fromkeys(
+            (self.loopback_channel, *(self.actuator_channels[actuator] for actuator in actuators)), signal_v
+        )
 
     def close(self) -> None:
         """Mute the player, park the mirror and release every instrument, whatever fails on the way.

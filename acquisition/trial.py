@@ -91,10 +91,10 @@ class BandTransform:
         return np.asarray(10 ** (0.1 * error_db))
 
 
-def relative(one: Complex128Array, other: Complex128Array, whole: Complex128Array) -> Float64Array:
+def relative(first: Complex128Array, other: Complex128Array, whole: Complex128Array) -> Float64Array:
     """Energy (actuators,) of a difference over that of the whole."""
     energy = np.square(np.abs(whole)).sum(axis=1)
-    return np.asarray(np.square(np.abs(one - other)).sum(axis=1) / np.maximum(energy, 1e-300))
+    return np.asarray(np.square(np.abs(first - other)).sum(axis=1) / np.maximum(energy, 1e-300))
 
 
 def sequential_errors(
@@ -134,10 +134,10 @@ def repeated_error(takes: list[Complex128Array], reference: Complex128Array, noi
     Returns median over the actuators, in dB.
     """
     pairs = itertools.combinations(takes, 2)
-    one, other = min(pairs, key=lambda pair: float(np.median(relative(pair[0], pair[1], reference))))
-    own = relative(one, other, reference) / 2
+    first, other = min(pairs, key=lambda pair: float(np.median(relative(pair[0], pair[1], reference))))
+    own = relative(first, other, reference) / 2
     expected = noise + own / 2
-    apart = relative((one + other) / 2, reference, reference)
+    apart = relative((first + other) / 2, reference, reference)
     if np.median(apart) > DISTINCT * np.median(expected):
         own = own + np.maximum(apart - expected, 0)
     return decibel_of_median(own)
@@ -155,9 +155,12 @@ def choose(candidates: list[Candidate], allowed_loss_db: float) -> ScheduleChoic
     allowed_loss_db: How much more it may err than sequential capture at the better of its levels, in dB.
     """
     asked = candidates[0]
-    sequential = min((one for one in candidates if not one.groups), key=lambda one: (one.error_db, one.campaign_s))
-    good = [one for one in candidates if one.error_db <= sequential.error_db + allowed_loss_db]
-    chosen = min(good or [sequential], key=lambda one: (one.campaign_s, one.error_db))
+    sequential = min(
+        (candidate for candidate in candidates if not candidate.groups),
+        key=lambda candidate: (candidate.error_db, candidate.campaign_s),
+    )
+    good = [candidate for candidate in candidates if candidate.error_db <= sequential.error_db + allowed_loss_db]
+    chosen = min(good or [sequential], key=lambda candidate: (candidate.campaign_s, candidate.error_db))
     against = f"{chosen.error_db:.1f} dB in {hours(chosen.campaign_s)}"
     if chosen is not sequential:
         against += f", where {sequential.name} leaves {sequential.error_db:.1f} dB in {hours(sequential.campaign_s)}"
@@ -172,8 +175,12 @@ def _why(asked: Candidate, candidates: list[Candidate]) -> str:
     if not math.isfinite(asked.error_db):
         return "it leaves the range of an input"
     leaves = f"it leaves {asked.error_db:.1f} dB"
-    same = (one for one in candidates[1:] if one.groups == asked.groups and one.level_db < asked.level_db)
-    lower = next((one for one in same if math.isfinite(one.error_db)), None)
+    same = (
+        candidate
+        for candidate in candidates[1:]
+        if candidate.groups == asked.groups and candidate.level_db < asked.level_db
+    )
+    lower = next((candidate for candidate in same if math.isfinite(candidate.error_db)), None)
     if lower is None:
         return leaves
     gain_db = asked.error_db - lower.error_db
@@ -235,7 +242,7 @@ def run_trial(
     window_s = excitation.period_samples / excitation.sample_rate_hz
     band = BandTransform(excitation.band_hz, excitation.sample_rate_hz, plan.taps)
     tried = [bench.tried(0, level_db) for level_db in (0.0, LOWER_DB)]
-    full, half = (one.estimates[0] for one in tried)
+    full, half = (schedule.estimates[0] for schedule in tried)
     errors, reference, own = sequential_errors(
         band.spectra(full.green),
         band.spectra(half.green),
@@ -243,11 +250,13 @@ def run_trial(
         band.own_noise(half, window_s),
     )
     decay = _decay(plan, half if errors[1] < errors[0] else full)
-    sequential = [bench.candidate(one, error_db) for one, error_db in zip(tried, errors, strict=True)]
+    sequential = [bench.candidate(schedule, error_db) for schedule, error_db in zip(tried, errors, strict=True)]
     staggered = [
-        bench.candidate(one, repeated_error([band.spectra(take.green) for take in one.estimates], reference, own))
+        bench.candidate(
+            schedule, repeated_error([band.spectra(take.green) for take in schedule.estimates], reference, own)
+        )
         for groups in dict.fromkeys((plan.staggered.groups, max(plan.staggered.groups, -(-plan.actuators // GROUP))))
-        for one in (bench.tried(groups, level_db) for level_db in (0.0, LOWER_DB))
+        for schedule in (bench.tried(groups, level_db) for level_db in (0.0, LOWER_DB))
     ]
     candidates = (*staggered, *sequential)
     verdict = choose(list(candidates), allowed_loss_db)
@@ -290,13 +299,13 @@ class _Bench:
         plan = scheduled(self._plan, groups, level_db)
         measuring = measuring_of(plan, self._setup)
         takes = [self._measured(plan, measuring) for _ in range(TAKES if groups else 1)]
-        return _Tried(plan, groups, level_db, tuple(one for one, _ in takes), any(left for _, left in takes))
+        return _Tried(plan, groups, level_db, tuple(estimate for estimate, _ in takes), any(left for _, left in takes))
 
-    def candidate(self, one: _Tried, error_db: float) -> Candidate:
+    def candidate(self, tried: _Tried, error_db: float) -> Candidate:
         """A schedule for the verdict."""
-        campaign_s = one.plan.positions * one.plan.position_s(self._setup)
-        error_db = float("inf") if one.over_range else error_db
-        return Candidate(_name(one), one.groups, one.level_db, campaign_s, error_db)
+        campaign_s = tried.plan.positions * tried.plan.position_s(self._setup)
+        error_db = float("inf") if tried.over_range else error_db
+        return Candidate(_name(tried), tried.groups, tried.level_db, campaign_s, error_db)
 
     def _measured(self, plan: Plan, measuring: Measuring) -> tuple[Estimate, bool]:
         """One take, and whether it left the range of an input; repeated while something passing spoils it."""
@@ -323,19 +332,19 @@ class _Bench:
         raise AssertionError("the last try returns or raises")
 
     def _estimated(self, measuring: Measuring, recordings: tuple[Recording, ...]) -> tuple[Estimate, bool]:
-        reference_v, response_v = (np.stack([one.volts[row] for one in recordings]) for row in range(2))
+        reference_v, response_v = (np.stack([recording.volts[row] for recording in recordings]) for row in range(2))
         estimate = measuring.estimator.estimate(reference_v, response_v, range_v=self._setup.range_v)
-        return estimate, any(any(one.over_range) for one in recordings) or bool(np.any(estimate.clip_count))
+        return estimate, any(any(recording.over_range) for recording in recordings) or bool(np.any(estimate.clip_count))
 
 
-def _name(one: _Tried) -> str:
-    level = f" at {one.level_db:g} dB" if one.level_db else ""
-    if not one.groups:
+def _name(tried: _Tried) -> str:
+    level = f" at {tried.level_db:g} dB" if tried.level_db else ""
+    if not tried.groups:
         return f"sequential capture{level}"
-    if one.groups == 1:
+    if tried.groups == 1:
         return f"staggered capture{level}"
-    slots = one.plan.staggered.slots if isinstance(one.plan.staggered, StaggeredSignal) else 1
-    return f"staggered capture in {one.groups} groups of {slots}{level}"
+    slots = tried.plan.staggered.slots if isinstance(tried.plan.staggered, StaggeredSignal) else 1
+    return f"staggered capture in {tried.groups} groups of {slots}{level}"
 
 
 def _decay(plan: Plan, estimate: Estimate) -> Decay | None:

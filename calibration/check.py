@@ -275,9 +275,9 @@ def _check_levels(rms: Float64Array, *, certain: bool) -> Iterator[BankProblem]:
 def _check_neighbours(bank: Bank, spectra: RowsAtFrequencies, measured: BoolArray) -> Iterator[BankProblem]:
     """Check each row against what the rows of its neighbours predict of it."""
     verdict = NeighbourJudge(bank.position_mm, bank.actuator_mm, spectra, measured).find()
-    for one in verdict.differences:
-        actuator = one.actuators[0] if len(one.actuators) == 1 else None
-        yield BankProblem(one.position, actuator, f"position {one.position}: {one.sentence}")
+    for difference in verdict.differences:
+        actuator = difference.actuators[0] if len(difference.actuators) == 1 else None
+        yield BankProblem(difference.position, actuator, f"position {difference.position}: {difference.sentence}")
     if verdict.incoherent:
         message = (
             "so many Green's functions contradict those of their neighbours that none can be judged by them: the"

@@ -72,7 +72,7 @@ def compare_actuators(
         common = np.linalg.svd(shapes, full_matrices=False)[2][0]
         found = _correlations(shapes, common, round(MAX_LAG_S * sample_rate_hz))
         likeness[alive] = found if np.count_nonzero(found < 0) <= len(found) / 2 else -found
-    verdicts = tuple(_verdict(*one) for one in zip(alive, level_db, likeness, strict=True))
+    verdicts = tuple(_verdict(*figures) for figures in zip(alive, level_db, likeness, strict=True))
     return ActuatorComparison(level_db, likeness, verdicts)
 
 

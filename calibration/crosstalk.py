@@ -142,11 +142,11 @@ def crosstalk_of_record(
     reference_gain: Volts at the reference input per volt of the loopback.
     inter_channel_delay_s: How much later the response input is sampled.
     """
-    reference, response = (np.asarray(one, dtype=np.float64) for one in (reference_v, response_v))
+    reference, response = (np.asarray(channel, dtype=np.float64) for channel in (reference_v, response_v))
     size = 1 << math.ceil(math.log2(reference.size + MAX_DELAY_S * sample_rate_hz))
     hertz = np.fft.rfftfreq(size, 1 / sample_rate_hz)
     inside = (hertz >= band_hz[0]) & (hertz <= band_hz[1])
-    known, heard = (np.fft.rfft(one, size)[inside] for one in (reference, response))
+    known, heard = (np.fft.rfft(channel, size)[inside] for channel in (reference, response))
     energy = float(np.sum(np.abs(known) ** 2))
     if energy == 0.0:
         return Crosstalk(0.0, 0.0, math.inf)
@@ -215,7 +215,7 @@ def crosstalk_of_rows(
         (actuator, replace(bench.measure(green[far[:, actuator], actuator], ROW_DELAYS[:1]), least_share=least))
         for actuator in np.flatnonzero(far.sum(axis=0) >= PAIRS_OF_ONE).tolist()
     ]
-    shown = [(actuator, one) for actuator, one in single if one.is_named]
+    shown = [(actuator, leak) for actuator, leak in single if leak.is_named]
     if not shown:
         return joint
     _, loudest = max(shown, key=lambda pair: abs(pair[1].share))

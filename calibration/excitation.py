@@ -243,6 +243,6 @@ class StaggeredSignal:
         length = lead_samples + self.used_samples
         slots_v = [np.resize(np.roll(base, slot * self.stagger_samples), length) for slot in range(self.slots)]
         return [
-            (slots_v[0], {int(one): slots_v[slot] for slot, one in enumerate(row) if one != EMPTY})
+            (slots_v[0], {int(actuator): slots_v[slot] for slot, actuator in enumerate(row) if actuator != EMPTY})
             for row in schedule.actuator
         ]

@@ -51,10 +51,10 @@ class NeighbourDifference:
             rows = "the responses of actuators " + ", ".join(map(str, self.actuators))
         else:
             rows = f"the response of actuator {self.actuators[0]}"
-        return f"{rows} {self._what(one=not self.whole and len(self.actuators) == 1)}"
+        return f"{rows} {self._what(single=not self.whole and len(self.actuators) == 1)}"
 
-    def _what(self, *, one: bool) -> str:
-        verb, its = ("differs", "its prediction") if one else ("differ", "their predictions")
+    def _what(self, *, single: bool) -> str:
+        verb, its = ("differs", "its prediction") if single else ("differ", "their predictions")
         against = f"{its} from the neighbouring positions"
         if self.kind == "level":
             return f"{verb} by {self.level_db:+.1f} dB from {against}"
@@ -64,12 +64,12 @@ class NeighbourDifference:
         if self.kind == "delay":
             return f"{verb} by {1e3 * self.delay_s:+.2f} ms in delay from {against}"
         if self.kind == "swapped":
-            if one:
-                return f"{'is' if one else 'are'} that of actuator {self.other}"
+            if single:
+                return f"{'is' if single else 'are'} that of actuator {self.other}"
             return "are swapped"
         if self.kind == "elsewhere" and self.place_mm is not None:
             x, y = self.place_mm
-            return f"{'is' if one else 'are'} those of another place, near ({x:.1f}, {y:.1f}) mm"
+            return f"{'is' if single else 'are'} those of another place, near ({x:.1f}, {y:.1f}) mm"
         return f"{verb} by {100 * self.relative:.0f} % from {against}"
 
 
@@ -127,19 +127,23 @@ def swapped(
 
 def together(found: list[NeighbourDifference], *, whole: bool) -> list[NeighbourDifference]:
     """Two rows that are each other's become one difference, and all that is nameless another."""
-    other_of = {one.actuators[0]: one.other for one in found if one.kind == "swapped"}
+    other_of = {difference.actuators[0]: difference.other for difference in found if difference.kind == "swapped"}
     listed: list[NeighbourDifference] = []
-    nameless = [one for one in found if one.kind == "other"]
-    for one in found:
-        actuator = one.actuators[0]
-        if one.other is not None and other_of.get(one.other) == actuator:
-            if actuator < one.other:
-                listed.append(NeighbourDifference(one.position, (actuator, one.other), "swapped", one.relative))
-        elif one.kind != "other":
-            listed.append(one)
+    nameless = [difference for difference in found if difference.kind == "other"]
+    for difference in found:
+        actuator = difference.actuators[0]
+        if difference.other is not None and other_of.get(difference.other) == actuator:
+            if actuator < difference.other:
+                listed.append(
+                    NeighbourDifference(
+                        difference.position, (actuator, difference.other), "swapped", difference.relative
+                    )
+                )
+        elif difference.kind != "other":
+            listed.append(difference)
     if nameless:
-        actuators = tuple(one.actuators[0] for one in nameless)
-        relative = max(one.relative for one in nameless)
+        actuators = tuple(difference.actuators[0] for difference in nameless)
+        relative = max(difference.relative for difference in nameless)
         listed.append(
             NeighbourDifference(nameless[0].position, actuators, "other", relative, whole=whole and not listed)
         )

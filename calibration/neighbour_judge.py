@@ -175,7 +175,7 @@ class NeighbourJudge:
         rows = {
             int(position): np.flatnonzero(self._out[position]) for position in np.flatnonzero(self._out.any(axis=1))
         }
-        differences = [one for position, out in rows.items() for one in self._named(position, out)]
+        differences = [difference for position, out in rows.items() for difference in self._named(position, out)]
         return NeighbourResult(tuple(differences), self.judged)
 
     def _search(self) -> None:
@@ -218,7 +218,7 @@ class NeighbourJudge:
         enough &= self.judged.sum(axis=1) >= MIN_ROWS
         wrong: list[int] = []
         spoiled: set[int] = set()
-        for position in sorted(np.flatnonzero(enough).tolist(), key=lambda one: -gains.sigmas[one]):
+        for position in sorted(np.flatnonzero(enough).tolist(), key=lambda row: -gains.sigmas[row]):
             if position in spoiled:
                 continue
             if gains.explained[position] > EXPLAINED:
@@ -396,7 +396,7 @@ class NeighbourJudge:
         """The place whose rows a position has instead of its own."""
         values, typical = self._values[position, actuators], self._typical[position, actuators]
         differs = float((np.square(np.abs(self._errors[position, actuators])) / typical).sum())
-        others = np.array([one for one in self._all.tolist() if one != position and not self._out[one].any()])
+        others = np.array([other for other in self._all.tolist() if other != position and not self._out[other].any()])
         best, place = np.inf, None
         for first in range(0, len(others), 256):
             some = others[first : first + 256]

@@ -243,7 +243,7 @@ def _patches(position_mm: Float64Array, usable: BoolArray) -> tuple[dict[int, Pa
         return {}, 0.0
     spacing_mm = float(np.median(apart_mm[apart_mm > 0]))
     shapes = _shapes(place_mm, distance_mm / spacing_mm, index, spacing_mm)
-    return {int(rows[one]): Patch(rows[near], offset_mm, key) for one, near, offset_mm, key in shapes}, spacing_mm
+    return {int(rows[place]): Patch(rows[near], offset_mm, key) for place, near, offset_mm, key in shapes}, spacing_mm
 
 
 def _nearest(place_mm: Float64Array, count: int) -> tuple[Float64Array, Int64Array]:
@@ -261,13 +261,13 @@ def _shapes(
 ) -> Iterator[tuple[int, Int64Array, Float64Array, bytes]]:
     """Patch of each position that has one; distances in grid spacings."""
     thin: dict[bytes, bool] = {}
-    for one in range(len(place_mm)):
-        offset = (place_mm[index[one]] - place_mm[one]) / spacing_mm
+    for place in range(len(place_mm)):
+        offset = (place_mm[index[place]] - place_mm[place]) / spacing_mm
         fine = np.rint(offset / SAME_SPACINGS)
-        ring = np.rint(distance[one] / SAME_SPACINGS)
+        ring = np.rint(distance[place] / SAME_SPACINGS)
         # A position measured twice is no neighbour of itself.
-        apart = (ring > 0) & (distance[one] <= FURTHEST_SPACINGS)
-        within = int(np.count_nonzero(apart & (distance[one] <= REACH_SPACINGS)))
+        apart = (ring > 0) & (distance[place] <= FURTHEST_SPACINGS)
+        within = int(np.count_nonzero(apart & (distance[place] <= REACH_SPACINGS)))
         count = min(max(within, WANTED_NEIGHBOURS), MAX_NEIGHBOURS)
         order = np.lexsort((np.round(np.arctan2(fine[:, 1], fine[:, 0]), 6), ring))
         chosen = order[apart[order]][:count]
@@ -278,5 +278,5 @@ def _shapes(
             thin[key] = on_a_line(offset[chosen])
         if thin[key]:
             continue
-        near = np.concatenate([[one], index[one][chosen]])
-        yield one, near, np.concatenate([np.zeros((1, 2)), offset[chosen]]) * spacing_mm, key
+        near = np.concatenate([[place], index[place][chosen]])
+        yield place, near, np.concatenate([np.zeros((1, 2)), offset[chosen]]) * spacing_mm, key

@@ -299,8 +299,8 @@ class _Fit:
     def _misfit(self, wavenumber: complex, share: float, ridge: float) -> float:
         """Energy of the errors at the positions left out, over that of what is there."""
         if self._latest is None or self._latest[0] != wavenumber:
-            one = np.array([wavenumber])
-            self._latest = (wavenumber, [kernel_parts(one, offset_mm) for offset_mm, _ in self._stacks])
+            wavenumbers = np.array([wavenumber])
+            self._latest = (wavenumber, [kernel_parts(wavenumbers, offset_mm) for offset_mm, _ in self._stacks])
         wrong = 0.0
         for (_, values), (ring, disk) in zip(self._stacks, self._latest[1], strict=True):
             covariance = (1.0 - share) * ring + share * disk

@@ -265,8 +265,10 @@ class Campaign:
         """Give everything that is not valid another round."""
         due = self._due_again()
         self._passing = True
-        self._fruitless = frozenset(one.position for one in due if self._bank.status[one.position] == Status.FAILED)
-        self._report.begin_pass(tuple(one.position for one in due))
+        self._fruitless = frozenset(
+            attempt.position for attempt in due if self._bank.status[attempt.position] == Status.FAILED
+        )
+        self._report.begin_pass(tuple(attempt.position for attempt in due))
         self._queue = deque(due)
 
     # -- recording ----------------------------------------------------------------------------
@@ -320,7 +322,7 @@ class Campaign:
         final = is_final(attempt, result.judgement, limits)
         if final:
             result = self._crosstalk.judged(result)
-        best = result if earlier is None else min((result, earlier), key=lambda one: one.rank)
+        best = result if earlier is None else min((result, earlier), key=lambda candidate: candidate.rank)
         if final:
             return commit_attempt(self._bank, best, attempt.number, self._raw, count_anyway=self._passing)
         self._best[position] = best

@@ -262,8 +262,8 @@ class Suspension:
                 self._setup.instruments.mirror.park()
         except InstrumentError as failure:
             failures.append(failure)
-        for one in failures:
-            self._session.fault(one, None, retried=True)
+        for fault in failures:
+            self._session.fault(fault, None, retried=True)
 
     def _report_silent_sensors(self, attempt: Attempt) -> None:
         """Publish sensors that do not answer; measuring goes on without them."""

@@ -78,7 +78,7 @@ class CampaignReport:
 
     def marked(self, position: int, judgement: Judgement) -> None:
         """A position's row in the bank is poor now: its neighbours contradict it, or cannot judge it."""
-        names = tuple(one.name for one in judgement.defects)
+        names = tuple(defect.name for defect in judgement.defects)
         self._committed(Attempt(position, 0, 0), judgement, (math.nan,) * 4, names)
 
     def end(self, state: State, reason: str, failure: str = "") -> SessionEnded:
@@ -102,7 +102,7 @@ class CampaignReport:
             passes = max(1, self._plan.drift.passes(left + 1, rig.position_s))  # it is measured last, too
         remaining_s = rig.remaining_s(left, passes, rig_s if recording else None)
         wall_remaining_s = wall.remaining_s(left, passes, wall_s if recording else None)
-        per_hour = [3600.0 / one.position_s if one.position_s > 0 else 0.0 for one in (rig, wall)]
+        per_hour = [3600.0 / pace.position_s if pace.position_s > 0 else 0.0 for pace in (rig, wall)]
         done = self._done(), self._plan.positions
         self._session.publish(Progress, *done, self._session.time_s(), remaining_s, wall_remaining_s, *per_hour)
 

@@ -67,7 +67,7 @@ def learn_base(references: Sequence[Float32Array], header: RawHeader) -> tuple[F
     if header.same_clock:
         return scipy.fft.irfft(seen[0].spectrum(bins, 1.0), period), 1.0
     # Fitted to its own repeats each record is as good as any; those of one clock are then averaged.
-    sure = [one.repeats is not None and one.repeats.is_sure for one in seen]
+    sure = [record.repeats is not None and record.repeats.is_sure for record in seen]
     start = sure.index(True) if any(sure) else 0
     fit = seen[start].repeats
     ratio = fit.ratio if fit is not None and sure[start] else _ratio_of_cuts(seen, bins, header)
@@ -75,14 +75,14 @@ def learn_base(references: Sequence[Float32Array], header: RawHeader) -> tuple[F
     matches = [clock.fit(record.decimated, ratio) for record in seen]
     same = [match.explained > SAME_SHARE for match in matches]
     off = [
-        (one.repeats.ratio / match.ratio - 1, one.repeats.sigma_ppm)
-        for one, match, is_sure, is_same in zip(seen, matches, sure, same, strict=True)
-        if one.repeats is not None and is_sure and is_same
+        (record.repeats.ratio / match.ratio - 1, record.repeats.sigma_ppm)
+        for record, match, is_sure, is_same in zip(seen, matches, sure, same, strict=True)
+        if record.repeats is not None and is_sure and is_same
     ]
     stretch = 1.0
     if off:
         weights = np.array([1 / sigma**2 for _, sigma in off])
-        stretch = 1 + float(np.average([one for one, _ in off], weights=weights))
+        stretch = 1 + float(np.average([off_by for off_by, _ in off], weights=weights))
     total, level = np.zeros(bins, dtype=np.complex128), 0.0
     for record, match, is_same in zip(seen, matches, same, strict=True):
         if is_same:
@@ -129,7 +129,10 @@ def _ratio_of_cuts(seen: Sequence[_ReferenceAnalysis], bins: int, header: RawHea
     reach = CUT_REACH_PPM
     if guess is None and others:
         tried = 1 + 1e-6 * SCAN_PPM * np.arange(-round(MAX_PPM / SCAN_PPM), round(MAX_PPM / SCAN_PPM) + 1)
-        guess, reach = float(tried[int(np.argmin([misfit(one, others[:2]) for one in tried]))]), SCAN_PPM
+        guess, reach = (
+            float(tried[int(np.argmin([misfit(tried_ratio, others[:2]) for tried_ratio in tried]))]),
+            SCAN_PPM,
+        )
     if guess is not None:
         offsets = np.array([fit.offset_samples for fit in fits(guess, others)])
         if np.any(np.abs(offsets) > MIN_CUT * first.period):
@@ -137,7 +140,10 @@ def _ratio_of_cuts(seen: Sequence[_ReferenceAnalysis], bins: int, header: RawHea
 
             ends = guess - 1e-6 * reach, guess + 1e-6 * reach
             best = scipy.optimize.minimize_scalar(
-                lambda one: misfit(float(one), others), bounds=ends, method="bounded", options={"xatol": 1e-8}
+                lambda tried_ratio: misfit(float(tried_ratio), others),
+                bounds=ends,
+                method="bounded",
+                options={"xatol": 1e-8},
             )
             return float(best.x)
         if reach == CUT_REACH_PPM:
@@ -197,7 +203,7 @@ def shape_of(header: RawHeader) -> RecordShape | None:
     """How the sweeps of a record follow each other, if the file says so; InputError where it cannot be."""
     if header.averages is None or header.sweep_s is None or header.decay_s is None:
         return None
-    sweep, decay = (round(one * header.sample_rate_hz) for one in (header.sweep_s, header.decay_s))
+    sweep, decay = (round(duration_s * header.sample_rate_hz) for duration_s in (header.sweep_s, header.decay_s))
     if sweep < 1 or header.averages * (sweep + decay) > header.samples + decay:
         raise InputError(
             f"averages is {header.averages}, sweep_s {header.sweep_s:g} and decay_s {header.decay_s:g}; records of "

@@ -152,7 +152,7 @@ class KnownSignalClock:
             # base(theta + moved) = base + base' * moved, theta = (n - offset) / ratio
             moved, stretched = shares[1] / gain, shares[2] / gain
             limit = 0.25 / self.highest
-            moved, stretched = (float(np.clip(one, -limit, limit)) for one in (moved, stretched))
+            moved, stretched = (float(np.clip(change, -limit, limit)) for change in (moved, stretched))
             slope = 1 / ratio + stretched / max(place[-1] - middle, 1.0)
             at_middle = (middle - offset) / ratio + moved
             ratio = 1 / slope

@@ -125,10 +125,10 @@ def playing_ratio(reference: Float64Array, known: Float64Array) -> tuple[float, 
         return float(correlation[lag] ** 2) / own if own > 0 else 0.0
 
     ratios = SLOWEST * np.exp(step_ratio * np.arange(int(span / step_ratio) + 1))
-    best = float(ratios[int(np.argmax([explained(float(one)) for one in ratios]))])
+    best = float(ratios[int(np.argmax([explained(float(ratio)) for ratio in ratios]))])
     for finer in (5, 25, 125):
         near = best * (1 + step_ratio / finer * np.arange(-5, 6))
-        best = float(near[int(np.argmax([explained(float(one)) for one in near]))])
+        best = float(near[int(np.argmax([explained(float(ratio)) for ratio in near]))])
     return best, explained(best), 0.1 * step_ratio
 
 

@@ -98,9 +98,9 @@ def period_spectrum(sums: Complex128Array, turn: float, samples: int) -> Complex
     return np.asarray(found)
 
 
-def _dot(one: Complex128Array, other: Complex128Array) -> Float64Array:
+def _dot(first: Complex128Array, other: Complex128Array) -> Float64Array:
     """Inner products of two-sided spectra that are given by their one side, shape (records, 1)."""
-    products = (one.conj() * other).real
+    products = (first.conj() * other).real
     return np.asarray(2 * products[:, 1:].sum(axis=1, keepdims=True) + products[:, :1])
 
 

@@ -236,7 +236,7 @@ class RepeatFinder:
         """
         nominal = self._nominal
         if near.any():
-            nominal = np.stack([self._stretched(one) for one in near.tolist()])[:, None]
+            nominal = np.stack([self._stretched(skew) for skew in near.tolist()])[:, None]
         coarse = self._coarse_delay(spectra, SEGMENT_BIN_STEP, nominal)
         span = self.period / SEGMENT_BIN_STEP
         coarse = np.where(coarse > span / 2, coarse - span, coarse)

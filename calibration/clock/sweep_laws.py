@@ -237,12 +237,12 @@ def _refined(recording: _Analytic, sweeps: SweepLaw, offset: float, ratio: float
         columns += [np.arctan2(corner * lowest, frequency) / (2 * np.pi) for corner in CORNERS]
         weight = np.abs(means) / math.sqrt(float(np.square(np.abs(means)).sum()) + 1e-300)
         # Each sweep is unwrapped by itself and then put next to the others.
-        edge = np.cumsum([len(one[0]) for one in rows])[:-1]
+        edge = np.cumsum([len(row[0]) for row in rows])[:-1]
         phases = [np.unwrap(np.angle(part)) / (2 * np.pi) for part in np.split(means, edge)]
         middles = [
-            np.average(one, weights=near + 1e-30) for one, near in zip(phases, np.split(weight, edge), strict=True)
+            np.average(part, weights=near + 1e-30) for part, near in zip(phases, np.split(weight, edge), strict=True)
         ]
-        phase = np.concatenate([one - round(at - middles[0]) for one, at in zip(phases, middles, strict=True)])
+        phase = np.concatenate([part - round(at - middles[0]) for part, at in zip(phases, middles, strict=True)])
         shares, left = _least_squares(np.stack(columns[:3], axis=1), phase, weight)
         with_corners = _least_squares(np.stack(columns, axis=1), phase, weight)
         if np.square(with_corners[1] * weight).sum() < CORNERS_SHARE * np.square(left * weight).sum():
@@ -301,9 +301,9 @@ def _all_starts(
         low, high = np.clip(np.round(places), 0, recording.values.size).astype(np.int64)
         return float(energy[high] - energy[low])
 
-    sums = [sum(within(offset + ratio * (one - own)) for one in starts) for own in starts]
+    sums = [sum(within(offset + ratio * (start - own)) for start in starts) for own in starts]
     own = starts[int(np.argmax(sums))]
-    return [float(one - own) for one in starts]
+    return [float(start - own) for start in starts]
 
 
 def roundest(samples: float, sample_rate_hz: float, uncertainty: float) -> int:

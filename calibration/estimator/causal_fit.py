@@ -94,7 +94,7 @@ class CausalFit:
         # Explicitly, since the difference of the two energies cancels to nothing in float32.
         unexplained = data - coefficients @ self._left.T
         # The FIR's own freedom swallows its share of the noise.
-        whole, left = (np.square(one).sum(axis=1, dtype=np.float64) for one in (data, unexplained))
+        whole, left = (np.square(values).sum(axis=1, dtype=np.float64) for values in (data, unexplained))
         variance = left / max(self.elements - self.rank, 1)
         noise = (GARROTE * variance).astype(np.float32)[:, None]
         squared = np.maximum(np.square(coefficients[:, self._weak]), np.float32(1e-30))
@@ -177,10 +177,10 @@ class ToeplitzFit:
         """Fit spectra (records, bins), each at its own clock ratio minus 1 (records,)."""
         left = np.empty_like(spectrum)
         green = np.empty((len(spectrum), self._taps), dtype=np.float32)
-        for row, one in enumerate(spectrum):
-            left[row], green[row] = self._solved(one.astype(np.complex128), 1 + float(skew[row]))
+        for row, values in enumerate(spectrum):
+            left[row], green[row] = self._solved(values.astype(np.complex128), 1 + float(skew[row]))
         whole, unexplained = (
-            np.square(np.abs(one)).sum(axis=1, dtype=np.float64) for one in (spectrum * self._weight, left)
+            np.square(np.abs(values)).sum(axis=1, dtype=np.float64) for values in (spectrum * self._weight, left)
         )
         return CausalSolution(green, whole, unexplained, left, (left / self._weight).astype(np.complex64))
 

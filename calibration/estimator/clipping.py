@@ -149,7 +149,9 @@ class ThirdHarmonic:
         level_v = np.abs(response_v[which, loudest[which]])[:, None]
         flat = np.count_nonzero(np.abs(response_v[which[:, None], after]) >= np.float32(TIED) * level_v, axis=1)
         unsure = np.flatnonzero(((figure > UNSURE_DB) | (flat >= TIES)) & ~(figure > SURE_DB))
-        middle = np.array([self._middle(response_v[which[one]], int(loudest[which[one]])) for one in unsure], int)
+        middle = np.array(
+            [self._middle(response_v[which[record]], int(loudest[which[record]])) for record in unsure], int
+        )
         if unsure.size:
             figure[unsure] = np.fmax(figure[unsure], self._level(response_v, which[unsure], middle))
         return figure

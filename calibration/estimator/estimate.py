@@ -87,13 +87,17 @@ class Estimate:
     ) -> Estimate:
         """The estimate of one record, whose other figures are the same for all of its slots."""
         kinds = {"clip_count": np.int32, "offset_samples": np.float64, "clock_ratio": np.float64}
-        each = {name: np.full(len(green), one, dtype=kinds.get(name, np.float32)) for name, one in figures.items()}
+        each = {
+            name: np.full(len(green), figure, dtype=kinds.get(name, np.float32)) for name, figure in figures.items()
+        }
         return cls(green, snr_db, defects=not_looked_at(len(green)) if defects is None else defects, **each)
 
     @classmethod
     def joined(cls, parts: Sequence[Estimate]) -> Estimate:
         """The rows of several estimates, one after the other."""
-        return cls(**{one.name: np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(cls)})
+        return cls(
+            **{column.name: np.concatenate([getattr(part, column.name) for part in parts]) for column in fields(cls)}
+        )
 
     def by_actuator(self, actuator: NDArray[np.integer], gain: NDArray[np.floating]) -> Estimate:
         """A row per actuator, from rows of these actuators, driven with these gains.
@@ -103,8 +107,8 @@ class Estimate:
         """
         order = np.argsort(actuator, kind="stable")
         if np.array_equal(actuator[order], np.arange(order.size)):
-            return Estimate(**{one.name: getattr(self, one.name)[order] for one in fields(Estimate)})
-        merged: dict[str, list[object]] = {one.name: [] for one in fields(Estimate)}
+            return Estimate(**{column.name: getattr(self, column.name)[order] for column in fields(Estimate)})
+        merged: dict[str, list[object]] = {column.name: [] for column in fields(Estimate)}
         for wanted in range(int(actuator.max()) + 1):
             chosen = np.flatnonzero(actuator == wanted)
             worth = np.square(gain[chosen].astype(np.float64) / np.maximum(self.noise_v[chosen], 1e-30))
@@ -170,7 +174,7 @@ class Records:
     def by_actuator(self, estimates: Sequence[Estimate], records: Sequence[int]) -> Estimate:
         """Rows of slots of records, put in the order of the actuators."""
         slots = [self.schedule.slots(record) for record in records]
-        actuator, gain = np.concatenate([one[0] for one in slots]), np.concatenate([one[2] for one in slots])
+        actuator, gain = np.concatenate([slot[0] for slot in slots]), np.concatenate([slot[2] for slot in slots])
         return Estimate.joined(estimates).by_actuator(actuator, gain)
 
 

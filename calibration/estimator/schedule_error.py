@@ -157,5 +157,5 @@ def _fitted(place: Float64Array, late: Float64Array) -> tuple[float, float, floa
         if best is None or found.cost < best.cost:
             best = found
     assert best is not None
-    rate, level, floor = (float(one) for one in best.x)
+    rate, level, floor = (float(parameter) for parameter in best.x)
     return rate, level, floor

@@ -117,9 +117,9 @@ class SequentialEstimator:
         if self._schedule is None:
             return found
         slots = [self._schedule.slots(record) for record in range(records)]
-        gain = np.array([one[2][0] for one in slots], dtype=np.float32)
+        gain = np.array([slot[2][0] for slot in slots], dtype=np.float32)
         return replace(found, green=found.green / gain[:, None]).by_actuator(
-            np.concatenate([one[0] for one in slots]), gain
+            np.concatenate([slot[0] for slot in slots]), gain
         )
 
     def _estimate(

@@ -128,7 +128,7 @@ class StaggeredEstimator:
         periods = samples / (self._period * clock.ratio)
         coherence, repeat_db = self._repeatability(decimated, answered, turn, periods)
         here = self._in_band
-        whole, unexplained = (float(np.vdot(one[here], one[here]).real) for one in (data, solution.left))
+        whole, unexplained = (float(np.vdot(values[here], values[here]).real) for values in (data, solution.left))
         variance = unexplained / (self._share * fit.left_share * fit.elements)
         level = float(np.square(np.abs(base) * self._period / 2).sum() / self._nominal_power.sum())
         # Noise is recorded during silence too; over more than a period it is averaged.

@@ -117,7 +117,7 @@ class _Fit:
         rate_hz, band_hz, taps = records.sample_rate_hz, records.band_hz, records.taps
         _, delay_s, gain = records.schedule.slots(first)
         self._taps, self._gain = taps, gain
-        self._samples = [one.size for one in references]
+        self._samples = [reference.size for reference in references]
         self._lead = int(np.ceil(delay_s.max() * rate_hz)) + taps
         self._length = scipy.fft.next_fast_len(max(self._samples) + self._lead, real=True)
         hertz = scipy.fft.rfftfreq(self._length, 1 / rate_hz)
@@ -127,9 +127,9 @@ class _Fit:
         self._slots = gain[:, None] * np.exp(
             -2j * np.pi * hertz * (delay_s[:, None] - records.channels.inter_channel_delay_s)
         )
-        self._spectra = [scipy.fft.rfft(one, self._length) for one in references]
+        self._spectra = [scipy.fft.rfft(reference, self._length) for reference in references]
         self._references, self._responses = references, responses
-        power = sum(np.square(np.abs(one)) for one in self._spectra) * np.square(gain).mean()
+        power = sum(np.square(np.abs(spectrum)) for spectrum in self._spectra) * np.square(gain).mean()
         self._median = float(np.median(power[self._in_band])) if self._in_band.any() else 0.0
         if not self._median > 0:
             raise ReferenceMissingError("the reference is silent in band_hz", "silence")
@@ -145,43 +145,49 @@ class _Fit:
         first = 0
         green, left = self._solved(first)
         if self._may_run():
-            early = sum(self._energy(one[: self._lead]) for one in left) / (self._lead * len(left))
-            later = sum(self._energy(one[self._lead :]) for one in left) / sum(one.size - self._lead for one in left)
+            early = sum(self._energy(residual[: self._lead]) for residual in left) / (self._lead * len(left))
+            later = sum(self._energy(residual[self._lead :]) for residual in left) / sum(
+                residual.size - self._lead for residual in left
+            )
             if early > RUNNING * later:
                 first = self._lead
                 green, left = self._solved(first)
-        whole = sum(self._energy(one[first:]) for one in self._responses)
-        unexplained = sum(self._energy(one[first:]) for one in left)
-        rows = sum(one - first for one in self._samples) * self._band_share
+        whole = sum(self._energy(response[first:]) for response in self._responses)
+        unexplained = sum(self._energy(residual[first:]) for residual in left)
+        rows = sum(samples - first for samples in self._samples) * self._band_share
         noise = unexplained * rows / self._free(first)
-        each = np.array([np.square(one).sum() for one in green * self._gain[:, None]]) + FLOOR
+        each = np.array([np.square(row).sum() for row in green * self._gain[:, None]]) + FLOOR
         noise_v = np.sqrt(unexplained / self._free(first))
         return _Solution(green, each / each.sum(), whole, unexplained, noise, float(noise_v))
 
     def _may_run(self) -> bool:
         """Whether the references go on after their first samples, and are long enough to leave those out."""
-        rest = sum(one - self._lead for one in self._samples)
+        rest = sum(samples - self._lead for samples in self._samples)
         if min(self._samples) <= 2 * self._lead or rest <= MIN_SHARE * self._taps * len(self._gain):
             return False
-        begin = sum(float(np.square(one[: self._lead]).sum()) for one in self._references) / self._lead
-        later = sum(float(np.square(one[self._lead :]).sum()) for one in self._references) * len(self._samples) / rest
+        begin = sum(float(np.square(reference[: self._lead]).sum()) for reference in self._references) / self._lead
+        later = (
+            sum(float(np.square(reference[self._lead :]).sum()) for reference in self._references)
+            * len(self._samples)
+            / rest
+        )
         return begin < LOUDER * later
 
     def _free(self, first: int) -> float:
         """Directions in band that the taps leave free."""
-        rows = sum(one - first for one in self._samples) - len(self._gain) * self._taps
+        rows = sum(samples - first for samples in self._samples) - len(self._gain) * self._taps
         return float(max(rows * self._band_share, 1.0))
 
     def _solved(self, first: int) -> tuple[Float64Array, list[Float64Array]]:
         """FIRs (slots, taps), and what they leave of each record, from sample `first` on."""
-        wanted = self._seen([one if not first else _silenced(one, first) for one in self._responses])
+        wanted = self._seen([response if not first else _silenced(response, first) for response in self._responses])
         green, ridge = np.zeros_like(wanted), RIDGE * self._median
         left: list[Float64Array] = []
         for _ in range(2):
             inverse = circulant_inverse(self._kernel, ridge)
-            green = conjugate_gradients(lambda one: self._gram(one, first), wanted, ridge, inverse, green)
-            left = [one - shown for one, shown in zip(self._responses, self._shown(green), strict=True)]
-            variance = sum(self._energy(one[first:]) for one in left) / self._free(first)
+            green = conjugate_gradients(lambda taps: self._gram(taps, first), wanted, ridge, inverse, green)
+            left = [response - shown for response, shown in zip(self._responses, self._shown(green), strict=True)]
+            variance = sum(self._energy(residual[first:]) for residual in left) / self._free(first)
             energy = float(np.square(green).mean())
             likely = min(max(variance / energy, ridge), MAX_RIDGE * self._median) if energy > 0 else ridge
             if likely <= 2 * ridge:
@@ -191,7 +197,7 @@ class _Fit:
 
     def _gram(self, green: Float64Array, first: int) -> Float64Array:
         outside = scipy.fft.irfft(scipy.fft.rfft(green, self._ring) * self._outside, self._ring)[:, : self._taps]
-        return np.asarray(self._seen([_silenced(one, first) for one in self._shown(green)]) + outside)
+        return np.asarray(self._seen([_silenced(response, first) for response in self._shown(green)]) + outside)
 
     def _shown(self, green: Float64Array) -> list[Float64Array]:
         """Responses that FIRs (slots, taps) make."""
@@ -204,8 +210,8 @@ class _Fit:
     def _seen(self, responses: Sequence[Float64Array]) -> Float64Array:
         """What responses say of each tap: the adjoint of `_shown`."""
         total: Complex128Array = np.zeros(self._length // 2 + 1, dtype=np.complex128)
-        for one, reference in zip(responses, self._spectra, strict=True):
-            total += scipy.fft.rfft(one, self._length) * reference.conj()
+        for response, reference in zip(responses, self._spectra, strict=True):
+            total += scipy.fft.rfft(response, self._length) * reference.conj()
         return np.asarray(scipy.fft.irfft(total * self._slots.conj(), self._length)[:, : self._taps])
 
     def _energy(self, signal: Float64Array) -> float:

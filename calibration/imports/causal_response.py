@@ -93,8 +93,8 @@ def frequency_axis(frequency_hz: Float64Array, sample: ComplexArray) -> Frequenc
         if number[0] == -last - 1:  # half the rate stands at its negative place alone
             kept = np.append(kept, last + 1)
         at = dict(zip(number.tolist(), order.tolist(), strict=True))
-        take = np.array([at.get(one, at[-one]) for one in kept.tolist()], np.int64)
-        return FrequencyAxis(step_hz, take, kept, np.array([at[-one] for one in kept.tolist()], np.int64), count)
+        take = np.array([at.get(step, at[-step]) for step in kept.tolist()], np.int64)
+        return FrequencyAxis(step_hz, take, kept, np.array([at[-step] for step in kept.tolist()], np.int64), count)
     half = sample[..., 1 : (count + 1) // 2]
     upper = np.conj(sample[..., : count // 2 : -1])[..., : half.shape[-1]]
     largest = float(np.abs(sample).max(initial=0.0))
@@ -225,10 +225,10 @@ class TimeOfEnergy:
         middle = energy[:, half : half + quarter].sum(axis=1)
         before = energy[:, period - quarter : period - guard].sum(axis=1)
         last = energy[:, period - guard - period // 10 : period - guard].sum(axis=1)
-        level = [10 * math.log10(max(float(one.sum() / whole.sum()), 1e-16)) for one in (last, before)]
+        level = [10 * math.log10(max(float(part.sum() / whole.sum()), 1e-16)) for part in (last, before)]
         said = [f"energy in the last tenth of the period {level[0]:.1f} dB, before zero {level[1]:.1f} dB"]
         early = (before > EARLY * whole) & (before > 2 * middle)
-        backwards = np.array([self._rises(one) for one in energy])
+        backwards = np.array([self._rises(row) for row in energy])
         warnings = []
         for found, share, where, words in (
             (early & backwards, before, "before zero", "conjugated (of the time convention exp(-i omega t)) or"

@@ -63,10 +63,10 @@ def choose_projection(places_m: Float64Array, columns: str) -> Projection:
     extent = float(np.linalg.norm(np.ptp(places_m, axis=0)))
     spread = np.ptp(places_m, axis=0)
     if columns:
-        names = [one.strip() for one in columns.split(",")]
+        names = [name.strip() for name in columns.split(",")]
         if len(names) != 2 or names[0] == names[1] or not set(names) <= set(_NAMES):
             raise InputError(f"--columns is {columns!r}; two of x, y and z are needed, as x,y")
-        first, second = (_NAMES.index(one) for one in names)
+        first, second = (_NAMES.index(name) for name in names)
         third = 3 - first - second
         axes = np.eye(3)[[first, second]]
         off = float(spread[third]) / 2
