@@ -190,7 +190,7 @@ def evaluate(
     range_v: Configured input ranges in volts of (reference, response); an attempt may have had a larger one.
     limits: When the position is good enough.
     distance_mm, float64 (actuators,): From the actuators to the position.
-    before_db: Level of the reference at the positions before, as of `wavefocus.acquisition.judgement.judge`.
+    before_db: Level of the reference at the positions before, see `wavefocus.acquisition.judgement.judge`.
     """
     if recorded.attempt.response_range_v is not None:
         range_v = (range_v[0], recorded.attempt.response_range_v)
@@ -301,7 +301,7 @@ def attempts_again(
 ) -> list[Attempt]:
     """The tries of the next pass over all that is not valid, if there is one.
 
-    Which positions have had a pass shows in the numbers of their tries alone: pass `n` counts from
+    Which positions have had a pass shows only in the numbers of their tries: pass `n` counts from
     ``n * max_attempts + 1``, however few tries came before. So a campaign that is killed in a pass goes on where
     it was. What was over-range starts with the largest range.
 
@@ -328,7 +328,7 @@ def attempts_again(
 def is_futile(order: Int64Array, status: NDArray[np.uint8], attempts: Int64Array, before: int) -> bool:
     """Whether the latest positions that a pass measured again have all stayed as they were.
 
-    order, status, attempts: As of `attempts_again`.
+    order, status, attempts: See `attempts_again`.
     before: Tries that a position can have had before the pass.
     """
     latest = order[attempts[order] > before][-FUTILE_IN_A_ROW:]

@@ -75,7 +75,7 @@ class Probe:
     def compare(self, output: int | None) -> Figures:
         """Play the loopback, and one output with it, and compare the two inputs.
 
-        output: The output; None for the loopback alone.
+        output: The output; None for the loopback by itself.
 
         Raises ReferenceMissingError: no signal from the loopback at the reference input. ResponseMissingError: no
         signal at the response input. NotMeasuredError: the signal reaches the end of an input's range. InstrumentError:
@@ -94,7 +94,7 @@ class Probe:
     def detects(self, output: int | None) -> bool:
         """Whether the response input has a cable to what plays: the loopback, and one output with it.
 
-        output: The output; None for the loopback alone.
+        output: The output; None for the loopback by itself.
 
         Raises NotMeasuredError: the loopback is not on the reference input. InstrumentError: of the instrument that
         failed for good.

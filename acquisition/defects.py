@@ -23,7 +23,7 @@ STRONG_SNR_DB = 20.0
 FARTHER_STRONG = 3
 # Without light the vibrometer is louder than this times the usual noise.
 LOUD_NOISE = 2.0
-# A record that leaves nearly all of itself unexplained, and far more than the quietest, is no response at all.
+# A record that leaves nearly all of itself unexplained, and far more than the quietest, is not a response.
 NOISE_ALONE_DB = -3.0
 # Name of the defect that is the reference's, not the response's.
 REFERENCE_LEVEL = "reference level"
@@ -67,7 +67,7 @@ def named_defects(
 ) -> tuple[RecordDefect, ...]:
     """Name what the figures of an attempt's records show.
 
-    Of one record the defect that explains the others is named alone: a lost sample also leaves a burst.
+    Of one record only the defect that explains the others is named: a lost sample also leaves a burst.
 
     estimate: Figures of all records of the attempt.
     limits: From where on they count.

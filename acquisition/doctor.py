@@ -345,7 +345,7 @@ def check_silence(recorder: Recorder, sample_rate_hz: float, range_v: tuple[floa
 
 
 def check_loopback(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> list[Finding]:
-    """Play on the loopback alone: level, latency, clock ratio and what else is on the line.
+    """Play only on the loopback: level, latency, clock ratio and what else is on the line.
 
     Raises InstrumentError: of the player or the recorder.
     """
@@ -392,7 +392,7 @@ def check_loopback(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> l
 
 
 def measured_crosstalk(setup: Setup, recording: Recording, sample_rate_hz: float) -> Crosstalk:
-    """The leak in a record of the loopback alone, which no actuator answers."""
+    """The leak in a record of only the loopback, which no actuator answers."""
     return crosstalk_of_record(
         recording.volts[0],
         recording.volts[1],
@@ -404,7 +404,7 @@ def measured_crosstalk(setup: Setup, recording: Recording, sample_rate_hz: float
 
 
 def crosstalk_alone(setup: Setup, place_mm: Sequence[float], amplitude_v: float, sample_rate_hz: float) -> Crosstalk:
-    """Measure the leak: play on the loopback alone, the beam on a place where light comes back.
+    """Measure the leak: play only on the loopback, the beam on a place where light comes back.
 
     Raises InstrumentError: of the instrument that failed.
     """

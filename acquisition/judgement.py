@@ -21,7 +21,7 @@ from wavefocus.calibration.estimator.estimate import Estimate
 from wavefocus.config.limits import QualityLimits
 from wavefocus.storage.point_status import Status
 
-# A Green's function that is no farther from another than this is the same, whatever the noise.
+# Green's functions that differ by at most this are the same, whatever the noise.
 SAME = 0.02
 # Two measurements differ by more than so many times what their noise explains.
 OVER_NOISE = 5.0
@@ -33,7 +33,7 @@ PER_MM = 0.6
 class PositionRow:
     """One measurement of a position.
 
-    spectrum, complex128 (actuators, bins): Green's functions in the band of the sweep, as of `in_band`.
+    spectrum, complex128 (actuators, bins): Green's functions in the band of the sweep, see `in_band`.
     snr_db, float32 (actuators,): Signal-to-noise ratios, NaN where unknown.
     moved_mm: Distance from the position; NaN where unknown.
     """
@@ -162,7 +162,7 @@ def judge(
         attempt's records stands for it.
     calibrated: Whether the played signal is calibrated, so that the level of the reference can be judged.
 
-    Returns ``Status.VALID`` alone, or the bits of all that is wrong.
+    Returns ``Status.VALID``, or the bits of all that is wrong.
     """
     dead = dead_records(estimate)
     finite = np.isfinite(estimate.snr_db) & np.isfinite(estimate.residual_db) & np.isfinite(estimate.noise_v)

@@ -50,7 +50,7 @@ class DriftFigures:
         """What such figures come from; empty where they are steady.
 
         The shape of a response changes from place to place, so that a low correlation is another place (or another
-        plate); a gain changes the level alone, a clock or a filter the delay alone.
+        plate); a gain changes only the level, a clock or a filter only the delay.
         """
         word = self.verdict(limits)
         if word == "steady":
@@ -97,7 +97,7 @@ def compare_sentinel(
         np.full(len(first), np.inf) if snr_db is None else np.nan_to_num(snr_db.astype(np.float64), nan=np.inf)
         for snr_db in (snr_then_db, snr_now_db)
     ]
-    # A response that has vanished since is no noise: what was clear then decides.
+    # A response that has vanished since is not noise: what was clear then decides.
     clear = snr_db[0] >= min(CLEAR_DB, float(np.max(snr_db[0], initial=-np.inf)))
     first, second = first[clear], second[clear]
     length = 2 * first.shape[1]
@@ -134,7 +134,7 @@ class DriftPoint:
     """The sentinel position measured again, against its first measurement.
 
     at: When, with a time zone.
-    level_db, delay_samples, correlation: As of `wavefocus.acquisition.limits.DriftFigures`.
+    level_db, delay_samples, correlation: See `DriftFigures`.
     verdict: ``"steady"``, ``"warn"`` or ``"stop"``.
     suspect: Positions measured since it was last steady, where the verdict is to stop.
     """

@@ -36,7 +36,7 @@ UNCONFIRMED = Judgement(Status.POOR_SIGNAL, _SENTENCE, 0.0, (RecordDefect("uncon
 class NeighbourWatch:
     """Judges what the bank holds, and a repeat before it is committed.
 
-    Verdicts depend on the bank alone, so that a campaign that is killed anywhere goes on as one that is not: until a
+    Verdicts depend only on the bank, so that a campaign that is killed anywhere goes on as one that is not: until a
     pass replaces it, a row that is marked counts as it did before.
 
     plan: Where positions and actuators are.
@@ -87,7 +87,7 @@ class NeighbourWatch:
                     unjudgeable=judgement is UNCONFIRMED,
                 )
                 yield position, judgement
-        # Sessions for some scenes alone leave no note: the rest of the campaign is judged with theirs.
+        # Sessions for some scenes only leave no note: the rest of the campaign is judged with theirs.
         if len(covered) == self._plan.positions and not self.is_done(covered):
             self._bank.amend(int(covered[-1]), neighbour_round=len(covered), unjudgeable=False)
 

@@ -201,7 +201,7 @@ def expect(plan: Plan, margins: RecordMargins, snr_db: float = ASSUMED_SNR_DB) -
     """Expect hours and errors of a plan under both models of noise.
 
     rolls: How long a record is before and after its signal.
-    snr_db: Response of one actuator that sounds alone, while it sounds, over the noise from 0 to half the sample rate.
+    snr_db: Response of one actuator by itself, while it sounds, over the noise from 0 to half the sample rate.
     """
     signal, excitation = plan.staggered, plan.excitation
     rate_hz = excitation.sample_rate_hz

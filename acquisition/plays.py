@@ -116,7 +116,7 @@ def raw_header(plan: Plan, setup: Setup, *, rig_json: str, run_json: str, softwa
 
     setup: With what. One count is a 32768th of the range that the campaign begins with: counts of the widest range
         would bury quiet positions in their rounding.
-    rig_json, run_json, software: As of the bank's header.
+    rig_json, run_json, software: See the bank's header.
     """
     excitation, signal, used = plan.excitation, plan.staggered, used_samples(plan, setup)
     channels = channels_of(setup)

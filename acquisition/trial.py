@@ -225,7 +225,7 @@ def run_trial(
     """Measure one position by every schedule that comes into question, and choose.
 
     plan: The staggered plan that was asked for.
-    allowed_loss_db: As of `wavefocus.acquisition.trial.choose`.
+    allowed_loss_db: See `choose`.
     publish: Receives every passing fault, and what is done about it, as in a campaign.
 
     Raises InputError: the responses ring longer than the plan's taps, or no attempt has a usable reference.

@@ -3,7 +3,7 @@
 =============================  ==================================================================
 `excitation`                   `PlayedExcitation`, `StaggeredSignal`: what plays; `waveforms` has a module for each
 `clock.timing`                 `ClockFitter`, `to_playback_clock`: start offset and clock ratio
-`clock.foreign_excitation`                 what another program played, from its reference channel alone
+`clock.foreign_excitation`                 what another program played, from only its reference channel
 `estimator.sequential`         `SequentialEstimator`; `estimator.staggered` has `StaggeredEstimator`
 `estimator.raw_estimation`     `estimate_positions`: kept recordings of any program into responses
 `estimator.defect_finder`      `DefectFinder`: what a fit leaves unexplained

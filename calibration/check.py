@@ -29,14 +29,14 @@ from wavefocus.storage.point_status import median_of_pairs, row_ranges, usable
 from wavefocus.storage.raw.header import RAW
 from wavefocus.storage.raw.writer import RawRows, open_raw
 
-# A response this far from the median of all valid positions is no neighbour of them: ten times in amplitude.
+# A response this far from the median of all valid positions is not a neighbour of them: ten times in amplitude.
 _RMS_OUTLIER = 10.0
 # An actuator this far below the median of the others moves nothing: -40 dB.
 _DEAD_ACTUATOR = 0.01
 # The last tenth of the taps against the strongest tenth, in energy: -40 dB.
 _TAIL_DB = -40.0
 _TENTHS = 10
-# Fewer positions are no grid.
+# Fewer positions are not a grid.
 _NEIGHBOURHOOD = 9
 
 
@@ -85,7 +85,7 @@ def check_ledger(rows: LedgerReader, path: Path) -> Iterator[BankProblem]:
     """
     if bank_owner(path) is not None:
         return
-    # Only a writer that did not come to its end leaves its name; what it cut off is no damage.
+    # Only a writer that did not come to its end leaves its name; what it cut off is not damage.
     cut_off: Literal["error", "warning"] = "warning" if owner_path(path).exists() else "error"
     state = rows.journal_state()
     if state == "whole":

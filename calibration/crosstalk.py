@@ -61,7 +61,7 @@ ROW_DELAYS = (0.0, 0.05, 0.1, 0.2, 0.3, 0.5)
 RELATIVE = 50.0
 """Where the response input's sensitivity is unknown, 1e-4 stands for -46 dB of the median row."""
 MAX_ROW = 1e9
-"""Values beyond, in V per V, are no rows."""
+"""Values beyond, in V per V, are not rows."""
 SHARES = np.geomspace(1e-6, 1.0, 31)
 """Magnitudes tried first."""
 

@@ -22,7 +22,7 @@ from wavefocus.calibration.numerics import evenly_spread, on_a_line
 from wavefocus.calibration.wave_model import Patch, PatchKernel, WaveModel, fit_waves
 
 PENALTY = 4.0
-"""In standard deviations of a factor that is fitted alone."""
+"""In standard deviations of a factor that is fitted by itself."""
 SUPPORT = 0.015
 """Factors nearer to 1 than this are 1."""
 ROUNDS = 12
@@ -195,7 +195,7 @@ class RowsPredicted:
         return np.asarray((left @ known)[:, 0].T), np.asarray(left[:, 0, 0].real)
 
     def at(self, position: int, offset_mm: Float64Array) -> Complex128Array:
-        """Rows at places near a position, from its neighbours alone, (places, actuators, frequencies)."""
+        """Rows at places near a position, from its neighbours only, (places, actuators, frequencies)."""
         patch = self.patches[position]
         kernel = PatchKernel(self.waves, patch.offset_mm[1:])
         weights = kernel.weights(offset_mm)
@@ -265,7 +265,7 @@ def _shapes(
         offset = (place_mm[index[place]] - place_mm[place]) / spacing_mm
         fine = np.rint(offset / SAME_SPACINGS)
         ring = np.rint(distance[place] / SAME_SPACINGS)
-        # A position measured twice is no neighbour of itself.
+        # A position measured twice is not its own neighbour.
         apart = (ring > 0) & (distance[place] <= FURTHEST_SPACINGS)
         within = int(np.count_nonzero(apart & (distance[place] <= REACH_SPACINGS)))
         count = min(max(within, WANTED_NEIGHBOURS), MAX_NEIGHBOURS)

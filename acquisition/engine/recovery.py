@@ -186,7 +186,7 @@ class Suspension:
     ) -> tuple[Recording, ...]:
         """Records of an attempt, taken again after each suspension.
 
-        A condition that has left its band at one position alone (a dark spot) is for the point quality to judge: where
+        A condition that has left its band at only one position (a dark spot) is for the point quality to judge: where
         the last good position is still good, the session is not suspended.
 
         Raises SuspendedTooLongError: the conditions did not come back in time. StoppedWhileWaitingError: a person asked

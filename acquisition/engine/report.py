@@ -56,7 +56,7 @@ class CampaignReport:
             pace.attempt_done(working_s)
 
     def sentinel_done(self) -> None:
-        """The sentinel's measurement came to its end; it is no position."""
+        """The sentinel's measurement came to its end; it is not a position."""
         for pace, working_s in zip(self._pace, self._session.working_s(), strict=True):
             pace.sentinel_done(working_s)
 

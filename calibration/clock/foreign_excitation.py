@@ -1,4 +1,4 @@
-"""What another program played, and on which clock, from reference channels alone: periodic, or sweeps with silence."""
+"""What another program played, and on which clock, from its reference channels: periodic, or sweeps with silence."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ def period_spectrum(sums: Complex128Array, turn: float, samples: int) -> Complex
     """Amplitudes of the ring's frequencies by least squares, from the Fourier sums of recordings at them.
 
     Over whole periods these would be proportional; over any other length the frequencies leak into each
-    other, by a kernel that depends on the difference of two alone, so the system is Toeplitz.
+    other, by a kernel that depends only on the difference of two, so the system is Toeplitz.
 
     sums, complex128 (records, bins): Sums over n = 0 ... samples - 1 of ``recording[n] * exp(-j n m turn)`` for m = 0
         ... bins - 1.
@@ -120,7 +120,7 @@ MAX_BLOCK = 160
 
 
 class BandSpectrum:
-    """Discrete Fourier transform of segments of one period, in some low bins alone.
+    """Discrete Fourier transform of segments of one period, in only some low bins.
 
     The segment, taken as periodic, is low-pass filtered and decimated in one matrix product, then transformed.
     A response and its reference go through the same filter; the spectra are corrected for it all the same.

@@ -1,4 +1,4 @@
-"""Where each sweep lies in a record, and its spectrum, from the reference channel alone."""
+"""Where each sweep lies in a record, and its spectrum, from only the reference channel."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class RepeatFinder:
 
     The phase of segment over nominal spectrum is a sum of known curves: the frequency (delay), the frequency times the
     nominal group delay (stretch by the clock ratio), and what coupling capacitors turn. Any excitation that is repeated
-    will do; where all its energy comes at once, the repeats' distances alone show the clocks' ratio.
+    will do; where all its energy comes at once, only the repeats' distances show the clocks' ratio.
 
     excitation: What was played.
     room_samples: Silence to spare after a response of L taps.

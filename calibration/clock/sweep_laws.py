@@ -169,13 +169,13 @@ def _fit(
     if sweep_samples is not None and abs(length / sweep_samples - 1) > LENGTH_SHARE:
         return None
     # One sweep by itself: place and length.
-    alone = SweepLaw(law, *ends, [0.0], float(length if sweep_samples is None else sweep_samples))
-    found = _refined(recording, alone, offset, length / alone.samples)
+    single = SweepLaw(law, *ends, [0.0], float(length if sweep_samples is None else sweep_samples))
+    found = _refined(recording, single, offset, length / single.samples)
     if found is None:
         return None
     offset, ratio, _ = found
-    samples = roundest(ratio * alone.samples, sample_rate_hz, 0.0) if sweep_samples is None else sweep_samples
-    ratio = ratio * alone.samples / samples
+    samples = roundest(ratio * single.samples, sample_rate_hz, 0.0) if sweep_samples is None else sweep_samples
+    ratio = ratio * single.samples / samples
     # All sweeps together, each a whole number of playback samples after the first.
     every = _all_starts(recording, offset, ratio, samples, starts, period)
     joint = _refined(recording, SweepLaw(law, *ends, every, float(samples)), offset, ratio)

@@ -160,7 +160,7 @@ class ToeplitzFit:
     response makes the error least. It does to the directions that the sweep hardly excites what the garrote does
     in `CausalFit`.
 
-    omega, power, period, taps, ridge: As of `CausalFit`.
+    omega, power, period, taps, ridge: See `CausalFit`.
     """
 
     def __init__(self, omega: Float64Array, power: Float64Array, period: int, taps: int, ridge: float) -> None:

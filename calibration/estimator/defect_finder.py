@@ -116,7 +116,7 @@ LEAKS = 3.0
 BLURS = 0.36
 # With 500 steps rounding is at -64 dB of the response.
 STEPS_MATTER_DB = -64.0
-# Residuals below -75 dB of the response are left alone.
+# Residuals below -75 dB of the response are ignored.
 MIN_RESIDUAL_SHARE = 10**-7.5
 FLOOR = 1e-30
 
@@ -276,7 +276,7 @@ class DefectFinder:
         )
 
     def _beyond_noise(self, left: Float64Array, differing: Float64Array) -> Float64Array:
-        """Energy per sweep that differs and is no noise; 0 where noise explains it.
+        """Energy per sweep that differs and is not noise; 0 where noise explains it.
 
         left, differing, float64 (records,): What the fit leaves of the mean, and what the sweeps differ by, per sweep.
         """
@@ -386,7 +386,7 @@ class DefectFinder:
         gained = np.square(over) * strength
         spread = np.maximum(energy(differing).sum(axis=-1).astype(np.float64) - gained, FLOOR)
         freedom = 2 * self._omega.size
-        # Something that happens in one sweep is no level of it: then the others differ less.
+        # Something that happens in one sweep is not its level: then the others differ less.
         found = gained.max(axis=1) * freedom > STEP_SIGNIFICANCE * spread.max(axis=1)
         defects["step_db"] = np.where(found, _db(gained.sum(axis=1), whole), -np.inf)
         farthest = np.abs(over).argmax(axis=1)[:, None]
@@ -422,7 +422,7 @@ def few_steps(
 ) -> Float32Array:
     """Converter steps of records that reach few and whose noise does not blur them, (records,); NaN elsewhere.
 
-    noise_v, residual_db, (records,): As of an `Estimate`.
+    noise_v, residual_db, (records,): See `Estimate`.
     """
     steps, blurs = np.full(len(response_v), np.nan, np.float32), BLURS * np.sqrt(averages)
     for record in np.flatnonzero(residual_db > STEPS_MATTER_DB).tolist():

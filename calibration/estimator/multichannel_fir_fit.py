@@ -186,7 +186,7 @@ class JointFit:
         unexplained = float(np.vdot(left, left).real)
         variance = unexplained / self._left_over
         found = found[:, self._chosen]
-        # What the noise alone would put there is no energy of the response.
+        # The energy that noise leaves there is not the response's.
         energy = np.square(found).sum(axis=0, dtype=np.float64) - found.shape[0] * variance
         squared = np.maximum(np.square(found[self._weak]), np.float32(1e-30))
         noise = np.float32(GARROTE * variance) * self._spread[:, None]

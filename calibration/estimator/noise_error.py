@@ -24,7 +24,7 @@ def noise_error_db(
     The ratio compares energies before the fit, over all bins of a period; a causal FIR of `response_s` seconds takes up
     only the noise of its own degrees of freedom, so that its error is lower by their share.
 
-    snr_db, any shape: Signal-to-noise ratio in band of the records, as of `Estimate`; NaN where unknown.
+    snr_db, any shape: Signal-to-noise ratio in band of the records, see `Estimate`; NaN where unknown.
     band_hz: Lowest and highest frequency of the sweep in Hz.
     response_s: Length of the FIRs in seconds, > 0.
     period_s: Sweep and silence (staggered: a period of the record) in seconds, > 0.

@@ -21,7 +21,7 @@ def expected_error_db(
     noise leaves so many times its own energy per sample; the response has the energy of all samples in
     which its sweep sounded.
 
-    snr_db: Response of one actuator that sounds alone, while it sounds, over the noise from 0 to half the sample rate.
+    snr_db: Response of one actuator by itself, while it sounds, over the noise from 0 to half the sample rate.
     sounding_s: How long the sweep of each actuator sounds in all records of a position together, > 0.
     loudness: By how much the energy of the noise grows when several actuators sound together, >= 1.
     band_hz: Band of the sweep in Hz.

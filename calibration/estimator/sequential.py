@@ -26,7 +26,7 @@ DENSE_ELEMENTS = 1 << 23
 class SequentialEstimator:
     """Averaged H1 from the recorded reference, then least squares for a causal FIR of L taps.
 
-    Everything that is computed once depends on the configuration alone, so that the same recordings give the
+    Everything that is computed once depends only on the configuration, so that the same recordings give the
     same bytes in whatever order they come. Safe to call from several threads.
 
     excitation: What each record plays.

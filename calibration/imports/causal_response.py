@@ -90,7 +90,7 @@ def frequency_axis(frequency_hz: Float64Array, sample: ComplexArray) -> Frequenc
         last = int(kept[-1])
         if number[0] not in (-last, -last - 1) or kept[0] != 0:
             return FrequencyAxis(step_hz, order[number >= 0], kept, None, None)
-        if number[0] == -last - 1:  # half the rate stands at its negative place alone
+        if number[0] == -last - 1:  # half the rate stands only at its negative place
             kept = np.append(kept, last + 1)
         at = dict(zip(number.tolist(), order.tolist(), strict=True))
         take = np.array([at.get(step, at[-step]) for step in kept.tolist()], np.int64)
