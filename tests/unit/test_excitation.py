@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 import pytest
 
+import wavefocus as wf
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.calibration.waveforms import WAVEFORMS
@@ -105,3 +107,18 @@ def test_given_a_waveform_then_it_fills_its_band_at_its_peak_and_the_response_is
     assert found.coherence[0] > 0.9999
     harmonics = found.defects["harmonic_db"][0]
     assert not harmonics > -60
+
+
+@pytest.mark.parametrize("schedule", ["sequential", "staggered"])
+def test_given_a_multisine_in_the_run_then_a_campaign_ends_with_valid_rows(tmp_path: Path, schedule: str) -> None:
+    run = {
+        "sweep": {"waveform": "multisine", "duration_s": 0.3},
+        "capture": {"averages": 1, "excitation": schedule, "when_staggered_does_not_pay": "keep"},
+    }
+    rig = wf.virtual_rig(actuators=2, position_mm=[[0, 0], [5, 0]], run=run)
+    with rig.measure(tmp_path / "bank.h5") as bank:
+        assert bank.status.tolist() == [1, 1]
+        hertz = np.fft.rfftfreq(4 * bank.taps, 1 / bank.sample_rate_hz)
+        band = (hertz > 30) & (hertz < 480)
+        measured, true = (np.fft.rfft(green, 4 * bank.taps)[:, band] for green in (bank.green(0), rig.truth(0)))
+    assert np.linalg.norm(measured - true) < 0.02 * np.linalg.norm(true)
