@@ -36,8 +36,8 @@ STEPS = 60
 TOLERANCE_DB = 0.02
 RATE = 0.6
 """Exponent of the multiplicative step: a level falls with the first to second power of its multiplier."""
-LARGEST_STEP = 1.5
-LEAST, LARGEST = 1e-6, 1e6
+MAX_STEP = 1.5
+MIN_MULTIPLIER, MAX_MULTIPLIER = 1e-6, 1e6
 """Bounds of a multiplier over the reciprocal of its place's mean power."""
 CAP_STEPS = 12
 """Halvings of the range of multipliers, in decades, until the energy of the drives is met."""
@@ -250,12 +250,12 @@ class _Search:
 
     def find(self, level: Float64Array, most_energy: float) -> tuple[Multipliers, _Totals]:
         """The multipliers that meet the levels within the energy."""
-        most, start = most_energy * self.plain.drive, np.where(self.plain.level > level, 10.0, LEAST)
-        relative, slack, totals = self._met(start, level, LARGEST)
+        most, start = most_energy * self.plain.drive, np.where(self.plain.level > level, 10.0, MIN_MULTIPLIER)
+        relative, slack, totals = self._met(start, level, MAX_MULTIPLIER)
         if capped := totals.drive > most:
-            low, high = np.log10(LEAST), np.log10(LARGEST)
+            low, high = np.log10(MIN_MULTIPLIER), np.log10(MAX_MULTIPLIER)
             asked = relative
-            relative, slack, totals = self._met(np.full_like(start, LEAST), level, LEAST)
+            relative, slack, totals = self._met(np.full_like(start, MIN_MULTIPLIER), level, MIN_MULTIPLIER)
             for _ in range(CAP_STEPS):
                 middle = 0.5 * (low + high)
                 tried = self._met(np.minimum(asked, 10.0**middle), level, 10.0**middle)
@@ -268,7 +268,7 @@ class _Search:
 
     def unsteered(self, found: Multipliers) -> tuple[Multipliers, _Totals]:
         """Plain time reversal, but for what rounding leaves of the smallest multipliers."""
-        least = LEAST * self._unit
+        least = MIN_MULTIPLIER * self._unit
         return replace(found, of_place=least, slack=0.0), self._summed(self._filters(self._steered(least), 0.0))
 
     def totals(self, multiplier: Float64Array, slack: float, cut: Cut) -> _Totals:
@@ -283,10 +283,10 @@ class _Search:
             slack = self._slack([d for own in steered for _, d in own])
             totals = self._summed(self._filters(steered, slack))
             excess = np.log10(np.maximum(totals.level, TINY) / level)
-            done = (np.abs(excess) < TOLERANCE_DB / 10) | ((excess < 0) & (relative <= LEAST))
+            done = (np.abs(excess) < TOLERANCE_DB / 10) | ((excess < 0) & (relative <= MIN_MULTIPLIER))
             if last == STEPS - 1 or (done | ((excess > 0) & (relative >= ceiling))).all():
                 break
-            relative = np.clip(relative * 10.0 ** np.clip(RATE * excess, -LARGEST_STEP, LARGEST_STEP), LEAST, ceiling)
+            relative = np.clip(relative * 10.0 ** np.clip(RATE * excess, -MAX_STEP, MAX_STEP), MIN_MULTIPLIER, ceiling)
         return relative, slack, totals
 
     def _steered(self, multiplier: Float64Array) -> list[list[tuple[Complex128Array, Float64Array]]]:

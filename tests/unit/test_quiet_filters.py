@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from wavefocus.rendering.drive.quiet_filters import (
-    LARGEST,
+    MAX_MULTIPLIER,
     Focus,
     Moment,
     find_multipliers,
@@ -148,7 +148,7 @@ def test_given_an_infeasible_place_then_the_others_are_still_quiet():
     found = find_multipliers([moment_of(h, q, np.arange(3))], np.full(3, 1e-3), most_energy=10.0)
     assert found.level[0] > 0.9
     np.testing.assert_allclose(found.level[1:], 1e-3, rtol=0.05)
-    assert found.of_place.max() < LARGEST
+    assert found.of_place.max() < MAX_MULTIPLIER
 
 
 def test_given_sources_that_sound_alike_then_their_sum_is_kept_within_the_level():
