@@ -308,7 +308,7 @@ def _line(row: Row, columns: Sequence[str]) -> bytes:
         elif isinstance(value, float):
             if not math.isfinite(value):
                 raise ValueError(f"{value} is not finite")
-            cells.append(repr(value))
+            cells.append(repr(float(value)))  # a NumPy number would be written with its type
         else:
             cells.append("" if value is None else str(value))
     text = io.StringIO()

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import astuple, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -193,7 +194,7 @@ def test_given_any_texts_and_numbers_then_a_row_comes_back_to_the_bit(
     tmp_path_factory: pytest.TempPathFactory, text: str, number: float
 ) -> None:
     folder = tmp_path_factory.mktemp("answers")
-    row = replace(ROW, stimulus=text, answer=text, amplitude=number, reaction_s=number)
+    row = replace(ROW, stimulus=text, answer=text, amplitude=number, reaction_s=np.float64(number))
     if text.isprintable():
         stored(folder, row)
         assert astuple(read_answers(folder)[0]) == astuple(row)
