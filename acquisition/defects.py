@@ -129,7 +129,7 @@ _DEAD = _Kind(
 )
 _SILENT = _Kind(
     "silent",
-    "{records} is noise alone though actuators farther away have a signal: check that output's cable, "
+    "{records} is only noise though actuators farther away have a signal: check that output's cable, "
     "amplifier channel and actuator",
     Cure.NOTHING,
 )

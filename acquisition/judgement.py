@@ -236,7 +236,7 @@ def _unexplained(
     worst = int(which[0])
     if estimate.residual_db[worst] > NOISE_ALONE_DB:
         sentence = (
-            f"actuator {worst}'s record is noise alone, {excess_db[worst]:.1f} dB above the position's quietest "
+            f"actuator {worst}'s record is only noise, {excess_db[worst]:.1f} dB above the position's quietest "
             "record: no light came back to the vibrometer, or its cable is loose"
         )
         return [RecordDefect("lost record", tuple(which.tolist()), sentence, Cure.MOVE)]

@@ -99,9 +99,9 @@ class Campaign:
         self._crosstalk = CrosstalkWatch(plan, setup, bank)
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="estimate")
         self._queue: deque[Attempt] = deque()
-        self._covered = plan.order
-        self._recording = self._compared = self._judged = self._passing = False
-        self._fruitless: frozenset[int] = frozenset()
+        self._rows_of_session = plan.order
+        self._recording = self._sentinel_compared = self._neighbours_judged = self._in_pass = False
+        self._failed_before_pass: frozenset[int] = frozenset()
         self._pending: Future[AttemptResult] | None = None
         self._best: dict[int, AttemptResult] = {}
         self._replaceable: frozenset[int] = frozenset()
@@ -129,12 +129,12 @@ class Campaign:
         self._queue = deque(Attempt(row, int(self._bank.attempts[row]) + 1, 1) for row in rows.tolist())
         again = bool(len(rows)) and bool(np.all(status[rows]))
         if again or np.any(status[np.setdiff1d(self._plan.order, rows)] == 0):
-            self._covered = self._plan.order[np.isin(self._plan.order, rows)]
-        self._judged = again or self._neighbours.is_done(self._covered)
+            self._rows_of_session = self._plan.order[np.isin(self._plan.order, rows)]
+        self._neighbours_judged = again or self._neighbours.is_done(self._rows_of_session)
         state, reason = State.FINISHED, "every position is committed"
         try:
             names = self._recovery.retry_after_reconnect(lambda: names_of(self._setup.instruments))
-            self._report.start(rows, names, second_looks=not self._judged)
+            self._report.start(rows, names, second_looks=not self._neighbours_judged)
             with one_blas_thread(), self._worker:
                 self._walk()
             if self._stop.requested and (self._queue or self._due_again()):
@@ -169,7 +169,7 @@ class Campaign:
     def _next_step(self) -> Callable[[], None] | None:
         """Pauses, stops and the sentinel come between two positions: a position's repeats are finished first."""
         state, queue = self._session.state, self._queue
-        held = self._passing or self._drift.due or state in (State.PAUSING, State.STOPPING)
+        held = self._in_pass or self._drift.due or state in (State.PAUSING, State.STOPPING)
         if self._pending is not None and (held or not queue):
             return self._collect
         if queue and queue[0].of_session > 1:
@@ -178,13 +178,13 @@ class Campaign:
             return self._look_for_crosstalk
         if not queue and self._drift.owes_a_look and state is State.RUNNING:
             return self._drift.check_last
-        if not queue and not self._judged and np.all(self._bank.status[self._covered]):
+        if not queue and not self._neighbours_judged and np.all(self._bank.status[self._rows_of_session]):
             return self._mark
         if state is State.STOPPING or self._pass_is_futile() or not (queue or self._due_again()):
             return None
         if state is State.PAUSING:
             return self._pause
-        if not self._compared:
+        if not self._sentinel_compared:
             return self._compare_sentinel
         if queue:
             return self._check_again if self._drift.due else self._measure
@@ -192,12 +192,12 @@ class Campaign:
 
     def _pass_is_futile(self) -> bool:
         """Whether the latest positions of the pass have all stayed as they were, or a leak makes all of them poor."""
-        if self._passing and self._crosstalk.found is not None:
+        if self._in_pass and self._crosstalk.found is not None:
             return True
-        if not (self._passing and self._queue):
+        if not (self._in_pass and self._queue):
             return False
         before = self._queue[0].number - 1
-        return is_futile(self._covered, self._bank.status, self._bank.attempts, before)
+        return is_futile(self._rows_of_session, self._bank.status, self._bank.attempts, before)
 
     def _due_again(self) -> list[Attempt]:
         """The next pass, if there is one; the bank holds the number of each attempt.
@@ -206,7 +206,9 @@ class Campaign:
         """
         if self._crosstalk.found is not None or self._drift.is_off:
             return []
-        return attempts_again(self._covered, self._bank.status, self._bank.attempts, self._setup, self._plan.quality)
+        return attempts_again(
+            self._rows_of_session, self._bank.status, self._bank.attempts, self._setup, self._plan.quality
+        )
 
     def _measure(self) -> None:
         """Record an attempt while the one before is estimated, judged and committed."""
@@ -218,7 +220,7 @@ class Campaign:
 
     def _pause(self) -> None:
         self._suspension.pause()
-        if self._compared:
+        if self._sentinel_compared:
             self._drift.check_again()
 
     def _check_again(self) -> None:
@@ -246,13 +248,15 @@ class Campaign:
 
     def _compare_sentinel(self) -> None:
         """Before this session measures anything, see whether it is still the plate that the bank holds."""
-        self._compared = True
+        self._sentinel_compared = True
         self._drift.check()
 
     def _mark(self) -> None:
         """After the first round, what neighbours contradict or cannot judge is poor; no Ctrl-C lands in the worker."""
-        self._judged = True
-        for position, judgement in self._worker.submit(lambda: list(self._neighbours.mark(self._covered))).result():
+        self._neighbours_judged = True
+        for position, judgement in self._worker.submit(
+            lambda: list(self._neighbours.mark(self._rows_of_session))
+        ).result():
             self._report.marked(position, judgement)
 
     def _mark_suspects(self, positions: Sequence[int], reason: str) -> None:
@@ -264,8 +268,8 @@ class Campaign:
     def _begin_pass(self) -> None:
         """Give everything that is not valid another round."""
         due = self._due_again()
-        self._passing = True
-        self._fruitless = frozenset(
+        self._in_pass = True
+        self._failed_before_pass = frozenset(
             attempt.position for attempt in due if self._bank.status[attempt.position] == Status.FAILED
         )
         self._report.begin_pass(tuple(attempt.position for attempt in due))
@@ -317,14 +321,14 @@ class Campaign:
         position = attempt.position
         earlier = self._best.pop(position, None)
         result = self._neighbours.confirmed(
-            self._evaluate(recorded), earlier, repeat=self._judged, replaceable=position in self._replaceable
+            self._evaluate(recorded), earlier, repeat=self._neighbours_judged, replaceable=position in self._replaceable
         )
         final = is_final(attempt, result.judgement, limits)
         if final:
             result = self._crosstalk.judged(result)
         best = result if earlier is None else min((result, earlier), key=lambda candidate: candidate.rank)
         if final:
-            return commit_attempt(self._bank, best, attempt.number, self._raw, count_anyway=self._passing)
+            return commit_attempt(self._bank, best, attempt.number, self._raw, count_anyway=self._in_pass)
         self._best[position] = best
         following = next_attempt(
             attempt,
@@ -364,7 +368,7 @@ class Campaign:
         if not result.judgement.status & Status.FAILED:
             self._failed_in_a_row = 0
             return
-        if self._passing and result.attempt.position in self._fruitless:
+        if self._in_pass and result.attempt.position in self._failed_before_pass:
             return
         self._failed_in_a_row += 1
         if self._failed_in_a_row >= FAILED_IN_A_ROW:
