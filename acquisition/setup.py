@@ -12,6 +12,7 @@ from wavefocus.calibration import Float64Array
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.protocols import (
+    BlocksBeam,
     Clock,
     DeviceIdentity,
     Instruments,
@@ -196,13 +197,18 @@ def names_of(instruments: Instruments) -> tuple[str, str, str]:
 
 
 def silence(instruments: Instruments) -> list[InstrumentError]:
-    """Mute the player and drop a record under way, each whatever the other does.
+    """Mute the player, drop a record under way and close the shutter, if any, each whatever the others do.
 
     Returns what failed, with its role; empty when all is silent.
     """
     failures: list[InstrumentError] = []
-    roles: tuple[Role, Role] = ("player", "recorder")
-    for role, quieten in zip(roles, (instruments.player.mute, instruments.recorder.abort), strict=True):
+    steps: list[tuple[Role, Callable[[], None]]] = [
+        ("player", instruments.player.mute),
+        ("recorder", instruments.recorder.abort),
+    ]
+    if isinstance(instruments.mirror, BlocksBeam):
+        steps.append(("mirror", instruments.mirror.block))
+    for role, quieten in steps:
         try:
             with naming_role(role):
                 quieten()

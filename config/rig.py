@@ -31,6 +31,7 @@ from wavefocus.config.rig_instruments import (
     MirrorSection,
     PlayerSection,
     RecorderSection,
+    ShutterSection,
     VibrometerSection,
 )
 
@@ -395,6 +396,7 @@ class RigConfig(Table):
     recorder: RecorderSection = RecorderSection()
     player: PlayerSection
     vibrometer: VibrometerSection = VibrometerSection()
+    shutter: Annotated[ShutterSection | None, FREE] = None
     recovery: Annotated[RecoverySection, FREE] = RecoverySection()
     watch: Annotated[WatchSection, FREE] = WatchSection()
     messages: Annotated[MessagesSection, FREE] = MessagesSection()
@@ -475,8 +477,8 @@ class RigConfig(Table):
     def _check_of_one_kind(self) -> None:
         """Instruments are all virtual or all real."""
         one_world = "a rig's instruments are all virtual or all real"
-        for name in ("recorder", "player"):
-            driver = getattr(self, name).driver
+        for name in ("recorder", "player", "shutter"):
+            driver = getattr(getattr(self, name), "driver", self.mirror.driver)  # a shutter may be absent
             if (driver == "virtual") != self.is_virtual:
                 raise mistake(f"{name}.driver", driver, f'{one_world}, and mirror.driver is "{self.mirror.driver}"')
         if self.is_virtual and self.vibrometer.driver != "fixed":

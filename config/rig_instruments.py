@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from wavefocus.config.drivers import DriverTable, with_drivers
 from wavefocus.config.fields import ALWAYS, DERIVED, FREE, Finite, NonNegative, Positive, Text, Whole, like, mistake
 from wavefocus.drivers.daq.nidaqmx import ANALOG_INPUT
-from wavefocus.drivers.registry import MIRRORS, PLAYERS, RECORDERS, VIBROMETERS
+from wavefocus.drivers.registry import MIRRORS, PLAYERS, RECORDERS, SHUTTERS, VIBROMETERS
 
 DEFAULT_DISTANCE_MM = 1000.0
 Row = tuple[Finite, Finite, Finite]
@@ -174,6 +174,18 @@ class VibrometerSection(DriverTable):
 if not TYPE_CHECKING:
     RecorderSection = with_drivers(RecorderSection, RECORDERS)
     VibrometerSection = with_drivers(VibrometerSection, VIBROMETERS)
+
+
+class ShutterSection(DriverTable):
+    """What blocks the laser beam while it rests, and whenever something fails; nothing, if absent."""
+
+    opens_s: Annotated[NonNegative, Field(le=10), FREE] = Field(
+        default=0.02, description="Time that it takes to open or close"
+    )
+
+
+if not TYPE_CHECKING:
+    ShutterSection = with_drivers(ShutterSection, SHUTTERS)
 
 
 Channel = Annotated[Whole, Field(ge=0, le=4095)]

@@ -127,6 +127,28 @@ class Mirror(Instrument, Protocol):
 
 
 @runtime_checkable
+class Shutter(Instrument, Protocol):
+    """Blocks the laser beam, or holds an interlock."""
+
+    def open_beam(self) -> None:
+        """Let the beam through. Raises InstrumentError."""
+        ...
+
+    def block_beam(self) -> None:
+        """Block the beam. Safe to call at any time. Raises InstrumentError: whether it is blocked is unknown."""
+        ...
+
+
+@runtime_checkable
+class BlocksBeam(Protocol):
+    """A mirror that has a shutter, which is opened by `wait_settled` and closed at rest."""
+
+    def block(self) -> None:
+        """Close the shutter. Safe to call at any time, from any state. Raises InstrumentError."""
+        ...
+
+
+@runtime_checkable
 class Recorder(Instrument, Protocol):
     """Records the reference (loopback of the player) and the response (vibrometer)."""
 

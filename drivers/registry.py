@@ -17,7 +17,7 @@ from pkgutil import iter_modules
 from typing import TYPE_CHECKING, Any, Generic, Literal, Protocol, TypeVar, get_type_hints
 
 if TYPE_CHECKING:
-    from wavefocus.drivers.protocols import Clock, Mirror, Player, Recorder
+    from wavefocus.drivers.protocols import Clock, Mirror, Player, Recorder, Shutter
 
 
 class Named(Protocol):
@@ -253,9 +253,18 @@ class VibrometerDriver(Named, Protocol):
         ...
 
 
+class ShutterDriver(Named, Protocol):
+    """Opens a shutter; its fields are the keys of ``[shutter]`` that it has."""
+
+    def open(self) -> Shutter:
+        """Open the device, without moving it. Raises InstrumentError."""
+        ...
+
+
 MIRRORS: Registry[type[MirrorDriver]] = Registry("wavefocus.drivers.mirror", "wavefocus.mirrors", "open")
 RECORDERS: Registry[type[RecorderDriver]] = Registry("wavefocus.drivers.daq", "wavefocus.recorders", "open")
 PLAYERS: Registry[type[PlayerDriver]] = Registry("wavefocus.drivers.audio", "wavefocus.players", "open")
+SHUTTERS: Registry[type[ShutterDriver]] = Registry("wavefocus.drivers.shutter", "wavefocus.shutters", "open")
 VIBROMETERS: Registry[type[VibrometerDriver]] = Registry(
     "wavefocus.drivers.vibrometer", "wavefocus.vibrometers", "read"
 )

@@ -12,6 +12,7 @@ from typing import Any, Generic, Literal, TypeVar
 
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.protocols import (
+    BlocksBeam,
     DeviceIdentity,
     Float64Array,
     Instrument,
@@ -247,6 +248,11 @@ class BoundedMirror(_Bounded[Mirror]):
 
     def park(self) -> None:
         self._call("parking", self._device.park, needs_thread=False)
+
+    def block(self) -> None:
+        """See `wavefocus.drivers.protocols.BlocksBeam`; nothing where there is no shutter."""
+        if isinstance(self._device, BlocksBeam):
+            self._rest("closing the shutter", self._device.block)
 
 
 class BoundedRecorder(_Bounded[Recorder]):

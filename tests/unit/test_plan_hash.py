@@ -70,7 +70,7 @@ def test_given_every_key_of_rig_and_run_then_it_is_hashed_or_marked_as_free() ->
         "RecorderSection.tls_certificate", "RecorderSection.tls_key", "RecorderSection.tls_root",
         "RecorderSection.trigger",
         "RigConfig.calibration", "RigConfig.emulation", "RigConfig.messages", "RigConfig.recovery", "RigConfig.rig",
-        "RigConfig.usb", "RigConfig.watch",
+        "RigConfig.shutter", "RigConfig.usb", "RigConfig.watch",
         "RunConfig.drift", "RunConfig.publication", "RunConfig.rig", "RunConfig.settled", "RunConfig.tolerance",
         "VibrometerSection.baud", "VibrometerSection.decoder", "VibrometerSection.driver",
         "VibrometerSection.identity", "VibrometerSection.least_signal_level", "VibrometerSection.port",

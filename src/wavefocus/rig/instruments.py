@@ -9,22 +9,26 @@ from dataclasses import replace
 from pathlib import Path
 
 from wavefocus.acquisition.setup import Openers
+from wavefocus.config.drivers import DriverTable
 from wavefocus.config.rig import RigConfig
-from wavefocus.config.rig_instruments import VibrometerSection
+from wavefocus.config.rig_instruments import ShutterSection, VibrometerSection
 from wavefocus.config.run import Virtual
 from wavefocus.drivers.daq.nidaqmx import NiDaqmx
 from wavefocus.drivers.errors import InstrumentError, MissingPackageError
 from wavefocus.drivers.mirror.analog import AnalogMirrorDriver
-from wavefocus.drivers.protocols import Clock, Instruments, Mirror, Player, Recorder, WallClock
+from wavefocus.drivers.protocols import Clock, Instruments, Mirror, Player, Recorder, Shutter, WallClock
 from wavefocus.drivers.registry import (
     MirrorDriver,
     MirrorSettings,
     Outputs,
     PlayerDriver,
     RecorderDriver,
+    ShutterDriver,
     VibrometerDriver,
     VibrometerReading,
 )
+from wavefocus.drivers.shutter.nidaqmx import NiShutterDriver
+from wavefocus.drivers.shuttered_mirror import ShutteredMirror
 from wavefocus.drivers.timeouts import RECONNECTING, in_time
 from wavefocus.storage.errors import InputError
 
@@ -46,7 +50,7 @@ def openers(rig: RigConfig, virtual: Virtual | None = None, *, realtime: bool = 
         roles = bench.instruments
         return Openers(
             roles.clock,
-            lambda: roles.mirror,
+            lambda: _with_shutter(rig, roles.mirror, roles.clock),
             lambda: roles.recorder,
             lambda: roles.player,
             lambda: _vibrometer(rig),
@@ -57,7 +61,7 @@ def openers(rig: RigConfig, virtual: Virtual | None = None, *, realtime: bool = 
     clock = WallClock()
     return Openers(
         clock,
-        lambda: _mirror(rig, clock),
+        lambda: _with_shutter(rig, _mirror(rig, clock), clock),
         lambda: _recorder(rig),
         lambda: _player(rig, outputs),
         lambda: _vibrometer(rig),
@@ -101,6 +105,28 @@ def _mirror(rig: RigConfig, clock: Clock) -> Mirror:
         )
 
 
+def _with_shutter(rig: RigConfig, mirror: Mirror, clock: Clock) -> Mirror:
+    """The mirror behind the rig's shutter, which is closed; the mirror itself where there is none."""
+    if rig.shutter is None:
+        return mirror
+    try:
+        return ShutteredMirror(mirror, open_shutter(rig.shutter), rig.shutter.opens_s, clock)
+    except BaseException:
+        mirror.close()
+        raise
+
+
+def open_shutter(section: ShutterSection) -> Shutter:
+    """Open a rig's shutter alone; it stays as it is. Raises InstrumentError."""
+    if section.driver == "virtual":
+        from wavefocus.mocks.virtual.shutter import VirtualShutter  # a real rig needs none of it
+
+        return VirtualShutter()
+    driver: ShutterDriver = section.make_driver()
+    with reporting_missing_packages("shutter", section.driver):
+        return driver.open()
+
+
 def _recorder(rig: RigConfig) -> Recorder:
     driver: RecorderDriver = rig.recorder.make_driver()
     with reporting_missing_packages("recorder", rig.recorder.driver):
@@ -110,7 +136,9 @@ def _recorder(rig: RigConfig) -> Recorder:
 def _outputs_in_use(rig: RigConfig) -> bool:
     """Whether another instrument of the rig uses outputs of the recorder's box: a reset would put them to 0 V."""
     box = (rig.recorder.device, rig.recorder.address)
-    return rig.mirror.driver == AnalogMirrorDriver.name and (rig.mirror.device, rig.mirror.address) == box
+    used: list[DriverTable] = [rig.mirror] if rig.mirror.driver == AnalogMirrorDriver.name else []
+    used += [rig.shutter] if rig.shutter is not None and rig.shutter.driver == NiShutterDriver.name else []
+    return any((section.device, section.address) == box for section in used)
 
 
 def _player(rig: RigConfig, outputs: int) -> Player:

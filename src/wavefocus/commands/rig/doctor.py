@@ -20,7 +20,7 @@ from wavefocus.configuration import load_rig
 from wavefocus.console import answer, people, print_line, say
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.protocols import DeviceIdentity
-from wavefocus.drivers.registry import MIRRORS, PLAYERS, RECORDERS, VIBROMETERS
+from wavefocus.drivers.registry import MIRRORS, PLAYERS, RECORDERS, SHUTTERS, VIBROMETERS
 from wavefocus.ending import ending_at_once
 from wavefocus.exits import Exit
 from wavefocus.rig.alive import alive_findings
@@ -28,6 +28,7 @@ from wavefocus.rig.awake import awake_finding
 from wavefocus.rig.calibration_validity import calibration_warnings
 from wavefocus.rig.instruments import openers
 from wavefocus.rig.notifications import message_findings
+from wavefocus.rig.shutter_check import shutter_findings
 from wavefocus.storage.durable import is_network_mount
 from wavefocus.storage.errors import InputError
 
@@ -67,6 +68,8 @@ def doctor(
 
         with ending_at_once():
             identities = examine(rig, openers(rig), publish, play=play)
+            for finding in shutter_findings(rig):
+                publish(finding)
         check_surroundings(rig, folder, identities, publish)
         for finding in message_findings(rig, rig_file.name, send=test_message):
             publish(finding)
@@ -142,7 +145,7 @@ def check_surroundings(
     """Look at all that is not an instrument."""
     findings = RigFindings(publish)
     _check_packages(rig, findings)
-    for registry in (MIRRORS, RECORDERS, PLAYERS, VIBROMETERS):
+    for registry in (MIRRORS, RECORDERS, PLAYERS, VIBROMETERS, SHUTTERS):
         for name, why in registry.failures.items():
             findings.add("packages", f"driver {name}", "warn", why, "repair or uninstall the package that provides it")
     _check_disk(folder, findings)

@@ -1,0 +1,104 @@
+"""A shutter, or an interlock's input, on a digital output of an NI device, which may be the recorder's."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+
+from wavefocus.drivers.daq.ni.ni_outputs import DigitalLine
+from wavefocus.drivers.daq.ni.ni_session import NiSession
+from wavefocus.drivers.errors import InstrumentError
+from wavefocus.drivers.protocols import DeviceIdentity, Shutter
+from wavefocus.drivers.registry import SHUTTERS, rig_key
+
+ANSWER_S = 5.0
+
+
+@SHUTTERS.register
+@dataclass(frozen=True, kw_only=True)
+class NiShutterDriver:
+    """A digital line that opens the shutter."""
+
+    device: str = rig_key("Device", 'the name that NI MAX shows, such as "Dev1"', in_plan="free")
+    address: str | None = rig_key(
+        "Address", "HOST:PORT of NI's gRPC Device Server, if the box is behind one", default=None, in_plan="free"
+    )
+    line: str = rig_key(
+        "Line", "Digital output that the shutter is wired to", default="port1/line0", in_plan="free",
+        pattern=(r"port\d{1,2}/line\d{1,2}", 'must be "port1/line0" and so on'),
+    )  # fmt: skip
+    opens_when_high: bool = rig_key(
+        "Opens when high", "Whether a high line opens it; if not, it is open while nothing drives the line",
+        default=True, in_plan="free",
+    )  # fmt: skip
+
+    name = "nidaqmx"
+
+    def open(self) -> Shutter:
+        """Open the device; the shutter is as it was."""
+        return NiShutter(self)
+
+
+class NiShutter:
+    """Blocks the beam by a digital line; implements `wavefocus.drivers.protocols.Shutter`.
+
+    Raises InstrumentLostError or InstrumentError; also where the line does not read as it was set.
+    """
+
+    def __init__(self, driver: NiShutterDriver) -> None:
+        self._driver = driver
+        self._name = f"shutter ({driver.name} at {driver.device}/{driver.line})"
+        self._session: NiSession | None = None
+        self._line: DigitalLine | None = None
+        self._identity: DeviceIdentity | None = None
+        self._closed = False
+        self.reconnect()
+
+    @property
+    def identity(self) -> DeviceIdentity:
+        assert self._identity is not None  # since it was opened
+        return self._identity
+
+    def identify(self) -> str:
+        return f"{self._name}: {self.identity}"
+
+    def open_beam(self) -> None:
+        self._set(opens=True, doing="opening")
+
+    def block_beam(self) -> None:
+        self._set(opens=False, doing="closing")
+
+    def reconnect(self) -> None:
+        """Open the line afresh; the device is not reset, for the recorder may have it, too."""
+        if self._closed:
+            raise InstrumentError(self._name, "reconnecting", "it is closed", "open the rig again")
+        self._drop()
+        driver, known = self._driver, self._identity
+        self._session = session = NiSession(
+            driver.device, driver.address, ANSWER_S, role="shutter", known=known is not None
+        )
+        own = session.identity
+        try:
+            self._line = DigitalLine(session, (driver.line,), "line of [shutter]")
+        except BaseException:
+            self._drop()
+            raise
+        self._identity = DeviceIdentity(own.maker, f"{own.product} line {driver.line}", own.serial)
+
+    def close(self) -> None:
+        self._closed = True
+        self._drop()
+
+    def _set(self, *, opens: bool, doing: str) -> None:
+        if self._closed or self._line is None:
+            raise InstrumentError(self._name, doing, "it is closed", "open the rig again")
+        self._line.write(opens is self._driver.opens_when_high, doing)
+
+    def _drop(self) -> None:
+        session, self._session = self._session, None
+        line, self._line = self._line, None
+        if line is not None:
+            with suppress(InstrumentError):  # the device, or its server, is gone
+                line.close()
+        if session is not None:
+            session.close()

@@ -1,0 +1,24 @@
+"""A virtual shutter."""
+
+from __future__ import annotations
+
+from wavefocus.mocks.virtual.faults import RigFault, VirtualDevice
+
+
+class VirtualShutter(VirtualDevice):
+    """Blocks the virtual beam; implements `wavefocus.drivers.protocols.Shutter`.
+
+    is_open: Whether it lets the beam through.
+    """
+
+    def __init__(self, faults: tuple[RigFault, ...] = ()) -> None:
+        super().__init__("shutter", faults, "closed by default")
+        self.is_open = False
+
+    def open_beam(self) -> None:
+        self._check_open("opening")
+        self.is_open = True
+
+    def block_beam(self) -> None:
+        self._check_open("closing")
+        self.is_open = False

@@ -1,0 +1,173 @@
+"""A shutter on a digital line: open while the beam is where it was sent, closed at rest and after every failure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from tests.wire.analog_bench import analog_rig
+from tests.wire.daq_bench import Tone
+from wavefocus.acquisition.setup import silence
+from wavefocus.config.rig import RigConfig
+from wavefocus.configuration import load_rig
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
+from wavefocus.drivers.protocols import Instruments, Shutter
+from wavefocus.drivers.registry import SHUTTERS
+from wavefocus.drivers.shutter.nidaqmx import NiShutterDriver
+from wavefocus.drivers.shuttered_mirror import ShutteredMirror
+from wavefocus.drivers.timeouts import BoundedMirror, bounded
+from wavefocus.mocks.virtual.rig import VirtualRig
+from wavefocus.mocks.virtual.shutter import VirtualShutter
+from wavefocus.mocks.wire.faults import WireFault
+from wavefocus.mocks.wire.ni_server import NiServer
+from wavefocus.rig.instruments import openers
+from wavefocus.rig.shutter_check import shutter_findings
+from wavefocus.storage.errors import InputError
+
+LINE = "port1/line0"
+
+
+@pytest.fixture
+def opened() -> Iterator[ExitStack]:
+    with ExitStack() as stack:
+        yield stack
+
+
+def server(opened: ExitStack, *faults: WireFault) -> NiServer:
+    one = NiServer(Tone(), "USB-6211", faults=faults)
+    one.start()
+    opened.callback(one.stop)
+    return one
+
+
+def rig(folder: Path, address: str, **keys: object) -> RigConfig:
+    """A rig with an analog mirror and a shutter on one box."""
+    analog_rig(folder, address)
+    lines = "".join(f"{key} = {str(value).lower()}\n" for key, value in keys.items())
+    table = f'\n[shutter]\ndriver = "nidaqmx"\ndevice = "Dev1"\naddress = "{address}"\nopens_s = 0.0\n{lines}'
+    with (folder / "rig.toml").open("a", encoding="utf-8") as file:
+        file.write(table)
+    return load_rig(folder / "rig.toml")
+
+
+def mirror_of(opened: ExitStack, config: RigConfig) -> BoundedMirror:
+    mirror = openers(config).mirror()
+    opened.callback(mirror.close)
+    return BoundedMirror(mirror, 20.0)
+
+
+@pytest.mark.parametrize("opens_when_high", [True, False])
+def test_given_a_shutter_then_it_is_open_only_while_the_beam_stands_where_it_was_sent(
+    opened: ExitStack, tmp_path: Path, opens_when_high: bool
+) -> None:
+    box = server(opened)
+
+    def is_open() -> bool:
+        return bool(box.level(LINE)) is opens_when_high
+
+    mirror = mirror_of(opened, rig(tmp_path, box.address, opens_when_high=opens_when_high))
+    assert not is_open()
+    mirror.move_to(10.0, 10.0)
+    assert not is_open()
+    mirror.wait_settled(1.0)
+    assert is_open()
+    mirror.move_to(12.0, 10.0)
+    mirror.wait_settled(1.0)
+    assert is_open()
+    mirror.park()
+    assert not is_open()
+    mirror.move_to(10.0, 10.0)
+    mirror.wait_settled(1.0)
+    with pytest.raises(InstrumentError):
+        mirror.move_to(5000.0, 0.0)
+    assert not is_open()
+    mirror.move_to(10.0, 10.0)
+    mirror.wait_settled(1.0)
+    mirror.block()
+    assert not is_open()
+    mirror.wait_settled(1.0)
+    assert is_open()
+    mirror.close()
+    assert not is_open()
+
+
+def test_given_another_instrument_fails_then_silence_closes_the_shutter() -> None:
+    virtual, shutter = VirtualRig().instruments, VirtualShutter()
+    mirror = ShutteredMirror(virtual.mirror, shutter, 0.01, virtual.clock)
+    instruments = bounded(Instruments(mirror, virtual.recorder, virtual.player, virtual.clock), 20.0)
+    instruments.mirror.move_to(1.0, 1.0)
+    instruments.mirror.wait_settled(1.0)
+    assert shutter.is_open
+    assert silence(instruments) == []
+    assert not shutter.is_open
+    plain = bounded(VirtualRig().instruments, 20.0)
+    assert silence(plain) == []
+
+
+def test_given_a_shutter_that_does_not_answer_then_nothing_is_measured_and_the_mirror_is_parked(
+    opened: ExitStack, tmp_path: Path
+) -> None:
+    # The third write to the line, the one that closes it, and all after it are refused.
+    box = server(opened, WireFault("recorder", "usb_aborted", "WriteDigitalLines", at_call=3, count=3))
+    mirror = mirror_of(opened, rig(tmp_path, box.address))
+    mirror.move_to(10.0, 10.0)
+    mirror.wait_settled(1.0)
+    with pytest.raises(InstrumentLostError, match="shutter"):
+        mirror.park()
+    assert box.level("ao0") < -3.0  # parked all the same
+    mirror.move_to(10.0, 10.0)
+    with pytest.raises(InstrumentLostError, match="shutter") as lost:
+        mirror.reconnect()
+    assert lost.value.role == "mirror"
+    with pytest.raises(InstrumentLostError):
+        mirror.reconnect()
+    mirror.reconnect()
+    assert box.level(LINE) == 0.0
+    mirror.move_to(10.0, 10.0)
+    mirror.wait_settled(1.0)
+    assert box.level(LINE) == 1.0
+
+
+def test_given_a_shutter_then_doctor_moves_it_and_names_what_is_wrong(opened: ExitStack, tmp_path: Path) -> None:
+    box = server(opened)
+    config = rig(tmp_path, box.address)
+    (good,) = shutter_findings(config)
+    assert (good.instrument, good.verdict) == ("shutter", "ok")
+    assert box.level(LINE) == 0.0
+    assert sum(call.name == "WriteDigitalLines" for call in box.log) == 3
+    box.unplug()
+    (bad,) = shutter_findings(config)
+    assert (bad.instrument, bad.verdict) == ("shutter", "fail")
+    (taken,) = shutter_findings(rig(tmp_path, server(opened).address, line="'port0/line0'"))
+    assert taken.verdict == "fail"
+    assert LINE in taken.remedy
+    assert list(shutter_findings(RigConfig.model_validate({}))) == []
+
+
+def test_given_a_line_that_is_wired_to_something_else_then_it_is_an_error(opened: ExitStack) -> None:
+    box = server(opened)
+    first = NiShutterDriver(device="Dev1", address=box.address).open()
+    opened.callback(first.close)
+    first.open_beam()
+    with pytest.raises(InstrumentError, match="-50103"):
+        NiShutterDriver(device="Dev1", address=box.address).open()
+    assert isinstance(first, Shutter)
+    assert set(SHUTTERS.all()) == {"nidaqmx"}
+    first.close()
+    with pytest.raises(InstrumentError):
+        first.open_beam()
+
+
+def test_given_a_real_shutter_in_a_virtual_rig_then_the_rig_file_is_refused(tmp_path: Path) -> None:
+    rig_file = tmp_path / "rig.toml"
+    rig_file.write_text('[shutter]\ndriver = "nidaqmx"\ndevice = "Dev1"\n')
+    with pytest.raises(InputError, match=r"shutter\.driver"):
+        load_rig(rig_file)
+    rig_file.write_text('[shutter]\ndriver = "virtual"\n')
+    ways = openers(load_rig(rig_file))
+    mirror = ways.mirror()
+    assert "shutter" in mirror.identify()
+    mirror.close()
