@@ -1,6 +1,7 @@
-"""Tables of the keys of configuration files, as Markdown; docs/conf.py puts them into the reference pages.
+"""Tables of the keys of configuration files and of the columns of answers, as Markdown, for docs/conf.py.
 
-A line ``<!-- keys: rig mirror -->`` of a page stands for the table of the rig file's [mirror].
+A line ``<!-- keys: rig mirror -->`` of a page stands for the table of the rig file's [mirror], a line
+``<!-- columns -->`` for the columns of ``trials.csv``.
 """
 
 from __future__ import annotations
@@ -20,14 +21,25 @@ from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import RunConfig
 from wavefocus.config.scene import SceneConfig
 from wavefocus.config.trials import TrialsConfig
+from wavefocus.trials.answers import COLUMNS
 
 FILES: dict[str, type[BaseModel]] = {"rig": RigConfig, "run": RunConfig, "scene": SceneConfig, "trials": TrialsConfig}
 PLACE = re.compile(r"^<!-- keys: (\w+) ?([\w.]*) -->$", re.MULTILINE)
 
 
 def with_tables(page: str) -> str:
-    """A page with its tables of keys."""
-    return PLACE.sub(lambda place: table(place[1], place[2]), page)
+    """A page with its tables."""
+    return PLACE.sub(lambda place: table(place[1], place[2]), page).replace("<!-- columns -->", columns())
+
+
+def columns() -> str:
+    """The columns of ``trials.csv``."""
+    lines = ["| column | meaning |", "|---|---|"]
+    for name, about in COLUMNS.items():
+        levels = ", ".join(f"`{level}` ({meaning})" for level, meaning in about.get("Levels", {}).items())
+        unit = f", in {about['Units']}" if "Units" in about else ""
+        lines.append(f"| `{name}` | {about['Description']}{unit}{': ' if levels else ''}{levels} |")
+    return "\n".join(lines)
 
 
 def table(file: str, heading: str = "") -> str:

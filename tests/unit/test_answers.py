@@ -217,10 +217,9 @@ def test_given_facts_then_they_come_back_with_every_column(tmp_path: Path) -> No
             read_facts(tmp_path)
 
 
-def test_given_the_reference_page_then_it_names_every_column_order_and_event() -> None:
+def test_given_the_reference_page_then_it_names_every_order_and_event() -> None:
     page = (Path(__file__).parents[2] / "docs" / "reference" / "trials.md").read_text(encoding="utf-8")
-    for name, about in COLUMNS.items():
-        assert f"| `{name}` | {about['Description']}" in page
+    assert "\n<!-- columns -->\n" in page
     for kind in (*ORDERS, *EVENTS):
         word = tag(kind)
         rows = [line for line in page.splitlines() if line.startswith(f"| `{word}` |")]
