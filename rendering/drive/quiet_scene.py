@@ -17,7 +17,7 @@ from functools import lru_cache
 import numpy as np
 
 from wavefocus.config.scene import Regularisation
-from wavefocus.rendering.arrays import Complex128Array, Float64Array, Int64Array
+from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
 from wavefocus.rendering.device import fast_length
 from wavefocus.rendering.drive.quiet_filters import (
     Focus,
@@ -40,6 +40,7 @@ from wavefocus.storage.drive_file import QuietTrack
 
 TAIL_S = 0.05
 """Length of the filters after the focus; what is cut there is -40 dB of them (docs/explanation/quiet-places.md)."""
+MAX_STATES = 64
 MOMENTS = 6
 """Instants of a scene that moves from which the multipliers are found."""
 FAINT = 1e-12
@@ -84,7 +85,7 @@ def quiet_scene(scene: Scene, bank: GreenSource, sampled: SampledScene) -> tuple
     place_rows = PlaceRows(bank, sampled.interpolation)
     plan = plan_quiet(scene, bank, sampled, place_rows)
     tail = max(1, round(TAIL_S * float(bank.sample_rate_hz)))
-    moments = _instants(scene, sampled, plan)
+    moments, lasts = _instants(scene, sampled, plan)
     at = [
         sampled.interpolation.nodes(
             place_at(source.path, source.speed_mm_s, source.start_s, plan.knots[moments], float(bank.sample_rate_hz))
@@ -92,8 +93,8 @@ def quiet_scene(scene: Scene, bank: GreenSource, sampled: SampledScene) -> tuple
         for source in scene.sources
     ]
     rows = QuietRows(scene, sampled, bank, place_rows, plan, tail)
-    rows.solve(scene, moments, [[(nodes.rows[m], nodes.weights[m], int(nodes.nearest[m])) for m in range(len(moments))]
-                                for nodes in at])  # fmt: skip
+    foci = [list(zip(nodes.rows, nodes.weights, nodes.nearest.tolist(), strict=True)) for nodes in at]
+    rows.solve(scene, moments, lasts, foci)
     sources = [
         replace(source, emission=QuietEmission(source.emission, plan, index, rows), nodes=2 * source.nodes)
         for index, source in enumerate(sampled.sources)
@@ -218,19 +219,24 @@ class QuietRows(BankRows):
         return self._weights[row]
 
     def solve(
-        self, scene: Scene, moments: Int64Array, foci: Sequence[Sequence[tuple[Int64Array, Float64Array, int]]]
+        self,
+        scene: Scene,
+        moments: Int64Array,
+        lasts: Int64Array,
+        foci: Sequence[Sequence[tuple[Int64Array, Float64Array, int]]],
     ) -> None:
         """Find the multipliers from the foci of some moments.
 
-        moments, int64 (moments,): Knots of the plan.
+        moments, int64 (moments,): Knots of the plan; `lasts` says for how many knots each stands.
         foci: Of each source and moment: rows, their weights, and the regularising row.
         """
         emissions = [source.emission for source in self._sampled.sources]
+        sounding = np.array([_sounding(emission, self.plan.knots)[moments] for emission in emissions])
         green = {
             (source, m): sum(weight * np.asarray(super(QuietRows, self).read(row)) for row, weight
                              in zip(rows.tolist(), weights.tolist(), strict=True) if weight)
             for source, own in enumerate(foci) for m, (rows, weights, _) in enumerate(own)
-            if self._sounds(emissions[source], int(moments[m]))
+            if sounding[source, m]
         }  # fmt: skip
         energy = sum(np.square(np.abs(np.fft.rfft(row, self._length, axis=1))).sum(axis=0) for row in green.values())
         self._bins = np.flatnonzero(energy > FAINT * np.max(energy))
@@ -238,16 +244,14 @@ class QuietRows(BankRows):
         self._quiet_spectrum = lru_cache(max(64, SPECTRA_BYTES // row_bytes))(self._transform)
         self._quiet = lru_cache(4)(self._stack)
         cross = self._emitted(scene, emissions)
-        count = np.array([sum(1 for source, _ in green if source == index) for index in range(len(emissions))])
+        whole = np.maximum(sounding @ lasts, 1)
         made = []
         for m, knot in enumerate(moments.tolist()):
-            sounding = [source for source in range(len(emissions)) if (source, m) in green]
-            if not sounding:
-                continue
+            together = np.flatnonzero(sounding[:, m]).tolist()
             rows, place = self.plan.rows_at(knot)
             quiet = self._spectra(rows)
-            one_foci, applies = [], np.zeros((len(sounding), len(self.plan.places)), dtype=bool)
-            for index, source in enumerate(sounding):
+            one_foci, applies = [], np.zeros((len(together), len(self.plan.places)), dtype=bool)
+            for index, source in enumerate(together):
                 number = int(self.plan.of_source[source, knot])
                 own = self.plan.sets[number]
                 applies[index, own.place] = True
@@ -255,9 +259,9 @@ class QuietRows(BankRows):
                 one_foci.append(
                     Focus(self._spectrum_of(green[source, m]), *self._quiet(number), self.sigma(by), source)
                 )
-            gains = self.weigh(np.array([foci[source][m][2] for source in sounding]))[0]
-            gains = gains / np.sqrt(count[sounding])
-            chosen = cross[np.ix_(sounding, sounding)] if cross.ndim == 3 else _diagonal(cross[sounding])
+            gains = self.weigh(np.array([foci[source][m][2] for source in together]))[0]
+            gains = gains * np.sqrt(lasts[m] / whole[together])
+            chosen = cross[np.ix_(together, together)] if cross.ndim == 3 else _diagonal(cross[together])
             made.append(Moment(one_foci, chosen * np.outer(gains, gains)[..., None], quiet, place, applies))
         self._power = cross.real if cross.ndim == 2 else np.einsum("jjf->jf", cross).real
         self.found = find_multipliers(
@@ -267,13 +271,6 @@ class QuietRows(BankRows):
             most_energy=self._most_energy,
             cut=self._cut,
         )
-
-    def _sounds(self, emission: Emission, knot: int) -> bool:
-        """Whether a source sounds between a knot and the next one."""
-        knots = self.plan.knots
-        if len(knots) == 1:
-            return True
-        return bool(knots[knot] < emission.stop_sample and knots[knot] + knots[1] - knots[0] > emission.first_sample)
 
     def _emitted(self, scene: Scene, emissions: Sequence[Emission]) -> Complex128Array:
         """Cross spectra (sources, sources, bins) of what the sources emit, of many only the spectra, (sources, bins).
@@ -333,20 +330,30 @@ class QuietRows(BankRows):
         return self._spectra(own.rows), own.place
 
 
-def _instants(scene: Scene, sampled: SampledScene, plan: QuietPlan) -> Int64Array:
-    """Knots of the plan from which the multipliers are found: of each source some, evenly chosen."""
-    if len(plan.knots) == 1:
-        return np.zeros(1, dtype=np.int64)
-    moving = any(path.length_mm > 0 for path in paths_of(scene, plan.places))
+def _instants(scene: Scene, sampled: SampledScene, plan: QuietPlan) -> tuple[Int64Array, Int64Array]:
+    """Knots of the plan from which the multipliers are found, and for how many knots each stands.
+
+    Where all rests, one for each set of sources that sound together and rows that they keep quiet; else of each source
+    some, evenly chosen.
+    """
+    sounding = np.array([_sounding(source.emission, plan.knots) for source in sampled.sources])
+    if not any(path.length_mm > 0 for path in paths_of(scene, plan.places)):
+        state = np.where(sounding, plan.of_source, -1)[:, sounding.any(axis=0)]
+        _, first, count = np.unique(state, axis=1, return_index=True, return_counts=True)
+        longest = np.argsort(-count, kind="stable")[:MAX_STATES]
+        return np.flatnonzero(sounding.any(axis=0))[first[longest]], count[longest]
     chosen: set[int] = set()
-    for source in sampled.sources:
-        edges = (
-            np.searchsorted(plan.knots, [source.emission.first_sample, source.emission.stop_sample - 1], "right") - 1
-        )
-        low, high = np.maximum(edges, 0).tolist()
-        count = min(MOMENTS if moving else 2, high - low + 1)
-        chosen |= set(np.linspace(low, high, 2 * count + 1)[1::2].round().astype(int).tolist())
-    return np.array(sorted(chosen), dtype=np.int64)
+    for own in sounding:
+        knots = np.flatnonzero(own)
+        places = np.linspace(0, len(knots) - 1, 2 * min(MOMENTS, len(knots)) + 1)[1::2]
+        chosen |= set(knots[places.round().astype(int)].tolist())
+    return np.array(sorted(chosen), dtype=np.int64), np.ones(len(chosen), dtype=np.int64)
+
+
+def _sounding(emission: Emission, knots: Int64Array) -> BoolArray:
+    """Whether a source sounds between each knot and the next one, (knots,)."""
+    step = knots[1] - knots[0] if len(knots) > 1 else emission.stop_sample
+    return np.asarray((knots < emission.stop_sample) & (knots + step > emission.first_sample))
 
 
 def _diagonal(spectra: Complex128Array) -> Complex128Array:

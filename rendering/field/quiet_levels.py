@@ -23,6 +23,8 @@ from wavefocus.storage.errors import InputError
 
 DISC_POINTS = 16
 """Points that judge a disc: others than those at which it is kept quiet."""
+PLACE_REACH_MM, FOCUS_REACH_MM = 0.5, 4.0
+"""What moves is followed by its places at some instants: so far from them it still is there."""
 SILENT_DB = -300.0
 
 
@@ -95,7 +97,8 @@ def quiet_levels(drive: Drive, bank: GreenSource) -> tuple[QuietLevel, ...]:
         return rendered_levels(drive.quiet)
     windows = emission_windows(drive)
     response = Prediction(drive, bank, np.unique([window.row for window in windows]), dtype=np.float64).field()
-    reference = max(_focus_energies(drive, response.field, response.position_index), default=0.0)
+    position_mm = np.asarray(bank.position_mm, dtype=np.float64)
+    reference = max(_focus_energies(drive, response.field, response.position_index, position_mm), default=0.0)
     place_rows = PlaceRows(bank)
     found: list[QuietLevel] = []
     for track in drive.quiet:
@@ -109,7 +112,8 @@ def quiet_levels(drive: Drive, bank: GreenSource) -> tuple[QuietLevel, ...]:
             raise InputError(f"{track.name} {off}") from off
         index, inverse = np.unique(rows, return_inverse=True)
         there = Prediction(drive, place_rows.rows, index, dtype=np.float64).field().field
-        energy = np.sum(_followed(drive, there, list(inverse.reshape(-1, len(around_mm))), track.sample), axis=0)
+        where = list(inverse.reshape(-1, len(around_mm)))
+        energy = np.sum(_followed(drive, there, where, track.sample, track.at_mm, PLACE_REACH_MM), axis=0)
         worst_db = level_db_of(energy.max(), reference) if track.radius_mm else None
         found.append(QuietLevel(track, level_db_of(energy.mean(), reference), worst_db))
     return tuple(found)
@@ -127,7 +131,9 @@ def field_levels(
     Returns each quiet place with its level, None where no focus or no position of it is in the field, and the number of
     positions. Those of sources are left out: their own response is there.
     """
-    reference = max(_focus_energies(drive, field, position_index), default=0.0)
+    focus_mm = np.zeros((int(max(position_index.max(), drive.focus_position.max(initial=0))) + 1, 2))
+    focus_mm[position_index] = position_mm
+    reference = max(_focus_energies(drive, field, position_index, focus_mm), default=0.0)
     found: list[tuple[QuietTrack, float | None, int]] = []
     for track in drive.quiet:
         if track.source >= 0:
@@ -135,7 +141,7 @@ def field_levels(
         where, apart_mm = positions_at(track, position_mm)
         level_db = None
         if (apart_mm <= spacing_mm).all() and reference > 0:
-            energy = _followed(drive, field, where, track.sample)
+            energy = _followed(drive, field, where, track.sample, track.at_mm, PLACE_REACH_MM)
             level_db = level_db_of(float(sum(values.mean() for values in energy)), reference)
         found.append((track, level_db, len(np.unique(np.concatenate(where)))))
     return found
@@ -149,31 +155,52 @@ def positions_at(track: QuietTrack, position_mm: Float64Array) -> tuple[list[Int
     return where, apart_mm.min(axis=1)
 
 
-def _focus_energies(drive: Drive, field: NDArray[Any], position_index: Int64Array) -> list[float]:
-    """Energy of the response at the foci of each source whose foci are all in a field."""
+def _focus_energies(
+    drive: Drive, field: NDArray[Any], position_index: Int64Array, focus_mm: Float64Array
+) -> list[float]:
+    """Energy of the response at the foci of each source whose foci are all in a field.
+
+    focus_mm, float64 (rows of the bank, 2): Places of all positions.
+    """
     windows, place = emission_windows(drive), {row: at for at, row in enumerate(position_index.tolist())}
     found = []
     for source in sorted({window.source for window in windows}):
         own = [window for window in windows if window.source == source]
         if all(window.row in place for window in own):
             where = [np.array([place[window.row]]) for window in own]
-            energy = _followed(drive, field, where, np.array([window.start_sample for window in own]))
+            begins, at_mm = np.array([window.start_sample for window in own]), focus_mm[[window.row for window in own]]
+            energy = _followed(drive, field, where, begins, at_mm, FOCUS_REACH_MM)
             found.append(float(sum(values.sum() for values in energy)))
     return found
 
 
-def _followed(drive: Drive, field: NDArray[Any], where: Sequence[Int64Array], sample: Int64Array) -> list[Float64Array]:
+def _followed(
+    drive: Drive,
+    field: NDArray[Any],
+    where: Sequence[Int64Array],
+    sample: Int64Array,
+    at_mm: Float64Array,
+    reach_mm: float,
+) -> list[Float64Array]:
     """Energies of a response that is followed from instant to instant: at rows of a field, (rows,) for each instant.
 
-    The only instant counts whole; of several, each from half-way to the one before to half-way to the next.
+    The only instant counts whole; of several, each from half-way to the one before to half-way to the next, by the part
+    of that time in which what moves, at `at_mm` (instants, 2), is within so many millimetres.
     """
     if len(where) == 1:
         return [np.square(field[where[0]], dtype=np.float64).sum(axis=1)]
     first = round(drive.start_s * drive.sample_rate_hz)
     stop = max(first + drive.drive_v.shape[1], int(sample[-1]) + 1)
-    edges = np.concatenate([sample[:1], (sample[1:] + sample[:-1]) // 2, [stop]]) - first
-    parts = zip(where, edges[:-1].tolist(), edges[1:].tolist(), strict=True)
-    return [np.square(field[rows, max(begin, 0) : end], dtype=np.float64).sum(axis=1) for rows, begin, end in parts]
+    edges = np.concatenate([sample[:1], (sample[1:] + sample[:-1]) / 2, [stop]]) - first
+    moved_mm = np.pad(np.hypot(*np.diff(at_mm, axis=0).T), 1)
+    share = np.minimum(1.0, 2.0 * reach_mm / np.maximum(0.5 * (moved_mm[1:] + moved_mm[:-1]), 1e-9))
+    energies = []
+    for index, rows in enumerate(where):
+        now, part = float(sample[index] - first), float(share[index])
+        begin = max(round(now - part * (now - edges[index])), 0)
+        end = max(round(now + part * (edges[index + 1] - now)), begin + 1)
+        energies.append(np.square(field[rows, begin:end], dtype=np.float64).sum(axis=1) / part)
+    return energies
 
 
 def level_db_of(energy: float, reference: float) -> float:

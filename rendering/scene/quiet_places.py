@@ -27,8 +27,8 @@ ON_GRID = 1e-6
 """Distance from a position, in grid spacings, up to which its own row is used."""
 RING, RING_ROWS = 0.8, 8
 """A disc of a fingertip's size that is quiet at its centre and on this part of its radius is quiet all over."""
-MAX_ROWS = 2000
-MAX_INCIDENCES = 10**8
+MAX_ROWS, MAX_PAIRS, MAX_INCIDENCES = 2000, 20_000, 10**8
+"""Of all places, of rows and sources, and of these at all instants: more would take hours."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,7 +180,8 @@ def plan_quiet(scene: Scene, bank: GreenSource, sampled: SampledScene, place_row
     knots = np.arange(first, stop + segment, segment) if moving or apart else np.array([first])
     rows = tuple(_rows(place, knots, rate_hz, place_rows) for place in places)
     total = sum(rows_of_place.shape[1] for rows_of_place in rows)
-    if total > MAX_ROWS or total * len(knots) * len(scene.sources) > MAX_INCIDENCES:
+    pairs = total * len(scene.sources)
+    if total > MAX_ROWS or pairs > MAX_PAIRS or pairs * len(knots) > MAX_INCIDENCES:
         raise InputError(
             f"{len(places)} quiet places of {total} rows for {len(scene.sources)} sources are too many; use fewer"
             " places or sources, or a shorter scene"

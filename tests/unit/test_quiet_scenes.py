@@ -171,6 +171,13 @@ def _share(scene, bank, index):
     return np.concatenate(list(BlockAccumulator(one, rows).blocks()), axis=1) * 2.0**rows.drive_exponent
 
 
+def test_sources_that_follow_each_other_are_independent_while_both_sound(bank):
+    at = [(-12.0, 0.0), (0.0, 12.0), (12.0, -8.0)]
+    sources = tuple(Source(Point(one), Noise((60.0, 450.0), 0.2, seed), 0.15 * seed) for seed, one in enumerate(at))
+    drive, _ = render_with_report(Scene("taps", sources, Regularisation(independent=True)), bank)
+    assert [level.reached_db for level in quiet_levels(drive, bank)] == pytest.approx([-30, -30, -30], abs=0.5)
+
+
 def test_a_response_error_saves_energy(bank):
     scene = scene_of((0.0, 8.0), (4.0, -4.0), level_db=-25.0)
     exact, _ = render_with_report(scene, bank)
