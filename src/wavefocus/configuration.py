@@ -51,6 +51,8 @@ def load_run(path: Path) -> Configuration:
         raise InputError(
             f"{path}: settled: comes from the trial before a staggered campaign and stands in its bank alone"
         )
+    if isinstance(data.get("grid"), dict) and "regular_positions" in data["grid"]:
+        raise InputError(f"{path}: grid.regular_positions: comes from a refinement and stands in its bank alone")
     virtual = data.get("virtual")
     if isinstance(virtual, dict) and isinstance(virtual.get("fault_plan"), str):
         plan_file = named_file(path, "virtual.fault_plan", virtual["fault_plan"])

@@ -26,8 +26,8 @@ from wavefocus.configuration import Configuration, load_run, plan_differences
 from wavefocus.input_files import parse_positions
 from wavefocus.storage.bank.ledger import QUALITY_NAMES, PointRecord
 from wavefocus.storage.bank.origins import Origin, origins_of
-from wavefocus.storage.bank.reading import Bank, open_bank
-from wavefocus.storage.bank.writer import write_bank
+from wavefocus.storage.bank.reading import Bank, ForeignRows, open_bank
+from wavefocus.storage.bank.writer import BankWriter, write_bank
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import replacement, require_outputs
 from wavefocus.storage.point_status import Status
@@ -35,12 +35,12 @@ from wavefocus.storage.raw.writer import RawWriter, create_raw, open_raw
 
 STEP_MM = 1e-6
 """Positions are the same where they agree to this: they are written as whole numbers of it."""
+Taken = dict[int, tuple[int, int]]
+"""Row of the new bank to bank and row that it is taken from."""
 TAKEN = (int(Status.VALID), int(Status.DISABLED), int(Status.VALID | Status.DISABLED))
 
 
-def extend(
-    banks: Sequence[Path], out: Path, run_file: Path | None = None, *, added_mm: Float64Array | None = None
-) -> Blueprint:
+def extend(banks: Sequence[Path], out: Path, run_file: Path | None = None) -> Blueprint:
     """Make a bank of the valid and the disabled rows of others, and of positions that are still to be measured.
 
     The new bank has the positions of `run_file` in their order, then those taken over that are not among them. What a
@@ -51,8 +51,7 @@ def extend(
 
     banks: Banks that this program measured; their rows are read and verified.
     out: The bank to write; with kept recordings also the raw file beside it.
-    run_file: The run with the new positions; by default none are added but `added_mm`.
-    added_mm, (positions, 2): Positions that are added after all others.
+    run_file: The run with the new positions; by default none are added.
 
     Returns the new bank's campaign. Raises InputError: the plans or the rows do not fit together, a checksum does not
     hold, or an output is there; nothing is left behind.
@@ -68,18 +67,56 @@ def extend(
         delays = {view.inter_channel_delay_s for view in views}
         if len(delays) > 1:
             raise InputError(f"{banks[-1]}: its recorder sampled the response later or earlier than that of {banks[0]}")
-        added = np.zeros((0, 2)) if added_mm is None else added_mm
         grid_mm = wanted.position_mm if run_file is not None else np.zeros((0, 2))
-        taken, position_mm = _taken(views, grid_mm, added)
+        taken, position_mm = _taken(views, grid_mm)
         blueprint = blueprint_of(replace(wanted, position_mm=position_mm))
-        header = replace(
-            blueprint.bank_header(), inter_channel_delay_s=delays.pop(), origins=_origins(views, taken),
-        )  # fmt: skip
-        notes = sorted({note for view in views for note in view.notes}, key=lambda note: note.at)
         if blueprint.configuration.run.capture.keep_raw:
-            _extend_raw(views, taken, blueprint, out)
-        write_bank(out, header, _rows(views, taken), notes)
+            require_outputs((raw_path(out),), [raw_path(view.path) for view in views], force=False)
+            _extend_raw(views, taken, blueprint, raw_path(out))
+        _write(out, views, taken, blueprint)
     return blueprint
+
+
+def grow(bank: Path, own: Blueprint, added_mm: Float64Array, regular: int) -> Blueprint:
+    """Put positions after those of a bank that no process measures into, in the same file.
+
+    All that is measured stays as it is. The file is replaced as a whole, its recordings first: where it ends between
+    the two, the same call goes on.
+
+    own: The bank's campaign.
+    added_mm, (positions, 2): Places of the new positions.
+    regular: Positions of the grid that was asked for, kept as ``grid.regular_positions``.
+
+    Returns the campaign. Raises InputError: a checksum does not hold, or the disk is full; the bank is as it was.
+    Raises BankBusyError: a process measures into it.
+    """
+    run = own.configuration.run
+    run = run.model_copy(update={"grid": run.grid.model_copy(update={"regular_positions": regular})})
+    position_mm = np.concatenate([own.plan.position_mm, added_mm])
+    blueprint = blueprint_of(replace(own.configuration, run=run, position_mm=position_mm))
+    with BankWriter.open(bank, plan_sha256=own.plan.sha256):
+        pass  # verifies every row, and that no other process owns the bank
+    with replacement(bank, grown=True) as temporary, open_bank(bank) as view:
+        taken = {row: (0, row) for row in np.flatnonzero(view.status).tolist()}
+        if run.capture.keep_raw and not _is_of_plan(raw_path(bank), blueprint):
+            _extend_raw([view], taken, blueprint, raw_path(bank), grown=True)
+        _write(temporary, [view], taken, blueprint)
+    return blueprint
+
+
+def _write(out: Path, views: Sequence[Bank], taken: Taken, blueprint: Blueprint) -> None:
+    header = replace(
+        blueprint.bank_header(),
+        inter_channel_delay_s=views[0].inter_channel_delay_s,
+        origins=_origins(views, taken),
+    )
+    notes = sorted({note for view in views for note in view.notes}, key=lambda note: note.at)
+    write_bank(out, header, _rows(views, taken), notes)
+
+
+def _is_of_plan(raw: Path, blueprint: Blueprint) -> bool:
+    with open_raw(raw) as kept:
+        return kept.header.plan_sha256 == blueprint.plan.sha256
 
 
 def _wanted(banks: Sequence[Path], run_file: Path | None) -> Configuration:
@@ -101,11 +138,7 @@ def _key(position_mm: Float64Array) -> tuple[int, int]:
     return round(float(position_mm[0]) / STEP_MM), round(float(position_mm[1]) / STEP_MM)
 
 
-Taken = dict[int, tuple[int, int]]
-"""Row of the new bank to bank and row that it is taken from."""
-
-
-def _taken(views: Sequence[Bank], grid_mm: Float64Array, added_mm: Float64Array) -> tuple[Taken, Float64Array]:
+def _taken(views: Sequence[Bank], grid_mm: Float64Array) -> tuple[Taken, Float64Array]:
     """Which rows are taken from where, and all positions (P, 2)."""
     places = [*grid_mm]
     row_at = {_key(place): row for row, place in enumerate(places)}
@@ -128,7 +161,6 @@ def _taken(views: Sequence[Bank], grid_mm: Float64Array, added_mm: Float64Array)
                 f"{view.path}: shares no valid position with {views[0].path}, so that nothing shows that they are of "
                 "one plate; measure its positions with wavefocus extend --run instead"
             )
-    places += [place for place in added_mm if _key(place) not in row_at]
     return dict(sorted(taken.items())), np.array(places, np.float64).reshape(-1, 2)
 
 
@@ -175,21 +207,20 @@ def _rows(views: Sequence[Bank], taken: Taken) -> Iterator[tuple[int, Float32Arr
 def _record(view: Bank, row: int) -> PointRecord:
     """A row's status and quality; what its neighbours said of it is asked again among the new ones."""
     quality = {name: view.quality[name][row] for name in QUALITY_NAMES if name != "attempts"}
-    return PointRecord(int(view.status[row]), int(view.quality["attempts"][row]), **quality)
+    suspect = not isinstance(view.rows, ForeignRows) and bool(view.rows.figures.suspect[row])
+    return PointRecord(int(view.status[row]), int(view.quality["attempts"][row]), **quality, suspect=suspect)
 
 
-def _extend_raw(views: Sequence[Bank], taken: Taken, blueprint: Blueprint, out: Path) -> None:
+def _extend_raw(views: Sequence[Bank], taken: Taken, blueprint: Blueprint, path: Path, *, grown: bool = False) -> None:
     """Take over the recordings too, for a run that keeps them."""
-    path, plan, header = raw_path(out), blueprint.plan, blueprint.bank_header()
-    require_outputs((path,), [raw_path(view.path) for view in views], force=False)
+    plan, header = blueprint.plan, blueprint.bank_header()
     for view in views:
         if not raw_path(view.path).exists():
             raise InputError(
                 f"{raw_path(view.path)} is missing, and the run has capture.keep_raw = true: put it back, or set "
                 "keep_raw = false"
             )
-    with ExitStack() as stack:
-        temporary = stack.enter_context(replacement(path))
+    with replacement(path, grown=grown) as temporary, ExitStack() as stack:
         raws = [stack.enter_context(open_raw(raw_path(view.path))) for view in views]
         create_raw(
             temporary,

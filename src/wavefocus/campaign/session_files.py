@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from contextlib import AbstractContextManager, nullcontext, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from wavefocus.acquisition.plays import raw_header, require_same
 from wavefocus.acquisition.setup import Setup
-from wavefocus.campaign.blueprint import Blueprint, require_same_plan, ringing_of
+from wavefocus.campaign.blueprint import Blueprint, bank_configuration, blueprint_of, require_same_plan, ringing_of
 from wavefocus.campaign.schedule_choice import choose_schedule, with_chosen_schedule
 from wavefocus.campaign.sidecar_files import raw_path
 from wavefocus.config.messages.campaign import Event
 from wavefocus.console import say
 from wavefocus.rig.calibration_validity import with_one_calibration
+from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter, create_bank
 from wavefocus.storage.durable import is_network_mount
 from wavefocus.storage.errors import ExistsError, InputError
@@ -34,9 +36,24 @@ def with_bank(
         with suppress(ExistsError):  # another capture was quicker: go on as one that came later
             create_bank(bank, settled.bank_header())
             return settled, earlier
-    blueprint = with_one_calibration(with_chosen_schedule(blueprint, bank), bank, run_file, accept=accept_calibration)
+    blueprint = with_chosen_schedule(_with_added_positions(blueprint, bank), bank)
+    blueprint = with_one_calibration(blueprint, bank, run_file, accept=accept_calibration)
     require_same_plan(bank, blueprint.configuration, blueprint.plan.sha256)
     return blueprint, ()
+
+
+def _with_added_positions(blueprint: Blueprint, bank: Path) -> Blueprint:
+    """The campaign with the positions that a refinement has added to the bank, where it began as the run file says."""
+    if blueprint.configuration.run.grid.refine_to is None:
+        return blueprint
+    with open_bank(bank) as view:
+        grid = bank_configuration(view).run.grid
+        regular, position_mm = grid.regular_positions, view.position_mm
+    if regular is None or not np.array_equal(position_mm[:regular], blueprint.plan.position_mm):
+        return blueprint
+    run = blueprint.configuration.run
+    run = run.model_copy(update={"grid": run.grid.model_copy(update={"regular_positions": regular})})
+    return blueprint_of(replace(blueprint.configuration, run=run, position_mm=position_mm))
 
 
 def opened_raw(

@@ -25,6 +25,7 @@ from wavefocus.campaign.campaign_view import CampaignView
 from wavefocus.campaign.control import CampaignControl, resume_line
 from wavefocus.campaign.documents import Documents
 from wavefocus.campaign.extension import extend as extended
+from wavefocus.campaign.refinement import refine
 from wavefocus.campaign.session_files import opened_raw, with_bank
 from wavefocus.campaign.sidecar_files import (
     EventLines,
@@ -94,7 +95,7 @@ def capture(
     rig_file = None if named == "virtual" else run_file.parent / named
     options = SessionOptions(rig_file, as_json, accept_drift, accept_calibration, documents)
     if needed is None:
-        return _session(blueprint, bank, None, options, earlier)
+        return _refined(blueprint, bank, options, earlier)
     with open_bank(bank) as view:
         left = blueprint.plan.to_do(view.status)
     rows = [int(row) for row in left if row in needed]
@@ -117,7 +118,22 @@ def resume(
 ) -> Exit:
     """Go on with a campaign from the configuration that its bank holds, or with a corrected rig file."""
     options = SessionOptions(rig_file, as_json, accept_drift, accept_calibration, documents)
-    return _session(_from_bank(bank, options), bank, None, options)
+    return _refined(_from_bank(bank, options), bank, options)
+
+
+def _refined(blueprint: Blueprint, bank: Path, options: SessionOptions, earlier: Sequence[Event] = ()) -> Exit:
+    """Measure what is left, then, where the run says so, positions where the expected error is largest."""
+    if blueprint.configuration.run.grid.refine_to is None:
+        return _session(blueprint, bank, None, options, earlier)
+    done: Exit | None = None
+    while True:
+        with open_bank(bank) as view:
+            unfinished = bool((view.status == 0).any())
+        if unfinished:
+            done = _session(blueprint, bank, None, options, earlier)
+        if (refined := refine(bank, blueprint)) is None:
+            return _session(blueprint, bank, None, options, earlier) if done is None else done
+        blueprint, earlier = refined, ()
 
 
 def _from_bank(bank: Path, options: SessionOptions) -> Blueprint:

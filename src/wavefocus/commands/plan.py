@@ -18,6 +18,7 @@ from wavefocus.campaign.blueprint import Blueprint, blueprint_from_files, bluepr
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import RunConfig
 from wavefocus.console import answer
+from wavefocus.rendering.number_text import percent
 from wavefocus.rig.setup import open_setup
 from wavefocus.storage.errors import InputError
 
@@ -69,6 +70,10 @@ def plan(
         "plan_sha256": the_plan.sha256,
     }
     lines: list[str] = []
+    grid = blueprint.configuration.run.grid
+    longest_s = duration_s + grid.refine_positions * position_s
+    if grid.refine_to is not None:
+        facts["refinement"] = {"positions_at_most": grid.refine_positions, "hours_at_most": longest_s / 3600.0}
     if (rings := ringing_of(blueprint)) is not None:
         facts["ringing"] = {"seconds": rings.seconds, "taps": rings.taps, "enough": not rings.advice}
     start, stop = the_plan.excitation.band_hz
@@ -78,6 +83,11 @@ def plan(
         all_s = the_plan.campaign_s(the_plan.order, rig.recorder, speed_m_s)
         lines.append(f"scenes      need {len(needed)} of {the_plan.positions} positions; all of them: {hours(all_s)}")
     lines.append(f"duration    {hours(duration_s)}; started now it finishes {finish:%a %d %b %H:%M}")
+    if grid.refine_to is not None:
+        lines.append(
+            f"refinement  up to {grid.refine_positions} positions more, until the expected error is below "
+            f"{percent(grid.refine_to)}: {hours(duration_s)} to {hours(longest_s)} in all"
+        )
     if second_looks:
         lines.append(
             f"second look {second_looks} positions that no neighbour can judge are measured twice, "

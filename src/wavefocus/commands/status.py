@@ -115,7 +115,8 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
     if imported:
         answer(str(imported.get("paragraph", "")))
     for origin in origins:
-        answer(f"positions {origin.rows} were taken over from {origin.bank} (plan {origin.plan_sha256[:8]})")
+        source = "an earlier plan of this bank" if origin.bank == bank.name else origin.bank
+        answer(f"positions {origin.rows} were taken over from {source} ({origin.plan_sha256[:8]})")
     for note in notes[-MAX_NOTES:]:
         answer(f"note {note.at[:16].replace('T', ' ')}: {note.text}")
     if len(notes) > MAX_NOTES:
