@@ -1,0 +1,52 @@
+"""A campaign whose mirror and shutter hang on outputs of the box that records, with the box unplugged in between."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.wire.analog_bench import analog_rig
+from tests.wire.emulated import emulated_instruments, free_port
+from tests.wire.test_campaign_through_wires import POSITIONS, errors_db, write_run
+
+pytestmark = pytest.mark.long
+
+
+@pytest.mark.timeout(300)
+def test_given_the_box_is_unplugged_in_mid_campaign_then_the_bank_is_good_and_every_position_where_it_should_be(
+    tmp_path: Path,
+) -> None:
+    address = f"localhost:{free_port()}"
+    analog_rig(tmp_path, address)
+    with (tmp_path / "rig.toml").open("a", encoding="utf-8") as file:
+        file.write(f'\n[shutter]\ndriver = "nidaqmx"\ndevice = "Dev1"\naddress = "{address}"\nopens_s = 0.01\n')
+    write_run(tmp_path, "run.toml", "rig.toml")
+    lines = "".join(f"{x_mm},{y_mm}\n" for x_mm, y_mm in POSITIONS)
+    (tmp_path / "positions.csv").write_text("x_mm,y_mm\n" + lines, encoding="utf-8")
+    bank = tmp_path / "plate.h5"
+    command = [sys.executable, "-m", "wavefocus", "capture", str(tmp_path / "run.toml"), "--bank", str(bank), "--json"]
+    with emulated_instruments(tmp_path / "rig.toml") as sides:
+        spots, states = [], []
+        with subprocess.Popen(command, env=dict(sides.environment), stdout=subprocess.PIPE, text=True) as capture:
+            assert capture.stdout is not None
+            for line in capture.stdout:
+                event = json.loads(line)
+                states.append(event.get("state"))
+                if event["event"] == "position_committed" and len(spots) < 3:
+                    spots.append(event["position"])
+                    if len(spots) == 2:
+                        sides.say("unplug recorder")
+                if event["event"] == "reconnect_tried":
+                    sides.say("plug recorder")
+            code = capture.wait()
+        assert code == 0
+        assert "recovering" in states
+        assert sides.say("spot") == "spot: not on the plate"
+    errors = errors_db(bank, tmp_path / "rig.toml")
+    assert np.median(errors) < -40.0
+    assert errors.max() < -30.0
