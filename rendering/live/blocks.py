@@ -54,8 +54,7 @@ most this share of the energy of so many rows; all of them where none does."""
 RAMP_S = 0.02
 """What is emitted before a block has no effect on it, except that a sudden begin has frequencies beyond the band."""
 HAT_S, EXTENSION_S = 0.02, 0.02
-AROUND_S = 0.01
-"""Sources are quiet where the others were so long before, and where they will be so long after."""
+"""Sources are quiet where the others are at the instant of a hat, and where they are at those before and after."""
 AT_ONCE = 3
 """Blocks computed at once: the one that is due, one that stands where no order comes, and one to fade from."""
 MAX_PLACES = 24
@@ -116,7 +115,7 @@ class CrossfadedBlocks:
         self._bins = math.floor(top_hz * self._fft_samples / rate_hz + 1e-9) + 1
         self._bins = min(self._bins, self._bins_of_band())
         self._synthesis = self._synthesis_matrix()
-        self._hat, self._around = max(1, round(HAT_S * rate_hz)), round(AROUND_S * rate_hz)
+        self._hat = max(1, round(HAT_S * rate_hz))
         self.most_rows = max(1, CACHE_BYTES // (8 * self._bins * bank.actuators))
         """Rows whose spectra are kept in memory."""
         self._row_filter = lru_cache(self.most_rows)(self._make_row_filter)
@@ -215,8 +214,8 @@ class CrossfadedBlocks:
         while instants[-1] < stop:
             instants.append(instants[-1] + step)
             step = step if instants[-1] <= due else 2 * step
-        at, around = np.array(instants), np.array([[0], [-self._around], [self._around]])
-        places = self._places([life.course.at(np.clip(at + around, life.begin, life.end).ravel())[0] for life in lives])
+        at = np.array(instants)
+        places = self._places([life.course.at(np.clip(at, life.begin, life.end))[0] for life in lives])
         emitted: list[tuple[Filter, list[Piece]]] = []
         values = [life.values(max(first, life.begin), min(stop, life.end + 1)) for life in lives]
         for index in range(1, len(instants) - 1):
@@ -226,10 +225,10 @@ class CrossfadedBlocks:
                 np.linspace(0.0, 1.0, hat[1] - hat[0], endpoint=False),
                 np.linspace(1.0, 0.0, hat[2] - hat[1], endpoint=False),
             ])  # fmt: skip
-            # Where places are predicted, those around them are no better known.
-            counted = 3 if hat[1] <= due and 3 * len(there) <= MAX_PLACES else 1
-            own = tuple(tuple(places[number][part][index][0] for part in range(counted)) for number in there)
-            weights = [self._gain(places[number][0][index][1]) for number in there]
+            # Where places are predicted, those before and after are no better known.
+            counted = (0, -1, 1) if hat[1] <= due and 3 * len(there) <= MAX_PLACES else (0,)
+            own = tuple(tuple(places[number][index + other][0] for other in counted) for number in there)
+            weights = [self._gain(places[number][index][1]) for number in there]
             filters = self._filters(own, tuple(by for _, by in weights)) if own else ()
             for number, row_filter, (gain, _) in zip(there, filters, weights, strict=True):
                 life = lives[number]
@@ -240,8 +239,8 @@ class CrossfadedBlocks:
                     emitted.append((row_filter, [(begin - first, loud, gain)]))
         return emitted
 
-    def _places(self, at_mm: Sequence[Float64Array]) -> list[list[list[tuple[WeightedRows, int]]]]:
-        """Rows and weights, and nearest rows, of the places of lives: before, at and after each instant."""
+    def _places(self, at_mm: Sequence[Float64Array]) -> list[list[tuple[WeightedRows, int]]]:
+        """Weighted rows, and nearest rows, of places of lives."""
         assert self._nodes_at is not None
         nodes = self._nodes_at(np.concatenate(at_mm))
         rows, weights, nearest = nodes.rows.tolist(), nodes.weights.tolist(), nodes.nearest.tolist()
@@ -249,9 +248,8 @@ class CrossfadedBlocks:
             (tuple((row, weight) for row, weight in zip(*pair, strict=True) if weight), by)
             for *pair, by in zip(rows, weights, nearest, strict=True)
         ]
-        count = len(at_mm[0]) // 3
-        parts = [known[begin : begin + count] for begin in range(0, len(known), count)]
-        return [parts[begin : begin + 3] for begin in range(0, len(parts), 3)]
+        count = len(at_mm[0])
+        return [known[begin : begin + count] for begin in range(0, len(known), count)]
 
     def _computed(
         self, emitted: Sequence[tuple[Filter, list[Piece]]], first: int, frames: int, bound_db: float | None
