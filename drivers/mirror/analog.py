@@ -13,14 +13,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import ClassVar
 
-from wavefocus.drivers.daq.ni.ni_outputs import AnalogOutputs
-from wavefocus.drivers.daq.ni.ni_session import NiSession
+from wavefocus.drivers.daq.ni.outputs_process import OutputSettings, ProcessOutputs
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.protocols import DeviceIdentity, Mirror
 from wavefocus.drivers.registry import MIRRORS, KeyMistakeError, MirrorSettings, rig_key
 
 ANALOG_OUTPUT = (r"ao\d{1,2}", 'must be "ao0", "ao1" and so on')
-ANSWER_S = 5.0
 
 
 @MIRRORS.register
@@ -65,7 +63,8 @@ class AnalogMirrorDriver:
 class AnalogMirror:
     """Points the laser by two voltages; implements `wavefocus.drivers.protocols.Mirror`.
 
-    On its way out it is left at the voltage of `park_mrad`, which the outputs keep as long as the device has power.
+    It is left at the voltages of `park_mrad`, also where this program is killed; the outputs keep them as long as the
+    device has power.
 
     Raises InstrumentLostError or InstrumentError.
     """
@@ -76,8 +75,7 @@ class AnalogMirror:
         self._closed = False
         self._level_v: tuple[float, ...] = (0.0, 0.0)  # of a device that was just switched on; else unknown
         self._settled_s: float | None = None
-        self._session: NiSession | None = None
-        self._outputs: AnalogOutputs | None = None
+        self._outputs: ProcessOutputs | None = None
         self._identity: DeviceIdentity | None = None
         for angles in ((settings.limit_mrad, settings.limit_mrad), settings.park_mrad):
             self._volts_at(*angles, "preparing")
@@ -90,9 +88,8 @@ class AnalogMirror:
 
     def identify(self) -> str:
         self._check_open("identifying")
-        session, driver = self._connected("identifying"), self._driver
-        with session.explaining("identifying"):
-            session.ask_identity()
+        self._connected("identifying").identify()
+        driver = self._driver
         return (
             f"{self._name}: {self.identity}, {driver.x_output} and {driver.y_output} at {driver.volts_per_degree:g} V "
             f"per degree, within +-{self._settings.limit_mrad:g} mrad"
@@ -152,40 +149,36 @@ class AnalogMirror:
         self._settled_s = None
         self._drop()
         driver, known = self._driver, self._identity
-        self._session = NiSession(driver.device, driver.address, ANSWER_S, role="mirror", known=known is not None)
-        session = self._session
-        own = session.identity
-        outputs = f"{driver.x_output} and {driver.y_output}"
-        identity = DeviceIdentity(own.maker, f"{own.product} outputs {outputs}", own.serial)
+        names = (driver.x_output, driver.y_output)
+        settings = OutputSettings(
+            "mirror",
+            "x_output and y_output of [mirror]",
+            "analog",
+            driver.device,
+            driver.address,
+            names,
+            self._volts_at(*self._settings.park_mrad, "parking"),
+            driver.limit_v,
+            driver.slew_v_per_s,
+        )
+        self._outputs = ProcessOutputs(self._name, settings, self._level_v, doing, known=known is not None)
+        own = self._outputs.identity
+        identity = DeviceIdentity(own.maker, f"{own.product} outputs {' and '.join(names)}", own.serial)
         if known is not None and identity != known:
             self._drop()
             remedy = "plug the right one in, or start a new campaign with this one"
             raise InstrumentError(self._name, doing, f"{identity} answers instead of {known}", remedy)
-        try:
-            names = (driver.x_output, driver.y_output)
-            self._outputs = AnalogOutputs(
-                session, names, "x_output and y_output of [mirror]", driver.limit_v, self._level_v
-            )
-        except BaseException:
-            self._drop()
-            raise
         self._identity = identity
 
     def _drop(self) -> None:
-        session, self._session = self._session, None
         outputs, self._outputs = self._outputs, None
         if outputs is not None:
-            self._level_v = outputs.level_v
-            with suppress(InstrumentError):  # the device, or its server, is gone
-                outputs.close()
-        if session is not None:
-            session.close()
+            self._level_v = outputs.level
+            outputs.close()
 
     def _go(self, volts: Sequence[float], doing: str) -> None:
         self._settled_s = None
-        self._connected(doing)
-        assert self._outputs is not None
-        self._outputs.ramp_to(volts, self._driver.slew_v_per_s, self._clock, doing)
+        self._connected(doing).write(volts, doing)
         self._settled_s = self._clock.now_s() + self._settings.settle_s
 
     def _volts_at(self, x_mrad: float, y_mrad: float, doing: str) -> tuple[float, float]:
@@ -199,10 +192,10 @@ class AnalogMirror:
             raise InstrumentError(self._name, doing, cause, remedy)
         return volts
 
-    def _connected(self, doing: str) -> NiSession:
-        if self._session is None:
+    def _connected(self, doing: str) -> ProcessOutputs:
+        if self._outputs is None:
             raise InstrumentLostError(self._name, doing, "it is not connected", "reconnect first")
-        return self._session
+        return self._outputs
 
     def _check_open(self, doing: str) -> None:
         if self._closed:

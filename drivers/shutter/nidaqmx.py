@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 
-from wavefocus.drivers.daq.ni.ni_outputs import DigitalLine
-from wavefocus.drivers.daq.ni.ni_session import NiSession
+from wavefocus.drivers.daq.ni.outputs_process import OutputSettings, ProcessOutputs
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.drivers.protocols import DeviceIdentity, Shutter
 from wavefocus.drivers.registry import SHUTTERS, rig_key
-
-ANSWER_S = 5.0
 
 
 @SHUTTERS.register
@@ -40,7 +36,9 @@ class NiShutterDriver:
 
 
 class NiShutter:
-    """Blocks the beam by a digital line; implements `wavefocus.drivers.protocols.Shutter`.
+    """Blocks the beam by a digital line, also where this program is killed.
+
+    Implements `wavefocus.drivers.protocols.Shutter`.
 
     Raises InstrumentLostError or InstrumentError; also where the line does not read as it was set.
     """
@@ -48,8 +46,7 @@ class NiShutter:
     def __init__(self, driver: NiShutterDriver) -> None:
         self._driver = driver
         self._name = f"shutter ({driver.name} at {driver.device}/{driver.line})"
-        self._session: NiSession | None = None
-        self._line: DigitalLine | None = None
+        self._line: ProcessOutputs | None = None
         self._identity: DeviceIdentity | None = None
         self._closed = False
         self.reconnect()
@@ -74,15 +71,11 @@ class NiShutter:
             raise InstrumentError(self._name, "reconnecting", "it is closed", "open the rig again")
         self._drop()
         driver, known = self._driver, self._identity
-        self._session = session = NiSession(
-            driver.device, driver.address, ANSWER_S, role="shutter", known=known is not None
+        settings = OutputSettings(
+            "shutter", "line of [shutter]", "digital", driver.device, driver.address, (driver.line,), self._level(False)
         )
-        own = session.identity
-        try:
-            self._line = DigitalLine(session, (driver.line,), "line of [shutter]")
-        except BaseException:
-            self._drop()
-            raise
+        self._line = ProcessOutputs(self._name, settings, (), "opening the line", known=known is not None)
+        own = self._line.identity
         self._identity = DeviceIdentity(own.maker, f"{own.product} line {driver.line}", own.serial)
 
     def close(self) -> None:
@@ -92,13 +85,12 @@ class NiShutter:
     def _set(self, *, opens: bool, doing: str) -> None:
         if self._closed or self._line is None:
             raise InstrumentError(self._name, doing, "it is closed", "open the rig again")
-        self._line.write(opens is self._driver.opens_when_high, doing)
+        self._line.write(self._level(opens), doing)
+
+    def _level(self, opens: bool) -> tuple[float]:
+        return (float(opens is self._driver.opens_when_high),)
 
     def _drop(self) -> None:
-        session, self._session = self._session, None
         line, self._line = self._line, None
         if line is not None:
-            with suppress(InstrumentError):  # the device, or its server, is gone
-                line.close()
-        if session is not None:
-            session.close()
+            line.close()

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -171,3 +174,33 @@ def test_given_a_real_shutter_in_a_virtual_rig_then_the_rig_file_is_refused(tmp_
     mirror = ways.mirror()
     assert "shutter" in mirror.identify()
     mirror.close()
+
+
+HOLD = """
+import sys
+from pathlib import Path
+from wavefocus.configuration import load_rig
+from wavefocus.rig.instruments import openers
+mirror = openers(load_rig(Path(sys.argv[1]))).mirror()
+mirror.move_to(10.0, 10.0)
+mirror.wait_settled(1.0)
+print("there", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_given_the_program_is_killed_then_the_shutter_closes_and_the_mirror_parks(
+    opened: ExitStack, tmp_path: Path
+) -> None:
+    box = server(opened)
+    rig(tmp_path, box.address)
+    command = [sys.executable, "-c", HOLD, str(tmp_path / "rig.toml")]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline() == "there\n"
+        assert box.level(LINE) == 1.0
+        program.kill()
+    latest_s = time.monotonic() + 30
+    while box.level(LINE) or box.level("ao0") > -3.0:
+        assert time.monotonic() < latest_s
+        time.sleep(0.01)
