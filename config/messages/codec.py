@@ -13,7 +13,6 @@ from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import msgspec
-import msgspec.inspect
 from msgspec import Meta, Struct
 
 if TYPE_CHECKING:
