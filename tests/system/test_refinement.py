@@ -10,7 +10,8 @@ import pytest
 
 from tests.system.captures import await_event, capture_process
 from wavefocus.__main__ import run
-from wavefocus.campaign.refinement import ErrorMap, read_maps, worst_points
+from wavefocus.campaign.refinement import ErrorMap, worst_points
+from wavefocus.campaign.sidecar_files import read_expected_errors
 from wavefocus.storage.bank.origins import origins_of
 from wavefocus.storage.bank.reading import open_bank
 
@@ -48,7 +49,7 @@ def test_given_an_error_that_is_too_large_then_positions_are_added_and_measured(
         assert np.sort(gaps, axis=1)[:, 1].min() > 2.0
         assert [origin.rows for origin in origins_of(view)] == ["0-19"]
         assert json.loads(view.run_json)["grid"]["regular_positions"] == 20
-    maps = read_maps(bank)
+    maps = read_expected_errors(bank)
     assert maps["before"]["added"] == 0
     assert maps["after"]["added"] == 5
     assert max(maps["after"]["error"]) < max(maps["before"]["error"])

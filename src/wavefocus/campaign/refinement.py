@@ -17,11 +17,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from wavefocus.acquisition.grid import surface_grid
-from wavefocus.calibration import Float64Array, Int64Array
+from wavefocus.calibration import Float64Array
 from wavefocus.calibration.coarse_grid.rim_waves import MIN_POSITIONS, RimWaves, grid_spacing_mm
 from wavefocus.calibration.numerics import transform_at
 from wavefocus.campaign.blueprint import Blueprint, bank_configuration
 from wavefocus.campaign.extension import grow
+from wavefocus.campaign.sidecar_files import expected_path, read_expected_errors
 from wavefocus.console import say
 from wavefocus.rendering.number_text import percent
 from wavefocus.storage.bank.reading import Bank, open_bank
@@ -57,11 +58,6 @@ class ErrorMap:
     def largest(self) -> float:
         """Largest expected error."""
         return float(self.error.max(initial=0.0))
-
-
-def map_path(bank: Path) -> Path:
-    """Where the maps of expected error of a bank are kept: ``plate.h5`` -> ``plate.expected.json``."""
-    return bank.with_suffix(".expected.json")
 
 
 def expected_errors(bank: Bank) -> ErrorMap:
@@ -135,25 +131,10 @@ def refine(path: Path, blueprint: Blueprint) -> Blueprint | None:
 
 def _keep_map(bank: Path, found: ErrorMap, added: int) -> None:
     """Keep the map before the first refinement, and the latest, beside the bank; a full disk ends nothing."""
-    path = map_path(bank)
+    path = expected_path(bank)
     latest = {"added": added, "points_mm": found.points_mm.round(3).tolist(), "error": found.error.round(5).tolist()}
-    before = read_maps(bank).get("before", latest) if added else latest
+    before = read_expected_errors(bank).get("before", latest) if added else latest
     try:
         write_whole(path, json.dumps({"format": "wavefocus-expected-error", "before": before, "after": latest}) + "\n")
     except (OSError, InputError) as failure:
         say(f"{path} cannot be written ({failure}); the campaign goes on without it")
-
-
-def read_maps(bank: Path) -> dict[str, dict[str, object]]:
-    """The maps beside a bank by ``before`` and ``after``; empty where there are none that can be read."""
-    try:
-        content = json.loads(map_path(bank).read_text("utf-8"))
-        return {name: content[name] for name in ("before", "after")}
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return {}
-
-
-def rows_added(bank: Bank) -> Int64Array:
-    """Rows that a refinement has added."""
-    regular = bank_configuration(bank).run.grid.regular_positions
-    return np.arange(bank.positions if regular is None else regular, bank.positions)
