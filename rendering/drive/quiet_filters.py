@@ -291,7 +291,7 @@ class _Search:
 
     def _steered(self, multiplier: Float64Array) -> list[list[tuple[Complex128Array, Float64Array]]]:
         return [
-            [one.at(of_rows(multiplier, focus.place)) for one, focus in zip(own, moment.foci, strict=True)]
+            [steering.at(of_rows(multiplier, focus.place)) for steering, focus in zip(own, moment.foci, strict=True)]
             for own, moment in zip(self._steering, self._moments, strict=True)
         ]
 
@@ -335,9 +335,9 @@ class _Search:
             drive += float(_energies(emitted, driven).sum())
             there = (moment.quiet @ driven) * moment.applies[:, moment.place].T
             np.add.at(place, moment.place, _energies(emitted, there) / np.bincount(moment.place)[moment.place])
-            rows = np.stack([one.row for one in moment.foci], axis=1)
-            for one, energy in zip(moment.foci, _energies(emitted, rows @ driven).tolist(), strict=True):
-                focus[one.source] = focus.get(one.source, 0.0) + energy
+            rows = np.stack([source_focus.row for source_focus in moment.foci], axis=1)
+            for source_focus, energy in zip(moment.foci, _energies(emitted, rows @ driven).tolist(), strict=True):
+                focus[source_focus.source] = focus.get(source_focus.source, 0.0) + energy
         return _Totals(drive, np.maximum(place, 0.0), max(focus.values()))
 
 
