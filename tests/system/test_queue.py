@@ -127,6 +127,26 @@ def test_given_a_wrong_queue_or_run_then_exit_2_and_nothing_changes(
     assert {path: path.read_bytes() for path in Path().iterdir() if path.is_file()} == before
 
 
+@posix
+def test_given_a_link_or_a_folder_that_is_gone_then_it_is_said_and_nothing_is_lost(
+    queue: Path, bank: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link, folder = Path("link.json"), Path("gone").absolute()
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    assert add(Path("../night.json"), "check", "../plate.h5") == 0
+    monkeypatch.chdir(folder.parent)
+    link.symlink_to(queue)
+    for arguments in (["run", "link.json"], ["add", "link.json", "check", "plate.h5"], ["move", "link.json", "1", "1"]):
+        assert run(["queue", *arguments]) == (0 if arguments[0] == "move" else 2)
+    assert link.is_symlink()
+    folder.rmdir()
+    capsys.readouterr()
+    assert run(["queue", "run", str(queue)]) == 1
+    assert str(folder) in capsys.readouterr().err
+    assert listed(queue, capsys)["runs"][0]["state"] == "failed"
+
+
 @pytest.fixture
 def night(lab: Path) -> Iterator[subprocess.Popen[str]]:
     """A queue of one campaign that takes a minute, under way."""

@@ -61,6 +61,10 @@ def run_queue(path: Path, publish: Callable[[Message], object]) -> Exit:
     stopped waits again.
     """
     read_queue(path)  # a wrong file name is refused before anything is held
+    if path.is_symlink():
+        raise InputError(f"{path} is a symbolic link to {path.readlink()}; name the file itself")
+    if not os.access(path.absolute().parent, os.W_OK):
+        raise InputError(f"{path}: its folder is write-protected; the state of the runs could not be kept")
     with claimed(queue_claim(path)), ExitStack() as instruments, kept_awake(f"carrying out {path.name}"):
         return _QueueRunner(path, publish, instruments).run()
 
@@ -156,6 +160,7 @@ class _QueueRunner:
         try:
             process = _start(entry)
         except OSError as failure:
+            say(f"run {entry.number}: {sentence(failure)}")
             return int(Exit.WRONG_INPUT), sentence(failure)
         said: list[str] = [""]
         assert process.stdout is not None

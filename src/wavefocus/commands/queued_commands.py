@@ -42,8 +42,10 @@ def queued_command(words: Sequence[str], folder: Path) -> QueuedCommand:
     """
     from wavefocus.cli import UsageError, parsed
 
-    if not words or words[0] not in QUEUED:
-        raise InputError(f"{words[0] if words else 'nothing'!r} cannot be queued; allowed: {', '.join(QUEUED)}")
+    if not words:
+        raise InputError(f"a command is needed after the queue's name; allowed: {', '.join(QUEUED)}")
+    if words[0] not in QUEUED:
+        raise InputError(f"{words[0]!r} cannot be queued; allowed: {', '.join(QUEUED)}")
     try:
         command, given = parsed(words)
     except UsageError as wrong:
