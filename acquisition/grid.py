@@ -66,6 +66,53 @@ def surface_grid(outline: Outline, margin_mm: float, spacing_mm: float, lattice:
     return position_mm
 
 
+CHECK_SEED = 31
+CHECK_CANDIDATES = 64
+CHECK_STEP_MM = 1e-3
+"""Check positions lie on multiples of this, so that they are equal in every file."""
+MIN_CHECK_SHARE = 0.2
+"""Least distance of a check position from the grid, in spacings; it judges what lies between."""
+
+
+def check_grid(
+    outline: Outline, margin_mm: float, spacing_mm: float, position_mm: Float64Array, count: int
+) -> Float64Array:
+    """Place positions off a grid, which are measured to judge what is interpolated between its positions.
+
+    They are the same for the same surface and grid, spread over all of it: of some random places each is the one
+    furthest from those before (D. Mitchell, Spectrally optimal sampling, SIGGRAPH 1991).
+
+    margin_mm: Distance kept from the outline in millimetres, >= 0.
+    spacing_mm: Distance of neighbouring positions in millimetres, > 0.
+    position_mm, float64 (positions, 2): The grid.
+    count: How many, >= 0.
+
+    Returns float64 (count, 2): x and y in millimetres. Raises InputError: the surface has no room for them.
+    """
+    rng = np.random.default_rng(CHECK_SEED)
+    low_mm, high_mm = position_mm.min(axis=0) - spacing_mm / 2, position_mm.max(axis=0) + spacing_mm / 2
+    found = np.zeros((0, 2))
+    for _ in range(count):
+        candidates_mm = np.zeros((0, 2))
+        for _ in range(CHECK_CANDIDATES):
+            places_mm = np.round(rng.uniform(low_mm, high_mm, (CHECK_CANDIDATES, 2)) / CHECK_STEP_MM) * CHECK_STEP_MM
+            apart_mm = _nearest_mm(places_mm, position_mm)
+            between = (apart_mm >= MIN_CHECK_SHARE * spacing_mm) & (apart_mm <= spacing_mm)
+            candidates_mm = np.concatenate([candidates_mm, places_mm[between & outline.contains(places_mm, margin_mm)]])
+            if len(candidates_mm) >= CHECK_CANDIDATES:
+                break
+        if not len(candidates_mm):
+            raise InputError(f"check_positions = {count}: no place between the grid's positions is on the surface")
+        furthest = int(np.argmax(_nearest_mm(candidates_mm, found))) if len(found) else 0
+        found = np.concatenate([found, candidates_mm[furthest : furthest + 1]])
+    return found
+
+
+def _nearest_mm(places_mm: Float64Array, others_mm: Float64Array) -> Float64Array:
+    gap_mm = places_mm[:, None] - others_mm[None]
+    return np.asarray(np.hypot(gap_mm[..., 0], gap_mm[..., 1]).min(axis=1))
+
+
 def read_positions_file(path: Path, outline: Outline) -> Float64Array:
     """Read positions from a CSV file with the header ``x_mm,y_mm``, in the order of its lines.
 

@@ -27,6 +27,7 @@ BENCHMARKS = {
     "estimate": Benchmark("estimators side by side"),
     "render": Benchmark("renderers and predictors side by side"),
     "interpolation": Benchmark("the bank between its positions"),
+    "coarse_grids": Benchmark("grids coarser than half a wavelength, on all plates", on_request=True),
     "focusing": Benchmark("focusing methods on one scene"),
     "quiet": Benchmark("quiet places: level, drive energy, run time", on_request=True),
     "commands": Benchmark("commands from the shell"),

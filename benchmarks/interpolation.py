@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.acquisition.grid import surface_grid
+from wavefocus.benchmarks import coarse_grids
 from wavefocus.benchmarks.harness import Entry, Findings, Mark, measure
 from wavefocus.benchmarks.rig_bank import MARGIN_MM, RATE_HZ, TAPS, default_grid, true_bank
-from wavefocus.config.interpolations import INTERPOLATIONS
 from wavefocus.config.outline import Outline
 from wavefocus.config.scene import Output
 from wavefocus.mocks.virtual.rig import VirtualRig
@@ -35,6 +35,8 @@ from wavefocus.rendering.scene.signals import Noise
 Float64Array = NDArray[np.float64]
 Complex128Array = NDArray[np.complex128]
 
+METHODS = ("nearest", "bilinear", "kernel")
+"""Methods that need no model of the whole surface; `coarse_grids` compares that one with them."""
 FREQUENCIES_HZ = (100.0, 250.0, 450.0)
 MARKS = {(None, 250.0): 0.005, (None, 450.0): 0.07, (-60.0, 250.0): 0.01, (-60.0, 450.0): 0.08}
 """Largest median error wanted of the kernel, by noise of the bank in dB and frequency."""
@@ -58,6 +60,7 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
     points = [point for error_db, bank in banks.items() for point in errors_of(bank, error_db, points_mm, truth)]
     points += spacings(rig, points_mm, truth, quick=quick)
     points += render_times(banks[-60.0])
+    points += coarse_grids.entries(coarse_grids.DEFAULT_CASES[: 1 if quick else None], quick=quick, workers=1)
     return Findings(points, "the plate's true transfer functions")
 
 
@@ -71,7 +74,7 @@ def errors_of(bank: GreenArray, error_db: float | None, points_mm: Float64Array,
     """Errors of all kinds on one bank."""
     kernel = KernelInterpolation(bank, points_mm)
     points = []
-    for name in INTERPOLATIONS:
+    for name in METHODS:
         kind = kernel if name == "kernel" else interpolation_method(name).over(bank, points_mm)
         usable_mm, chosen = points_mm, np.arange(len(points_mm))
         if isinstance(kind, LatticeInterpolation):
@@ -111,7 +114,7 @@ def spacings(rig: VirtualRig, points_mm: Float64Array, truth: Complex128Array, *
         if quick:
             position_mm = position_mm[(np.abs(position_mm) < QUICK_MM).all(axis=1)]
         bank = true_bank(rig, position_mm, -60.0)
-        for name in INTERPOLATIONS:
+        for name in METHODS:
             usable = np.ones(len(points_mm), dtype=bool)
             made = interpolation_method(name).over(bank, points_mm)
             if isinstance(made, LatticeInterpolation):
@@ -127,7 +130,7 @@ def spacings(rig: VirtualRig, points_mm: Float64Array, truth: Complex128Array, *
                     figures={"positions": bank.positions, "hours": bank.positions * HOURS_A_POSITION},
                 )
             )  # fmt: skip
-    return sorted(points, key=lambda one: list(INTERPOLATIONS).index(one.method))
+    return sorted(points, key=lambda one: list(METHODS).index(one.method))
 
 
 def _interpolated(name: str, bank: GreenArray, points_mm: Float64Array) -> Complex128Array:
@@ -145,7 +148,7 @@ def _summed(kind: Interpolation, nodes: Nodes, bank: GreenArray) -> Complex128Ar
 def render_times(bank: GreenArray) -> list[Entry]:
     """Time to render 2.4 s of a source on a circle of 30 mm at 8 cm/s, exactly."""
     source = Source(Circle((0.3, 1.1), 30.0), Noise((50.0, 450.0), 3.0, 1), 0.0, 80.0, 4.0)
-    scenes = {name: Scene("circle", (source,), output=Output(interpolation=name)) for name in INTERPOLATIONS}
+    scenes = {name: Scene("circle", (source,), output=Output(interpolation=name)) for name in METHODS}
     found = measure({name: partial(render_with_report, one, bank, method="exact") for name, one in scenes.items()}, 2)
     return [Entry(work="exact moving source, 2.4 s", method=name, timing=timing) for name, timing in found.items()]
 

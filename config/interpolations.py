@@ -8,4 +8,6 @@ INTERPOLATIONS = {
     "nearest": "wavefocus.rendering.greens.interpolation.on_grid:Nearest",
     "bilinear": "wavefocus.rendering.greens.interpolation.on_grid:Bilinear",
     "kernel": "wavefocus.rendering.greens.interpolation.kernel:KernelInterpolation",
+    "waves": "wavefocus.rendering.greens.interpolation.waves:WavesInterpolation",
+    "auto": "wavefocus.rendering.greens.interpolation.auto:AutoInterpolation",
 }

@@ -60,6 +60,17 @@ class Grid(Table):
     regular_positions: Annotated[Whole | None, FREE, Field(ge=1)] = Field(
         default=None, description="Positions before those that refine_to has added; only a bank says it"
     )
+    check_positions: Annotated[Whole, Field(ge=0, le=1000), DERIVED] | None = Field(
+        default=None,
+        description="Positions off the lattice, measured to judge what is interpolated; 12 by default where its"
+        " spacing is above half a wavelength, else 0",
+    )
+
+    @model_validator(mode="after")
+    def _checks_need_a_lattice(self) -> Grid:
+        if self.check_positions and self.positions_file is not None:
+            raise mistake("check_positions", self.check_positions, "must be 0 or absent with positions_file")
+        return self
 
 
 class Sweep(Table):

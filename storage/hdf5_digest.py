@@ -30,7 +30,7 @@ _ROOT = frozenset({
     "software", "directions_deg", "import_report", "header_crc32", "layout_crc32", "layout_later_crc32", "taps",
     "period_s", "averages", "sweep_s", "decay_s", "same_clock", "sweep_law", "response_per_volt", "reference_gain",
     "inter_channel_delay_s", "start_s", "scale", "omitted_bound", "method", "decimated_by", "volts_per_count",
-    "contents_sha256", "heap_offsets", "sha256", "origins", NOTES,
+    "contents_sha256", "heap_offsets", "sha256", "origins", "check_rows", NOTES,
 })  # fmt: skip
 """Root attributes of files of this program; a person may add others, which change nothing."""
 # Written last of all; `heap_offsets` says where older versions keep texts.

@@ -27,10 +27,11 @@ from wavefocus.calibration import Complex64Array, Complex128Array, Float64Array
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.coarse_grid.posterior import FIRST_SHARES, FrequencyWaves
 from wavefocus.calibration.coarse_grid.waves import (
+    OWN_ELASTIC,
     Dispersion,
     dispersion_of_own_waves,
     distances_mm,
-    outgoing,
+    outgoing_at_all,
     own_waves,
     rim_ring,
 )
@@ -42,7 +43,7 @@ FAINT_POWER = 3e-3
 """Knots have at least this share of the loudest frequency's power: at the faint edges of a band nothing is learnt."""
 FIT_POSITIONS, FIT_ACTUATORS = 240, 4
 EVALUATIONS = 60
-RING_WAVELENGTHS, RING_OFFSET_WAVELENGTHS = 0.42, 0.95
+RING_WAVELENGTHS, RING_OFFSET_WAVELENGTHS = 0.46, 1.05
 """Distance of the ring's sources from one another and from everything else, in wavelengths at the highest knot."""
 MAX_RING_SHARE = 0.025
 """The same distance at most, relative to the extent of all positions and actuators."""
@@ -97,6 +98,7 @@ class RimWaves:
         check_mm: Float64Array | None = None,
         check_transfer: Complex128Array | None = None,
         *,
+        band_hz: tuple[float, float] | None = None,
         workers: int | None = None,
     ) -> RimWaves:
         """Fit the model to transfer functions.
@@ -106,6 +108,7 @@ class RimWaves:
         actuator_mm, float64 (actuators, 2): Finite.
         transfer, complex128 (frequencies, positions, actuators): exp(+j w t).
         check_mm, check_transfer: Positions that judge what lies between, and their transfer functions; at least 3.
+        band_hz: Measured band: wave numbers are found there, and extrapolated beyond it. By default all is measured.
         workers: Threads; by default one per processor, at most 4.
 
         Raises ValueError: sizes do not fit, or positions are too few.
@@ -117,7 +120,9 @@ class RimWaves:
         if len(position_mm) < MIN_POSITIONS:
             raise ValueError(f"{len(position_mm)} positions are too few; at least {MIN_POSITIONS} are needed")
         with one_blas_thread():
-            return _Fit(frequency_hz, position_mm, actuator_mm, transfer, workers).run(check_mm, check_transfer)
+            return _Fit(frequency_hz, position_mm, actuator_mm, transfer, band_hz, workers).run(
+                check_mm, check_transfer
+            )
 
     @property
     def spacing_mm(self) -> float:
@@ -131,17 +136,17 @@ class RimWaves:
 
     def values(self, points_mm: Float64Array, index: Sequence[int] | None = None) -> Complex128Array:
         """Transfer functions at points (n, 2) and some frequencies, by default all: (frequencies, n, actuators)."""
-        chosen = range(len(self.frequency_hz)) if index is None else index
+        chosen = list(range(len(self.frequency_hz)) if index is None else index)
         to_ring_mm, to_positions_mm = distances_mm(points_mm, self.ring_mm), _gaps_mm(points_mm, self.position_mm)
-        found = np.empty((len(chosen), len(points_mm), len(self.actuator_mm)), dtype=np.complex128)
-        for place, number in enumerate(chosen):
-            k, strength = complex(self.wavenumber[number]), self.strength[number]
+        own_count = OWN_ELASTIC if self.pressure_share else 1
+        wavenumbers, strengths = self.wavenumber[chosen], self.strength[chosen]
+        found = outgoing_at_all(wavenumbers, to_ring_mm) @ strengths[:, own_count:]
+        for place, (number, k) in enumerate(zip(chosen, wavenumbers.tolist(), strict=True)):
             own = own_waves(k, self.pressure_share, points_mm, self.actuator_mm)
-            found[place] = np.einsum("cpa,ca->pa", own, strength[: len(own)])
-            found[place] += outgoing(k, to_ring_mm) @ strength[len(own) :]
+            found[place] += np.einsum("cpa,ca->pa", own, strengths[place, :own_count])
             if self.rest_radius[number] > 0:
                 found[place] += disk(self.rest_radius[number] * to_positions_mm) @ self.rest[number]
-        return found
+        return np.asarray(found, dtype=np.complex128)
 
     def deviations(self, points_mm: Float64Array, index: Sequence[int]) -> Float64Array:
         """Standard deviations of `values`, (frequencies, n, actuators).
@@ -184,8 +189,11 @@ class _Fit:
         position_mm: Float64Array,
         actuator_mm: Float64Array,
         transfer: Complex128Array,
+        band_hz: tuple[float, float] | None,
         workers: int | None,
     ) -> None:
+        low_hz, high_hz = band_hz or (0.0, np.inf)
+        self._measured = (frequency_hz >= low_hz) & (frequency_hz <= high_hz)
         self._frequency_hz, self._transfer = frequency_hz, transfer
         self._position_mm = np.asarray(position_mm, dtype=np.float64)
         self._actuator_mm = np.asarray(actuator_mm, dtype=np.float64)
@@ -197,6 +205,7 @@ class _Fit:
         self._some = np.random.default_rng(0).permutation(len(position_mm))[:FIT_POSITIONS]
         self._every = np.unique(np.linspace(0, len(actuator_mm) - 1, FIT_ACTUATORS).astype(np.int64))
         self._pressure_share = 0.0
+        self._rest_choice: dict[int, tuple[float, float, float]] = {}
 
     def run(self, check_mm: Float64Array | None, check_transfer: Complex128Array | None) -> RimWaves:
         knots = self._knots()
@@ -204,6 +213,8 @@ class _Fit:
         self._place_ring(law, knots)
         wavenumber, shares = self._hyperparameters(knots, law)
         self._wavenumber, self._shares = wavenumber, shares
+        judged = sorted({*np.linspace(0, len(self._frequency_hz) - 1, REST_JUDGED).astype(int).tolist(), *knots})
+        self._rest_choice = dict(zip(judged, self._each(judged, self._chosen_rest), strict=True))
         solved = self._each(range(len(self._frequency_hz)), self._solve)
         strength, radius, gain, rest = (np.array(part) for part in zip(*solved, strict=True))
         model = RimWaves(
@@ -217,8 +228,12 @@ class _Fit:
 
     def _knots(self) -> list[int]:
         """Indices of the frequencies at which the hyperparameters are found, dense where waves are long."""
-        loud = self._power.mean(axis=1)
-        loud = np.flatnonzero(loud > FAINT_POWER * loud.max())
+        power = (
+            np.where(self._measured, self._power.mean(axis=1), 0.0)
+            if self._measured.any()
+            else self._power.mean(axis=1)
+        )
+        loud = np.flatnonzero(power > FAINT_POWER * power.max())
         low_hz, high_hz = self._frequency_hz[loud[0]], self._frequency_hz[loud[-1]]
         wanted_hz = np.linspace(np.sqrt(low_hz), np.sqrt(high_hz), KNOTS) ** 2
         nearest = [int(loud[np.argmin(np.abs(self._frequency_hz[loud] - hz))]) for hz in wanted_hz]
@@ -287,14 +302,47 @@ class _Fit:
         every = np.stack([np.interp(np.log(inside_hz), np.log(knot_hz), column) for column in rows.T], axis=1)
         return np.asarray(wavenumber), every
 
-    def _solve(self, number: int) -> tuple[Complex128Array, float, float, Complex128Array]:
-        waves = FrequencyWaves(
+    def _frequency(self, number: int) -> FrequencyWaves:
+        return FrequencyWaves(
             self._wavenumber[number], self._pressure_share, self._position_mm, self._actuator_mm, self._ring_mm,
             self._power[number], self._relative_level, self._transfer[number],
         )  # fmt: skip
+
+    def _solve(self, number: int) -> tuple[Complex128Array, float, float, Complex128Array]:
+        waves = self._frequency(number)
         strength = waves.strengths(self._shares[number])
         residual = self._transfer[number] - waves.sums(strength)
-        return strength, *_rest(self._position_mm, self._spacing_mm, residual, abs(self._wavenumber[number]))
+        nearest = min(self._rest_choice, key=lambda judged: abs(judged - number)) if self._rest_choice else number
+        radius, ridge, gain = self._rest_choice.get(nearest, NO_REST)
+        radius = radius * abs(self._wavenumber[number]) if radius > 0 else -radius
+        if not radius:
+            return strength, 0.0, 1.0, np.zeros_like(residual)
+        kernel = disk(radius * _gaps_mm(self._position_mm, self._position_mm))
+        return strength, radius, gain, cho_solve(cho_factor(kernel + ridge * np.eye(len(kernel))), residual)
+
+    def _chosen_rest(self, number: int) -> tuple[float, float, float]:
+        """Of the rest at one frequency: radius, in wave numbers, or below 0 in rad/mm; ridge; share that stays.
+
+        Judged on the positions around the middle of the surface, enough for any number of them.
+        """
+        strength, *_ = self._solve(number)
+        model = self._frequency(number)
+        residual = self._transfer[number] - model.sums(strength)
+        middle_mm = self._position_mm - np.median(self._position_mm, axis=0)
+        some = np.argsort(np.hypot(*middle_mm.T), kind="stable")[:REST_POSITIONS]
+        apart_mm, residual = _gaps_mm(self._position_mm[some], self._position_mm[some]), residual[some]
+        norm = np.maximum(np.linalg.norm(residual, axis=1), 1e-300)
+        best = NO_REST
+        for radius in (REST_RADIUS, -np.pi / self._spacing_mm):
+            in_rad_mm = radius * abs(self._wavenumber[number]) if radius > 0 else -radius
+            kernel = disk(in_rad_mm * apart_mm)
+            for ridge in REST_RIDGES:
+                inverse = cho_solve(cho_factor(kernel + ridge * np.eye(len(kernel))), np.eye(len(kernel)))
+                missed = np.linalg.norm(inverse @ residual / inverse.diagonal()[:, None], axis=1)
+                share = float(np.median(missed / norm))
+                if share < min(best[2], MAX_REST):
+                    best = (radius, ridge, share)
+        return best
 
     def _each(self, numbers: Sequence[int], task: Callable[[int], Result]) -> list[Result]:
         if self._workers <= 1:
@@ -304,6 +352,8 @@ class _Fit:
 
 
 MIN_CHECKS = 3
+JUDGED = 32
+"""Frequencies at which check positions judge."""
 JUDGED_HALF_OCTAVES = 0.25
 """Half the width, in octaves, of the bands in which check positions judge together."""
 
@@ -320,39 +370,25 @@ def judged_by_checks(
         error = np.abs(model.values(check_mm, [number])[0] - check_transfer[number])
         return np.asarray(np.square(error / model.deviations(check_mm, [number])[0]).ravel())
 
-    ratio = np.array(each(range(len(model.frequency_hz)), ratios))
-    octave = np.log2(model.frequency_hz)
-    scale = np.empty(len(octave))
-    for number, here in enumerate(octave):
+    judged = np.unique(np.linspace(0, len(model.frequency_hz) - 1, JUDGED).astype(np.int64))
+    ratio = np.array(each(judged.tolist(), ratios))
+    octave = np.log2(model.frequency_hz[judged])
+    scales = []
+    for here in octave:
         band = np.abs(octave - here) <= JUDGED_HALF_OCTAVES
-        scale[number] = np.sqrt(np.quantile(ratio[band], 0.95) / NORMAL_95)
+        scales.append(np.sqrt(np.quantile(ratio[band], 0.95) / NORMAL_95))
+    scale = np.exp(np.interp(np.log2(model.frequency_hz), octave, np.log(np.maximum(scales, 1e-6))))
     return replace(model, deviation_scale=scale, judged_by="check positions")
 
 
+REST_JUDGED, REST_POSITIONS = 16, 400
+"""Frequencies at which the rest is judged, and positions that judge it, at most."""
+NO_REST = (0.0, 1.0, 1.0)
 REST_RIDGES = (1e-6, 1e-4, 1e-2, 1e-1)
 REST_RADIUS = 1.15
 """Radius of the rest's disk in wave numbers; or what the positions resolve, pi over their spacing."""
 MAX_REST = 0.9
 """Where positions that are left out say that more than this share would stay, there is no rest."""
-
-
-def _rest(
-    position_mm: Float64Array, spacing_mm: float, residual: Complex128Array, wavenumber: float
-) -> tuple[float, float, Complex128Array]:
-    """Radius, share that stays, and ``(K + ridge)^-1 r`` of the residuals (positions, actuators)."""
-    apart_mm = _gaps_mm(position_mm, position_mm)
-    norm = np.maximum(np.linalg.norm(residual, axis=1), 1e-300)
-    best: tuple[float, float, Complex128Array] = (0.0, 1.0, np.zeros_like(residual))
-    for radius in (REST_RADIUS * wavenumber, np.pi / spacing_mm):
-        kernel = disk(radius * apart_mm)
-        for ridge in REST_RIDGES:
-            inverse = cho_solve(cho_factor(kernel + ridge * np.eye(len(kernel))), np.eye(len(kernel)))
-            dual = inverse @ residual
-            missed = np.linalg.norm(dual / inverse.diagonal()[:, None], axis=1)
-            share = float(np.median(missed / norm))
-            if share < min(best[1], MAX_REST):
-                best = (radius, share, dual)
-    return best
 
 
 def disk(radians: Float64Array) -> Float64Array:

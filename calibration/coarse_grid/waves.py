@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize
+from scipy.sparse import csr_array
 from scipy.spatial import ConvexHull
 from scipy.special import hankel2
 
-from wavefocus.calibration import Complex128Array, Float64Array
+from wavefocus.calibration import Complex64Array, Complex128Array, Float64Array
 
 MIN_DISTANCE_MM = 1.0
 """Actuators have a radius: no point is nearer to one."""
@@ -37,6 +38,40 @@ def outgoing(wavenumber: complex, distance_mm: Float64Array, order: int = 0) -> 
     envelope = hankel2(order, wavenumber * nodes_mm) * np.exp(1j * wavenumber * nodes_mm) * np.sqrt(nodes_mm)
     smooth = CubicSpline(np.log(nodes_mm), envelope)(np.log(distance_mm))
     return np.asarray(smooth * np.exp(-1j * wavenumber * distance_mm) / np.sqrt(distance_mm))
+
+
+TABLE_STEP_RAD = 0.15
+"""Step of a table of H0(2) in radians of the shortest wave; cubics between its nodes are right to 1e-5."""
+OWN_ELASTIC = 6
+"""Number of waves that an actuator sends out in the plane of a solid."""
+
+
+def outgoing_at_all(wavenumbers: Complex128Array, distance_mm: Float64Array) -> Complex64Array:
+    """H0(2)(k r) at many distances (n, m), for many wave numbers (frequencies,): (frequencies, n, m).
+
+    All are interpolated from tables over r with the same weights, which is a product with one sparse matrix.
+    """
+    step_mm = TABLE_STEP_RAD / float(np.abs(wavenumbers).max())
+    low_mm, high_mm = float(distance_mm.min()), float(distance_mm.max())
+    nodes_mm = low_mm + step_mm * np.arange(-1, int((high_mm - low_mm) / step_mm) + 4)
+    nodes_mm = np.maximum(nodes_mm, 1e-3 * step_mm)
+    if distance_mm.size < 2 * len(nodes_mm):
+        return np.stack([outgoing(k, distance_mm) for k in wavenumbers.tolist()]).astype(np.complex64)
+    table = np.stack([outgoing(k, nodes_mm) for k in wavenumbers.tolist()], axis=1).astype(np.complex64)
+    at = (distance_mm.ravel() - low_mm) / step_mm + 1.0
+    cell = at.astype(np.int32)
+    t = at - cell
+    weights = [
+        -t * (t - 1) * (t - 2) / 6,
+        (t + 1) * (t - 1) * (t - 2) / 2,
+        -(t + 1) * t * (t - 2) / 2,
+        (t + 1) * t * (t - 1) / 6,
+    ]
+    rows = 4 * np.arange(len(at) + 1, dtype=np.int32)
+    columns = (cell[:, None] + np.arange(-1, 3, dtype=np.int32)).ravel()
+    values = np.stack(weights, axis=1).ravel().astype(np.complex64)
+    found = csr_array((values, columns, rows), shape=(len(at), len(nodes_mm))) @ table
+    return np.ascontiguousarray(found.T).reshape(-1, *distance_mm.shape)
 
 
 def own_waves(

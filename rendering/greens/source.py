@@ -87,6 +87,7 @@ class GreenArray:
     sample_rate_hz: Rate in Hz, > 0.
     status, uint8 (positions,): Status bits; all rows valid where not given.
     actuator_mm, float64 (actuators, 2): Actuator positions in millimetres; NaN where not given.
+    check, bool (positions,): Positions off the grid that only judge what is interpolated; none where not given.
     """
 
     values: NDArray[Any]
@@ -96,6 +97,7 @@ class GreenArray:
     actuator_mm: Float64Array = field(default=None)  # type: ignore[arg-type]
     band_hz: tuple[float, float] | None = None
     response_unit: str = "m/s/V"
+    check: BoolArray | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", reals("green", self.values))
@@ -231,6 +233,12 @@ def apply_exponent(values: ArrayLike, exponent: int) -> Float64Array:
 def usable(bank: GreenSource) -> BoolArray:
     """Which rows hold a measurement that may be used, bool (positions,)."""
     return usable_rows(np.asarray(bank.status))
+
+
+def is_check(bank: GreenSource) -> BoolArray:
+    """Which positions lie off the grid and only judge what is interpolated between it, bool (positions,)."""
+    check = getattr(bank, "check", None)
+    return np.zeros(bank.positions, dtype=bool) if check is None else np.asarray(check, dtype=bool)
 
 
 def drive_unit(bank: GreenSource) -> str:

@@ -15,7 +15,6 @@ from wavefocus.rendering.greens.interpolation.base import (
     interpolation_method,
     show_mm,
 )
-from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.greens.source import GreenSource, usable
 from wavefocus.storage.errors import InputError
 
@@ -42,7 +41,7 @@ class PlayableSurface:
             )
         if reason := getattr(bank, "import_facts", {}).get("unsuited", {}).get(interpolation):
             raise InputError(f"interpolation is {interpolation!r}, and the bank was imported: {reason}; use 'nearest'")
-        self._method = method(PositionGrid(bank.position_mm))
+        self._method = method.over(bank, np.zeros((0, 2)))
         self._read, self._usable = read, usable(bank)
         self._unread = self._usable.copy()
         self._note_doubts()

@@ -653,6 +653,8 @@ COMMANDS = (
             switch("--quick", help="Small sizes, to see that it works."),
             number("--seconds", 1, 86_400,
                    help="Of live_latency: ten sources, then independent ones, on the virtual player for so long each."),
+            number("--workers", 1, 256, whole=True,
+                   help="Of coarse_grids: processes, each with cases of its own. [default: as many as processors]"),
             FORCE,
         ),
     ),

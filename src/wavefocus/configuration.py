@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.acquisition.grid import read_positions_file, surface_grid
+from wavefocus.acquisition.grid import check_grid, read_positions_file, surface_grid
+from wavefocus.acquisition.plan import GEL_SPEED_M_S
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.config.calibration import load_calibration
 from wavefocus.config.fields import Table
@@ -83,10 +84,45 @@ def configuration_of(
         try:
             grid = run.grid
             position_mm = surface_grid(rig.surface.outline, grid.margin_mm, grid.spacing_mm, grid.lattice)
+            run = _with_check_count(run)
+            checks_mm = _checks_mm(run, rig, position_mm)
+            position_mm = np.concatenate([position_mm, checks_mm])
         except InputError as error:
             raise InputError(printable(f"{source}: grid.{error}")) from None
     _check_mirror_reach(rig, position_mm, source)
     return Configuration(run, rig, position_mm)
+
+
+def _with_check_count(run: RunConfig) -> RunConfig:
+    """The run with the number of check positions stated: 12 where the lattice is coarser than half a wavelength."""
+    if run.grid.check_positions is not None:
+        return run
+    half_wavelength_mm = 0.5e3 * GEL_SPEED_M_S / run.sweep.stop_hz
+    count = DEFAULT_CHECKS if run.grid.spacing_mm > half_wavelength_mm else 0
+    return run.model_copy(update={"grid": run.grid.model_copy(update={"check_positions": count})})
+
+
+def _checks_mm(run: RunConfig, rig: RigConfig, position_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+    grid = run.grid
+    count = grid.check_positions or 0
+    if not count or grid.positions_file is not None:
+        return np.zeros((0, 2))
+    return check_grid(rig.surface.outline, grid.margin_mm, grid.spacing_mm, position_mm, count)
+
+
+def check_rows(configuration: Configuration) -> NDArray[np.int64]:
+    """Rows of the positions that are measured only to judge what is interpolated between the others."""
+    run, rig = configuration.run, configuration.rig
+    if not run.grid.check_positions or run.grid.positions_file is not None:
+        return np.zeros(0, dtype=np.int64)
+    grid = run.grid
+    lattice_mm = surface_grid(rig.surface.outline, grid.margin_mm, grid.spacing_mm, grid.lattice)
+    planned = {tuple(place) for place in _checks_mm(run, rig, lattice_mm).tolist()}
+    rows = [row for row, place in enumerate(configuration.position_mm.tolist()) if tuple(place) in planned]
+    return np.array(rows, dtype=np.int64)
+
+
+DEFAULT_CHECKS = 12
 
 
 def load_rig(path: Path) -> RigConfig:

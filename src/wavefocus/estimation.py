@@ -21,7 +21,7 @@ from wavefocus.calibration.estimator.raw_estimation import PositionResult, affor
 from wavefocus.campaign.blueprint import carried_configuration, estimator_for, own_plan, require_same_plan
 from wavefocus.cluster import estimate_on_cluster
 from wavefocus.config.limits import QualityLimits
-from wavefocus.configuration import plate_behind
+from wavefocus.configuration import check_rows, plate_behind
 from wavefocus.storage.argument_types import checked
 from wavefocus.storage.bank.layout import BankHeader
 from wavefocus.storage.bank.ledger import PointRecord
@@ -173,6 +173,7 @@ def _commit(writer: BankWriter, result: PositionResult, limits: QualityLimits, *
 
 def _bank_header(header: RawHeader) -> BankHeader:
     unit = header.response_unit
+    found = carried_configuration(header, Path("raw recordings"))
     return BankHeader(
         sample_rate_hz=header.sample_rate_hz,
         taps=header.taps,
@@ -184,13 +185,9 @@ def _bank_header(header: RawHeader) -> BankHeader:
         plan_sha256=header.identity(),
         software=f"wavefocus {version('wavefocus')}, from raw recordings",
         response_unit=unit if unit.endswith("/V") else f"{unit}/V",
-        directions_deg=_directions_deg(header),
+        directions_deg=None if found is None else plate_behind(found.rig, found.run).directions_deg,
+        check_rows=() if found is None else tuple(check_rows(found).tolist()),
     )
-
-
-def _directions_deg(header: RawHeader) -> tuple[float, float] | None:
-    found = carried_configuration(header, Path("raw recordings"))
-    return None if found is None else plate_behind(found.rig, found.run).directions_deg
 
 
 def _require_alike(held: BankHeader, header: RawHeader, bank: Path, raw: Path) -> None:

@@ -68,6 +68,7 @@ class BankHeader:
         the bank was begun; None where the configuration says so.
     origins: JSON text: which banks rows were taken over from, as `wavefocus.campaign.extension.Origin` states it; empty
         where all were measured into this one.
+    check_rows: Positions off the grid that were measured only to judge what is interpolated between it.
     """
 
     sample_rate_hz: float
@@ -84,10 +85,13 @@ class BankHeader:
     directions_deg: tuple[float, float] | None = None
     import_report: str = ""
     inter_channel_delay_s: float | None = None
+    check_rows: tuple[int, ...] = ()
     origins: str = ""
 
     def __post_init__(self) -> None:
         require_header(self)
+        if any(not 0 <= row < self.positions for row in self.check_rows):
+            raise InputError(f"check_rows is {self.check_rows}; rows from 0 to {self.positions - 1} are allowed")
         if self.taps < 1:
             raise InputError(f"taps is {self.taps}; at least 1 is needed")
 
@@ -120,7 +124,8 @@ class BankHeader:
         crc = zlib.crc32("\0".join(words).encode())
         for array in (figures, self.position_mm, self.actuator_mm, sample_times(self.taps, self.sample_rate_hz)):
             crc = zlib.crc32(array.astype("<f8").tobytes(), crc)
-        return crc
+        # Nothing is added where there are none, so that banks without them are as they were.
+        return zlib.crc32(np.array(self.check_rows, "<i8").tobytes(), crc)
 
 
 _FIRST_FIGURES = ("/status", *(f"/quality/{name}" for name in FIRST_QUALITY_NAMES))
@@ -185,6 +190,8 @@ def _lay_out(file: h5py.File, header: BankHeader) -> LedgerLayout:
         file.attrs["import_report"] = header.import_report
     if header.origins:
         file.attrs["origins"] = header.origins
+    if header.check_rows:
+        file.attrs["check_rows"] = np.array(header.check_rows, np.int64)
     if header.inter_channel_delay_s is not None:
         file.attrs["inter_channel_delay_s"] = np.float64(header.inter_channel_delay_s)
     count, actuators, taps = header.positions, header.actuators, header.taps
@@ -240,6 +247,17 @@ def read_header(file: h5py.File, path: Path) -> BankHeader:
     return header
 
 
+def read_check_rows(file: h5py.File, positions: int) -> tuple[int, ...]:
+    """Rows of attribute ``check_rows``, ascending; none where there is no such attribute."""
+    if not hdf5_reading.holds_attribute(file, "check_rows"):
+        return ()
+    rows = np.asarray(file.attrs["check_rows"])
+    if rows.ndim != 1 or rows.dtype.kind not in "iu" or not ((rows >= 0) & (rows < positions)).all():
+        path = hdf5_reading.path_of(file)
+        raise InputError(f"{path}: attribute check_rows must hold rows from 0 to {positions - 1}")
+    return tuple(sorted(set(rows.tolist())))
+
+
 def _read_header(file: h5py.File, path: Path) -> BankHeader:
     green = hdf5_reading.plain_dataset(file, "/green")
     if green.ndim != 3:
@@ -269,6 +287,7 @@ def _read_header(file: h5py.File, path: Path) -> BankHeader:
             directions_deg=hdf5_reading.pair(file, "directions_deg"),
             import_report=hdf5_reading.text(file, "import_report") or "",
             origins=hdf5_reading.text(file, "origins") or "",
+            check_rows=read_check_rows(file, positions),
             inter_channel_delay_s=(
                 hdf5_reading.number(file, "inter_channel_delay_s") if "inter_channel_delay_s" in file.attrs else None
             ),

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from wavefocus.storage import hdf5_digest, hdf5_reading
 from wavefocus.storage.argument_types import Positions, bank_row, bank_rows, checked
-from wavefocus.storage.bank.layout import BankHeader, quality_shape, read_header, read_layout
+from wavefocus.storage.bank.layout import BankHeader, quality_shape, read_check_rows, read_header, read_layout
 from wavefocus.storage.bank.ledger import BANK, QUALITY_NAMES, LedgerFigures, figures_of
 from wavefocus.storage.bank.notes import Note, read_notes
 from wavefocus.storage.durable import Closing
@@ -113,6 +113,7 @@ def read_foreign(file: h5py.File, path: Path, stack: ExitStack) -> tuple[dict[st
         "software": hdf5_reading.text(file, "software"),
         "directions_deg": hdf5_reading.pair(file, "directions_deg"),
         "import_report": hdf5_reading.text(file, "import_report"),
+        "check_rows": read_check_rows(file, positions),
     }
     status = _status(file, path, positions)
     return facts, ForeignRows(path, green, status, stack.pop_all())
@@ -194,6 +195,7 @@ class Bank(Closing):
     inter_channel_delay_s: How much later the response was sampled than the reference, in s, as the recorder stated it
         when the bank was begun; None where the configuration says so.
     origins: JSON text: which banks rows were taken over from; None where all were measured into this one.
+    check_rows: Positions off the grid that were measured only to judge what is interpolated between it.
     """
 
     path: Path
@@ -218,6 +220,7 @@ class Bank(Closing):
     unknown_attributes: tuple[str, ...] = ()
     inter_channel_delay_s: float | None = None
     origins: str | None = None
+    check_rows: tuple[int, ...] = ()
 
     def __repr__(self) -> str:
         """Its size and the state of its positions, in three lines at most."""
@@ -237,6 +240,11 @@ class Bank(Closing):
     def actuators(self) -> int:
         """Number N of actuators."""
         return len(self.actuator_mm)
+
+    @property
+    def check(self) -> NDArray[np.bool_]:
+        """Which positions (P,) are in `check_rows`."""
+        return np.isin(np.arange(self.positions), self.check_rows)
 
     @property
     def import_facts(self) -> dict[str, Any]:
@@ -378,6 +386,7 @@ def open_bank(path: str | Path, *, contents: bool = False) -> Bank:
         unknown_attributes=unknown,
         inter_channel_delay_s=header.inter_channel_delay_s,
         origins=header.origins or None,
+        check_rows=header.check_rows,
     )
 
 

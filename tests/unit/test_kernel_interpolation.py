@@ -12,7 +12,8 @@ from wavefocus.calibration.wave_model import DISK_RADIUS, PatchKernel, WaveModel
 from wavefocus.mocks.plates.soft import SOFT_PLATE
 from wavefocus.rendering.greens.interpolation.base import Neighbourhoods, OffGridError
 from wavefocus.rendering.greens.interpolation.error_estimates import left_out_errors
-from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation, PathNodes, node_spacing_mm
+from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
+from wavefocus.rendering.greens.interpolation.path_nodes import PathNodes, node_spacing_mm
 from wavefocus.rendering.greens.interpolation.row_values import RowValues
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.scene.paths import Circle, Line, Polyline, Strokes

@@ -8,7 +8,7 @@ from scipy.special import h2vp, hankel2, jv, jvp
 
 from wavefocus.calibration.coarse_grid.posterior import FIRST_SHARES, FrequencyWaves
 from wavefocus.calibration.coarse_grid.rim_waves import RimWaves
-from wavefocus.calibration.coarse_grid.waves import Dispersion, distances_mm, outgoing, rim_ring
+from wavefocus.calibration.coarse_grid.waves import Dispersion, distances_mm, outgoing, outgoing_at_all, rim_ring
 
 RADIUS_MM = 55.0
 RNG = np.random.default_rng(4)
@@ -92,6 +92,14 @@ def test_outgoing_waves_are_hankel_functions(order):
     distance_mm = RNG.uniform(1.0, 300.0, 4000)
     for k in (0.004, 0.14 - 0.04j, 0.6 - 0.045j):
         assert np.allclose(outgoing(k, distance_mm, order), hankel2(order, k * distance_mm), rtol=3e-5)
+
+
+def test_waves_of_many_frequencies_are_those_of_each():
+    distance_mm = RNG.uniform(8.0, 260.0, (50, 60))
+    wavenumbers = LAW.wavenumber(FREQUENCY_HZ)
+    found = outgoing_at_all(wavenumbers, distance_mm)
+    for k, values in zip(wavenumbers, found, strict=True):
+        assert np.allclose(values, hankel2(0, k * distance_mm), rtol=1e-4, atol=1e-6)
 
 
 def test_sizes_and_too_few_positions_are_refused(coarse):

@@ -18,8 +18,9 @@ from wavefocus.calibration.numerics import evenly_spread, on_a_line
 from wavefocus.calibration.wave_model import Patch
 from wavefocus.config.interpolations import INTERPOLATIONS
 from wavefocus.rendering.arrays import BoolArray, Float64Array, Int64Array
+from wavefocus.rendering.greens.interpolation.error_bands import ErrorBands, InterpolationChoice
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
-from wavefocus.rendering.greens.source import GreenSource
+from wavefocus.rendering.greens.source import GreenSource, is_check
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.rendering.scene.paths import Path
 from wavefocus.storage.errors import InputError
@@ -61,6 +62,17 @@ class Interpolation(ABC):
     """An interpolation method over one bank; registered in `wavefocus.config.interpolations`."""
 
     name: ClassVar[str]
+    choice: InterpolationChoice | None = None
+    """What it was chosen from, where the scene says "auto"."""
+
+    @classmethod
+    def over_scene(cls, scene: Scene, bank: GreenSource) -> Interpolation:
+        """Make it for a bank and a scene."""
+        return cls.over(bank, scene_points(scene))
+
+    def own_errors(self, points_mm: Float64Array, frequency_hz: Float64Array) -> tuple[str, ErrorBands] | None:
+        """Errors that the method states at points (n, 2), and what they are judged by; None where it states none."""
+        return None
 
     @classmethod
     @abstractmethod
@@ -96,7 +108,7 @@ class GridInterpolation(Interpolation):
 
     @classmethod
     def over(cls, bank: GreenSource, around_mm: Float64Array) -> Self:
-        return cls(PositionGrid(bank.position_mm))
+        return cls(PositionGrid(grid_position_mm(bank)))
 
     @classmethod
     def needed_rows(cls, grid: PositionGrid, rows: set[int], points_mm: Float64Array, step_mm: float) -> set[int]:
@@ -113,6 +125,17 @@ class GridInterpolation(Interpolation):
                     # Only the margin is beyond the grid.
                     places_mm = np.delete(places_mm, off.point, axis=0)
         return found
+
+
+def grid_position_mm(bank: GreenSource) -> Float64Array:
+    """Positions of a bank's grid, float64 (positions, 2), with those that only judge moved onto its first one.
+
+    Of positions that repeat, the first stands for all: so they are never interpolated from.
+    """
+    position_mm, check = np.array(bank.position_mm, dtype=np.float64), is_check(bank)
+    if check.any() and not check.all():
+        position_mm[check] = position_mm[np.argmin(check)]
+    return position_mm
 
 
 def near(grid: PositionGrid, points_mm: Float64Array, spacings: float = 1.0) -> tuple[Int64Array, Float64Array]:
@@ -154,7 +177,7 @@ def scene_interpolation(scene: Scene, bank: GreenSource) -> Interpolation:
     name = scene.output.interpolation
     if reason := getattr(bank, "import_facts", {}).get("unsuited", {}).get(name):
         raise InputError(f"interpolation is {name!r}, and the bank was imported: {reason}; use 'nearest'")
-    return interpolation_method(name).over(bank, scene_points(scene))
+    return interpolation_method(name).over_scene(scene, bank)
 
 
 def scene_points(scene: Scene, most: int = POINTS_PER_SOURCE) -> Float64Array:

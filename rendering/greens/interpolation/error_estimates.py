@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +10,7 @@ from wavefocus.calibration.numerics import transform_at
 from wavefocus.calibration.wave_model import PatchKernel
 from wavefocus.rendering.arrays import Complex128Array, Float64Array, Int64Array
 from wavefocus.rendering.greens.interpolation.base import GridInterpolation, Nodes
+from wavefocus.rendering.greens.interpolation.error_bands import ErrorBands
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.greens.interpolation.row_values import RowValues
 from wavefocus.rendering.greens.source import GreenSource, RowReader, usable
@@ -128,23 +128,6 @@ def _correlation(bank: GreenSource, pairs: Int64Array, frequency_hz: Float64Arra
         product += np.divide((first.conj() * second).real.sum(axis=0), scale, out=np.zeros_like(scale), where=scale > 0)
         power += norms[0] / max(float(norms[0].max()), 1e-30)
     return product / len(pairs), power
-
-
-@dataclass(frozen=True, slots=True)
-class ErrorBands:
-    """Relative errors at some points, by band.
-
-    frequency_hz, float64 (bands,): Centres of bands, ascending.
-    median, worst, float64 (bands,): Over the points.
-    power, float64 (bands,): Mean power of the bank's rows there, up to a factor.
-    kernel, float64 (bands,): Median error of "kernel"; infinite where it may be no better.
-    """
-
-    frequency_hz: Float64Array
-    median: Float64Array
-    worst: Float64Array
-    power: Float64Array
-    kernel: Float64Array
 
 
 UNRESOLVED = 0.3

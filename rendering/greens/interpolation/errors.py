@@ -11,7 +11,8 @@ from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.arrays import BoolArray, Float64Array
 from wavefocus.rendering.greens.interpolation.base import GridInterpolation, Interpolation, OffGridError, scene_points
-from wavefocus.rendering.greens.interpolation.error_estimates import ErrorBands, expected_errors, left_out_errors
+from wavefocus.rendering.greens.interpolation.error_bands import ErrorBands, InterpolationChoice
+from wavefocus.rendering.greens.interpolation.error_estimates import expected_errors, left_out_errors
 from wavefocus.rendering.greens.source import GreenSource
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.storage.errors import InputError
@@ -20,6 +21,8 @@ WORTH_SAYING = 0.05
 """Error from which a render says something where no tolerance is given."""
 EMITTED_SHARE = 0.01
 """Bands with less of the scene's energy do not count."""
+UNRESOLVED_ERROR = 0.3
+"""From here on, waves are probably too short for the grid."""
 MAX_POINTS = 128
 SIGNAL_BLOCK, SIGNAL_BLOCKS = 4096, 6
 BANDS = 6
@@ -39,10 +42,12 @@ class InterpolationErrors:
 
     found_by: ``"leaving positions out"``: error of the kernel regression at positions that are left out of it, scaled
         to the points by its own variance; for other kinds joined by the difference to that regression.
+        ``"check positions"``, ``"left-out positions"``: standard deviations of the model of waves, as these judge them.
         ``"correlation"``: what fields correlated like neighbouring positions would be wrong by on average.
     frequency_hz, float64 (bands,): Centres of bands.
     emitted, float64 (bands,): Share of what the sources emit into the band and the bank passes; they sum to 1.
     median, worst, float64 (bands,): Relative error over the points.
+    choice: What the interpolation was chosen from; None where the scene names it.
     """
 
     kind: str
@@ -53,6 +58,7 @@ class InterpolationErrors:
     median: Float64Array
     worst: Float64Array
     kernel: Float64Array
+    choice: InterpolationChoice | None = None
 
     @property
     def kernel_is_better(self) -> bool:
@@ -95,25 +101,28 @@ def _errors(
 ) -> InterpolationErrors | None:
     points_mm = scene_points(scene)
     points_mm = points_mm[evenly_spread(len(points_mm), MAX_POINTS)]
-    name = scene.output.interpolation
     if isinstance(kind, GridInterpolation) and not _between(kind, points_mm):
         return None
-    spectrum = _Emitted(signals, float(bank.sample_rate_hz))
+    spectrum = EmittedSpectrum(signals, float(bank.sample_rate_hz))
+    bands_hz = spectrum.bands_hz(bank_band_hz(bank), BANDS)
     try:
-        by, found = "leaving positions out", _thorough(bank, kind, points_mm, spectrum, thorough=thorough)
+        by, found = kind.own_errors(points_mm, bands_hz) or ("", None)
+        if found is None:
+            by, found = "leaving positions out", _thorough(bank, kind, points_mm, spectrum, thorough=thorough)
         if found is None and isinstance(kind, GridInterpolation):
-            by, found = "correlation", expected_errors(bank, kind, points_mm, spectrum.bands_hz(_band_hz(bank), BANDS))
+            by, found = "correlation", expected_errors(bank, kind, points_mm, bands_hz)
     except OffGridError:
         return None  # rendering there names the path point
     if found is None:
         return None
-    emitted = spectrum.shares(found.frequency_hz, _band_hz(bank)) * found.power
+    emitted = spectrum.shares(found.frequency_hz, bank_band_hz(bank)) * found.power
     total = float(emitted.sum())
     if not (total > 0 and np.isfinite(total)):
         return None
     return InterpolationErrors(
-        name, by, len(points_mm), found.frequency_hz, emitted / total, found.median, found.worst, found.kernel
-    )
+        kind.name, by, len(points_mm), found.frequency_hz, emitted / total, found.median, found.worst, found.kernel,
+        kind.choice,
+    )  # fmt: skip
 
 
 def _remarks(errors: InterpolationErrors | None, tolerance: float | None) -> list[str]:
@@ -126,6 +135,8 @@ def _remarks(errors: InterpolationErrors | None, tolerance: float | None) -> lis
     what = f"interpolation {errors.kind!r} between the grid positions is wrong by about"
     better = errors.kind != "kernel" and errors.kernel_is_better
     remedy = "use 'kernel', or a finer grid" if better else "measure a finer grid, or lower the band"
+    if errors.choice is None and errors.kind != "waves" and error >= UNRESOLVED_ERROR:
+        remedy = "use 'waves' or 'auto', which know where the actuators are, a finer grid, or a lower band"
     if tolerance is not None and error > tolerance:
         raise InputError(
             f"{what} {percent} at {frequency_hz:.3g} Hz (median along the paths), more than the"
@@ -151,7 +162,7 @@ def _between(kind: GridInterpolation, points_mm: Float64Array) -> bool:
 
 
 def _thorough(
-    bank: GreenSource, kind: Interpolation, points_mm: Float64Array, spectrum: _Emitted, *, thorough: bool
+    bank: GreenSource, kind: Interpolation, points_mm: Float64Array, spectrum: EmittedSpectrum, *, thorough: bool
 ) -> ErrorBands | None:
     if not thorough and isinstance(kind, GridInterpolation):
         return None
@@ -166,9 +177,9 @@ def _thorough(
             kernel = KernelInterpolation(bank, points_mm)
         values = kernel.values
         covered_hz = (values.frequency_hz[0] / HALF_BAND, values.frequency_hz[-1] * HALF_BAND)
-        if spectrum.share_outside(covered_hz, _band_hz(bank)) > EMITTED_SHARE:
+        if spectrum.share_outside(covered_hz, bank_band_hz(bank)) > EMITTED_SHARE:
             count = len(values.frequency_hz)
-            values = RowValues(bank, spectrum.bands_hz(_band_hz(bank), count))
+            values = RowValues(bank, spectrum.bands_hz(bank_band_hz(bank), count))
         return left_out_errors(kernel, points_mm, nodes, values)
     except InputError:
         if nodes is None:
@@ -176,7 +187,7 @@ def _thorough(
         return None  # too few positions to leave one out
 
 
-def _band_hz(bank: GreenSource) -> tuple[float, float]:
+def bank_band_hz(bank: GreenSource) -> tuple[float, float]:
     """Band in which the bank says something."""
     nyquist_hz = 0.5 * float(bank.sample_rate_hz)
     low_hz, high_hz = bank.band_hz if bank.band_hz is not None else (0.02 * nyquist_hz, nyquist_hz)
@@ -184,7 +195,7 @@ def _band_hz(bank: GreenSource) -> tuple[float, float]:
     return min(max(low_hz, float(bank.sample_rate_hz) / bank.taps), high_hz), high_hz
 
 
-class _Emitted:
+class EmittedSpectrum:
     """Energy spectrum of what a scene's sources emit."""
 
     def __init__(self, signals: Sequence[Float64Array], rate_hz: float) -> None:

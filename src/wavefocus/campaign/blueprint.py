@@ -17,6 +17,7 @@ from wavefocus.calibration.excitation import PlayedExcitation, StaggeredSignal
 from wavefocus.configuration import (
     Configuration,
     Difference,
+    check_rows,
     configuration_from_json,
     load_run,
     named_rig,
@@ -55,6 +56,7 @@ class Blueprint:
             plan_sha256=plan.sha256,
             software=f"wavefocus {version('wavefocus')}",
             directions_deg=plate_behind(configuration.rig, configuration.run).directions_deg,
+            check_rows=tuple(check_rows(configuration).tolist()),
         )
 
 

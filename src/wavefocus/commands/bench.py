@@ -17,13 +17,19 @@ from wavefocus.storage.text_file import read_text
 PAGE = "index.html"
 
 
-def bench(what: str, out: Path, *, quick: bool, force: bool = False, seconds: float | None = None) -> None:
+def bench(
+    what: str, out: Path, *, quick: bool, force: bool = False, seconds: float | None = None, workers: int | None = None
+) -> None:
     """Run one benchmark, or all: print their tables, and write points, diagrams and a page.
 
     seconds: For how long each case of a benchmark plays that plays in real time.
+    workers: Processes of a benchmark whose cases run side by side.
     """
     if seconds is not None and what != "live_latency":
         raise InputError(f"--seconds is {seconds:g}; it goes with live_latency, and {what} was asked for")
+    if workers is not None and what != "coarse_grids":
+        raise InputError(f"--workers is {workers}; it goes with coarse_grids, and {what} was asked for")
+    options = {name: value for name, value in (("seconds", seconds), ("workers", workers)) if value is not None}
     from wavefocus.benchmarks.machine import conditions, load
     from wavefocus.benchmarks.page import draw_diagrams, html_page
 
@@ -36,7 +42,7 @@ def bench(what: str, out: Path, *, quick: bool, force: bool = False, seconds: fl
         made = conditions(f"wavefocus bench {name}")
         begun_s = time.monotonic()
         with people().status(f"{BENCHMARKS[name].title} ..."):
-            found = module.run(out, quick=quick, **({} if seconds is None else {"seconds": seconds}))
+            found = module.run(out, quick=quick, **options)
         made |= {"seconds": round(time.monotonic() - begun_s, 1), "load_after": load()}
         # Small workloads say nothing about the marks.
         print("\n".join(found.lines(judged=not quick)))

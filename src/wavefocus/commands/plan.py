@@ -17,6 +17,7 @@ from wavefocus.acquisition.wording import finish_time, hours
 from wavefocus.campaign.blueprint import Blueprint, blueprint_from_files, blueprint_of, ringing_of
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import RunConfig
+from wavefocus.configuration import check_rows
 from wavefocus.console import answer
 from wavefocus.rendering.number_text import percent
 from wavefocus.rig.setup import open_setup
@@ -39,6 +40,7 @@ def plan(
     position_s = the_plan.position_s(rig.recorder)
     needed = _needed_by_scenes(scene_files, the_plan, checks=checks, allow_large=allow_large)
     rows = np.array(sorted(needed), dtype=np.int64)
+    checks_off_grid = check_rows(blueprint.configuration)
     second_looks = the_plan.second_looks(rows, speed_m_s)
     sentinel_passes = the_plan.drift.passes(len(needed) + second_looks, position_s)
     duration_s = (len(needed) + second_looks + sentinel_passes) * position_s
@@ -50,6 +52,7 @@ def plan(
     facts = {
         "positions": the_plan.positions,
         "positions_needed": len(needed),
+        "check_positions": len(checks_off_grid),
         "actuators": the_plan.actuators,
         "schedule": schedule_name(the_plan),
         "records": the_plan.positions * the_plan.records,
@@ -78,6 +81,10 @@ def plan(
         facts["ringing"] = {"seconds": rings.seconds, "taps": rings.taps, "enough": not rings.advice}
     start, stop = the_plan.excitation.band_hz
     lines.append(f"positions   {the_plan.positions}, {the_plan.actuators} actuators, {facts['records']} records")
+    if len(checks_off_grid):
+        lines.append(
+            f"checks      {len(checks_off_grid)} of the positions lie off the grid and only judge what is interpolated"
+        )
     lines.append(f"sweeps      {schedule_name(the_plan)}, {start:g}-{stop:g} Hz, {the_plan.excitation.amplitude_v:g} V")
     if scene_files:
         all_s = the_plan.campaign_s(the_plan.order, rig.recorder, speed_m_s)

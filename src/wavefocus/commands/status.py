@@ -67,6 +67,7 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
         run_json = view.run_json
         imported = view.import_facts
         moved_mm = view.quality["moved_mm"]
+        check_rows = list(view.check_rows)
         notes, unknown = view.notes, view.unknown_attributes
         delay_s, origins = view.inter_channel_delay_s, origins_of(view)
     moved = row_ranges(np.flatnonzero(moved_mm > 0).tolist())
@@ -78,6 +79,7 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
     facts: dict[str, object] = {
         "bank": str(bank),
         "positions": total,
+        "check_positions": check_rows,
         "done": done,
         "counts": counts,
         "damaged_positions": broken,
@@ -112,6 +114,8 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
         return
     words = ", ".join(f"{count} {word}" for word, count in counts.items() if count)
     answer(f"{bank}: {done} of {total} positions measured ({words})")
+    if check_rows:
+        answer(f"positions {row_ranges(check_rows)} lie off the grid and only judge what is interpolated between it")
     if imported:
         answer(str(imported.get("paragraph", "")))
     for origin in origins:

@@ -1,0 +1,256 @@
+"""Interpolation by waves from the actuators and from the rim (`wavefocus.calibration.coarse_grid`).
+
+It works on grids coarser than half a wavelength, where the kernel does not. The model is fitted once for a bank and
+kept next to it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import OrderedDict
+from dataclasses import dataclass, fields
+from pathlib import Path as FilePath
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft as scipy_fft
+
+from wavefocus.calibration.coarse_grid.rim_waves import MIN_POSITIONS, RimWaves
+from wavefocus.calibration.numerics import on_a_line
+from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
+from wavefocus.rendering.greens.interpolation.base import near
+from wavefocus.rendering.greens.interpolation.error_bands import ErrorBands
+from wavefocus.rendering.greens.interpolation.path_nodes import (
+    PATH_ERROR,
+    REACH_SPACINGS,
+    AddedRows,
+    PathInterpolation,
+    node_spacing_mm,
+)
+from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
+from wavefocus.rendering.greens.source import (
+    DOUBTFUL_BITS,
+    GreenSource,
+    RowReader,
+    apply_exponent,
+    is_check,
+    usable,
+)
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.wave_file import read_wave_file, wave_file, write_wave_file
+
+RECIPE = 1
+"""Raised when the same bank gives another model, so that no older file is used."""
+ROOM = 0.08
+"""Share of the taps that the transform is longer, so that what would come before the first tap does not wrap round."""
+EDGE = 1.2
+"""The band is modelled to this factor beyond its ends, where a bank still holds a little: a quarter octave."""
+FAINT = 1e-5
+"""Frequencies with less of the loudest one's power are left out."""
+ROWS_AT_ONCE = 256
+"""Rows that are made together; most of the time goes into functions of distance, once for each frequency."""
+MODELS_KEPT = 4
+
+
+@dataclass(frozen=True, slots=True)
+class BankWaves:
+    """The model of one bank.
+
+    model: Of the bank's rows over two to the exponent of `RowReader`.
+    exponent: That exponent.
+    samples: Length of the transform whose bins the model is of.
+    first_bin: Index of its first frequency.
+    """
+
+    model: RimWaves
+    exponent: int
+    samples: int
+    first_bin: int
+
+
+class WaveRows(AddedRows):
+    """A bank and, behind its own positions, rows that the waves give at other points."""
+
+    def __init__(self, measured: GreenSource, waves: BankWaves) -> None:
+        super().__init__(measured)
+        self._waves = waves
+        self._rows: OrderedDict[int, Float64Array] = OrderedDict()
+
+    def add(self, points_mm: Float64Array) -> Int64Array:
+        """Add rows at points, float64 (n, 2), and return their numbers; a point is added once."""
+        numbers = [self.number(x, y)[0] for x, y in points_mm.tolist()]
+        return np.array(numbers, dtype=np.int64) + self.measured.positions
+
+    def green(self, position: int) -> NDArray[Any]:
+        """Green's functions of one row, (actuators, taps): measured, or interpolated in float64."""
+        if position < self.measured.positions:
+            return self.measured.green(position)
+        number = position - self.measured.positions
+        if number not in self._rows:
+            # Rows are mostly read in the order in which they were added.
+            self._make(range(number, min(number + ROWS_AT_ONCE, self.added)))
+        self._rows.move_to_end(number)
+        return self._rows[number]
+
+    def _make(self, numbers: range) -> None:
+        values = self._waves.model.values(np.array([self._points_mm[number] for number in numbers]))
+        spectra = np.zeros((len(numbers), self.actuators, self._waves.samples // 2 + 1), dtype=np.complex128)
+        first = self._waves.first_bin
+        spectra[:, :, first : first + len(values)] = values.transpose(1, 2, 0)
+        green = scipy_fft.irfft(spectra, self._waves.samples, axis=2)[:, :, : self.taps]
+        for number, row in zip(numbers, apply_exponent(green, self._waves.exponent), strict=True):
+            self._rows[number] = row
+        while len(self._rows) > 2 * ROWS_AT_ONCE:
+            self._rows.popitem(last=False)
+
+
+class WavesInterpolation(PathInterpolation):
+    """Waves from each actuator and from the rim, with a standard deviation (`wavefocus.calibration.coarse_grid`).
+
+    Raises InputError: the bank lacks an actuator's place, or its positions are too few or on one line.
+    """
+
+    name = "waves"
+    rows: WaveRows
+
+    def __init__(self, bank: GreenSource) -> None:
+        allowed = modelled_rows(bank)
+        require_modelled(bank, allowed)
+        self.waves = bank_waves(bank)
+        self.grid = PositionGrid(np.asarray(bank.position_mm, dtype=np.float64)[allowed])
+        self.grid_row = np.flatnonzero(allowed).astype(np.int64)
+        self.rows = WaveRows(bank, self.waves)
+        self.node_spacing_mm = node_spacing_mm(float(np.abs(self.waves.model.wavenumber).max()), PATH_ERROR)
+
+    @classmethod
+    def over(cls, bank: GreenSource, around_mm: Float64Array) -> Self:
+        return cls(bank)
+
+    @classmethod
+    def needed_rows(cls, grid: PositionGrid, rows: set[int], points_mm: Float64Array, step_mm: float) -> set[int]:
+        """All: waves cross the whole surface."""
+        return set(range(len(grid.position_mm)))
+
+    def add(self, points_mm: Float64Array) -> Int64Array:
+        near(self.grid, points_mm, REACH_SPACINGS)
+        return self.rows.add(points_mm)
+
+    def error_bands(self, points_mm: Float64Array, frequency_hz: Float64Array) -> ErrorBands:
+        """The errors that the model expects at points, at the modelled frequencies nearest to those given."""
+        model = self.waves.model
+        index = [int(np.argmin(np.abs(model.frequency_hz - hz))) for hz in frequency_hz]
+        errors = model.expected_errors(points_mm, index)
+        median = np.median(errors, axis=1)
+        power = model.power[index].mean(axis=1)
+        return ErrorBands(np.asarray(frequency_hz), median, errors.max(axis=1), power, np.full(len(index), np.inf))
+
+    def own_errors(self, points_mm: Float64Array, frequency_hz: Float64Array) -> tuple[str, ErrorBands]:
+        return self.waves.model.judged_by, self.error_bands(points_mm, frequency_hz)
+
+
+def modelled_rows(bank: GreenSource) -> BoolArray:
+    """Rows that the model is fitted to: measured well, and not only there to judge it."""
+    doubtful = (np.asarray(bank.status) & DOUBTFUL_BITS) != 0
+    return np.asarray(usable(bank) & ~doubtful & ~is_check(bank))
+
+
+def require_modelled(bank: GreenSource, allowed: BoolArray) -> None:
+    """Raise InputError where the waves cannot be modelled."""
+    unknown = ~np.isfinite(np.asarray(bank.actuator_mm)).all(axis=1)
+    if unknown.any():
+        raise InputError(
+            f"interpolation is 'waves', but the bank does not say where actuator {int(np.argmax(unknown))} is;"
+            " /actuator_mm must hold its place, or use 'kernel' or 'nearest'"
+        )
+    position_mm = np.unique(np.asarray(bank.position_mm, dtype=np.float64)[allowed], axis=0)
+    if len(position_mm) < MIN_POSITIONS or on_a_line(position_mm):
+        raise InputError(
+            f"interpolation is 'waves', but the {len(position_mm)} measured positions are too few or lie on one line;"
+            f" it needs at least {MIN_POSITIONS}, spread in two directions; use 'nearest'"
+        )
+
+
+_models: OrderedDict[str, BankWaves] = OrderedDict()
+
+
+def bank_waves(bank: GreenSource) -> BankWaves:
+    """The model of a bank: of this process, from the file next to the bank, or fitted and kept there.
+
+    What is kept belongs to the bank's contents, by their hash; if they change, it is fitted anew.
+    """
+    key = _contents_sha256(bank)
+    if key not in _models:
+        path = getattr(bank, "path", None)
+        kept = read_wave_file(wave_file(path), key, _NAMES) if isinstance(path, FilePath) else None
+        found = _of_arrays(kept) if kept is not None else _fit(bank)
+        if kept is None and isinstance(path, FilePath):
+            write_wave_file(wave_file(path), key, _arrays(found))
+        _models[key] = found
+        while len(_models) > MODELS_KEPT:
+            _models.popitem(last=False)
+    _models.move_to_end(key)
+    return _models[key]
+
+
+def _contents_sha256(bank: GreenSource) -> str:
+    """Hash of all that the model depends on; every row that is used is read, so a damaged one is refused."""
+    digest = hashlib.sha256(f"{RECIPE} {bank.sample_rate_hz!r} {bank.taps} {bank.band_hz!r}".encode())
+    used = modelled_rows(bank) | (is_check(bank) & usable(bank))
+    for values in (bank.position_mm, bank.actuator_mm, used, is_check(bank)):
+        digest.update(np.ascontiguousarray(values).tobytes())
+    for row in np.flatnonzero(used).tolist():
+        digest.update(np.ascontiguousarray(bank.green(row)).tobytes())
+    return digest.hexdigest()
+
+
+def _fit(bank: GreenSource) -> BankWaves:
+    reader = RowReader(bank)
+    allowed, checks = modelled_rows(bank), is_check(bank) & usable(bank)
+    position_mm = np.asarray(bank.position_mm, dtype=np.float64)
+    # A position that was measured twice counts once.
+    _, first = np.unique(position_mm[allowed], axis=0, return_index=True)
+    rows = np.flatnonzero(allowed)[np.sort(first)]
+    samples = int(scipy_fft.next_fast_len(round((1.0 + ROOM) * bank.taps), real=True))
+    bins_hz = scipy_fft.rfftfreq(samples, 1.0 / float(bank.sample_rate_hz))
+    low_hz, high_hz = bank.band_hz if bank.band_hz is not None else (0.0, np.inf)
+    chosen = np.flatnonzero((bins_hz >= max(low_hz / EDGE, bins_hz[1])) & (bins_hz <= min(high_hz * EDGE, bins_hz[-2])))
+    spectra = _spectra(reader, rows, samples, chosen)
+    power = np.square(np.abs(spectra)).mean(axis=(1, 2))
+    if not power.max() > 0:
+        raise InputError("interpolation is 'waves', but all Green's functions of the bank are zero; use 'nearest'")
+    loud = np.flatnonzero(power > FAINT * power.max())
+    inside = slice(int(loud[0]), int(loud[-1]) + 1)
+    model = RimWaves.fit(
+        bins_hz[chosen[inside]], position_mm[rows], np.asarray(bank.actuator_mm, dtype=np.float64), spectra[inside],
+        position_mm[checks], _spectra(reader, np.flatnonzero(checks), samples, chosen[inside]),
+        band_hz=bank.band_hz,
+    )  # fmt: skip
+    return BankWaves(model, reader.exponent, samples, int(chosen[inside][0]))
+
+
+def _spectra(reader: RowReader, rows: Int64Array, samples: int, bins: Int64Array) -> Complex128Array:
+    """Transfer functions of rows, (bins, rows, actuators)."""
+    found = np.empty((len(bins), len(rows), reader.actuators), dtype=np.complex128)
+    for place, row in enumerate(rows.tolist()):
+        found[:, place] = scipy_fft.rfft(reader.read(row), samples, axis=1)[:, bins].T
+    return found
+
+
+_FACTS = ("exponent", "samples", "first_bin")
+_NAMES = (*_FACTS, *(field.name for field in fields(RimWaves)))
+
+
+def _arrays(waves: BankWaves) -> dict[str, NDArray[Any]]:
+    arrays = {name: np.asarray(getattr(waves, name)) for name in _FACTS}
+    for name in _NAMES[len(_FACTS) :]:
+        value = getattr(waves.model, name)
+        arrays[name] = np.frombuffer(value.encode(), np.uint8) if isinstance(value, str) else np.asarray(value)
+    return arrays
+
+
+def _of_arrays(arrays: dict[str, NDArray[Any]]) -> BankWaves:
+    kept: dict[str, Any] = {name: arrays[name] for name in _NAMES[len(_FACTS) :]}
+    kept["pressure_share"] = float(kept["pressure_share"])
+    kept["judged_by"] = kept["judged_by"].tobytes().decode()
+    return BankWaves(RimWaves(**kept), *(int(arrays[name]) for name in _FACTS))

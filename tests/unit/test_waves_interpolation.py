@@ -1,0 +1,165 @@
+"""Interpolation "waves" and "auto" on a coarse bank of a disk with a free rim, and the model kept next to it."""
+
+from __future__ import annotations
+
+import h5py
+import numpy as np
+import pytest
+from scipy.special import h2vp, hankel2, jv, jvp
+
+from wavefocus.config.scene import Output
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.greens.interpolation import waves as waves_module
+from wavefocus.rendering.greens.interpolation.auto import choose_interpolation
+from wavefocus.rendering.greens.interpolation.base import interpolation_method
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.paths import Circle
+from wavefocus.rendering.scene.signals import Noise
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.errors import InputError
+from wavefocus.storage.wave_file import wave_file
+
+RATE_HZ, TAPS, BAND_HZ = 2000.0, 120, (150.0, 400.0)
+RADIUS_MM, SPEED_MM_S, LOSS_PER_S = 50.0, 4750.0, 420.0
+RNG = np.random.default_rng(4)
+ANGLE = 2 * np.pi * np.arange(3) / 3 + 0.2
+ACTUATOR_MM = 44.0 * np.stack([np.cos(ANGLE), np.sin(ANGLE)], axis=1)
+SIGNAL = np.eye(1, 64)[0]
+
+
+def lattice(spacing_mm, radius_mm=40.0):
+    count = int(radius_mm / spacing_mm) + 1
+    side = np.arange(-count, count + 1) * spacing_mm + 0.3
+    points = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    return points[np.hypot(*points.T) < radius_mm]
+
+
+def inside(count, radius_mm=36.0):
+    points = RNG.uniform(-radius_mm, radius_mm, (3 * count, 2))
+    return points[np.hypot(*points.T) < radius_mm][:count]
+
+
+def responses(points_mm):
+    """Green's functions (points, actuators, taps) of point sources in a disk, by the addition theorem."""
+    samples = 4 * TAPS
+    hz = np.fft.rfftfreq(samples, 1 / RATE_HZ)
+    outside = np.maximum(np.log2(BAND_HZ[0] / np.maximum(hz, 1e-9)), np.log2(np.maximum(hz, 1e-9) / BAND_HZ[1]))
+    weight = 0.5 + 0.5 * np.cos(np.pi * np.clip(outside / 0.25, 0, 1))
+    r, at = np.hypot(*points_mm.T), np.arctan2(*points_mm.T[::-1])
+    source_r, source_at = np.hypot(*ACTUATOR_MM.T), np.arctan2(*ACTUATOR_MM.T[::-1])
+    gap = points_mm[:, None] - ACTUATOR_MM
+    spectra = np.zeros((len(points_mm), len(ACTUATOR_MM), len(hz)), complex)
+    for number in np.flatnonzero(weight > 0):
+        omega = 2 * np.pi * hz[number]
+        k = np.sqrt(omega**2 - 1j * omega * LOSS_PER_S) / SPEED_MM_S
+        found = hankel2(0, k * np.maximum(np.hypot(gap[..., 0], gap[..., 1]), 1.0))
+        for order in range(-40, 41):
+            added = -jv(order, k * source_r) * h2vp(order, k * RADIUS_MM) / jvp(order, k * RADIUS_MM)
+            found = found + jv(order, k * r)[:, None] * added * np.exp(1j * order * (at[:, None] - source_at))
+        spectra[..., number] = weight[number] * found
+    return np.fft.irfft(spectra, samples)[..., :TAPS]
+
+
+POINTS_MM = inside(40)
+
+
+@pytest.fixture(scope="module")
+def coarse():
+    """Positions 11 mm apart (wave number times spacing up to 5.8), of which 12 more judge."""
+    position_mm = np.vstack([lattice(11.0), inside(12)])
+    green = responses(position_mm)
+    green += 1e-3 * np.sqrt(np.square(green).mean(axis=2, keepdims=True)) * RNG.standard_normal(green.shape)
+    check = np.arange(len(position_mm)) >= len(position_mm) - 12
+    return GreenArray(green, position_mm, RATE_HZ, actuator_mm=ACTUATOR_MM, band_hz=BAND_HZ, check=check)
+
+
+def errors_at(method, bank, points_mm, hz):
+    """Relative errors of a method at points and frequencies, (frequencies, points)."""
+    nodes = method.nodes(points_mm)
+    rows = method.rows_of(bank)
+    found = [sum(w * rows.green(int(row)) for w, row in zip(*pair, strict=True))
+             for pair in zip(nodes.weights, nodes.rows, strict=True)]  # fmt: skip
+    turn = np.exp(-2j * np.pi * np.outer(np.arange(TAPS), np.array(hz) / RATE_HZ))
+    truth = responses(points_mm) @ turn
+    return (np.linalg.norm(np.array(found) @ turn - truth, axis=1) / np.linalg.norm(truth, axis=1)).T
+
+
+def test_waves_interpolate_where_the_kernel_cannot(coarse):
+    waves = interpolation_method("waves").over(coarse, POINTS_MM)
+    kernel = interpolation_method("kernel").over(coarse, POINTS_MM)
+    hz = (250.0, 350.0)
+    assert (np.median(errors_at(waves, coarse, POINTS_MM, hz), axis=1) < 0.08).all()
+    assert (np.median(errors_at(kernel, coarse, POINTS_MM, hz), axis=1) > 0.4).all()
+
+
+def test_auto_takes_waves_by_the_check_positions_on_a_coarse_grid(coarse):
+    method = choose_interpolation(coarse, POINTS_MM, [SIGNAL])
+    assert method.name == "waves"
+    assert method.choice.judged_by == "check positions"
+    assert method.choice.errors["waves"] < 0.1
+    assert min(error for name, error in method.choice.errors.items() if name != "waves") > 0.4
+
+
+def test_auto_says_that_nothing_judges_a_coarse_grid_without_check_positions(coarse):
+    some = ~coarse.check
+    bank = GreenArray(coarse.values[some], coarse.position_mm[some], RATE_HZ, actuator_mm=ACTUATOR_MM, band_hz=BAND_HZ)
+    method = choose_interpolation(bank, POINTS_MM, [SIGNAL])
+    assert (method.name, method.choice.judged_by) == ("waves", "nothing")
+
+
+def test_a_scene_with_auto_states_what_was_chosen_and_its_error(coarse):
+    source = Source(Circle((1.0, 0.5), 20.0), Noise((170.0, 380.0), 0.5, 1), 0.0, 80.0, 4.0)
+    scene = Scene("circle", (source,), output=Output(interpolation="auto"))
+    _, report = render_with_report(scene, coarse, method="exact")
+    errors = report.interpolation_errors
+    assert (errors.kind, errors.found_by, errors.choice.judged_by) == ("waves", "check positions", "check positions")
+    assert 1e-3 < errors.overall < 0.15
+
+
+def test_without_the_place_of_an_actuator_waves_are_refused(coarse):
+    actuator_mm = np.where(np.arange(3)[:, None] == 1, np.nan, ACTUATOR_MM)
+    bank = GreenArray(coarse.values, coarse.position_mm, RATE_HZ, actuator_mm=actuator_mm, band_hz=BAND_HZ)
+    with pytest.raises(InputError, match="does not say where actuator 1 is"):
+        interpolation_method("waves").over(bank, POINTS_MM)
+
+
+def test_positions_on_a_line_are_refused(coarse):
+    line_mm = np.stack([np.linspace(-30, 30, 20), np.zeros(20)], axis=1)
+    bank = GreenArray(responses(line_mm), line_mm, RATE_HZ, actuator_mm=ACTUATOR_MM, band_hz=BAND_HZ)
+    with pytest.raises(InputError, match="on one line"):
+        interpolation_method("waves").over(bank, POINTS_MM)
+
+
+def test_check_positions_are_not_on_the_grid_of_any_method(coarse):
+    for name in ("nearest", "bilinear", "kernel", "waves"):
+        method = interpolation_method(name).over(coarse, POINTS_MM)
+        assert not coarse.check[method.nodes(lattice(11.0, 25.0)).nearest].any()
+        assert not coarse.check[method.nodes(coarse.position_mm[coarse.check][:3] * 0.5).nearest].any()
+
+
+def test_the_model_is_kept_next_to_the_bank_and_never_used_for_other_contents(coarse, tmp_path):
+    path = tmp_path / "disk.h5"
+    some = ~coarse.check
+    with h5py.File(path, "w") as file:
+        file.attrs["sample_rate_hz"], file.attrs["band_hz"] = RATE_HZ, BAND_HZ
+        file["green"], file["position_mm"] = coarse.values[some], coarse.position_mm[some]
+        file["actuator_mm"] = ACTUATOR_MM
+
+    def values():
+        waves_module._models.clear()  # as in another process
+        with open_bank(path) as bank:
+            return interpolation_method("waves").over(bank, POINTS_MM).waves.model.values(POINTS_MM[:5])
+
+    kept = wave_file(path)
+    first = values()
+    content = kept.read_bytes()
+    np.testing.assert_array_equal(values(), first)
+    assert kept.read_bytes() == content
+    kept.write_bytes(content[: len(content) // 2])
+    np.testing.assert_array_equal(values(), first)
+    assert kept.read_bytes() == content
+    with h5py.File(path, "r+") as file:
+        file["green"][3] *= 1.01
+    assert not np.array_equal(values(), first)
+    assert kept.read_bytes() != content
