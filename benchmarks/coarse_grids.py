@@ -35,6 +35,7 @@ from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.mocks.virtual.settings import VirtualSettings
 from wavefocus.rendering.greens.interpolation.base import GridInterpolation, OffGridError, interpolation_method
 from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.scene.paths import Circle
 from wavefocus.storage.errors import InputError
 
 Float64Array = NDArray[np.float64]
@@ -309,3 +310,37 @@ def _stadium(count: int, offset_mm: float) -> tuple[Float64Array, Float64Array]:
             normals[index] = np.cos(turn), np.sin(turn)
             places[index] = (-50.0, 0.0) + radius_mm * normals[index]
     return places, normals
+
+
+def whole_bank() -> None:
+    """Print the time to fit the model of a whole bank of 246 positions, and to make 5000 rows along a path."""
+    rig = VirtualRig(VirtualSettings(**PLATES["stadium, full reflection"]))
+    position_mm = surface_grid(rig.settings.outline, MARGIN_MM, 10.0)
+    check_mm = check_grid(rig.settings.outline, MARGIN_MM, 10.0, position_mm, CHECKS)
+    both_mm = np.vstack([position_mm, check_mm])
+    bank = true_bank(rig, both_mm, -60.0)
+    check = np.arange(len(both_mm)) >= len(position_mm)
+    bank = GreenArray(bank.values, both_mm, RATE_HZ, actuator_mm=bank.actuator_mm, band_hz=BAND_HZ, check=check)
+    begun_s = time.monotonic()
+    method = interpolation_method("waves").over(bank, position_mm)
+    print(f"fitted {len(position_mm)} x {bank.actuators} x {TAPS}: {time.monotonic() - begun_s:.1f} s")
+    path = Circle((0.3, 1.1), 30.0, 5.0)
+    begun_s = time.monotonic()
+    nodes = method.follow(path)(np.linspace(0.0, path.length_mm, 5000))
+    rows = method.rows_of(bank)
+    made = [rows.green(int(row)) for row in np.unique(nodes.rows)]
+    print(f"5000 points of a circle, {len(made)} nodes: {time.monotonic() - begun_s:.2f} s")
+    points_mm = random_points(rig.settings.outline, POINTS)
+    rows = method.rows_of(bank)
+    found = np.stack([rows.green(int(row)) for row in method.nodes(points_mm).rows[:, 0]])
+    truth = true_bank(rig, points_mm, None).values
+    for hz in FREQUENCIES_HZ:
+        made_hz, true_hz = (_transfer(green, np.array([hz]))[0] for green in (found, truth))
+        error = np.linalg.norm(made_hz - true_hz, axis=1) / np.linalg.norm(true_hz, axis=1)
+        print(f"{hz:g} Hz: {np.median(error):.4f} ({np.quantile(error, 0.9):.4f})")
+    whole = np.linalg.norm((found - truth).reshape(len(truth), -1), axis=1)
+    print(f"whole band: {np.median(whole / np.linalg.norm(truth.reshape(len(truth), -1), axis=1)):.4f}")
+
+
+if __name__ == "__main__":
+    whole_bank()

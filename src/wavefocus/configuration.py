@@ -95,11 +95,10 @@ def configuration_of(
 
 def _with_check_count(run: RunConfig) -> RunConfig:
     """The run with the number of check positions stated: 12 where the lattice is coarser than half a wavelength."""
-    if run.grid.check_positions is not None:
-        return run
     half_wavelength_mm = 0.5e3 * GEL_SPEED_M_S / run.sweep.stop_hz
-    count = DEFAULT_CHECKS if run.grid.spacing_mm > half_wavelength_mm else 0
-    return run.model_copy(update={"grid": run.grid.model_copy(update={"check_positions": count})})
+    if run.grid.check_positions is not None or run.grid.spacing_mm <= half_wavelength_mm:
+        return run
+    return run.model_copy(update={"grid": run.grid.model_copy(update={"check_positions": DEFAULT_CHECKS})})
 
 
 def _checks_mm(run: RunConfig, rig: RigConfig, position_mm: NDArray[np.float64]) -> NDArray[np.float64]:
