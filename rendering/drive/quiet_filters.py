@@ -75,43 +75,48 @@ def of_rows(multiplier: Float64Array, place: Int64Array) -> Float64Array:
 
 
 class Steering:
-    """The solutions z of one focus for any multipliers; what does not depend on them is computed once."""
+    """The solutions z of foci with the same quiet rows and saturation, for any multipliers.
 
-    def __init__(self, focus: Focus) -> None:
-        self._root = 1.0 if focus.sigma is None else np.sqrt(focus.sigma)
-        self._adjoint, self._quiet = np.conj(focus.row * self._root), focus.quiet * self._root
-        rows, actuators = focus.quiet.shape[1:]
+    What does not depend on the multipliers is computed once, and what does not depend on the focus once for all.
+    """
+
+    def __init__(self, foci: Sequence[Focus]) -> None:
+        sigma, quiet = foci[0].sigma, foci[0].quiet
+        self._root = np.ones(quiet.shape[2]) if sigma is None else np.sqrt(sigma)
+        self._adjoint = np.stack([np.conj(focus.row * self._root) for focus in foci], axis=2)
+        self._quiet = quiet if sigma is None else quiet * self._root
+        rows, actuators = quiet.shape[1:]
         self._by_rows = rows < actuators
         self._across = self._quiet.conj().transpose(0, 2, 1)
         if rows and self._by_rows:
-            self._gram, self._there = self._quiet @ self._across, self._quiet @ self._adjoint[..., None]
+            self._gram, self._there = self._quiet @ self._across, self._quiet @ self._adjoint
 
-    def at(self, multiplier: Float64Array) -> tuple[Complex128Array, Float64Array]:
+    def at(self, multiplier: Float64Array) -> list[tuple[Complex128Array, Float64Array]]:
         """Steer around the quiet rows with their multipliers > 0, (rows,).
 
-        Returns z, times the root of sigma, complex128 (bins, actuators), and d, float64 (bins,).
+        Returns of each focus z, times the root of sigma, complex128 (bins, actuators), and d, float64 (bins,).
         """
-        rows, adjoint = len(multiplier), self._adjoint
+        rows, steered = len(multiplier), self._adjoint
+        d = np.zeros((steered.shape[0], steered.shape[2]))
         # d is z* A z, a sum of positive terms: h z would lose all digits where the focus is nearly a quiet place.
-        if not rows:
-            return np.asarray(adjoint * self._root), np.square(np.abs(adjoint)).sum(axis=1)
-        if self._by_rows:
+        if rows and self._by_rows:
             # A^-1 = I - q* (diag(1/m) + q q*)^-1 q, of as many unknowns as there are rows; q z is x / m.
             gram = self._gram.copy()
             gram[:, np.arange(rows), np.arange(rows)] += 1.0 / multiplier
             x = np.linalg.solve(gram, self._there)
-            steered = adjoint - (self._across @ x)[..., 0]
-            quiet = np.square(np.abs(x[..., 0])) @ (1.0 / multiplier)
-        else:
-            normal = (self._across * multiplier) @ self._quiet + np.eye(adjoint.shape[1])
-            steered = np.linalg.solve(normal, adjoint[..., None])[..., 0]
-            quiet = np.square(np.abs((self._quiet @ steered[..., None])[..., 0])) @ multiplier
-        return np.asarray(steered * self._root), np.square(np.abs(steered)).sum(axis=1) + quiet
+            steered = steered - self._across @ x
+            d += (np.square(np.abs(x)) / multiplier[:, None]).sum(axis=1)
+        elif rows:
+            normal = (self._across * multiplier) @ self._quiet + np.eye(len(self._root))
+            steered = np.linalg.solve(normal, steered)
+            d += (np.square(np.abs(self._quiet @ steered)) * multiplier[:, None]).sum(axis=1)
+        d += np.square(np.abs(steered)).sum(axis=1)
+        return [(steered[:, :, index] * self._root, d[:, index]) for index in range(d.shape[1])]
 
 
 def least_energy(focus: Focus, multiplier: Float64Array) -> tuple[Complex128Array, Float64Array]:
     """Steer one focus around its quiet rows; see `Steering.at`."""
-    return Steering(focus).at(multiplier)
+    return Steering([focus]).at(multiplier)[0]
 
 
 def reversed_in_time(focus: Focus) -> Complex128Array:
@@ -204,29 +209,41 @@ def find_multipliers(
         multipliers are lowered together until the energy is met; then some levels are not reached.
     cut: By default filters are as long as they come out.
     """
-    search, whole = _Search([_sounding(moment) for moment in moments], response_error), _Search(moments, response_error)
-    wanted = level
+    search, whole = _Search(_sounding(moments), response_error), _Search(moments, response_error)
+    wanted, start = level, None
     for _ in range(CUT_ROUNDS):
-        found, totals = search.find(wanted, most_energy)
-        if cut is None or found.capped:
-            break
-        totals = whole.totals(found.of_place, found.slack, cut)
+        found, totals = search.find(wanted, most_energy, start)
+        if cut is not None:
+            totals = whole.totals(found.of_place, found.slack, cut)
         excess = totals.level / level
-        if (excess < 1.0 + TOLERANCE_DB / 4).all():
+        if cut is None or found.capped or (excess < 1.0 + TOLERANCE_DB / 4).all():
             break
-        wanted = wanted / np.clip(excess, 1.0, 10.0)
-    totals = totals if cut is None else whole.totals(found.of_place, found.slack, cut)
+        wanted, start = wanted / np.clip(excess, 1.0, 10.0), found.of_place
     if found.capped and (totals.level > WORTH * search.plain.level).all():
         found, totals = search.unsteered(found)
     return replace(found, level=totals.level, energy=totals.drive / max(search.plain.drive, TINY))
 
 
-def _sounding(moment: Moment) -> Moment:
-    """The bins of a moment in which its sources emit something."""
-    power = np.abs(np.einsum("jjf->jf", moment.emitted)).sum(axis=0)
+def _sounding(moments: Sequence[Moment]) -> list[Moment]:
+    """The bins of moments in which their sources emit something."""
+    powers = [np.abs(np.einsum("jjf->jf", moment.emitted)).sum(axis=0) for moment in moments]
+    power = np.sum(powers, axis=0)
     used = power > FAINT * power.max(initial=0.0)
-    foci = [replace(focus, row=focus.row[used], quiet=focus.quiet[used]) for focus in moment.foci]
-    return replace(moment, foci=foci, emitted=moment.emitted[:, :, used], quiet=moment.quiet[used])
+    kept: dict[int, Complex128Array] = {}
+
+    def narrowed(quiet: Complex128Array) -> Complex128Array:
+        """The same array for the same rows, by which foci are found to share them."""
+        return kept.setdefault(id(quiet), quiet[used])
+
+    return [
+        replace(
+            moment,
+            foci=[replace(focus, row=focus.row[used], quiet=narrowed(focus.quiet)) for focus in moment.foci],
+            emitted=moment.emitted[:, :, used],
+            quiet=narrowed(moment.quiet),
+        )
+        for moment in moments
+    ]
 
 
 class _Search:
@@ -235,7 +252,11 @@ class _Search:
     def __init__(self, moments: Sequence[Moment], response_error: float) -> None:
         self._moments, self._error = moments, response_error
         self._a = [[reversed_power(focus) for focus in moment.foci] for moment in moments]
-        self._steering = [[Steering(focus) for focus in moment.foci] for moment in moments]
+        groups: dict[tuple[int, int], list[Focus]] = {}
+        for moment in moments:
+            for focus in moment.foci:
+                groups.setdefault((id(focus.quiet), 0 if focus.sigma is None else id(focus.sigma)), []).append(focus)
+        self._groups = [(Steering(foci), foci) for foci in groups.values()]
         self._emitted = [np.ascontiguousarray(moment.emitted.transpose(2, 0, 1)) for moment in moments]
         places = moments[0].applies.shape[1]
         power, emitted = np.zeros(places), np.zeros(places)
@@ -248,14 +269,17 @@ class _Search:
         self._unit = np.divide(emitted, power, out=np.ones(places), where=power > TINY)
         self.plain = self._summed([[reversed_in_time(focus) for focus in moment.foci] for moment in moments])
 
-    def find(self, level: Float64Array, most_energy: float) -> tuple[Multipliers, _Totals]:
-        """The multipliers that meet the levels within the energy."""
-        most, start = most_energy * self.plain.drive, np.where(self.plain.level > level, 10.0, MIN_MULTIPLIER)
-        relative, slack, totals = self._met(start, level, MAX_MULTIPLIER)
+    def find(
+        self, level: Float64Array, most_energy: float, start: Float64Array | None = None
+    ) -> tuple[Multipliers, _Totals]:
+        """The multipliers that meet the levels within the energy; `start` holds others to begin from."""
+        most = most_energy * self.plain.drive
+        begin = np.where(self.plain.level > level, 10.0, MIN_MULTIPLIER) if start is None else start / self._unit
+        relative, slack, totals = self._met(begin, level, MAX_MULTIPLIER)
         if capped := totals.drive > most:
             low, high = np.log10(MIN_MULTIPLIER), np.log10(MAX_MULTIPLIER)
             asked = relative
-            relative, slack, totals = self._met(np.full_like(start, MIN_MULTIPLIER), level, MIN_MULTIPLIER)
+            relative, slack, totals = self._met(np.full_like(begin, MIN_MULTIPLIER), level, MIN_MULTIPLIER)
             for _ in range(CAP_STEPS):
                 middle = 0.5 * (low + high)
                 tried = self._met(np.minimum(asked, 10.0**middle), level, 10.0**middle)
@@ -290,10 +314,11 @@ class _Search:
         return relative, slack, totals
 
     def _steered(self, multiplier: Float64Array) -> list[list[tuple[Complex128Array, Float64Array]]]:
-        return [
-            [steering.at(of_rows(multiplier, focus.place)) for steering, focus in zip(own, moment.foci, strict=True)]
-            for own, moment in zip(self._steering, self._moments, strict=True)
-        ]
+        found: dict[int, tuple[Complex128Array, Float64Array]] = {}
+        for steering, foci in self._groups:
+            for focus, steered in zip(foci, steering.at(of_rows(multiplier, foci[0].place)), strict=True):
+                found[id(focus)] = steered
+        return [[found[id(focus)] for focus in moment.foci] for moment in self._moments]
 
     def _filters(
         self, steered: list[list[tuple[Complex128Array, Float64Array]]], slack: float

@@ -41,7 +41,7 @@ from wavefocus.storage.drive_file import QuietTrack
 TAIL_S = 0.05
 """Length of the filters after the focus; what is cut there is -40 dB of them (docs/explanation/quiet-places.md)."""
 MAX_STATES = 64
-MOMENTS = 6
+MOMENTS = 4
 """Instants of a scene that moves from which the multipliers are found."""
 FAINT = 1e-12
 """Bins with less of a row's energy than this, relative to the largest, are left to time reversal."""

@@ -192,13 +192,16 @@ def _followed(
     first = round(drive.start_s * drive.sample_rate_hz)
     stop = max(first + drive.drive_v.shape[1], int(sample[-1]) + 1)
     edges = np.concatenate([sample[:1], (sample[1:] + sample[:-1]) / 2, [stop]]) - first
-    moved_mm = np.pad(np.hypot(*np.diff(at_mm, axis=0).T), 1)
-    share = np.minimum(1.0, 2.0 * reach_mm / np.maximum(0.5 * (moved_mm[1:] + moved_mm[:-1]), 1e-9))
+    speed = np.hypot(*np.diff(at_mm, axis=0).T) / np.maximum(np.diff(sample), 1)
+    speeds = np.concatenate([speed[:1], speed, speed[-1:]])
     energies = []
     for index, rows in enumerate(where):
-        now, part = float(sample[index] - first), float(share[index])
-        begin = max(round(now - part * (now - edges[index])), 0)
-        end = max(round(now + part * (edges[index + 1] - now)), begin + 1)
+        now = float(sample[index] - first)
+        before, after = now - edges[index], edges[index + 1] - now
+        moved_mm = float(before * speeds[index] + after * speeds[index + 1])
+        part = min(1.0, 2.0 * reach_mm / max(moved_mm, 1e-9))
+        begin = max(round(now - part * before), 0)
+        end = max(round(now + part * after), begin + 1)
         energies.append(np.square(field[rows, begin:end], dtype=np.float64).sum(axis=1) / part)
     return energies
 
