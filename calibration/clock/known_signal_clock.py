@@ -108,9 +108,9 @@ class KnownSignalClock:
             best = self._gauss_newton(values, place, best.offset_samples, best.ratio)
         return best
 
-    def offset(self, decimated: Decimated, ratio: float) -> float:
-        """Offset in samples to about one, at a ratio that is nearly right."""
-        return self._offset(*_inside(decimated), ratio)
+    def refined(self, decimated: Decimated, offset: float, ratio: float) -> KnownSignalFit:
+        """Fit offset and ratio from guesses that are right to about a sample over the recording."""
+        return self._gauss_newton(*_inside(decimated), offset, ratio)
 
     def _offset(self, values: Float64Array, place: Int64Array, ratio: float) -> float:
         """Offset in samples to about one, from the envelope of the cross-correlation on the ring."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -10,22 +11,19 @@ import numpy as np
 import scipy.fft
 from numpy.typing import ArrayLike, NDArray
 
-from wavefocus.calibration import Float32Array, Float64Array
+from wavefocus.calibration import Complex64Array, Float32Array, Float64Array
 from wavefocus.calibration.clock.known_signal_clock import KnownSignalClock
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError, missing_reference
-from wavefocus.calibration.clock.resampling import Decimated, decimate, resampled
+from wavefocus.calibration.clock.resampling import decimate, resampled
+from wavefocus.calibration.numerics import parabola_vertex
 from wavefocus.storage.errors import InputError
 
 # Reference not explained by the known signal, above which a fit would be a guess.
 REFERENCE_LIMIT_DB = -10.0
 # Share of the known signal's energy that may lie outside the bins that are looked at.
 BAND_SHARE = 1e-9
-# Silence around the known signal that the fit looks at, for tails.
+# Silence around the known signal that the fit may look at, for a first guess that is off and for tails.
 GUARD_SAMPLES = 64
-# Of recordings that are so many times as long only the part around the signal is fitted.
-MAX_MARGIN = 1.25
-# Fewer samples are not a recording.
-MIN_SAMPLES = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,11 +48,104 @@ class ClockFit:
         return 1e6 * (self.ratio - 1)
 
 
+# Blocks of the known signal that are looked for one by one; silent ones are left out.
+BLOCKS = 8
+MIN_ENERGY = 0.05
+# Points per bin of the band on the way back to lags: near enough for a parabola through the envelope's top.
+OVERSAMPLING = 1.5
+# Silence around the signal where its blocks are looked for in itself.
+TRIAL_MARGIN_SAMPLES = 200
+
+
+class BlockSearch:
+    """Finds blocks of a known signal by cross-correlation and draws a line through where they lie.
+
+    The envelopes of the blocks' correlations are added without phase, so that neither repeats in the signal
+    nor a drift over the record can mislead it. Only the band of the signal is transformed back.
+
+    A stretch moves a block of a sweep also because its frequencies are met elsewhere in the sweep. How far each
+    block moves per unit of stretch is therefore measured on the known signal, stretched on purpose.
+
+    known, float64 (known,): The signal, not all zeros.
+    band: Lowest and highest frequency that matter, in cycles per sample.
+    max_ppm: Largest skew of the clocks looked for, in parts per million.
+    """
+
+    def __init__(self, known: Float64Array, band: tuple[float, float], max_ppm: float) -> None:
+        self._known, self._band, self._max_ppm = known, band, max_ppm
+        edges = np.linspace(0, known.size, BLOCKS + 1).astype(int)
+        spans = [(int(low), int(high)) for low, high in itertools.pairwise(edges) if high > low]
+        energy = np.array([np.square(known[low:high]).sum() for low, high in spans])
+        loud = energy > MIN_ENERGY * energy.max()
+        self._spans = [span for span, is_loud in zip(spans, loud, strict=True) if is_loud]
+        self._energy = energy[loud]
+        # Records of one campaign are equally long.
+        self._blocks = lru_cache(maxsize=1)(self._transformed)
+        self._moves = np.zeros(len(self._spans))
+        if len(self._spans) > 1:
+            trial = 0.5e-6 * max_ppm
+            samples = known.size + 2 * TRIAL_MARGIN_SAMPLES
+            lags = [
+                self._lags(resampled(known[None], -TRIAL_MARGIN_SAMPLES, 1 / (1 + skew), samples)[0])
+                for skew in (trial, -trial)
+            ]
+            self._moves = (lags[0] - lags[1]) / (2 * trial)
+
+    def first_guess(self, recorded: NDArray[np.floating]) -> tuple[float, float]:
+        """Offset and clock ratio, to about a sample over the record.
+
+        recorded, float (samples,): The recording; the signal may lie anywhere in it, or stick out at either end.
+        """
+        lags = self._lags(recorded)
+        share = self._energy / self._energy.sum()
+        moves = self._moves - share @ self._moves
+        spread = float(share @ moves**2)
+        # Blocks that all move alike do not show the stretch.
+        slope = float(share @ (moves * lags)) / spread if spread > 1.0 else 0.0
+        slope = min(max(slope, -1e-6 * self._max_ppm), 1e-6 * self._max_ppm)
+        return float(share @ (lags - slope * self._moves)), 1.0 + slope
+
+    def _lags(self, recorded: NDArray[np.floating]) -> Float64Array:
+        """Sample at which the signal would begin, by each block."""
+        blocks = self._blocks(recorded.size)
+        spectrum = scipy.fft.rfft(recorded.astype(np.float32, copy=False), blocks.length)[blocks.bins]
+        envelopes = np.abs(scipy.fft.ifft(spectrum * blocks.spectra, blocks.lags, axis=1))
+        step = blocks.length / blocks.lags
+        top = int(np.argmax(envelopes.sum(axis=0)))
+        # A sweep stretched moves its blocks by twice the stretch.
+        reach = math.ceil((2e-6 * self._max_ppm * self._known.size + 8) / step)
+        near = (top + np.arange(-reach - 1, reach + 2)) % blocks.lags
+        close = envelopes[:, near].astype(np.float64)
+        found = 1 + np.argmax(close[:, 1:-1], axis=1)
+        late = found - reach - 1 + parabola_vertex(*(close[np.arange(len(close)), found + side] for side in (-1, 0, 1)))
+        return np.asarray(step * (top + late) - (blocks.length if step * top >= recorded.size else 0))
+
+    def _transformed(self, recorded: int) -> _Blocks:
+        length = scipy.fft.next_fast_len(recorded + self._known.size, real=True)
+        bins = slice(max(int(self._band[0] * length), 1), math.ceil(self._band[1] * length))
+        alone = np.zeros((len(self._spans), length))
+        for row, (low, high) in zip(alone, self._spans, strict=True):
+            row[low:high] = self._known[low:high]
+        spectra = scipy.fft.rfft(alone)[:, bins].conj().astype(np.complex64)
+        return _Blocks(length, bins, scipy.fft.next_fast_len(math.ceil(OVERSAMPLING * spectra.shape[1])), spectra)
+
+
+@dataclass(frozen=True, slots=True)
+class _Blocks:
+    """Conjugate spectra of the blocks, in the band of a transform of `length`; lags of the way back."""
+
+    length: int
+    bins: slice
+    lags: int
+    spectra: Complex64Array
+
+
 class ClockFitter:
     """Finds offset, clock ratio and gain of one known signal in recordings of the reference channel.
 
-    The known signal and the silence around it are taken as one period of a `KnownSignalClock`. Safe to share between
-    threads; a result depends on its recording only.
+    Blocks of the known signal are first found by cross-correlation (`BlockSearch`); then its wave is fitted to the
+    recording by Gauss-Newton (`KnownSignalClock`), as a period with silence around it. Safe to share between threads; a
+    result depends on its recording alone.
 
     known_v, (known,): What was played in volts, on the playback clock, its silences included; known <= samples.
     max_ppm: Largest skew of the clocks looked for, in parts per million, > 0.
@@ -70,9 +161,20 @@ class ClockFitter:
             raise InputError("the known signal holds values that are not finite; allowed are volts")
         if not known.any():
             raise InputError("the known signal is all zeros; allowed is a signal with energy")
-        self._known, self._max_ppm = known, max_ppm
-        # Records of one campaign are equally long, and so are the parts that are cut out of them.
-        self._clock = lru_cache(maxsize=2)(self._clock_for)
+        self._known = known
+        self._max_ppm = max_ppm
+        stretch = math.ceil(1e-6 * max_ppm * known.size)
+        self._length = scipy.fft.next_fast_len(known.size + stretch + 2 * GUARD_SAMPLES, real=True)
+        # Longer than the part that is looked at, whatever the clocks do.
+        period = scipy.fft.next_fast_len(self._length + 2 * stretch + GUARD_SAMPLES, real=True)
+        spectrum = scipy.fft.rfft(known, period)
+        below = np.cumsum(np.abs(spectrum) ** 2)
+        first = max(int(np.searchsorted(below, BAND_SHARE * below[-1])), 1)
+        last = max(int(np.searchsorted(below, (1 - BAND_SHARE) * below[-1])), first)
+        # Half the sample rate is left out: a delay by a fraction of a sample is not defined there.
+        bins = min(last + 1, (period + 1) // 2)
+        self._clock = KnownSignalClock(spectrum[:bins], period, max_ppm, below_share=BAND_SHARE)
+        self._search = BlockSearch(known, (first / period, bins / period), max_ppm)
 
     def fit(self, recorded_v: ArrayLike) -> ClockFit:
         """Find the known signal in one recording.
@@ -90,50 +192,35 @@ class ClockFitter:
         if not recorded.any():
             raise ReferenceMissingError("the reference channel is silent", "silence")
         shortest = math.floor((1 - 1e-6 * self._max_ppm) * self._known.size) - 1
-        if recorded.size < max(shortest, MIN_SAMPLES):
+        if recorded.size < shortest:
             raise ReferenceMissingError(f"the reference has {recorded.size} samples of {self._known.size}", "cut")
-        first, length = 0, self._known.size + 2 * (math.ceil(1e-6 * self._max_ppm * self._known.size) + GUARD_SAMPLES)
-        part = recorded
-        if recorded.size > MAX_MARGIN * length:
-            # What is recorded long before and after the signal says nothing about it.
-            clock, decimated = self._prepared(recorded)
-            middle = self._inside(clock, clock.offset(decimated, 1.0), 1.0) + self._known.size / 2
-            first = min(max(math.floor(middle - length / 2), 0), recorded.size - length)
-            part = recorded[first : first + length]
-        clock, decimated = self._prepared(part)
-        fit = clock.fit(decimated)
+        offset, ratio = self._search.first_guess(recorded)
+        cut, first = self._cut(recorded, offset)
+        decimated = decimate(cut[None].astype(np.float32), self._clock.highest)
+        # Silence lies beyond the ends of the part that is cut out.
+        whole = replace(decimated, inside=slice(0, decimated.values.shape[1]))
+        fit = self._clock.refined(whole, offset - first, ratio)
         explained = float(fit.gain**2 * (self._known @ self._known))
         # What the decimation has taken out is noise.
-        beyond = scipy.fft.rfft(part.astype(np.float64))[part.size // (2 * decimated.step) + 1 :]
-        left = fit.left + 2 / part.size * float(np.vdot(beyond, beyond).real)
+        beyond = scipy.fft.rfft(cut)[self._length // (2 * decimated.step) + 1 :]
+        left = fit.left + 2 / self._length * float(np.vdot(beyond, beyond).real)
         residual_db = 10 * math.log10((max(left, 0.0) + 1e-300) / (explained + 1e-300))
         if not residual_db <= REFERENCE_LIMIT_DB or abs(fit.ratio - 1) > 1.01e-6 * self._max_ppm:
             found = f"unexplained {residual_db:.1f} dB, allowed {REFERENCE_LIMIT_DB:g} dB"
             name = "the reference channel"
             raise missing_reference(recorded, self._known, name, found, self._max_ppm)
-        offset = first + self._inside(clock, fit.offset_samples, fit.ratio)
+        offset = first + fit.offset_samples
         check_inside(offset, fit.ratio, self._known.size, recorded.size, "the reference")
         return ClockFit(offset, fit.ratio, fit.gain, residual_db)
 
-    def _prepared(self, recorded: NDArray[np.floating]) -> tuple[KnownSignalClock, Decimated]:
-        """The clock for a recording, and the recording in its band, with silence beyond its ends."""
-        clock = self._clock(recorded.size)
-        decimated = decimate(np.ascontiguousarray(recorded[None], dtype=np.float32), clock.highest)
-        return clock, replace(decimated, inside=slice(0, decimated.values.shape[1]))
-
-    def _inside(self, clock: KnownSignalClock, offset: float, ratio: float) -> float:
-        """An offset in the recording, of those that are whole periods apart."""
-        return offset + (clock.period * ratio if offset < -self._known.size else 0.0)
-
-    def _clock_for(self, recorded: int) -> KnownSignalClock:
-        """The clock for records of so many samples: the signal and silence around it are a period."""
-        period = scipy.fft.next_fast_len(recorded + self._known.size, real=True)
-        spectrum = scipy.fft.rfft(self._known, period)
-        below = np.cumsum(np.abs(spectrum) ** 2)
-        last = int(np.searchsorted(below, (1 - BAND_SHARE) * below[-1]))
-        # Half the sample rate is left out: a delay by a fraction of a sample is not defined there.
-        bins = min(max(last, 1) + 1, (period + 1) // 2)
-        return KnownSignalClock(spectrum[:bins], period, self._max_ppm, below_share=BAND_SHARE)
+    def _cut(self, recorded: NDArray[np.floating], offset: float) -> tuple[Float64Array, int]:
+        """The part of the recording around the signal, zeros beyond its ends, and where it starts."""
+        first = math.floor(offset) - GUARD_SAMPLES
+        cut = np.zeros(self._length)
+        low, high = max(first, 0), min(first + self._length, recorded.size)
+        if high > low:
+            cut[low - first : high - first] = recorded[low:high]
+        return cut, first
 
 
 def fit_clock(recorded_v: ArrayLike, known_v: ArrayLike, *, max_ppm: float = 500.0) -> ClockFit:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
+from wavefocus.calibration.clock.resampling import resampled
 from wavefocus.calibration.clock.timing import ClockFit, ClockFitter, fit_clock, to_playback_clock
 from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.storage.errors import InputError, WavefocusError
@@ -66,6 +67,15 @@ def test_a_short_signal_is_found_anywhere_in_a_long_record_and_the_rest_does_not
     fit = fit_clock(recorded, known)
     assert fit.offset_samples == pytest.approx(offset, abs=0.01)
     assert fit.skew_ppm == pytest.approx(200, abs=0.5)
+    assert fit.residual_db == pytest.approx(-60, abs=1)
+
+
+@pytest.mark.parametrize("ppm", [-400.0, 80.0])
+def test_a_signal_of_a_minute_is_found_at_any_skew(ppm: float) -> None:
+    known = sweep(600_000, 1000.0)
+    around = resampled(np.pad(known, (500, 1500))[None], 0.0, 1 / (1 + 1e-6 * ppm), known.size + 1800)[0]
+    fit = fit_clock(around + 1e-3 * np.sqrt(0.5) * np.random.default_rng(4).standard_normal(around.size), known)
+    assert fit.skew_ppm == pytest.approx(ppm, abs=1e-3)
     assert fit.residual_db == pytest.approx(-60, abs=1)
 
 
