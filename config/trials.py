@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from wavefocus.config.fields import Finite, NonNegative, Positive, Switch, Table, Text, Whole, like, mistake
-from wavefocus.config.scene import WITHOUT_SPEED, Output, PathTable, Regularisation, SignalTable
+from wavefocus.config.scene import WITHOUT_SPEED, Output, PathTable, QuietTable, Regularisation, SignalTable
 
 Count = Annotated[Whole, Field(ge=1, le=10_000)]
 Pause = Annotated[NonNegative, Field(le=600)]
@@ -120,6 +120,11 @@ class StimuliTable(Table):
     repeat: Switch = Field(
         default=False, title="Repeat", description="Whether a continuous signal repeats, as of a scene's source"
     )
+    quiet: Annotated[tuple[Name, ...], BeforeValidator(_listed)] = Field(
+        default=(),
+        title="Quiet",
+        description="Names of tables [quiet.NAME]: places that stay quiet; that of the stimulus' own path is left out",
+    )
     plays: Annotated[Whole, Field(ge=1, le=100)] = Field(
         default=1, title="Plays", description="Times that a stimulus is played in one trial"
     )
@@ -179,6 +184,7 @@ class TrialsConfig(Table):
     trials: TrialsTable
     path: Annotated[dict[Name, PathTable], Field(min_length=1, max_length=1000)]
     signal: Annotated[dict[Name, SignalTable], Field(min_length=1, max_length=1000)]
+    quiet: Annotated[dict[Name, QuietTable], Field(default_factory=dict, max_length=1000)]
     stimuli: Annotated[tuple[StimuliTable, ...], Field(min_length=1, max_length=1000)]
     adaptive: AdaptiveTable | None = None
     masking: MaskingTable | None = None
@@ -188,10 +194,13 @@ class TrialsConfig(Table):
     @model_validator(mode="after")
     def _names_exist_and_paths_have_speeds(self) -> TrialsConfig:
         for number, table in enumerate(self.stimuli):
-            for key, tables in (("path", self.path), ("signal", self.signal)):
+            named: tuple[tuple[str, dict[str, Any]], ...] = (
+                ("path", self.path), ("signal", self.signal), ("quiet", self.quiet),
+            )  # fmt: skip
+            for key, tables in named:
                 for name in getattr(table, key):
                     if name not in tables:
-                        allowed = f"must be the name of a table [{key}.NAME]: {', '.join(tables)}"
+                        allowed = f"must be the name of a table [{key}.NAME]: {', '.join(tables) or 'there is none'}"
                         raise mistake(f"stimuli.[{number}].{key}", name, allowed)
             moving = [name for name in table.path if self.path[name].kind not in WITHOUT_SPEED]
             if moving and not (table.speed_mm_s and table.step_mm):

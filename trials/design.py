@@ -11,7 +11,7 @@ from pathlib import Path
 
 from wavefocus.config.loading import naming_key, parse_toml, printable, read_toml_text, shown, validated
 from wavefocus.config.trials import Factor, TrialsConfig
-from wavefocus.rendering.scene.model import Scene, Source, build_path, build_signal
+from wavefocus.rendering.scene.model import Scene, Source, build_path, build_quiet, build_signal
 from wavefocus.storage.errors import InputError
 
 MAX_STIMULI = 1000
@@ -122,6 +122,7 @@ def _stimuli(design: TrialsDesign) -> dict[str, Stimulus]:
     for name, signal_table in config.signal.items():
         with naming_key(file, f"signal.{name}"):
             signals[name] = build_signal(signal_table, file, f"signal.{name}")
+    quiet = {name: build_quiet(table, file, f"quiet.{name}") for name, table in config.quiet.items()}
     amplitudes = {level for table in config.stimuli for level in table.amplitude}
     stimuli: dict[str, Stimulus] = {}
     names: set[str] = set()
@@ -151,7 +152,9 @@ def _stimuli(design: TrialsDesign) -> dict[str, Stimulus]:
             if config.adaptive is not None:
                 apart = (config.adaptive.factor, config.trials.correct)
                 track = _joined(part for factor, part in written.items() if factor not in apart)
-            scene = Scene(name, (source,), config.regularisation, config.output)
+            # Where a stimulus is felt, it is not to be quiet.
+            places = tuple(quiet[place] for place in dict.fromkeys(table.quiet) if place != path)
+            scene = Scene(name, (source,), config.regularisation, config.output, quiet=places)
             stimuli[name] = Stimulus(name, path, signal, speed_mm_s, amplitude, table.plays, correct, track, scene)
     return stimuli
 

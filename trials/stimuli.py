@@ -124,7 +124,8 @@ class _Renderer:
 
     def drive(self, stimulus: Stimulus) -> Drive:
         (source,) = stimulus.scene.sources
-        output = Output(interpolation=stimulus.scene.output.interpolation)
+        wanted = stimulus.scene.output
+        output = Output(interpolation=wanted.interpolation, most_energy=wanted.most_energy)
         scene = replace(stimulus.scene, name="", sources=(replace(source, amplitude=1.0),), output=output)
         if self._last is None or self._last[0] != scene:
             drive, report = render_with_report(scene, self._bank)

@@ -14,6 +14,7 @@ from wavefocus.config.scene import (
     Output,
     PathTable,
     PointTable,
+    QuietTable,
     Regularisation,
     SceneConfig,
     SignalTable,
@@ -205,20 +206,9 @@ def build_scene(config: SceneConfig, file: Path, *, allow_large: bool = False) -
                     repeat=table.repeat,
                 )
             )
-    quiet = []
-    for index, place in enumerate(config.quiet):
-        key = f"quiet[{index}]"
-        with naming_key(file, key):
-            path = PointTable(at_mm=place.at_mm) if place.at_mm is not None else place.path
-            assert path is not None  # the table has one of both
-            quiet.append(
-                QuietPlace(
-                    path=build_path(path, file, f"{key}.path", allow_large=allow_large),
-                    speed_mm_s=place.speed_mm_s or 0.0,
-                    radius_mm=place.radius_mm,
-                    level_db=place.level_db,
-                )
-            )
+    quiet = [
+        build_quiet(place, file, f"quiet[{index}]", allow_large=allow_large) for index, place in enumerate(config.quiet)
+    ]
     return Scene(
         name=config.scene.name,
         sources=tuple(built),
@@ -227,6 +217,19 @@ def build_scene(config: SceneConfig, file: Path, *, allow_large: bool = False) -
         allow_large=allow_large,
         quiet=tuple(quiet),
     )
+
+
+def build_quiet(table: QuietTable, file: Path, key: str, *, allow_large: bool = False) -> QuietPlace:
+    """Make the quiet place of a validated table; raises InputError: a file that it names cannot be understood."""
+    path = PointTable(at_mm=table.at_mm) if table.at_mm is not None else table.path
+    assert path is not None  # the table has one of both
+    with naming_key(file, key):
+        return QuietPlace(
+            path=build_path(path, file, f"{key}.path", allow_large=allow_large),
+            speed_mm_s=table.speed_mm_s or 0.0,
+            radius_mm=table.radius_mm,
+            level_db=table.level_db,
+        )
 
 
 PATHS: Mapping[str, Callable[..., paths.Path]] = {

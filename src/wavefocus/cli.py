@@ -261,7 +261,7 @@ GROUPS = {
 
 COMMANDS = (
     Command(
-        "init", "init:init", "Write rig.toml, run.toml, scene.toml and trials.toml, commented.",
+        "init", "init:init", "Write rig.toml, run.toml, scene.toml, trials.toml and fingers.toml, commented.",
         (
             file("folder", metavar="DIR", help="Where to write; made when missing."),
             argument("--rig", choices=("virtual", "template", "emulated"), default="virtual",

@@ -50,7 +50,7 @@ def test_given_a_new_lab_then_its_files_are_written_and_open_in_all_tabs(
     wait(qtbot, lambda: campaign_of(window).run_field.path == lab / "run.toml")
     assert tab_of(window, SceneTab).document.path == lab / "scene.toml"
     files = {path.name: path.read_text(encoding="utf-8") for path in lab.iterdir()}
-    assert set(files) == {"rig.toml", "run.toml", "scene.toml", "trials.toml"}
+    assert set(files) == {"rig.toml", "run.toml", "scene.toml", "trials.toml", "fingers.toml"}
     assert table in files["rig.toml"] + files["run.toml"]
     if word == "Virtual rig":
         wait(qtbot, lambda: campaign_of(window).map_panel.planned is not None)

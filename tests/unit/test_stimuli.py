@@ -15,6 +15,7 @@ from tests.unit.plate_banks import ACTUATOR_MM, RATE_HZ, SQUARE_MM, plate_greens
 from wavefocus.drives import render
 from wavefocus.rendering.drive.coil_limits import DriveLimits, peaks
 from wavefocus.rendering.drive.wav import Interface
+from wavefocus.rendering.field.prediction import predict
 from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.drive_file import read_drive, write_drive
 from wavefocus.storage.errors import InputError
@@ -174,3 +175,44 @@ def test_given_files_of_another_origin_then_none_is_written_over(tmp_path: Path,
     with pytest.raises(InputError, match="exists"):
         prepared(design_of(tmp_path), bank)
     assert mine.read_text() == "mine"
+
+
+FINGERS = """
+[trials]
+question = "Which?"
+answers = ["one", "two"]
+correct = "path"
+most_alike = 0
+[path]
+one = { kind = "point", at_mm = [-8, 0] }
+two = { kind = "point", at_mm = [8, 4] }
+[signal]
+burst = { kind = "noise", band_hz = [100, 400], duration_s = 0.1, seed = 1 }
+[quiet]
+one = { at_mm = [-8, 0] }
+two = { at_mm = [8, 4], level_db = -20 }
+[[stimuli]]
+path = ["one", "two"]
+signal = "burst"
+amplitude = 0.001
+quiet = ["one", "two"]
+"""
+
+
+def test_the_other_fingers_are_quiet_in_each_stimulus(tmp_path: Path, bank: Bank) -> None:
+    design = design_of(tmp_path, FINGERS)
+    made = prepared(design, bank)
+    rows = {name: int(np.flatnonzero((bank.position_mm == place).all(axis=1))[0]) for name, place in
+            (("one", (-8.0, 0.0)), ("two", (8.0, 4.0)))}  # fmt: skip
+    for stimulus in design.stimuli.values():
+        field = predict(made.drive(stimulus.name), bank, list(rows.values())).field
+        energy = dict(zip(rows, np.square(field, dtype=np.float64).sum(axis=1), strict=True))
+        other = energy.pop(next(name for name in rows if name != stimulus.path))
+        level_db = 10 * np.log10(other / energy[stimulus.path])
+        asked_db = -30.0 if stimulus.path == "two" else -20.0
+        assert level_db < asked_db + 1.0
+
+
+def test_a_quiet_place_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"quiet.*one, two"):
+        design_of(tmp_path, FINGERS.replace('quiet = ["one", "two"]', 'quiet = "thumb"'))

@@ -112,6 +112,19 @@ def test_template_of_trials_is_the_papers_experiment(tmp_path: Path) -> None:
     assert design.config.masking.output not in (*player.channels, player.loopback_channel)
 
 
+def test_template_of_fingers_keeps_the_others_quiet(tmp_path: Path) -> None:
+    write_templates(tmp_path, "virtual")
+    design = load_trials(tmp_path / "fingers.toml")
+    position_mm = load_run(tmp_path / "run.toml").position_mm
+    assert {stimulus.correct for stimulus in design.stimuli.values()} == set(design.config.trials.answers)
+    places = {tuple(stimulus.scene.sources[0].path.point_at(np.zeros(1))[0]) for stimulus in design.stimuli.values()}
+    assert all(np.hypot(*(position_mm - place).T).min() == 0.0 for place in places)
+    for stimulus in design.stimuli.values():
+        own = tuple(stimulus.scene.sources[0].path.point_at(np.zeros(1))[0])
+        quiet = {tuple(place.path.point_at(np.zeros(1))[0]) for place in stimulus.scene.quiet}
+        assert quiet == places - {own}
+
+
 @pytest.mark.parametrize("kind", ["virtual", "template", "emulated"])
 def test_every_key_of_every_template_is_explained(tmp_path: Path, kind: str) -> None:
     for path in write_templates(tmp_path, kind):
@@ -124,7 +137,7 @@ def test_every_key_of_every_template_is_explained(tmp_path: Path, kind: str) -> 
                 explained.add(key)
 
 
-@pytest.mark.parametrize("name", ["rig.toml", "run.toml", "scene.toml", "trials.toml"])
+@pytest.mark.parametrize("name", ["rig.toml", "run.toml", "scene.toml", "trials.toml", "fingers.toml"])
 def test_file_that_is_there_is_never_overwritten(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("mine")
     with pytest.raises(InputError, match=rf"{name}: is there already"):
@@ -139,6 +152,7 @@ def test_folder_is_made_and_a_file_in_its_place_is_told(tmp_path: Path) -> None:
         "run.toml",
         "scene.toml",
         "trials.toml",
+        "fingers.toml",
     ]
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="file"):

@@ -18,7 +18,7 @@ from wavefocus.storage.output_files import replacement
 
 
 def init(folder: Path, rig: str) -> None:
-    """Write rig.toml, run.toml, scene.toml and trials.toml into `folder`; existing files are never touched."""
+    """Write rig.toml, run.toml, scene.toml and two trials files into `folder`; existing files are never touched."""
     for path in write_templates(folder, rig):
         say(f"wrote {path}")
     rig_file = folder / "rig.toml"
@@ -31,13 +31,14 @@ def init(folder: Path, rig: str) -> None:
 
 
 def write_templates(folder: Path, rig: str) -> tuple[Path, ...]:
-    """Write rig.toml, run.toml, scene.toml and trials.toml with every key explained; nothing is ever overwritten.
+    """Write rig.toml, run.toml, scene.toml and two trials files with every key explained; nothing is ever overwritten.
 
     Returns the files written. Raises InputError: one of the files is there already, or the folder cannot be written to.
     """
     templates = files("wavefocus") / "templates"
     models: dict[str, type[Table]] = {
         "rig.toml": RigConfig, "run.toml": RunConfig, "scene.toml": SceneConfig, "trials.toml": TrialsConfig,
+        "fingers.toml": TrialsConfig,
     }  # fmt: skip
     named = {name: f"rig-{rig}.toml" if name == "rig.toml" else name for name in models}
     for name in named:
