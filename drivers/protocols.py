@@ -188,6 +188,15 @@ class StatesDelay(Protocol):
 
 
 @runtime_checkable
+class RecordsInputs(Protocol):
+    """A recorder that records two other inputs of its box, such as a mirror's position signals."""
+
+    def record_inputs_v(self, names: tuple[str, str], samples: int, sample_rate_hz: float) -> NDArray[np.float64]:
+        """Volts at two inputs from now on, shape (2, samples); between two records. Raises InstrumentError."""
+        ...
+
+
+@runtime_checkable
 class Player(Instrument, Protocol):
     """Plays one signal per channel of an audio interface."""
 

@@ -23,6 +23,7 @@ from wavefocus.drivers.protocols import (
     Recorder,
     Recording,
     RecordRequest,
+    RecordsInputs,
     StatesDelay,
 )
 
@@ -274,6 +275,15 @@ class BoundedRecorder(_Bounded[Recorder]):
         if not isinstance(device, StatesDelay):
             return None
         return self._work("asking for its conversion rate", lambda: device.sampling_delay_s(sample_rate_hz))
+
+    def record_inputs_v(self, names: tuple[str, str], samples: int, sample_rate_hz: float) -> Float64Array:
+        """See `wavefocus.drivers.protocols.RecordsInputs`. Raises InstrumentError: its driver does not do that."""
+        device, doing = self._device, f"recording {names[0]} and {names[1]}"
+        if not isinstance(device, RecordsInputs):
+            raise InstrumentError(self._name, doing, "its driver records no other inputs", "use another driver")
+        return self._work(
+            doing, lambda: device.record_inputs_v(names, samples, sample_rate_hz), samples / sample_rate_hz
+        )
 
     def abort(self) -> None:
         self._rest("aborting", self._device.abort)

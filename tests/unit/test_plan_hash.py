@@ -63,7 +63,7 @@ def test_given_every_key_of_rig_and_run_then_it_is_hashed_or_marked_as_free() ->
         "MirrorSection.limit_mrad", "MirrorSection.limit_v", "MirrorSection.map", "MirrorSection.park_mrad",
         "MirrorSection.port", "MirrorSection.settle_s", "MirrorSection.setup", "MirrorSection.slew_v_per_s",
         "MirrorSection.tolerance_mrad", "MirrorSection.volts_per_degree", "MirrorSection.x_output",
-        "MirrorSection.y_output",
+        "MirrorSection.x_position", "MirrorSection.y_output", "MirrorSection.y_position",
         "PlayerSection.block_frames", "PlayerSection.coil_resistance_ohm", "PlayerSection.device",
         "PlayerSection.host_api", "PlayerSection.interface_rate_hz", "PlayerSection.limit_power_w",
         "PlayerSection.limit_rms_v", "PlayerSection.limit_v",

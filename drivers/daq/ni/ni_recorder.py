@@ -169,7 +169,17 @@ class NiRecorder:
 
         name: ``"ai2"``, wired as the others are.
         """
-        doing = f"reading {name}"
+        volts = self._record_once((name, self._wiring.inputs[1]), INPUT_TIMING, f"reading {name}")
+        return float(volts[0].mean())
+
+    def record_inputs_v(self, names: tuple[str, str], samples: int, sample_rate_hz: float) -> NDArray[np.float64]:
+        """Volts at two other inputs from now on, shape (2, samples); between two records. Raises InstrumentError."""
+        timing = TaskTiming(sample_rate_hz, samples, INPUT_TIMING.range_v)
+        return self._record_once(names, timing, f"recording {names[0]} and {names[1]}")
+
+    def _record_once(self, names: tuple[str, str], timing: TaskTiming, doing: str) -> NDArray[np.float64]:
+        """One record of other inputs, by a task of its own."""
+        limit_s = timing.samples / timing.rate_hz + READ_INPUT_S
         with self._lock:
             session = self._connected(doing)
             if self._under_way is not None:
@@ -178,19 +188,17 @@ class NiRecorder:
             with session.explaining(doing):
                 if task is not None:
                     task.close()  # what is committed holds the converter
-                wiring = InputWiring((name, self._wiring.inputs[1]), self._wiring.terminal, None)
-                short = RecordTask(session, wiring, INPUT_TIMING, doing)
+                short = RecordTask(session, InputWiring(names, self._wiring.terminal, None), timing, doing)
                 try:
                     short.start()
-                    done = short.wait(READ_INPUT_S)
+                    done = short.wait(limit_s)
                     volts, _ = short.read() if done else (np.full((2, 1), np.nan), 0)
                 finally:
                     short.close()
                     self._owned = session.owned
         if not np.isfinite(volts).all():
-            cause = f"not finished after {READ_INPUT_S:g} s"
-            raise TransientInstrumentError(self._instrument, doing, cause, REPEAT)
-        return float(volts[0].mean())
+            raise TransientInstrumentError(self._instrument, doing, f"not finished after {limit_s:g} s", REPEAT)
+        return volts
 
     def sampling_delay_s(self, sample_rate_hz: float) -> float | None:
         """See `wavefocus.drivers.protocols.StatesDelay`, by the rate of the device's conversion clock."""

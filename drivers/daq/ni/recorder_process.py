@@ -18,6 +18,9 @@ from itertools import count
 from queue import SimpleQueue
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.process import (
@@ -134,6 +137,13 @@ class ProcessRecorder:
     def read_input_v(self, name: str) -> float:
         """Volts at another input, see `wavefocus.drivers.daq.ni.ni_recorder.NiRecorder.read_input_v`."""
         return float(self._call(f"reading {name}", "read_input_v", name))
+
+    def record_inputs_v(self, names: tuple[str, str], samples: int, sample_rate_hz: float) -> NDArray[np.float64]:
+        """See `wavefocus.drivers.protocols.RecordsInputs`."""
+        limit_s = CALL_S + samples / sample_rate_hz
+        doing = f"recording {names[0]} and {names[1]}"
+        volts = self._call(doing, "record_inputs_v", names, samples, sample_rate_hz, limit_s=limit_s)
+        return np.asarray(volts, dtype=np.float64)
 
     def sampling_delay_s(self, sample_rate_hz: float) -> float | None:
         """See `wavefocus.drivers.protocols.StatesDelay`."""
