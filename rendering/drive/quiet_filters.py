@@ -44,7 +44,7 @@ CAP_STEPS = 12
 SLACK_STEPS = 60
 WORTH = 10**-0.1
 """Where the energy that is allowed lowers no place by 1 dB, none is spent."""
-CUT_ROUNDS = 2
+CUT_ROUNDS = 3
 """Times that levels are asked lower by what cutting the filters to their length costs."""
 FAINT = 1e-9
 """Bins with less of the emitted power than this, relative to the largest, do not count."""
