@@ -298,7 +298,7 @@ class WatchSection(Table):
         default=None, description="Band: response above 1.5 times the sweep's end, as rms of white noise in V"
     )
     light: BandSection | None = Field(
-        default=None, description="Band: signal level of a polytec-ofv5000, 0 to 1; read after each position"
+        default=None, description="Band: signal level of a Polytec controller, 0 to 1; read after each position"
     )
     room: RoomSection | None = Field(
         default=None, description="Band: room temperature in degrees Celsius; read after each position"

@@ -151,7 +151,7 @@ class VibrometerSection(DriverTable):
     )
     sensitivity_m_s_per_v: Annotated[Positive | None, ALWAYS] = Field(
         default=None,
-        description="m/s per volt at the DAQ; optional for polytec-ofv5000, and must then agree with the device",
+        description="m/s per volt at the DAQ; optional where a port is given, and must then agree with the device",
     )
     latency_s: Annotated[NonNegative, Field(le=0.001)] | None = Field(
         default=None,

@@ -78,27 +78,38 @@ class Polytec:
                 _who(NAME_QUESTIONS[0]), 2.0, before="Set,Interface,0,Echo,Off", also=_who(NAME_QUESTIONS[1])
             )
             dialogue.recognise(Marker(asked, who, lambda line: line.endswith(who), _stranger))
-            decoder_name = _optional(dialogue, Query(f"Get,VeloDec,{self.decoder},Name", _name))
+            decoder_name = optional_answer(dialogue, Query(f"Get,VeloDec,{self.decoder},Name", _name))
             known_as = who if decoder_name is None else f"{who}, {decoder_name}"
-            if identity is not None and identity not in known_as:
-                cause = f"another device answers: {known_as!r} does not contain {identity!r}"
-                remedy = "plug in the right device, or correct the rig file, identity"
-                raise InstrumentError(name, "asking who it is", cause, remedy)
+            require_identity(name, known_as, identity)
             range_text = dialogue.ask(
                 Query(f"Get,VeloDec,{self.decoder},Range", _range), "reading the measurement range"
             )
-            latency_s = _optional(dialogue, Query(f"Get,VeloDec,{self.decoder},SignalDelay", _delay_s))
-            level = _optional(dialogue, Query("Get,SignalLevel,0,Value", _level))
+            latency_s = optional_answer(dialogue, Query(f"Get,VeloDec,{self.decoder},SignalDelay", _delay_s))
+            level = optional_answer(dialogue, Query("Get,SignalLevel,0,Value", _level))
         finally:
             dialogue.close()
-        if level is not None and level < self.least_signal_level and not any_level:
-            cause = f"it is {level:.0%} of full, at least {self.least_signal_level:.0%} is wanted"
-            remedy = "focus the laser; put reflective film on the surface"
-            raise InstrumentError(name, "checking the signal level", cause, remedy)
+        if not any_level:
+            require_level(name, level, self.least_signal_level)
         return VibrometerReading(sensitivity_m_s_per_v(range_text), range_text, latency_s, level, known_as)
 
 
-def _optional(dialogue: Dialogue, query: Query[Answer]) -> Answer | None:
+def require_identity(instrument: str, known_as: str, identity: str | None) -> None:
+    """Refuse a controller whose name lacks the rig file's `identity`, where it has one. Raises InstrumentError."""
+    if identity is not None and identity not in known_as:
+        cause = f"another device answers: {known_as!r} does not contain {identity!r}"
+        remedy = "plug in the right device, or correct the rig file, identity"
+        raise InstrumentError(instrument, "asking who it is", cause, remedy)
+
+
+def require_level(instrument: str, level: float | None, least_level: float) -> None:
+    """Refuse a signal that is too weak; one that the controller does not state is not. Raises InstrumentError."""
+    if level is not None and level < least_level:
+        cause = f"it is {level:.0%} of full, at least {least_level:.0%} is wanted"
+        remedy = "focus the laser; put reflective film on the surface"
+        raise InstrumentError(instrument, "checking the signal level", cause, remedy)
+
+
+def optional_answer(dialogue: Dialogue, query: Query[Answer]) -> Answer | None:
     """The answer, or None where the controller has none that can be read. Raises InstrumentLostError."""
     try:
         return dialogue.ask(query, f"asking {query.text}")

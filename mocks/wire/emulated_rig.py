@@ -26,7 +26,7 @@ from wavefocus.mocks.wire.jack_capture import PlayedAudio
 from wavefocus.mocks.wire.jack_server import JackServer
 from wavefocus.mocks.wire.mirrors import mirror_device
 from wavefocus.mocks.wire.ni_server import NiServer
-from wavefocus.mocks.wire.vibrometer import PolytecDevice
+from wavefocus.mocks.wire.vibrometer import vibrometer_device
 
 # Silence on all channels that parts one sound from the next; sweeps of one record become one sound each, which the
 # store of signals then recognises.
@@ -190,7 +190,8 @@ class Wiring:
     reference_input, response_input: Inputs that the loopback and the patch bay are wired to.
     full_scale_v: Volts at full scale that each output of the audio interface is believed to have.
     interface_rate_hz, period_frames: Of the audio interface.
-    vibrometer_port: Where a Polytec OFV-5000 is reached, as `mirror_port`; none, if absent.
+    vibrometer_port: Where the vibrometer's controller is reached, as `mirror_port`; none, if absent.
+    vibrometer_driver: The driver that reaches it, see `vibrometer_device`.
     mirror_outputs, mirror_volts_per_degree: Analog outputs of the NI box that the mirror of dialect ``"analog"``
         follows, and how far.
     position_inputs: Inputs of the NI box that its position signals are wired to.
@@ -208,6 +209,7 @@ class Wiring:
     interface_rate_hz: int = 48_000
     period_frames: int = 4096
     vibrometer_port: str | None = None
+    vibrometer_driver: str = "polytec-ofv5000"
     mirror_outputs: tuple[str, str] = ("ao0", "ao1")
     mirror_volts_per_degree: float = 0.8
     position_inputs: tuple[str, ...] = ()
@@ -226,7 +228,8 @@ class EmulatedRig(ExitStack):
 
     def __init__(self, settings: VirtualSettings, wiring: Wiring, faults: tuple[WireFault, ...] = ()) -> None:
         super().__init__()
-        if wiring.vibrometer_port is not None and not settings.vibrometer_latency_s:
+        states_delay = wiring.vibrometer_port is not None and wiring.vibrometer_driver == "polytec-ofv5000"
+        if states_delay and not settings.vibrometer_latency_s:
             settings = replace(settings, vibrometer_latency_s=DECODER_LATENCY_S)
         try:
             self._start(settings, wiring, faults)
@@ -270,13 +273,12 @@ class EmulatedRig(ExitStack):
             self.mirror = self._serial("mirror", device, wiring.mirror_port, faults)
             self._plugs["mirror"] = (self.mirror.unplug, self.mirror.plug)
         if wiring.vibrometer_port is not None:
-            polytec = PolytecDevice(
-                f"{1000 * settings.sensitivity_m_s_per_v:g}mm/s/V",
-                signal_delay=f"{1e6 * settings.vibrometer_latency_s:g} us",
+            controller = vibrometer_device(
+                wiring.vibrometer_driver, settings.sensitivity_m_s_per_v, settings.vibrometer_latency_s
             )
-            nominal = polytec.sensitivity_m_s_per_v
-            self.bench.output_scale = lambda: nominal / polytec.sensitivity_m_s_per_v
-            vibrometer = self._serial("vibrometer", polytec, wiring.vibrometer_port, faults)
+            nominal = controller.sensitivity_m_s_per_v
+            self.bench.output_scale = lambda: nominal / controller.sensitivity_m_s_per_v
+            vibrometer = self._serial("vibrometer", controller, wiring.vibrometer_port, faults)
             self._plugs["vibrometer"] = (vibrometer.unplug, vibrometer.plug)
 
     def unplug(self, role: str) -> None:

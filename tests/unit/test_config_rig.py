@@ -109,7 +109,10 @@ MISTAKES = [
         "[vibrometer]\ndriver = 'polytec-ofv5000'\nport = 'COM4'",
         'vibrometer.driver = "polytec-ofv5000": a rig\'s instruments are all virtual or all real, and these are virt',
     ),
-    ("[vibrometer]\nport = 'COM4'", 'vibrometer.port = "COM4": belongs to driver "polytec-ofv5000"; the driver'),
+    (
+        "[vibrometer]\nport = 'COM4'",
+        'vibrometer.port = "COM4": belongs to driver "polytec-ofv5000" or "polytec-ofv3001"; the driver',
+    ),
     ("[vibrometer]\ndriver = 'polytec-ofv5000'", "vibrometer.port: is missing; driver"),
     ("[mirror]\nmap = [[1, 0], [0, 1]]", "mirror.map[0][2]: is missing"),
     (

@@ -124,6 +124,6 @@ def _done(content: Mapping[str, object]) -> Done:
 
 def _light(rig: RigConfig, virtual_sensors: Mapping[str, Sensor]) -> Sensor | None:
     sensor = virtual_sensors.get("light")
-    if sensor is None and rig.vibrometer.driver == "polytec-ofv5000":
+    if sensor is None and rig.vibrometer.port and hasattr(rig.vibrometer.make_driver(), "least_signal_level"):
         sensor = LightSensor(rig.vibrometer)
     return None if sensor is None else BoundedSensor("light", sensor, rig.recovery.hung_after_s)
