@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 # Without black, the colour of outlines; more sources than colours begin anew.
 SOURCE_COLOURS = COLOURS[:-1]
+QUIET_POINTS, QUIET_MARK_MM = 49, 1.5
 MAX_NAMED = 12
 MAP_PX = 500
 TOP_PX = 26
@@ -75,6 +76,8 @@ def scene_picture(scene: Scene, bank: GreenSource, *, outline_mm: Float64Array |
     left.set(title=f"{scene.name}: as asked for", ylabel="y (mm)")
     right.tick_params(labelleft=False)
     _draw_asked(left, surface, sources, bank)
+    for axes in (left, right):
+        _draw_quiet(axes, scene)
     points, largest_mm = sum(len(drawn.rows) for drawn in sources), max(float(drawn.snap_mm.max()) for drawn in sources)
     rows = np.unique(np.concatenate([drawn.rows for drawn in sources]))
     places = f"{points} points on {len(rows)} positions" if points > 1 else "its position"
@@ -112,6 +115,14 @@ def _draw_asked(axes: Axes, surface: ReportSurface, sources: list[_Drawn], bank:
         axes.plot(*drawn.points_mm.T, ".", color=colour, ms=3.5, zorder=6)
         axes.plot(*drawn.points_mm[0], "o", ms=7, mfc="none", mec=colour, mew=1.4, zorder=7)
         _draw_direction(axes, drawn.line_mm, colour)
+
+
+def _draw_quiet(axes: Axes, scene: Scene) -> None:
+    """A dashed rim about each quiet place, at the start of its path."""
+    angle = np.linspace(0.0, 2.0 * np.pi, QUIET_POINTS)
+    for place in scene.quiet:
+        rim_mm = max(place.radius_mm, QUIET_MARK_MM) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        axes.plot(*(place.path.point_at(np.zeros(1)) + rim_mm).T, "--", color="black", lw=0.8, zorder=7)
 
 
 def _draw_direction(axes: Axes, line_mm: Float64Array, colour: str) -> None:
