@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from wavefocus.banks import export_bank, import_bank
     from wavefocus.calibration.estimator.raw_estimation import estimate_positions
     from wavefocus.calibration.estimator.raw_estimation import estimator_of as estimator
-    from wavefocus.drives import focus_figures, predict, render
+    from wavefocus.drives import focus_figures, predict, quiet_levels, render
     from wavefocus.estimation import estimate
     from wavefocus.live_session.sources import LiveSources, live
     from wavefocus.rendering.field.foci import FocusResults
     from wavefocus.rendering.greens.source import GreenArray
-    from wavefocus.rendering.scene.model import Scene, Source, load_scene
+    from wavefocus.rendering.scene.model import QuietPlace, Scene, Source, load_scene
     from wavefocus.rendering.scene.paths import Circle, Line, Point, Polyline
     from wavefocus.rendering.scene.signals import Impulse, Noise, Sine, SoundFile
     from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
@@ -48,6 +48,7 @@ _MODULES = {
     "Point": "wavefocus.rendering.scene.paths",
     "Polyline": "wavefocus.rendering.scene.paths",
     "LiveSources": "wavefocus.live_session.sources",
+    "QuietPlace": "wavefocus.rendering.scene.model",
     "RawFile": "wavefocus.storage.raw.writer",
     "Scene": "wavefocus.rendering.scene.model",
     "Sine": "wavefocus.rendering.scene.signals",
@@ -67,6 +68,7 @@ _MODULES = {
     "open_bank": "wavefocus.storage.bank.reading",
     "open_raw": "wavefocus.storage.raw.writer",
     "predict": "wavefocus.drives",
+    "quiet_levels": "wavefocus.drives",
     "read_drive": "wavefocus.storage.drive_file",
     "read_field": "wavefocus.storage.field_file",
     "render": "wavefocus.drives",
@@ -89,6 +91,7 @@ __all__ = [
     "Noise",
     "Point",
     "Polyline",
+    "QuietPlace",
     "RawFile",
     "Scene",
     "Sine",
@@ -108,6 +111,7 @@ __all__ = [
     "open_bank",
     "open_raw",
     "predict",
+    "quiet_levels",
     "read_drive",
     "read_field",
     "render",

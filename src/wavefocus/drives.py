@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from wavefocus.rendering.drive.inverse_filter import InverseReport
     from wavefocus.rendering.drive.wav import Interface
     from wavefocus.rendering.field.foci import FocusResults
+    from wavefocus.rendering.field.quiet_levels import QuietLevel
     from wavefocus.rendering.greens.source import GreenSource
     from wavefocus.rendering.report.render_report import RenderReport
     from wavefocus.rendering.scene.model import Scene
@@ -243,6 +244,46 @@ def focus_figures(
     seen = read_field(field) if isinstance(field, str | Path) else field
     with opened_bank(bank) as view:
         return figures_of(played, view, seen, on_progress=on_progress)
+
+
+@checked
+def quiet_levels(drive: Drive | str | Path, bank: GreenSource | str | Path) -> tuple[QuietLevel, ...]:
+    """Levels that a drive reaches at the quiet places that it was made with.
+
+    Parameters
+    ----------
+    drive
+        A drive, or the path of a drive file.
+    bank
+        An open bank, an array of Green's functions, or the path of a bank.
+
+    Returns
+    -------
+    tuple of QuietLevel
+        ``reached_db``, the energy of the predicted response there over that at the loudest focus, and ``track``, the
+        place with the level asked for, ``level_db``; none of a drive without quiet places. Places of independent
+        sources have the level of the other sources, as it was found while rendering.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, drive and bank do not fit, or a place is not on the bank's grid.
+
+    Examples
+    --------
+    >>> import wavefocus as wf
+    >>> tap = wf.Source(wf.Point((-10.0, 0.0)), wf.Noise((50.0, 450.0), 0.1))
+    >>> finger = wf.QuietPlace(wf.Point((10.0, 0.0)), level_db=-10.0)
+    >>> drive = wf.render(wf.Scene("tap", (tap,), quiet=(finger,)), "plate.h5")
+    >>> [level] = wf.quiet_levels(drive, "plate.h5")
+    >>> level.track.name, level.reached_db < -9
+    ('quiet[0]', True)
+    """
+    from wavefocus.rendering.field.quiet_levels import quiet_levels as levels_of
+
+    played = _read(drive)
+    with opened_bank(bank) as view:
+        return levels_of(played, view)
 
 
 def _read(drive: Drive | str | Path) -> Drive:
