@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -210,3 +211,18 @@ def test_a_scene_of_one_sample_is_streamed():
     streamed = SceneRenderer(scene, make_bank())
     streamed.prepare()
     np.testing.assert_allclose(np.concatenate(list(streamed.blocks()), axis=1), whole.drive_v, rtol=1e-9, atol=1e-18)
+
+
+@pytest.mark.parametrize(
+    ("amplitude", "tolerance_db", "output"), [(1e42, -40.0, Output()), (1e200, None, Output(limit_rms_v=1.0))]
+)
+def test_drives_beyond_single_precision_or_of_any_size_are_streamed(amplitude, tolerance_db, output):
+    source = Source(Point((3, 3)), Noise((50, 400), 0.7, 3), amplitude=amplitude)
+    streamed = SceneRenderer(Scene("s", (source,), output=output), make_bank(), tolerance_db=tolerance_db)
+    report = streamed.prepare()
+    drive_v = np.concatenate(list(streamed.blocks()), axis=1)
+    assert not report.single
+    plain, _ = render_with_report(Scene("s", (replace(source, amplitude=1.0),)), make_bank())
+    np.testing.assert_allclose(
+        drive_v, plain.drive_v * amplitude * report.scale, rtol=1e-9, atol=1e-12 * streamed.peak_v
+    )
