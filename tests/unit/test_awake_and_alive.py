@@ -16,7 +16,7 @@ import pytest
 
 from wavefocus.config.rig import MessagesSection
 from wavefocus.rig.alive import AliveSignal, alive_findings
-from wavefocus.rig.awake import inhibitor, kept_awake
+from wavefocus.rig.awake import inhibitors, kept_awake
 from wavefocus.storage.errors import InputError
 
 
@@ -141,5 +141,20 @@ def test_given_a_system_that_refuses_then_the_run_goes_on(tmp_path: Path, monkey
     monkeypatch.setenv("PATH", str(tmp_path))
     with kept_awake("measuring") as accepted:
         assert accepted is (sys.platform == "win32")
-    assert inhibitor("darwin", "x")[-1] == str(os.getpid())
-    assert inhibitor("sunos5", "x") == []
+    assert inhibitors("darwin", "x")[0][-1] == str(os.getpid())
+    assert inhibitors("sunos5", "x") == []
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="systemd-inhibit")
+def test_given_a_user_who_may_only_refuse_idling_then_that_is_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    noted = tmp_path / "noted"
+    stand_in = tmp_path / "systemd-inhibit"
+    text = f'#!/bin/sh\ncase "$1" in *sleep*) exit 1;; esac\necho "$1" >> {noted}\nshift 4\n"$@"\n'
+    stand_in.write_text(text)
+    stand_in.chmod(stand_in.stat().st_mode | stat.S_IXUSR)
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    with kept_awake("measuring") as accepted:
+        assert accepted
+        assert noted.read_text() == "--what=idle\n"

@@ -41,9 +41,9 @@ def kept_awake(reason: str) -> Iterator[bool]:
         finally:
             set_state(_ES_CONTINUOUS)
         return
-    holder = _start(inhibitor(sys.platform, reason))
+    holder = next(filter(None, map(_started, inhibitors(sys.platform, reason))), None)
     try:
-        yield holder is not None and not _has_ended(holder)
+        yield holder is not None
     finally:
         if holder is not None:
             _end(holder)
@@ -58,35 +58,35 @@ def awake_finding() -> Finding:
     return Finding("computer", "sleep", "skipped", what, "set its power settings to never sleep")
 
 
-def inhibitor(platform: str, reason: str) -> list[str]:
-    """The command that keeps a platform (as `sys.platform`) awake; empty where there is none.
+def inhibitors(platform: str, reason: str) -> list[list[str]]:
+    """Commands that keep a platform (as `sys.platform`) awake, the first that it accepts being enough.
 
-    On Linux it ends when its standard input is closed, on macOS when this process is gone.
+    On Linux they end when their standard input is closed, on macOS when this process is gone.
     """
     if platform == "darwin":
-        return ["caffeinate", "-i", "-s", "-w", str(os.getpid())]
+        return [["caffeinate", "-i", "-s", "-w", str(os.getpid())]]
     if platform.startswith("linux"):
-        options = ["--what=sleep:idle:handle-lid-switch", "--who=wavefocus", f"--why={reason}", "--mode=block"]
-        return ["systemd-inhibit", *options, "cat"]
+        who = ["--who=wavefocus", f"--why={reason}", "--mode=block", "cat"]
+        # A user who is logged in over the network may only refuse idling (org.freedesktop.login1.policy).
+        return [["systemd-inhibit", f"--what={what}", *who] for what in ("sleep:idle:handle-lid-switch", "idle")]
     return []
 
 
-def _start(command: list[str]) -> subprocess.Popen[bytes] | None:
-    if not command or shutil.which(command[0]) is None:
+def _started(command: list[str]) -> subprocess.Popen[bytes] | None:
+    """Start a command; None where it is not there, or ends at once, for the system refused it."""
+    if shutil.which(command[0]) is None:
         return None
     null = subprocess.DEVNULL
-    with suppress(OSError):
-        return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=null, stderr=null, start_new_session=True)
-    return None
-
-
-def _has_ended(holder: subprocess.Popen[bytes]) -> bool:
-    """Whether the command ended at once, for the system refused it."""
+    try:
+        holder = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=null, stderr=null, start_new_session=True)
+    except OSError:
+        return None
     try:
         holder.wait(_REFUSED_S)
     except subprocess.TimeoutExpired:
-        return False
-    return True
+        return holder
+    _end(holder)
+    return None
 
 
 def _end(holder: subprocess.Popen[bytes]) -> None:
