@@ -15,6 +15,8 @@ from wavefocus.storage.ledger import owner
 from wavefocus.storage.sidecar_files import create
 
 _LOOKS_EVERY_S = 0.05
+# Whoever asks for the holder has the lock for microseconds.
+_MIN_WAIT_S = 0.2
 
 
 @contextmanager
@@ -30,7 +32,7 @@ def claimed(name: str, *, wait_s: float = 0.0) -> Iterator[None]:
     with suppress(FileExistsError):
         create(path).close()
     with durable.open_file(path) as file:
-        given_up_s = time.monotonic() + wait_s
+        given_up_s = time.monotonic() + max(wait_s, _MIN_WAIT_S)
         while not file.try_lock():
             if time.monotonic() >= given_up_s:
                 holder = claim_holder(name) or owner.Owner("this computer", 0)
