@@ -6,7 +6,7 @@ At position x_i, of actuator a, is measured
 
 psi the actuator's own waves, y_j sources on a ring around everything. With P_a the mean power of d_a,
 
-    s_ac ~ N(0, 100 P_a / mean_i |psi_c(x_i)|^2),
+    s_ac ~ N(0, 100 P_a / mean_i |psi_c(x_i)|^2)  (1 in place of 100 for waves of other frequencies),
     q_aj ~ N(0, P_a [rho1 |H0(2)(k |x_a - y_j|)|^2 / Z_a + rho2 / Z]),
     e_i  ~ N(0, P_a [n1 level_i^2 + n2]),
 
@@ -32,7 +32,7 @@ from scipy.linalg import cho_solve, solve_triangular
 from scipy.optimize import minimize
 
 from wavefocus.calibration import Complex128Array, Float64Array
-from wavefocus.calibration.coarse_grid.waves import distances_mm, outgoing, own_waves
+from wavefocus.calibration.coarse_grid.waves import distances_mm, outgoing, waves_of_actuators
 
 SHARE_LIMITS = ((-12.0, 0.5), (-25.0, 2.0), (-16.0, 0.0), (-24.0, 0.0))
 """Of log (rho1, rho2, n1, n2). A rim reflects no more than arrives: rho1 is below 1.6."""
@@ -43,6 +43,8 @@ PERCENT = 0.01
 FIRST_SHARES = np.array([-2.0, -10.0, -10.0, -14.0])
 OWN_SHARE = 100.0
 """Prior power of an actuator's own wave over what was measured: large, so that it is free."""
+SMEARED_SHARE = 1.0
+"""The same of the waves of other frequencies."""
 DERIVATIVE_STEP = 1e-5
 """Relative step in k of the central difference; waves of 100 rad then err by 1e-6."""
 
@@ -75,12 +77,13 @@ class FrequencyWaves:
         self._power, self._relative_level = power, relative_level
         self._values = transfer / np.sqrt(power)
         self._sources = outgoing(self.wavenumber, self._to_ring_mm)
-        self._own = own_waves(self.wavenumber, pressure_share, points_mm, actuator_mm)
+        self._own, count = waves_of_actuators(self.wavenumber, pressure_share, points_mm, actuator_mm)
         met = np.square(np.abs(outgoing(self.wavenumber, distances_mm(actuator_mm, ring_mm))))
         seen = np.square(np.abs(self._sources)).mean(axis=0)
         self._image = met / (met @ seen)[:, None]
         self._even = 1.0 / seen.sum()
-        self._own_variance = OWN_SHARE / np.square(np.abs(self._own)).mean(axis=1)
+        shares = np.where(np.arange(len(self._own)) < count, OWN_SHARE, SMEARED_SHARE)
+        self._own_variance = shares[:, None] / np.square(np.abs(self._own)).mean(axis=1)
 
     def evidence(self, theta: Float64Array) -> tuple[float, Float64Array]:
         """Minus twice the log marginal likelihood, a value measured, and its gradient.
@@ -93,7 +96,9 @@ class FrequencyWaves:
         k = size * (cosine + 1j * sine)
         slopes = PERCENT * np.array([k, size * (1j - sine / cosine)])
         sources, source_slope = _with_slope(lambda at: outgoing(at, self._to_ring_mm), k)
-        own, own_slope = _with_slope(lambda at: own_waves(at, self._share, self._points_mm, self._actuator_mm), k)
+        own, own_slope = _with_slope(
+            lambda at: waves_of_actuators(at, self._share, self._points_mm, self._actuator_mm)[0], k
+        )
         rho1, rho2, n1, n2 = np.exp(theta[:4])
         total, gradient, waves = 0.0, np.zeros(6), len(own)
         for actuator in range(self._values.shape[1]):
@@ -121,6 +126,9 @@ class FrequencyWaves:
             by_k = np.vdot(xi, moved) - np.vdot(alpha, moved @ beta)
             gradient[4:] += 2.0 * (by_k * slopes).real
         return total / self._values.size, gradient / self._values.size
+
+    def _own_waves(self, wavenumber: complex) -> Complex128Array:
+        return waves_of_actuators(wavenumber, self._share, self._points_mm, self._actuator_mm)[0]
 
     def fitted(self, starts: Sequence[Float64Array], evaluations: int) -> tuple[complex, Float64Array, float]:
         """Wave number and shares of greatest evidence, and the value of `evidence`; starts are of shares (4,)."""
@@ -166,7 +174,7 @@ class FrequencyWaves:
     def variance(self, points_mm: Float64Array, shares: Float64Array) -> Float64Array:
         """Variance of the waves at points (n, 2), without noise: (n, actuators)."""
         sources = outgoing(self.wavenumber, distances_mm(points_mm, self._ring_mm))
-        own = own_waves(self.wavenumber, self._share, points_mm, self._actuator_mm)
+        own, _ = waves_of_actuators(self.wavenumber, self._share, points_mm, self._actuator_mm)
         variance = np.empty((len(points_mm), len(self._power)))
         for actuator, power in enumerate(self._power.tolist()):
             x, _, root, _ = self._scaled(actuator, shares)

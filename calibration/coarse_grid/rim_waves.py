@@ -27,13 +27,12 @@ from wavefocus.calibration import Complex64Array, Complex128Array, Float64Array
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.coarse_grid.posterior import FIRST_SHARES, FrequencyWaves
 from wavefocus.calibration.coarse_grid.waves import (
-    OWN_ELASTIC,
     Dispersion,
     dispersion_of_own_waves,
     distances_mm,
     outgoing_at_all,
-    own_waves,
     rim_ring,
+    waves_of_actuators,
 )
 
 Result = TypeVar("Result")
@@ -47,6 +46,8 @@ RING_WAVELENGTHS, RING_OFFSET_WAVELENGTHS = 0.46, 1.05
 """Distance of the ring's sources from one another and from everything else, in wavelengths at the highest knot."""
 MAX_RING_SHARE = 0.025
 """The same distance at most, relative to the extent of all positions and actuators."""
+EXPLAINED = 0.02
+"""Share of the energy that scalar waves may leave without a solid's being tried."""
 ELASTIC_GAIN = 0.5
 """A solid's waves are tried where they leave at most this share of what scalar waves leave."""
 MIN_POSITIONS = 12
@@ -69,6 +70,8 @@ class RimWaves:
     rest_radius, rest_gain, float64 (frequencies,): Radius of the rest's disk in rad/mm, 0 for none; share of the
         residuals, as amplitude, that is left then (1 for none).
     rest, complex64 (frequencies, positions, actuators): ``(K + ridge)^-1 r``.
+    distance_mm, float64 (distances,); distance_scale, float64 (frequencies, distances): Factors on the standard
+        deviations at distances from an actuator, by left-out positions.
     deviation_scale, float64 (frequencies,): Factor on the standard deviations, from positions that judge.
     judged_by: ``"check positions"`` or ``"left-out positions"``.
     """
@@ -86,6 +89,8 @@ class RimWaves:
     rest_radius: Float64Array
     rest_gain: Float64Array
     rest: Complex64Array
+    distance_mm: Float64Array
+    distance_scale: Float64Array
     deviation_scale: Float64Array
     judged_by: str
 
@@ -138,11 +143,11 @@ class RimWaves:
         """Transfer functions at points (n, 2) and some frequencies, by default all: (frequencies, n, actuators)."""
         chosen = list(range(len(self.frequency_hz)) if index is None else index)
         to_ring_mm, to_positions_mm = distances_mm(points_mm, self.ring_mm), _gaps_mm(points_mm, self.position_mm)
-        own_count = OWN_ELASTIC if self.pressure_share else 1
+        own_count = self.strength.shape[1] - len(self.ring_mm)
         wavenumbers, strengths = self.wavenumber[chosen], self.strength[chosen]
         found = outgoing_at_all(wavenumbers, to_ring_mm) @ strengths[:, own_count:]
         for place, (number, k) in enumerate(zip(chosen, wavenumbers.tolist(), strict=True)):
-            own = own_waves(k, self.pressure_share, points_mm, self.actuator_mm)
+            own, _ = waves_of_actuators(k, self.pressure_share, points_mm, self.actuator_mm)
             found[place] += np.einsum("cpa,ca->pa", own, strengths[place, :own_count])
             if self.rest_radius[number] > 0:
                 found[place] += disk(self.rest_radius[number] * to_positions_mm) @ self.rest[number]
@@ -154,11 +159,13 @@ class RimWaves:
         The true value lies within sqrt(log 20) = 1.73 of them with 95 % probability.
         """
         _, near = cKDTree(self.position_mm).query(points_mm)
+        apart_mm = distances_mm(points_mm, self.actuator_mm)
         found = np.empty((len(index), len(points_mm), len(self.actuator_mm)))
         for place, number in enumerate(index):
             waves = self._waves(number)
             variance = waves.variance(points_mm, self.shares[number]) + self._noise(number, self.relative_level[near])
-            found[place] = np.sqrt(variance) * self.rest_gain[number] * self.deviation_scale[number]
+            by_distance = np.interp(apart_mm, self.distance_mm, self.distance_scale[number])
+            found[place] = np.sqrt(variance) * by_distance * self.deviation_scale[number]
         return found
 
     def expected_errors(self, points_mm: Float64Array, index: Sequence[int]) -> Float64Array:
@@ -220,7 +227,7 @@ class _Fit:
         model = RimWaves(
             self._frequency_hz, wavenumber, shares, self._pressure_share, self._position_mm, self._actuator_mm,
             self._ring_mm, self._power, self._relative_level, strength.astype(np.complex64), radius, gain,
-            rest.astype(np.complex64), np.ones(len(self._frequency_hz)), "left-out positions",
+            rest.astype(np.complex64), *self._by_distance(), np.ones(len(self._frequency_hz)), "left-out positions",
         )  # fmt: skip
         if check_mm is not None and check_transfer is not None and len(check_mm) >= MIN_CHECKS:
             return judged_by_checks(model, check_mm, check_transfer, self._each)
@@ -251,6 +258,8 @@ class _Fit:
             self._spacing_mm,
         )
         scalar = dispersion_of_own_waves(*measured)
+        if scalar[2] < EXPLAINED:
+            return scalar[0]
         elastic = dispersion_of_own_waves(*measured, scalar[0])
         if elastic[2] >= ELASTIC_GAIN * scalar[2]:
             return scalar[0]
@@ -312,13 +321,17 @@ class _Fit:
         waves = self._frequency(number)
         strength = waves.strengths(self._shares[number])
         residual = self._transfer[number] - waves.sums(strength)
-        nearest = min(self._rest_choice, key=lambda judged: abs(judged - number)) if self._rest_choice else number
-        radius, ridge, gain = self._rest_choice.get(nearest, NO_REST)
+        radius, ridge, gain = self._rest_of(number)
         radius = radius * abs(self._wavenumber[number]) if radius > 0 else -radius
         if not radius:
             return strength, 0.0, 1.0, np.zeros_like(residual)
         kernel = disk(radius * _gaps_mm(self._position_mm, self._position_mm))
         return strength, radius, gain, cho_solve(cho_factor(kernel + ridge * np.eye(len(kernel))), residual)
+
+    def _rest_of(self, number: int) -> tuple[float, float, float]:
+        """What `_chosen_rest` says of the nearest frequency that was judged."""
+        nearest = min(self._rest_choice, key=lambda judged: abs(judged - number)) if self._rest_choice else number
+        return self._rest_choice.get(nearest, NO_REST)
 
     def _chosen_rest(self, number: int) -> tuple[float, float, float]:
         """Of the rest at one frequency: radius, in wave numbers, or below 0 in rad/mm; ridge; share that stays.
@@ -337,12 +350,36 @@ class _Fit:
             in_rad_mm = radius * abs(self._wavenumber[number]) if radius > 0 else -radius
             kernel = disk(in_rad_mm * apart_mm)
             for ridge in REST_RIDGES:
-                inverse = cho_solve(cho_factor(kernel + ridge * np.eye(len(kernel))), np.eye(len(kernel)))
-                missed = np.linalg.norm(inverse @ residual / inverse.diagonal()[:, None], axis=1)
+                missed = np.linalg.norm(_left_out_rest(kernel, ridge, residual), axis=1)
                 share = float(np.median(missed / norm))
                 if share < min(best[2], MAX_REST):
                     best = (radius, ridge, share)
         return best
+
+    def _by_distance(self) -> tuple[Float64Array, Float64Array]:
+        """Distances from an actuator, and factors on the deviations there, (frequencies, distances)."""
+        apart_mm = distances_mm(self._position_mm, self._actuator_mm).ravel()
+        count = int(np.clip(len(apart_mm) // MIN_IN_DISTANCE, 1, MAX_DISTANCES))
+        groups = np.array_split(np.argsort(apart_mm, kind="stable"), count)
+
+        between_mm = _gaps_mm(self._position_mm, self._position_mm)
+
+        def factors(number: int) -> list[float]:
+            waves = self._frequency(number)
+            error, variance = waves.left_out(self._shares[number])
+            strength, radius, *_ = self._solve(number)
+            if radius > 0:
+                residual = self._transfer[number] - waves.sums(strength)
+                ridge = self._rest_of(number)[1]
+                error = _left_out_rest(disk(radius * between_mm), ridge, residual)
+            ratio = (np.square(np.abs(error)) / variance).ravel()
+            return [float(np.sqrt(np.quantile(ratio[group], 0.95) / NORMAL_95)) for group in groups]
+
+        judged = judged_frequencies(self._frequency_hz)
+        found = np.log(np.maximum(self._each(judged, factors), MIN_SCALE))
+        octave, wanted = np.log2(self._frequency_hz[judged]), np.log2(self._frequency_hz)
+        scale = np.exp(np.stack([np.interp(wanted, octave, column) for column in found.T], axis=1))
+        return np.array([np.median(apart_mm[group]) for group in groups]), scale
 
     def _each(self, numbers: Sequence[int], task: Callable[[int], Result]) -> list[Result]:
         if self._workers <= 1:
@@ -352,10 +389,18 @@ class _Fit:
 
 
 MIN_CHECKS = 3
-JUDGED = 32
-"""Frequencies at which check positions judge."""
+JUDGED = 24
+"""Frequencies at which deviations are judged."""
+MIN_IN_DISTANCE, MAX_DISTANCES = 80, 10
+"""Pairs of a position and an actuator that judge at one distance, at least; number of distances, at most."""
+MIN_SCALE = 0.03
 JUDGED_HALF_OCTAVES = 0.25
 """Half the width, in octaves, of the bands in which check positions judge together."""
+
+
+def judged_frequencies(frequency_hz: Float64Array) -> list[int]:
+    """Indices of the frequencies at which deviations are judged."""
+    return sorted(set(np.linspace(0, len(frequency_hz) - 1, JUDGED).astype(int).tolist()))
 
 
 def judged_by_checks(
@@ -370,14 +415,14 @@ def judged_by_checks(
         error = np.abs(model.values(check_mm, [number])[0] - check_transfer[number])
         return np.asarray(np.square(error / model.deviations(check_mm, [number])[0]).ravel())
 
-    judged = np.unique(np.linspace(0, len(model.frequency_hz) - 1, JUDGED).astype(np.int64))
-    ratio = np.array(each(judged.tolist(), ratios))
+    judged = judged_frequencies(model.frequency_hz)
+    ratio = np.array(each(judged, ratios))
     octave = np.log2(model.frequency_hz[judged])
     scales = []
     for here in octave:
         band = np.abs(octave - here) <= JUDGED_HALF_OCTAVES
         scales.append(np.sqrt(np.quantile(ratio[band], 0.95) / NORMAL_95))
-    scale = np.exp(np.interp(np.log2(model.frequency_hz), octave, np.log(np.maximum(scales, 1e-6))))
+    scale = np.exp(np.interp(np.log2(model.frequency_hz), octave, np.log(np.maximum(scales, MIN_SCALE))))
     return replace(model, deviation_scale=scale, judged_by="check positions")
 
 
@@ -389,6 +434,12 @@ REST_RADIUS = 1.15
 """Radius of the rest's disk in wave numbers; or what the positions resolve, pi over their spacing."""
 MAX_REST = 0.9
 """Where positions that are left out say that more than this share would stay, there is no rest."""
+
+
+def _left_out_rest(kernel: Float64Array, ridge: float, residual: Complex128Array) -> Complex128Array:
+    """Error at each position if it is left out: ``(C^-1 r)_i / (C^-1)_ii`` with C = K + ridge."""
+    inverse = cho_solve(cho_factor(kernel + ridge * np.eye(len(kernel))), np.eye(len(kernel)))
+    return np.asarray(inverse @ residual / inverse.diagonal()[:, None])
 
 
 def disk(radians: Float64Array) -> Float64Array:

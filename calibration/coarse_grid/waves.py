@@ -42,8 +42,8 @@ def outgoing(wavenumber: complex, distance_mm: Float64Array, order: int = 0) -> 
 
 TABLE_STEP_RAD = 0.15
 """Step of a table of H0(2) in radians of the shortest wave; cubics between its nodes are right to 1e-5."""
-OWN_ELASTIC = 6
-"""Number of waves that an actuator sends out in the plane of a solid."""
+SMEARED = (0.3, 0.6, 0.85, 1.1, 1.2, 1.3)
+"""Of the wave number: waves of other frequencies, which a bank's first tap, cutting off what comes before, mixes in."""
 
 
 def outgoing_at_all(wavenumbers: Complex128Array, distance_mm: Float64Array) -> Complex64Array:
@@ -93,6 +93,22 @@ def own_waves(
         second = outgoing(k, distance_mm, 2)
         waves += [outgoing(k, distance_mm), second * turn.real, second * turn.imag]
     return np.stack(waves)
+
+
+def waves_of_actuators(
+    wavenumber: complex, pressure_share: float, points_mm: Float64Array, actuator_mm: Float64Array
+) -> tuple[Complex128Array, int]:
+    """`own_waves`, where scalar followed by those of other frequencies, (waves, points, actuators); how many are own.
+
+    Green's functions are zero before their first tap, and limited to a band. Near an actuator the band-limited pulse
+    begins earlier than that and is cut, which mixes frequencies, by some percent at the band's upper end.
+    """
+    own = own_waves(wavenumber, pressure_share, points_mm, actuator_mm)
+    if pressure_share:
+        return own, len(own)
+    distance_mm = distances_mm(points_mm, actuator_mm)
+    others = [outgoing(share * wavenumber, distance_mm) for share in SMEARED]
+    return np.concatenate([own, np.stack(others)]), len(own)
 
 
 def rim_ring(points_mm: Float64Array, offset_mm: float, spacing_mm: float) -> Float64Array:

@@ -22,6 +22,7 @@ RUN = """
 rig = "rig.toml"
 [grid]
 spacing_mm = 40.0
+check_positions = 0
 [sweep]
 duration_s = 0.3
 amplitude_v = 3.0

@@ -78,7 +78,11 @@ def expected_errors(bank: Bank) -> ErrorMap:
     edge_hz = EDGE * (high_hz - low_hz)
     frequency_hz = np.linspace(low_hz + edge_hz, high_hz - edge_hz, FREQUENCIES)
     transfer = np.stack([transform_at(bank.green(int(row)), frequency_hz, bank.sample_rate_hz) for row in rows])
-    model = RimWaves.fit(frequency_hz, position_mm, bank.actuator_mm, transfer.transpose(2, 0, 1).astype(np.complex128))
+    every_transfer, check = transfer.transpose(2, 0, 1).astype(np.complex128), bank.check[rows]
+    model = RimWaves.fit(
+        frequency_hz, position_mm[~check], bank.actuator_mm, every_transfer[:, ~check], position_mm[check],
+        every_transfer[:, check],
+    )  # fmt: skip
     spacing_mm = LATTICE_SHARE * grid_spacing_mm(position_mm)
     points_mm = surface_grid(outline, grid.margin_mm, max(spacing_mm, np.sqrt(outline.area_mm2 / MAX_POINTS)))
     every = range(FREQUENCIES)
