@@ -332,7 +332,7 @@ class QueueTab(Themed, Tab):
         queue = self.file.path
         entries: tuple[QueueEntry, ...] = ()
         trouble = ""
-        self._holder = None
+        was_running, self._holder = self.running, None
         if queue is not None and queue.exists():
             try:
                 entries, self._holder = read_queue(queue), queue_holder(queue)
@@ -343,7 +343,8 @@ class QueueTab(Themed, Tab):
         self._trouble = trouble
         finish = finish_times(entries, datetime.now(UTC), expected_finish)
         changed = {entry.number: changed_files(entry) for entry in entries if entry.to_do}
-        if (entries, finish, changed) != (self.entries, self._finish, self._changed):
+        shown = (self.entries, self._finish, self._changed, was_running)
+        if (entries, finish, changed, self.running) != shown:
             self.entries, self._finish, self._changed = entries, finish, changed
             self._fill()
 
@@ -368,7 +369,15 @@ class QueueTab(Themed, Tab):
         if changed := self._changed.get(entry.number):
             remark = f"changed since it was added: {', '.join(Path(name).name for name in changed)}"
         when = "" if finish is None else finish.strftime("%a %d %b %H:%M")
-        return _MARKS[entry.state], str(entry.number), command_line(*entry.words), duration, when, remark
+        cut_off = entry.state is EntryState.RUNNING and not self.running
+        return (
+            "◑ cut off" if cut_off else _MARKS[entry.state],
+            str(entry.number),
+            command_line(*entry.words),
+            duration,
+            when,
+            remark,
+        )
 
     def _summary(self, waiting: int) -> str:
         if self.file.path is None:

@@ -57,7 +57,8 @@ def list_runs(queue: Path, *, as_json: bool) -> None:
         print_line(json.dumps({"queue": str(queue), "runs": runs, "owner": owner}) + "\n")
         return
     for entry in entries:
-        answer(_line(entry, finish[entry.number]))
+        cut_off = entry.state is EntryState.RUNNING and holder is None
+        answer(_line(entry, "cut off" if cut_off else str(entry.state), finish[entry.number]))
         if names := changed.get(entry.number):
             answer(f"{'':14}changed since it was added: {', '.join(names)}")
         if entry.state in (EntryState.FAILED, EntryState.STOPPED):
@@ -68,10 +69,10 @@ def list_runs(queue: Path, *, as_json: bool) -> None:
         answer(f"carried out by process {holder.pid} on {holder.host}")
 
 
-def _line(entry: QueueEntry, finish: datetime | None) -> str:
+def _line(entry: QueueEntry, state: str, finish: datetime | None) -> str:
     when = "" if finish is None else f", {'until' if entry.to_do else 'ended'} {finish:%a %d %b %H:%M}"
     expected = f", takes {hours(entry.expected_s)}" if entry.to_do and entry.expected_s is not None else ""
-    return f"{entry.number:>4} {entry.state:<8} {command_line(*entry.words)}{expected}{when}"
+    return f"{entry.number:>4} {state:<8} {command_line(*entry.words)}{expected}{when}"
 
 
 def _instant(at: datetime | None) -> str | None:
