@@ -58,6 +58,7 @@ class QuietTrack:
     level_db: Level asked for: energy of the response there over that at the loudest focus.
     rendered_db: Level that the renderer found while it made the filters.
     source: The source that sounds there; -1 for a quiet place.
+    interpolation: Method of its rows where it lies between positions.
     """
 
     name: str
@@ -67,6 +68,7 @@ class QuietTrack:
     level_db: float
     rendered_db: float
     source: int = -1
+    interpolation: str = "kernel"
 
     def plain(self) -> dict[str, Any]:
         """As JSON holds it."""
@@ -76,11 +78,13 @@ class QuietTrack:
     @classmethod
     def of_plain(cls, values: dict[str, Any]) -> QuietTrack:
         """Make it of `plain`. Raises KeyError, TypeError or ValueError: something else was given."""
-        numbers = {key: float(values[key]) for key in ("radius_mm", "level_db", "rendered_db")}
         sample, at_mm = np.asarray(values["sample"], np.int64), np.asarray(values["at_mm"], np.float64)
         if not len(sample) or at_mm.shape != (len(sample), 2) or not np.isfinite(at_mm).all():
             raise ValueError("instants and places differ in number")
-        return cls(str(values["name"]), sample, at_mm, source=int(values["source"]), **numbers)
+        return cls(
+            str(values["name"]), sample, at_mm, float(values["radius_mm"]), float(values["level_db"]),
+            float(values["rendered_db"]), int(values["source"]), str(values["interpolation"]),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -153,6 +153,8 @@ class QuietRows(BankRows):
         self._keys: list[tuple[int, int, int]] = []
         self._length = fast_length(2 * (bank.taps + tail))
         self._quiet_reader = RowReader(place_rows.rows)
+        self._interpolation = place_rows.name
+        self._row_error = place_rows.error([source.signal for source in sampled.sources])
         self._bins: Int64Array = np.arange(self._length // 2 + 1)
 
     @property
@@ -194,6 +196,14 @@ class QuietRows(BankRows):
         instants = min(TRACK_INSTANTS, max(2, MAX_TRACK_INSTANTS // len(plan.places)))
         reached_db, plain_db = (10.0 * np.log10(np.maximum(level, 1e-30)) for level in (found.level, found.plain_level))
         tracks, warnings = [], list(plan.warnings)
+        # What is wrong with a row is alike in no two actuators, so that their drives do not focus on it.
+        true_db = 10.0 * np.log10(max(self._row_error**2 * found.energy / self.bank.actuators, 1e-30))
+        if true_db > max(place.level_db for place in plan.places) - MISSED_DB:
+            warnings.append(
+                f"between the grid's positions, the responses at quiet places are wrong by about"
+                f" {100 * self._row_error:.0f} %, so that these are no quieter than about {true_db:.0f} dB; use"
+                " interpolation 'auto', or measure a finer grid"
+            )
         for place, level_db in zip(plan.places, reached_db.tolist(), strict=True):
             moves = place.path.length_mm > 0
             knots = plan.knots if moves else plan.knots[:1]
@@ -201,7 +211,16 @@ class QuietRows(BankRows):
             at_mm = place.at(sample, float(self.bank.sample_rate_hz)).round(6)
             source = -1 if place.source is None else place.source
             tracks.append(
-                QuietTrack(place.words, sample, at_mm, place.radius_mm, place.level_db, round(level_db, 3), source)
+                QuietTrack(
+                    place.words,
+                    sample,
+                    at_mm,
+                    place.radius_mm,
+                    place.level_db,
+                    round(level_db, 3),
+                    source,
+                    self._interpolation,
+                )
             )
             if level_db > place.level_db + MISSED_DB:
                 why = (

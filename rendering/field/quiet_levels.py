@@ -99,13 +99,13 @@ def quiet_levels(drive: Drive, bank: GreenSource) -> tuple[QuietLevel, ...]:
     response = Prediction(drive, bank, np.unique([window.row for window in windows]), dtype=np.float64).field()
     position_mm = np.asarray(bank.position_mm, dtype=np.float64)
     reference = max(_focus_energies(drive, response.field, response.position_index, position_mm), default=0.0)
-    place_rows = PlaceRows(bank)
+    methods = {track.interpolation: PlaceRows(bank, name=track.interpolation) for track in measured}
     found: list[QuietLevel] = []
     for track in drive.quiet:
         if track.source >= 0:
             found += rendered_levels((track,))
             continue
-        around_mm = spread_mm(track.radius_mm)
+        place_rows, around_mm = methods[track.interpolation], spread_mm(track.radius_mm)
         try:
             rows = place_rows.at((track.at_mm[:, None] + around_mm).reshape(-1, 2))
         except OffGridError as off:

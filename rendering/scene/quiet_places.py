@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
+from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.config.scene import INDEPENDENT_LEVEL_DB
 from wavefocus.rendering.arrays import BoolArray, Float64Array, Int64Array
-from wavefocus.rendering.greens.interpolation.base import OffGridError, near, show_mm
+from wavefocus.rendering.greens.interpolation.base import (
+    GridInterpolation,
+    Interpolation,
+    OffGridError,
+    interpolation_method,
+    near,
+    show_mm,
+)
+from wavefocus.rendering.greens.interpolation.errors import judged_errors
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.greens.source import GreenSource, refusal, usable
-from wavefocus.rendering.scene.model import Scene
-from wavefocus.rendering.scene.paths import Path
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.paths import Path, Point
 from wavefocus.rendering.scene.sampling import SampledScene
+from wavefocus.rendering.scene.signals import Impulse
 from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
 from wavefocus.storage.errors import InputError
 
@@ -27,6 +39,7 @@ ON_GRID = 1e-6
 """Distance from a position, in grid spacings, up to which its own row is used."""
 RING, RING_ROWS = 0.8, 8
 """A disc of a fingertip's size that is quiet at its centre and on this part of its radius is quiet all over."""
+MAX_JUDGED = 64
 MAX_ROWS, MAX_PAIRS, MAX_INCIDENCES = 2000, 20_000, 10**8
 """Of all places, of rows and sources, and of these at all instants: more would take hours."""
 
@@ -97,39 +110,49 @@ def disc_mm(radius_mm: float) -> Float64Array:
 
 
 class PlaceRows:
-    """Rows at places of a bank, by the best interpolation that it allows; a position's own row at the position.
+    """Rows at places of a bank: a position's own row at the position, interpolated ones between positions.
 
-    kind: The scene's own interpolation, used where it is the best one.
+    own: The scene's own interpolation, used where it makes rows of its own.
+    name: The method that is used else.
     """
 
     rows: GreenSource
     """The bank whose rows `at` refers to."""
 
-    def __init__(self, bank: GreenSource, kind: object = None) -> None:
+    def __init__(self, bank: GreenSource, own: Interpolation | None = None, name: str = "kernel") -> None:
         self._bank, self.rows = bank, bank
         self._grid, self._status = PositionGrid(bank.position_mm), np.asarray(bank.status)
-        self._kind = kind
+        self._method = None if isinstance(own, GridInterpolation) else own
+        self.name = name if self._method is None else self._method.name
+        self._between_mm: list[Float64Array] = []
 
     def at(self, points_mm: Float64Array) -> Int64Array:
         """Rows (n,) at points (n, 2). Raises OffGridError: a point is off the grid, or nothing is measured there."""
-        from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
-
         rows, distance_mm = near(self._grid, points_mm)
         between = (distance_mm > ON_GRID * self._grid.spacing_mm) | ~usable(self._bank)[rows]
-        if between.any() and not isinstance(self._kind, KernelInterpolation):
-            try:
-                self._kind = KernelInterpolation(self._bank, points_mm[between])
-            except InputError:
-                self._kind = None  # too few positions to interpolate from
-        if between.any() and isinstance(self._kind, KernelInterpolation):
+        if between.any() and self._method is None:
+            with suppress(InputError):  # too few positions to interpolate from: the nearest ones are taken
+                self._method = interpolation_method(self.name).over(self._bank, points_mm[between])
+        if between.any() and self._method is not None:
             rows = rows.copy()
-            rows[between] = self._kind.nodes(points_mm[between]).rows[:, 0]
-            self.rows = self._kind.rows_of(self._bank)
+            rows[between] = self._method.nodes(points_mm[between]).rows[:, 0]
+            self.rows = self._method.rows_of(self._bank)
+            self._between_mm.append(points_mm[between])
             return rows
         for point, row in enumerate(rows.tolist()):
             if reason := refusal(int(self._status[row])):
                 raise OffGridError(point, f"needs position {row} at {show_mm(points_mm[point])} mm, which is {reason}")
         return rows
+
+    def error(self, signals: Sequence[Float64Array]) -> float:
+        """Estimated relative error of the rows between positions for what is emitted; 0 where there is none."""
+        if not self._between_mm or self._method is None:
+            return 0.0
+        points_mm = np.concatenate(self._between_mm)
+        points_mm = points_mm[evenly_spread(len(points_mm), MAX_JUDGED)]
+        there = Scene("quiet places", tuple(Source(Point(tuple(at_mm)), Impulse()) for at_mm in points_mm.tolist()))
+        found, _ = judged_errors(there, self._bank, self._method, signals, None)
+        return 0.0 if found is None else found.overall
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,7 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.unit.plate_banks import ACTUATOR_MM, BAND_HZ, RATE_HZ, SPACING_MM, TAPS, plate_bank, plate_greens
+from tests.unit.plate_banks import (
+    ACTUATOR_MM,
+    BAND_HZ,
+    RATE_HZ,
+    SPACING_MM,
+    SQUARE_MM,
+    TAPS,
+    plate_bank,
+    plate_greens,
+)
 from wavefocus.config.scene import Output, Regularisation
 from wavefocus.rendering.drive.rendering import SceneRenderer, render_with_report
 from wavefocus.rendering.field.prediction import predict
@@ -251,6 +260,17 @@ def test_a_scene_needs_the_positions_around_its_quiet_places(bank):
     added = set(with_place) - set(without)
     assert row_at(bank, (16.5, 8.5)) in added
     assert len(added) >= 36
+
+
+def test_on_a_coarse_grid_it_is_said_how_quiet_a_place_between_positions_is_in_truth():
+    coarse = GreenArray(
+        plate_greens(4.0 * SQUARE_MM), 4.0 * SQUARE_MM, RATE_HZ, actuator_mm=4.0 * ACTUATOR_MM, band_hz=BAND_HZ
+    )
+    said = []
+    for place in ((24.0, 24.0), (32.0, 32.0)):
+        _, report = render_with_report(scene_of(place, at=(0.0, 0.0)), coarse)
+        said.append([text for text in report.warnings if "between the grid's positions" in text])
+    assert [len(texts) for texts in said] == [1, 0]
 
 
 REFUSED = {
