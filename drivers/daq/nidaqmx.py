@@ -59,21 +59,18 @@ class NiDaqmx:
             if value is not None and (self.tls_root is None or getattr(self, other) is None):
                 raise KeyMistakeError(key, value, f"needs tls_root and {other}")
 
-    def open(self) -> Recorder:
-        """Open the device: in a process of its own, unless a server has it."""
-        return self._opened(resets=True)
+    def open(self, *, shared: bool = False, task_name: str = "") -> Recorder:
+        """Open the device: in a process of its own, unless a server has it.
 
-    def open_shared(self) -> Recorder:
-        """Open a device whose outputs another instrument of the rig uses: it is never reset."""
-        return self._opened(resets=False)
-
-    def _opened(self, *, resets: bool) -> Recorder:
+        shared: Another instrument of the rig uses its outputs: it is never reset.
+        task_name: See `wavefocus.drivers.daq.ni.ni_recorder.NiRecorder`; only for a server.
+        """
         wiring: dict[str, Any] = {
             "reference_input": self.reference_input,
             "response_input": self.response_input,
             "terminal": self.terminal,
             "trigger": self.trigger or None,
-            "resets": resets,
+            "resets": not shared,
         }
         if self.address is None:
             from wavefocus.drivers.daq.ni.recorder_process import ProcessRecorder
@@ -86,4 +83,4 @@ class NiDaqmx:
         if self.tls_root is not None:
             own = (None if name is None else Path(name) for name in (self.tls_certificate, self.tls_key))
             tls = TlsFiles(Path(self.tls_root), *own)
-        return NiRecorder(self.device, address=self.address, tls=tls, **wiring)
+        return NiRecorder(self.device, address=self.address, tls=tls, task_name=task_name, **wiring)

@@ -117,8 +117,10 @@ class NiCalls:
     # -- tasks -----------------------------------------------------------------------------------
 
     def _create_task(self, request: Any, alive: Alive) -> Answer:
-        task = self._box.create(request.session_name)
-        return {"task": {"name": task.name}, "new_session_initialized": True}
+        # NI's server attaches to a session of this name where there is one: nidaqmx.SessionInitializationBehavior.AUTO.
+        attached = bool(request.session_name) and request.session_name in self._box.task_names
+        name = request.session_name if attached else self._box.create(request.session_name).name
+        return {"task": {"name": name}, "new_session_initialized": not attached}
 
     def _clear_task(self, request: Any, alive: Alive) -> Answer:
         self._box.clear(request.task.name)

@@ -289,6 +289,21 @@ def test_given_what_a_dead_session_left_reserved_then_reconnecting_takes_it_back
         assert bench.calls("ResetDevice") == 1
 
 
+def test_given_what_a_killed_process_left_reserved_then_the_next_recorder_of_its_name_has_it_without_a_reset():
+    with daq_bench() as bench:
+        left = bench.recorder(task_name="wavefocus_here")  # never closed, as by a process that was killed
+        check_tone(take_one(left))
+        left.start(ask())
+        with pytest.raises(InstrumentError, match="another program has reserved it"):
+            bench.recorder(task_name="wavefocus_elsewhere").start(ask())
+        after = bench.recorder(task_name="wavefocus_here")
+        for _ in range(2):
+            check_tone(take_one(after))
+        assert np.isfinite(after.read_input_v("ai2"))
+        check_tone(take_one(after))
+        assert bench.calls("ResetDevice") == 0
+
+
 def test_given_a_failure_when_clearing_up_then_the_first_error_carries_it_as_a_note():
     faults = (*fault("overwritten", "ReadAnalogF64", at_call=1), *fault("usb_aborted", "ClearTask", at_call=1))
     with daq_bench(faults=faults) as bench:

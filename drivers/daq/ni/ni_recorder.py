@@ -47,6 +47,8 @@ class NiRecorder:
     resets: Whether it may be reset at all. A reset puts every output of the device to 0 V: it is not, where a mirror or
         a shutter hangs on them.
     tls: For a server with a certificate.
+    task_name: A name that only this recorder uses on its server: what a killed process of this name has left reserved
+        is taken back. Empty: it stays reserved.
     """
 
     def __init__(
@@ -63,11 +65,13 @@ class NiRecorder:
         owned: bool = False,
         resets: bool = True,
         tls: TlsFiles | None = None,
+        task_name: str = "",
     ) -> None:
         self._device = device
         self._address = address or None
         self._answer_s = answer_s
         self._tls = tls
+        self._task_name = task_name
         self._resets = resets
         self._wiring = InputWiring((reference_input, response_input), terminal, trigger or None)
         self._lock = threading.RLock()
@@ -256,6 +260,7 @@ class NiRecorder:
             known=identity is not None,
             owned=self._owned,
             tls=self._tls,
+            task_name=self._task_name,
         )
         try:
             if identity is not None and session.identity != identity:

@@ -154,6 +154,8 @@ class NiSession:
     owned: Whether this program may have reserved it before.
     tls: For a server with a certificate.
     role: Table of the rig file that names it.
+
+    task_name: Name of its tasks that reserve the device; one at a time.
     """
 
     def __init__(
@@ -166,8 +168,10 @@ class NiSession:
         known: bool = False,
         owned: bool = False,
         tls: TlsFiles | None = None,
+        task_name: str = "",
     ) -> None:
         self.device = device
+        self.task_name = task_name
         self._role = role
         self.instrument = f"{role} {device}" + (f" at {address}" if address else "")
         self.owned = owned
@@ -238,9 +242,16 @@ class NiSession:
             return None
         return tuple(name for name, nis_name in TERMINALS.items() if nis_name in {config.name for config in known})
 
-    def new_task(self) -> Any:
-        """A new, empty `nidaqmx.Task`; the caller closes it."""
-        return self._nidaqmx.Task(grpc_options=self._options)
+    def new_task(self, name: str = "") -> Any:
+        """A new, empty `nidaqmx.Task`; the caller closes it.
+
+        name: A server keeps the task of a process that was killed, and the device reserved. One of this name is
+            cleared first.
+        """
+        if name:
+            # It is attached to where it exists (nidaqmx.SessionInitializationBehavior.AUTO), else made.
+            self._nidaqmx.Task(name, grpc_options=self._options).close()
+        return self._nidaqmx.Task(name, grpc_options=self._options)
 
     def conversion_rate_hz(self, task: Any) -> float | None:
         """The rate of a task's conversion clock (AI Convert), None where the device does not report it."""

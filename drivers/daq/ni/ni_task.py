@@ -117,7 +117,7 @@ class RecordTask:
         self._session = session
         self._wiring = wiring
         self._acquired = max(MIN_SAMPLES, timing.samples)
-        self._task = session.new_task()
+        self._task = session.new_task(session.task_name)
         try:
             channels = _configure(self._task, session, wiring, timing, self._acquired)
             self._check(channels, operation)

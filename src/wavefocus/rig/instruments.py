@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import atexit
+import re
+import socket
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 from wavefocus.acquisition.setup import Openers
@@ -30,7 +34,8 @@ from wavefocus.drivers.registry import (
 from wavefocus.drivers.shutter.nidaqmx import NiShutterDriver
 from wavefocus.drivers.shuttered_mirror import ShutteredMirror
 from wavefocus.drivers.timeouts import RECONNECTING, in_time
-from wavefocus.storage.errors import InputError
+from wavefocus.storage.claims import claimed
+from wavefocus.storage.errors import BankBusyError, InputError
 
 # A decoder's range is a round number; what differs by more is another range.
 SAME_SENSITIVITY = 1e-3
@@ -130,7 +135,27 @@ def open_shutter(section: ShutterSection) -> Shutter:
 def _recorder(rig: RigConfig) -> Recorder:
     driver: RecorderDriver = rig.recorder.make_driver()
     with reporting_missing_packages("recorder", rig.recorder.driver):
-        return driver.open_shared() if isinstance(driver, NiDaqmx) and _outputs_in_use(rig) else driver.open()
+        if isinstance(driver, NiDaqmx):
+            name = _task_name(driver.device, driver.address)
+            return driver.open(shared=_outputs_in_use(rig), task_name=name)
+        return driver.open()
+
+
+# Names that this process holds until it ends.
+_held_names = ExitStack()
+atexit.register(_held_names.close)
+
+
+@cache
+def _task_name(device: str, address: str | None) -> str:
+    """A name for the tasks on a server that no other living process of this computer uses; empty where one does."""
+    if address is None:
+        return ""
+    try:
+        _held_names.enter_context(claimed(f"tasks of {device} at {address}"))
+    except (BankBusyError, OSError):
+        return ""
+    return re.sub(r"\W", "_", f"wavefocus_{socket.gethostname()}_{device}")
 
 
 def _outputs_in_use(rig: RigConfig) -> bool:
