@@ -13,6 +13,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, MissingPackageError
+from wavefocus.drivers.exchange_record import note_exchange
 
 NETWORK = "socket://"
 BY_SERIAL_NUMBER = "serial-number:"
@@ -300,20 +301,25 @@ class SerialLine:
             )
         except self._failures as failure:
             cause, remedy = open_failure(address, failure)
+            note_exchange(self._instrument, opening=address, failed=cause)
             raise InstrumentLostError(self._instrument, f"opening {self._name}", cause, remedy) from failure
+        note_exchange(self._instrument, opened=address, baud=self.settings.baud)
 
     def send(self, text: str) -> None:
         """Send a command; its end is added. Raises NoAnswerError or LineFailedError."""
         import serial
 
+        data = (text + self.settings.end).encode(self.settings.encoding)
+        note_exchange(self._instrument, sent=data)
         try:
-            self._port.write((text + self.settings.end).encode(self.settings.encoding))
+            self._port.write(data)
         except serial.SerialTimeoutException:
             # What was not taken must not be sent later, before another command.
             with contextlib.suppress(*self._failures):
                 self._port.reset_output_buffer()
             raise NoAnswerError(f"the device did not take the command within {self.settings.answer_s:g} s") from None
         except self._failures as failure:
+            note_exchange(self._instrument, sending="", failed=_text(failure))
             raise LineFailedError(_text(failure)) from failure
 
     def receive(self, deadline_s: float) -> str:
@@ -349,6 +355,7 @@ class SerialLine:
         self._input.clear()
         if port is None:
             return
+        note_exchange(self._instrument, closed=self._name)
         # The socket of pyserial 3.5 stays open where its shutdown fails, as it does once the peer has gone.
         remains = getattr(port, "_socket", None)
         for step in (port.reset_output_buffer, port.close, *([remains.close] if remains is not None else [])):
@@ -358,9 +365,13 @@ class SerialLine:
     def _read(self) -> bytes:
         """What is there; at least a byte if one comes within `POLL_S`."""
         try:
-            return bytes(self._port.read(self._port.in_waiting or 1))
+            data = bytes(self._port.read(self._port.in_waiting or 1))
         except self._failures as failure:
+            note_exchange(self._instrument, reading="", failed=_text(failure))
             raise LineFailedError(_text(failure)) from failure
+        if data:
+            note_exchange(self._instrument, received=data)
+        return data
 
 
 def _termios_errors() -> tuple[type[Exception], ...]:

@@ -18,7 +18,7 @@ from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
-from typing import ClassVar, Protocol
+from typing import Protocol
 
 from wavefocus.mocks.wire.faults import WireFault, WireFaultPlan
 
@@ -36,9 +36,9 @@ class SerialDevice(ABC):
     command_end: The character that ends a command.
     """
 
-    role: ClassVar[str]
-    baud: ClassVar[int] = 115200
-    command_end: ClassVar[str] = "\n"
+    role: str
+    baud: int = 115200
+    command_end: str = "\n"
 
     @abstractmethod
     def operation(self, command: str) -> str:

@@ -277,6 +277,7 @@ COMMANDS = (
             switch("--test-message", help="Send a message to each address of the rig file."),
             switch("--lines", "as_lines",
                    help="Print each finding as a JSON line when it is made, then the JSON of all."),
+            file("--record", metavar="FILE.jsonl", help="Write every exchange with the instruments to a new file."),
         ),
     ),
     Command(

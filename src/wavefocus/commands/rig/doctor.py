@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import dataclasses
 import platform
 import shutil
 import sys
-from collections.abc import Callable, Mapping
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, nullcontext
+from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from msgspec.structs import replace
 
 from wavefocus.acquisition.doctor import RigFindings, examine
+from wavefocus.acquisition.setup import Openers
 from wavefocus.config.messages.codec import to_line
 from wavefocus.config.messages.rig_checks import Act, Examination, Finding, FindingMade
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import load_rig
 from wavefocus.console import answer, people, print_line, say
 from wavefocus.drivers.errors import InstrumentError
+from wavefocus.drivers.exchange_record import ExchangeRecord, noting_calls, recording
 from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.drivers.registry import MIRRORS, PLAYERS, RECORDERS, SHUTTERS, VIBROMETERS
 from wavefocus.ending import ending_at_once
@@ -43,8 +47,11 @@ def doctor(
     reset_usb: str = "",
     test_message: bool = False,
     as_lines: bool = False,
+    record: Path | None = None,
 ) -> Exit:
     """Examine a rig; exit code 1 when something is not good enough, whatever it is.
+
+    record: A new file that receives every exchange with the instruments.
 
     `reset_usb` names a role whose USB device is reset first: the last resort, and never done unasked. With `as_lines`
     each finding is one JSON line as soon as it is made, before the object that holds all.
@@ -54,7 +61,9 @@ def doctor(
         _reset(rig, rig_file, reset_usb)
     folder = rig_file.resolve().parent
     findings: list[Finding] = []
-    with people().status("examining") if sys.stderr.isatty() else nullcontext() as status:
+    ways = openers(rig) if record is None else _noting(openers(rig))
+    busy = people().status("examining") if sys.stderr.isatty() else nullcontext()
+    with _recording(record, rig) as exchanges, busy as status:
         resettable = {one.role for one in rig.usb}
 
         def publish(finding: Finding) -> None:
@@ -67,7 +76,7 @@ def doctor(
                 status.update(f"examining; {finding.instrument}: {finding.check}: {finding.verdict}")
 
         with ending_at_once():
-            identities = examine(rig, openers(rig), publish, play=play)
+            identities = examine(rig, ways, publish, play=play)
             for finding in shutter_findings(rig):
                 publish(finding)
         check_surroundings(rig, folder, identities, publish)
@@ -76,6 +85,8 @@ def doctor(
         for finding in alive_findings(rig.messages) if test_message else ():
             publish(finding)
         publish(awake_finding())
+        if exchanges is not None:
+            publish(_recorded(exchanges, str(record)))
     failed = sum(one.verdict == "fail" for one in findings)
     if as_json or as_lines:
         counts = {word: sum(one.verdict == word for one in findings) for word in STYLES}
@@ -87,6 +98,39 @@ def doctor(
     line = say if as_json or as_lines else answer
     line(f"{rig_file}: {failed} not good enough, {warned} to look at, {len(findings)} findings")
     return Exit.NOT_GOOD_ENOUGH if failed else Exit.DONE
+
+
+@contextmanager
+def _recording(path: Path | None, rig: RigConfig) -> Iterator[ExchangeRecord | None]:
+    """Record all exchanges to a new file. Raises InputError."""
+    if path is None:
+        yield None
+        return
+    drivers = {role: getattr(rig, role).driver for role in ("mirror", "recorder", "player", "vibrometer")}
+    about = {"made": datetime.now(UTC).isoformat(), "rig": rig.rig.name, "drivers": drivers, "versions": versions()}
+    with ExitStack() as opened:
+        try:
+            exchanges = opened.enter_context(recording(path, about))
+        except FileExistsError:
+            raise InputError(f"--record {path}: exists already; name a new file") from None
+        except OSError as failure:
+            raise InputError(f"--record {path}: {failure.strerror}") from None
+        yield exchanges
+
+
+def _noting(ways: Openers) -> Openers:
+    """The same ways to open instruments, with the calls of recorder and player noted."""
+    return dataclasses.replace(
+        ways,
+        recorder=lambda: noting_calls(ways.recorder(), "recorder"),
+        player=lambda: noting_calls(ways.player(), "player"),
+    )
+
+
+def _recorded(exchanges: ExchangeRecord, path: str) -> Finding:
+    if exchanges.failure:
+        return Finding("record", "file", "fail", f"{path} is incomplete: {exchanges.failure}", "name a file elsewhere")
+    return Finding("record", "file", "ok", f"every exchange is in {path}")
 
 
 def _reset(rig: RigConfig, rig_file: Path, role: str) -> None:
