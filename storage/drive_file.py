@@ -79,12 +79,16 @@ class QuietTrack:
     def of_plain(cls, values: dict[str, Any]) -> QuietTrack:
         """Make it of `plain`. Raises KeyError, TypeError or ValueError: something else was given."""
         sample, at_mm = np.asarray(values["sample"], np.int64), np.asarray(values["at_mm"], np.float64)
-        if not len(sample) or at_mm.shape != (len(sample), 2) or not np.isfinite(at_mm).all():
-            raise ValueError("instants and places differ in number")
-        return cls(
+        track = cls(
             str(values["name"]), sample, at_mm, float(values["radius_mm"]), float(values["level_db"]),
             float(values["rendered_db"]), int(values["source"]), str(values["interpolation"]),
         )  # fmt: skip
+        numbers = (track.radius_mm, track.level_db, track.rendered_db)
+        if not len(sample) or at_mm.shape != (len(sample), 2) or (np.diff(sample) <= 0).any():
+            raise ValueError("instants and places differ in number, or instants do not rise")
+        if not (np.isfinite(at_mm).all() and np.isfinite(numbers).all() and track.radius_mm >= 0):
+            raise ValueError("a number is out of range")
+        return track
 
 
 @dataclass(frozen=True, slots=True, eq=False)

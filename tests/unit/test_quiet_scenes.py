@@ -1,8 +1,10 @@
 """Scenes with quiet places, over small banks: levels, against the equations, and stiff cases."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -238,6 +240,18 @@ def test_a_drive_file_keeps_its_quiet_places(bank, tmp_path):
     assert track.plain() == drive.quiet[0].plain()
     write_drive(tmp_path / "plain.h5", replace(drive, quiet=()))
     assert read_drive(tmp_path / "plain.h5").quiet == ()
+    good = drive.quiet[0].plain()
+    for wrong in (
+        {},
+        [1],
+        [{**good, "radius_mm": -1}],
+        [{**good, "at_mm": [[float("nan"), 0]]}],
+        [{**good, "sample": []}],
+    ):
+        with h5py.File(tmp_path / "drive.h5", "r+") as file:
+            file.attrs["quiet"] = json.dumps(wrong)
+        with pytest.raises(InputError, match="attribute quiet"):
+            read_drive(tmp_path / "drive.h5")
 
 
 def test_a_verification_states_the_levels_of_prediction_and_scan(bank):
