@@ -289,6 +289,18 @@ def test_given_what_a_dead_session_left_reserved_then_reconnecting_takes_it_back
         assert bench.calls("ResetDevice") == 1
 
 
+def test_given_a_shared_box_that_a_dead_session_reserved_then_reconnecting_takes_it_back_without_a_reset():
+    silence = fault("silent", "StopTask", at_call=2)
+    with daq_bench(faults=silence) as bench:
+        recorder = bench.recorder(answer_s=ANSWER_S, resets=False, task_name="wavefocus_here")
+        check_tone(take_one(recorder))
+        with pytest.raises(LOST, match="does not answer"):
+            take_one(recorder)
+        recorder.reconnect()
+        check_tone(take_one(recorder))
+        assert bench.calls("ResetDevice") == 0
+
+
 def test_given_what_a_killed_process_left_reserved_then_the_next_recorder_of_its_name_has_it_without_a_reset():
     with daq_bench() as bench:
         left = bench.recorder(task_name="wavefocus_here")  # never closed, as by a process that was killed

@@ -63,7 +63,11 @@ def test_given_a_record_of_a_vibrometer_then_its_replay_is_read_alike(driver: st
         record = tmp_path / f"{number}.jsonl"
         devices.append(ReplayedDevice.of_record(record, "vibrometer"))
     assert readings[0] == readings[1]
-    assert read_exchanges(tmp_path / "0.jsonl", "vibrometer") == read_exchanges(record, "vibrometer")
+    first = read_exchanges(tmp_path / "0.jsonl", "vibrometer")
+    assert first == read_exchanges(record, "vibrometer")
+    with record.open("a", encoding="utf-8") as killed:
+        killed.write('{"at_s": 1.0, "instr')
+    assert first == read_exchanges(record, "vibrometer")
 
 
 def test_given_garbled_and_lost_answers_then_the_record_has_each_byte_as_it_came(tmp_path: Path) -> None:
@@ -132,7 +136,7 @@ def test_given_a_full_disk_then_no_instrument_fails_and_the_record_says_so() -> 
             full.close()
 
 
-@pytest.mark.parametrize("text", ["", "{}", "not JSON", '{"format": "wavefocus-exchanges", "format_version": 2}'])
+@pytest.mark.parametrize("text", ["", "{}\n", "not JSON\n", '{"format": "wavefocus-exchanges", "format_version": 2}\n'])
 def test_given_another_file_then_it_is_not_a_record(text: str, tmp_path: Path) -> None:
     (tmp_path / "r.jsonl").write_text(text, encoding="utf-8")
     with pytest.raises(ValueError, match=r"r\.jsonl"):

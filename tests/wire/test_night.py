@@ -55,8 +55,12 @@ emission = "per_point"
 [output]
 limit_v = 1.0
 """
-# The third move of the night finds the mirror unplugged; somebody trips over a cable and puts it back.
-NIGHT = """fault_plan = [{ role = "mirror", kind = "unplugged", operation = "move", at_call = 3, seconds = 3 }]
+# The third move of the night finds the mirror unplugged: somebody trips over a cable and puts it back. Later the clock
+# of the audio interface stops for some seconds.
+NIGHT = """fault_plan = [
+    { role = "mirror", kind = "unplugged", operation = "move", at_call = 3, seconds = 3 },
+    { role = "player", kind = "frozen", at_s = 27, seconds = 12 },
+]
 
 [messages]
 alive_file = "alive"
@@ -76,7 +80,9 @@ def lab(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_given_a_replug_a_kill_a_sleep_and_a_failed_run_then_the_queue_ends_with_two_verified_scenes(lab: Path) -> None:
+def test_given_a_replug_a_stopped_clock_a_kill_a_sleep_and_a_failed_run_then_the_queue_ends_with_two_verified_scenes(
+    lab: Path,
+) -> None:
     for words in (
         ["capture", "run.toml", "--bank", "plate.h5"],
         ["resume", "never-made.h5"],
@@ -101,7 +107,8 @@ def test_given_a_replug_a_kill_a_sleep_and_a_failed_run_then_the_queue_ends_with
     with h5py.File(bank) as file:
         assert list(file["status"]) == [1] * len(POSITIONS)
     events = [json.loads(line) for line in (lab / "plate.events.jsonl").read_text(encoding="utf-8").splitlines()]
-    assert any(event["event"] == "reconnect_tried" and event["connected"] for event in events)
+    back = {event["role"] for event in events if event["event"] == "reconnect_tried" and event["connected"]}
+    assert {"mirror", "player"} <= back
     assert sum(event["event"] == "session_started" for event in events) == 2
     for name in SCENES:
         assert (lab / name / "report.html").exists()
