@@ -78,6 +78,39 @@ class InterpolationErrors:
         return float(self.frequency_hz[band]), float(self.median[band])
 
     @property
+    def words(self) -> str:
+        """One sentence: the method, its error, what says so, and what it was chosen from."""
+        frequency_hz, error = self.largest
+        sentence = (
+            f"interpolation {self.kind!r}: expected error {_percent(self.overall)} in the scene's band, up to"
+            f" {_percent(error)} at {frequency_hz:.3g} Hz (median along the paths, by {self.found_by})"
+        )
+        if self.choice is None:
+            return sentence
+        others = [
+            f"{name!r} {_percent(found)}" for name, found in self.choice.errors.items()
+            if name != self.kind and np.isfinite(found)
+        ]  # fmt: skip
+        return f"{sentence}; chosen by {self.choice.judged_by}{' before ' + ', '.join(others) if others else ''}"
+
+    @property
+    def facts(self) -> dict[str, object]:
+        """As JSON has it."""
+        bands = {
+            "frequency_hz": self.frequency_hz.tolist(),
+            "emitted": self.emitted.tolist(),
+            "median": self.median.tolist(),
+            "worst": self.worst.tolist(),
+        }
+        facts = {"method": self.kind, "judged_by": self.found_by, "expected_error": self.overall, "bands": bands}
+        if self.choice is None:
+            return facts
+        errors = {name: found if np.isfinite(found) else None for name, found in self.choice.errors.items()}
+        return facts | {
+            "chosen_by": self.choice.judged_by, "compared": errors, "unsuited": dict(self.choice.unsuited),
+        }  # fmt: skip
+
+    @property
     def _worst_band(self) -> int:
         used = np.flatnonzero(self.emitted >= EMITTED_SHARE)
         return int(used[np.argmax(self.median[used])]) if len(used) else int(np.argmax(self.emitted))

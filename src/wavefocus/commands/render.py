@@ -255,6 +255,9 @@ def _report(job: _Job, rendered: _Rendered, out: Path, peak_v: float, rig_file: 
     for level in rendered.quiet:
         say(f"quiet: {level}")
     if isinstance(facts, RenderReport):
+        if facts.interpolation_errors is not None:
+            say(facts.interpolation_errors.words)
+            figures["interpolation"] = facts.interpolation_errors.facts
         if facts.quiet is not None:
             say(f"quiet places cost {facts.quiet.energy:.3g} times the energy of plain time reversal")
             figures["quiet"] = levels_json(rendered.quiet, facts.quiet.plain_db, facts.quiet.multiplier)
