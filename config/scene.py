@@ -294,8 +294,8 @@ class Output(Table):
     interpolation: InterpolationName = Field(
         default="nearest",
         title="Interpolation",
-        description="Method for Green's functions between the bank's positions; waves needs the actuators' places and works"
-        " on coarse grids, auto takes the method of least expected error",
+        description="Method for Green's functions between the bank's positions; waves works on coarse grids and needs"
+        " the actuators' places, auto takes the method of least expected error",
     )
     limit_v: Positive | None = Field(
         default=None,

@@ -237,6 +237,7 @@ def _spectra(reader: RowReader, rows: Int64Array, samples: int, bins: Int64Array
     return found
 
 
+_COMPLEX = {"wavenumber": np.complex128, "strength": np.complex64, "rest": np.complex64}
 _FACTS = ("exponent", "samples", "first_bin")
 _NAMES = (*_FACTS, *(field.name for field in fields(RimWaves)))
 
@@ -245,12 +246,16 @@ def _arrays(waves: BankWaves) -> dict[str, NDArray[Any]]:
     arrays = {name: np.asarray(getattr(waves, name)) for name in _FACTS}
     for name in _NAMES[len(_FACTS) :]:
         value = getattr(waves.model, name)
-        arrays[name] = np.frombuffer(value.encode(), np.uint8) if isinstance(value, str) else np.asarray(value)
+        values = np.frombuffer(value.encode(), np.uint8) if isinstance(value, str) else np.ascontiguousarray(value)
+        # Files of this program hold real numbers only.
+        arrays[name] = values.view(values.real.dtype) if np.iscomplexobj(values) else values
     return arrays
 
 
 def _of_arrays(arrays: dict[str, NDArray[Any]]) -> BankWaves:
     kept: dict[str, Any] = {name: arrays[name] for name in _NAMES[len(_FACTS) :]}
-    kept["pressure_share"] = float(kept["pressure_share"])
+    for name, kind in _COMPLEX.items():
+        kept[name] = np.ascontiguousarray(kept[name]).view(kind)
+    kept["pressure_share"] = float(kept["pressure_share"].item())
     kept["judged_by"] = kept["judged_by"].tobytes().decode()
-    return BankWaves(RimWaves(**kept), *(int(arrays[name]) for name in _FACTS))
+    return BankWaves(RimWaves(**kept), *(int(arrays[name].item()) for name in _FACTS))
