@@ -1,7 +1,7 @@
 """A record of every exchange with the instruments of this process, as JSON lines: a laboratory can send it in.
 
-Serial lines note the bytes both ways; recorder and player, which packages of others speak to, note each call. The file
-can be replayed by an emulated device (`wavefocus.mocks.wire.replay`).
+Serial lines note the bytes both ways; mirror, recorder and player note each call. What serial lines carried can be
+replayed by an emulated device (`wavefocus.mocks.wire.replay`).
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import json
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import wraps
 from pathlib import Path
 from typing import IO, Any, TypeVar
@@ -82,7 +82,8 @@ def noting_calls(instrument: Role, role: str) -> Role:
     for name in dir(type(instrument)):
         method = getattr(type(instrument), name)
         if not name.startswith("_") and callable(method) and not isinstance(method, type):
-            setattr(instrument, name, _noted(getattr(instrument, name), role, name))
+            with suppress(AttributeError):  # another distribution's driver may take no new attributes
+                setattr(instrument, name, _noted(getattr(instrument, name), role, name))
     return instrument
 
 

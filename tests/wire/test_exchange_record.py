@@ -9,11 +9,12 @@ from typing import Any
 
 import pytest
 
+from tests.wire.daq_bench import daq_bench, take_one
 from tests.wire.emulated import emulated_instruments, free_port, rig_text
 from tests.wire.serial_bench import DIALECTS, LOCAL, ImpatientClock, mirror_bench, wire
 from wavefocus.__main__ import run
 from wavefocus.drivers.errors import InstrumentError
-from wavefocus.drivers.exchange_record import ExchangeRecord, recording
+from wavefocus.drivers.exchange_record import ExchangeRecord, noting_calls, recording
 from wavefocus.drivers.registry import VIBROMETERS
 from wavefocus.drivers.serial_mirror import SerialMirror
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial, PtyWire
@@ -109,7 +110,7 @@ def test_given_the_emulated_rig_then_the_doctors_record_replays_as_the_same_mirr
     head, *lines = (json.loads(line) for line in record.read_text(encoding="utf-8").splitlines())
     assert head["drivers"]["mirror"] == "asi-tiger"
     called = {(line["instrument"], line["called"]) for line in lines if "called" in line}
-    assert {("recorder", "start"), ("recorder", "read"), ("player", "identify")} <= called
+    assert {("mirror", "move_to"), ("recorder", "start"), ("recorder", "read"), ("player", "identify")} <= called
     device = ReplayedDevice.of_record(record, "mirror")
     with EmulatedSerial(device, PtyWire(tmp_path / "mirror")):
         again = findings()
@@ -124,6 +125,18 @@ def test_given_the_emulated_rig_then_the_doctors_record_replays_as_the_same_mirr
 def test_given_no_folder_for_the_record_then_exit_2_before_any_instrument_is_opened(tmp_path: Path) -> None:
     assert run(["init", str(tmp_path / "lab")]) == 0
     assert run(["doctor", str(tmp_path / "lab" / "rig.toml"), "--record", str(tmp_path / "none" / "r.jsonl")]) == 2
+
+
+def test_given_a_recorder_that_fails_then_the_record_has_nis_own_error(tmp_path: Path) -> None:
+    with daq_bench(faults=(WireFault("recorder", "overwritten", "ReadAnalogF64", at_call=1),)) as bench:
+        with recording(tmp_path / "r.jsonl", {}):
+            recorder = noting_calls(bench.recorder(), "recorder")
+            with pytest.raises(InstrumentError):
+                take_one(recorder)
+        recorder.abort()  # noted no more
+    lines = [json.loads(line) for line in (tmp_path / "r.jsonl").read_text(encoding="utf-8").splitlines()[1:]]
+    assert [line.get("called") for line in lines] == ["start", None, "read", None]
+    assert "-222" in lines[-1]["because"] or "-200" in lines[-1]["because"]
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux")

@@ -80,7 +80,7 @@ def lab(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_given_a_replug_a_stopped_clock_a_kill_a_sleep_and_a_failed_run_then_the_queue_ends_with_two_verified_scenes(
+def test_given_replug_stopped_clock_kill_sleep_and_failed_run_then_the_queue_ends_with_two_verified_scenes(
     lab: Path,
 ) -> None:
     for words in (

@@ -119,9 +119,10 @@ def _recording(path: Path | None, rig: RigConfig) -> Iterator[ExchangeRecord | N
 
 
 def _noting(ways: Openers) -> Openers:
-    """The same ways to open instruments, with the calls of recorder and player noted."""
+    """The same ways to open instruments, with the calls of mirror, recorder and player noted."""
     return dataclasses.replace(
         ways,
+        mirror=lambda: noting_calls(ways.mirror(), "mirror"),
         recorder=lambda: noting_calls(ways.recorder(), "recorder"),
         player=lambda: noting_calls(ways.player(), "player"),
     )
