@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -89,11 +89,12 @@ def test_given_garbled_and_lost_answers_then_the_record_has_each_byte_as_it_came
 
 
 @pytest.mark.skipif(LOCAL != "pty", reason="the emulated mirror is behind a path")
-def test_given_the_emulated_rig_then_the_doctors_record_replays_as_the_same_mirror(
+def test_given_the_emulated_rig_then_the_doctors_record_replays_as_the_same_mirror_and_vibrometer(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rig, record = tmp_path / "rig.toml", tmp_path / "rig.jsonl"
-    rig.write_text(rig_text(tmp_path, f"localhost:{free_port()}"), encoding="utf-8")
+    vibrometer = f'[vibrometer]\ndriver = "polytec-ofv3001"\nport = "{tmp_path / "vibrometer"}"\n'
+    rig.write_text(rig_text(tmp_path, f"localhost:{free_port()}") + vibrometer, encoding="utf-8")
 
     def findings(*options: str) -> dict[tuple[str, str], tuple[str, str]]:
         capsys.readouterr()
@@ -111,15 +112,15 @@ def test_given_the_emulated_rig_then_the_doctors_record_replays_as_the_same_mirr
     assert head["drivers"]["mirror"] == "asi-tiger"
     called = {(line["instrument"], line["called"]) for line in lines if "called" in line}
     assert {("mirror", "move_to"), ("recorder", "start"), ("recorder", "read"), ("player", "identify")} <= called
-    device = ReplayedDevice.of_record(record, "mirror")
-    with EmulatedSerial(device, PtyWire(tmp_path / "mirror")):
+    devices = {role: ReplayedDevice.of_record(record, role) for role in ("mirror", "vibrometer")}
+    with ExitStack() as wires:
+        for role, device in devices.items():
+            wires.enter_context(EmulatedSerial(device, PtyWire(tmp_path / role)))
         again = findings()
-    of_mirror = {key: found for key, found in live.items() if key[0] == "mirror" and found[0] == "ok"}
-    assert of_mirror
-    asked = {key: found for key, found in again.items() if key in of_mirror and found[0] != "skipped"}
-    assert asked == {key: of_mirror[key] for key in asked}
-    assert asked
-    assert device.unknown == []
+    asked = {key: found for key, found in again.items() if key[0] in devices and found[0] != "skipped"}
+    assert {role for role, _ in asked} == set(devices)
+    assert asked == {key: live[key] for key in asked}
+    assert [device.unknown for device in devices.values()] == [[], []]
 
 
 def test_given_no_folder_for_the_record_then_exit_2_before_any_instrument_is_opened(tmp_path: Path) -> None:
