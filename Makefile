@@ -4,6 +4,8 @@
 # Another environment's paths must not leak into ours.
 unexport PYTHONPATH
 unexport PYTHONHOME
+# Without compiled files each of the many processes of demo and tests would compile every module anew: a second each.
+unexport PYTHONDONTWRITEBYTECODE
 export PYTHON
 
 PY := .venv/bin/python

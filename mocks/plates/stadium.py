@@ -253,7 +253,8 @@ class Elements:
         cell = self._find_cell(*point)
         basis = self.basis
         inside = basis.mapping.invF(point[:, :, None], tind=cell)
-        weight = [np.ravel(basis.elem.gbasis(basis.mapping, inside, k, tind=cell)[0]) for k in range(basis.Nbfun)]
+        # Values only: `gbasis` finds the gradients of every node as well.
+        weight = [np.ravel(basis.elem.lbasis(inside, k)[0]) for k in range(basis.Nbfun)]
         return np.asarray(basis.element_dofs[:, cell].T), np.stack(weight, axis=1)
 
     def values_at(self, point_mm: Float64Array, nodal: NDArray[Any]) -> Float64Array:

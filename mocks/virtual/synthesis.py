@@ -125,6 +125,9 @@ class Synthesis:
         self._transfer = lru_cache(4)(self._make_transfer)
         self._shift = lru_cache(4)(_quarter_shifts)
         self._bins = lru_cache(64)(self._count_bins)
+        # All records of a position find the mirror as it was.
+        self._place_mm = lru_cache(64)(self._find_place_mm)
+        self._loudness = lru_cache(4)(self._find_loudness)
 
     def voltages(
         self,
@@ -231,8 +234,9 @@ class Synthesis:
 
     def place_mm(self, aim_mrad: tuple[float, float] | None) -> tuple[float, float] | None:
         """Where the laser meets the surface from a mirror that stands so; None where it moves, or misses it."""
-        if aim_mrad is None:
-            return None
+        return None if aim_mrad is None else self._place_mm(aim_mrad)
+
+    def _find_place_mm(self, aim_mrad: tuple[float, float]) -> tuple[float, float] | None:
         spot_mm = self._settings.mirror.spot_mm(*aim_mrad)
         return spot_mm if bool(self._settings.outline.contains(spot_mm)) else None
 
@@ -305,12 +309,15 @@ class Synthesis:
         """Bins outside which the response has no energy to speak of."""
         spectrum = signal.spectrum(length, scale, samples)
         step_hz = rate_hz / length
-        frequency_hz = step_hz * np.arange(spectrum.size, dtype=np.float64)
-        loudness = np.abs(chain_response(frequency_hz)) * self._plate.loudness(np.maximum(frequency_hz, step_hz))
-        energy = np.abs(spectrum * loudness) ** 2
+        energy = np.abs(spectrum * self._loudness(step_hz, spectrum.size)) ** 2
         above = np.cumsum(energy[::-1])[::-1]
         needed = int(np.count_nonzero(above > LEFT_OUT * above[0]))
         return min(spectrum.size, ceil(ceil(needed * step_hz / CUT_STEP_HZ) * CUT_STEP_HZ / step_hz))
+
+    def _find_loudness(self, step_hz: float, bins: int) -> Float64Array:
+        """How much of a signal chain and plate let through at each bin."""
+        frequency_hz = step_hz * np.arange(bins, dtype=np.float64)
+        return np.abs(chain_response(frequency_hz)) * self._plate.loudness(np.maximum(frequency_hz, step_hz))
 
     def _length(self, samples: int, rate_hz: float, start_ns: int, plays: Sequence[VirtualPlay]) -> int:
         """A transform long enough that neither end of anything wraps; the same for every latency."""
