@@ -25,6 +25,7 @@ Learning (2006), sections 2.2, 5.4. A. Sundstroem et al., arXiv 2506.13279 (2025
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, cast
 
 import numpy as np
@@ -95,7 +96,8 @@ class FrequencyWaves:
         cosine = np.sqrt(1.0 - sine**2)
         k = size * (cosine + 1j * sine)
         slopes = PERCENT * np.array([k, size * (1j - sine / cosine)])
-        sources, source_slope = _with_slope(lambda at: outgoing(at, self._to_ring_mm), k)
+        sources = outgoing(k, self._to_ring_mm)
+        source_slope = -self._to_ring_mm * outgoing(k, self._to_ring_mm, 1)  # of H0(k r) by k
         own, own_slope = _with_slope(
             lambda at: waves_of_actuators(at, self._share, self._points_mm, self._actuator_mm)[0], k
         )
@@ -135,10 +137,13 @@ class FrequencyWaves:
         limits = (*SHARE_LIMITS, *WAVENUMBER_LIMITS)
         sine = self.wavenumber.imag / abs(self.wavenumber) / PERCENT
         options: Any = {"maxfun": evaluations, "ftol": 1e-6, "gtol": 1e-4}
-        tries, evidence = [], cast(Any, self.evidence)
-        for start in starts:
-            inside = np.clip([*start, 0.0, sine], *np.array(limits).T)
-            tries.append(minimize(evidence, inside, jac=True, method="L-BFGS-B", bounds=limits, options=options))
+
+        def search(start: Float64Array) -> Any:
+            inside, evidence = np.clip([*start, 0.0, sine], *np.array(limits).T), cast(Any, self.evidence)
+            return minimize(evidence, inside, jac=True, method="L-BFGS-B", bounds=limits, options=options)
+
+        with ThreadPoolExecutor(len(starts)) as pool:
+            tries = list(pool.map(search, starts))
         best = min(tries, key=lambda result: float(result.fun))
         size, sine = np.exp(PERCENT * best.x[4]), PERCENT * best.x[5]
         k = complex(size * abs(self.wavenumber) * (np.sqrt(1.0 - sine**2) + 1j * sine))
