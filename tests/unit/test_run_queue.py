@@ -25,6 +25,7 @@ from wavefocus.acquisition.run_queue import (
     read_queue,
     remove_entries,
 )
+from wavefocus.commands.queue_runner import was_killed
 from wavefocus.storage.claims import claim_holder, claimed
 from wavefocus.storage.errors import BankBusyError, InputError
 
@@ -167,3 +168,20 @@ def test_given_a_name_that_another_process_holds_then_it_is_busy_until_that_proc
     assert claim_holder(name) is None
     with claimed(name):
         pass
+
+
+@pytest.mark.parametrize(
+    ("code", "killed"),
+    [
+        (-9, True),
+        (-11, True),
+        (0xC0000005, True),
+        (0xC000013A, False),
+        (0, False),
+        (1, False),
+        (75, False),
+        (130, False),
+    ],
+)
+def test_given_an_exit_code_then_a_signal_or_an_error_of_windows_is_a_kill(code: int, killed: bool) -> None:
+    assert was_killed(code) is killed

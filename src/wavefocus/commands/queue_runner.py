@@ -47,6 +47,8 @@ _LOOKS_EVERY_S = 0.1
 # Outputs are muted and the mirror is parked well within it.
 _END_WAIT_S = 120.0
 _MAX_SAID = 400
+# What Windows ends a process with that does not handle Ctrl-C: somebody wanted it.
+CONTROL_C_EXIT = 0xC000013A
 
 
 def run_queue(path: Path, publish: Callable[[Message], object]) -> Exit:
@@ -142,9 +144,10 @@ class _QueueRunner:
             code, said = self._run_command(entry)
             if self._stop.requested:
                 return code, said
-            if code < 0 and kills < MAX_KILLS:
+            if was_killed(code) and kills < MAX_KILLS:
                 kills += 1
-                say(f"run {entry.number}: killed by signal {-code}; it goes on")
+                by = f"by signal {-code}" if code < 0 else f"by the system, code {code:#x}"
+                say(f"run {entry.number}: killed {by}; it goes on")
                 self._pause(KILLED_PAUSE_S)
             elif code == Exit.BANK_BUSY and time.monotonic() - busy_since_s < BUSY_WAIT_S:
                 self._pause(_BUSY_PAUSE_S)
@@ -189,6 +192,11 @@ class _QueueRunner:
             say(f"{sentence(failure)}; the queue goes on, and it is written again after this run")
         else:
             self._unsaved.clear()
+
+
+def was_killed(code: int) -> bool:
+    """Whether something outside ended a process: a signal, or on Windows an NTSTATUS error such as 0xC0000005."""
+    return code < 0 or (code >= 0xC0000000 and code != CONTROL_C_EXIT)
 
 
 def _start(entry: QueueEntry) -> subprocess.Popen[bytes]:
