@@ -25,7 +25,6 @@ from wavefocus.campaign.campaign_view import CampaignView
 from wavefocus.campaign.control import CampaignControl, resume_line
 from wavefocus.campaign.documents import Documents
 from wavefocus.campaign.extension import extend as extended
-from wavefocus.campaign.refinement import refine
 from wavefocus.campaign.session_files import opened_raw, with_bank
 from wavefocus.campaign.sidecar_files import (
     EventLines,
@@ -125,6 +124,8 @@ def _refined(blueprint: Blueprint, bank: Path, options: SessionOptions, earlier:
     """Measure what is left, then, where the run says so, positions where the expected error is largest."""
     if blueprint.configuration.run.grid.refine_to is None:
         return _session(blueprint, bank, None, options, earlier)
+    from wavefocus.campaign.refinement import refine  # it loads SciPy's optimisers, which other campaigns do not need
+
     done: Exit | None = None
     while True:
         with open_bank(bank) as view:
