@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from wavefocus.mocks.plates.soft import SOFT_PLATE
@@ -34,8 +36,14 @@ def plate_spectra(points_mm):
 
 
 def plate_greens(points_mm):
-    """Green's functions (points, actuators, TAPS)."""
-    return np.fft.irfft(plate_spectra(points_mm), TAPS, axis=2)
+    """Green's functions (points, actuators, TAPS); a copy of what was computed for the same points before."""
+    points_mm = np.asarray(points_mm, dtype=np.float64)
+    return _greens(points_mm.tobytes(), points_mm.shape).copy()
+
+
+@lru_cache(16)
+def _greens(points, shape):
+    return np.fft.irfft(plate_spectra(np.frombuffer(points).reshape(shape)), TAPS, axis=2)
 
 
 def plate_bank(position_mm=SQUARE_MM, *, noise_db=None, seed=0, status=None):

@@ -74,6 +74,14 @@ def coarse():
     return GreenArray(green, position_mm, RATE_HZ, actuator_mm=ACTUATOR_MM, band_hz=BAND_HZ, check=check)
 
 
+@pytest.fixture(scope="module")
+def small(coarse):
+    """The same positions without those that judge, one actuator and a band of 20 Hz: fitted in a second."""
+    some = ~coarse.check
+    green, actuator_mm = coarse.values[some][:, :1], ACTUATOR_MM[:1]
+    return GreenArray(green, coarse.position_mm[some], RATE_HZ, actuator_mm=actuator_mm, band_hz=(240.0, 260.0))
+
+
 def errors_at(method, bank, points_mm, hz):
     """Relative errors of a method at points and frequencies, (frequencies, points)."""
     nodes = method.nodes(points_mm)
@@ -101,10 +109,8 @@ def test_auto_takes_waves_by_the_check_positions_on_a_coarse_grid(coarse):
     assert min(error for name, error in method.choice.errors.items() if name != "waves") > 0.4
 
 
-def test_auto_says_that_nothing_judges_a_coarse_grid_without_check_positions(coarse):
-    some = ~coarse.check
-    bank = GreenArray(coarse.values[some], coarse.position_mm[some], RATE_HZ, actuator_mm=ACTUATOR_MM, band_hz=BAND_HZ)
-    method = choose_interpolation(bank, POINTS_MM, [SIGNAL])
+def test_auto_says_that_nothing_judges_a_coarse_grid_without_check_positions(small):
+    method = choose_interpolation(small, POINTS_MM, [SIGNAL])
     assert (method.name, method.choice.judged_by) == ("waves", "nothing")
 
 
@@ -138,13 +144,12 @@ def test_check_positions_are_not_on_the_grid_of_any_method(coarse):
         assert not coarse.check[method.nodes(coarse.position_mm[coarse.check][:3] * 0.5).nearest].any()
 
 
-def test_the_model_is_kept_next_to_the_bank_and_never_used_for_other_contents(coarse, tmp_path):
+def test_the_model_is_kept_next_to_the_bank_and_never_used_for_other_contents(small, tmp_path):
     path = tmp_path / "disk.h5"
-    some = ~coarse.check
     with h5py.File(path, "w") as file:
-        file.attrs["sample_rate_hz"], file.attrs["band_hz"] = RATE_HZ, BAND_HZ
-        file["green"], file["position_mm"] = coarse.values[some], coarse.position_mm[some]
-        file["actuator_mm"] = ACTUATOR_MM
+        file.attrs["sample_rate_hz"], file.attrs["band_hz"] = RATE_HZ, small.band_hz
+        file["green"], file["position_mm"] = small.values, small.position_mm
+        file["actuator_mm"] = small.actuator_mm
 
     def values():
         waves_module._models.clear()  # as in another process
