@@ -87,6 +87,17 @@ def whole_array(name: str, values: ArrayLike) -> NDArray[np.int64]:
     return np.asarray(values).astype(np.int64)
 
 
+def truths(name: str, values: ArrayLike) -> NDArray[np.bool_]:
+    """Truth values, or the numbers 0 and 1, as an array. Raises InputError: there is anything else among them."""
+    try:
+        array = np.asarray(values)
+    except ValueError:
+        array = np.empty(1, dtype=object)
+    if array.dtype.kind not in "biuf" or not np.isin(array, (0, 1)).all():
+        raise _refused(name, values, "True or False")
+    return array.astype(np.bool_)
+
+
 def float_type(dtype: DTypeLike) -> np.dtype[Any]:
     """Either of the two types that responses have. Raises InputError: another one."""
     try:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wavefocus.rendering.arrays import BoolArray, Float32Array, Float64Array
-from wavefocus.storage.argument_types import bank_row, check_fields, real_array, reals, whole_array
+from wavefocus.storage.argument_types import bank_row, check_fields, real_array, reals, truths, whole_array
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.point_status import DOUBTFUL, USABLE, Status
 from wavefocus.storage.point_status import usable as usable_rows
@@ -111,6 +111,12 @@ class GreenArray:
         if status.shape != (positions,) or ((status < 0) | (status > 255)).any():
             raise InputError(f"status has shape {status.shape}; status bits of {positions} positions are needed")
         object.__setattr__(self, "status", status.astype(np.uint8))
+        if self.check is not None:
+            object.__setattr__(self, "check", truths("check", self.check))
+            if self.check.shape != (positions,):
+                raise InputError(
+                    f"check has shape {self.check.shape}; one value for each of {positions} positions is needed"
+                )
         if self.actuator_mm is None:
             object.__setattr__(self, "actuator_mm", np.full((actuators, 2), np.nan))
         object.__setattr__(self, "actuator_mm", _table(self.actuator_mm, actuators, "actuator_mm"))

@@ -67,7 +67,7 @@ def test_given_a_cable_to_plug_then_the_person_is_told_which_and_the_virtual_one
     source: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bay = PatchBay(range(20), 20)
-    Cables(typing("\n"), bay).connect(source)
+    Cables(typing("\n"), bay.connect).connect(source)
     assert bay.word == source
     told = capsys.readouterr().err
     assert "then press Enter" in told
