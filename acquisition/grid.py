@@ -67,10 +67,12 @@ def surface_grid(outline: Outline, margin_mm: float, spacing_mm: float, lattice:
 
 
 CHECK_SEED = 31
-CHECK_CANDIDATES = 64
+CHECK_TRIES = 20_000
+CHECKS_APART = 0.5
+"""Least distance of two check positions at first, over that of as many on a square grid."""
 CHECK_STEP_MM = 1e-3
 """Check positions lie on multiples of this, so that they are equal in every file."""
-MIN_CHECK_SHARE = 0.2
+MIN_CHECK_SHARE = 0.1
 """Least distance of a check position from the grid, in spacings; it judges what lies between."""
 
 
@@ -79,8 +81,8 @@ def check_grid(
 ) -> Float64Array:
     """Place positions off a grid, which are measured to judge what is interpolated between its positions.
 
-    They are the same for the same surface and grid, spread over all of it: of some random places each is the one
-    furthest from those before (D. Mitchell, Spectrally optimal sampling, SIGGRAPH 1991).
+    They are the same for the same surface and grid, and random, so that they stand for all places; those that crowd are
+    passed over while there is room elsewhere.
 
     margin_mm: Distance kept from the outline in millimetres, >= 0.
     spacing_mm: Distance of neighbouring positions in millimetres, > 0.
@@ -91,20 +93,19 @@ def check_grid(
     """
     rng = np.random.default_rng(CHECK_SEED)
     low_mm, high_mm = position_mm.min(axis=0) - spacing_mm / 2, position_mm.max(axis=0) + spacing_mm / 2
+    apart_mm = CHECKS_APART * math.sqrt(len(position_mm) / max(count, 1)) * spacing_mm
     found = np.zeros((0, 2))
-    for _ in range(count):
-        candidates_mm = np.zeros((0, 2))
-        for _ in range(CHECK_CANDIDATES):
-            places_mm = np.round(rng.uniform(low_mm, high_mm, (CHECK_CANDIDATES, 2)) / CHECK_STEP_MM) * CHECK_STEP_MM
-            apart_mm = _nearest_mm(places_mm, position_mm)
-            between = (apart_mm >= MIN_CHECK_SHARE * spacing_mm) & (apart_mm <= spacing_mm)
-            candidates_mm = np.concatenate([candidates_mm, places_mm[between & outline.contains(places_mm, margin_mm)]])
-            if len(candidates_mm) >= CHECK_CANDIDATES:
-                break
-        if not len(candidates_mm):
-            raise InputError(f"check_positions = {count}: no place between the grid's positions is on the surface")
-        furthest = int(np.argmax(_nearest_mm(candidates_mm, found))) if len(found) else 0
-        found = np.concatenate([found, candidates_mm[furthest : furthest + 1]])
+    for tried in range(CHECK_TRIES):
+        if len(found) == count:
+            break
+        place_mm = np.round(rng.uniform(low_mm, high_mm, (1, 2)) / CHECK_STEP_MM) * CHECK_STEP_MM
+        away_mm = float(_nearest_mm(place_mm, position_mm)[0])
+        crowded = len(found) and _nearest_mm(place_mm, found)[0] < apart_mm * (1.0 - tried / CHECK_TRIES)
+        between = MIN_CHECK_SHARE * spacing_mm <= away_mm <= spacing_mm
+        if between and not crowded and outline.contains(place_mm, margin_mm)[0]:
+            found = np.concatenate([found, place_mm])
+    if len(found) < count:
+        raise InputError(f"check_positions = {count}: only {len(found)} places between the grid's positions were found")
     return found
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wavefocus.acquisition.grid import read_positions_file, surface_grid
+from wavefocus.acquisition.grid import check_grid, read_positions_file, surface_grid
 from wavefocus.config.outline import Outline, Segment
 from wavefocus.storage.errors import InputError
 
@@ -189,3 +189,16 @@ def test_positions_file_that_is_no_text_is_told_with_the_line(tmp_path: Path) ->
     file.write_bytes(b"x_mm,y_mm\n1,\xff\n")
     with pytest.raises(InputError, match="line 2: not UTF-8"):
         read_positions_file(file, PLATE)
+
+
+@pytest.mark.parametrize("outline", [Outline.stadium(250.0, 150.0), Outline.rectangle(120.0, 80.0)])
+@pytest.mark.parametrize("count", [0, 1, 12, 200])
+def test_check_positions_lie_between_the_grid_inside_the_margin_and_are_always_the_same(outline, count):
+    position_mm = surface_grid(outline, 14.3, 10.0)
+    found = check_grid(outline, 14.3, 10.0, position_mm, count)
+    assert found.shape == (count, 2)
+    assert outline.contains(found, 14.3).all()
+    gap_mm = np.hypot(*(found[:, None] - position_mm).transpose(2, 0, 1))
+    assert count == 0 or (gap_mm.min() >= 1.0 and gap_mm.min(axis=1).max() <= 10.0)
+    assert len(np.unique(found, axis=0)) == count
+    np.testing.assert_array_equal(found, check_grid(outline, 14.3, 10.0, position_mm, count))

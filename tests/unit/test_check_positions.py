@@ -1,0 +1,56 @@
+"""``[grid] check_positions``: in the plan, in a bank, in what a resume reads."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from wavefocus.campaign.blueprint import blueprint_from_bank, blueprint_of
+from wavefocus.configuration import check_rows, load_run
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.bank.writer import create_bank
+from wavefocus.storage.errors import InputError
+
+
+def loaded(folder: Path, grid: str, sweep: str = ""):
+    path = folder / "run.toml"
+    path.write_text(f'rig = "virtual"\n[grid]\n{grid}\n[sweep]\n{sweep}\n', encoding="utf-8")
+    return load_run(path)
+
+
+@pytest.mark.parametrize(
+    ("grid", "sweep", "count"),
+    [
+        ("spacing_mm = 4.0", "", 0),
+        ("spacing_mm = 10.0", "", 12),
+        ("spacing_mm = 10.0", "stop_hz = 200.0", 0),  # half a wavelength is 12 mm
+        ("spacing_mm = 10.0\ncheck_positions = 0", "", 0),
+        ("spacing_mm = 4.0\ncheck_positions = 5", "", 5),
+        ('lattice = "hexagonal"\nspacing_mm = 20.0', "", 12),
+    ],
+)
+def test_check_positions_follow_the_grid_where_it_is_coarser_than_half_a_wavelength(tmp_path, grid, sweep, count):
+    configuration = loaded(tmp_path, grid, sweep)
+    rows = check_rows(configuration)
+    total = len(configuration.position_mm)
+    assert rows.tolist() == list(range(total - count, total))
+    assert blueprint_of(configuration).bank_header().check_rows == tuple(rows.tolist())
+
+
+def test_a_bank_says_which_rows_are_check_positions_and_a_resume_plans_the_same(tmp_path):
+    blueprint = blueprint_of(loaded(tmp_path, "spacing_mm = 40.0\ncheck_positions = 3"))
+    create_bank(tmp_path / "plate.h5", blueprint.bank_header())
+    with open_bank(tmp_path / "plate.h5") as bank:
+        total = bank.positions
+        np.testing.assert_array_equal(np.flatnonzero(bank.check), np.arange(total - 3, total))
+    again = blueprint_from_bank(tmp_path / "plate.h5")
+    assert again.plan.sha256 == blueprint.plan.sha256
+    assert again.bank_header().check_rows == blueprint.bank_header().check_rows
+
+
+def test_check_positions_beside_a_list_of_positions_are_refused(tmp_path):
+    (tmp_path / "grid.csv").write_text("x_mm,y_mm\n0,0\n1,0\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"grid\.check_positions"):
+        loaded(tmp_path, 'positions_file = "grid.csv"\ncheck_positions = 3')
