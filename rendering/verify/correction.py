@@ -33,7 +33,6 @@ from wavefocus.storage.point_status import Status
 
 if TYPE_CHECKING:
     from wavefocus.rendering.greens.source import GreenSource
-    from wavefocus.rendering.scene.model import Scene
 
 MIN_POWER = 1e-4
 """Frequencies at which the drive has less, relative to its loudest, are left alone: the scan says nothing there."""
@@ -120,7 +119,7 @@ def correction_lines(correction: Correction) -> list[str]:
     return [*lines, f"{STOPPED_WORDS[correction.stopped]}; {kept}"]
 
 
-def control_rows(scene: Scene, drive: Drive, position_mm: Float64Array) -> Int64Array:
+def control_rows(drive: Drive, position_mm: Float64Array) -> Int64Array:
     """Bank rows at which a correction is judged: those of the scene's foci and quiet places."""
     quiet = [row for track in drive.quiet for row in positions_at(track, position_mm)[0]]
     return np.unique(np.concatenate([drive.focus_position, *quiet]))

@@ -263,7 +263,7 @@ def test_a_verification_states_the_levels_of_prediction_and_scan(bank):
     assert [one.name for one in levels] == ["level at quiet[0]", "level at quiet[1]"]
     assert [one.predicted for one in levels] == pytest.approx([-20, -20], abs=1.5)
     assert all(-20 < one.scanned < -14 for one in levels)
-    rows = control_rows(scene_of(), drive, bank.position_mm)
+    rows = control_rows(drive, bank.position_mm)
     apart_mm = np.hypot(*(bank.position_mm[rows] - (16.0, 8.0)).T)
     assert set(rows) >= set(drive.focus_position)
     assert (apart_mm < 4.5).sum() == 5

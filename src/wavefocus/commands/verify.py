@@ -278,7 +278,7 @@ class _Work:
         bank = self.bank
         rows = measured.position_index
         if self.control == "scene":
-            rows = control_rows(self.scene, drive, np.asarray(bank.position_mm, np.float64))
+            rows = control_rows(drive, np.asarray(bank.position_mm, np.float64))
         rows = rows[usable(bank.status)[rows]]
         if not rows.size:
             raise InputError(f"{self.scene_file}: no position at its foci is valid in {bank.path}")
