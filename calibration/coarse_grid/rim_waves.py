@@ -175,11 +175,20 @@ class RimWaves:
         missed = np.linalg.norm(deviations, axis=2)
         return np.asarray(missed / np.maximum(np.hypot(there, missed), 1e-300))
 
-    def _waves(self, number: int) -> FrequencyWaves:
-        nothing = np.zeros(self.relative_level.shape, dtype=np.complex128)
+    def left_out(self, transfer: Complex128Array) -> Complex128Array:
+        """Error of the waves at each position if it alone is left out, (frequencies, positions, actuators).
+
+        transfer: What the model was fitted to.
+        """
+        each = [self._waves(number, seen).left_out(self.shares[number])[0] for number, seen in enumerate(transfer)]
+        return np.stack(each)
+
+    def _waves(self, number: int, transfer: Complex128Array | None = None) -> FrequencyWaves:
+        if transfer is None:
+            transfer = np.zeros(self.relative_level.shape, dtype=np.complex128)
         return FrequencyWaves(
             self.wavenumber[number], self.pressure_share, self.position_mm, self.actuator_mm, self.ring_mm,
-            self.power[number], self.relative_level, nothing,
+            self.power[number], self.relative_level, transfer,
         )  # fmt: skip
 
     def _noise(self, number: int, relative_level: Float64Array) -> Float64Array:

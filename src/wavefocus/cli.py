@@ -321,6 +321,8 @@ COMMANDS = (
             RUN, SCENES, NO_CHECKS, LARGE,
             number("--wave-speed", 1e-3, dest="speed_m_s", default=4.8,
                    help="Of the plate, in m/s; a gel's by default."),
+            file("--pilot-positions", metavar="FILE.csv", help="Write the positions of a pilot run to a new file."),
+            file("--pilot", metavar="BANK.h5", help="The bank of a pilot run: recommend the grid's spacing."),
             JSON,
         ),
     ),

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from wavefocus.acquisition.grid import surface_grid
-from wavefocus.calibration import Float64Array
+from wavefocus.calibration import Complex128Array, Float64Array, Int64Array
 from wavefocus.calibration.coarse_grid.rim_waves import MIN_POSITIONS, RimWaves, grid_spacing_mm
 from wavefocus.calibration.numerics import transform_at
 from wavefocus.campaign.blueprint import Blueprint, bank_configuration
@@ -67,28 +67,43 @@ def expected_errors(bank: Bank) -> ErrorMap:
     """
     configuration = bank_configuration(bank)
     grid, outline = configuration.run.grid, configuration.rig.surface.outline
-    rows = np.flatnonzero(usable(bank.status))
+    rows = measured_rows(bank)
     if len(rows) < MIN_POSITIONS or not np.isfinite(bank.actuator_mm).all():
         raise InputError(
             f"{bank.path}: grid.refine_to needs at least {MIN_POSITIONS} measured positions, and the place of every "
             f"actuator; {len(rows)} positions are measured"
         )
-    position_mm = bank.position_mm[rows]
+    position_mm, check = bank.position_mm[rows], bank.check[rows]
+    frequency_hz, transfer = bank_transfer(bank, rows)
+    model = RimWaves.fit(
+        frequency_hz, position_mm[~check], bank.actuator_mm, transfer[:, ~check], position_mm[check],
+        transfer[:, check],
+    )  # fmt: skip
+    spacing_mm = LATTICE_SHARE * grid_spacing_mm(position_mm)
+    points_mm = surface_grid(outline, grid.margin_mm, max(spacing_mm, np.sqrt(outline.area_mm2 / MAX_POINTS)))
+    return ErrorMap(points_mm, relative_errors(model, points_mm))
+
+
+def measured_rows(bank: Bank) -> Int64Array:
+    """Rows that the model may be fitted to."""
+    return np.flatnonzero(usable(bank.status))
+
+
+def bank_transfer(bank: Bank, rows: Int64Array) -> tuple[Float64Array, Complex128Array]:
+    """Frequencies in Hz that state the expected error, and transfer functions, (frequencies, rows, actuators)."""
     low_hz, high_hz = bank.band_hz or (0.0, bank.sample_rate_hz / 2)
     edge_hz = EDGE * (high_hz - low_hz)
     frequency_hz = np.linspace(low_hz + edge_hz, high_hz - edge_hz, FREQUENCIES)
     transfer = np.stack([transform_at(bank.green(int(row)), frequency_hz, bank.sample_rate_hz) for row in rows])
-    every_transfer, check = transfer.transpose(2, 0, 1).astype(np.complex128), bank.check[rows]
-    model = RimWaves.fit(
-        frequency_hz, position_mm[~check], bank.actuator_mm, every_transfer[:, ~check], position_mm[check],
-        every_transfer[:, check],
-    )  # fmt: skip
-    spacing_mm = LATTICE_SHARE * grid_spacing_mm(position_mm)
-    points_mm = surface_grid(outline, grid.margin_mm, max(spacing_mm, np.sqrt(outline.area_mm2 / MAX_POINTS)))
-    every = range(FREQUENCIES)
+    return frequency_hz, transfer.transpose(2, 0, 1).astype(np.complex128)
+
+
+def relative_errors(model: RimWaves, points_mm: Float64Array, stating: RimWaves | None = None) -> Float64Array:
+    """Expected error at points, (points,), as of `ErrorMap`; deviations of another model if `stating` is named."""
     there = np.linalg.norm(model.values(points_mm), axis=(0, 2))
-    missed = np.linalg.norm(model.deviations(points_mm, every), axis=(0, 2))
-    return ErrorMap(points_mm, np.asarray(missed / np.maximum(np.hypot(there, missed), 1e-300)))
+    deviations = (stating or model).deviations(points_mm, range(len(model.frequency_hz)))
+    missed = np.linalg.norm(deviations, axis=(0, 2))
+    return np.asarray(missed / np.maximum(np.hypot(there, missed), 1e-300))
 
 
 def worst_points(found: ErrorMap, position_mm: Float64Array, refine_to: float, most: int) -> Float64Array:
