@@ -74,7 +74,7 @@ class SoundingSource(Message, frozen=True):
     fading: bool = False
 
 
-Degradation = Literal["none", "bins", "sources"]
+Degradation = Literal["none", "sources"]
 NoticeCode = Literal["degraded", "recovered", "underrun", "limited", "late", "lost", "reconnected", "recording"]
 
 
@@ -86,8 +86,8 @@ class LiveState(EventMessage, frozen=True, tag="state"):
         since the last line; 99.9th percentile of the session.
     load: Time to compute a block over the block's, largest since the last line.
     underruns: Blocks that came too late, in all.
-    degradation: What is left out to keep pace; `bound_db`: bound on the relative error from it, None where nothing is;
-        `dropped`: names of sources that are left out.
+    degradation: What is left out to keep pace; `dropped`: names of sources that are left out. `bound_db` is None: no
+        frequencies are left out any more.
     limited_db: Least gain of the limiter since the last line, 0 where it did nothing.
     """
 

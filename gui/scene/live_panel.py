@@ -104,8 +104,7 @@ def figures_of(ready: LiveReady | None, state: LiveState | None) -> list[LiveMet
         ),
         LiveMetric(
             "left out", "" if state is None else _left_out(state),
-            "Parts that are left out so that computing keeps pace: first frequencies within a bound on the error of the"
-            " drives, then the sources that came last",
+            "Sources that are left out so that computing keeps pace: those that came last",
             state is not None and state.degradation != "none",
         ),
         LiveMetric(
@@ -126,12 +125,7 @@ def figures_of(ready: LiveReady | None, state: LiveState | None) -> list[LiveMet
 
 
 def _left_out(state: LiveState) -> str:
-    parts = []
-    if state.bound_db is not None:
-        parts.append(f"frequencies, to {state.bound_db:g} dB")
-    if state.dropped:
-        parts.append(f"source{'s' if len(state.dropped) > 1 else ''} {', '.join(state.dropped)}")
-    return "; ".join(parts) or ("nothing" if state.degradation == "none" else state.degradation)
+    return f"source{'s' if len(state.dropped) > 1 else ''} {', '.join(state.dropped)}" if state.dropped else "nothing"
 
 
 def _limited(state: LiveState) -> str:

@@ -25,23 +25,22 @@ changes, both are the same numbers, and the second block is taken as it is.
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from fractions import Fraction
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.rendering.arrays import Float64Array
-from wavefocus.rendering.band import norm_of, power_over
+from wavefocus.rendering.band import power_over
 from wavefocus.rendering.device import fast_length
 from wavefocus.rendering.greens.interpolation.base import Nodes
 from wavefocus.rendering.greens.regularisation import BankRows
 from wavefocus.rendering.greens.source import apply_exponent, usable
 from wavefocus.rendering.live.independent import Complex64Array, independent_filters
-from wavefocus.rendering.live.lives import Life
+from wavefocus.rendering.live.lives import Life, runs_of
 from wavefocus.storage.errors import InputError
 
 CACHE_BYTES = 2**30
@@ -66,28 +65,14 @@ Piece = tuple[int, Float64Array, float | Float64Array]
 """Part of what is emitted through a filter: its first sample in the window, values, and a factor or a factor each."""
 
 
-class Filter:
-    """Filters from one emitted signal to all drives.
-
-    values, complex64 (actuators, bins): Their spectra.
-    """
-
-    def __init__(self, values: Complex64Array) -> None:
-        self.values = values
-
-    @cached_property
-    def magnitude(self) -> Float64Array:
-        """Norm over the actuators of every bin."""
-        return np.asarray(np.linalg.norm(self.values, axis=0), dtype=np.float64)
-
-
 class CrossfadedBlocks:
     """Blocks of drives, one after the other.
 
     rows: Rows of the bank, and how they are regularised.
     block_samples: Samples of a block at the bank's rate, B.
     frame_rate_hz: Rate of the blocks that come out.
-    nodes_at: Where sources are independent: rows and weights of places (n, 2) in millimetres. None: they are not.
+    nodes_at: Rows and weights of places, float64 (n, 2) in millimetres.
+    independent: Whether each source is quiet where the others are.
     """
 
     window_samples: int
@@ -100,12 +85,18 @@ class CrossfadedBlocks:
         rows: BankRows,
         block_samples: int,
         frame_rate_hz: float,
-        nodes_at: Callable[[Float64Array], Nodes] | None = None,
+        nodes_at: Callable[[Float64Array], Nodes],
+        *,
+        independent: bool = False,
     ) -> None:
+        import scipy.fft  # several times as fast in single precision as NumPy's
+
+        self._rfft = scipy.fft.rfft
         bank, rate_hz = rows.bank, float(rows.bank.sample_rate_hz)
         self._rows, self._block_samples, self._nodes_at = rows, block_samples, nodes_at
         self._frames_per_sample = Fraction(frame_rate_hz) / Fraction(rate_hz)
-        extension = 0 if nodes_at is None else round(EXTENSION_S * rate_hz)
+        self._independent = independent
+        extension = round(EXTENSION_S * rate_hz) if independent else 0
         ramp = round(RAMP_S * rate_hz)
         self._ramp = np.sin(np.pi / 2 * (np.arange(ramp) + 0.5) / max(ramp, 1)).astype(np.float32) ** 2
         self.extension_samples = ramp + extension
@@ -123,9 +114,6 @@ class CrossfadedBlocks:
         self._gain = lru_cache(None)(self._make_gain)
         self._ahead: Float64Array = np.zeros((bank.actuators, self._frame(block_samples)))
         """What the last computation gave for the blocks to come."""
-        self._blocks_per_second = max(1, round(rate_hz / block_samples))
-        self._norms: deque[float] = deque(maxlen=self._blocks_per_second)
-        """Norms of the blocks of the last second, in volts."""
 
     def _bins_of_band(self) -> int:
         """Number of bins that hold what rows have."""
@@ -146,39 +134,31 @@ class CrossfadedBlocks:
         """Read and transform a row. Raises InputError: it may not be used."""
         self._row_filter(row, -1)
 
-    def next(self, lives: Iterable[Life], first: int, due: int, bound_db: float | None = None) -> Float64Array:
+    def next(self, lives: Iterable[Life], first: int, due: int) -> Float64Array:
         """Compute a block, float64 (actuators, frames), in volts; infinite or NaN where it does not fit into numbers.
 
         lives: What sounds.
         first, due: The block's first sample; the sample from which on places are predicted.
-        bound_db: Allows leaving out bins from the highest downwards, as far as the norm of what is missing is proved to
-            be at most the bound times R, the root mean square of the norms of the blocks given in the second before.
-            Each computation errs by at most its bound over all of its blocks, each block counts in one second's worth
-            of R, and a crossfade does not enlarge the sum of the squares of both errors, so that the error of all
-            drives in L2 is at most the bound times their norm, beside rounding.
         """
         begin, stop = first - self.extension_samples, first + self.window_samples
         heard = [life for life in lives if life.begin < stop and life.end >= begin]
-        emitted = self._plain(heard, begin, stop) if self._nodes_at is None else self._mixed(heard, begin, stop, due)
+        emitted = self._mixed(heard, begin, stop, due) if self._independent else self._plain(heard, begin, stop)
         size, frames = self._frames(first, 1), self._frames(first, AT_ONCE)
         computed = np.zeros((len(self._ahead), frames))
         if emitted:
-            computed = self._computed(emitted, first, frames, bound_db)
+            computed = self._computed(emitted, first, frames)
         rise = (np.arange(size) + 0.5) / size
         block = computed[:, :size] * rise
         block += self._ahead[:, :size] * (1.0 - rise)
-        return self._given(block, computed[:, size:])
+        self._ahead = computed[:, size:]
+        return block
 
     def unchanged(self, first: int) -> Float64Array | None:
         """The next block where no course has changed since the last one; None where it is to be computed."""
         size = self._frames(first, 1)
         if self._ahead.shape[1] <= size:
             return None
-        return self._given(self._ahead[:, :size].copy(), self._ahead[:, size:])
-
-    def _given(self, block: Float64Array, ahead: Float64Array) -> Float64Array:
-        self._norms.append(norm_of(block))
-        self._ahead = ahead
+        block, self._ahead = self._ahead[:, :size].copy(), self._ahead[:, size:]
         return block
 
     def _frames(self, first: int, blocks: int) -> int:
@@ -189,24 +169,28 @@ class CrossfadedBlocks:
         """Number of the first frame not before a sample."""
         return math.ceil(sample * self._frames_per_sample)
 
-    def _plain(self, lives: Sequence[Life], first: int, stop: int) -> list[tuple[Filter, list[Piece]]]:
+    def _plain(self, lives: Sequence[Life], first: int, stop: int) -> list[tuple[Complex64Array, list[Piece]]]:
         """What is emitted through the filter of each row, and each saturation of it."""
         emitted: dict[tuple[int, int], list[Piece]] = {}
-        for life in lives:
-            begin, end = max(first, life.begin), min(stop, life.end + 1)
-            values = life.values(begin, end)
-            if not values.any():
+        spans = [(max(first, life.begin), min(stop, life.end + 1)) for life in lives]
+        values = [life.values(*span) for life, span in zip(lives, spans, strict=True)]
+        for run in runs_of(lives, self._nodes_at, first, stop) if lives else ():
+            since, until = spans[run.life]
+            begin, end = max(since, run.begin), min(until, run.end)
+            if begin >= end:
                 continue
-            for run in life.runs(begin, end):
-                gain, saturated_by = self._gain(run.nearest)
-                part = values[run.begin - begin : run.end - begin]
-                for row, weights in zip(run.rows, run.weights, strict=True):
-                    factor = gain * (weights if len(weights) > 1 else float(weights[0]))
-                    if np.any(factor):
-                        emitted.setdefault((row, saturated_by), []).append((run.begin - first, part, factor))
+            part = values[run.life][begin - since : end - since]
+            gain, saturated_by = self._gain(run.nearest)
+            steady = run.weights.shape[1] == 1
+            for row, weights in zip(run.rows, run.weights, strict=True):
+                factor = gain * (float(weights[0]) if steady else weights[begin - run.begin : end - run.begin])
+                if np.any(factor):
+                    emitted.setdefault((row, saturated_by), []).append((begin - first, part, factor))
         return [(self._row_filter(*row), pieces) for row, pieces in emitted.items()]
 
-    def _mixed(self, lives: Sequence[Life], first: int, stop: int, due: int) -> list[tuple[Filter, list[Piece]]]:
+    def _mixed(
+        self, lives: Sequence[Life], first: int, stop: int, due: int
+    ) -> list[tuple[Complex64Array, list[Piece]]]:
         """What is emitted through the filter of each source around the instant of each hat."""
         if not lives:
             return []
@@ -216,7 +200,7 @@ class CrossfadedBlocks:
             step = step if instants[-1] <= due else 2 * step
         at = np.array(instants)
         places = self._places([life.course.at(np.clip(at, life.begin, life.end))[0] for life in lives])
-        emitted: list[tuple[Filter, list[Piece]]] = []
+        emitted: list[tuple[Complex64Array, list[Piece]]] = []
         values = [life.values(max(first, life.begin), min(stop, life.end + 1)) for life in lives]
         for index in range(1, len(instants) - 1):
             hat = instants[index - 1 : index + 2]
@@ -241,7 +225,6 @@ class CrossfadedBlocks:
 
     def _places(self, at_mm: Sequence[Float64Array]) -> list[list[tuple[WeightedRows, int]]]:
         """Weighted rows, and nearest rows, of places of lives."""
-        assert self._nodes_at is not None
         nodes = self._nodes_at(np.concatenate(at_mm))
         rows, weights, nearest = nodes.rows.tolist(), nodes.weights.tolist(), nodes.nearest.tolist()
         known = [
@@ -251,32 +234,24 @@ class CrossfadedBlocks:
         count = len(at_mm[0])
         return [known[begin : begin + count] for begin in range(0, len(known), count)]
 
-    def _computed(
-        self, emitted: Sequence[tuple[Filter, list[Piece]]], first: int, frames: int, bound_db: float | None
-    ) -> Float64Array:
+    def _computed(self, emitted: Sequence[tuple[Complex64Array, list[Piece]]], first: int, frames: int) -> Float64Array:
         """Drives at the next frames, (actuators, frames)."""
-        import scipy.fft  # several times as fast in single precision as NumPy's
-
-        unit = self._rows.drive_exponent
         windows = np.zeros((len(emitted), self._fft_samples), dtype=np.float32)
         with np.errstate(over="ignore", invalid="ignore"):
             for window, (_, pieces) in zip(windows, emitted, strict=True):
                 for begin, values, factor in pieces:
                     window[begin : begin + len(values)] += values * factor
             windows[:, : len(self._ramp)] *= self._ramp
-            spectra = scipy.fft.rfft(windows, axis=1)[:, : self._bins]
-            kept = self._bins
-            if bound_db is not None:
-                kept = self._kept([row_filter for row_filter, _ in emitted], spectra, self._error(bound_db, unit))
-            total = np.zeros((self._rows.bank.actuators, kept), dtype=np.complex64)
+            spectra = self._rfft(windows, axis=1)[:, : self._bins]
+            total = np.zeros((self._rows.bank.actuators, self._bins), dtype=np.complex64)
             product = np.empty_like(total)
             for (row_filter, _), spectrum in zip(emitted, spectra, strict=True):
-                np.multiply(row_filter.values[:, :kept], spectrum[:kept], out=product)
+                np.multiply(row_filter, spectrum, out=product)
                 total += product
             late = float(self._frame(first) / self._frames_per_sample - first)
             if late:
-                total *= np.exp(2j * np.pi / self._fft_samples * late * np.arange(kept)).astype(np.complex64)
-            return apply_exponent(total.view(np.float32) @ self._synthesis[: 2 * kept, :frames], unit)
+                total *= np.exp(2j * np.pi / self._fft_samples * late * np.arange(self._bins)).astype(np.complex64)
+            return apply_exponent(total.view(np.float32) @ self._synthesis[:, :frames], self._rows.drive_exponent)
 
     def _synthesis_matrix(self) -> NDArray[np.float32]:
         """From real and imaginary parts of bins, one after the other, to the frames of blocks."""
@@ -287,17 +262,17 @@ class CrossfadedBlocks:
         turns[(bins == 0) | (2 * bins == self._fft_samples)] /= 2.0
         return np.stack([turns.real, -turns.imag], axis=1).reshape(2 * self._bins, frames).astype(np.float32)
 
-    def _make_row_filter(self, row: int, saturated_by: int) -> Filter:
+    def _make_row_filter(self, row: int, saturated_by: int) -> Complex64Array:
         if saturated_by >= 0:
             sigma = self._rows.sigma(saturated_by)
             assert sigma is not None
-            return Filter(self._row_filter(row, -1).values * sigma[:, None].astype(np.float32))
+            return np.asarray(self._row_filter(row, -1) * sigma[:, None].astype(np.float32))
         spectra = np.fft.rfft(self._rows.read(row), n=self._fft_samples, axis=1)[:, : self._bins]
-        return Filter(spectra.conj().astype(np.complex64))
+        return spectra.conj().astype(np.complex64)
 
     def _make_filters(
         self, own: tuple[tuple[WeightedRows, ...], ...], saturated_by: tuple[int, ...]
-    ) -> tuple[Filter, ...]:
+    ) -> tuple[Complex64Array, ...]:
         """Filters of sources that are independent, by the places of each, and the row that saturates it, or -1."""
         places = {place: index for index, place in enumerate(dict.fromkeys(place for mine in own for place in mine))}
         reversed_in_time = [self._at(place, -1) for place in places]
@@ -306,30 +281,13 @@ class CrossfadedBlocks:
         filters = independent_filters(
             green, [[places[place] for place in mine] for mine in own], np.ascontiguousarray(plain.transpose(2, 0, 1))
         )
-        return tuple(Filter(np.ascontiguousarray(spectra)) for spectra in filters.transpose(1, 2, 0))
+        return tuple(np.ascontiguousarray(spectra) for spectra in filters.transpose(1, 2, 0))
 
     def _at(self, place: WeightedRows, saturated_by: int) -> Complex64Array:
         """Filters of time reversal at a place, (actuators, bins)."""
-        return np.asarray(sum(weight * self._row_filter(row, saturated_by).values for row, weight in place))
+        return np.asarray(sum(weight * self._row_filter(row, saturated_by) for row, weight in place))
 
     def _make_gain(self, row: int) -> tuple[float, int]:
         """n(x) of a row, and the row itself where it saturates, else -1."""
         (gain,), (saturated,) = self._rows.weigh(np.array([row]))
         return float(gain), row if saturated else -1
-
-    def _kept(self, filters: Sequence[Filter], spectra: Complex64Array, error: float) -> int:
-        """Number of bins; the norm in time of those beyond is at most the error (see `wavefocus.rendering.band`)."""
-        if not error > 0:
-            return self._bins
-        summed = np.zeros(self._bins)
-        for row_filter, spectrum in zip(filters, np.abs(spectra), strict=True):
-            summed += spectrum * row_filter.magnitude
-        beyond = np.cumsum(np.square(summed[::-1])) * (2.0 / self._fft_samples)
-        return max(self._bins - int(np.searchsorted(beyond, error**2, side="right")), 1)
-
-    def _error(self, bound_db: float, unit: int) -> float:
-        """Norm that may be left out, over 2**unit volts, of drives at the bank's rate."""
-        level_v = norm_of(np.array([*self._norms, 0.0])) / math.sqrt(self._blocks_per_second * self._frames_per_sample)
-        with np.errstate(over="ignore", under="ignore"):
-            error = float(np.ldexp(10.0 ** (bound_db / 20.0) * level_v, -unit))
-        return error if math.isfinite(error) else 0.0

@@ -31,23 +31,11 @@ MAX_AMPLITUDE = 1e9
 
 
 @dataclass(frozen=True, slots=True)
-class Effort:
-    """Bounds on what is computed.
-
-    bound_db: Relative error that may be made by leaving out bins, < 0; None: all bins.
-    most_sources: Sources that may sound; the latest are left out. None: as many as the engine allows.
-    """
-
-    bound_db: float | None = None
-    most_sources: int | None = None
-
-
-@dataclass(frozen=True, slots=True)
 class SourceState:
     """A source as its drives begin now.
 
     fading: It was ended, or its positions are late.
-    dropped: It is left out, see `Effort`.
+    dropped: It is left out, see `LiveEngine.limit_sources`.
     """
 
     name: str
@@ -139,9 +127,11 @@ class LiveEngine:
             BankRows(bank, regularisation),
             block_samples,
             self.frame_rate_hz,
-            self._surface.nodes if regularisation.independent else None,
+            self._surface.nearest_nodes,
+            independent=regularisation.independent,
         )
         self.sufficient_samples = self._blocks.window_samples
+        self._reach = self.sufficient_samples + block_samples
         self.x_mm, self.y_mm = self._surface.x_mm, self._surface.y_mm
         self._timing = Timing(
             look=max(1, round(LOOK_S * self.rate_hz)), fade=max(1, round(fade_s * self.rate_hz)),
@@ -150,7 +140,8 @@ class LiveEngine:
         )  # fmt: skip
         default = default_signal(bank) if signal is None else signal
         self._default = Emitted(default, live_samples(default, self.rate_hz), repeat=True)
-        self._record, self._effort, self._positions = record, Effort(), bank.positions
+        self._record, self._positions = record, bank.positions
+        self._most: int | None = None  # sources that sound, the first ones
         self._sources: dict[str, _Source] = {}
         self._lives: dict[int, Life] = {}
         self._lives_begun = self._appearances = 0
@@ -184,6 +175,7 @@ class LiveEngine:
         life = None if former is None else former.life
         if life is not None:
             life.settle(due)
+        end = -1 if life is None else life.end
         goes_on = life is not None and not life.ended and life.moved(due, place, loudness)
         if not goes_on:
             self._surface.require(place, name)
@@ -191,7 +183,9 @@ class LiveEngine:
         if former is None:
             self._appearances += 1
             source.appeared, source.life = self._appearances, None
-        source.at_mm, source.due, source.amplitude, self._changed = place, due, loudness, True
+        source.at_mm, source.due, source.amplitude = place, due, loudness
+        # Of a source that rests only the end of its course changes, mostly after all that is computed now.
+        self._changed |= not (goes_on and life is not None and life.rests and end > self.next_sample + self._reach)
         if goes_on or name in self._dropped(due):
             return
         if life is not None:
@@ -232,18 +226,14 @@ class LiveEngine:
             source.life.settle(due)
             source.life.finish(due)
 
-    def set_effort(self, effort: Effort) -> None:
-        """Bound what is computed from the next block on.
+    def limit_sources(self, most: int | None) -> None:
+        """Let only so many sources sound from the next block on, the first to appear; the others fade. None: all.
 
-        The bound is that of `CrossfadedBlocks.next`; what `most_sources` leaves out fades.
-
-        Raises InputError: a value is out of range.
+        Raises InputError: the value is out of range.
         """
-        if effort.bound_db is not None and not (math.isfinite(effort.bound_db) and effort.bound_db < 0):
-            raise InputError(f"bound_db is {effort.bound_db}; it must be a finite number below 0")
-        if effort.most_sources is not None and effort.most_sources < 0:
-            raise InputError(f"most_sources is {effort.most_sources}; it must be 0 or more")
-        self._effort, self._changed = effort, True
+        if most is not None and most < 0:
+            raise InputError(f"most is {most}; it must be 0 or more")
+        self._most, self._changed = most, True
         due = self.next_sample + self._look_ahead
         for name in self._dropped(due):
             life = self._sources[name].life
@@ -296,7 +286,7 @@ class LiveEngine:
             life.settle(due)
         block = None if self._changed else self._blocks.unchanged(self.next_sample)
         if block is None:
-            block = self._blocks.next(self._lives.values(), self.next_sample, due, self._effort.bound_db)
+            block = self._blocks.next(self._lives.values(), self.next_sample, due)
         self._changed = False
         if not np.isfinite(block).all():
             raise InputError(
@@ -342,8 +332,7 @@ class LiveEngine:
         return sorted(names, key=lambda name: self._sources[name].appeared)
 
     def _dropped(self, due: int) -> list[str]:
-        most = self._effort.most_sources
-        return [] if most is None else self._active(due)[most:]
+        return [] if self._most is None else self._active(due)[self._most :]
 
     def _named(self, name: str, emitted: Emitted | None = None) -> _Source:
         """The source of a name, a new one with the default signal, or the given one."""

@@ -8,6 +8,7 @@ it fades. All of this is knots: a tail that comes true is part of the record as 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -45,31 +46,19 @@ def trajectory(knots: list[Knot]) -> Trajectory:
 
 
 class Run(NamedTuple):
-    """Samples `begin` to `end` - 1 of a course, whose Green's functions are made of the same rows.
+    """Samples `begin` to `end` - 1 of a life, whose Green's functions are made of the same rows.
 
+    life: Its number in the list.
     weights, float64 (k, n) or (k, 1): Of each of the k rows, at each sample or at all of them.
     nearest: The row whose regularisation counts.
     """
 
+    life: int
     begin: int
     end: int
-    rows: tuple[int, ...]
+    rows: list[int]
     weights: Float64Array
     nearest: int
-
-    def between(self, first: int, stop: int) -> Run:
-        """The samples of it from `first` to `stop` - 1."""
-        begin, end = max(self.begin, first), min(self.end, stop)
-        if (begin, end) == self[:2]:
-            return self
-        weights = self.weights if self.weights.shape[1] == 1 else self.weights[:, begin - self.begin : end - self.begin]
-        return Run(begin, end, self.rows, weights, self.nearest)
-
-    def goes_on(self, other: Run) -> bool:
-        """Whether another run is the same one, a moment later."""
-        same = (self.rows, self.nearest) == (other.rows, other.nearest)
-        steady = self.weights.shape[1] == other.weights.shape[1] == 1
-        return same and steady and bool((self.weights == other.weights).all())
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,10 +82,12 @@ class Life:
     before: A life that it goes on from, at the same velocity.
     """
 
-    course: Trajectory
-    """All knots that are not forgotten, and the tail."""
     ended: bool = False
+    rests: bool = False
+    """The last position changed nothing but how long the source goes on."""
     _tail: list[Knot]
+    _velocity: tuple[float, float] = (0.0, 0.0)
+    _course: Trajectory | None = None
 
     def __init__(
         self,
@@ -110,18 +101,24 @@ class Life:
         amplitude: float,
         before: Life | None = None,
     ) -> None:
-        self.name, self.emitted, self.begin = name, emitted, begin
+        self.name, self.emitted, self.begin, self.look = name, emitted, begin, timing.look
         self._surface, self._timing = surface, timing
         self._positions: list[Knot] = [] if before is None else before._positions
         self._knots: list[Knot] = []
-        self._taken, self._needed = 0, begin
-        self._runs: list[Run] = []
-        self._accept([], [Knot(begin, *at_mm, amplitude)], begin)
+        self._taken = 0
+        self._accept([], [Knot(begin, *at_mm, amplitude)])
+
+    @property
+    def course(self) -> Trajectory:
+        """All knots that are not forgotten, and the tail."""
+        if self._course is None:
+            self._course = trajectory(self._knots + self._tail)
+        return self._course
 
     @property
     def end(self) -> int:
         """Sample of the last knot, as far as it is certain now."""
-        return int(self.course.sample[-1])
+        return (self._tail or self._knots)[-1].sample
 
     def moved(self, sample: int, at_mm: tuple[float, float], amplitude: float) -> bool:
         """Take a position on the surface, at a sample not before the last one.
@@ -139,12 +136,14 @@ class Life:
             way_mm = math.hypot(position.x_mm - knots[-1].x_mm, position.y_mm - knots[-1].y_mm)
             if way_mm > max(JUMP_MM, self._timing.jump_mm_per_sample * (points[-1].sample - knots[-1].sample)):
                 return False
-        return self._accept(knots, points, knots[-1].sample + 1 if knots else self.begin)
+        return self._accept(knots, points)
 
     def settle(self, sample: int) -> None:
         """Make the tail final where positions can no longer come in time, the next one being at `sample`."""
         if not self.ended and sample > self._positions[-1].sample + self._timing.hold:
-            self._knots, self._tail, self.ended = self._knots + self._tail, [], True
+            stop = self._reaches(self._knots[-1:] + self._tail[:-1], 1)
+            tail = self._tail if stop >= self._tail[-2 if len(self._tail) > 1 else -1].sample else self._ahead(stop)
+            self._end(self._knots + tail)
 
     def finish(self, sample: int) -> None:
         """Fade from a sample on, not before the last position, where the source then is."""
@@ -153,17 +152,10 @@ class Life:
         last = self._knots[-1]
         times = [knot.sample for knot in self._tail if knot.sample < sample] + [sample] * (sample > last.sample)
         places_mm, amplitudes = self.course.at(np.array(times, dtype=np.int64))
-        knots = [*self._knots, *map(Knot, times, *places_mm.T.tolist(), amplitudes.tolist())]
-        try:
-            self._trace(self._faded(knots), last.sample + 1)
-        except OffGridError:  # by rounding, along an edge
-            knots = self._knots
-            self._trace(self._faded(knots), last.sample + 1)
-        self._knots, self._tail, self.ended = self._faded(knots), [], True
-
-    def runs(self, first: int, stop: int) -> list[Run]:
-        """What it passes at samples [first, stop)."""
-        return [run.between(first, stop) for run in self._runs if run.begin < stop and run.end > first]
+        knots = [last, *map(Knot, times, *places_mm.T.tolist(), amplitudes.tolist())]
+        if self._reaches(knots, 1) < knots[-1].sample:  # by rounding, along an edge
+            knots = [last]
+        self._end(self._faded(self._knots[:-1] + knots))
 
     def values(self, first: int, stop: int) -> Float64Array:
         """What it emits at samples [first, stop), all of them from `begin` to `end`, float64 (stop - first,)."""
@@ -185,43 +177,66 @@ class Life:
         needless = 0
         while needless < self._taken - 1 and self._knots[needless + 1].sample <= sample:
             needless += 1
-        del self._knots[:needless]
-        self._taken -= needless
-        self._needed = sample
+        if needless:
+            del self._knots[:needless]
+            self._taken -= needless
+            self._course = None
 
     @property
     def taken(self) -> bool:
         """Whether it has ended and all of its knots were taken."""
         return self.ended and self._taken == len(self._knots)
 
-    def _accept(self, before: list[Knot], points: list[Knot], changed: int) -> bool:
+    def _accept(self, before: list[Knot], points: list[Knot]) -> bool:
         """Go on from the knots before to the last of some points and on from there, staying on the surface.
-
-        changed: First sample at which that may differ from the course so far.
 
         Returns False, and changes nothing, where the way to the point leaves the surface.
         """
         position = points[-1]
-        positions = self._recent(position)
-        right, up = _velocity(positions)
-        knots = [*before, *self._appearing(points)[len(points) > 1 :]]
-        held = position.sample + self._timing.hold
-        stop = position.sample + self._surface.stays((position.x_mm, position.y_mm), (right, up), self._timing.hold)
-        while True:
-            ahead = stop - position.sample
-            rest = Knot(stop, position.x_mm + right * ahead, position.y_mm + up * ahead, position.amplitude)
-            tail = self._faded(self._appearing([position, *sorted({rest, rest._replace(sample=held)} - {position})]))[
-                1:
-            ]
-            try:
-                self._trace(knots + tail, changed)
-                break
-            except OffGridError as off:
-                stop = changed + off.point - 1
-                if stop < position.sample:
-                    return False
-        self._positions, self._knots, self._tail = positions, knots, tail
+        way = [*before[-1:], position]
+        if self._reaches(way, 1) < position.sample:
+            return False
+        former, self._positions = self._positions[-1:], self._recent(position)
+        velocity, self._velocity = self._velocity, _velocity(self._positions)
+        self.rests = (
+            [knot[1:] for knot in former] == [position[1:]]
+            and velocity == self._velocity == (0.0, 0.0)
+            and before[-1:] == former
+        )
+        self._knots = [*before, *self._appearing(points)[len(points) > 1 :]]
+        place_mm, hold = (position.x_mm, position.y_mm), self._timing.hold
+        stop = position.sample + self._surface.stays(place_mm, self._velocity, hold)
+        self._tail = self._ahead(stop)
+        if any(self._velocity):
+            reached = self._reaches([position, *self._tail[:-1]], self._timing.look)
+            if reached < stop:
+                self._tail = self._ahead(reached)
+        self._course = None
         return True
+
+    def _ahead(self, stop: int) -> list[Knot]:
+        """The tail: on at the velocity until a sample, then at rest."""
+        position, (right, up) = self._positions[-1], self._velocity
+        ahead = stop - position.sample
+        rest = Knot(stop, position.x_mm + right * ahead, position.y_mm + up * ahead, position.amplitude)
+        held = rest._replace(sample=position.sample + self._timing.hold)
+        return self._faded(self._appearing([position, *sorted({rest, held} - {position})]))[1:]
+
+    def _reaches(self, knots: list[Knot], step: int) -> int:
+        """The last of the knots' samples, or that of the last look, so many samples apart, before the surface ends."""
+        first, last = knots[0].sample, knots[-1].sample
+        if self._surface.holds(*[knot[1:3] for knot in knots]):
+            return last
+        sample = np.append(np.arange(first + step, last, step), last)
+        times, x_mm, y_mm, _ = zip(*knots, strict=True)
+        try:
+            self._surface.nodes(np.stack([np.interp(sample, times, x_mm), np.interp(sample, times, y_mm)], axis=1))
+        except OffGridError as off:
+            return int(sample[off.point - 1]) if off.point else first if len(knots) > 1 else first - 1
+        return last
+
+    def _end(self, knots: list[Knot]) -> None:
+        self._knots, self._tail, self._course, self.ended = knots, [], None, True
 
     def _appearing(self, points: list[Knot]) -> list[Knot]:
         """Knots of a way through some points that rise with the source's appearance."""
@@ -247,69 +262,65 @@ class Life:
         within = [knot for knot in earlier if knot.sample >= position.sample - self._timing.velocity]
         return [*(within or earlier[-1:]), position]
 
-    def _trace(self, knots: list[Knot], changed: int) -> None:
-        """Evaluate a course from a sample on. Raises OffGridError, and changes nothing: a place is off the surface."""
-        course = trajectory(knots)
-        runs = self._traced(course, changed, knots[-1].sample)
-        former = [
-            run.between(self._needed, changed) for run in self._runs if run.end > self._needed and run.begin < changed
+
+def runs_of(lives: Sequence[Life], nodes_at: Callable[[Float64Array], Nodes], first: int, stop: int) -> list[Run]:
+    """What lives pass at samples [first, stop), life by life, in the order of time.
+
+    Where two looks see the same rows with the same weights, a straight way between them has no others: all places
+    nearest to a row are a convex set, and elsewhere only the same place has the same weights.
+
+    nodes_at: Rows and weights of places, float64 (n, 2) in millimetres.
+    """
+    courses = [life.course for life in lives]
+    low = min(first, *(int(course.sample[0]) for course in courses))
+    span = max(stop, *(int(course.sample[-1]) for course in courses)) - low + 1
+    # One axis of time for all lives, one after the other.
+    knots = np.concatenate([course.sample + (number * span - low) for number, course in enumerate(courses)])
+    at_mm = np.concatenate([course.at_mm for course in courses])
+    begins, ends = np.array([(course.sample[0], course.sample[-1]) for course in courses]).T
+
+    def places(life: Int64Array, sample: Int64Array) -> Float64Array:
+        time = np.minimum(np.maximum(sample, begins[life]), ends[life]) + (life * span - low)
+        return np.stack([np.interp(time, knots, at_mm[:, 0]), np.interp(time, knots, at_mm[:, 1])], axis=1)
+
+    bends = np.concatenate([course.sample for course in courses])
+    look = lives[0].look
+    sample = np.unique(
+        np.concatenate([np.arange(first, stop, look), bends[(bends > first) & (bends < stop)], [stop - 1]])
+    )
+    gaps, number = np.diff(sample), np.repeat(np.arange(len(lives)), len(sample))
+    time = np.tile(sample, len(lives))
+    nodes = nodes_at(places(number, time))
+    seen = [nodes.rows, nodes.weights, nodes.nearest]
+    same = (nodes.rows[1:] == nodes.rows[:-1]) & (nodes.weights[1:] == nodes.weights[:-1])
+    gap = np.tile(np.append(gaps, 1), len(lives))[:-1]
+    differ = np.flatnonzero(~(same.all(axis=1) & (nodes.nearest[1:] == nodes.nearest[:-1])) & (gap > 1))
+    if len(differ):
+        between = gap[differ] - 1
+        which = np.repeat(differ, between)
+        offset = np.arange(1, len(which) + 1) - np.repeat(np.cumsum(between) - between, between)
+        added = nodes_at(places(number[which], time[which] + offset))
+        time, number = np.concatenate([time, time[which] + offset]), np.concatenate([number, number[which]])
+        order = np.lexsort((time, number))
+        time, number = time[order], number[order]
+        seen = [
+            np.concatenate(both)[order] for both in zip(seen, (added.rows, added.weights, added.nearest), strict=True)
         ]
-        if former and former[-1].goes_on(runs[0]):
-            runs[0] = runs[0]._replace(begin=former.pop().begin)
-        self.course, self._runs = course, former + runs
-
-    def _traced(self, course: Trajectory, first: int, last: int) -> list[Run]:
-        """Runs of a course from a sample to its last one.
-
-        Where two looks see the same rows with the same weights, a straight way between them has no others: all places
-        nearest to a row are a convex set, and elsewhere only the same place has the same weights.
-        """
-        look = np.arange(first, last + 1, self._timing.look)
-        sample = np.sort(np.concatenate([look, course.sample[course.sample > first]]))
-        nodes = self._nodes(course, sample, first)
-        same = (nodes.rows[1:] == nodes.rows[:-1]) & (nodes.weights[1:] == nodes.weights[:-1])
-        same = same.all(axis=1) & (nodes.nearest[1:] == nodes.nearest[:-1]) | (sample[1:] <= sample[:-1] + 1)
-        if len(differ := np.flatnonzero(~same)):
-            missing = np.concatenate([np.arange(sample[index] + 1, sample[index + 1]) for index in differ.tolist()])
-            both = [nodes, self._nodes(course, missing, first)]
-            order = np.argsort(np.concatenate([sample, missing]), kind="stable")
-            sample = np.concatenate([sample, missing])[order]
-            rows, weights, nearest = (
-                np.concatenate([getattr(nodes, part) for nodes in both])[order]
-                for part in ("rows", "weights", "nearest")
-            )
-            nodes = Nodes(rows, weights, nearest, np.zeros(0))
-        return _runs(sample, nodes, last + 1)
-
-    def _nodes(self, course: Trajectory, sample: Int64Array, first: int) -> Nodes:
-        """Nodes at samples; the point of an OffGridError counts samples from `first`."""
-        try:
-            return self._surface.nodes(course.at(sample)[0])
-        except OffGridError as off:
-            point, message = off.point, str(off)
-            if point and sample[point] > sample[point - 1] + 1:  # which of those between is the first?
-                between = np.arange(sample[point - 1] + 1, sample[point] + 1)
-                try:
-                    self._surface.nodes(course.at(between)[0])
-                except OffGridError as exact:
-                    sample, point, message = between, exact.point, str(exact)
-            raise OffGridError(int(sample[point]) - first, message) from None
-
-
-def _runs(sample: Int64Array, nodes: Nodes, stop: int) -> list[Run]:
-    """Runs of looks, each of which stands until the next one, the last one until `stop`."""
-    changes = (nodes.rows[1:] != nodes.rows[:-1]).any(axis=1) | (nodes.nearest[1:] != nodes.nearest[:-1])
-    first = np.concatenate([[0], np.flatnonzero(changes) + 1])
-    begins, ends = first.tolist(), [*first[1:].tolist(), len(sample)]
-    rows, nearest = nodes.rows[first].tolist(), nodes.nearest[first].tolist()
-    at, runs = [*sample[first].tolist(), stop], []
-    for number, (begin, end) in enumerate(zip(begins, ends, strict=True)):
-        weights = nodes.weights[begin:end]
-        if weights.shape[1] > 1 and (weights != weights[0]).any():
-            weights = np.repeat(weights, np.diff(sample[begin:end], append=at[number + 1]), axis=0)
+    rows, weights, nearest = seen
+    changes = (rows[1:] != rows[:-1]).any(axis=1) | (nearest[1:] != nearest[:-1]) | (number[1:] != number[:-1])
+    start = np.concatenate([[0], np.flatnonzero(changes) + 1])
+    runs = []
+    for begin, end, life, row, near in zip(
+        start.tolist(), [*start[1:].tolist(), len(time)], number[start].tolist(), rows[start].tolist(),
+        nearest[start].tolist(), strict=True,
+    ):  # fmt: skip
+        until = int(time[end]) if end < len(time) and number[end] == life else stop
+        part = weights[begin:end]
+        if part.shape[1] > 1 and (part != part[0]).any():
+            part = np.repeat(part, np.diff(time[begin:end], append=until), axis=0)
         else:
-            weights = weights[:1]
-        runs.append(Run(at[number], at[number + 1], tuple(rows[number]), weights.T, nearest[number]))
+            part = part[:1]
+        runs.append(Run(life, int(time[begin]), until, row, np.asarray(part.T, dtype=np.float64), near))
     return runs
 
 

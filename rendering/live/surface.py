@@ -18,6 +18,9 @@ from wavefocus.rendering.greens.interpolation.base import (
 from wavefocus.rendering.greens.source import GreenSource, usable
 from wavefocus.storage.errors import InputError
 
+HULL_LOOKS, MAX_HULL_LOOKS = 3.0, 1e6
+"""Looks per grid spacing by which a convex grid is found to have no holes; larger grids are not looked at."""
+
 
 class PlayableSurface:
     """Places of a bank from which the interpolation can be made; a row is read when a place first needs it.
@@ -43,6 +46,7 @@ class PlayableSurface:
             raise InputError(f"interpolation is {interpolation!r}, and the bank was imported: {reason}; use 'nearest'")
         self._method = method.over(bank, np.zeros((0, 2)))
         self._read, self._usable = read, usable(bank)
+        self._edges: Float64Array | None = None
         self._unread = self._usable.copy()
         self._note_doubts()
         if not self._usable.any():
@@ -55,6 +59,36 @@ class PlayableSurface:
         self._low_mm, self._high_mm = low_mm - spacing_mm, high_mm + spacing_mm
         # The first search beside the lattice loads a library: now, and not while sources sound.
         self._method.grid.nearest(self._low_mm[None])
+
+    def holds(self, *places_mm: tuple[float, float]) -> bool:
+        """Whether straight ways between places are on the surface for sure; False also where that takes a look."""
+        if self._doubtful:
+            return False
+        if self._edges is None:
+            self._edges = self._convex_edges()
+        return bool((self._edges @ np.array([(*place, 1.0) for place in places_mm]).T <= 0.0).all())
+
+    def _convex_edges(self) -> Float64Array:
+        """Edges (n, 3) of the positions' convex hull, a x + b y + c <= 0; impossible ones where the hull has holes."""
+        from scipy.spatial import ConvexHull, QhullError
+
+        position_mm, step_mm = self._method.grid.position_mm, self._method.grid.spacing_mm / HULL_LOOKS
+        nowhere = np.array([[0.0, 0.0, 1.0]])
+        count = np.ptp(position_mm, axis=0) / max(step_mm, 1e-9)
+        if count.prod() > MAX_HULL_LOOKS:
+            return nowhere
+        try:
+            edges = np.asarray(ConvexHull(position_mm).equations)
+        except QhullError:  # all on one line
+            return nowhere
+        axes = [np.arange(low, high, step_mm) for low, high in zip(position_mm.min(0), position_mm.max(0), strict=True)]
+        looks_mm = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+        within = (looks_mm @ edges[:, :2].T + edges[:, 2] <= 0.0).all(axis=1)
+        try:
+            self.nodes(looks_mm[within])
+        except OffGridError:
+            return nowhere
+        return edges
 
     def require(self, at_mm: tuple[float, float], name: str) -> None:
         """Raise InputError where a source may not be at a place in millimetres."""
@@ -105,6 +139,20 @@ class PlayableSurface:
                 return nodes
             break
         raise beyond
+
+    def nearest_nodes(self, at_mm: Float64Array) -> Nodes:
+        """Rows and weights of places (n, 2); of one off the surface those of the nearest position that may be used.
+
+        A predicted way is looked at every few millimetres: between two looks it may cut a corner.
+        """
+        while True:
+            try:
+                return self.nodes(at_mm)
+            except OffGridError as off:
+                position_mm = self._method.grid.position_mm[self._usable]
+                nearest = np.square(position_mm - at_mm[off.point]).sum(axis=1).argmin()
+                at_mm = at_mm.copy()
+                at_mm[off.point] = position_mm[nearest]
 
     def try_admit(self, row: int) -> None:
         """Read a row if that was not done yet, and note whether it may be used."""

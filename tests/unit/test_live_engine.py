@@ -18,7 +18,7 @@ from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.greens.interpolation.base import interpolation_method
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.greens.source import GreenArray
-from wavefocus.rendering.live.engine import Effort, LiveEngine
+from wavefocus.rendering.live.engine import LiveEngine
 from wavefocus.rendering.scene.signals import Impulse, Noise, Sine
 from wavefocus.rendering.scene.trajectory import Trajectory
 from wavefocus.storage.errors import InputError
@@ -182,7 +182,7 @@ def test_given_a_source_at_rest_then_computing_anew_changes_nothing_but_rounding
         lambda engine: engine.move("finger", (-3.0, 6.0)),
         lambda engine: engine.set_signal("finger", Sine(90.0, 0.1)),
         lambda engine: engine.end_source("finger"),
-        lambda engine: engine.set_effort(Effort(most_sources=0)),
+        lambda engine: engine.limit_sources(0),
     ],
     ids=["a position", "a signal", "an end", "an effort"],
 )
@@ -208,21 +208,6 @@ def test_given_a_prediction_that_fails_then_the_drives_do_not_click():
     assert steps_v.max() < 0.25 * np.abs(drive_v).max()
 
 
-@pytest.mark.parametrize("bound_db", [-20.0, -40.0])
-def test_given_a_bound_then_bins_are_left_out_and_the_error_is_within_it(bound_db):
-    low = GREEN[:, :, :1] * np.exp(-(((np.arange(TAPS) - 30.0) / 6.0) ** 2))
-    bank = GreenArray(low, GRID_MM, RATE_HZ)
-    drives = []
-    for effort in (Effort(), Effort(bound_db)):
-        engine = LiveEngine(bank, block_samples=BLOCK, look_ahead_samples=0, signal=Noise((5.0, 60.0), 0.5, seed=1))
-        engine.set_effort(effort)
-        drives.append(
-            run(engine, 160, lambda block, engine=engine: engine.move("finger", (10.0 * np.sin(block / 40.0), 3.0)))[0]
-        )
-    error = np.linalg.norm(drives[1] - drives[0]) / np.linalg.norm(drives[1])
-    assert 1e-9 < error < 10.0 ** (bound_db / 20.0)
-
-
 def test_given_fewer_sources_then_the_latest_fades_and_comes_back():
     engine, heard = engine_of(), {}
 
@@ -230,7 +215,7 @@ def test_given_fewer_sources_then_the_latest_fades_and_comes_back():
         for place, name in enumerate(("first", "second", "third")):
             engine.move(name, (5.0 * place, 0.0))
         if block in (20, 50):
-            engine.set_effort(Effort(most_sources=2 if block == 20 else None))
+            engine.limit_sources(2 if block == 20 else None)
         heard[block] = [(one.name, one.dropped, one.amplitude) for one in engine.state()]
 
     _, lives = run(engine, 70, order)

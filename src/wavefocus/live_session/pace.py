@@ -1,16 +1,10 @@
-"""Effort by load: a session that falls behind leaves out bins, then sources, and takes them back when it can."""
+"""Sources by load: a session that falls behind leaves out the latest ones, and takes them back when it can."""
 
 from __future__ import annotations
 
 from collections import deque
 from typing import Literal
 
-from wavefocus.config.messages.live import Degradation
-from wavefocus.rendering.live.engine import Effort
-
-BOUNDS_DB = (None, -30.0, -20.0)
-"""Proved bounds on the relative error from bins left out, in the order in which they are given up. Of a bank whose band
-is known little is left to leave out: a block takes 0.95 to 1 of its time."""
 BUSY = 0.8
 """Share of a block's time above which computing it counts as too slow."""
 LOOKED_AT = 10
@@ -22,38 +16,27 @@ Change = Literal["slower", "faster"]
 
 
 class Pace:
-    """Chooses the effort from the time that each block took.
+    """Chooses how many sources sound from the time that each block took.
 
     It steps down when less than 0.4 of what is to wait is left to be played and the latest blocks were slow on average:
-    first bins within -30 dB, then within -20 dB, then the latest source, one after the other. It steps up
-    when at least half of it was left for 2 s; for twice as long after each relapse, up to a minute.
+    the latest source is left out, then the one before it; one remains. It steps up when at least half of it was left
+    for 2 s; for twice as long after each relapse, up to a minute.
 
     block_s: Time of a block. ahead_s: What is to wait to be played.
     """
 
     def __init__(self, block_s: float, ahead_s: float) -> None:
         self._block_s, self._ahead_s = block_s, ahead_s
-        self._bound, self._most_sources = 0, None
+        self.most_sources: int | None = None
+        """Sources that may sound; None: all."""
         self._latest: deque[float] = deque(maxlen=LOOKED_AT)
         self._calm_s, self._filled = 0.0, False
         self._needed_s, self._since_faster_s = CALM_S, RELAPSE_S
 
-    _most_sources: int | None
-
-    @property
-    def effort(self) -> Effort:
-        """The effort now."""
-        return Effort(BOUNDS_DB[self._bound], self._most_sources)
-
-    @property
-    def degradation(self) -> Degradation:
-        """The last kind of thing that is left out."""
-        return "sources" if self._most_sources is not None else "bins" if self._bound else "none"
-
     def add(self, computed_s: float, waiting_s: float, sources: int) -> Change | None:
         """Note a block: what it took, how much was still to be played when it was written, and the number of sources.
 
-        Returns how the effort has changed.
+        Returns how that number has changed.
         """
         self._latest.append(computed_s)
         self._since_faster_s += self._block_s
@@ -72,24 +55,18 @@ class Pace:
         if self._since_faster_s < RELAPSE_S:
             self._needed_s = min(2 * self._needed_s, MAX_CALM_S)
         self._start_anew()
-        if self._bound < len(BOUNDS_DB) - 1:
-            self._bound += 1
-            return True
-        most = sources if self._most_sources is None else min(self._most_sources, sources)
+        most = sources if self.most_sources is None else min(self.most_sources, sources)
         if most <= 1:
             return False
-        self._most_sources = most - 1
+        self.most_sources = most - 1
         return True
 
     def _faster(self, sources: int) -> bool:
         self._start_anew()
-        if self._most_sources is not None:
-            self._most_sources = self._most_sources + 1 if self._most_sources + 1 < sources else None
-        elif self._bound:
-            self._bound -= 1
-        else:
+        if self.most_sources is None:
             self._needed_s = CALM_S
             return False
+        self.most_sources = self.most_sources + 1 if self.most_sources + 1 < sources else None
         self._since_faster_s = 0.0
         return True
 

@@ -191,7 +191,7 @@ class LiveSession:
                         self._apply(EndSource(source.name))
 
     def _account(self, computed_s: float, waiting_s: float) -> None:
-        """Figures, the effort, notices, and five times a second the state."""
+        """Figures, the sources that sound, notices, and five times a second the state."""
         figures = self._figures
         figures.blocks += 1
         figures.load = max(figures.load, computed_s / self._block_s)
@@ -209,16 +209,14 @@ class LiveSession:
                 self._notice("late", f"source {name}: its positions stopped coming; it fades")
         change = self._pace.add(computed_s, waiting_s, self._sounding_sources)
         if change:
-            self._change_effort(change)
+            self._limit_sources(change)
         if figures.blocks >= STATES_EVERY_S / self._block_s:
             self._report(self.engine.state())
 
-    def _change_effort(self, change: Change) -> None:
-        effort = self._pace.effort
-        self.engine.set_effort(effort)
-        bins = "" if effort.bound_db is None else f"frequencies are left out within {effort.bound_db:g} dB"
-        sources = "" if effort.most_sources is None else f"the latest sources are left out, {effort.most_sources} sound"
-        left_out = ", ".join(filter(None, (bins, sources))) or "nothing is left out"
+    def _limit_sources(self, change: Change) -> None:
+        most = self._pace.most_sources
+        self.engine.limit_sources(most)
+        left_out = "nothing is left out" if most is None else f"the latest sources are left out, {most} sound"
         if change == "slower":
             self._notice("degraded", f"computing did not keep pace: {left_out}", always=True)
         else:
@@ -236,8 +234,8 @@ class LiveSession:
                 self._latency.percentile_ms(99.9),
                 round(figures.load, 3),
                 figures.underruns,
-                self._pace.degradation,
-                self._pace.effort.bound_db,
+                "none" if self._pace.most_sources is None else "sources",
+                None,
                 tuple(source.name for source in sources if source.dropped),
                 round(figures.limited_db, 2),
                 tuple(self._sounding(one) for one in sources if not one.dropped),
@@ -261,7 +259,7 @@ class LiveSession:
         """After the player ran dry: silence, then what comes next; the block that came too late is lost."""
         self._figures.underruns += 1
         if self._pace.slower(len(self.engine.state())):
-            self._change_effort("slower")
+            self._limit_sources("slower")
         more = ""
         if self._adapts and self._ahead_s < MAX_AHEAD_S:
             self._ahead_s = min(2 * self._ahead_s, MAX_AHEAD_S)
