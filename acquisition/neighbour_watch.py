@@ -187,12 +187,12 @@ class NeighbourWatch:
         )
         for number, row in enumerate(rows.tolist()):
             spectra.set(number, instead[row] if row in instead else self._bank.green(row))
-        judge = NeighbourJudge(
-            self._plan.position_mm[rows], self._plan.actuator_mm, spectra, np.ones(len(rows), dtype=bool)
-        )
+        # On a grid too coarse for a prediction, rows off it would be taken for near enough.
+        on_grid = ~np.isin(rows, header.check_rows)
+        judge = NeighbourJudge(self._plan.position_mm[rows], self._plan.actuator_mm, spectra, on_grid)
         strong = self._strong(rows)
         found: dict[int, tuple[NeighbourDifference, ...]] = {}
-        if np.count_nonzero(judge.judged & strong) < TRUSTED * np.count_nonzero(strong):
+        if np.count_nonzero(judge.judged & strong) < TRUSTED * np.count_nonzero(strong[on_grid]):
             return found, frozenset()
         verdict = judge.find()
         for contradiction in verdict.differences:

@@ -198,22 +198,35 @@ def test_a_bank_without_a_checksum_of_its_contents_then_is_read_and_checked_as_b
     assert check_bank(path) == []
 
 
-def test_a_row_that_its_neighbours_contradict_then_is_an_error_that_names_the_difference(tmp_path: Path) -> None:
-    axis_mm = 4.0 * np.arange(-4, 5)
+def plate_bank_file(path: Path, wrong: int, check_rows: tuple[int, ...] = ()) -> Path:
+    """A bank of 7 x 7 positions and three actuators in which one row has the wrong sign and half the level."""
+    axis_mm = 4.0 * np.arange(-3, 4)
     grid = np.stack(np.meshgrid(axis_mm, axis_mm), axis=-1).reshape(-1, 2)
     plate = plate_bank(grid)
     create_bank(
-        tmp_path / "bank.h5",
-        BankHeader(RATE_HZ, TAPS_OF_PLATE, BAND_HZ, grid, ACTUATOR_MM, "{}", "{}", "ab" * 32, "test"),
+        path,
+        BankHeader(
+            RATE_HZ, TAPS_OF_PLATE, BAND_HZ, grid, ACTUATOR_MM[:3], "{}", "{}", "ab" * 32, "test", check_rows=check_rows
+        ),
     )
-    figures = np.ones(len(ACTUATOR_MM), np.float32)
-    with BankWriter.open(tmp_path / "bank.h5") as writer:
+    figures = np.ones(3, np.float32)
+    with BankWriter.open(path) as writer:
         for position in range(len(grid)):
-            row = np.array(plate.green(position), np.float32)
-            if position == 40:
+            row = np.array(plate.green(position)[:3], np.float32)
+            if position == wrong:
                 row[2] *= -0.5
             writer.commit(position, row, PointRecord(1, 1, figures, figures, figures, figures))
-    errors = [one for one in check_bank(tmp_path / "bank.h5") if one.severity == "error"]
-    assert [(one.position, one.actuator) for one in errors] == [(40, 2)]
+    return path
+
+
+def test_a_row_that_its_neighbours_contradict_then_is_an_error_that_names_the_difference(tmp_path: Path) -> None:
+    path = plate_bank_file(tmp_path / "bank.h5", wrong=24)
+    errors = [one for one in check_bank(path) if one.severity == "error"]
+    assert [(one.position, one.actuator) for one in errors] == [(24, 2)]
     assert "polarity" in errors[0].message
-    assert run(["check", str(tmp_path / "bank.h5")]) == 1
+    assert run(["check", str(path)]) == 1
+
+
+def test_a_row_that_only_judges_what_is_interpolated_is_no_neighbour_and_has_none(tmp_path: Path) -> None:
+    path = plate_bank_file(tmp_path / "bank.h5", wrong=24, check_rows=(24,))
+    assert [one for one in check_bank(path) if one.severity == "error"] == []
