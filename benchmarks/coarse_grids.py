@@ -15,25 +15,31 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from itertools import groupby, takewhile
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import h2vp, hankel2, jv
+from scipy.special import jv
 
 from wavefocus.acquisition.grid import check_grid, surface_grid
+from wavefocus.benchmarks.exact_stadium import exact_stadium
 from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times
-from wavefocus.benchmarks.rig_bank import BAND_HZ, MARGIN_MM, RATE_HZ, TAPS, true_bank
+from wavefocus.benchmarks.paper_measures import CLEAR_MM, SATURATION, clear_rows, focus_fields, focus_figures
+from wavefocus.benchmarks.rig_bank import BAND_HZ, MARGIN_MM, RATE_HZ, TAPS, default_grid, sweep_plan, true_bank
 from wavefocus.calibration.coarse_grid.rim_waves import NORMAL_95, RimWaves
-from wavefocus.calibration.coarse_grid.waves import Dispersion, distances_mm
+from wavefocus.calibration.coarse_grid.waves import Dispersion
 from wavefocus.config.outline import Outline
+from wavefocus.config.rig import default_rig
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.mocks.virtual.settings import VirtualSettings
 from wavefocus.rendering.greens.interpolation.base import GridInterpolation, OffGridError, interpolation_method
+from wavefocus.rendering.greens.regularisation import focus_gain_map
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.scene.paths import Circle
 from wavefocus.storage.errors import InputError
@@ -90,13 +96,28 @@ CASES = (
     Case("soft", 20.0),
     Case(EXACT, 10.0),
     Case(EXACT, 20.0),
+    Case("stadium, full reflection", 25.0),
+    Case("stadium, full reflection", 30.0),
+    Case("stadium, rim_admittance 0.5", 25.0),
+    Case("stadium, rim_admittance 0.5", 30.0),
+    Case("soft", 30.0),
+    Case("soft", 40.0),
+    Case("solid", 10.0),
+    Case("solid", 14.0),
+    Case("solid", 20.0),
+    Case("thin", 20.0),
 )
 DEFAULT_CASES = CASES[:3]
 
 
 def run(out: Path | None = None, *, quick: bool = False, workers: int | None = None) -> Findings:
-    """Measure all cases, each in a process of its own."""
-    return Findings(entries(CASES[:2] if quick else CASES, quick=quick, workers=workers), TRUTH)
+    """Measure all cases, each in a process of its own, and the paper's figures of a focus."""
+    points = entries(CASES[:2] if quick else CASES, quick=quick, workers=workers)
+    points += against_time(points)
+    notes = [largest_spacings(points)]
+    if not quick:
+        points += focus_comparison()
+    return Findings(points, TRUTH, notes)
 
 
 TRUTH = "the plate's true transfer functions at random places"
@@ -182,6 +203,102 @@ def _line(
     )  # fmt: skip
 
 
+AGAINST_TIME = "error at 450 Hz against capture time"
+LARGEST_ERROR = 0.05
+
+
+def against_time(points: Sequence[Entry]) -> list[Entry]:
+    """Error of each method at 450 Hz and -60 dB over the hours of a staggered capture, check positions included."""
+    cases = {case.work: case for case in CASES if case.noise_db == -60.0 and case.plate != EXACT}
+    found = [
+        Entry(
+            work=f"{cases[one.work].plate}: {AGAINST_TIME}", method=one.method, error=one.error,
+            parameters={"spacing_mm": cases[one.work].spacing_mm},
+            figures={"hours": staggered_hours(int(one.row["positions"] or 0) + CHECKS)},
+        )
+        for one in points
+        if one.work in cases and one.parameters.get("frequency_hz") == FREQUENCIES_HZ[-1]
+    ]  # fmt: skip
+    return sorted(found, key=lambda one: (one.work, one.method, one.row["spacing_mm"]))
+
+
+def staggered_hours(positions: int) -> float:
+    """Hours of a staggered capture of so many positions of the virtual rig."""
+    plan = sweep_plan(np.zeros((positions, 2)), VirtualRig(), staggered=True)
+    return plan.campaign_s(np.arange(positions), default_rig().recorder) / 3600.0
+
+
+def largest_spacings(points: Sequence[Entry]) -> str:
+    """For each plate the largest spacing measured up to which waves have a median error of at most 5 % at 450 Hz."""
+    said = []
+    for work, group in groupby((one for one in points if AGAINST_TIME in one.work), lambda one: one.work):
+        waves = sorted((one for one in group if one.method == "waves"), key=lambda one: one.row["spacing_mm"] or 0.0)
+        good = list(takewhile(lambda one: (one.error or 0.0) <= LARGEST_ERROR, waves))
+        if good:
+            last = "the largest measured" if len(good) == len(waves) else "the next is above it"
+            said.append(f"{work.partition(':')[0]} {good[-1].row['spacing_mm']:g} mm ({last})")
+    return f"Largest spacing with a median error of at most {LARGEST_ERROR:.0%} at 450 Hz: {'; '.join(said)}."
+
+
+FOCUS_PLATE = "stadium, rim_admittance 0.5"
+FOCUS_SPACING_MM = 10.0
+FOCI = 60
+FOCUS_LIMIT = 0.03
+
+
+def focus_comparison(spacing_mm: float = FOCUS_SPACING_MM, foci: int = FOCI) -> list[Entry]:
+    """Width, artefacts and n(x) of the paper's foci from a coarse bank by waves, against those from 4 mm.
+
+    Both banks have noise at -60 dB. Width and artefacts are those of the field on the plate (true functions at 4 mm);
+    "predicted" those of the field that each bank predicts. Errors are medians of the relative difference (of amplitudes
+    for artefacts) over the foci, or positions for n(x).
+    """
+    rig = VirtualRig(VirtualSettings(**PLATES[FOCUS_PLATE]))
+    fine_mm = default_grid(rig)
+    plate, fine = true_bank(rig, fine_mm, None), true_bank(rig, fine_mm, -60.0)
+    coarse = by_waves(rig, spacing_mm, fine_mm)
+    rows = np.sort(np.random.default_rng(3).choice(clear_rows(fine, CLEAR_MM), foci, replace=False)).tolist()
+    pairs = {}
+    for name, meets in (("", plate), (", predicted", None)):
+        both = [focus_figures(one, rows, focus_fields(one, rows, SATURATION, meets)) for one in (fine, coarse)]
+        pairs[f"width in mm{name}"] = [one["width_mm"] for one in both]
+        pairs[f"artefacts, relative to the focus{name}"] = [10.0 ** (one["artefact_db"] / 20.0) for one in both]
+    gains = [focus_gain_map(one, SATURATION) for one in (fine, coarse)]
+    pairs["n(x) relative to its median"] = [one / np.nanmedian(one) for one in gains]
+    work = f"the paper's figures from {spacing_mm:g} mm by waves against 4 mm, {FOCUS_PLATE}"
+    return [_difference(work, name, *pair) for name, pair in pairs.items()]
+
+
+def _difference(work: str, name: str, fine: Float64Array, coarse: Float64Array) -> Entry:
+    apart = np.abs(coarse / fine - 1.0)
+    figures = {
+        "error_90": float(np.nanquantile(apart, 0.9)),
+        "median_fine": float(np.nanmedian(fine)),
+        "median_coarse": float(np.nanmedian(coarse)),
+    }
+    error, mark = float(np.nanmedian(apart)), Mark("error", FOCUS_LIMIT, at_most=True)
+    return Entry(work=work, method=name, error=error, figures=figures, marks=(mark,))
+
+
+def by_waves(rig: VirtualRig, spacing_mm: float, points_mm: Float64Array) -> GreenArray:
+    """Rows at some points, from a bank of a coarse grid with noise at -60 dB."""
+    bank = coarse_bank(rig, spacing_mm)
+    method = interpolation_method("waves").over(bank, points_mm)
+    rows, source = method.nodes(points_mm).rows[:, 0], method.rows_of(bank)
+    values = np.stack([source.green(int(row)).astype(np.float32) for row in rows])
+    return GreenArray(values, points_mm, RATE_HZ, actuator_mm=bank.actuator_mm, band_hz=BAND_HZ)
+
+
+def coarse_bank(rig: VirtualRig, spacing_mm: float) -> GreenArray:
+    """A bank of a coarse grid and check positions, with noise at -60 dB."""
+    position_mm = surface_grid(rig.settings.outline, MARGIN_MM, spacing_mm)
+    check_mm = check_grid(rig.settings.outline, MARGIN_MM, spacing_mm, position_mm, CHECKS)
+    both_mm = np.vstack([position_mm, check_mm])
+    check = np.arange(len(both_mm)) >= len(position_mm)
+    bank = true_bank(rig, both_mm, -60.0)
+    return GreenArray(bank.values, both_mm, RATE_HZ, actuator_mm=bank.actuator_mm, band_hz=BAND_HZ, check=check)
+
+
 def random_points(outline: Outline, count: int) -> Float64Array:
     """Places over the area of a grid, its edge included."""
     left, bottom, right, top = outline.box_mm
@@ -249,7 +366,6 @@ def _j0_regression(measured: Measured, wavenumber: complex, transfer: Complex128
 
 
 LAW = Dispersion(200.0, 4800.0, 420.0)
-RIM_POINTS, SOURCES, SOURCE_OFFSET_MM = 900, 420, 9.0
 
 
 def _exact_case(case: Case, hz: Float64Array) -> Measured:
@@ -269,58 +385,11 @@ def _exact_case(case: Case, hz: Float64Array) -> Measured:
     )
 
 
-def exact_stadium(wavenumber: complex, points_mm: Float64Array, actuator_mm: Float64Array) -> Complex128Array:
-    """Point sources in a stadium of 250 x 150 mm with a free rim, (points, actuators), in units of H0(2).
-
-    Sources outside the rim make the normal derivative of the whole field zero on it, by least squares.
-    """
-    rim_mm, normal = _stadium(RIM_POINTS, 0.0)
-    source_mm, _ = _stadium(SOURCES, SOURCE_OFFSET_MM)
-
-    def slope(from_mm: Float64Array) -> Complex128Array:
-        gap_mm = rim_mm[:, None] - from_mm
-        distance_mm = np.hypot(gap_mm[..., 0], gap_mm[..., 1])
-        outwards = (gap_mm * normal[:, None]).sum(axis=2) / distance_mm
-        return np.asarray(wavenumber * h2vp(0, wavenumber * distance_mm) * outwards)
-
-    by_source = slope(source_mm)
-    scale = np.linalg.norm(by_source, axis=0)
-    strength = np.linalg.lstsq(by_source / scale, -slope(actuator_mm), rcond=1e-13)[0] / scale[:, None]
-    own = hankel2(0, wavenumber * distances_mm(points_mm, actuator_mm))
-    return np.asarray(own + hankel2(0, wavenumber * distances_mm(points_mm, source_mm)) @ strength)
-
-
-def _stadium(count: int, offset_mm: float) -> tuple[Float64Array, Float64Array]:
-    """Points on the outline of the stadium, moved outwards, and its normals there, (count, 2) each."""
-    straight_mm, radius_mm = 100.0, 75.0 + offset_mm
-    arc_mm = np.pi * radius_mm
-    along = (np.arange(count) + 0.5) / count * (2 * straight_mm + 2 * arc_mm)
-    places, normals = np.empty((count, 2)), np.empty((count, 2))
-    for index, at in enumerate(along):
-        if at < straight_mm:
-            places[index], normals[index] = (at - 50.0, -radius_mm), (0.0, -1.0)
-        elif at < straight_mm + arc_mm:
-            turn = (at - straight_mm) / radius_mm - np.pi / 2
-            normals[index] = np.cos(turn), np.sin(turn)
-            places[index] = (50.0, 0.0) + radius_mm * normals[index]
-        elif at < 2 * straight_mm + arc_mm:
-            places[index], normals[index] = (50.0 - (at - straight_mm - arc_mm), radius_mm), (0.0, 1.0)
-        else:
-            turn = (at - 2 * straight_mm - arc_mm) / radius_mm + np.pi / 2
-            normals[index] = np.cos(turn), np.sin(turn)
-            places[index] = (-50.0, 0.0) + radius_mm * normals[index]
-    return places, normals
-
-
 def whole_bank() -> None:
     """Print the time to fit the model of a whole bank of 246 positions, and to make 5000 rows along a path."""
     rig = VirtualRig(VirtualSettings(**PLATES["stadium, full reflection"]))
-    position_mm = surface_grid(rig.settings.outline, MARGIN_MM, 10.0)
-    check_mm = check_grid(rig.settings.outline, MARGIN_MM, 10.0, position_mm, CHECKS)
-    both_mm = np.vstack([position_mm, check_mm])
-    bank = true_bank(rig, both_mm, -60.0)
-    check = np.arange(len(both_mm)) >= len(position_mm)
-    bank = GreenArray(bank.values, both_mm, RATE_HZ, actuator_mm=bank.actuator_mm, band_hz=BAND_HZ, check=check)
+    bank = coarse_bank(rig, 10.0)
+    position_mm = bank.position_mm
     begun_s = time.monotonic()
     method = interpolation_method("waves").over(bank, position_mm)
     print(f"fitted {len(position_mm)} x {bank.actuators} x {TAPS}: {time.monotonic() - begun_s:.1f} s")

@@ -65,13 +65,17 @@ def clear_rows(bank: GreenArray, clear_mm: float) -> Int64Array:
     return np.flatnonzero(usable(bank) & (gap_mm > clear_mm))
 
 
-def focus_fields(bank: GreenArray, rows: Sequence[int], saturation: float | None) -> Float64Array:
+def focus_fields(
+    bank: GreenArray, rows: Sequence[int], saturation: float | None, plate: GreenArray | None = None
+) -> Float64Array:
     """Fields at the focus instant of impulses focused at some rows, normalised, (rows, positions).
 
     At that instant ``y(x) = n sum_i sigma_i sum_k g_i(x)[k] g_i(x0)[k]``: an inner product of bank rows.
+
+    plate: Green's functions that the drives meet; by default those of the bank, which makes it a prediction.
     """
     threshold = saturation_threshold(Regularisation(saturation=saturation or 0.0), bank)
-    flat = bank.values.reshape(bank.positions, -1)
+    flat = (plate or bank).values.reshape(bank.positions, -1)
     fields = np.empty((len(rows), bank.positions))
     for place, row in enumerate(rows):
         green = bank.values[row].astype(np.float64)

@@ -40,7 +40,7 @@ Reason = Literal["", "too_few_positions", "unknown_actuators", "not_explained", 
 REASONS: dict[Reason, str] = {
     "too_few_positions": f"the pilot has fewer than {MIN_PILOT} measured positions, or they lie on one line",
     "unknown_actuators": "the pilot does not say where every actuator is",
-    "not_explained": "the model misses positions that are left out: of another plate's kind, or too few",
+    "not_explained": "the model misses left-out positions: it does not fit this plate, or the pilot is too small",
     "not_reached": "no spacing is expected to reach it; what stays is noise, or waves that the model does not have",
 }
 
