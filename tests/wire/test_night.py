@@ -59,14 +59,14 @@ limit_v = 1.0
 # of the audio interface stops for some seconds.
 NIGHT = """fault_plan = [
     { role = "mirror", kind = "unplugged", operation = "move", at_call = 3, seconds = 3 },
-    { role = "player", kind = "frozen", at_s = 27, seconds = 12 },
+    { role = "player", kind = "frozen", at_s = 40, seconds = 12 },
 ]
 
 [messages]
 alive_file = "alive"
 """
 SCENES = ("lower", "upper")
-ASLEEP_S = 20.0
+ASLEEP_S, AWAY_S = 20.0, 6.0
 
 
 @pytest.fixture
@@ -92,9 +92,12 @@ def test_given_replug_stopped_clock_kill_sleep_and_failed_run_then_the_queue_end
         subprocess.run(command, cwd=lab, check=True, capture_output=True)
     bank = lab / "plate.h5"
     with emulated_instruments(lab / "rig.toml") as emulated, night(lab, emulated.environment) as queue:
-        # Killed in mid-record, at a time that nothing chose.
+        # Killed in mid-record, at a time that nothing chose; and the mirror is away when the run begins again.
         first = await_owner(queue, bank, done=1)
         os.kill(first, signal.SIGKILL)
+        emulated.say("unplug mirror")
+        time.sleep(AWAY_S)
+        emulated.say("plug mirror")
         # Another process goes on with it; then time stands still for all of the program, as in a computer that sleeps.
         second = await_owner(queue, bank, done=3, other_than=first)
         asleep = [(os.kill, queue.pid), (os.killpg, second)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import subprocess
@@ -40,6 +41,9 @@ from wavefocus.storage.errors import BankBusyError, InputError
 MAX_KILLS = 100
 """A run that something outside killed is begun again so many times in a row; it goes on where it was."""
 KILLED_PAUSE_S = 1.0
+RETURN_WAIT_S = 600.0
+"""Longest wait for instruments that are away after a kill or a reboot: a run that begins does not wait by itself."""
+_RETURN_PAUSE_S = 5.0
 BUSY_WAIT_S = 600.0
 """Longest wait for a bank that another process owns, such as a run whose queue was killed and that ends by itself."""
 _BUSY_PAUSE_S = 2.0
@@ -121,7 +125,7 @@ class _QueueRunner:
         self._publish(QueueRunStarted(entry.number, entry.words, changed))
         try:
             self._hold_instruments(entry)
-            code, said = self._run_until_over(begun)
+            code, said = self._run_until_over(begun, cut_off=entry.state is EntryState.RUNNING)
         except BankBusyError as busy:  # instruments of a run that was added after the queue began
             code, said = int(Exit.BANK_BUSY), str(busy)
             say(f"run {entry.number}: {said}")
@@ -137,9 +141,13 @@ class _QueueRunner:
         self._publish(QueueRunEnded(entry.number, state, code, over.said))
         return over
 
-    def _run_until_over(self, entry: QueueEntry) -> tuple[int, str]:
-        """Run the command, again where it was killed or its bank is busy; exit code and last line."""
+    def _run_until_over(self, entry: QueueEntry, *, cut_off: bool) -> tuple[int, str]:
+        """Run the command, again where it was killed or its bank is busy; exit code and last line.
+
+        cut_off: Whether an earlier queue had begun it, as before a reboot: instruments may be away as after a kill.
+        """
         kills, busy_since_s = 0, time.monotonic()
+        killed_at_s = time.monotonic() if cut_off else -math.inf
         while True:
             code, said = self._run_command(entry)
             if self._stop.requested:
@@ -148,7 +156,11 @@ class _QueueRunner:
                 kills += 1
                 by = f"by signal {-code}" if code < 0 else f"by the system, code {code:#x}"
                 say(f"run {entry.number}: killed {by}; it goes on")
+                killed_at_s = time.monotonic()
                 self._pause(KILLED_PAUSE_S)
+            elif code == Exit.INSTRUMENT_FAILED and time.monotonic() - killed_at_s < RETURN_WAIT_S:
+                say(f"run {entry.number}: an instrument was not there after the interruption; it is tried again")
+                self._pause(_RETURN_PAUSE_S)
             elif code == Exit.BANK_BUSY and time.monotonic() - busy_since_s < BUSY_WAIT_S:
                 self._pause(_BUSY_PAUSE_S)
             else:
