@@ -100,7 +100,7 @@ class Probe:
         failed for good.
         """
         try:
-            found = self._comparer.compare(*self._played(output, 0).volts)
+            found = self._comparer.compare(*self._played(output, 0).volts, diagnose=False)
         except ResponseMissingError:
             return False
         except ReferenceMissingError as missing:

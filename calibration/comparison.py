@@ -128,17 +128,18 @@ class ChannelComparer:
         energy = known_v**2
         self._centre = float(np.arange(known_v.size) @ energy / energy.sum())
 
-    def compare(self, reference_v: ArrayLike, response_v: ArrayLike) -> Comparison:
+    def compare(self, reference_v: ArrayLike, response_v: ArrayLike, *, diagnose: bool = True) -> Comparison:
         """Find the signal on both channels of one record.
 
         reference_v, response_v, (samples,): The two channels in volts, on the DAQ clock.
+        diagnose: Whether to find out why the response does not hold the signal.
 
         Raises ReferenceMissingError: the reference does not hold the signal. ResponseMissingError: the response does
         not.
         """
         reference = self._fitter.fit(reference_v)
         try:
-            response = self._fitter.fit(response_v)
+            response = self._fitter.fit(response_v, diagnose=diagnose)
         except ReferenceMissingError as missing:
             words = str(missing).replace("reference channel", "response channel")
             raise ResponseMissingError(words.replace("reference input", "response input"), advised=True) from None

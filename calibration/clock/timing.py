@@ -176,10 +176,11 @@ class ClockFitter:
         self._clock = KnownSignalClock(spectrum[:bins], period, max_ppm, below_share=BAND_SHARE)
         self._search = BlockSearch(known, (first / period, bins / period), max_ppm)
 
-    def fit(self, recorded_v: ArrayLike) -> ClockFit:
+    def fit(self, recorded_v: ArrayLike, *, diagnose: bool = True) -> ClockFit:
         """Find the known signal in one recording.
 
         recorded_v, (samples,): Reference channel in volts, on the DAQ clock.
+        diagnose: Whether to find out why the signal is absent, which takes a hundred times as long as a fit.
 
         Raises InputError: an array of a wrong shape or values that are not finite. ReferenceMissingError: the signal is
         absent, too noisy, or not entirely inside the recording.
@@ -208,6 +209,8 @@ class ClockFitter:
         if not residual_db <= REFERENCE_LIMIT_DB or abs(fit.ratio - 1) > 1.01e-6 * self._max_ppm:
             found = f"unexplained {residual_db:.1f} dB, allowed {REFERENCE_LIMIT_DB:g} dB"
             name = "the reference channel"
+            if not diagnose:
+                raise ReferenceMissingError(f"{name} does not carry what was played ({found})")
             raise missing_reference(recorded, self._known, name, found, self._max_ppm)
         offset = first + fit.offset_samples
         check_inside(offset, fit.ratio, self._known.size, recorded.size, "the reference")
