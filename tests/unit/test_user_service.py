@@ -30,6 +30,7 @@ def test_the_unit_of_systemd_is_sound_and_starts_the_very_command(tmp_path: Path
     program = tmp_path / "wavefocus-night-one.service"
     sound = [sys.executable, *ODD[1:]]
     program.write_bytes(user_service("linux", "night one", sound, tmp_path, tmp_path).content)
+    assert "RestartForceExitStatus=3" in lines
     if shutil.which("systemd-analyze"):
         command = ["systemd-analyze", "verify", "--user", str(program)]
         environment = {**os.environ, "XDG_RUNTIME_DIR": str(tmp_path)}

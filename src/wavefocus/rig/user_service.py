@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.sax.saxutils import escape
 
+from wavefocus.exits import Exit
+
 
 @dataclass(frozen=True, slots=True)
 class UserService:
@@ -49,12 +51,15 @@ def _unit(name: str, command: Sequence[str], folder: Path, home: Path) -> UserSe
     line = " ".join(_quoted(word) for word in command)
     content = f"""[Unit]
 Description={name}: carries on after a reboot
+StartLimitIntervalSec=3600
+StartLimitBurst=20
 
 [Service]
 Type=exec
 WorkingDirectory={str(folder).replace("%", "%%")}
 ExecStart={line}
 Restart=on-abnormal
+RestartForceExitStatus={int(Exit.INSTRUMENT_FAILED)}
 RestartSec=30
 
 [Install]
