@@ -75,7 +75,9 @@ class SoundingSource(Message, frozen=True):
 
 
 Degradation = Literal["none", "sources"]
-NoticeCode = Literal["degraded", "recovered", "underrun", "limited", "late", "lost", "reconnected", "recording"]
+NoticeCode = Literal[
+    "degraded", "recovered", "underrun", "limited", "late", "lost", "reconnected", "recording", "bounded"
+]
 
 
 class LiveState(EventMessage, frozen=True, tag="state"):

@@ -39,6 +39,7 @@ from wavefocus.rendering.device import fast_length
 from wavefocus.rendering.greens.interpolation.base import Nodes
 from wavefocus.rendering.greens.regularisation import BankRows
 from wavefocus.rendering.greens.source import apply_exponent, usable
+from wavefocus.rendering.live.finer import FinerRows
 from wavefocus.rendering.live.independent import Complex64Array, independent_filters
 from wavefocus.rendering.live.lives import Life, runs_of
 from wavefocus.storage.errors import InputError
@@ -56,6 +57,8 @@ HAT_S, EXTENSION_S = 0.02, 0.02
 """Sources are quiet where the others are at the instant of a hat, and where they are at those before and after."""
 AT_ONCE = 3
 """Blocks computed at once: the one that is due, one that stands where no order comes, and one to fade from."""
+BOUNDED_SHARE = 0.1
+"""Share of the frequencies from which on it is worth saying that the bound of the energy acts."""
 MAX_PLACES = 24
 """Where there would be more, those before and after are left out."""
 
@@ -73,6 +76,7 @@ class CrossfadedBlocks:
     frame_rate_hz: Rate of the blocks that come out.
     nodes_at: Rows and weights of places, float64 (n, 2) in millimetres.
     independent: Whether each source is quiet where the others are.
+    finer: Rows between the bank's, where places have some; `load_finer` makes their filters.
     """
 
     window_samples: int
@@ -88,6 +92,7 @@ class CrossfadedBlocks:
         nodes_at: Callable[[Float64Array], Nodes],
         *,
         independent: bool = False,
+        finer: FinerRows | None = None,
     ) -> None:
         import scipy.fft  # several times as fast in single precision as NumPy's
 
@@ -95,7 +100,10 @@ class CrossfadedBlocks:
         bank, rate_hz = rows.bank, float(rows.bank.sample_rate_hz)
         self._rows, self._block_samples, self._nodes_at = rows, block_samples, nodes_at
         self._frames_per_sample = Fraction(frame_rate_hz) / Fraction(rate_hz)
-        self._independent = independent
+        self.bounded = False
+        """Whether the bound of the energy of independent sources acted in the last block that was computed."""
+        self._independent, self._finer = independent, finer
+        self._between: Complex64Array | None = None
         extension = round(EXTENSION_S * rate_hz) if independent else 0
         ramp = round(RAMP_S * rate_hz)
         self._ramp = np.sin(np.pi / 2 * (np.arange(ramp) + 0.5) / max(ramp, 1)).astype(np.float32) ** 2
@@ -129,6 +137,13 @@ class CrossfadedBlocks:
             if power[bins:].sum() <= 10.0 ** (BEYOND_DB / 10.0) * power.sum():
                 return min(bins, whole)
         return whole
+
+    def load_finer(self) -> None:
+        """Make the filters of finer rows, where there are any."""
+        if self._finer is not None:
+            bin_hz = np.arange(self._bins, dtype=np.float64)
+            bin_hz *= float(self._rows.bank.sample_rate_hz) / self._fft_samples
+            self._between = self._finer.filters(lambda row: self._row_filter(row, -1), bin_hz)
 
     def load(self, row: int) -> None:
         """Read and transform a row. Raises InputError: it may not be used."""
@@ -184,7 +199,7 @@ class CrossfadedBlocks:
             steady = run.weights.shape[1] == 1
             for row, weights in zip(run.rows, run.weights, strict=True):
                 factor = gain * (float(weights[0]) if steady else weights[begin - run.begin : end - run.begin])
-                if np.any(factor):
+                if not steady or factor:
                     emitted.setdefault((row, saturated_by), []).append((begin - first, part, factor))
         return [(self._row_filter(*row), pieces) for row, pieces in emitted.items()]
 
@@ -192,6 +207,7 @@ class CrossfadedBlocks:
         self, lives: Sequence[Life], first: int, stop: int, due: int
     ) -> list[tuple[Complex64Array, list[Piece]]]:
         """What is emitted through the filter of each source around the instant of each hat."""
+        self.bounded = False
         if not lives:
             return []
         instants, step = [first // self._hat * self._hat - self._hat], self._hat
@@ -214,12 +230,13 @@ class CrossfadedBlocks:
             own = tuple(tuple(places[number][index + other][0] for other in counted) for number in there)
             weights = [self._gain(places[number][index][1]) for number in there]
             filters = self._filters(own, tuple(by for _, by in weights)) if own else ()
-            for number, row_filter, (gain, _) in zip(there, filters, weights, strict=True):
+            for number, (row_filter, bounded), (gain, _) in zip(there, filters, weights, strict=True):
                 life = lives[number]
                 begin, end = max(first, life.begin, hat[0]), min(stop, life.end + 1, hat[2])
                 since = max(first, life.begin)
                 loud = values[number][begin - since : end - since] * share[begin - hat[0] : end - hat[0]]
                 if loud.any():
+                    self.bounded |= bounded
                     emitted.append((row_filter, [(begin - first, loud, gain)]))
         return emitted
 
@@ -267,24 +284,35 @@ class CrossfadedBlocks:
             sigma = self._rows.sigma(saturated_by)
             assert sigma is not None
             return np.asarray(self._row_filter(row, -1) * sigma[:, None].astype(np.float32))
+        if row >= self._rows.bank.positions:
+            if self._between is None:
+                self.load_finer()
+            assert self._between is not None
+            return np.asarray(self._between[row - self._rows.bank.positions])
         spectra = np.fft.rfft(self._rows.read(row), n=self._fft_samples, axis=1)[:, : self._bins]
-        return spectra.conj().astype(np.complex64)
+        return np.asarray(spectra.conj(), dtype=np.complex64)
 
     def _make_filters(
         self, own: tuple[tuple[WeightedRows, ...], ...], saturated_by: tuple[int, ...]
-    ) -> tuple[Complex64Array, ...]:
-        """Filters of sources that are independent, by the places of each, and the row that saturates it, or -1."""
+    ) -> list[tuple[Complex64Array, bool]]:
+        """Filters of sources that are independent, and whether their energy is bounded.
+
+        By the places of each, and the row that saturates it, or -1.
+        """
         places = {place: index for index, place in enumerate(dict.fromkeys(place for mine in own for place in mine))}
         reversed_in_time = [self._at(place, -1) for place in places]
         green = np.ascontiguousarray(np.array(reversed_in_time).conj().transpose(2, 0, 1))
         plain = np.array([self._at(mine[0], by) for mine, by in zip(own, saturated_by, strict=True)])
-        filters = independent_filters(
+        filters, bounded = independent_filters(
             green, [[places[place] for place in mine] for mine in own], np.ascontiguousarray(plain.transpose(2, 0, 1))
         )
-        return tuple(np.ascontiguousarray(spectra) for spectra in filters.transpose(1, 2, 0))
+        ready = [np.ascontiguousarray(spectra) for spectra in filters.transpose(1, 2, 0)]
+        return list(zip(ready, (bounded.mean(axis=0) > BOUNDED_SHARE).tolist(), strict=True))
 
     def _at(self, place: WeightedRows, saturated_by: int) -> Complex64Array:
         """Filters of time reversal at a place, (actuators, bins)."""
+        if len(place) == 1 and place[0][1] == 1.0:
+            return self._row_filter(place[0][0], saturated_by)
         return np.asarray(sum(weight * self._row_filter(row, saturated_by) for row, weight in place))
 
     def _make_gain(self, row: int) -> tuple[float, int]:

@@ -17,6 +17,7 @@ from wavefocus.rendering.greens.regularisation import BankRows
 from wavefocus.rendering.greens.source import GreenSource
 from wavefocus.rendering.live.blocks import CrossfadedBlocks
 from wavefocus.rendering.live.emitted import Emitted, default_signal, live_samples
+from wavefocus.rendering.live.finer import FinerRows
 from wavefocus.rendering.live.lives import JUMP_MM_S, LOOK_S, VELOCITY_S, Life, Timing, trajectory
 from wavefocus.rendering.live.surface import PlayableSurface
 from wavefocus.rendering.scene.signals import Signal
@@ -122,13 +123,15 @@ class LiveEngine:
         self.frame_rate_hz = self.rate_hz if frame_rate_hz is None else frame_rate_hz
         self._look_ahead, self._most_sources = look_ahead_samples, most_sources
         regularisation = Regularisation() if regularisation is None else regularisation
-        self._surface = PlayableSurface(bank, interpolation, self._read)
+        finer = FinerRows(bank) if interpolation == "kernel" else None
+        self._surface = PlayableSurface(bank, interpolation, self._read, finer)
         self._blocks = CrossfadedBlocks(
             BankRows(bank, regularisation),
             block_samples,
             self.frame_rate_hz,
             self._surface.nearest_nodes,
             independent=regularisation.independent,
+            finer=finer,
         )
         self.sufficient_samples = self._blocks.window_samples
         self._reach = self.sufficient_samples + block_samples
@@ -151,6 +154,7 @@ class LiveEngine:
         """Read rows beforehand, as many as fit into memory: about 1 ms each."""
         for row in range(min(self._positions, self._blocks.most_rows)):
             self._surface.try_admit(row)
+        self._blocks.load_finer()
 
     def move(self, name: str, at_mm: tuple[float, float], amplitude: float | None = None) -> None:
         """Take a position of a source, as it is now; a name that does not sound begins to.
@@ -256,6 +260,11 @@ class LiveEngine:
                 at_mm = (float(place_mm[0]), float(place_mm[1]))
                 states.append(SourceState(name, at_mm, float(amplitude), fading=fading, dropped=False))
         return tuple(states)
+
+    @property
+    def energy_bounded(self) -> bool:
+        """Whether independent sources are so near to one another that their energy is bounded: they are less quiet."""
+        return self._blocks.bounded
 
     def late_sources(self) -> list[str]:
         """Names of sources that fade since no position came in time."""

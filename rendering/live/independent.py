@@ -26,6 +26,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefocus.rendering.arrays import BoolArray
+
 Complex64Array = NDArray[np.complex64]
 
 QUIET_DB = -40.0
@@ -41,7 +43,7 @@ def independent_filters(
     *,
     quiet_db: float = QUIET_DB,
     max_energy: float = MAX_ENERGY,
-) -> Complex64Array:
+) -> tuple[Complex64Array, BoolArray]:
     """Filters of sources, each quiet at the others' places.
 
     green, complex64 (bins, places, actuators): Green's functions of all places, none twice.
@@ -50,7 +52,7 @@ def independent_filters(
     quiet_db: 1 / mu, over the mean of |h|^2.
     max_energy: E, >= 1.
 
-    Returns complex64 (bins, sources, actuators).
+    Returns complex64 (bins, sources, actuators), and whether E acts, bool (bins, sources).
     """
     conjugate = green.conj()
     gram = green @ conjugate.transpose(0, 2, 1)
@@ -76,7 +78,7 @@ def independent_filters(
         changed = np.square(np.abs(change)).sum(axis=2, dtype=np.float64)
         along = (plain.conj() * change).real.sum(axis=2, dtype=np.float64)
         part = (np.sqrt(along**2 + (max_energy - 1.0) * power * changed) - along) / changed
-    return np.asarray(plain + change * np.fmin(part, 1.0)[..., None], dtype=np.complex64)
+    return np.asarray(plain + change * np.fmin(part, 1.0)[..., None], dtype=np.complex64), part < 1.0
 
 
 def _taken(answer: Complex64Array, inverse: Complex64Array, own: list[int], floor: float) -> Complex64Array:

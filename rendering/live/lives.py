@@ -301,7 +301,7 @@ def runs_of(lives: Sequence[Life], nodes_at: Callable[[Float64Array], Nodes], fi
         offset = np.arange(1, len(which) + 1) - np.repeat(np.cumsum(between) - between, between)
         added = nodes_at(places(number[which], time[which] + offset))
         time, number = np.concatenate([time, time[which] + offset]), np.concatenate([number, number[which]])
-        order = np.lexsort((time, number))
+        order = np.argsort(number * span + time, kind="stable")
         time, number = time[order], number[order]
         seen = [
             np.concatenate(both)[order] for both in zip(seen, (added.rows, added.weights, added.nearest), strict=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from wavefocus.rendering.greens.interpolation.base import (
     show_mm,
 )
 from wavefocus.rendering.greens.source import GreenSource, usable
+from wavefocus.rendering.live.finer import FinerRows
 from wavefocus.storage.errors import InputError
 
 HULL_LOOKS, MAX_HULL_LOOKS = 3.0, 1e6
@@ -25,7 +27,7 @@ HULL_LOOKS, MAX_HULL_LOOKS = 3.0, 1e6
 class PlayableSurface:
     """Places of a bank from which the interpolation can be made; a row is read when a place first needs it.
 
-    interpolation: "nearest" or "bilinear".
+    interpolation: "nearest", "bilinear" or "kernel": the nearest of `finer` rows then.
     read: Reads a row. Raises InputError where it may not be used.
 
     Raises InputError: the bank does not allow the interpolation, or no position was measured.
@@ -35,12 +37,15 @@ class PlayableSurface:
     y_mm: tuple[float, float]
     """Bounding box of the positions that may be used."""
 
-    def __init__(self, bank: GreenSource, interpolation: str, read: Callable[[int], None]) -> None:
-        method = interpolation_method(interpolation)
+    def __init__(
+        self, bank: GreenSource, interpolation: str, read: Callable[[int], None], finer: FinerRows | None = None
+    ) -> None:
+        self._finer = finer
+        method = interpolation_method(interpolation if finer is None else "nearest")
         if not issubclass(method, GridInterpolation):
             raise InputError(
-                f"interpolation is {interpolation!r}, which prepares a path beforehand; live sources need 'nearest'"
-                " or 'bilinear'"
+                f"interpolation is {interpolation!r}, which prepares a path beforehand; live sources need 'nearest',"
+                " 'bilinear' or 'kernel'"
             )
         if reason := getattr(bank, "import_facts", {}).get("unsuited", {}).get(interpolation):
             raise InputError(f"interpolation is {interpolation!r}, and the bank was imported: {reason}; use 'nearest'")
@@ -115,7 +120,7 @@ class PlayableSurface:
         return samples
 
     def nodes(self, at_mm: Float64Array) -> Nodes:
-        """Rows and weights of places (n, 2).
+        """Rows of the bank and weights of places (n, 2).
 
         Raises OffGridError: its `point` is the first place that cannot be rendered from.
         """
@@ -141,13 +146,14 @@ class PlayableSurface:
         raise beyond
 
     def nearest_nodes(self, at_mm: Float64Array) -> Nodes:
-        """Rows and weights of places (n, 2); of one off the surface those of the nearest position that may be used.
+        """Rows, finer ones too, and weights of places (n, 2); off the surface those of the nearest usable position.
 
         A predicted way is looked at every few millimetres: between two looks it may cut a corner.
         """
         while True:
             try:
-                return self.nodes(at_mm)
+                nodes = self.nodes(at_mm)
+                return nodes if self._finer is None else replace(nodes, rows=self._finer.nearest(at_mm)[:, None])
             except OffGridError as off:
                 position_mm = self._method.grid.position_mm[self._usable]
                 nearest = np.square(position_mm - at_mm[off.point]).sum(axis=1).argmin()

@@ -7,8 +7,10 @@ import pytest
 
 from tests.unit.plate_banks import RATE_HZ, TAPS, plate_bank
 from wavefocus.config.scene import Regularisation
+from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.live.engine import LiveEngine
+from wavefocus.rendering.live.finer import FinerRows
 from wavefocus.rendering.live.independent import MAX_ENERGY, independent_filters
 from wavefocus.rendering.scene.signals import Noise
 
@@ -32,7 +34,8 @@ def test_filters_are_the_least_change_of_time_reversal_and_level_under_its_respo
     green, own = rows_of(5, 6, 9), [[0, 3], [1], [2, 4, 5]]
     sigma = np.random.default_rng(1).uniform(0.2, 1.0, (3, 9)).astype(np.float32)
     plain = green[:, :3].conj() * sigma
-    filters = independent_filters(green, own, plain, quiet_db=-20.0, max_energy=1e6)
+    filters, bounded = independent_filters(green, own, plain, quiet_db=-20.0, max_energy=1e6)
+    assert not bounded.any()
     floor = 0.01 * np.square(np.abs(green)).sum(axis=2).mean()
     for bin_, rows in enumerate(green.astype(np.complex128)):
         for source, mine in enumerate(own):
@@ -50,7 +53,7 @@ def test_given_places_that_cannot_be_told_apart_then_the_response_stays_and_the_
     green[:, 1] = green[:, 0] * (1.0 + 1e-4)
     green[:, 2] = green[:, 0]
     green[7:9] = 0.0
-    filters = independent_filters(green, [[place] for place in range(24)], green.conj())
+    filters, _ = independent_filters(green, [[place] for place in range(24)], green.conj())
     assert np.isfinite(filters).all()
     assert not filters[7:9].any()
     loud = np.delete(np.arange(40), [7, 8])
@@ -125,6 +128,41 @@ def test_given_fingers_too_near_to_one_another_then_they_sound_within_the_energy
     assert np.isfinite(quiet).all()
     assert np.square(quiet).sum() < 1.2 * MAX_ENERGY * np.square(plain).sum()
     assert np.abs(quiet[:, -5 * BLOCK :]).max() > 0.0
+
+
+def test_given_fingers_that_come_near_and_part_then_the_engine_says_while_their_energy_is_bounded():
+    engine = LiveEngine(
+        BANK, block_samples=BLOCK, look_ahead_samples=0, signal=SIGNAL, regularisation=Regularisation(independent=True)
+    )
+    bounded = []
+    for block in range(90):
+        engine.move("finger", (3.0, 3.0))
+        for other in range(3):
+            engine.move(f"{other}", (7.0 + 4.0 * other, 3.0) if 20 <= block < 40 else FINGERS_MM[other + 1], 0.0)
+        engine.next_block()
+        bounded.append(engine.energy_bounded)
+    assert any(bounded[20:45])
+    assert not bounded[15]
+    assert not bounded[-1]
+
+
+def test_finer_rows_are_those_of_kernel_interpolation():
+    kernel, finer = KernelInterpolation(BANK, BANK.position_mm), FinerRows(BANK)
+    samples, bins = 4 * TAPS, 60
+
+    def filters_of(row: int) -> np.ndarray:
+        return np.fft.rfft(rows.green(row), samples)[:, :bins].conj()
+
+    rows = kernel.rows
+    bin_hz = np.arange(bins) * RATE_HZ / samples
+    found = finer.filters(filters_of, bin_hz)
+    assert found.shape[0] == finer.count > 0
+    places_mm = finer._grid.position_mm[BANK.positions :][:: finer.count // 8]
+    band = (bin_hz > BANK.band_hz[0]) & (bin_hz < BANK.band_hz[1]) if BANK.band_hz else bin_hz > 50.0
+    for place_mm in places_mm:
+        mine = found[int(finer.nearest(place_mm[None])[0]) - BANK.positions][:, band]
+        reference = filters_of(int(kernel.add(place_mm[None])[0]))[:, band]
+        assert np.linalg.norm(mine - reference) < 0.02 * np.linalg.norm(reference)
 
 
 def test_given_a_finger_alone_or_two_that_jump_onto_one_place_then_the_drives_are_those_of_time_reversal():

@@ -43,7 +43,8 @@ class LiveOptions:
     gain_db: On the amplitudes of all orders.
     duration_s: The session ends by itself after so long.
     record: Folder in which the session is recorded as a scene.
-    independent: Each source is quiet where the others are, also where the scene does not say so.
+    independent: Each source is quiet where the others are, also where the scene does not say so; without a scene on
+        places finer than the bank's, by kernel interpolation, where the bank allows it.
     """
 
     scene_file: Path | None = None
@@ -86,13 +87,13 @@ def open_session(
 
         interface = interface_of(rig)
 
-        def engine_and_output() -> tuple[LiveEngine, LiveOutput]:
+        def engine_and_output(interpolation: str) -> tuple[LiveEngine, LiveOutput]:
             engine = LiveEngine(
                 view,
                 block_samples=max(1, round(options.block_ms * rate_hz / 1e3)),
                 look_ahead_samples=round(options.look_ahead_ms * rate_hz / 1e3),
                 regularisation=regularisation,
-                interpolation=output.interpolation,
+                interpolation=interpolation,
                 signal=signal,
                 record=options.record is not None,
                 frame_rate_hz=interface.rate_hz,
@@ -100,16 +101,23 @@ def open_session(
             return engine, LiveOutput(interface, stricter(output, rig.player))
 
         with naming(options.scene_file or bank, view):
-            _warm_up(*engine_and_output(), view)
-            engine, frames = engine_and_output()
+            # Finer rows take seconds, and warm nothing up.
+            warm = "nearest" if output.interpolation == "kernel" else output.interpolation
+            _warm_up(*engine_and_output(warm), view)
+            finest = "kernel" if options.independent and options.scene_file is None else output.interpolation
+            try:
+                engine, frames = engine_and_output(finest)
+            except InputError:
+                if finest == output.interpolation:
+                    raise
+                finest = output.interpolation  # the grid does not allow the kernel
+                engine, frames = engine_and_output(finest)
         with progress("reading the bank", 1):
             engine.preload()
         recording = None
         if options.record is not None:
             recording = opened.enter_context(
-                SessionRecording(
-                    options.record, rate_hz=rate_hz, regularisation=regularisation, interpolation=output.interpolation
-                )
+                SessionRecording(options.record, rate_hz=rate_hz, regularisation=regularisation, interpolation=finest)
             )
         on_loaded()
         player, _ = opened.enter_context(open_player(rig, realtime=True))

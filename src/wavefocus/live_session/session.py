@@ -85,6 +85,7 @@ class LiveSession:
         self._recording, self._record_failed = recording, False
         self._gain, self._amplitudes = gain, dict[str, float]()
         self._late: set[str] = set()
+        self._bounded = False
         self._sounding_sources = 0  # of the last report
 
     @property
@@ -207,6 +208,13 @@ class LiveSession:
             if name not in self._late:
                 self._late.add(name)
                 self._notice("late", f"source {name}: its positions stopped coming; it fades")
+        if self.engine.energy_bounded and not self._bounded:
+            self._notice(
+                "bounded",
+                "sources are too near to one another to be as quiet as asked for: that would take more than ten times"
+                " the energy",
+            )
+        self._bounded = self.engine.energy_bounded
         change = self._pace.add(computed_s, waiting_s, self._sounding_sources)
         if change:
             self._limit_sources(change)
