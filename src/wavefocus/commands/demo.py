@@ -113,7 +113,7 @@ def demo(
     )
     watch.time(
         "Play it on the rig, scan it, compare",
-        lambda: outcome.append(_verify(scene, bank, out / "verify", 1 if quick else SCANNED_EVERY)),
+        lambda: outcome.append(_verify(scene, bank, out / "verify", 1 if quick or coarse else SCANNED_EVERY)),
     )
     _print_result(watch, report)
     return max(outcome)
