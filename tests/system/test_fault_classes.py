@@ -29,9 +29,9 @@ def tool() -> ModuleType:
 def test_given_a_fault_in_one_record_of_half_the_positions_then_none_ends_wrong_and_valid(
     tool: ModuleType, tmp_path: Path, schedule: str, kind: str, level_db: float
 ) -> None:
-    plate = tool.Plate(tmp_path, columns=3, rows=2, faulty=3)
+    plate = tool.CoarsePlate(tmp_path, columns=3, rows=2, faulty=3)
     for always in (False, True):
-        found = plate.outcome(tool.Case(kind, level_db, schedule, always))
+        found = plate.outcome(tool.FaultCase(kind, level_db, schedule, always))
         assert (found.faulty, found.wrong, found.alarms) == (3, 0, 0)
         assert found.valid == (0 if always else 3)
 
@@ -39,13 +39,13 @@ def test_given_a_fault_in_one_record_of_half_the_positions_then_none_ends_wrong_
 def test_given_another_level_in_one_record_of_some_positions_then_neighbours_show_it_and_a_repeat_or_the_status_says_so(
     tool: ModuleType, tmp_path: Path
 ) -> None:
-    plate = tool.Plate(tmp_path, columns=5, rows=5, faulty=4)
-    once = plate.outcome(tool.Case("drift", -3.0, "sequential", always=False))
+    plate = tool.CoarsePlate(tmp_path, columns=5, rows=5, faulty=4)
+    once = plate.outcome(tool.FaultCase("drift", -3.0, "sequential", always=False))
     assert (once.faulty, once.valid, once.wrong, once.alarms) == (4, 4, 0, 0)
     bank = tmp_path / "plate.h5"
     before = bank.read_bytes()
     assert tool.run(["resume", str(bank)]) == 0
     assert bank.read_bytes() == before
     assert tool.run(["check", str(bank)]) == 0
-    always = plate.outcome(tool.Case("drift", -3.0, "sequential", always=True))
+    always = plate.outcome(tool.FaultCase("drift", -3.0, "sequential", always=True))
     assert (always.valid, always.wrong, always.alarms) == (0, 0, 0)
