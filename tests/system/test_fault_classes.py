@@ -6,6 +6,7 @@ import importlib.util
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -24,14 +25,19 @@ def tool() -> ModuleType:
     return module
 
 
+@pytest.fixture(scope="module")
+def small_plate(tool: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """Six positions, whose truth and undisturbed measurements are made once."""
+    return tool.CoarsePlate(tmp_path_factory.mktemp("plate"), columns=3, rows=2, faulty=3)
+
+
 @pytest.mark.parametrize("schedule", SCHEDULES)
 @pytest.mark.parametrize(("kind", "level_db"), [("faint_reference", -0.3), ("faint_reference", 6.0), ("dark", 0.0)])
 def test_given_a_fault_in_one_record_of_half_the_positions_then_none_ends_wrong_and_valid(
-    tool: ModuleType, tmp_path: Path, schedule: str, kind: str, level_db: float
+    tool: ModuleType, small_plate: Any, schedule: str, kind: str, level_db: float
 ) -> None:
-    plate = tool.CoarsePlate(tmp_path, columns=3, rows=2, faulty=3)
     for always in (False, True):
-        found = plate.outcome(tool.FaultCase(kind, level_db, schedule, always))
+        found = small_plate.outcome(tool.FaultCase(kind, level_db, schedule, always))
         assert (found.faulty, found.wrong, found.alarms) == (3, 0, 0)
         assert found.valid == (0 if always else 3)
 
