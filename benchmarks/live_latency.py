@@ -7,7 +7,8 @@ message has that of all positions at the 99.9th percentile.
 
 The time of a block is the processor time of orders, block and limiter, without a player. The level of independent
 sources is the energy of the response where a source of amplitude 0 is over that where one sounds, the largest of three,
-all four moving: at the measured position nearest to each, and at its true place between them, on the plate itself.
+all four moving: at the measured position nearest to each, and at its true place between them, on the plate itself, for
+which the mark is.
 """
 
 from __future__ import annotations
@@ -110,7 +111,8 @@ def _places_mm(time_s: float, sources: int, radius_mm: float = RADIUS_MM) -> lis
 def _engine(bank: Bank, *, independent: bool, frame_rate_hz: float | None = None, **options: Any) -> LiveEngine:
     engine = LiveEngine(
         bank, block_samples=round(BLOCK_S * RATE_HZ), look_ahead_samples=round(LOOK_AHEAD_S * RATE_HZ),
-        frame_rate_hz=frame_rate_hz, regularisation=Regularisation(independent=independent), **options,
+        frame_rate_hz=frame_rate_hz, regularisation=Regularisation(independent=independent),
+        interpolation="kernel" if independent else "nearest", **options,
     )  # fmt: skip
     engine.preload()
     return engine
@@ -158,7 +160,7 @@ def _level(bank: Bank, radius_mm: float) -> Entry:
     return Entry(
         work="response at sources of amplitude 0, of four at 100 mm/s", method="live, independent",
         parameters={"radius_mm": radius_mm}, figures={"measured_db": levels_db[0], "true_place_db": levels_db[1]},
-        marks=(Mark("measured_db", -25.0, at_most=True),),
+        marks=(Mark("true_place_db", -25.0, at_most=True),),
     )  # fmt: skip
 
 

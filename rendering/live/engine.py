@@ -155,6 +155,7 @@ class LiveEngine:
         for row in range(min(self._positions, self._blocks.most_rows)):
             self._surface.try_admit(row)
         self._blocks.load_finer()
+        self._surface.holds()
 
     def move(self, name: str, at_mm: tuple[float, float], amplitude: float | None = None) -> None:
         """Take a position of a source, as it is now; a name that does not sound begins to.

@@ -71,7 +71,7 @@ class PlayableSurface:
             return False
         if self._edges is None:
             self._edges = self._convex_edges()
-        return bool((self._edges @ np.array([(*place, 1.0) for place in places_mm]).T <= 0.0).all())
+        return not places_mm or bool((self._edges @ np.array([(*place, 1.0) for place in places_mm]).T <= 0.0).all())
 
     def _convex_edges(self) -> Float64Array:
         """Edges (n, 3) of the positions' convex hull, a x + b y + c <= 0; impossible ones where the hull has holes."""
