@@ -333,3 +333,20 @@ def test_given_the_band_of_a_bank_then_bins_beyond_are_left_out_and_the_record_r
     assert len(lives) == 1
     assert made["band bins"] < 0.8 * made["whole bins"]
     assert np.linalg.norm(made["band"] - made["whole"]) < 1e-4 * np.linalg.norm(made["whole"])
+
+
+@pytest.mark.parametrize("hold_s", [0.25, 0.03])
+def test_given_a_finger_that_rests_then_its_positions_change_nothing_and_blocks_are_not_computed_anew(hold_s):
+    drives = []
+    for twice in (False, True):
+        engine = engine_of(hold_s=hold_s, look_ahead=SUFFICIENT)
+
+        def order(block: int, engine: LiveEngine = engine, twice: bool = twice) -> None:
+            engine.move("finger", (4.0, -8.0))
+            if twice:  # another amplitude in between is a change: everything is computed anew
+                engine.move("finger", (4.0, -8.0), 2.0)
+                engine.move("finger", (4.0, -8.0), 1.0)
+
+        drives.append(run(engine, 60, order)[0])
+    assert np.abs(drives[0][:, -BLOCK:]).max() > 0.0
+    np.testing.assert_allclose(drives[0], drives[1], rtol=0, atol=SINGLE * np.abs(drives[1]).max())
