@@ -228,8 +228,12 @@ class LivePanel(Themed, QWidget):
         ready = self._document.bank is not None and bool(self._rig())
         self.start.setEnabled(state == IDLE and ready and self.isVisible())
         self.stop.setEnabled(state in (STARTING, LIVE))
-        for part in (self.look_ahead, self.independent, self.records):
+        for part in (self.look_ahead, self.records):
             part.setEnabled(state == IDLE)
+        asked = self._document.draft.regularisation.independent  # by the scene, whatever the box says
+        self.independent.setEnabled(state == IDLE and not asked)
+        if asked:
+            self.independent.setChecked(True)
         self.folder.setEnabled(state == IDLE and self.records.isChecked())
         if state == STARTING:
             self.notices.clear()

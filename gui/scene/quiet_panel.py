@@ -42,8 +42,9 @@ class QuietPanel(Themed, QWidget):
         header, numbers = self.table.horizontalHeader(), self.table.verticalHeader()
         assert header is not None
         assert numbers is not None
-        header.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
-        header.setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
+        # Neither titles nor numbers are cut off; where the panel is too narrow for them, it scrolls.
+        header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        header.setStretchLastSection(True)
         for column, about in enumerate(_TIPS):
             if (title := self.table.horizontalHeaderItem(column)) is not None:
                 title.setToolTip(about)
@@ -72,7 +73,6 @@ class QuietPanel(Themed, QWidget):
             name = f"quiet[{row}]"
             reached = self._levels.get(name)
             point = place.at_mm
-            kind = place.path.kind if place.path else ""
             kind = place.path.kind if place.path else ""
             where = ("path", kind) if point is None else (f"{point[0]:.6g}", f"{point[1]:.6g}")
             found = "—" if reached is None else reached.text

@@ -13,6 +13,7 @@ from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import NO_KEY, Opens, line_scene, mouse, pixel, press, shown_tab, wait
 from wavefocus.config.messages.live import LiveReady, LiveState
+from wavefocus.gui.scene.draft import changed
 from wavefocus.gui.scene.exports import IDLE
 from wavefocus.gui.scene.live_panel import figures_of
 from wavefocus.gui.scene.live_run import LIVE
@@ -168,6 +169,17 @@ def test_given_a_source_that_sounds_then_leaving_the_page_or_closing_the_window_
     assert pid is not None
     _, status = os.waitpid(pid, 0)  # the window does not wait for it; it ends by itself, muted
     assert os.waitstatus_to_exitcode(status) == 0
+
+
+def test_given_a_scene_of_independent_sources_then_the_live_page_says_that_they_are(
+    qtbot: QtBot, open_window: Opens, finished: Path
+) -> None:
+    tab = live_page(qtbot, open_window(), finished)
+    assert not tab.live_panel.independent.isChecked()
+    draft = tab.document.draft
+    tab.document.edit("independent", changed(draft, regularisation=changed(draft.regularisation, independent=True)))
+    assert tab.live_panel.independent.isChecked()
+    assert not tab.live_panel.independent.isEnabled()
 
 
 def test_given_a_rig_of_other_actuators_then_one_sentence_says_so_and_nothing_sounds(
