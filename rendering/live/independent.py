@@ -22,6 +22,7 @@ allows: the response at the own place stays what it is.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,13 +65,15 @@ def independent_filters(
     for source, mine in enumerate(own):
         loud[:, list(mine), source] = 0.0
     answers = inverse @ loud
-    taken = [
-        _taken(answers[:, :, source], inverse, list(dict.fromkeys(mine)), floor) for source, mine in enumerate(own)
-    ]
-    change = -(np.stack(taken, axis=1) @ conjugate)
+    at, of_own = [mine[0] for mine in own], inverse[:, :, [mine[0] for mine in own]]
+    for source, mine in enumerate(own):
+        if len(others := list(dict.fromkeys(mine))) > 1:
+            answers[:, :, source], of_own[:, :, source] = _eliminated(answers[:, :, source], inverse, others)
+    sources = np.arange(len(own))
+    share = floor * answers[:, at, sources] / np.maximum(1.0 - floor * of_own[:, at, sources].real, 1e-6)
+    change = -((answers + of_own * share[:, None]).transpose(0, 2, 1) @ conjugate)
     with np.errstate(divide="ignore", invalid="ignore"):
         # To the last digit, also where places can hardly be told apart.
-        at = [mine[0] for mine in own]
         heard = (green[:, at] * change).sum(axis=2) / np.square(np.abs(green[:, at])).sum(axis=2)
         change -= conjugate[:, at] * np.nan_to_num(heard, posinf=0.0, neginf=0.0)[..., None]
         # The part of the change with which the energy is E times that of time reversal.
@@ -81,8 +84,8 @@ def independent_filters(
     return np.asarray(plain + change * np.fmin(part, 1.0)[..., None], dtype=np.complex64), part < 1.0
 
 
-def _taken(answer: Complex64Array, inverse: Complex64Array, own: list[int], floor: float) -> Complex64Array:
-    """The vector y of one source, (bins, places), 0 in the rows of its other own places.
+def _eliminated(answer: Complex64Array, inverse: Complex64Array, own: list[int]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The inverse times b and times e_h for one source, (bins, places), 0 in the rows of its other own places.
 
     answer: The inverse times b.
     """
@@ -92,6 +95,4 @@ def _taken(answer: Complex64Array, inverse: Complex64Array, own: list[int], floo
         pivot = columns[:, place, index]
         for other in (0, 1, *range(index + 1, columns.shape[2])):
             columns[:, :, other] -= columns[:, :, index] * (columns[:, place, other] / pivot)[:, None]
-    known, of_own = columns[:, :, 0], columns[:, :, 1]
-    share = floor * known[:, own[0]] / np.maximum(1.0 - floor * of_own[:, own[0]].real, 1e-6)
-    return np.asarray(known + of_own * share[:, None], dtype=np.complex64)
+    return columns[:, :, 0], columns[:, :, 1]
