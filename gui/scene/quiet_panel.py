@@ -16,7 +16,7 @@ from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.scene.draft import changed
 from wavefocus.gui.theme import Themed
 
-_TITLES = ("", "x", "y", "radius", "level", "reached")
+_TITLES = ("", "x", "y", "disc", "level", "reached")
 _TIPS = (
     "Number, as in files", "x in mm", "y in mm", "Radius of a disc in mm; 0: a point",
     "Level asked for, in dB: energy of the response there over that at the loudest focus",
@@ -42,9 +42,9 @@ class QuietPanel(Themed, QWidget):
         header, numbers = self.table.horizontalHeader(), self.table.verticalHeader()
         assert header is not None
         assert numbers is not None
-        # Neither titles nor numbers are cut off; where the panel is too narrow for them, it scrolls.
+        # No title and no number is cut off; where the panel is too narrow, what was asked for scrolls out, not what is.
         header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
-        header.setStretchLastSection(True)
+        header.moveSection(_REACHED, 1)
         for column, about in enumerate(_TIPS):
             if (title := self.table.horizontalHeaderItem(column)) is not None:
                 title.setToolTip(about)
