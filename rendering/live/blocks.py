@@ -117,6 +117,11 @@ class CrossfadedBlocks:
         self._hat = max(1, round(HAT_S * rate_hz))
         self.most_rows = max(1, CACHE_BYTES // (8 * self._bins * bank.actuators))
         """Rows whose spectra are kept in memory."""
+        if finer is not None and finer.count > self.most_rows:
+            raise InputError(
+                f"interpolation is 'kernel', and {finer.count} rows between the positions do not fit into"
+                f" {CACHE_BYTES / 2**30:g} GiB; use 'nearest'"
+            )
         self._row_filter = lru_cache(self.most_rows)(self._make_row_filter)
         self._filters = lru_cache(MAX_INSTANTS)(self._make_filters)
         self._gain = lru_cache(None)(self._make_gain)

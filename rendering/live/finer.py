@@ -39,7 +39,7 @@ class FinerRows:
         position_mm = np.asarray(bank.position_mm, dtype=np.float64)
         lattice, rate_hz = PositionGrid(position_mm).lattice, float(bank.sample_rate_hz)
         if lattice is None:
-            raise InputError("the bank's positions are not on a lattice")
+            raise InputError("interpolation is 'kernel', and the positions are not on a lattice; use 'nearest'")
         self._kernel = KernelInterpolation(bank, position_mm[usable(bank)])
         self._rate_hz = rate_hz
         parts = [max(1, int(np.ceil(pitch / PITCH_MM - 1e-6))) for pitch in lattice.pitch_mm]
@@ -58,7 +58,8 @@ class FinerRows:
                 patches[row] = patch
         shared = Counter(patch.key for patch in patches.values())
         self._patches = sorted(
-            (patch for patch in patches.values() if shared[patch.key] >= MIN_SHARED), key=lambda patch: patch.key
+            (patch for patch in patches.values() if len(self._offset_mm) and shared[patch.key] >= MIN_SHARED),
+            key=lambda patch: patch.key,
         )
         anchors = np.array([patch.rows[0] for patch in self._patches], dtype=np.int64)
         between_mm = (position_mm[anchors][:, None] + self._offset_mm).reshape(-1, 2)

@@ -13,6 +13,7 @@ from wavefocus.rendering.live.engine import LiveEngine
 from wavefocus.rendering.live.finer import FinerRows
 from wavefocus.rendering.live.independent import MAX_ENERGY, independent_filters
 from wavefocus.rendering.scene.signals import Noise
+from wavefocus.storage.errors import InputError
 
 BANK = plate_bank()
 BLOCK = 10
@@ -163,6 +164,18 @@ def test_finer_rows_are_those_of_kernel_interpolation():
         mine = found[int(finer.nearest(place_mm[None])[0]) - BANK.positions][:, band]
         reference = filters_of(int(kernel.add(place_mm[None])[0]))[:, band]
         assert np.linalg.norm(mine - reference) < 0.02 * np.linalg.norm(reference)
+
+
+@pytest.mark.parametrize(
+    "position_mm",
+    [np.random.default_rng(0).uniform(0.0, 40.0, (60, 2)), [(4.0 * x, 0.0) for x in range(20)], [(0.0, 0.0)]],
+    ids=["irregular", "a line", "one"],
+)
+def test_given_a_grid_without_finer_rows_then_kernel_is_refused_by_name(position_mm):
+    green = np.random.default_rng(1).standard_normal((len(position_mm), 3, 100))
+    bank = GreenArray(green, np.array(position_mm), 2000.0, band_hz=(20.0, 400.0))
+    with pytest.raises(InputError, match="'kernel'"):
+        LiveEngine(bank, block_samples=BLOCK, look_ahead_samples=0, interpolation="kernel")
 
 
 def test_given_a_finger_alone_or_two_that_jump_onto_one_place_then_the_drives_are_those_of_time_reversal():
