@@ -178,6 +178,8 @@ PRESSURE_SHARE = 0.5
 """Pressure over shear wave number of a solid, where the search starts."""
 ELASTIC_SPEEDS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5)
 """Speeds of shear waves over that of the scalar waves, from which the search starts."""
+MAX_LOSS = 0.5
+"""Im k over |k| at the highest frequency: what fades faster is no wave, and explains a few positions by chance."""
 SCANNED_LOSS = 0.25
 """Loss b of the first scan over w0: waves that fade a little, as all do."""
 
@@ -206,6 +208,8 @@ def dispersion_of_own_waves(
 
     def left(vector: Float64Array) -> float:
         wavenumber = Dispersion.of_vector(vector[:4], middle_hz).wavenumber(frequency_hz)
+        if not abs(wavenumber[-1].imag) <= MAX_LOSS * abs(wavenumber[-1]):
+            return 1.0
         explained = 0.0
         share = float(np.clip(vector[4], 0.02, 1.0)) if pressure_share else 0.0
         for k, value, scale in zip(wavenumber, values, weight, strict=True):
