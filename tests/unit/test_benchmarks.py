@@ -94,8 +94,8 @@ def test_a_work_of_three_errors_is_a_diagram_on_a_page_that_needs_no_other_file(
 
 def test_coarse_grids_are_drawn_against_capture_time_and_the_largest_spacing_is_told(tmp_path: Path) -> None:
     sizes = {
-        "soft": {8.0: (372, 0.01), 10.0: (246, 0.02), 20.0: (64, 0.06), 30.0: (28, 0.04)},
-        "thin": {10.0: (286, 0)},
+        "solid": {8.0: (372, 0.01), 10.0: (246, 0.02), 14.0: (124, 0.06), 20.0: (64, 0.04)},
+        "thin": {10.0: (286, 0.0)},
     }
     points = [
         Entry(
@@ -107,12 +107,12 @@ def test_coarse_grids_are_drawn_against_capture_time_and_the_largest_spacing_is_
         for other, method in enumerate(("waves", "kernel"))
     ]  # fmt: skip
     drawn = coarse_grids.against_time(points)
-    soft = [one.row for one in drawn if one.work.startswith("soft:") and one.method == "waves"]
-    assert [one["spacing_mm"] for one in soft] == [8.0, 10.0, 20.0, 30.0]
-    assert np.all(np.diff([one["hours"] for one in soft]) < 0)
+    solid = [one.row for one in drawn if one.work.startswith("solid:") and one.method == "waves"]
+    assert [one["spacing_mm"] for one in solid] == [8.0, 10.0, 14.0, 20.0]
+    assert np.all(np.diff([one["hours"] for one in solid]) < 0)
     # The 384 positions at 8 mm take 34 minutes.
-    assert 0.5 < soft[0]["hours"] < 0.6
+    assert 0.5 < solid[0]["hours"] < 0.6
     # An error that happens to be small beyond a larger one does not count.
-    assert "soft 10 mm (the next is above it)" in coarse_grids.largest_spacings(drawn)
+    assert "solid 10 mm (the next is above it)" in coarse_grids.largest_spacings(drawn)
     assert "thin 10 mm (the largest measured)" in coarse_grids.largest_spacings(drawn)
-    assert [one.partition(":")[0] for one in draw_diagrams(Findings(drawn), tmp_path, "coarse")] == ["soft"]
+    assert [one.partition(":")[0] for one in draw_diagrams(Findings(drawn), tmp_path, "coarse")] == ["solid"]
