@@ -16,6 +16,7 @@ from wavefocus.acquisition.plays import MEASURED
 from wavefocus.calibration import BoolArray, Float32Array, Int64Array
 from wavefocus.calibration.neighbour_difference import NeighbourDifference
 from wavefocus.calibration.neighbour_judge import NeighbourJudge, RowsAtFrequencies
+from wavefocus.storage.bank.layout import rows_off_grid
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.point_status import Status
 
@@ -187,8 +188,7 @@ class NeighbourWatch:
         )
         for number, row in enumerate(rows.tolist()):
             spectra.set(number, instead[row] if row in instead else self._bank.green(row))
-        # On a grid too coarse for a prediction, rows off it would be taken for near enough.
-        on_grid = ~np.isin(rows, header.check_rows)
+        on_grid = ~rows_off_grid(header.positions, header.check_rows, header.run_json)[rows]
         judge = NeighbourJudge(self._plan.position_mm[rows], self._plan.actuator_mm, spectra, on_grid)
         strong = self._strong(rows)
         found: dict[int, tuple[NeighbourDifference, ...]] = {}

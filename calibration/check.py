@@ -15,6 +15,7 @@ from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.crosstalk import REMEDY, crosstalk_of_bank
 from wavefocus.calibration.estimator.noise_error import bank_noise_error_db
 from wavefocus.calibration.neighbour_judge import NeighbourJudge, RowsAtFrequencies
+from wavefocus.storage.bank.layout import rows_off_grid
 from wavefocus.storage.bank.ledger import VALID
 from wavefocus.storage.bank.reading import Bank, CopiedRows, VerifiedRows, open_bank
 from wavefocus.storage.drive_file import FORMAT as DRIVE
@@ -274,8 +275,7 @@ def _check_levels(rms: Float64Array, *, certain: bool) -> Iterator[BankProblem]:
 
 def _check_neighbours(bank: Bank, spectra: RowsAtFrequencies, measured: BoolArray) -> Iterator[BankProblem]:
     """Check each row against what the rows of its neighbours predict of it."""
-    # On a grid too coarse for a prediction, rows off it would be taken for near enough.
-    measured = measured & ~bank.check
+    measured = measured & ~rows_off_grid(bank.positions, bank.check_rows, bank.run_json)
     verdict = NeighbourJudge(bank.position_mm, bank.actuator_mm, spectra, measured).find()
     for difference in verdict.differences:
         actuator = difference.actuators[0] if len(difference.actuators) == 1 else None

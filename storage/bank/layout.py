@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -292,3 +294,18 @@ def _read_header(file: h5py.File, path: Path) -> BankHeader:
                 hdf5_reading.number(file, "inter_channel_delay_s") if "inter_channel_delay_s" in file.attrs else None
             ),
         )
+
+
+def rows_off_grid(positions: int, check_rows: Sequence[int], run_json: str | None) -> NDArray[np.bool_]:
+    """Which positions (P,) are off the grid that was asked for: check positions, and those that a refinement has added.
+
+    On a grid too coarse for a prediction from neighbours, such rows would be taken for near enough.
+    """
+    off = np.isin(np.arange(positions), check_rows)
+    try:
+        regular = json.loads(run_json or "{}")["grid"]["regular_positions"]
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return off
+    if isinstance(regular, int):
+        off[max(regular, 0) :] = True
+    return off
