@@ -19,8 +19,8 @@ class Pace:
     """Chooses how many sources sound from the time that each block took.
 
     It steps down when less than 0.4 of what is to wait is left to be played and the latest blocks were slow on average:
-    the latest source is left out, then the one before it; one remains. It steps up when at least half of it was left
-    for 2 s; for twice as long after each relapse, up to a minute.
+    the latest source is left out, then the one before it; one remains. It steps up when at least as much was left for
+    2 s; for twice as long after each relapse, up to a minute.
 
     block_s: Time of a block. ahead_s: What is to wait to be played.
     """
@@ -40,7 +40,8 @@ class Pace:
         """
         self._latest.append(computed_s)
         self._since_faster_s += self._block_s
-        plenty = waiting_s >= self._ahead_s / 2
+        # Not half: blocks are paced so that about half waits, and it would be calm at no time.
+        plenty = waiting_s >= LEFT_SHARE * self._ahead_s
         self._filled |= plenty
         self._calm_s = self._calm_s + self._block_s if plenty else 0.0
         # Without the longest: one stall of the machine is not slow computing.
