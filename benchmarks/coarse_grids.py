@@ -62,7 +62,7 @@ EXACT = "exact stadium"
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class GridCase:
     """One plate, one grid, one noise of the bank in dB; marks of the median and the 90 % quantile at 450 Hz."""
 
     plate: str
@@ -76,31 +76,31 @@ class Case:
 
 
 CASES = (
-    Case("stadium, full reflection", 10.0, -60.0, (0.015, 0.035)),
-    Case("soft", 10.0, -60.0, (0.015, 0.035)),
-    Case("thin", 10.0, -60.0, (0.003, 0.01)),
-    Case("stadium, full reflection", 10.0, -40.0, (0.015, 0.035)),
-    Case("stadium, full reflection", 8.0),
-    Case("stadium, full reflection", 8.0, -40.0),
-    Case("stadium, rim_admittance 0.5", 10.0, -60.0, (0.015, 0.035)),
-    Case("stadium, rim_admittance 0.5", 10.0, -40.0, (0.015, 0.035)),
-    Case("stadium, rim_admittance 0.5", 8.0),
-    Case("soft", 10.0, -40.0, (0.015, 0.035)),
-    Case("soft", 8.0),
-    Case("solid", 8.0, -60.0, (0.03, 0.06)),
-    Case("stadium, full reflection", 14.0),
-    Case("stadium, full reflection", 20.0, -60.0, (0.03, 0.06)),
-    Case("stadium, full reflection", 4.0),
-    Case("stadium, full reflection", 4.0, -40.0),
-    Case("stadium, rim_admittance 0.5", 20.0),
-    Case("soft", 20.0),
-    Case(EXACT, 10.0),
-    Case(EXACT, 20.0),
-    Case("stadium, full reflection", 25.0),
-    Case("solid", 10.0),
-    Case("solid", 14.0),
-    Case("solid", 20.0),
-    Case("thin", 20.0),
+    GridCase("stadium, full reflection", 10.0, -60.0, (0.015, 0.035)),
+    GridCase("soft", 10.0, -60.0, (0.015, 0.035)),
+    GridCase("thin", 10.0, -60.0, (0.003, 0.01)),
+    GridCase("stadium, full reflection", 10.0, -40.0, (0.015, 0.035)),
+    GridCase("stadium, full reflection", 8.0),
+    GridCase("stadium, full reflection", 8.0, -40.0),
+    GridCase("stadium, rim_admittance 0.5", 10.0, -60.0, (0.015, 0.035)),
+    GridCase("stadium, rim_admittance 0.5", 10.0, -40.0, (0.015, 0.035)),
+    GridCase("stadium, rim_admittance 0.5", 8.0),
+    GridCase("soft", 10.0, -40.0, (0.015, 0.035)),
+    GridCase("soft", 8.0),
+    GridCase("solid", 8.0, -60.0, (0.03, 0.06)),
+    GridCase("stadium, full reflection", 14.0),
+    GridCase("stadium, full reflection", 20.0, -60.0, (0.03, 0.06)),
+    GridCase("stadium, full reflection", 4.0),
+    GridCase("stadium, full reflection", 4.0, -40.0),
+    GridCase("stadium, rim_admittance 0.5", 20.0),
+    GridCase("soft", 20.0),
+    GridCase(EXACT, 10.0),
+    GridCase(EXACT, 20.0),
+    GridCase("stadium, full reflection", 25.0),
+    GridCase("solid", 10.0),
+    GridCase("solid", 14.0),
+    GridCase("solid", 20.0),
+    GridCase("thin", 20.0),
 )
 DEFAULT_CASES = CASES[:3]
 
@@ -118,7 +118,7 @@ def run(out: Path | None = None, *, quick: bool = False, workers: int | None = N
 TRUTH = "the plate's true transfer functions at random places"
 
 
-def entries(cases: tuple[Case, ...], *, quick: bool = False, workers: int | None = None) -> list[Entry]:
+def entries(cases: tuple[GridCase, ...], *, quick: bool = False, workers: int | None = None) -> list[Entry]:
     """Lines of some cases."""
     workers = min(workers or os.cpu_count() or 1, len(cases))
     if workers == 1 or quick:
@@ -130,7 +130,7 @@ def entries(cases: tuple[Case, ...], *, quick: bool = False, workers: int | None
         return [line for index in range(len(cases)) for line in futures[index].result()]
 
 
-def lines_of(case: Case, *, quick: bool = False) -> list[Entry]:
+def lines_of(case: GridCase, *, quick: bool = False) -> list[Entry]:
     """Error of each method in one case."""
     hz = np.array(sorted({*FREQUENCIES_HZ, *(() if quick else OTHERS_HZ)}))
     shown = [int(np.flatnonzero(hz == one)[0]) for one in FREQUENCIES_HZ]
@@ -162,7 +162,7 @@ def lines_of(case: Case, *, quick: bool = False) -> list[Entry]:
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class MeasuredCase:
     """Positions, check positions and random places of one case, with transfer functions (frequencies, n, actuators)."""
 
     position_mm: Float64Array
@@ -176,8 +176,8 @@ class Measured:
 
 
 def _line(
-    case: Case,
-    measured: Measured,
+    case: GridCase,
+    measured: MeasuredCase,
     method: str,
     hz: float,
     values: Complex128Array,
@@ -302,7 +302,7 @@ def random_points(outline: Outline, count: int) -> Float64Array:
     return points[outline.contains(points, MARGIN_MM)][:count]
 
 
-def _plate_case(case: Case, hz: Float64Array) -> Measured:
+def _plate_case(case: GridCase, hz: Float64Array) -> MeasuredCase:
     rig = VirtualRig(VirtualSettings(**PLATES[case.plate]))
     outline = rig.settings.outline
     position_mm = surface_grid(outline, MARGIN_MM, case.spacing_mm)
@@ -311,7 +311,7 @@ def _plate_case(case: Case, hz: Float64Array) -> Measured:
     bank = true_bank(rig, np.vstack([position_mm, check_mm]), case.noise_db)
     both, truth = _transfer(bank.values, hz), _transfer(true_bank(rig, points_mm, None).values, hz)
     count = len(position_mm)
-    return Measured(
+    return MeasuredCase(
         position_mm, check_mm, points_mm, bank.actuator_mm, both[:, :count], both[:, count:], truth,
         GreenArray(bank.values[:count], position_mm, RATE_HZ, actuator_mm=bank.actuator_mm, band_hz=BAND_HZ),
     )  # fmt: skip
@@ -346,7 +346,7 @@ def _by_bank(
 RIDGES = (1e-6, 1e-4, 1e-2, 1e-1)
 
 
-def _j0_regression(measured: Measured, wavenumber: complex, transfer: Complex128Array) -> Complex128Array:
+def _j0_regression(measured: MeasuredCase, wavenumber: complex, transfer: Complex128Array) -> Complex128Array:
     """Ueno, Koyama and Saruwatari (2018), eqs. (12) to (17)."""
     k = wavenumber.real
     gaps = np.linalg.norm(measured.position_mm[:, None] - measured.position_mm, axis=2)
@@ -363,7 +363,7 @@ def _j0_regression(measured: Measured, wavenumber: complex, transfer: Complex128
 LAW = Dispersion(200.0, 4800.0, 420.0)
 
 
-def _exact_case(case: Case, hz: Float64Array) -> Measured:
+def _exact_case(case: GridCase, hz: Float64Array) -> MeasuredCase:
     settings = VirtualSettings()
     outline, actuator_mm = settings.outline, np.asarray(settings.actuator_mm, dtype=np.float64)
     position_mm = surface_grid(outline, MARGIN_MM, case.spacing_mm)
@@ -375,7 +375,7 @@ def _exact_case(case: Case, hz: Float64Array) -> Measured:
     rng = np.random.default_rng(1)
     noise = rng.standard_normal((*found[:, : count + CHECKS].shape, 2)).view(np.complex128)[..., 0] / np.sqrt(2.0)
     seen = found[:, : count + CHECKS] + 10.0 ** (case.noise_db / 20.0) * level * noise
-    return Measured(
+    return MeasuredCase(
         position_mm, check_mm, points_mm, actuator_mm, seen[:, :count], seen[:, count:], found[:, count + CHECKS :]
     )
 

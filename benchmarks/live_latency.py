@@ -62,7 +62,7 @@ BLOCK_S, INTERFACE_HZ, LOOK_AHEAD_S = 0.005, 48_000, 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class LatencyCase:
     """Sources at a time on a rig, and the latency wanted, in ms."""
 
     rig: str
@@ -76,8 +76,8 @@ class Case:
         return {"sources": self.sources, "independent": self.independent}
 
 
-TEN, INDEPENDENT = Case("virtual", 10, 20.0), Case("virtual", QUIET_SOURCES, 25.0, independent=True)
-ONE = (Case("virtual", 1, 20.0), Case("emulated", 1, 20.0))
+TEN, INDEPENDENT = LatencyCase("virtual", 10, 20.0), LatencyCase("virtual", QUIET_SOURCES, 25.0, independent=True)
+ONE = (LatencyCase("virtual", 1, 20.0), LatencyCase("emulated", 1, 20.0))
 
 
 def run(out: Path | None = None, *, quick: bool = False, seconds: float | None = None) -> Findings:
@@ -118,7 +118,7 @@ def _engine(bank: Bank, *, independent: bool, frame_rate_hz: float | None = None
     return engine
 
 
-def _time_of_blocks(bank: Bank, case: Case, seconds: float) -> Entry:
+def _time_of_blocks(bank: Bank, case: LatencyCase, seconds: float) -> Entry:
     engine = _engine(bank, independent=case.independent, frame_rate_hz=INTERFACE_HZ)
     limiter = LiveLimiter(DriveLimits(1.0), np.full(bank.actuators, 5.0), INTERFACE_HZ, INTERFACE_HZ // 400)
     every, taken_s = round(1.0 / POSITIONS_HZ / BLOCK_S), []
@@ -171,7 +171,7 @@ def _response(drive_v: Float64Array, green: NDArray[Any], now_s: float) -> Float
     return np.asarray(np.einsum("sit,it->s", windows, green, optimize=True))
 
 
-def _latency(bank: Path, folder: Path, case: Case, seconds: float) -> Entry:
+def _latency(bank: Path, folder: Path, case: LatencyCase, seconds: float) -> Entry:
     lab = folder / case.rig
     if not lab.exists():
         run_command("init", lab, "--rig", case.rig)
@@ -215,7 +215,7 @@ class LatencySession:
     memory_mb: list[float] = field(default_factory=list)
     ended: dict[str, Any] = field(default_factory=dict)
 
-    def play(self, case: Case, seconds: float) -> None:
+    def play(self, case: LatencyCase, seconds: float) -> None:
         """Move sources for so long, then end."""
         independent = ["--independent"] if case.independent else []
         arguments = ["live", self.bank, "--rig", self.rig_file, "--json", "--ahead-ms", self.ahead_ms, *independent]

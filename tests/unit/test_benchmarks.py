@@ -99,7 +99,7 @@ def test_coarse_grids_are_drawn_against_capture_time_and_the_largest_spacing_is_
     }
     points = [
         Entry(
-            work=coarse_grids.Case(plate, spacing_mm).work, method=method, error=10 * error if other else error,
+            work=coarse_grids.GridCase(plate, spacing_mm).work, method=method, error=10 * error if other else error,
             parameters={"frequency_hz": 450.0}, figures={"positions": positions},
         )
         for plate, cases in sizes.items()
