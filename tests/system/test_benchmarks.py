@@ -33,8 +33,11 @@ def test_the_cost_of_look_ahead_falls_to_nothing_where_it_is_sufficient(tmp_path
 
 
 def test_the_interpolation_benchmark_reaches_its_marks():
-    marked = [one for one in interpolation.run(quick=True).points if one.marks]
+    points = interpolation.run(quick=True).points
+    marked = [one for one in points if one.marks and one.method != "waves"]
     assert len(marked) == 4
+    # Twelve check positions know a quantile to some percent: the coverage of their bounds is told, not judged, here.
+    assert {one.method for one in points if one.marks} == {*(one.method for one in marked), "waves"}
     assert all(one.met for one in marked)
 
 

@@ -19,9 +19,13 @@ import pytest
 from tests.system.test_own_names import checked
 
 ASK = """
-import json, sys
+import json, sys, time
 from tiled.client import from_uri
-bank = from_uri(sys.argv[1])["plate"]
+catalogue = from_uri(sys.argv[1])
+until_s = time.monotonic() + 120
+while "plate" not in list(catalogue) and time.monotonic() < until_s:  # it is served before its files are registered
+    time.sleep(0.2)
+bank = catalogue["plate"]
 rows = bank["green"][2:4]
 data = bank.read(["position_mm", "snr_db"])
 print(json.dumps([rows.shape, float(rows[0, 1, 50]), data.position_mm.values.tolist(), data.attrs["response_unit"]]))
