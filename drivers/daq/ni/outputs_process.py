@@ -1,43 +1,25 @@
-"""Outputs of an NI device in a process of their own, which puts them to rest when the program is gone.
-
-NI-DAQmx can stay broken after a replug until the process that has loaded it ends: every connection starts a fresh one.
-"""
+"""Outputs of an NI device in a process of their own, which puts them to rest when the program is gone."""
 
 from __future__ import annotations
 
 import os
-import sys
 import threading
-import time
-import traceback
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import count
 from queue import SimpleQueue
 from typing import Any, Literal
 
+from wavefocus.drivers.daq.ni.calls import CalledProcess, ProcessCall, carry_out, next_call
 from wavefocus.drivers.daq.ni.ni_outputs import AnalogOutputs, DigitalLine
 from wavefocus.drivers.daq.ni.ni_session import NiSession
-from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
-from wavefocus.drivers.process import (
-    OPENING_S,
-    Alive,
-    Ask,
-    Close,
-    DriverProcess,
-    MessagePipe,
-    ProcessGoneError,
-    pipe_to_parent,
-)
+from wavefocus.drivers.errors import InstrumentError
+from wavefocus.drivers.process import OPENING_S, Close, MessagePipe, pipe_to_parent
 from wavefocus.drivers.protocols import DeviceIdentity, WallClock
 
 ANSWER_S = 5.0
-CALL_S = 15.0
-"""A call to a device that is well takes milliseconds; a ramp up to a second."""
 REST_S = 10.0
 """Longest time that the outputs may take to come to rest when the program is gone."""
-REMEDY = "check its USB cable and its power, then connect again, which starts NI-DAQmx afresh"
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,24 +45,6 @@ class OutputSettings:
     slew_v_per_s: float = 1e6
 
 
-@dataclass(frozen=True, slots=True)
-class OutputCall:
-    """What the process is asked to do: ``"open"``, ``"identify"`` or ``"write"``."""
-
-    number: int
-    method: str
-    arguments: tuple[Any, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class OutputAnswer:
-    """What came of a call."""
-
-    number: int
-    result: Any
-    failure: InstrumentError | None
-
-
 class ProcessOutputs:
     """Outputs that are written together; the process that has them is started here.
 
@@ -93,13 +57,11 @@ class ProcessOutputs:
     def __init__(
         self, instrument: str, settings: OutputSettings, level: Sequence[float], doing: str, *, known: bool
     ) -> None:
-        self._instrument = instrument
-        self._numbers = count(1)
-        self._answers: dict[int, OutputAnswer] = {}
-        self._process = DriverProcess("wavefocus.drivers.daq.ni.outputs_process", "the process that has it", self._note)
+        self._process = CalledProcess(instrument, "wavefocus.drivers.daq.ni.outputs_process", "the process that has it")
         self.level = tuple(level)
         try:
-            self.identity: DeviceIdentity = self._call(doing, "open", settings, self.level, known, limit_s=OPENING_S)
+            opened = self._process.ask(doing, "open", settings, self.level, known, limit_s=OPENING_S)
+            self.identity: DeviceIdentity = opened.value()
         except BaseException:
             self._process.close()
             raise
@@ -111,37 +73,17 @@ class ProcessOutputs:
 
     def identify(self) -> DeviceIdentity:
         """Ask the device who it is."""
-        identity: DeviceIdentity = self._call("identifying", "identify")
+        identity: DeviceIdentity = self._process.ask("identifying", "identify").value()
         return identity
 
     def write(self, level: Sequence[float], doing: str) -> None:
         """Put outputs at voltages, no faster than their slew rate, or a line at 0 or 1; return when they are there."""
-        self._call(doing, "write", tuple(level), doing)
+        self._process.ask(doing, "write", tuple(level), doing).value()
         self.level = tuple(level)
 
     def close(self) -> None:
         """Release the outputs; each keeps its level."""
         self._process.close()
-
-    def _note(self, message: object) -> None:
-        if isinstance(message, OutputAnswer):
-            self._answers[message.number] = message
-
-    def _call(self, doing: str, method: str, *arguments: Any, limit_s: float = CALL_S) -> Any:
-        number = next(self._numbers)
-        try:
-            self._process.send(OutputCall(number, method, arguments))
-            answer = self._process.wait_for(lambda: self._answers.get(number), time.monotonic() + limit_s)
-        except ProcessGoneError as gone:
-            raise InstrumentLostError(self._instrument, doing, gone.cause, REMEDY) from None
-        if answer is None:
-            cause = f"NI-DAQmx did not answer within {limit_s:g} s"
-            self._process.kill(cause)
-            raise InstrumentLostError(self._instrument, doing, cause, REMEDY)
-        del self._answers[number]
-        if answer.failure is not None:
-            raise answer.failure
-        return answer.result
 
 
 def main() -> None:
@@ -162,19 +104,16 @@ class _Served:
         self._settings: OutputSettings | None = None
         self._session: NiSession | None = None
         self._outputs: AnalogOutputs | DigitalLine | None = None
-        self._waiting: SimpleQueue[OutputCall | Close | None] = SimpleQueue()
+        self._waiting: SimpleQueue[ProcessCall | Close | None] = SimpleQueue()
 
     def take_calls(self) -> None:
-        while not isinstance(message := self._pipe.receive(), Close | None):
-            if isinstance(message, Ask):
-                self._pipe.try_send(Alive())
-            else:
-                self._waiting.put(message)
+        while isinstance(message := next_call(self._pipe), ProcessCall):
+            self._waiting.put(message)
         self._waiting.put(message)
 
     def work(self) -> None:
-        while isinstance(message := self._waiting.get(), OutputCall):
-            self._carry_out(message)
+        while isinstance(message := self._waiting.get(), ProcessCall):
+            self._pipe.try_send(carry_out(message, self._call))
         with suppress(InstrumentError):
             if message is None and self._settings is not None:  # the program is gone without a word
                 self._write(self._settings.rest, "coming to rest")
@@ -184,22 +123,13 @@ class _Served:
         if self._session is not None:
             self._session.close()
 
-    def _carry_out(self, call: OutputCall) -> None:
+    def _call(self, call: ProcessCall) -> Any:
         methods: dict[str, Callable[..., Any]] = {
             "open": self._open,
             "identify": self._identify,
             "write": self._write,
         }
-        result, failed = None, None
-        try:
-            result = methods[call.method](*call.arguments)
-        except InstrumentError as failure:
-            failed = failure
-        except Exception:  # a defect: the parent keeps standard error
-            traceback.print_exc()
-            sys.stderr.flush()
-            os._exit(4)
-        self._pipe.try_send(OutputAnswer(call.number, result, failed))
+        return methods[call.method](*call.arguments)
 
     def _open(self, settings: OutputSettings, level: tuple[float, ...], known: bool) -> DeviceIdentity:
         self._session = session = NiSession(

@@ -1,65 +1,25 @@
-"""An NI device on this computer as a recorder, with NI-DAQmx in a process of its own.
-
-After a device was unplugged and plugged in again, properties of the nidaqmx package may fail until the process that
-has loaded NI's library ends (an open issue of nidaqmx-python). So every reconnection starts a fresh one; a call that
-hangs in the library is ended with it.
-"""
+"""An NI device on this computer as a recorder, with NI-DAQmx in a process of its own."""
 
 from __future__ import annotations
 
 import os
-import sys
 import threading
-import time
-import traceback
 from contextlib import suppress
-from dataclasses import dataclass
-from itertools import count
+from dataclasses import dataclass, replace
 from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefocus.drivers.daq.ni.calls import CALL_S, CalledProcess, ProcessCall, carry_out, next_call
 from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
-from wavefocus.drivers.process import (
-    OPENING_S,
-    Alive,
-    Ask,
-    Close,
-    DriverProcess,
-    MessagePipe,
-    ProcessGoneError,
-    pipe_to_parent,
-)
+from wavefocus.drivers.process import OPENING_S, MessagePipe, pipe_to_parent
 from wavefocus.drivers.protocols import DeviceIdentity, Recording, RecordRequest
 
-CALL_S = 15.0
-"""A call to a device that is well takes milliseconds; a first task, or a reset, takes seconds."""
 CLOSING_S = 3.0
 """Closing a task in a library that hangs does not return; then the process just ends."""
-
-REMEDY = "check its USB cable and its power, then connect again, which starts NI-DAQmx afresh"
-
-
-@dataclass(frozen=True, slots=True)
-class RecorderCall:
-    """A method of `NiRecorder` to call there, or ``"open"`` to make one."""
-
-    number: int
-    method: str
-    arguments: tuple[Any, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class RecorderAnswer:
-    """The result of a call, or how it failed; `owned`: the device may be reserved."""
-
-    number: int
-    result: Any
-    failure: InstrumentError | None
-    owned: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,11 +62,9 @@ class ProcessRecorder:
         self._identity: DeviceIdentity | None = None
         self._owned = False
         self._ranges_v: tuple[float, ...] = ()
-        self._numbers = count(1)
         self._connecting = threading.Lock()
         self._closed = False
-        self._process: DriverProcess | None = None
-        self._answers: dict[int, RecorderAnswer] = {}
+        self._process: CalledProcess | None = None
         self._open("opening")
 
     @property
@@ -172,7 +130,7 @@ class ProcessRecorder:
 
     def _open(self, doing: str) -> None:
         name = "the process that runs NI-DAQmx"
-        self._process = DriverProcess("wavefocus.drivers.daq.ni.recorder_process", name, self._note)
+        self._process = CalledProcess(self._instrument, "wavefocus.drivers.daq.ni.recorder_process", name)
         try:
             opening = RecorderOpening(self._wiring, self._identity, self._owned)
             self._identity, self._ranges_v = self._call(doing, "open", opening, limit_s=OPENING_S)
@@ -185,32 +143,16 @@ class ProcessRecorder:
         if process is not None:
             process.close()
 
-    def _note(self, message: object) -> None:
-        if isinstance(message, RecorderAnswer):
-            self._answers[message.number] = message
-
     def _call(self, doing: str, method: str, *arguments: Any, limit_s: float = CALL_S) -> Any:
         """Have a method called there and wait for its end."""
         self._check_open(doing)
         process = self._process
         if process is None:
             raise InstrumentLostError(self._instrument, doing, "it is not connected", "reconnect first")
-        number = next(self._numbers)
-        try:
-            process.send(RecorderCall(number, method, arguments))
-            answer = process.wait_for(lambda: self._answers.get(number), time.monotonic() + limit_s)
-        except ProcessGoneError as gone:
-            raise InstrumentLostError(self._instrument, doing, gone.cause, REMEDY) from None
-        if answer is None:
-            cause = f"NI-DAQmx did not answer within {limit_s:g} s"
-            process.kill(cause)
-            raise InstrumentLostError(self._instrument, doing, cause, REMEDY)
-        del self._answers[number]
+        answer = process.ask(doing, method, *arguments, limit_s=limit_s)
         # A device that could not be opened may still be reserved by what was before.
         self._owned = self._owned or answer.owned
-        if answer.failure is not None:
-            raise answer.failure
-        return answer.result
+        return answer.value()
 
     def _check_open(self, doing: str) -> None:
         if self._closed:
@@ -232,16 +174,14 @@ class _Served:
     def __init__(self, pipe: MessagePipe) -> None:
         self._pipe = pipe
         self._recorder: NiRecorder | None = None
-        self._waiting: SimpleQueue[RecorderCall | None] = SimpleQueue()
+        self._waiting: SimpleQueue[ProcessCall | None] = SimpleQueue()
 
     def take_calls(self) -> None:
-        while not isinstance(message := self._pipe.receive(), Close | None):
-            if isinstance(message, Ask):
-                self._pipe.try_send(Alive())
-            elif message.method == "read":
-                threading.Thread(target=self._carry_out, args=(message,), daemon=True).start()
+        while isinstance(call := next_call(self._pipe), ProcessCall):
+            if call.method == "read":
+                threading.Thread(target=self._carry_out, args=(call,), daemon=True).start()
             else:
-                self._waiting.put(message)
+                self._waiting.put(call)
         self._waiting.put(None)
 
     def work(self) -> None:
@@ -251,22 +191,15 @@ class _Served:
             self._recorder.close()
         os._exit(0)
 
-    def _carry_out(self, call: RecorderCall) -> None:
-        result, failed = None, None
-        try:
-            result = self._open(*call.arguments) if call.method == "open" else self._call(call)
-        except InstrumentError as failure:
-            failed = failure
-        except Exception:  # a defect: the parent keeps standard error
-            traceback.print_exc()
-            sys.stderr.flush()
-            os._exit(4)
-        owned = self._recorder is not None and self._recorder.owned
-        self._pipe.try_send(RecorderAnswer(call.number, result, failed, owned))
+    def _carry_out(self, call: ProcessCall) -> None:
+        answer = carry_out(call, self._call)
+        self._pipe.try_send(replace(answer, owned=self._recorder is not None and self._recorder.owned))
 
     def _open(self, opening: RecorderOpening) -> tuple[DeviceIdentity, tuple[float, ...]]:
         self._recorder = NiRecorder(**opening.wiring, address=None, identity=opening.identity, owned=opening.owned)
         return self._recorder.identity, self._recorder.input_ranges_v
 
-    def _call(self, call: RecorderCall) -> Any:
+    def _call(self, call: ProcessCall) -> Any:
+        if call.method == "open":
+            return self._open(*call.arguments)
         return getattr(self._recorder, call.method)(*call.arguments)
