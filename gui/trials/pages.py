@@ -28,7 +28,7 @@ class WelcomePage(QWidget):
         )
         texts = (
             ("", welcome.instruction),
-            ("ClosingQuestion", f"{welcome.question}\n{keys}"),
+            ("Question", f"{welcome.question}\n{keys}"),
             ("Stored", "\n".join(welcome.stored)),
             ("", _CLOSING),
         )
@@ -54,7 +54,7 @@ class QuestionPage(QWidget):
 
     def __init__(self, welcome: Welcome, answer: Callable[[str, float, Input], None], replay: Pressed | None) -> None:
         super().__init__()
-        self.question = sized(ui.label("ClosingQuestion", welcome.question, wraps=True), TITLE, centred=True)
+        self.question = sized(ui.label("Question", welcome.question, wraps=True), TITLE, centred=True)
         self.note = sized(ui.label("Note", role="faint", wraps=True), TEXT, centred=True)
         size = LARGE if len(welcome.answers) <= _MAX_LARGE else TEXT
         self.answers = {

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 LOUD = 3.0
 """Power over that of the noise from which a Green's function is more than noise."""
-"""Nepers by which a vibration may be made to decay less; beyond, noise is all that is left."""
 ALLOWED = 0.01
 """Error of a sound bank, relative to the response."""
 
