@@ -98,9 +98,7 @@ class FrequencyWaves:
         slopes = PERCENT * np.array([k, size * (1j - sine / cosine)])
         sources = outgoing(k, self._to_ring_mm)
         source_slope = -self._to_ring_mm * outgoing(k, self._to_ring_mm, 1)  # of H0(k r) by k
-        own, own_slope = _with_slope(
-            lambda at: waves_of_actuators(at, self._share, self._points_mm, self._actuator_mm)[0], k
-        )
+        own, own_slope = _with_slope(self._own_waves, k)
         rho1, rho2, n1, n2 = np.exp(theta[:4])
         total, gradient, waves = 0.0, np.zeros(6), len(own)
         for actuator in range(self._values.shape[1]):

@@ -34,6 +34,7 @@ from wavefocus.calibration.coarse_grid.waves import (
     rim_ring,
     waves_of_actuators,
 )
+from wavefocus.calibration.numerics import evenly_spread
 
 Result = TypeVar("Result")
 
@@ -218,8 +219,9 @@ class _Fit:
         level = np.square(np.abs(transfer)).mean(axis=0)
         self._relative_level = np.maximum(level / np.maximum(level.mean(axis=0), 1e-300), 1e-12)
         self._spacing_mm = grid_spacing_mm(self._position_mm)
+        self._apart_mm = _gaps_mm(self._position_mm, self._position_mm)
         self._some = np.random.default_rng(0).permutation(len(position_mm))[:FIT_POSITIONS]
-        self._every = np.unique(np.linspace(0, len(actuator_mm) - 1, FIT_ACTUATORS).astype(np.int64))
+        self._every = evenly_spread(len(actuator_mm), FIT_ACTUATORS)
         self._pressure_share = 0.0
         self._rest_choice: dict[int, tuple[float, float, float]] = {}
 
@@ -229,14 +231,15 @@ class _Fit:
         self._place_ring(law, knots)
         wavenumber, shares = self._hyperparameters(knots, law)
         self._wavenumber, self._shares = wavenumber, shares
-        judged = sorted({*np.linspace(0, len(self._frequency_hz) - 1, REST_JUDGED).astype(int).tolist(), *knots})
+        judged = sorted({*evenly_spread(len(self._frequency_hz), REST_JUDGED).tolist(), *knots})
         self._rest_choice = dict(zip(judged, self._each(judged, self._chosen_rest), strict=True))
         solved = self._each(range(len(self._frequency_hz)), self._solve)
         strength, radius, gain, rest = (np.array(part) for part in zip(*solved, strict=True))
         model = RimWaves(
             self._frequency_hz, wavenumber, shares, self._pressure_share, self._position_mm, self._actuator_mm,
             self._ring_mm, self._power, self._relative_level, strength.astype(np.complex64), radius, gain,
-            rest.astype(np.complex64), *self._by_distance(), np.ones(len(self._frequency_hz)), "left-out positions",
+            rest.astype(np.complex64), *self._by_distance(strength, radius), np.ones(len(self._frequency_hz)),
+            "left-out positions",
         )  # fmt: skip
         if check_mm is not None and check_transfer is not None and len(check_mm) >= MIN_CHECKS:
             return judged_by_checks(model, check_mm, check_transfer, self._each)
@@ -334,25 +337,23 @@ class _Fit:
         radius = radius * abs(self._wavenumber[number]) if radius > 0 else -radius
         if not radius:
             return strength, 0.0, 1.0, np.zeros_like(residual)
-        kernel = disk(radius * _gaps_mm(self._position_mm, self._position_mm))
+        kernel = disk(radius * self._apart_mm)
         return strength, radius, gain, cho_solve(cho_factor(kernel + ridge * np.eye(len(kernel))), residual)
 
     def _rest_of(self, number: int) -> tuple[float, float, float]:
         """What `_chosen_rest` says of the nearest frequency that was judged."""
-        nearest = min(self._rest_choice, key=lambda judged: abs(judged - number)) if self._rest_choice else number
-        return self._rest_choice.get(nearest, NO_REST)
+        return self._rest_choice[min(self._rest_choice, key=lambda judged: abs(judged - number))]
 
     def _chosen_rest(self, number: int) -> tuple[float, float, float]:
         """Of the rest at one frequency: radius, in wave numbers, or below 0 in rad/mm; ridge; share that stays.
 
         Judged on the positions around the middle of the surface, enough for any number of them.
         """
-        strength, *_ = self._solve(number)
-        model = self._frequency(number)
-        residual = self._transfer[number] - model.sums(strength)
+        waves = self._frequency(number)
+        residual = self._transfer[number] - waves.sums(waves.strengths(self._shares[number]))
         middle_mm = self._position_mm - np.median(self._position_mm, axis=0)
         some = np.argsort(np.hypot(*middle_mm.T), kind="stable")[:REST_POSITIONS]
-        apart_mm, residual = _gaps_mm(self._position_mm[some], self._position_mm[some]), residual[some]
+        apart_mm, residual = self._apart_mm[np.ix_(some, some)], residual[some]
         norm = np.maximum(np.linalg.norm(residual, axis=1), 1e-300)
         best = NO_REST
         for radius in (REST_RADIUS, -np.pi / self._spacing_mm):
@@ -365,22 +366,19 @@ class _Fit:
                     best = (radius, ridge, share)
         return best
 
-    def _by_distance(self) -> tuple[Float64Array, Float64Array]:
+    def _by_distance(self, strength: Complex128Array, radius: Float64Array) -> tuple[Float64Array, Float64Array]:
         """Distances from an actuator, and factors on the deviations there, (frequencies, distances)."""
         apart_mm = distances_mm(self._position_mm, self._actuator_mm).ravel()
         count = int(np.clip(len(apart_mm) // MIN_IN_DISTANCE, 1, MAX_DISTANCES))
         groups = np.array_split(np.argsort(apart_mm, kind="stable"), count)
 
-        between_mm = _gaps_mm(self._position_mm, self._position_mm)
-
         def factors(number: int) -> list[float]:
             waves = self._frequency(number)
             error, variance = waves.left_out(self._shares[number])
-            strength, radius, *_ = self._solve(number)
-            if radius > 0:
-                residual = self._transfer[number] - waves.sums(strength)
+            if radius[number] > 0:
+                residual = self._transfer[number] - waves.sums(strength[number])
                 ridge = self._rest_of(number)[1]
-                error = _left_out_rest(disk(radius * between_mm), ridge, residual)
+                error = _left_out_rest(disk(radius[number] * self._apart_mm), ridge, residual)
             ratio = (np.square(np.abs(error)) / variance).ravel()
             return [float(np.sqrt(np.quantile(ratio[group], 0.95) / NORMAL_95)) for group in groups]
 
@@ -409,7 +407,7 @@ JUDGED_HALF_OCTAVES = 0.25
 
 def judged_frequencies(frequency_hz: Float64Array) -> list[int]:
     """Indices of the frequencies at which deviations are judged."""
-    return sorted(set(np.linspace(0, len(frequency_hz) - 1, JUDGED).astype(int).tolist()))
+    return [int(index) for index in evenly_spread(len(frequency_hz), JUDGED)]
 
 
 def judged_by_checks(

@@ -146,6 +146,7 @@ def _at_checks(
 ) -> Float64Array:
     """Median error of a method at the check positions, (frequencies,); NaN where fewer than three lie on its grid."""
     measured = RowValues(bank, frequency_hz).of(checks)
+    values = RowValues(method.rows_of(bank), frequency_hz)
     found = []
     for place, point_mm in enumerate(np.asarray(bank.position_mm, dtype=np.float64)[checks]):
         try:
@@ -153,8 +154,7 @@ def _at_checks(
         except OffGridError:
             continue
         used = nodes.weights[0] != 0
-        values = RowValues(method.rows_of(bank), frequency_hz).of(nodes.rows[0][used])
-        made = np.einsum("n,fna->fa", nodes.weights[0][used], values)
+        made = np.einsum("n,fna->fa", nodes.weights[0][used], values.of(nodes.rows[0][used]))
         there = measured[:, place]
         found.append(np.linalg.norm(made - there, axis=1) / np.maximum(np.linalg.norm(there, axis=1), 1e-300))
     if len(found) < MIN_CHECKS:
