@@ -135,8 +135,8 @@ def off_grid(plate: str, rig: VirtualRig, bank: GreenArray) -> Entry:
     focus_mm = _on_grid(bank, (0.0, 0.0))
     places = [tuple((_on_grid(bank, focus_mm + np.array(one)) + 2.0).tolist()) for one in CROSS]
     scene = scene_of(focus_mm, places)
-    figures = _figures(bank, scene)
     drive, _ = render_with_report(scene, bank)
+    figures = _figures(bank, scene, drive)
     truth = true_bank(rig, np.array([*places, focus_mm]), None)
     power = np.square(predict(drive, truth).field).sum(axis=1)
     true_db = float(10 * np.log10(power[:-1].max() / power[-1]))

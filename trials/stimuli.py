@@ -138,7 +138,7 @@ class _Renderer:
 
 def _check_limits(drive: Drive, stimulus: Stimulus, limits: DriveLimits, interface: Interface) -> None:
     # As if plays and trials followed each other without a pause.
-    levels = levels_of(drive.drive_v, drive.sample_rate_hz, repeated=True).against(limits)
+    levels = levels_of(drive.drive_v, drive.sample_rate_hz, repeated=True, limits=limits).against(limits)
     between = interface.reached(interface.between_v(drive.drive_v, drive.sample_rate_hz))
     limiting = strictest([between, *levels])
     if limiting.decided_by is not None:

@@ -132,12 +132,22 @@ def rms_window(samples: int, sample_rate_hz: float, window_s: float = RMS_WINDOW
 
 
 def levels_of(
-    drive_v: Float64Array, sample_rate_hz: float, window_s: float = RMS_WINDOW_S, *, repeated: bool = False
+    drive_v: Float64Array,
+    sample_rate_hz: float,
+    window_s: float = RMS_WINDOW_S,
+    *,
+    repeated: bool = False,
+    limits: DriveLimits | None = None,
 ) -> RunningLevels:
     """Find the levels of a whole drive (actuators, samples), finite.
 
     repeated: The drive begins anew at its end, so that a window of the rms may span both, or several.
+    limits: What the levels are held against; without a limit of the rms none is found. None: all levels are found.
     """
+    if limits is not None and limits.rms_v is None:
+        levels = RunningLevels(len(drive_v))
+        levels.add(drive_v)
+        return levels
     samples = drive_v.shape[1]
     if repeated and samples < round(window_s * sample_rate_hz):
         drive_v = np.tile(drive_v, -(-round(window_s * sample_rate_hz) // samples))
@@ -166,7 +176,7 @@ def limit_drive(drive_v: Float64Array, sample_rate_hz: float, limits: DriveLimit
 
     Raises InputError: a limit is not a finite number above 0, or no factor reaches so far.
     """
-    limiting = strictest(levels_of(drive_v, sample_rate_hz).against(limits))
+    limiting = strictest(levels_of(drive_v, sample_rate_hz, limits=limits).against(limits))
     if limiting.decided_by is not None:
         drive_v *= limiting.scale
     return limiting

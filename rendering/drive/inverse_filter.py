@@ -140,8 +140,9 @@ def inverse_filter(
     # Without normalisation in `rows`, their exponent is the bank's; an inverse is over it.
     drive_v = apply_exponent(drive_v, -rows.drive_exponent)
     require_finite(drive_v)
-    levels = levels_of(drive_v, rate_hz)
-    reached = levels.against(DriveLimits(scene.output.limit_v, scene.output.limit_rms_v))
+    limits = DriveLimits(scene.output.limit_v, scene.output.limit_rms_v)
+    levels = levels_of(drive_v, rate_hz, limits=limits)
+    reached = levels.against(limits)
     if interface is None:
         limiting = strictest(reached)
     else:

@@ -12,10 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import numpy as np
 
+from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.config.scene import Regularisation
 from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
 from wavefocus.rendering.device import fast_length
@@ -30,7 +31,7 @@ from wavefocus.rendering.drive.quiet_filters import (
     reversed_power,
 )
 from wavefocus.rendering.drive.windows import Events
-from wavefocus.rendering.greens.regularisation import BankRows, RowWeights
+from wavefocus.rendering.greens.regularisation import BankRows
 from wavefocus.rendering.greens.source import GreenSource, RealArray, RowReader, to_single
 from wavefocus.rendering.scene.emission import ContinuousEmission, Emission, PointEmission
 from wavefocus.rendering.scene.model import Scene
@@ -134,6 +135,7 @@ class QuietRows(BankRows):
     """
 
     found: Multipliers
+    _bins: Int64Array
 
     def __init__(
         self,
@@ -155,7 +157,6 @@ class QuietRows(BankRows):
         self._quiet_reader = RowReader(place_rows.rows)
         self._interpolation = place_rows.name
         self._row_error = place_rows.error([source.signal for source in sampled.sources])
-        self._bins: Int64Array = np.arange(self._length // 2 + 1)
 
     @property
     def taps(self) -> int:
@@ -176,7 +177,7 @@ class QuietRows(BankRows):
     def read(self, row: int, *, single: bool = False) -> RealArray:
         """The row of a number, (actuators, taps), over two to the bank's exponent."""
         number, focus_row, by = self._keys[row]
-        green = np.asarray(super().read(focus_row), dtype=np.float64)
+        green = self._measured(focus_row)
         own = self.plan.sets[number]
         sigma = self.sigma(by) if by >= 0 else None
         made = np.zeros((len(green), self.taps))
@@ -207,7 +208,7 @@ class QuietRows(BankRows):
         for place, level_db in zip(plan.places, reached_db.tolist(), strict=True):
             moves = place.path.length_mm > 0
             knots = plan.knots if moves else plan.knots[:1]
-            sample = knots[np.unique(np.linspace(0, len(knots) - 1, instants).astype(np.int64))]
+            sample = knots[evenly_spread(len(knots), instants)]
             at_mm = place.at(sample, float(self.bank.sample_rate_hz)).round(6)
             source = -1 if place.source is None else place.source
             tracks.append(
@@ -232,11 +233,6 @@ class QuietRows(BankRows):
         unit = np.ldexp(1.0, -2 * self._reader.exponent)
         return QuietFigures(tuple(tracks), plain_db, found.of_place * unit, found.energy, tuple(warnings))
 
-    def _of(self, row: int) -> RowWeights:
-        if row not in self._weights:
-            super().read(row)
-        return self._weights[row]
-
     def solve(
         self,
         scene: Scene,
@@ -252,7 +248,7 @@ class QuietRows(BankRows):
         emissions = [source.emission for source in self._sampled.sources]
         sounding = np.array([_sounding(emission, self.plan.knots)[moments] for emission in emissions])
         green = {
-            (source, m): sum(weight * np.asarray(super(QuietRows, self).read(row)) for row, weight
+            (source, m): sum(weight * self._measured(row) for row, weight
                              in zip(rows.tolist(), weights.tolist(), strict=True) if weight)
             for source, own in enumerate(foci) for m, (rows, weights, _) in enumerate(own)
             if sounding[source, m]
@@ -262,6 +258,7 @@ class QuietRows(BankRows):
         row_bytes = 16 * len(self._bins) * self.bank.actuators
         self._quiet_spectrum = lru_cache(max(64, SPECTRA_BYTES // row_bytes))(self._transform)
         self._quiet = lru_cache(4)(self._stack)
+        stack = cache(self._stack)  # foci that keep the same rows quiet share the array, and its solution
         cross = self._emitted(scene, emissions)
         whole = np.maximum(sounding @ lasts, 1)
         made = []
@@ -275,9 +272,7 @@ class QuietRows(BankRows):
                 own = self.plan.sets[number]
                 applies[index, own.place] = True
                 by = foci[source][m][2]
-                one_foci.append(
-                    Focus(self._spectrum_of(green[source, m]), *self._quiet(number), self.sigma(by), source)
-                )
+                one_foci.append(Focus(self._spectrum_of(green[source, m]), *stack(number), self.sigma(by), source))
             gains = self.weigh(np.array([foci[source][m][2] for source in together]))[0]
             gains = gains * np.sqrt(lasts[m] / whole[together])
             chosen = cross[np.ix_(together, together)] if cross.ndim == 3 else _diagonal(cross[together])

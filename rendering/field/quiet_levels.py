@@ -78,12 +78,12 @@ def rendered_levels(tracks: tuple[QuietTrack, ...]) -> tuple[QuietLevel, ...]:
     return tuple(QuietLevel(track, track.rendered_db) for track in tracks)
 
 
-def spread_mm(radius_mm: float, count: int = DISC_POINTS) -> Float64Array:
+def spread_mm(radius_mm: float) -> Float64Array:
     """Points that share a disc about (0, 0) evenly, on a spiral, float64 (n, 2); one for radius 0."""
     if radius_mm == 0:
         return np.zeros((1, 2))
-    number = np.arange(count)
-    radius, angle = radius_mm * np.sqrt((number + 0.5) / count), np.pi * (3.0 - np.sqrt(5.0)) * number
+    number = np.arange(DISC_POINTS)
+    radius, angle = radius_mm * np.sqrt((number + 0.5) / DISC_POINTS), np.pi * (3.0 - np.sqrt(5.0)) * number
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
 
 

@@ -200,6 +200,10 @@ class BankRows:
 
         Raises InputError where it may not be used, saying which path point needs it.
         """
+        green = self._measured(row)
+        return to_single(green) if single else green
+
+    def _measured(self, row: int) -> Float64Array:
         reason = refusal(int(self.status[row]))
         green = None if reason else self._reader.read(row)
         if green is None or not green.any():
@@ -212,7 +216,7 @@ class BankRows:
         if row not in self._weights:
             self._loud |= green.any(axis=1)
             self._weights[row] = row_weights(green, self._threshold, normalise=self._normalise)
-        return to_single(green) if single else green
+        return green
 
     def sigma(self, regularised_by: int) -> Float64Array | None:
         """Saturation factors (actuators,) of a row, None where all are 1."""
@@ -229,5 +233,5 @@ class BankRows:
 
     def _of(self, row: int) -> RowWeights:
         if row not in self._weights:
-            self.read(row)
+            self._measured(row)
         return self._weights[row]

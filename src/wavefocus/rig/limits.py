@@ -51,7 +51,8 @@ def check_drive(
         raise InputError(
             f"{source} is in {drive.drive_unit}, and the player plays volts; render it from a bank in volts"
         )
-    for reached in levels_of(drive.drive_v, drive.sample_rate_hz, repeated=repeated).against(limits_of(player)):
+    limits = limits_of(player)
+    for reached in levels_of(drive.drive_v, drive.sample_rate_hz, repeated=repeated, limits=limits).against(limits):
         actuator, kind = int(np.argmax(reached.each_v)), " rms" if reached.summed else ""
         most_v, limit_v = float(reached.each_v[actuator]), reached.limit_v
         if most_v > limit_v * (1 + 1e-9):
