@@ -253,6 +253,18 @@ class PathField(QWidget):
         self.chosen.emit(path)
 
 
+FileState = tuple[int, ...]
+
+
+def file_state(path: Path) -> FileState | None:
+    """What is another where a file has been written or replaced since; None where it cannot be asked for."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino, found.st_mtime_ns, found.st_size
+
+
 def short_path(path: Path) -> str:
     """A path as people write it: from their own folder, where it lies in it."""
     try:

@@ -24,6 +24,7 @@ from wavefocus.storage.sidecar_files import create
 Message = dict[str, object]
 
 WAVEFOCUS = (sys.executable, "-m", "wavefocus")
+NOT_GOOD_ENOUGH = 1
 STOPPED_BY_USER = 130
 _NOT_STARTED = 127
 _TAIL_BYTES = 4096

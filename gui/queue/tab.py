@@ -6,7 +6,7 @@ import os
 import signal
 import socket
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -29,9 +29,18 @@ from wavefocus.acquisition.run_queue import (
 from wavefocus.acquisition.wording import hours
 from wavefocus.campaign.control import command_line, expected_finish
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.files import FileKind, PathField, TomlKind, dropped_files, make_dialog, toml_kind
+from wavefocus.gui.files import (
+    FileKind,
+    FileState,
+    PathField,
+    TomlKind,
+    dropped_files,
+    file_state,
+    make_dialog,
+    toml_kind,
+)
 from wavefocus.gui.message_bar import error_text
-from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess
+from wavefocus.gui.process import NOT_GOOD_ENOUGH, STOPPED_BY_USER, CommandProcess
 from wavefocus.gui.tab import ClosingQuestion, Tab, TabContext
 from wavefocus.gui.theme import Themed
 from wavefocus.storage.errors import InputError
@@ -46,7 +55,6 @@ _MARKS = {
     EntryState.STOPPED: "– stopped",
 }
 _LOOKS_EVERY_S = 1.0
-_NOT_GOOD_ENOUGH = 1
 
 
 class RunTable(QTableWidget):
@@ -113,6 +121,7 @@ class QueueTab(Themed, Tab):
         self.entries: tuple[QueueEntry, ...] = ()
         self._finish: dict[int, datetime | None] = {}
         self._changed: dict[int, tuple[str, ...]] = {}
+        self._states: dict[int, tuple[Mapping[str, str], list[FileState | None]]] = {}
         self._holder: Owner | None = None
         self._process: CommandProcess | None = None
         self._looked_s = -_LOOKS_EVERY_S
@@ -308,7 +317,7 @@ class QueueTab(Themed, Tab):
         messages = self.context.messages
         if process.exit_code == 0:
             messages.note("Every run of the queue is done")
-        elif process.exit_code == _NOT_GOOD_ENOUGH:
+        elif process.exit_code == NOT_GOOD_ENOUGH:
             messages.fault("The queue is through; some runs did not end well")
         elif process.exit_code == STOPPED_BY_USER:
             messages.note("the queue was stopped; its run waits again")
@@ -342,7 +351,18 @@ class QueueTab(Themed, Tab):
             self.context.report("queue", trouble)
         self._trouble = trouble
         finish = finish_times(entries, datetime.now(UTC), expected_finish)
-        changed = {entry.number: changed_files(entry) for entry in entries if entry.to_do}
+        # Input files are read again only where one is not as it was at the last look.
+        states = {
+            entry.number: (entry.files, [file_state(Path(name)) for name in entry.files])
+            for entry in entries if entry.to_do
+        }  # fmt: skip
+        changed = {
+            entry.number: self._changed[entry.number]
+            if self._states.get(entry.number) == states[entry.number]
+            else changed_files(entry)
+            for entry in entries if entry.to_do
+        }  # fmt: skip
+        self._states = states
         shown = (self.entries, self._finish, self._changed, was_running)
         if (entries, finish, changed, self.running) != shown:
             self.entries, self._finish, self._changed = entries, finish, changed

@@ -21,7 +21,7 @@ from wavefocus.config.messages.rig_checks import VERIFY_MESSAGES, VerifyEnded, V
 from wavefocus.gui.campaign.follower import LogTail
 from wavefocus.gui.files import TomlKind, toml_kind
 from wavefocus.gui.message_bar import error_text
-from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess
+from wavefocus.gui.process import NOT_GOOD_ENOUGH, STOPPED_BY_USER, CommandProcess
 from wavefocus.gui.surface import PlotSurface, raster_of
 from wavefocus.gui.tab import ClosingQuestion, TabContext
 from wavefocus.rendering.verify.record import (
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from wavefocus.rendering.verify.record import VerificationRecord
 
 _MESSAGES = (*VERIFY_MESSAGES, StateChanged, Fault, ReconnectTried)
-_NOT_GOOD_ENOUGH = 1
 _SAID_NAME = "verify.said"
 # A verification of another process whose log does not grow for so long has ended.
 _SILENT_AFTER_S = 300.0
@@ -227,7 +226,7 @@ class VerificationRun:
         if ended is not None and code == 0:
             messages.note(f"Verified. {reason}")
             self._done(out / RECORD_NAME)
-        elif ended is not None and code == _NOT_GOOD_ENOUGH:
+        elif ended is not None and code == NOT_GOOD_ENOUGH:
             messages.fault(f"Not good enough. {reason}")
             self._done(out / RECORD_NAME)
         elif code == STOPPED_BY_USER:
