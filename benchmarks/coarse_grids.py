@@ -31,9 +31,10 @@ from wavefocus.acquisition.grid import check_grid, surface_grid
 from wavefocus.benchmarks.exact_stadium import exact_stadium
 from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times
 from wavefocus.benchmarks.paper_measures import CLEAR_MM, SATURATION, clear_rows, focus_fields, focus_figures
-from wavefocus.benchmarks.rig_bank import BAND_HZ, MARGIN_MM, RATE_HZ, TAPS, default_grid, sweep_plan, true_bank
+from wavefocus.benchmarks.rig_bank import BAND_HZ, MARGIN_MM, RATE_HZ, default_grid, sweep_plan, true_bank
 from wavefocus.calibration.coarse_grid.rim_waves import NORMAL_95, RimWaves
 from wavefocus.calibration.coarse_grid.waves import Dispersion
+from wavefocus.calibration.numerics import transform_at
 from wavefocus.config.outline import Outline
 from wavefocus.config.rig import default_rig
 from wavefocus.mocks.virtual.rig import VirtualRig
@@ -41,7 +42,6 @@ from wavefocus.mocks.virtual.settings import VirtualSettings
 from wavefocus.rendering.greens.interpolation.base import GridInterpolation, OffGridError, interpolation_method
 from wavefocus.rendering.greens.regularisation import focus_gain_map
 from wavefocus.rendering.greens.source import GreenArray
-from wavefocus.rendering.scene.paths import Circle
 from wavefocus.storage.errors import InputError
 
 Float64Array = NDArray[np.float64]
@@ -241,7 +241,7 @@ FOCI = 60
 FOCUS_LIMIT = 0.03
 
 
-def focus_comparison(spacing_mm: float = FOCUS_SPACING_MM, foci: int = FOCI) -> list[Entry]:
+def focus_comparison() -> list[Entry]:
     """Width, artefacts and n(x) of the paper's foci from a coarse bank by waves, against those from 4 mm.
 
     Both banks have noise at -60 dB. Width and artefacts are those of the field on the plate (true functions at 4 mm);
@@ -251,8 +251,8 @@ def focus_comparison(spacing_mm: float = FOCUS_SPACING_MM, foci: int = FOCI) -> 
     rig = VirtualRig(VirtualSettings(**PLATES[FOCUS_PLATE]))
     fine_mm = default_grid(rig)
     plate, fine = true_bank(rig, fine_mm, None), true_bank(rig, fine_mm, -60.0)
-    coarse = by_waves(rig, spacing_mm, fine_mm)
-    rows = np.sort(np.random.default_rng(3).choice(clear_rows(fine, CLEAR_MM), foci, replace=False)).tolist()
+    coarse = by_waves(rig, FOCUS_SPACING_MM, fine_mm)
+    rows = np.sort(np.random.default_rng(3).choice(clear_rows(fine, CLEAR_MM), FOCI, replace=False)).tolist()
     pairs = {}
     for name, meets in (("", plate), (", predicted", None)):
         both = [focus_figures(one, rows, focus_fields(one, rows, SATURATION, meets)) for one in (fine, coarse)]
@@ -260,7 +260,7 @@ def focus_comparison(spacing_mm: float = FOCUS_SPACING_MM, foci: int = FOCI) -> 
         pairs[f"artefacts, relative to the focus{name}"] = [10.0 ** (one["artefact_db"] / 20.0) for one in both]
     gains = [focus_gain_map(one, SATURATION) for one in (fine, coarse)]
     pairs["n(x) relative to its median"] = [one / np.nanmedian(one) for one in gains]
-    work = f"the paper's figures from {spacing_mm:g} mm by waves against 4 mm, {FOCUS_PLATE}"
+    work = f"the paper's figures from {FOCUS_SPACING_MM:g} mm by waves against 4 mm, {FOCUS_PLATE}"
     return [_difference(work, name, *pair) for name, pair in pairs.items()]
 
 
@@ -318,8 +318,7 @@ def _plate_case(case: GridCase, hz: Float64Array) -> MeasuredCase:
 
 
 def _transfer(green: NDArray[Any], hz: Float64Array) -> Complex128Array:
-    kernel = np.exp(-2j * np.pi * np.remainder(np.outer(np.arange(TAPS), hz / RATE_HZ), 1.0))
-    return np.stack([row.astype(np.float64) @ kernel for row in green]).transpose(2, 0, 1)
+    return np.asarray(transform_at(green.astype(np.float64), hz, RATE_HZ), np.complex128).transpose(2, 0, 1)
 
 
 def _by_bank(
@@ -378,33 +377,3 @@ def _exact_case(case: GridCase, hz: Float64Array) -> MeasuredCase:
     return MeasuredCase(
         position_mm, check_mm, points_mm, actuator_mm, seen[:, :count], seen[:, count:], found[:, count + CHECKS :]
     )
-
-
-def whole_bank() -> None:
-    """Print the time to fit the model of a whole bank of 246 positions, and to make 5000 rows along a path."""
-    rig = VirtualRig(VirtualSettings(**PLATES["stadium, full reflection"]))
-    bank = coarse_bank(rig, 10.0)
-    position_mm = bank.position_mm
-    begun_s = time.monotonic()
-    method = interpolation_method("waves").over(bank, position_mm)
-    print(f"fitted {len(position_mm)} x {bank.actuators} x {TAPS}: {time.monotonic() - begun_s:.1f} s")
-    path = Circle((0.3, 1.1), 30.0, 5.0)
-    begun_s = time.monotonic()
-    nodes = method.follow(path)(np.linspace(0.0, path.length_mm, 5000))
-    rows = method.rows_of(bank)
-    made = [rows.green(int(row)) for row in np.unique(nodes.rows)]
-    print(f"5000 points of a circle, {len(made)} nodes: {time.monotonic() - begun_s:.2f} s")
-    points_mm = random_points(rig.settings.outline, POINTS)
-    rows = method.rows_of(bank)
-    found = np.stack([rows.green(int(row)) for row in method.nodes(points_mm).rows[:, 0]])
-    truth = true_bank(rig, points_mm, None).values
-    for hz in FREQUENCIES_HZ:
-        made_hz, true_hz = (_transfer(green, np.array([hz]))[0] for green in (found, truth))
-        error = np.linalg.norm(made_hz - true_hz, axis=1) / np.linalg.norm(true_hz, axis=1)
-        print(f"{hz:g} Hz: {np.median(error):.4f} ({np.quantile(error, 0.9):.4f})")
-    whole = np.linalg.norm((found - truth).reshape(len(truth), -1), axis=1)
-    print(f"whole band: {np.median(whole / np.linalg.norm(truth.reshape(len(truth), -1), axis=1)):.4f}")
-
-
-if __name__ == "__main__":
-    whole_bank()
