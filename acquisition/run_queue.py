@@ -145,7 +145,7 @@ def edited_queue(path: Path, *, new: bool = False) -> Iterator[list[QueueEntry]]
 
     new: Whether a missing file is a queue without entries.
     """
-    with claimed(f"the edit of queue {path.absolute()}", wait_s=_EDIT_WAIT_S):
+    with claimed(f"the edit of queue {path.resolve()}", wait_s=_EDIT_WAIT_S):
         entries = [] if new and not path.exists() else list(read_queue(path))
         before = tuple(entries)
         yield entries

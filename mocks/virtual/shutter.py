@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from wavefocus.mocks.virtual.faults import RigFault, VirtualDevice
+from wavefocus.mocks.virtual.faults import VirtualDevice
 
 
 class VirtualShutter(VirtualDevice):
@@ -11,8 +11,8 @@ class VirtualShutter(VirtualDevice):
     is_open: Whether it lets the beam through.
     """
 
-    def __init__(self, faults: tuple[RigFault, ...] = ()) -> None:
-        super().__init__("shutter", faults, "closed by default")
+    def __init__(self) -> None:
+        super().__init__("shutter", (), "closed by default")
         self.is_open = False
 
     def open_beam(self) -> None:

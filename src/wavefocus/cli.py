@@ -799,7 +799,9 @@ def run_command(arguments: Sequence[str]) -> int:
 
 def _ended_with_input() -> AbstractContextManager[None]:
     """End the command when standard input closes, where the process that started it asks for that."""
-    if not os.environ.pop("WAVEFOCUS_WATCHED", ""):
+    from wavefocus.exits import WATCHED_VARIABLE
+
+    if not os.environ.pop(WATCHED_VARIABLE, ""):
         return nullcontext()
     from wavefocus.ending import ended_by_input  # most commands are not watched
 

@@ -114,8 +114,6 @@ def interrupt() -> None:
         signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
 
 
-WATCHED_VARIABLE = "WAVEFOCUS_WATCHED"
-"""Environment variable: a command that has it ends, as by Ctrl-C, when its standard input is closed."""
 LOOKS_EVERY_S = 0.1
 _READS_BYTES = 4096
 

@@ -116,7 +116,13 @@ OCCUPIED = Meaning(
 
 
 def explain(
-    failure: BaseException, instrument: str, operation: str, *, known: bool = False, owned: bool = False
+    failure: BaseException,
+    instrument: str,
+    operation: str,
+    *,
+    known: bool = False,
+    owned: bool = False,
+    role: str = "recorder",
 ) -> InstrumentError:
     """Turn a failure of the nidaqmx package into an `InstrumentError`.
 
@@ -124,9 +130,10 @@ def explain(
     instrument, operation: Who was asked what.
     known: Whether the device has answered this program before: then it is gone rather than misspelt.
     owned: Whether this program may have reserved it before: then what is reserved may be its own.
+    role: Table of the rig file that names the device.
     """
     error, cause, remedy = _meaning(failure, known, owned)
-    return error(instrument, operation, cause, remedy)
+    return error(instrument, operation, cause, remedy.replace("[recorder]", f"[{role}]"))
 
 
 def _meaning(failure: BaseException, known: bool, owned: bool) -> Meaning:

@@ -222,7 +222,7 @@ class NiSession:
 
     def _misnamed(self, system: Any, error: Any) -> InstrumentError:
         """The error of a name that nothing has, with the names that there are."""
-        explained = explain(error, self.instrument, "opening")
+        explained = explain(error, self.instrument, "opening", role=self._role)
         names = [name for name in system.devices.device_names if name != self.device]
         if not names:
             return explained
@@ -277,9 +277,9 @@ class NiSession:
         try:
             yield
         except (errors.Error, errors.DaqWarning, ServerSilentError, ValueError) as failure:
-            explained = explain(failure, self.instrument, operation, known=self._seen, owned=self.owned)
-            remedy = explained.remedy.replace("[recorder]", f"[{self._role}]")
-            raise type(explained)(self.instrument, operation, explained.cause, remedy) from failure
+            raise explain(
+                failure, self.instrument, operation, known=self._seen, owned=self.owned, role=self._role
+            ) from failure
 
     def _ask_limits(self) -> Limits:
         device = self.handle

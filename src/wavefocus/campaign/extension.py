@@ -19,6 +19,7 @@ from wavefocus.campaign.blueprint import (
     blueprint_from_bank,
     blueprint_of,
     listed_differences,
+    with_positions,
 )
 from wavefocus.campaign.schedule_choice import with_chosen_schedule
 from wavefocus.campaign.sidecar_files import raw_path
@@ -90,15 +91,12 @@ def grow(bank: Path, own: Blueprint, added_mm: Float64Array, regular: int) -> Bl
     Returns the campaign. Raises InputError: a checksum does not hold, or the disk is full; the bank is as it was.
     Raises BankBusyError: a process measures into it.
     """
-    run = own.configuration.run
-    run = run.model_copy(update={"grid": run.grid.model_copy(update={"regular_positions": regular})})
-    position_mm = np.concatenate([own.plan.position_mm, added_mm])
-    blueprint = blueprint_of(replace(own.configuration, run=run, position_mm=position_mm))
+    blueprint = with_positions(own, np.concatenate([own.plan.position_mm, added_mm]), regular)
     with BankWriter.open(bank, plan_sha256=own.plan.sha256):
         pass  # verifies every row, and that no other process owns the bank
     with replacement(bank, grown=True) as temporary, open_bank(bank) as view:
         taken = {row: (0, row) for row in np.flatnonzero(view.status).tolist()}
-        if run.capture.keep_raw and not _is_of_plan(raw_path(bank), blueprint):
+        if blueprint.configuration.run.capture.keep_raw and not _is_of_plan(raw_path(bank), blueprint):
             _extend_raw([view], taken, blueprint, raw_path(bank), grown=True)
         _write(temporary, [view], taken, blueprint)
     return blueprint

@@ -136,9 +136,10 @@ def pilot_result(
     level = np.maximum(np.linalg.norm(transfer, axis=(0, 2)), 1e-300)
     left_out = np.linalg.norm(model.left_out(transfer), axis=(0, 2)) / level
     points_mm = spread_positions(outline, run.grid.margin_mm, JUDGED_POINTS, JUDGED_SEED)
+    values = model.values(points_mm)
     found, recommended = [], None
     for grid_mm, forecast in grids:
-        error = relative_errors(model, points_mm, measured_at(model, grid_mm))
+        error = relative_errors(measured_at(model, grid_mm), points_mm, values)
         middle, upper = (float(np.quantile(error, share)) for share in (0.5, 0.9))
         found.append(replace(forecast, expected_error=middle, expected_error_90=upper))
         if upper < target:

@@ -81,7 +81,7 @@ def expected_errors(bank: Bank) -> ErrorMap:
     )  # fmt: skip
     spacing_mm = LATTICE_SHARE * grid_spacing_mm(position_mm)
     points_mm = surface_grid(outline, grid.margin_mm, max(spacing_mm, np.sqrt(outline.area_mm2 / MAX_POINTS)))
-    return ErrorMap(points_mm, relative_errors(model, points_mm))
+    return ErrorMap(points_mm, relative_errors(model, points_mm, model.values(points_mm)))
 
 
 def measured_rows(bank: Bank) -> Int64Array:
@@ -98,11 +98,13 @@ def bank_transfer(bank: Bank, rows: Int64Array) -> tuple[Float64Array, Complex12
     return frequency_hz, transfer.transpose(2, 0, 1).astype(np.complex128)
 
 
-def relative_errors(model: RimWaves, points_mm: Float64Array, stating: RimWaves | None = None) -> Float64Array:
-    """Expected error at points, (points,), as of `ErrorMap`; deviations of another model if `stating` is named."""
-    there = np.linalg.norm(model.values(points_mm), axis=(0, 2))
-    deviations = (stating or model).deviations(points_mm, range(len(model.frequency_hz)))
-    missed = np.linalg.norm(deviations, axis=(0, 2))
+def relative_errors(model: RimWaves, points_mm: Float64Array, values: Complex128Array) -> Float64Array:
+    """Error that a model expects at points, (points,), as of `ErrorMap`.
+
+    values, complex128 (frequencies, points, actuators): The transfer functions there.
+    """
+    there = np.linalg.norm(values, axis=(0, 2))
+    missed = np.linalg.norm(model.deviations(points_mm, range(len(model.frequency_hz))), axis=(0, 2))
     return np.asarray(missed / np.maximum(np.hypot(there, missed), 1e-300))
 
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from contextlib import AbstractContextManager, nullcontext, suppress
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from wavefocus.acquisition.plays import raw_header, require_same
 from wavefocus.acquisition.setup import Setup
-from wavefocus.campaign.blueprint import Blueprint, bank_configuration, blueprint_of, require_same_plan, ringing_of
+from wavefocus.campaign.blueprint import Blueprint, bank_configuration, require_same_plan, ringing_of, with_positions
 from wavefocus.campaign.schedule_choice import choose_schedule, with_chosen_schedule
 from wavefocus.campaign.sidecar_files import raw_path
 from wavefocus.config.messages.campaign import Event
@@ -51,9 +50,7 @@ def _with_added_positions(blueprint: Blueprint, bank: Path) -> Blueprint:
         regular, position_mm = grid.regular_positions, view.position_mm
     if regular is None or not np.array_equal(position_mm[:regular], blueprint.plan.position_mm):
         return blueprint
-    run = blueprint.configuration.run
-    run = run.model_copy(update={"grid": run.grid.model_copy(update={"regular_positions": regular})})
-    return blueprint_of(replace(blueprint.configuration, run=run, position_mm=position_mm))
+    return with_positions(blueprint, position_mm, regular)
 
 
 def opened_raw(

@@ -32,8 +32,8 @@ from wavefocus.acquisition.run_queue import (
 from wavefocus.commands.queued_commands import instrument_names
 from wavefocus.config.messages.codec import Message
 from wavefocus.console import say
-from wavefocus.ending import WATCHED_VARIABLE, stop_on_signals
-from wavefocus.exits import Exit, sentence
+from wavefocus.ending import stop_on_signals
+from wavefocus.exits import WATCHED_VARIABLE, Exit, sentence
 from wavefocus.rig.awake import kept_awake
 from wavefocus.storage.claims import claimed
 from wavefocus.storage.errors import BankBusyError, InputError

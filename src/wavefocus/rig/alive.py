@@ -72,7 +72,6 @@ class AliveSignal:
     def _touch(self) -> None:
         assert self._file is not None
         self._file.touch()
-        os.utime(self._file)
 
     def _ask(self) -> None:
         with urllib.request.urlopen(self._url, timeout=ANSWER_S) as answer:
