@@ -247,6 +247,17 @@ def is_check(bank: GreenSource) -> BoolArray:
     return np.zeros(bank.positions, dtype=bool) if check is None else np.asarray(check, dtype=bool)
 
 
+def well_measured(bank: GreenSource) -> BoolArray:
+    """Which rows an interpolation may be made of, bool (positions,): usable, not doubtful, and no check positions."""
+    doubtful = (np.asarray(bank.status) & DOUBTFUL_BITS) != 0
+    return np.asarray(usable(bank) & ~doubtful & ~is_check(bank))
+
+
+def usable_checks(bank: GreenSource) -> BoolArray:
+    """Which rows judge an interpolation, bool (positions,): usable check positions."""
+    return np.asarray(is_check(bank) & usable(bank))
+
+
 def drive_unit(bank: GreenSource) -> str:
     """Unit of the drives that a bank takes: its own word, else that of its `response_unit`; volts where neither says.
 

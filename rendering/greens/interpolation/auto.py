@@ -23,7 +23,7 @@ from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.greens.interpolation.row_values import RowValues
 from wavefocus.rendering.greens.interpolation.waves import WavesInterpolation
-from wavefocus.rendering.greens.source import GreenSource, is_check, usable
+from wavefocus.rendering.greens.source import GreenSource, usable_checks
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.storage.errors import InputError
 
@@ -67,7 +67,7 @@ def choose_interpolation(bank: GreenSource, points_mm: Float64Array, signals: Se
     frequency_hz = spectrum.bands_hz(bank_band_hz(bank), BANDS)
     emitted = spectrum.shares(frequency_hz, bank_band_hz(bank))
     emitted = emitted / emitted.sum() if emitted.sum() > 0 else np.full(len(emitted), 1.0 / len(emitted))
-    checks = np.flatnonzero(is_check(bank) & usable(bank))
+    checks = np.flatnonzero(usable_checks(bank))
     if _resolved(methods, frequency_hz[emitted >= EMITTED_SHARE]):
         judged_by = "left-out positions"
         errors = {name: _left_out(bank, method, methods, points_mm, frequency_hz) for name, method in methods.items()}

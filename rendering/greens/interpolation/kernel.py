@@ -33,7 +33,7 @@ from wavefocus.rendering.greens.interpolation.path_nodes import (
 )
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.greens.interpolation.row_values import RowValues
-from wavefocus.rendering.greens.source import DOUBTFUL_BITS, GreenSource, RowReader, apply_exponent, is_check, usable
+from wavefocus.rendering.greens.source import GreenSource, RowReader, apply_exponent, well_measured
 
 PHASE_STEP = 0.35
 """Radians that a wave may turn across half a patch from one frequency of the weights to the next: the cubic spline
@@ -197,9 +197,8 @@ class KernelInterpolation(PathInterpolation):
     rows: KernelRows
 
     def __init__(self, bank: GreenSource, around_mm: Float64Array) -> None:
-        status = np.asarray(bank.status)
         self._position_mm = np.asarray(bank.position_mm, dtype=np.float64)
-        allowed = usable(bank) & ((status & DOUBTFUL_BITS) == 0) & ~is_check(bank)
+        allowed = well_measured(bank)
         self.neighbourhoods = Neighbourhoods(self._position_mm, allowed)
         self.grid = PositionGrid(self._position_mm[allowed])
         self.grid_row = np.flatnonzero(allowed).astype(np.int64)

@@ -30,12 +30,12 @@ from wavefocus.rendering.greens.interpolation.path_nodes import (
 )
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.greens.source import (
-    DOUBTFUL_BITS,
     GreenSource,
     RowReader,
     apply_exponent,
     is_check,
-    usable,
+    usable_checks,
+    well_measured,
 )
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.wave_file import read_wave_file, wave_file, write_wave_file
@@ -115,7 +115,7 @@ class WavesInterpolation(PathInterpolation):
     rows: WaveRows
 
     def __init__(self, bank: GreenSource) -> None:
-        allowed = modelled_rows(bank)
+        allowed = well_measured(bank)
         require_modelled(bank, allowed)
         self.waves = bank_waves(bank)
         self.grid = PositionGrid(np.asarray(bank.position_mm, dtype=np.float64)[allowed])
@@ -147,12 +147,6 @@ class WavesInterpolation(PathInterpolation):
 
     def own_errors(self, points_mm: Float64Array, frequency_hz: Float64Array) -> tuple[str, ErrorBands]:
         return self.waves.model.judged_by, self.error_bands(points_mm, frequency_hz)
-
-
-def modelled_rows(bank: GreenSource) -> BoolArray:
-    """Rows that the model is fitted to: measured well, and not only there to judge it."""
-    doubtful = (np.asarray(bank.status) & DOUBTFUL_BITS) != 0
-    return np.asarray(usable(bank) & ~doubtful & ~is_check(bank))
 
 
 def require_modelled(bank: GreenSource, allowed: BoolArray) -> None:
@@ -196,7 +190,7 @@ def bank_waves(bank: GreenSource) -> BankWaves:
 def _contents_sha256(bank: GreenSource) -> str:
     """Hash of all that the model depends on; every row that is used is read, so a damaged one is refused."""
     digest = hashlib.sha256(f"{RECIPE} {bank.sample_rate_hz!r} {bank.taps} {bank.band_hz!r}".encode())
-    used = modelled_rows(bank) | (is_check(bank) & usable(bank))
+    used = well_measured(bank) | usable_checks(bank)
     for values in (bank.position_mm, bank.actuator_mm, used, is_check(bank)):
         digest.update(np.ascontiguousarray(values).tobytes())
     for row in np.flatnonzero(used).tolist():
@@ -206,7 +200,7 @@ def _contents_sha256(bank: GreenSource) -> str:
 
 def _fit(bank: GreenSource) -> BankWaves:
     reader = RowReader(bank)
-    allowed, checks = modelled_rows(bank), is_check(bank) & usable(bank)
+    allowed, checks = well_measured(bank), usable_checks(bank)
     position_mm = np.asarray(bank.position_mm, dtype=np.float64)
     # A position that was measured twice counts once.
     _, first = np.unique(position_mm[allowed], axis=0, return_index=True)
