@@ -161,7 +161,7 @@ class AnalogMirror:
     def _open(self, doing: str) -> None:
         self._settled_s = None
         self._drop()
-        driver, known = self._driver, self._identity
+        driver = self._driver
         names = (driver.x_output, driver.y_output)
         settings = OutputSettings(
             "mirror",
@@ -174,14 +174,9 @@ class AnalogMirror:
             driver.limit_v,
             driver.slew_v_per_s,
         )
-        self._outputs = ProcessOutputs(self._name, settings, self._level_v, doing, known=known is not None)
-        own = self._outputs.identity
-        identity = DeviceIdentity(own.maker, f"{own.product} outputs {' and '.join(names)}", own.serial)
-        if known is not None and identity != known:
-            self._drop()
-            remedy = "plug the right one in, or start a new campaign with this one"
-            raise InstrumentError(self._name, doing, f"{identity} answers instead of {known}", remedy)
-        self._identity = identity
+        label = f"outputs {' and '.join(names)}"
+        self._outputs = ProcessOutputs(self._name, settings, label, self._level_v, doing, self._identity)
+        self._identity = self._outputs.identity
 
     def _drop(self) -> None:
         outputs, self._outputs = self._outputs, None

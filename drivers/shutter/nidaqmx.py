@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from wavefocus.drivers.daq.ni.outputs_process import OutputSettings, ProcessOutputs
-from wavefocus.drivers.errors import InstrumentError
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.protocols import DeviceIdentity, Shutter
 from wavefocus.drivers.registry import SHUTTERS, rig_key
 
@@ -70,21 +70,23 @@ class NiShutter:
         if self._closed:
             raise InstrumentError(self._name, "reconnecting", "it is closed", "open the rig again")
         self._drop()
-        driver, known = self._driver, self._identity
+        driver = self._driver
         settings = OutputSettings(
             "shutter", "line of [shutter]", "digital", driver.device, driver.address, (driver.line,), self._level(False)
         )
-        self._line = ProcessOutputs(self._name, settings, (), "opening the line", known=known is not None)
-        own = self._line.identity
-        self._identity = DeviceIdentity(own.maker, f"{own.product} line {driver.line}", own.serial)
+        label = f"line {driver.line}"
+        self._line = ProcessOutputs(self._name, settings, label, (), "opening the line", self._identity)
+        self._identity = self._line.identity
 
     def close(self) -> None:
         self._closed = True
         self._drop()
 
     def _set(self, *, opens: bool, doing: str) -> None:
-        if self._closed or self._line is None:
+        if self._closed:
             raise InstrumentError(self._name, doing, "it is closed", "open the rig again")
+        if self._line is None:
+            raise InstrumentLostError(self._name, doing, "it is not connected", "reconnect first")
         self._line.write(self._level(opens), doing)
 
     def _level(self, opens: bool) -> tuple[float]:

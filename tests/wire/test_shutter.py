@@ -164,6 +164,28 @@ def test_given_a_line_that_is_wired_to_something_else_then_it_is_an_error(opened
         first.open_beam()
 
 
+def test_given_another_box_under_the_same_name_then_the_shutter_is_not_moved_until_its_own_is_back(
+    opened: ExitStack,
+) -> None:
+    box = server(opened)
+    shutter = NiShutterDriver(device="Dev1", address=box.address).open()
+    opened.callback(shutter.close)
+    shutter.open_beam()
+    box.stop()
+    other = NiServer(Tone(), "USB-6211", address=box.address, serial_number=0x0BADCAFE)
+    other.start()
+    with pytest.raises(InstrumentError, match="serial number 0BADCAFE answers instead of"):
+        shutter.reconnect()
+    with pytest.raises(InstrumentLostError, match="reconnect first"):
+        shutter.open_beam()
+    assert not any(call.name == "WriteDigitalLines" for call in other.log)
+    other.stop()
+    box.start()
+    shutter.reconnect()
+    shutter.block_beam()
+    assert box.level(LINE) == 0.0
+
+
 def test_given_a_real_shutter_in_a_virtual_rig_then_the_rig_file_is_refused(tmp_path: Path) -> None:
     rig_file = tmp_path / "rig.toml"
     rig_file.write_text('[shutter]\ndriver = "nidaqmx"\ndevice = "Dev1"\n')

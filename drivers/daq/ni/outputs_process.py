@@ -48,20 +48,32 @@ class OutputSettings:
 class ProcessOutputs:
     """Outputs that are written together; the process that has them is started here.
 
-    Raises InstrumentLostError or InstrumentError.
+    Raises InstrumentLostError or InstrumentError; also where another device answers than the known one.
 
+    label: What the outputs are called behind the device's product in `identity`: ``"line port1/line0"``.
     level: What the outputs were put at last, where that is known: a ramp begins there.
-    known: Whether the device has answered before: then it is gone where it does not answer, and not misspelt.
+    known: The `identity` that answered before: the device is gone where it does not answer, and not misspelt.
     """
 
     def __init__(
-        self, instrument: str, settings: OutputSettings, level: Sequence[float], doing: str, *, known: bool
+        self,
+        instrument: str,
+        settings: OutputSettings,
+        label: str,
+        level: Sequence[float],
+        doing: str,
+        known: DeviceIdentity | None,
     ) -> None:
         self._process = CalledProcess(instrument, "wavefocus.drivers.daq.ni.outputs_process", "the process that has it")
         self.level = tuple(level)
         try:
-            opened = self._process.ask(doing, "open", settings, self.level, known, limit_s=OPENING_S)
-            self.identity: DeviceIdentity = opened.value()
+            device: DeviceIdentity = self._process.ask(
+                doing, "open", settings, self.level, known is not None, limit_s=OPENING_S
+            ).value()
+            self.identity = DeviceIdentity(device.maker, f"{device.product} {label}", device.serial)
+            if known is not None and self.identity != known:
+                remedy = "plug the right one in, or start a new campaign with this one"
+                raise InstrumentError(instrument, doing, f"{self.identity} answers instead of {known}", remedy)
         except BaseException:
             self._process.close()
             raise
