@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -97,6 +98,8 @@ class Dialogue:
         self._line = line
         self._marker: Marker | None = None
         self._behind = False
+        # Introductions, then markers, whose answers have not come.
+        self._introductions_due: Counter[str] = Counter()
         self._markers_due = 0
         self._lock = threading.RLock()
 
@@ -110,6 +113,7 @@ class Dialogue:
         with self._lock:
             self._marker = None
             self._behind = False
+            self._introductions_due.clear()
             self._markers_due = 0
             self._line.open()
 
@@ -152,7 +156,10 @@ class Dialogue:
                     if before:
                         self._clock.sleep(BEFORE_S)
                     self._line.send(question.text)
-                    return self._first_readable(question)
+                    self._introductions_due[question.text] += 1
+                    answer = self._first_readable(question)
+                    self._introductions_due[question.text] -= 1
+                    return answer
                 except NoAnswerError as missing:
                     latest = missing
                 except LineFailedError as failure:
@@ -169,10 +176,12 @@ class Dialogue:
     def recognise(self, marker: Marker) -> None:
         """Use this identity from now on.
 
-        The place in its answers is taken to be in doubt: more than one introduction may have been asked for.
+        The place in its answers is taken to be in doubt: more than one introduction may have been asked for. Where they
+        were the marker's own question, their late answers look like the marker's, so that all are waited for.
         """
         self._marker = marker
         self._behind = True
+        self._markers_due = self._introductions_due[marker.text]
 
     def verify(self, doing: str) -> None:
         """Make sure that the device answers, and that it is still the same.
@@ -222,11 +231,14 @@ class Dialogue:
     def _exchange(self, query: Query[Answer]) -> Answer:
         # Until an answer has come, whatever ends the wait for it, an interrupt too, leaves the place in doubt.
         self._behind = True
+        asks_marker = self._marker is not None and query.text == self._marker.text
         self._line.send(query.text)
+        self._markers_due += asks_marker
         answer = self._line.receive(time.monotonic() + self._line.settings.answer_s)
         if answer.strip() == query.text.strip() and answer.strip():
             # The line echoes what is sent over it; the answer comes after that.
             answer = self._line.receive(time.monotonic() + self._line.settings.answer_s)
+        self._markers_due -= asks_marker
         if self._line.received():
             raise NoAnswerError(f"more came than the answer {answer!r}")
         try:
