@@ -25,6 +25,7 @@ from wavefocus.storage.hdf5_writing import (
     sample_times,
     set_long_names,
 )
+from wavefocus.storage.labelled import labelled_dataset
 from wavefocus.storage.output_files import replacement, require_outputs
 from wavefocus.storage.units import drive_of
 
@@ -155,9 +156,14 @@ class Drive:
 
         Raises InputError: xarray is not installed.
         """
-        from wavefocus.storage.labelled import drive_dataset
-
-        return drive_dataset(self)
+        actuators, samples = self.drive_v.shape
+        data = {"drive": (("actuator", "time_s"), self.drive_v, {"units": self.drive_unit})} | {
+            name: ("focus", getattr(self, name)) for name in ("focus_sample", "focus_position", "focus_source")
+        }
+        times_s = sample_times(samples, self.sample_rate_hz, self.start_s)
+        coordinates = {"actuator": np.arange(actuators), "time_s": ("time_s", times_s, {"units": "s"})}
+        names = ("sample_rate_hz", "start_s", "method", "scale", "omitted_bound")
+        return labelled_dataset(data, coordinates, {name: getattr(self, name) for name in names})
 
 
 @checked

@@ -25,6 +25,7 @@ from wavefocus.storage.hdf5_writing import (
     sample_times,
     set_long_names,
 )
+from wavefocus.storage.labelled import labelled_dataset
 from wavefocus.storage.output_files import replacement, require_outputs
 
 if TYPE_CHECKING:
@@ -110,9 +111,11 @@ class Field:
 
         Raises InputError: xarray is not installed.
         """
-        from wavefocus.storage.labelled import field_dataset
-
-        return field_dataset(self)
+        times_s = sample_times(self.field.shape[1], self.sample_rate_hz, self.start_s)
+        data = {"field": (("position", "time_s"), self.field, {"units": self.response_unit})}
+        coordinates = {"position": self.position_index, "time_s": ("time_s", times_s, {"units": "s"})}
+        names = ("sample_rate_hz", "start_s", "response_unit")
+        return labelled_dataset(data, coordinates, {name: getattr(self, name) for name in names})
 
 
 def _require_finite(values: NDArray[Any], position_index: Int64Array) -> None:

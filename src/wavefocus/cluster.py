@@ -15,7 +15,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,11 +31,6 @@ from wavefocus.storage.drive_file import read_drive
 from wavefocus.storage.errors import InputError, WavefocusError
 from wavefocus.storage.raw.writer import RawFile, open_raw
 
-if TYPE_CHECKING:
-    from wavefocus.calibration.estimator.raw_estimation import PositionResult
-
-
-Part = TypeVar("Part")
 Result = TypeVar("Result")
 
 LOCAL = "local"
@@ -106,9 +101,9 @@ def _processes(address: str) -> int:
 
 
 def spread(
-    client: Any, function: Callable[[Part], Result], parts: Iterable[Part], *, stopped: str = "the work"
+    client: Any, function: Callable[..., Result], parts: Iterable[tuple[Any, ...]], *, stopped: str
 ) -> Iterator[Result]:
-    """Carry out a function on the cluster for every part, and give the results in the parts' order.
+    """Carry out a function on the cluster with the arguments of every part, and give the results in the parts' order.
 
     Raises InputError: A worker raised it. Raises WavefocusError: workers were lost, again and again.
     """
@@ -116,7 +111,7 @@ def spread(
     most = PARTS_PER_THREAD * max(1, sum(client.nthreads().values()))
     try:
         for part in parts:
-            under_way.append(client.submit(function, part, pure=False))
+            under_way.append(client.submit(function, *part, pure=False))
             if len(under_way) >= most:
                 yield _result(client, under_way.popleft(), stopped)
         while under_way:
@@ -131,35 +126,23 @@ def estimate_on_cluster(
     address: str, raw: Path, positions: Sequence[int], workers: int | None
 ) -> Iterator[PositionResult]:
     """Estimate positions on a cluster, in their order; each by itself, so that it is the same as here."""
-    from wavefocus.cluster import estimated_part, identity_of
-
     file = identity_of(raw)
     parts = [
         (file, list(positions[first : first + POSITIONS_AT_ONCE]))
         for first in range(0, len(positions), POSITIONS_AT_ONCE)
     ]
     with cluster_client(address, workers) as client:
-        for results in spread(client, _Spread(estimated_part), parts, stopped=f"estimating {raw}"):
+        for results in spread(client, estimated_part, parts, stopped=f"estimating {raw}"):
             yield from results
-
-
-class _Spread:
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._function = function
-
-    def __call__(self, part: tuple[Any, ...]) -> Any:
-        return self._function(*part)
 
 
 def field_on_cluster(
     client: Any, drive: Path, bank: Path, rate_hz: float | None, parts: Iterable[Sequence[int]]
 ) -> Iterator[Any]:
     """Predict the parts of a field on a cluster, in their order; float32 arrays (rows, samples)."""
-    from wavefocus.cluster import field_parts, identity_of
-
     files, chosen = (identity_of(drive), identity_of(bank)), [list(part) for part in parts]
     tasks = ((*files, rate_hz, chosen[first : first + PARTS_AT_ONCE]) for first in range(0, len(chosen), PARTS_AT_ONCE))
-    for fields in spread(client, _Spread(field_parts), tasks, stopped=f"predicting {drive}"):
+    for fields in spread(client, field_parts, tasks, stopped=f"predicting {drive}"):
         yield from fields
 
 

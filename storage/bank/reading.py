@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from wavefocus.storage import hdf5_digest, hdf5_reading
 from wavefocus.storage.argument_types import Positions, bank_row, bank_rows, checked
 from wavefocus.storage.bank.layout import BankHeader, quality_shape, read_check_rows, read_header, read_layout
-from wavefocus.storage.bank.ledger import BANK, QUALITY_NAMES, LedgerFigures, figures_of
+from wavefocus.storage.bank.ledger import BANK, QUALITY, QUALITY_NAMES, LedgerFigures, figures_of
 from wavefocus.storage.bank.notes import Note, read_notes
 from wavefocus.storage.durable import Closing
 from wavefocus.storage.errors import InputError, OtherLayoutError
 from wavefocus.storage.hdf5_writing import sample_times
+from wavefocus.storage.labelled import labelled_dataset, rows_on_demand
 from wavefocus.storage.ledger.layout import JOURNAL, LEDGER, LedgerLayout, has_ledger
 from wavefocus.storage.ledger.reader import DamagedError, LedgerReader, damage_of
 from wavefocus.storage.units import drive_of
@@ -306,9 +307,23 @@ class Bank(Closing):
         own. The bank must stay open while rows are read. Raises InputError: xarray is not installed, or, when a row is
         read, its checksum does not hold.
         """
-        from wavefocus.storage.labelled import bank_dataset
-
-        return bank_dataset(self)
+        pair = ("position", "actuator")
+        green = rows_on_demand((self.positions, self.actuators, self.taps), self.rows.dtype, self.rows.read)
+        data = {
+            "green": ((*pair, "time_s"), green, {"units": self.response_unit}),
+            "rms": (pair, self.rms, {"units": self.response_unit}),
+        } | {name: (pair[: part.ndim], part, {"units": QUALITY[name][0]}) for name, part in self.quality.items()}
+        coordinates = {
+            "position": np.arange(self.positions),
+            "actuator": np.arange(self.actuators),
+            "time_s": ("time_s", self.time_s, {"units": "s"}),
+            "axis": ["x", "y"],
+            "position_mm": (("position", "axis"), self.position_mm, {"units": "mm"}),
+            "actuator_mm": (("actuator", "axis"), self.actuator_mm, {"units": "mm"}),
+            "status": ("position", self.status),
+        }
+        names = ("sample_rate_hz", "response_unit", "drive_unit", "band_hz", "software")
+        return labelled_dataset(data, coordinates, {name: getattr(self, name) for name in names})
 
     def verify(self) -> tuple[int, ...]:
         """Check every checksum; return the damaged positions (a foreign bank has none)."""

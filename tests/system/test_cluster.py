@@ -148,7 +148,7 @@ def test_given_a_cluster_that_dies_then_one_sentence_says_so(
             for _ in range(120):
                 try:
                     with cluster.cluster_client(address) as client:
-                        results = cluster.spread(client, time.sleep, [0.2] * 1000, stopped="estimating plate")
+                        results = cluster.spread(client, time.sleep, [(0.2,)] * 1000, stopped="estimating plate")
                         next(results)
                         (scheduler if lost == "scheduler" else worker).kill()
                         with pytest.raises(WavefocusError, match=f"estimating plate: .*{lost} of the cluster is"):

@@ -5,10 +5,12 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from graphlib import TopologicalSorter
 from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
 
+import grimp
 import h5py
 import numpy as np
 import pytest
@@ -53,6 +55,11 @@ def test_the_reference_has_every_public_name() -> None:
 def test_given_another_name_then_it_is_no_attribute() -> None:
     with pytest.raises(AttributeError, match="frobnicate"):
         _ = wavefocus.frobnicate
+
+
+def test_no_module_imports_itself_round_a_circle() -> None:
+    graph = grimp.build_graph("wavefocus", cache_dir=None)  # lazy and type-only imports count, too
+    TopologicalSorter({module: graph.find_modules_directly_imported_by(module) for module in graph.modules}).prepare()
 
 
 def test_importing_the_package_loads_nothing_but_the_standard_library() -> None:
