@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
@@ -22,6 +24,7 @@ from wavefocus.live_session.latency import LatencyHistogram
 from wavefocus.live_session.orders import MAX_WAITING, Inbox, UseSignal, order_of
 from wavefocus.live_session.output import LiveOutput
 from wavefocus.live_session.pace import Pace
+from wavefocus.live_session.priority import raise_priority
 from wavefocus.live_session.session import LiveSession
 from wavefocus.rendering.drive.coil_limits import DriveLimits
 from wavefocus.rendering.drive.rendering import render_with_report
@@ -235,6 +238,101 @@ def test_given_a_wrong_order_then_a_short_sentence_refuses_it(order: dict, tmp_p
     assert 0 < len(str(refusal.value)) < 500
 
 
+class SimulatedSession:
+    """A session's blocks on a simulated clock, and a player that takes `period_s` at a time.
+
+    computing_s: Time that a block takes, by its number and the number of sources that sound.
+    stalls: Seconds that the machine stands still before the block of a number is handed over.
+    """
+
+    def __init__(
+        self,
+        computing_s: Callable[[int, int], float],
+        sources: int,
+        stalls: Mapping[int, float] | None = None,
+        *,
+        blocks: int = 4_000,
+        ahead_s: float = 0.04,
+        period_s: float = 0.001,
+    ) -> None:
+        block_s = 0.005
+        pace = Pace(block_s, ahead_s)
+        self.sounding: list[int] = []
+        self.waiting_s: list[float] = []
+        self.gaps_s: list[float] = []
+        self.underruns: list[int] = []
+        now_s = written_s = begun_s = 0.0
+        sounds_s: float | None = None  # since when
+
+        def taken_s() -> float:
+            return 0.0 if sounds_s is None else (now_s - sounds_s) // period_s * period_s
+
+        for block in range(blocks):
+            sounding = sources if pace.most_sources is None else pace.most_sources
+            self.sounding.append(sounding)
+            self.gaps_s.append(now_s - begun_s)
+            begun_s, took_s = now_s, computing_s(block, sounding)
+            now_s += took_s + (stalls or {}).get(block, 0.0)
+            waiting_s = written_s - taken_s()
+            if waiting_s < 0:
+                self.underruns.append(block)
+                pace.ran_dry(sources, ahead_s)
+                written_s, sounds_s = 0.0, None
+                continue
+            written_s += block_s
+            if sounds_s is None and written_s >= ahead_s:
+                sounds_s = now_s
+            while written_s - taken_s() > ahead_s:
+                now_s += 2e-4
+            self.waiting_s.append(waiting_s)
+            pace.add(took_s, waiting_s, sources)
+            now_s = max(now_s, pace.begin_s(now_s, waiting_s))
+
+
+def test_given_blocks_that_take_unequally_long_then_nearly_all_that_is_to_wait_waits() -> None:
+    # Every second block has the positions of four independent sources, and takes longer than it plays.
+    session = SimulatedSession(lambda block, _: 1e-4 if block % 2 else (0.0065, 0.009, 0.005)[block % 3], 4)
+    assert session.underruns == []
+    assert set(session.sounding) == {4}
+    assert min(session.waiting_s[100:]) > 0.02
+
+
+def test_given_a_stall_then_what_is_to_wait_is_there_again_within_a_tenth_of_a_second() -> None:
+    session = SimulatedSession(lambda *_: 0.0025, 4, {1000: 0.03})
+    assert session.underruns == []
+    assert session.waiting_s[1000] < 0.01
+    assert session.waiting_s[1000 + 20] > 0.03
+
+
+@pytest.mark.parametrize(
+    ("stalls", "fewest", "within_s"),
+    [({2000: 0.06}, 4, 0.0), ({2000: 0.06, 2400: 0.06}, 3, 3.0), ({2000: 0.2, 2001: 0.2, 2400: 0.2}, 3, 5.0)],
+)
+def test_given_a_player_that_ran_dry_then_all_sources_sound_again_within_seconds(
+    stalls: dict[int, float], fewest: int, within_s: float
+) -> None:
+    session = SimulatedSession(lambda block, sources: 1e-4 if block % 2 else 1.5e-3 * sources, 4, stalls)
+    assert len(session.underruns) in {len(stalls), len(stalls) - 1}
+    assert min(session.sounding) == fewest
+    left_out = [block for block, sounding in enumerate(session.sounding) if sounding < 4]
+    assert len(left_out) * 0.005 <= within_s
+
+
+def test_given_more_sources_than_the_machine_computes_then_the_latest_are_left_out_and_taken_back() -> None:
+    session = SimulatedSession(lambda block, sources: (8e-4 if block < 6000 else 1e-4) * sources, 10, blocks=30_000)
+    assert len(session.underruns) <= 3
+    assert all(sounding <= 7 for sounding in session.sounding[300:6000:2000])
+    assert session.sounding[-1] == 10
+    assert session.sounding.index(10, 6000) < 6000 + round(120 / 0.005)
+
+
+def test_given_an_interface_with_long_periods_then_blocks_are_not_computed_in_a_burst() -> None:
+    session = SimulatedSession(lambda *_: 0.002, 4, ahead_s=0.08, period_s=1024 / 48_000)
+    settled = session.gaps_s[100:]
+    assert session.underruns == []
+    assert sum(gap < 0.0045 for gap in settled) < 0.05 * len(settled)
+
+
 def test_given_slow_blocks_then_the_latest_sources_are_left_out_and_taken_back() -> None:
     pace, seen = Pace(0.005, 0.02), []
     for block in range(400):
@@ -253,6 +351,28 @@ def test_given_one_stall_of_the_machine_then_the_effort_stays() -> None:
     assert not any(
         pace.add(0.1 if block == 50 else 0.002, 0.001 if 50 <= block < 80 else 0.015, sources=1) for block in range(200)
     )
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getscheduler"), reason="Linux has real-time priorities")
+def test_given_threads_that_hold_pythons_lock_then_their_priority_is_raised_with_that_of_the_session() -> None:
+    over, policies = threading.Event(), list[int]()
+    other = threading.Thread(target=over.wait)
+
+    def raised() -> None:
+        raise_priority(other)
+        policies.extend(os.sched_getscheduler(thread.native_id or 0) for thread in (threading.current_thread(), other))
+
+    other.start()
+    try:
+        session = threading.Thread(target=raised)
+        session.start()
+        session.join()
+    finally:
+        over.set()
+        other.join()
+    if os.SCHED_RR not in policies:
+        pytest.skip("no real-time priority is allowed here")
+    assert policies == [os.SCHED_RR] * 2
 
 
 def test_given_latencies_then_percentiles_are_theirs_to_a_step() -> None:

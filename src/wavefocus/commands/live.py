@@ -45,7 +45,7 @@ def live(bank: Path, rig_file: Path, options: LiveOptions, *, osc: str | None, a
                 receiver = OscInput(*address_of(osc))
                 if not receiver.loopback:
                     say(f"warning: every computer that reaches {receiver.address} can move sources")
-            with ending_at_once(), open_session(bank, rig_file, options, messages, raise_priority) as (session, ready):
+            with ending_at_once(), open_session(bank, rig_file, options, messages, _raise_all) as (session, ready):
                 session.run(partial(_begin, ready, session, messages, receiver))
         except KeyboardInterrupt:
             code = Exit.STOPPED
@@ -87,6 +87,11 @@ def _begin(ready: LiveReady, session: LiveSession, messages: Messages, receiver:
     threading.Thread(target=read, name="orders", daemon=True).start()
     if receiver is not None:
         receiver.start(receive)
+
+
+def _raise_all() -> None:
+    """Raise the priority of this thread and of those that write messages and the record."""
+    raise_priority(*threading.enumerate())
 
 
 class Messages:

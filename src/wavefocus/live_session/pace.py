@@ -1,10 +1,14 @@
-"""Sources by load: a session that falls behind leaves out the latest ones, and takes them back when it can."""
+"""Pace of a live session: when the next block begins, and how many sources sound where computing falls behind."""
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import Literal
 
+PACED = 0.95
+"""Blocks begin so many block times apart: an interface asks for a period at a time, and several blocks computed in a
+burst would leave positions waiting for the next one."""
 BUSY = 0.8
 """Share of a block's time above which computing it counts as too slow."""
 LOOKED_AT = 10
@@ -16,11 +20,13 @@ Change = Literal["slower", "faster"]
 
 
 class Pace:
-    """Chooses how many sources sound from the time that each block took.
+    """Chooses from the time that each block took when the next one begins, and how many sources sound.
 
-    It steps down when less than 0.4 of what is to wait is left to be played and the latest blocks were slow on average:
-    the latest source is left out, then the one before it; one remains. It steps up when at least as much was left for
-    2 s; for twice as long after each relapse, up to a minute.
+    Computing is slow while the latest blocks took more than 0.8 of their time on average. Where it is slow and less
+    than 0.4 of what is to wait is left to be played, the latest source is left out, then the one before it; one
+    remains. Where it was not slow for 2 s, one is taken back; for twice as long after each relapse, up to a minute. One
+    that ran dry without being slow was stalled, which fewer sources would not mend: only a second time within 10 s
+    leaves one out.
 
     block_s: Time of a block. ahead_s: What is to wait to be played.
     """
@@ -31,7 +37,19 @@ class Pace:
         """Sources that may sound; None: all."""
         self._latest: deque[float] = deque(maxlen=LOOKED_AT)
         self._calm_s, self._filled = 0.0, False
-        self._needed_s, self._since_faster_s = CALM_S, RELAPSE_S
+        self._needed_s, self._since_faster_s, self._since_dry_s = CALM_S, RELAPSE_S, RELAPSE_S
+        self._begin_s = -math.inf
+
+    def begin_s(self, now_s: float, waiting_s: float) -> float:
+        """When the next block begins; in the past where computing is behind.
+
+        now_s: When the block before was taken. waiting_s: How much was still to be played before it.
+        """
+        # Without room the player took it only when there was some.
+        full = waiting_s + self._block_s >= self._ahead_s
+        earliest_s = now_s if full else now_s - self._ahead_s
+        self._begin_s = max(self._begin_s + PACED * self._block_s, earliest_s)
+        return self._begin_s
 
     def add(self, computed_s: float, waiting_s: float, sources: int) -> Change | None:
         """Note a block: what it took, how much was still to be played when it was written, and the number of sources.
@@ -40,18 +58,34 @@ class Pace:
         """
         self._latest.append(computed_s)
         self._since_faster_s += self._block_s
-        # Not half: blocks are paced so that about half waits, and it would be calm at no time.
-        plenty = waiting_s >= LEFT_SHARE * self._ahead_s
-        self._filled |= plenty
-        self._calm_s = self._calm_s + self._block_s if plenty else 0.0
-        # Without the longest: one stall of the machine is not slow computing.
-        typical_s = (sum(self._latest) - max(self._latest)) / (LOOKED_AT - 1)
-        slow = len(self._latest) == LOOKED_AT and typical_s > BUSY * self._block_s
-        if slow and self._filled and waiting_s < LEFT_SHARE * self._ahead_s:
-            return "slower" if self.slower(sources) else None
+        self._since_dry_s += self._block_s
+        low = waiting_s < LEFT_SHARE * self._ahead_s
+        self._filled |= not low
+        if self._slow:
+            self._calm_s = 0.0
+            return "slower" if low and self._filled and self._slower(sources) else None
+        self._calm_s += self._block_s
         return "faster" if self._calm_s >= self._needed_s and self._faster(sources) else None
 
-    def slower(self, sources: int) -> bool:
+    def ran_dry(self, sources: int, ahead_s: float) -> Change | None:
+        """Note that nothing was left to be played, and begin anew. Returns how the number of sources has changed.
+
+        ahead_s: What is to wait from now on.
+        """
+        stalled, self._since_dry_s = not self._slow and self._since_dry_s >= RELAPSE_S, 0.0
+        self._ahead_s, self._begin_s = ahead_s, -math.inf
+        if stalled:
+            self._start_anew()
+            return None
+        return "slower" if self._slower(sources) else None
+
+    @property
+    def _slow(self) -> bool:
+        # Without the longest: one stall of the machine is not slow computing.
+        typical_s = (sum(self._latest) - max(self._latest, default=0.0)) / (LOOKED_AT - 1)
+        return len(self._latest) == LOOKED_AT and typical_s > BUSY * self._block_s
+
+    def _slower(self, sources: int) -> bool:
         """Step down; returns whether there was a step left."""
         if self._since_faster_s < RELAPSE_S:
             self._needed_s = min(2 * self._needed_s, MAX_CALM_S)

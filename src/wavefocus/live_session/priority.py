@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
 from contextlib import suppress
 
 REALTIME = 1
@@ -11,15 +12,19 @@ REALTIME = 1
 _HIGH_PRIORITY_CLASS = 0x80
 
 
-def raise_priority() -> None:
+def raise_priority(*others: threading.Thread) -> None:
     """Let this thread, and threads and processes that it starts from now on, run before other programs, if it may.
+
+    others: Threads of this process that do so too. One that holds Python's lock holds up this one for as long as
+        other programs run in its place.
 
     On Linux by a real-time priority, which a limit (``rtprio`` in /etc/security/limits.d, as audio servers ask for it)
     or root allows; on Windows by the high priority class; elsewhere not at all.
     """
     if sys.platform == "linux":
-        with suppress(OSError):
-            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(REALTIME))
+        for thread in (threading.current_thread(), *others):
+            with suppress(OSError):
+                os.sched_setscheduler(thread.native_id or 0, os.SCHED_RR, os.sched_param(REALTIME))
     elif sys.platform == "win32":
         import ctypes
 

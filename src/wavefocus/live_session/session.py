@@ -35,9 +35,6 @@ Publish = Callable[[Message], object]
 STATES_EVERY_S = 0.2
 NOTICES_EVERY_S = 2.0
 MAX_AHEAD_S = 1.0
-PACED = 0.95
-"""Blocks begin so many block times apart where enough waits to be played: an interface asks for a period at a time, and
-several blocks computed in a burst would leave positions waiting for the next one."""
 ENDING_S = 5.0
 """Beyond what waits to be played and the interface's latency, the last sound has left after so long."""
 SWITCH_S = 0.0005
@@ -154,8 +151,8 @@ class LiveSession:
         while self._unwritten and self._unwritten[0][0] < self._frames:
             self._latency.add(self._player.written_s - self._unwritten.popleft()[1])
         self._account(computed_s, waiting_s)
-        if waiting_s > self._ahead_s / 2:
-            time.sleep(max(0.0, begun_s + PACED * self._block_s - time.monotonic()))
+        now_s = time.monotonic()
+        time.sleep(max(0.0, self._pace.begin_s(now_s, waiting_s) - now_s))
 
     def _apply_orders(self) -> None:
         self._arrived = []
@@ -266,12 +263,12 @@ class LiveSession:
     def _begin_anew(self, dry: TransientInstrumentError) -> None:
         """After the player ran dry: silence, then what comes next; the block that came too late is lost."""
         self._figures.underruns += 1
-        if self._pace.slower(len(self.engine.state())):
-            self._limit_sources("slower")
         more = ""
         if self._adapts and self._ahead_s < MAX_AHEAD_S:
             self._ahead_s = min(2 * self._ahead_s, MAX_AHEAD_S)
             more = f"; from now on {1e3 * self._ahead_s:.0f} ms wait to be played"
+        if change := self._pace.ran_dry(len(self.engine.state()), self._ahead_s):
+            self._limit_sources(change)
         self._unwritten.clear()
         self._notice("underrun", f"{dry.instrument}: {dry.cause}{more}", always=True)
         self._player.mute()
