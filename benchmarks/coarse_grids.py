@@ -28,10 +28,17 @@ from numpy.typing import NDArray
 from scipy.special import jv
 
 from wavefocus.acquisition.grid import check_grid, surface_grid
-from wavefocus.benchmarks.exact_stadium import exact_stadium
 from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times
 from wavefocus.benchmarks.paper_measures import CLEAR_MM, SATURATION, clear_rows, focus_fields, focus_figures
-from wavefocus.benchmarks.rig_bank import BAND_HZ, MARGIN_MM, RATE_HZ, default_grid, sweep_plan, true_bank
+from wavefocus.benchmarks.rig_bank import (
+    BAND_HZ,
+    MARGIN_MM,
+    RATE_HZ,
+    default_grid,
+    exact_stadium,
+    sweep_plan,
+    true_bank,
+)
 from wavefocus.calibration.coarse_grid.rim_waves import NORMAL_95, RimWaves
 from wavefocus.calibration.coarse_grid.waves import Dispersion
 from wavefocus.calibration.numerics import transform_at

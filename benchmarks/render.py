@@ -11,22 +11,29 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import oaconvolve
 
 from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times, measure, peak_mb, relative_error
-from wavefocus.benchmarks.merging_peer import bilinear_runs, decimated, predict_merged, render_merged, sampled_runs
-from wavefocus.benchmarks.render_precision import field_points, precision_points
 from wavefocus.benchmarks.render_workloads import (
     RATE_HZ,
     RenderWorkload,
+    bilinear_runs,
     circle,
     convolve_and_overlap_add,
+    convolve_positions,
+    decimated,
     field_drive,
     floor,
     modal_bank,
+    noise,
+    predict_merged,
+    render_merged,
+    sampled_runs,
+    smooth_bank,
     sum_directly,
     workloads,
 )
@@ -35,7 +42,8 @@ from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.field.bank_spectra import BankSpectra
 from wavefocus.rendering.field.prediction import Prediction, predict
 from wavefocus.rendering.greens.source import GreenArray
-from wavefocus.rendering.scene.model import Scene
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.paths import Circle
 from wavefocus.storage.drive_file import Drive
 
 TOLERANCE_DB = -60.0
@@ -49,6 +57,16 @@ LOWER_HZ = 1250.0
 FEW = 30
 SOME = 150
 MAX_MB = 600.0
+SPEED_MM_S = 100.0
+STEPS_MM = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
+TOLERANCES_DB = (-20.0, -40.0, -60.0, -80.0)
+SAMPLED_TOLERANCE_DB = -60.0
+FIELD_ROWS = 100
+SUMMED = "direct summation of eq. (9), the reference"
+SAMPLED = "sampled path (the paper's)"
+SAMPLED_LOOSE = "sampled path, to -60 dB"
+PEER_NEAREST = "merging peer, nearest row"
+PEER_BILINEAR = "merging peer, exact, bilinear"
 
 
 def run(out: Path, *, quick: bool = False) -> Findings:
@@ -295,3 +313,76 @@ def compare_denormals(repeats: int) -> list[Entry]:
 
 def _render(scene: Scene, values: NDArray[np.float64], like: GreenArray) -> None:
     render_with_report(scene, GreenArray(values, like.position_mm, RATE_HZ))
+
+
+def precision_points(*, quick: bool) -> list[Entry]:
+    """Measure all methods against direct summation of eq. (9).
+
+    All of them take the bank at any place by bilinear interpolation, so that the error is that of the path's
+    sampling and of the parts left out only; the merging peer has the nearest row, and bilinear interpolation.
+    """
+    bank = smooth_bank(16, 16) if quick else smooth_bank(24, 24)
+    seconds, repeats = (0.5, 1) if quick else (4.0, 3)
+    path = Circle((0.0, 0.0), 25.0, seconds * SPEED_MM_S / (2.0 * np.pi * 25.0))
+    samples = round(seconds * RATE_HZ)
+
+    def load(step_mm: float) -> RenderWorkload:
+        return RenderWorkload("", bank, Source(path, noise(seconds), 0.0, SPEED_MM_S, step_mm))
+
+    def ours(method: Literal["exact", "sampled"], step_mm: float, db: float | None = None) -> Callable[[], Any]:
+        scene = Scene("precision", (load(step_mm).source,), output=Output(interpolation="bilinear"))
+        return partial(render_with_report, scene, bank, method=method, tolerance_db=db)
+
+    def merged(workload: RenderWorkload) -> NDArray[np.float64]:
+        return render_merged(bank, sampled_runs(workload), len(workload.segments()[2]))
+
+    work = f"one moving source, {seconds:g} s at {SPEED_MM_S / 10:g} cm/s"
+    actions: list[tuple[str, dict[str, float], Callable[[], Any]]] = [
+        (SUMMED, {}, lambda: sum_directly(load(0.1), samples)),
+        ("exact, all bins", {}, ours("exact", 0.1)),
+        *(("exact, left out by a proved bound", {"tolerance_db": db}, ours("exact", 0.1, db)) for db in TOLERANCES_DB),
+        *((SAMPLED, {"step_mm": step}, ours("sampled", step)) for step in STEPS_MM),
+        *((SAMPLED_LOOSE, {"step_mm": step}, ours("sampled", step, SAMPLED_TOLERANCE_DB)) for step in STEPS_MM),
+        (PEER_BILINEAR, {}, lambda: render_merged(bank, bilinear_runs(load(0.1), samples), samples)),
+        *((PEER_NEAREST, {"step_mm": step}, partial(merged, load(step))) for step in STEPS_MM),
+    ]
+    named = {str(number): action for number, (_, _, action) in enumerate(actions)}
+    found = measure(named, repeats, once=("0",), memory=True)
+    truth = found["0"].result
+    points = []
+    for (method, parameters, _), timing in zip(actions, found.values(), strict=True):
+        drive_v = timing.result if isinstance(timing.result, np.ndarray) else timing.result[0].drive_v
+        # A sampled path may emit a little longer: up to here, nothing emitted after the last sample has come.
+        error = None if method == SUMMED else relative_error(drive_v[:, :samples], truth[:, :samples])
+        points.append(
+            Entry(
+                work=work, method=method, parameters=parameters, timing=timing, error=error,
+            )
+        )  # fmt: skip
+    return points
+
+
+def field_points(bank: GreenArray, *, quick: bool) -> list[Entry]:
+    """Fields of one drive by all ways, against convolution in float64."""
+    seconds, repeats = (0.5, 1) if quick else (4.0, 3)
+    drive = field_drive(bank, seconds)
+    rows = np.linspace(0, bank.positions - 1, FIELD_ROWS).astype(int).tolist()
+    greens = [bank.values[row] for row in rows]
+    truth_by = "fftconvolve per position and actuator, the reference"
+    together = "oaconvolve, all actuators of a position"
+    ways: list[tuple[str, dict[str, float], Callable[[], Any]]] = [
+        (truth_by, {}, lambda: convolve_positions(bank, drive.drive_v, rows)),
+        (together, {}, lambda: np.stack([oaconvolve(drive.drive_v, green, axes=1).sum(0) for green in greens])),
+        ("merging peer: a drive transformed once", {}, partial(predict_merged, greens, drive.drive_v)),
+        ("ours, float64", {}, lambda: predict(drive, bank, rows).field),
+        ("ours, float32", {}, lambda: predict(drive, bank, rows, dtype=np.float32).field),
+    ]  # fmt: skip
+    found = measure({str(number): way for number, (_, _, way) in enumerate(ways)}, repeats, once=("0",), memory=True)
+    work = f"field of {seconds:g} s at {FIELD_ROWS} positions"
+    return [
+        Entry(
+            work=work, method=method, parameters=parameters, timing=timing,
+            error=None if method == truth_by else relative_error(timing.result, found["0"].result),
+        )
+        for (method, parameters, _), timing in zip(ways, found.values(), strict=True)
+    ]  # fmt: skip
