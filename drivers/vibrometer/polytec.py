@@ -15,18 +15,13 @@ does not support (``Not Available`` for a decoder that is not installed); which 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
 
 from wavefocus.drivers.dialogue import Dialogue, Marker, Query, RefusedError, UnreadableError
-from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
-from wavefocus.drivers.protocols import Clock
 from wavefocus.drivers.registry import VIBROMETERS, VibrometerReading, rig_key
-from wavefocus.drivers.serial_line import LineSettings, SerialLine
+from wavefocus.drivers.serial_vibrometer import SerialVibrometer, optional_answer
 
-Answer = TypeVar("Answer")
-
-BAUD = 115200
 FULL_SIGNAL_LEVEL = 775
 # All programs known ask the first; PLACE's driver has the second as well.
 NAME_QUESTIONS = ("GetDevInfo,Controller,0,Name", "Get,Controller,0,Name")
@@ -37,7 +32,7 @@ SECONDS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
 
 @VIBROMETERS.register
 @dataclass(frozen=True, kw_only=True)
-class Polytec:
+class Polytec(SerialVibrometer):
     """Polytec OFV-5000 controllers."""
 
     decoder: int = rig_key("Decoder", "Number of the velocity decoder in use", default=1, in_plan="free", ge=0, le=9)
@@ -47,76 +42,23 @@ class Polytec:
 
     name = "polytec-ofv5000"
 
-    def read(
-        self,
-        port: str,
-        *,
-        baud: int | None = None,
-        identity: str | None = None,
-        any_level: bool = False,
-        answer_s: float = 1.0,
-        clock: Clock | None = None,
-    ) -> VibrometerReading:
-        """Ask for the sensitivity that it is set to, and release the controller again.
+    default_baud = 115200
+    encoding = "latin-1"
 
-        Raises InstrumentError, TransientInstrumentError or InstrumentLostError.
-
-        port: A device path, ``"COM3"``, ``"socket://host:port"`` or ``"serial-number:ABC123"``.
-        baud: Bits per second; by default 115200.
-        identity: Text that the names of controller and decoder must contain.
-        any_level: Whether a signal below `least_signal_level` will do.
-        answer_s: Longest wait for one answer, in s, > 0.
-        clock: Passes the time while the controller starts; by default the wall's.
-        """
-        name = f"vibrometer (polytec-ofv5000 at {port})"
-        line = SerialLine(name, port, LineSettings(baud or BAUD, "\n", answer_s, "latin-1"))
-        dialogue = Dialogue(name, line, clock)
-        dialogue.open()
-        try:
-            # With echo on, the controller repeats every command before its answer.
-            asked, who = dialogue.introduce(
-                _who(NAME_QUESTIONS[0]), 2.0, before="Set,Interface,0,Echo,Off", also=_who(NAME_QUESTIONS[1])
-            )
-            dialogue.recognise(Marker(asked, who, lambda line: line.endswith(who), _stranger))
-            decoder_name = optional_answer(dialogue, Query(f"Get,VeloDec,{self.decoder},Name", _name))
-            known_as = who if decoder_name is None else f"{who}, {decoder_name}"
-            require_identity(name, known_as, identity)
-            range_text = dialogue.ask(
-                Query(f"Get,VeloDec,{self.decoder},Range", _range), "reading the measurement range"
-            )
-            latency_s = optional_answer(dialogue, Query(f"Get,VeloDec,{self.decoder},SignalDelay", _delay_s))
-            level = optional_answer(dialogue, Query("Get,SignalLevel,0,Value", _level))
-        finally:
-            dialogue.close()
-        if not any_level:
-            require_level(name, level, self.least_signal_level)
-        return VibrometerReading(sensitivity_m_s_per_v(range_text), range_text, latency_s, level, known_as)
-
-
-def require_identity(instrument: str, known_as: str, identity: str | None) -> None:
-    """Refuse a controller whose name lacks the rig file's `identity`, where it has one. Raises InstrumentError."""
-    if identity is not None and identity not in known_as:
-        cause = f"another device answers: {known_as!r} does not contain {identity!r}"
-        remedy = "plug in the right device, or correct the rig file, identity"
-        raise InstrumentError(instrument, "asking who it is", cause, remedy)
-
-
-def require_level(instrument: str, level: float | None, least_level: float) -> None:
-    """Refuse a signal that is too weak; one that the controller does not state is not. Raises InstrumentError."""
-    if level is not None and level < least_level:
-        cause = f"it is {level:.0%} of full, at least {least_level:.0%} is wanted"
-        remedy = "focus the laser; put reflective film on the surface"
-        raise InstrumentError(instrument, "checking the signal level", cause, remedy)
-
-
-def optional_answer(dialogue: Dialogue, query: Query[Answer]) -> Answer | None:
-    """The answer, or None where the controller has none that can be read. Raises InstrumentLostError."""
-    try:
-        return dialogue.ask(query, f"asking {query.text}")
-    except InstrumentLostError:
-        raise
-    except InstrumentError:
-        return None
+    def ask(self, dialogue: Dialogue, require_identity: Callable[[str], None]) -> VibrometerReading:
+        """Ask for all settings; see `SerialVibrometer`."""
+        # With echo on, the controller repeats every command before its answer.
+        asked, who = dialogue.introduce(
+            _who(NAME_QUESTIONS[0]), 2.0, before="Set,Interface,0,Echo,Off", also=_who(NAME_QUESTIONS[1])
+        )
+        dialogue.recognise(Marker(asked, who, lambda line: line.endswith(who), _stranger))
+        decoder_name = optional_answer(dialogue, Query(f"Get,VeloDec,{self.decoder},Name", _name))
+        stated = who if decoder_name is None else f"{who}, {decoder_name}"
+        require_identity(stated)
+        range_text = dialogue.ask(Query(f"Get,VeloDec,{self.decoder},Range", _range), "reading the measurement range")
+        latency_s = optional_answer(dialogue, Query(f"Get,VeloDec,{self.decoder},SignalDelay", _delay_s))
+        level = optional_answer(dialogue, Query("Get,SignalLevel,0,Value", _level))
+        return VibrometerReading(sensitivity_m_s_per_v(range_text), range_text, latency_s, level, stated)
 
 
 def _who(question: str) -> Query[tuple[str, str]]:

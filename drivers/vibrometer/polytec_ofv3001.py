@@ -11,15 +11,13 @@ does not); other baud rates; how late the output is behind the surface, which it
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from wavefocus.drivers.dialogue import Dialogue, Marker, Query, UnreadableError
-from wavefocus.drivers.protocols import Clock
 from wavefocus.drivers.registry import VIBROMETERS, VibrometerReading, rig_key
-from wavefocus.drivers.serial_line import LineSettings, SerialLine
-from wavefocus.drivers.vibrometer.polytec import optional_answer, require_identity, require_level
+from wavefocus.drivers.serial_vibrometer import SerialVibrometer, optional_answer
 
-BAUD = 9600
 FULL_LEVEL = 40
 # Range number: decoder and mm/s/V (manual, E.2.4).
 RANGES = {
@@ -37,7 +35,7 @@ RANGES = {
 
 @VIBROMETERS.register
 @dataclass(frozen=True, kw_only=True)
-class PolytecOfv3001:
+class PolytecOfv3001(SerialVibrometer):
     """Polytec OFV-3001 controllers, with velocity decoder OVD-01 or OVD-02."""
 
     least_signal_level: float = rig_key(
@@ -46,47 +44,21 @@ class PolytecOfv3001:
 
     name = "polytec-ofv3001"
 
-    def read(
-        self,
-        port: str,
-        *,
-        baud: int | None = None,
-        identity: str | None = None,
-        any_level: bool = False,
-        answer_s: float = 1.0,
-        clock: Clock | None = None,
-    ) -> VibrometerReading:
-        """Ask for the measurement range that it is set to, and release the controller again.
+    default_baud = 9600
 
-        Raises InstrumentError, TransientInstrumentError or InstrumentLostError.
-
-        port: A device path, ``"COM3"``, ``"socket://host:port"`` or ``"serial-number:ABC123"``.
-        baud: Bits per second; by default 9600.
-        identity: Text that ``OFV-3001`` with the decoder's name must contain: the controller does not name itself.
-        any_level: Whether a signal below `least_signal_level` will do.
-        answer_s: Longest wait for one answer, in s, > 0.
-        clock: Passes the time while the controller starts; by default the wall's.
-        """
-        name = f"vibrometer (polytec-ofv3001 at {port})"
-        line = SerialLine(name, port, LineSettings(baud or BAUD, "\n", answer_s))
-        dialogue = Dialogue(name, line, clock)
-        dialogue.open()
-        try:
-            number = dialogue.introduce(Query("VELO?", _range_number), 2.0, between="REN")
-            # One digit proves little: the same one is needed three times.
-            known_as = f"OFV-3001 with range number {number}"
-            dialogue.recognise(Marker("VELO?", known_as, lambda text: _is_range(text, number), _other_range))
-            dialogue.verify("reading the measurement range")
-            dialogue.ask(Query("VELO?", lambda text: _same_range(text, number)), "reading the measurement range")
-            level = optional_answer(dialogue, Query("LEV", _level))
-        finally:
-            dialogue.close()
+    def ask(self, dialogue: Dialogue, require_identity: Callable[[str], None]) -> VibrometerReading:
+        """Ask for all settings; see `SerialVibrometer`. The controller does not name itself, its ranges do."""
+        number = dialogue.introduce(Query("VELO?", _range_number), 2.0, between="REN")
+        # One digit proves little: the same one is needed three times.
+        marked = f"OFV-3001 with range number {number}"
+        dialogue.recognise(Marker("VELO?", marked, lambda text: _is_range(text, number), _other_range))
+        dialogue.verify("reading the measurement range")
+        dialogue.ask(Query("VELO?", lambda text: _same_range(text, number)), "reading the measurement range")
+        level = optional_answer(dialogue, Query("LEV", _level))
         decoder, range_mm_s_per_v = RANGES[number]
-        require_identity(name, f"OFV-3001, {decoder}", identity)
-        if not any_level:
-            require_level(name, level, self.least_signal_level)
-        text = f"{range_mm_s_per_v}mm/s/V"
-        return VibrometerReading(1e-3 * range_mm_s_per_v, text, None, level, f"OFV-3001, {decoder}")
+        stated = f"OFV-3001, {decoder}"
+        require_identity(stated)
+        return VibrometerReading(1e-3 * range_mm_s_per_v, f"{range_mm_s_per_v}mm/s/V", None, level, stated)
 
 
 def _range_number(answer: str) -> int:
