@@ -120,7 +120,7 @@ def _engine(bank: Bank, *, independent: bool, frame_rate_hz: float | None = None
 
 def _time_of_blocks(bank: Bank, case: LatencyCase, seconds: float) -> Entry:
     engine = _engine(bank, independent=case.independent, frame_rate_hz=INTERFACE_HZ)
-    limiter = LiveLimiter(DriveLimits(1.0), np.full(bank.actuators, 5.0), INTERFACE_HZ, INTERFACE_HZ // 400)
+    limiter = LiveLimiter(DriveLimits(1.0), np.full(bank.actuators, 5.0), INTERFACE_HZ)
     every, taken_s = round(1.0 / POSITIONS_HZ / BLOCK_S), []
     for block in range(round(seconds / BLOCK_S)):
         begun_s = time.thread_time()

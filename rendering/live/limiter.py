@@ -10,6 +10,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.drive.coil_limits import RMS_WINDOW_S, DriveLimits, require_finite
 
+LOOK_AHEAD_S = 0.0025
+"""Half a period at 200 Hz, in the middle of what skin feels best."""
 RELEASE_S = 0.2
 """Time in which a gain of nearly 0 goes back to 1."""
 LEAK_S = 0.25
@@ -24,7 +26,7 @@ class LiveLimiter:
     limits: Largest magnitude and rms in volts; None: no such limit.
     full_scale_v, float64 (channels,): Volts at full scale of each output, a limit of its magnitude.
     rate_hz: Rate of the blocks, the interface's.
-    look_ahead_frames: Delay of what comes out, >= 1; the gain falls within about half of it.
+    look_ahead_frames: Delay of what comes out, >= 1; the gain falls within about half of it. By default `LOOK_AHEAD_S`.
 
     Peak. r[n] is the largest gain, at most 1, that keeps sample n of all channels within their limits; after a fall it
     rises by at most 1 / (`RELEASE_S` rate) per sample. The gain is the mean of m[n - D .. n], where
@@ -39,21 +41,24 @@ class LiveLimiter:
     Where neither binds all of these numbers are 1, and their products and means are 1 exactly.
     """
 
-    def __init__(self, limits: DriveLimits, full_scale_v: Float64Array, rate_hz: float, look_ahead_frames: int) -> None:
+    def __init__(
+        self, limits: DriveLimits, full_scale_v: Float64Array, rate_hz: int, look_ahead_frames: int | None = None
+    ) -> None:
+        self.rate_hz = rate_hz
+        self.look_ahead_frames = look_ahead_frames or max(1, round(LOOK_AHEAD_S * rate_hz))
         self._peak_v = np.minimum(full_scale_v, math.inf if limits.peak_v is None else limits.peak_v)[:, None]
         self._rms_v = math.inf if limits.rms_v is None else limits.rms_v
         self._release = 1.0 / (RELEASE_S * rate_hz)
-        self._chunk = max(1, look_ahead_frames // 2)
-        self._reach = look_ahead_frames + 1 - self._chunk
+        self._chunk = max(1, self.look_ahead_frames // 2)
+        self._reach = self.look_ahead_frames + 1 - self._chunk
         self._leak = math.exp(-self._chunk / (LEAK_S * rate_hz))
         window = max(1, round(RMS_WINDOW_S * rate_hz))
         self._most = window / (1.0 + math.ceil((window - 1) / self._chunk) * (1.0 - self._leak))
-        self._look_ahead = look_ahead_frames
         self._peak_deficit, self._chunk_gain = 0.0, 1.0
         self._energy: Float64Array = np.zeros(len(full_scale_v))
         # Samples that wait; r r_j from `reach` before the first of them; r of those beyond the last whole chunk.
-        self._waiting: Float64Array = np.zeros((len(full_scale_v), look_ahead_frames))
-        self._gains: Float64Array = np.ones(look_ahead_frames + self._reach)
+        self._waiting: Float64Array = np.zeros((len(full_scale_v), self.look_ahead_frames))
+        self._gains: Float64Array = np.ones(self.look_ahead_frames + self._reach)
         self._unchunked: Float64Array = np.ones(0)
         self.gain_db = 0.0
         """Least gain of the last block that came out, 0 where nothing was limited."""

@@ -22,14 +22,13 @@ from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.drivers.timeouts import BoundedPlayer
 from wavefocus.live_session.latency import LatencyHistogram
 from wavefocus.live_session.orders import MAX_WAITING, Inbox, UseSignal, order_of
-from wavefocus.live_session.output import LiveOutput
 from wavefocus.live_session.pace import Pace
 from wavefocus.live_session.priority import raise_priority
 from wavefocus.live_session.session import LiveSession
 from wavefocus.rendering.drive.coil_limits import DriveLimits
 from wavefocus.rendering.drive.rendering import render_with_report
-from wavefocus.rendering.drive.wav import Interface
 from wavefocus.rendering.live.engine import LiveEngine
+from wavefocus.rendering.live.limiter import LiveLimiter
 from wavefocus.rendering.live.recording import SessionRecording
 from wavefocus.rendering.scene.model import load_scene
 from wavefocus.rendering.scene.signals import Sine
@@ -102,9 +101,9 @@ class Bench:
         )  # fmt: skip
         self.messages: list[Message] = []
         self.tape = ScriptedPlayer(lambda piece: script.get(piece, lambda _: None)(self.session))
-        self.output = LiveOutput(Interface(interface_hz, np.full(len(CHANNELS), 5.0)), limits or DriveLimits())
+        self.limiter = LiveLimiter(limits or DriveLimits(), np.full(len(CHANNELS), 5.0), interface_hz)
         self.session = LiveSession(
-            engine, BoundedPlayer(self.tape, 20.0), self.output, self.messages.append,
+            engine, BoundedPlayer(self.tape, 20.0), self.limiter, self.messages.append,
             channels=CHANNELS, ahead_s=AHEAD_S, adapts=True, gives_up_s=1.0, gain=gain, recording=recording,
         )  # fmt: skip
         self.session.run()
@@ -135,7 +134,7 @@ def test_given_sufficient_look_ahead_then_what_was_played_is_what_the_recorded_s
         bench = Bench(script, look_ahead=TAPS - 1 + 4 * BLOCK, recording=recording, gain=0.5)
     drive, _ = render_with_report(load_scene(tmp_path / "felt" / "scene.toml"), BANK)
     drive_v = drive.drive_v[:, TAPS - 1 :]
-    played_v = bench.frames[:, bench.output.delay_frames :]
+    played_v = bench.frames[:, bench.limiter.look_ahead_frames :]
     assert np.abs(drive_v).max() > 0
     assert 30 * BLOCK < drive_v.shape[1] < played_v.shape[1]
     drive_v = np.pad(drive_v, [(0, 0), (0, played_v.shape[1] - drive_v.shape[1])])

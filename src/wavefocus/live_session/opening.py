@@ -13,10 +13,10 @@ from wavefocus.config.messages.live import LiveReady
 from wavefocus.config.scene import Output, Regularisation
 from wavefocus.console import progress
 from wavefocus.drives import naming
-from wavefocus.live_session.output import LiveOutput
 from wavefocus.live_session.session import LiveSession, Publish
 from wavefocus.rendering.greens.source import usable
 from wavefocus.rendering.live.engine import LiveEngine
+from wavefocus.rendering.live.limiter import LiveLimiter
 from wavefocus.rendering.live.recording import SessionRecording
 from wavefocus.rendering.scene.model import load_scene
 from wavefocus.rendering.scene.signals import Signal
@@ -87,7 +87,7 @@ def open_session(
 
         interface = interface_of(rig)
 
-        def engine_and_output(interpolation: str) -> tuple[LiveEngine, LiveOutput]:
+        def engine_and_limiter(interpolation: str) -> tuple[LiveEngine, LiveLimiter]:
             engine = LiveEngine(
                 view,
                 block_samples=max(1, round(options.block_ms * rate_hz / 1e3)),
@@ -98,20 +98,20 @@ def open_session(
                 record=options.record is not None,
                 frame_rate_hz=interface.rate_hz,
             )
-            return engine, LiveOutput(interface, stricter(output, rig.player))
+            return engine, LiveLimiter(stricter(output, rig.player), interface.full_scale_v, interface.rate_hz)
 
         with naming(options.scene_file or bank, view):
             # Finer rows take seconds, and warm nothing up.
             warm = "nearest" if output.interpolation == "kernel" else output.interpolation
-            _warm_up(*engine_and_output(warm), view)
+            _warm_up(*engine_and_limiter(warm), view)
             finest = "kernel" if options.independent and options.scene_file is None else output.interpolation
             try:
-                engine, frames = engine_and_output(finest)
+                engine, limiter = engine_and_limiter(finest)
             except InputError:
                 if finest == output.interpolation:
                     raise
                 finest = output.interpolation  # the grid does not allow the kernel
-                engine, frames = engine_and_output(finest)
+                engine, limiter = engine_and_limiter(finest)
         with progress("reading the bank", 1):
             engine.preload()
         recording = None
@@ -125,7 +125,7 @@ def open_session(
         session = LiveSession(
             engine,
             player,
-            frames,
+            limiter,
             publish,
             channels=rig.player.channels,
             ahead_s=ahead_ms / 1e3,
@@ -142,7 +142,7 @@ def open_session(
             1e3 * engine.block_samples / rate_hz,
             options.look_ahead_ms,
             1e3 * engine.sufficient_samples / rate_hz,
-            ahead_ms + 1e3 * (frames.delay_frames / frames.rate_hz + player.latency_s),
+            ahead_ms + 1e3 * (limiter.look_ahead_frames / limiter.rate_hz + player.latency_s),
             engine.x_mm,
             engine.y_mm,
             independent=regularisation.independent,
@@ -150,12 +150,12 @@ def open_session(
         yield session, ready
 
 
-def _warm_up(engine: LiveEngine, output: LiveOutput, bank: Bank) -> None:
+def _warm_up(engine: LiveEngine, limiter: LiveLimiter, bank: Bank) -> None:
     """Compute some blocks: what is loaded and planned when it is first used does not delay those of the session."""
     at_mm = bank.position_mm[int(np.flatnonzero(usable(bank))[0])].tolist()
     for block in range(WARM_BLOCKS):
         engine.move(f"warm {block % 2}", (at_mm[0], at_mm[1]))
-        output.frames(engine.next_block())
+        limiter.limit(engine.next_block())
     engine.state()
 
 

@@ -24,9 +24,9 @@ from wavefocus.drivers.timeouts import BoundedPlayer
 from wavefocus.exits import one_line
 from wavefocus.live_session.latency import LatencyHistogram
 from wavefocus.live_session.orders import Inbox, Order, UseSignal
-from wavefocus.live_session.output import LiveOutput
 from wavefocus.live_session.pace import Change, Pace
 from wavefocus.rendering.live.engine import LiveEngine, SourceState
+from wavefocus.rendering.live.limiter import LiveLimiter
 from wavefocus.rendering.live.recording import SessionRecording
 from wavefocus.storage.errors import InputError
 
@@ -57,7 +57,7 @@ class LiveSession:
         self,
         engine: LiveEngine,
         player: BoundedPlayer,
-        output: LiveOutput,
+        limiter: LiveLimiter,
         publish: Publish,
         *,
         channels: tuple[int, ...],
@@ -68,7 +68,7 @@ class LiveSession:
         gain: float = 1.0,
         recording: SessionRecording | None = None,
     ) -> None:
-        self.engine, self._player, self._output, self._publish = engine, player, output, publish
+        self.engine, self._player, self._limiter, self._publish = engine, player, limiter, publish
         self._channels, self._ahead_s, self._adapts = channels, ahead_s, adapts
         self._gives_up_s, self._duration_s = gives_up_s, duration_s
         self._block_s = engine.block_samples / engine.rate_hz
@@ -137,13 +137,13 @@ class LiveSession:
         )  # fmt: skip
 
     def _begin(self) -> None:
-        self._player.begin_pieces(self._channels, self._output.rate_hz, self._ahead_s)
+        self._player.begin_pieces(self._channels, self._limiter.rate_hz, self._ahead_s)
 
     def _next_block(self) -> None:
         begun_s = time.monotonic()
         self._apply_orders()
-        first = self._frames + self._output.delay_frames
-        frames = self._output.frames(self.engine.next_block())
+        first = self._frames + self._limiter.look_ahead_frames
+        frames = self._limiter.limit(self.engine.next_block())
         computed_s = time.monotonic() - begun_s
         self._unwritten.extend((first, arrived_s) for arrived_s in self._arrived)
         waiting_s = self._player.add_piece(frames)
@@ -193,9 +193,9 @@ class LiveSession:
         figures = self._figures
         figures.blocks += 1
         figures.load = max(figures.load, computed_s / self._block_s)
-        if self._output.limited_db < 0:
+        if self._limiter.gain_db < 0:
             figures.limited_s += self._block_s
-            figures.limited_db = min(figures.limited_db, self._output.limited_db)
+            figures.limited_db = min(figures.limited_db, self._limiter.gain_db)
             self._notice(
                 "limited",
                 f"limited by {-figures.limited_db:.1f} dB to stay within the limits; lower the amplitudes, or use"
@@ -296,11 +296,11 @@ class LiveSession:
 
     def _play_out(self) -> None:
         """Let what is still in the conversion, the limiter and the player sound."""
-        silence = np.zeros((len(self._channels), round(self._block_s * self._output.rate_hz)))
-        last = self._frames + self._output.delay_frames
+        silence = np.zeros((len(self._channels), round(self._block_s * self._limiter.rate_hz)))
+        last = self._frames + self._limiter.look_ahead_frames
         try:
             while self._frames < last:
-                frames = self._output.frames(silence)
+                frames = self._limiter.limit(silence)
                 self._player.add_piece(frames)
                 self._frames += frames.shape[1]
             self._player.end_pieces()
