@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, model_validator
@@ -329,6 +330,10 @@ class RunConfig(Table):
     tolerance: Annotated[Tolerance, FREE] = Tolerance()
     publication: Annotated[Publication, FREE] = Publication()
     settled: Annotated[Settled | None, FREE] = None
+
+    def rig_file(self, run_file: Path) -> Path | None:
+        """The rig file that this run, of that file, names; None for the built-in virtual rig."""
+        return None if self.rig == "virtual" else run_file.parent / self.rig
 
     @property
     def awaits_trial(self) -> bool:

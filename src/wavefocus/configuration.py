@@ -60,7 +60,7 @@ def load_run(path: Path) -> Configuration:
         faults = validated(FaultFile, read_toml(plan_file), str(plan_file))
         data["virtual"] = {**virtual, "fault_plan": faults.model_dump()["fault"]}
     run = validated(RunConfig, data, str(path))
-    rig = default_rig() if run.rig == "virtual" else load_rig(named_file(path, "rig", run.rig))
+    rig = default_rig() if run.rig_file(path) is None else load_rig(named_file(path, "rig", run.rig))
     if run.virtual is not None and run.virtual.fault_plan:
         from wavefocus.mocks.virtual.faults import RigFault
 

@@ -90,8 +90,7 @@ def capture(
 
         needed = needed_by(scene_files, blueprint.plan.position_mm, checks=checks, allow_large=allow_large)
     blueprint, earlier = with_bank(blueprint, bank, run_file, accept_calibration=accept_calibration)
-    named = blueprint.configuration.run.rig
-    rig_file = None if named == "virtual" else run_file.parent / named
+    rig_file = blueprint.configuration.run.rig_file(run_file)
     options = SessionOptions(rig_file, as_json, accept_drift, accept_calibration, documents)
     if needed is None:
         return _refined(blueprint, bank, options, earlier)
@@ -157,8 +156,7 @@ def extend(
 ) -> Exit:
     """Make a bank of the rows of others, with more positions, and measure those."""
     blueprint = extended(banks, bank, run_file)
-    named = blueprint.configuration.run.rig
-    rig_file = None if named == "virtual" or run_file is None else run_file.parent / named
+    rig_file = None if run_file is None else blueprint.configuration.run.rig_file(run_file)
     with open_bank(bank) as view:
         for origin in origins_of(view):
             say(f"{bank}: positions {origin.rows} are taken over from {origin.bank}")

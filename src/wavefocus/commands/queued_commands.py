@@ -156,8 +156,7 @@ def _rig_of(command: QueuedCommand) -> tuple[RigConfig | None, Path | None]:
     rig_file: Path | None = given.get("rig_file")
     if command.name == "capture":
         configuration = blueprint_from_files(given["run_file"]).configuration
-        named = configuration.run.rig
-        return configuration.rig, None if named == "virtual" else given["run_file"].parent / named
+        return configuration.rig, configuration.run.rig_file(given["run_file"])
     if command.name not in ("resume", "remeasure", "verify"):
         return None, None
     if rig_file is not None:
