@@ -190,10 +190,11 @@ def write_record(
     bank: GreenSource,
     names: Mapping[str, str],
     outline_mm: Float64Array | None = None,
-) -> Path:
+) -> dict[str, Any]:
     """Write ``verify.json`` into the verification's folder; an older one is replaced when the new one is whole.
 
-    `names` are those of scene file, bank and rig on the command line; `outline_mm` is the rim of the surface, closed.
+    Returns its content. `names` are those of scene file, bank and rig on the command line; `outline_mm` is the rim of
+    the surface, closed.
     """
     compared = verification.fields
     rows = np.asarray(prediction.position_index, np.int64)
@@ -242,14 +243,13 @@ def write_record(
         changes=verification.changes,
         correction=verification.correction,
     )
-    path = out_dir / RECORD_NAME
     content: dict[str, Any] = to_record(record)
     content["symptoms"] = [with_words(symptom) for symptom in content["symptoms"]]
     if content["changes"] is not None:
         for key in ("symptoms_gone", "symptoms_new"):
             content["changes"][key] = [with_words(symptom) for symptom in content["changes"][key]]
-    write_whole(path, json.dumps(content, allow_nan=False, indent=1) + "\n")
-    return path
+    write_whole(out_dir / RECORD_NAME, json.dumps(content, allow_nan=False, indent=1) + "\n")
+    return content
 
 
 def _recorded(source: Source) -> RecordedSource:

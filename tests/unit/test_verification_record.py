@@ -16,7 +16,7 @@ from tests.unit.line_verification import GRID_MM, RATE_HZ, bank, rendered, scene
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.verify.changes import change_lines, changes_since
 from wavefocus.rendering.verify.field_pair import CancelledError, read_pair
-from wavefocus.rendering.verify.record import RecordedSource, read_record, write_record
+from wavefocus.rendering.verify.record import RECORD_NAME, RecordedSource, read_record, write_record
 from wavefocus.rendering.verify.results import Symptom
 from wavefocus.rendering.verify.verdict import Verification, compare
 from wavefocus.storage.errors import InputError
@@ -50,7 +50,7 @@ def record_file(tmp_path: Path) -> Path:
     prediction, scan, verification = fields()
     write_field(tmp_path / "prediction.h5", prediction)
     write_field(tmp_path / "scan.h5", scan)
-    return write_record(
+    write_record(
         tmp_path,
         verification=verification,
         scene=scene_of(),
@@ -58,6 +58,7 @@ def record_file(tmp_path: Path) -> Path:
         bank=known_but_one(),
         names={"scene_file": "line.toml", "bank": "plate.h5", "rig": "virtual"},
     )
+    return tmp_path / RECORD_NAME
 
 
 def test_given_a_record_then_it_says_what_the_comparison_found(record_file: Path) -> None:

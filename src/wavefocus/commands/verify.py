@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 
@@ -136,10 +137,9 @@ def verify(
                 work = _Work(scene_file, scene, view, configuration, rig, staged, log, out, linearity, sentinel, force)
                 work = replace(work, corrections=corrections, control=control)
                 earlier = None if before is None else (str(against), before)
-                verification = work.run(rows, str(rig_file), earlier)
+                verification, record = work.run(rows, str(rig_file), earlier)
             for name in journals:
                 (out / name).unlink(missing_ok=True)
-            report_file, record_file = out / REPORT_NAME, out / RECORD_NAME
             code = Exit.DONE if verification.passed else Exit.NOT_GOOD_ENOUGH
             log.done(code, verification.summary)
     for symptom in verification.symptoms:
@@ -157,11 +157,10 @@ def verify(
         say(f"since {changes.made:%Y-%m-%d %H:%M} ({changes.against}):")
         for line in change_lines(changes):
             say(f"  {line}")
-    say(f"report: {report_file}")
+    say(f"report: {out / REPORT_NAME}")
     if as_json:
-        record = json.loads(record_file.read_bytes())
         found = {key: record[key] for key in ("symptoms", "actuators", "drift", "changes", "correction")}
-        files = {"report": str(report_file), "record": str(record_file)}
+        files = {"report": str(out / REPORT_NAME), "record": str(out / RECORD_NAME)}
         print(json.dumps({**files, **verification.numbers(), **found, "sources": record["source_figures"]}))
     return code
 
@@ -184,8 +183,11 @@ class _Work:
 
     def run(
         self, rows: list[int] | None, rig_name: str, earlier: tuple[str, VerificationRecord] | None
-    ) -> Verification:
-        """Render, predict, scan, compare, also with an `earlier` file, and report into `out`; return what was found."""
+    ) -> tuple[Verification, dict[str, Any]]:
+        """Render, predict, scan, compare, also with an `earlier` file, and report into `out`.
+
+        Returns what was found, and the content of ``verify.json``.
+        """
         out, bank = self.out, self.bank
         with self._step("render", 1) as report, naming(self.scene_file, bank):
             drive, facts = render_by_options(self.scene, bank, RenderOptions())
@@ -219,8 +221,8 @@ class _Work:
             verification = replace(verification, correction=correction)
             names = {"scene_file": str(self.scene_file), "bank": str(bank.path), "rig": rig_name}
             if earlier is not None:
-                file, record = earlier
-                changes = changes_since(record, file, verification, self.scene.name, names)
+                file, before = earlier
+                changes = changes_since(before, file, verification, self.scene.name, names)
                 verification = replace(verification, changes=changes)
             report(1, 3)
             build_report(
@@ -238,7 +240,7 @@ class _Work:
                 save_pictures=True,
             )
             report(2, 3)
-            write_record(
+            record = write_record(
                 out,
                 verification=verification,
                 scene=self.scene,
@@ -248,7 +250,7 @@ class _Work:
                 outline_mm=outline_mm,
             )
             report(3, 3)
-        return verification
+        return verification, record
 
     def _scanned(
         self, drive: Drive, prediction: Field
