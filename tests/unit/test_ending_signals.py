@@ -36,12 +36,16 @@ POSIX = pytest.mark.skipif(os.name != "posix", reason="Windows has no SIGHUP")
 @POSIX
 @pytest.mark.may_skip("Windows has no SIGHUP")
 def test_given_a_terminal_that_is_gone_then_the_position_is_finished_and_twice_changes_nothing() -> None:
-    stop = StopRequest()
-    with stop_on_signals(stop):
-        signal.raise_signal(signal.SIGHUP)
-        signal.raise_signal(signal.SIGHUP)
-        assert stop.requested
-    assert stop.reason == TERMINAL_GONE
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup the tests inherit that it is ignored
+    try:
+        stop = StopRequest()
+        with stop_on_signals(stop):
+            signal.raise_signal(signal.SIGHUP)
+            signal.raise_signal(signal.SIGHUP)
+            assert stop.requested
+        assert stop.reason == TERMINAL_GONE
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 @POSIX
