@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from wavefocus.campaign.blueprint import blueprint_from_bank, blueprint_of
+from wavefocus.campaign.session_files import with_bank
 from wavefocus.configuration import check_rows, load_run
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import create_bank
@@ -54,3 +56,29 @@ def test_check_positions_beside_a_list_of_positions_are_refused(tmp_path):
     (tmp_path / "grid.csv").write_text("x_mm,y_mm\n0,0\n1,0\n", encoding="utf-8")
     with pytest.raises(InputError, match=r"grid\.check_positions"):
         loaded(tmp_path, 'positions_file = "grid.csv"\ncheck_positions = 3')
+
+
+def begun_without_checks(folder: Path, grid: str) -> Path:
+    """A bank as versions without check positions began it."""
+    earlier = loaded(folder, f"{grid}\ncheck_positions = 0")
+    run = earlier.run.model_copy(update={"grid": earlier.run.grid.model_copy(update={"check_positions": None})})
+    create_bank(folder / "plate.h5", blueprint_of(replace(earlier, run=run)).bank_header())
+    return folder / "plate.h5"
+
+
+@pytest.mark.parametrize("lattice", ["square", "hexagonal"])
+def test_a_coarse_bank_begun_without_check_positions_goes_on_with_its_own(tmp_path, lattice, capsys):
+    grid = f'lattice = "{lattice}"\nspacing_mm = 40.0'
+    bank = begun_without_checks(tmp_path, grid)
+    own = blueprint_from_bank(bank)
+    blueprint, _ = with_bank(blueprint_of(loaded(tmp_path, grid)), bank, tmp_path / "run.toml")
+    assert blueprint.plan.sha256 == own.plan.sha256
+    assert blueprint.bank_header().check_rows == ()
+    assert "12 check positions" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("asked", ["spacing_mm = 40.0\ncheck_positions = 5", "spacing_mm = 30.0"])
+def test_other_positions_than_those_of_an_earlier_bank_are_refused(tmp_path, asked):
+    bank = begun_without_checks(tmp_path, "spacing_mm = 40.0")
+    with pytest.raises(InputError, match="position_mm"):
+        with_bank(blueprint_of(loaded(tmp_path, asked)), bank, tmp_path / "run.toml")

@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 from contextlib import AbstractContextManager, nullcontext, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from wavefocus.acquisition.plays import raw_header, require_same
 from wavefocus.acquisition.setup import Setup
-from wavefocus.campaign.blueprint import Blueprint, bank_configuration, require_same_plan, ringing_of, with_positions
+from wavefocus.campaign.blueprint import (
+    Blueprint,
+    bank_configuration,
+    blueprint_of,
+    require_same_plan,
+    ringing_of,
+    with_positions,
+)
 from wavefocus.campaign.schedule_choice import choose_schedule, with_chosen_schedule
 from wavefocus.campaign.sidecar_files import raw_path
 from wavefocus.config.messages.campaign import Event
+from wavefocus.configuration import DEFAULT_CHECKS, check_rows
 from wavefocus.console import say
 from wavefocus.rig.calibration_validity import with_one_calibration
 from wavefocus.storage.bank.reading import open_bank
@@ -35,10 +44,31 @@ def with_bank(
         with suppress(ExistsError):  # another capture was quicker: go on as one that came later
             create_bank(bank, settled.bank_header())
             return settled, earlier
-    blueprint = with_chosen_schedule(_with_added_positions(blueprint, bank), bank)
+    blueprint = _with_added_positions(_without_later_checks(blueprint, bank), bank)
+    blueprint = with_chosen_schedule(blueprint, bank)
     blueprint = with_one_calibration(blueprint, bank, run_file, accept=accept_calibration)
     require_same_plan(bank, blueprint.configuration, blueprint.plan.sha256)
     return blueprint, ()
+
+
+def _without_later_checks(blueprint: Blueprint, bank: Path) -> Blueprint:
+    """The campaign without check positions, where a bank of an earlier version was begun without those of now."""
+    checks = len(check_rows(blueprint.configuration))
+    if checks != DEFAULT_CHECKS:
+        return blueprint
+    with open_bank(bank) as view:
+        if view.run_json is None or bank_configuration(view).run.grid.check_positions is not None:
+            return blueprint
+        regular_mm = blueprint.plan.position_mm[:-checks]
+        if not np.array_equal(view.position_mm[: len(regular_mm)], regular_mm):
+            return blueprint
+    say(
+        f"{bank} was begun by an earlier version, without check positions: it goes on with its own positions, and the "
+        f"{checks} check positions that the run asks for now are left out (wavefocus extend adds them)"
+    )
+    run = blueprint.configuration.run
+    run = run.model_copy(update={"grid": run.grid.model_copy(update={"check_positions": None})})
+    return blueprint_of(replace(blueprint.configuration, run=run, position_mm=regular_mm))
 
 
 def _with_added_positions(blueprint: Blueprint, bank: Path) -> Blueprint:
