@@ -85,23 +85,31 @@ class AnalogMirror:
     def __init__(self, driver: AnalogMirrorDriver, settings: MirrorSettings) -> None:
         self._driver, self._settings, self._clock = driver, settings, settings.clock
         self._name = f"mirror ({driver.name} at {driver.device})"
-        self._closed = False
-        self._level_v: tuple[float, ...] = (0.0, 0.0)  # of a device that was just switched on; else unknown
         self._settled_s: float | None = None
-        self._outputs: ProcessOutputs | None = None
-        self._identity: DeviceIdentity | None = None
         for angles in ((settings.limit_mrad, settings.limit_mrad), settings.park_mrad):
             self._volts_at(*angles, "preparing")
+        names = (driver.x_output, driver.y_output)
+        outputs = OutputSettings(
+            "mirror",
+            "x_output and y_output of [mirror]",
+            "analog",
+            driver.device,
+            driver.address,
+            names,
+            self._volts_at(*settings.park_mrad, "parking"),
+            driver.limit_v,
+            driver.slew_v_per_s,
+        )
+        # 0 V of a device that was just switched on; else the level is unknown.
+        self._outputs = ProcessOutputs(self._name, outputs, f"outputs {' and '.join(names)}", (0.0, 0.0))
         self._open("opening")
 
     @property
     def identity(self) -> DeviceIdentity:
-        assert self._identity is not None  # since it was opened
-        return self._identity
+        return self._outputs.identity
 
     def identify(self) -> str:
-        self._check_open("identifying")
-        self._connected("identifying").identify()
+        self._outputs.identify()
         driver = self._driver
         return (
             f"{self._name}: {self.identity}, {driver.x_output} and {driver.y_output} at {driver.volts_per_degree:g} V "
@@ -110,7 +118,7 @@ class AnalogMirror:
 
     def move_to(self, x_mrad: float, y_mrad: float) -> None:
         doing = f"moving to ({x_mrad:.3f}, {y_mrad:.3f}) mrad"
-        self._check_open(doing)
+        self._outputs.require_open(doing)
         limit = self._settings.limit_mrad
         if not (abs(x_mrad) <= limit and abs(y_mrad) <= limit):
             cause = f"({x_mrad:g}, {y_mrad:g}) mrad is beyond the limit of +-{limit:g} mrad"
@@ -118,7 +126,7 @@ class AnalogMirror:
         self._go(self._volts_at(x_mrad, y_mrad, doing), doing)
 
     def wait_settled(self, timeout_s: float) -> None:
-        self._check_open("settling")
+        self._outputs.require_open("settling")
         if self._settled_s is None:
             cause = "it has been sent nowhere since it was opened, or its last move failed"
             raise TransientInstrumentError(self._name, "settling", cause, "send it there again")
@@ -131,7 +139,7 @@ class AnalogMirror:
 
     def park(self) -> None:
         """Move to the safe direction; a lost device is given one more chance. Does nothing once closed."""
-        if self._closed:
+        if self._outputs.closed:
             return
         volts = self._volts_at(*self._settings.park_mrad, "parking")
         try:
@@ -142,51 +150,25 @@ class AnalogMirror:
 
     def reconnect(self) -> None:
         """Open the outputs of the same device afresh; the device is not reset, for the recorder may have it, too."""
-        self._check_open("reconnecting")
         self._open("reconnecting")
 
     def close(self) -> None:
         """Park, and release the outputs; twice does no harm."""
-        if self._closed:
-            return
         try:
             with suppress(InstrumentLostError):  # its outputs fall to 0 V with its power
                 self.park()
         finally:
-            self._closed = True
-            self._drop()
+            self._outputs.close()
 
     # -- inside --------------------------------------------------------------------------------------
 
     def _open(self, doing: str) -> None:
         self._settled_s = None
-        self._drop()
-        driver = self._driver
-        names = (driver.x_output, driver.y_output)
-        settings = OutputSettings(
-            "mirror",
-            "x_output and y_output of [mirror]",
-            "analog",
-            driver.device,
-            driver.address,
-            names,
-            self._volts_at(*self._settings.park_mrad, "parking"),
-            driver.limit_v,
-            driver.slew_v_per_s,
-        )
-        label = f"outputs {' and '.join(names)}"
-        self._outputs = ProcessOutputs(self._name, settings, label, self._level_v, doing, self._identity)
-        self._identity = self._outputs.identity
-
-    def _drop(self) -> None:
-        outputs, self._outputs = self._outputs, None
-        if outputs is not None:
-            self._level_v = outputs.level
-            outputs.close()
+        self._outputs.open(doing)
 
     def _go(self, volts: Sequence[float], doing: str) -> None:
         self._settled_s = None
-        self._connected(doing).write(volts, doing)
+        self._outputs.write(volts, doing)
         self._settled_s = self._clock.now_s() + self._settings.settle_s
 
     def _volts_at(self, x_mrad: float, y_mrad: float, doing: str) -> tuple[float, float]:
@@ -199,12 +181,3 @@ class AnalogMirror:
             remedy = f"lower limit_mrad and park_mrad of [mirror] to {math.floor(10 * most_mrad) / 10:g} or less"
             raise InstrumentError(self._name, doing, cause, remedy)
         return volts
-
-    def _connected(self, doing: str) -> ProcessOutputs:
-        if self._outputs is None:
-            raise InstrumentLostError(self._name, doing, "it is not connected", "reconnect first")
-        return self._outputs
-
-    def _check_open(self, doing: str) -> None:
-        if self._closed:
-            raise InstrumentError(self._name, doing, "it is closed", "open the rig again")

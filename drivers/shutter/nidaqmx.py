@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from wavefocus.drivers.daq.ni.outputs_process import OutputSettings, ProcessOutputs
-from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.protocols import DeviceIdentity, Shutter
 from wavefocus.drivers.registry import SHUTTERS, rig_key
 
@@ -44,55 +43,33 @@ class NiShutter:
     """
 
     def __init__(self, driver: NiShutterDriver) -> None:
-        self._driver = driver
+        self._opens_when_high = driver.opens_when_high
         self._name = f"shutter ({driver.name} at {driver.device}/{driver.line})"
-        self._line: ProcessOutputs | None = None
-        self._identity: DeviceIdentity | None = None
-        self._closed = False
-        self.reconnect()
+        settings = OutputSettings(
+            "shutter", "line of [shutter]", "digital", driver.device, driver.address, (driver.line,), self._level(False)
+        )
+        self._line = ProcessOutputs(self._name, settings, f"line {driver.line}")
+        self._line.open("opening the line")
 
     @property
     def identity(self) -> DeviceIdentity:
-        assert self._identity is not None  # since it was opened
-        return self._identity
+        return self._line.identity
 
     def identify(self) -> str:
         return f"{self._name}: {self.identity}"
 
     def open_beam(self) -> None:
-        self._set(opens=True, doing="opening")
+        self._line.write(self._level(True), "opening")
 
     def block_beam(self) -> None:
-        self._set(opens=False, doing="closing")
+        self._line.write(self._level(False), "closing")
 
     def reconnect(self) -> None:
         """Open the line afresh; the device is not reset, for the recorder may have it, too."""
-        if self._closed:
-            raise InstrumentError(self._name, "reconnecting", "it is closed", "open the rig again")
-        self._drop()
-        driver = self._driver
-        settings = OutputSettings(
-            "shutter", "line of [shutter]", "digital", driver.device, driver.address, (driver.line,), self._level(False)
-        )
-        label = f"line {driver.line}"
-        self._line = ProcessOutputs(self._name, settings, label, (), "opening the line", self._identity)
-        self._identity = self._line.identity
+        self._line.open("opening the line")
 
     def close(self) -> None:
-        self._closed = True
-        self._drop()
-
-    def _set(self, *, opens: bool, doing: str) -> None:
-        if self._closed:
-            raise InstrumentError(self._name, doing, "it is closed", "open the rig again")
-        if self._line is None:
-            raise InstrumentLostError(self._name, doing, "it is not connected", "reconnect first")
-        self._line.write(self._level(opens), doing)
+        self._line.close()
 
     def _level(self, opens: bool) -> tuple[float]:
-        return (float(opens is self._driver.opens_when_high),)
-
-    def _drop(self) -> None:
-        line, self._line = self._line, None
-        if line is not None:
-            line.close()
+        return (float(opens is self._opens_when_high),)

@@ -13,7 +13,7 @@ from typing import Any, Literal
 from wavefocus.drivers.daq.ni.calls import CalledProcess, ProcessCall, carry_out, next_call
 from wavefocus.drivers.daq.ni.ni_outputs import AnalogOutputs, DigitalLine
 from wavefocus.drivers.daq.ni.ni_session import NiSession
-from wavefocus.drivers.errors import InstrumentError
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.process import OPENING_S, Close, MessagePipe, pipe_to_parent
 from wavefocus.drivers.protocols import DeviceIdentity, WallClock
 
@@ -46,56 +46,79 @@ class OutputSettings:
 
 
 class ProcessOutputs:
-    """Outputs that are written together; the process that has them is started here.
+    """Outputs that are written together, in a process that `open` starts.
 
-    Raises InstrumentLostError or InstrumentError; also where another device answers than the known one.
+    Its calls raise InstrumentLostError or InstrumentError.
 
     label: What the outputs are called behind the device's product in `identity`: ``"line port1/line0"``.
-    level: What the outputs were put at last, where that is known: a ramp begins there.
-    known: The `identity` that answered before: the device is gone where it does not answer, and not misspelt.
+    level: What the outputs are at, where that is known: a ramp begins there.
     """
 
-    def __init__(
-        self,
-        instrument: str,
-        settings: OutputSettings,
-        label: str,
-        level: Sequence[float],
-        doing: str,
-        known: DeviceIdentity | None,
-    ) -> None:
-        self._process = CalledProcess(instrument, "wavefocus.drivers.daq.ni.outputs_process", "the process that has it")
-        self.level = tuple(level)
-        try:
-            device: DeviceIdentity = self._process.ask(
-                doing, "open", settings, self.level, known is not None, limit_s=OPENING_S
-            ).value()
-            self.identity = DeviceIdentity(device.maker, f"{device.product} {label}", device.serial)
-            if known is not None and self.identity != known:
-                remedy = "plug the right one in, or start a new campaign with this one"
-                raise InstrumentError(instrument, doing, f"{self.identity} answers instead of {known}", remedy)
-        except BaseException:
-            self._process.close()
-            raise
+    def __init__(self, instrument: str, settings: OutputSettings, label: str, level: Sequence[float] = ()) -> None:
+        self._instrument, self._settings, self._label = instrument, settings, label
+        self._level = tuple(level)
+        self._process: CalledProcess | None = None
+        self._identity: DeviceIdentity | None = None
+        self.closed = False
 
     @property
-    def process_id(self) -> int:
-        """The process that has the outputs."""
-        return self._process.pid
+    def identity(self) -> DeviceIdentity:
+        """Device and outputs; known since they were opened for the first time."""
+        assert self._identity is not None
+        return self._identity
+
+    def open(self, doing: str) -> None:
+        """Open the outputs, also afresh; the device is not reset, for the recorder may have it, too.
+
+        Raises InstrumentLostError: it does not answer. InstrumentError: it is misspelt, refuses, is another device than
+        before, or the outputs were closed.
+        """
+        self.require_open(doing)
+        self._release()
+        known = self._identity
+        process = CalledProcess(self._instrument, "wavefocus.drivers.daq.ni.outputs_process", "the process that has it")
+        try:
+            arguments = (self._settings, self._level, known is not None)
+            device: DeviceIdentity = process.ask(doing, "open", *arguments, limit_s=OPENING_S).value()
+            identity = DeviceIdentity(device.maker, f"{device.product} {self._label}", device.serial)
+            if known is not None and identity != known:
+                remedy = "plug the right one in, or start a new campaign with this one"
+                raise InstrumentError(self._instrument, doing, f"{identity} answers instead of {known}", remedy)
+        except BaseException:
+            process.close()
+            raise
+        self._process, self._identity = process, identity
+
+    def require_open(self, doing: str) -> None:
+        """Raise InstrumentError once they are closed."""
+        if self.closed:
+            raise InstrumentError(self._instrument, doing, "it is closed", "open the rig again")
 
     def identify(self) -> DeviceIdentity:
         """Ask the device who it is."""
-        identity: DeviceIdentity = self._process.ask("identifying", "identify").value()
+        identity: DeviceIdentity = self._connected("identifying").ask("identifying", "identify").value()
         return identity
 
     def write(self, level: Sequence[float], doing: str) -> None:
         """Put outputs at voltages, no faster than their slew rate, or a line at 0 or 1; return when they are there."""
-        self._process.ask(doing, "write", tuple(level), doing).value()
-        self.level = tuple(level)
+        self._connected(doing).ask(doing, "write", tuple(level), doing).value()
+        self._level = tuple(level)
 
     def close(self) -> None:
-        """Release the outputs; each keeps its level."""
-        self._process.close()
+        """Release the outputs for good; each keeps its level."""
+        self.closed = True
+        self._release()
+
+    def _release(self) -> None:
+        process, self._process = self._process, None
+        if process is not None:
+            process.close()
+
+    def _connected(self, doing: str) -> CalledProcess:
+        self.require_open(doing)
+        if self._process is None:
+            raise InstrumentLostError(self._instrument, doing, "it is not connected", "reconnect first")
+        return self._process
 
 
 def main() -> None:
