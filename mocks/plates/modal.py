@@ -15,6 +15,8 @@ from wavefocus.mocks.plates import Chain, Complex64Array, Complex128Array, Float
 from wavefocus.mocks.plates.infinite import impulse_length
 
 POSITIONS_AT_ONCE = 64
+# A thousand modes at all frequencies of a record would be hundreds of megabytes, for a figure of each frequency.
+FREQUENCIES_AT_ONCE = 512
 
 
 Modes = slice | NDArray[np.intp]
@@ -82,7 +84,9 @@ class ModalPlate(Plate):
 
     def loudness(self, frequency_hz: Float64Array) -> Float64Array:
         weight = self._mean_power()
-        return np.asarray(np.sqrt(weight @ np.square(np.abs(self.mode_velocities(frequency_hz)))))
+        parts = np.array_split(frequency_hz, max(1, frequency_hz.size // FREQUENCIES_AT_ONCE))
+        power = [weight @ np.square(np.abs(self.mode_velocities(part))) for part in parts]
+        return np.asarray(np.sqrt(np.concatenate(power)))
 
     def _make_table(self, step_hz: float, bins: int, single: bool) -> ModeTable:
         frequency_hz = step_hz * np.arange(bins, dtype=np.float64)

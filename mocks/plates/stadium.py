@@ -97,7 +97,9 @@ class StadiumPlate(ModalPlate):
         if self._pairs is None:
             # j w / (k_mode^2 - k^2); at 0 Hz nothing moves.
             gap = self._modes.stiffness[:, None] - np.square(self._wave.wavenumber(frequency_hz))
-            return np.asarray(np.divide(1j * angular, gap, out=np.zeros_like(gap), where=angular > 0))
+            velocity = np.divide(1j * angular, gap, out=gap, where=angular > 0)
+            velocity[:, angular <= 0] = 0
+            return np.asarray(velocity)
         first = 1 / (1j * angular - self._pairs.rate_per_s[:, None])
         second = 1 / (1j * angular - self._pairs.rate_per_s[:, None].conj())
         return np.concatenate([first + second, 1j * (first - second)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from datetime import UTC, datetime
 
 from wavefocus.acquisition.event_wording import sentence
@@ -36,6 +37,9 @@ _WAITING = frozenset({State.PAUSED, State.SUSPENDED, State.RECOVERING})
 # A rig on a virtual clock lives through hours in seconds; then both clocks are shown.
 _SAME_CLOCK = 0.2
 
+# A rig on a virtual clock takes hundreds of records a second; no eye follows more than this.
+_RECORDS_SHOWN_EVERY_S = 0.1
+
 
 class CampaignView:
     """Subscribes to a campaign's events and shows them on standard error."""
@@ -44,6 +48,7 @@ class CampaignView:
         self._report = report
         self._status = CampaignStatus()
         self._repeats = 0
+        self._record_shown_s = -_RECORDS_SHOWN_EVERY_S
 
     def __call__(self, event: Event) -> None:
         """Show one event."""
@@ -59,6 +64,9 @@ class CampaignView:
             case Progress():
                 self._show_bar(self._left)
             case RecordTaken():
+                if time.monotonic() - self._record_shown_s < _RECORDS_SHOWN_EVERY_S:
+                    return
+                self._record_shown_s = time.monotonic()
                 at = f"position {event.position}: record {event.record} of {event.records}"
                 self._show_bar(f"{at}; {self._left}" if self._left else at)
             case SessionEnded():
