@@ -50,7 +50,8 @@ DURATION_S, QUICK_S = 600.0, 3.0
 BLOCKS_S = 10.0
 SETTLED = 0.1
 """Memory is compared from this share of the duration on."""
-MARK_GROWTH_MB = 10.0
+MARK_GROWTH_MB, MARK_DEGRADED = 10.0, 0.01
+"""Memory, and the share of the time in which sources may be left out."""
 POSITIONS_HZ = 100.0
 RADIUS_MM, SPEED_MM_S, AMPLITUDE = 30.0, 100.0, 0.01
 LEVEL_RADII_MM, QUIET_SOURCES = (30.0, 17.0), 4
@@ -186,6 +187,7 @@ def _latency(bank: Path, folder: Path, case: LatencyCase, seconds: float) -> Ent
         marks=(
             Mark("latency_p999_ms", case.mark_ms, at_most=True),
             Mark("underruns", 0, at_most=True),
+            Mark("degraded_share", MARK_DEGRADED, at_most=True),
             Mark("memory_growth_mb", MARK_GROWTH_MB, at_most=True),
         ),
     )

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from wavefocus.rendering.drive.quiet_filters import (
     MAX_MULTIPLIER,
@@ -72,6 +73,44 @@ def test_given_levels_then_no_filters_of_less_energy_meet_them():
         least += weight * np.square((one @ one.conj()).real) / (one @ np.linalg.inv(normal) @ one.conj()).real
     dual = least - found.of_place @ (level * at_focus)
     assert power @ np.square(np.abs(w)).sum(axis=1) == pytest.approx(dual, rel=1e-3)
+
+
+@pytest.mark.parametrize("error", [0.0, 0.1])
+def test_given_a_small_case_then_a_general_solver_finds_no_less_energy(error):
+    """SciPy's SLSQP knows nothing of multipliers: it has the filters themselves, the energy and the bounds."""
+    bins, actuators, level = 4, 5, np.array([1e-3, 3e-3])
+    h, q = rows(1, actuators=actuators)[:bins, 0], rows(3, 1, actuators=actuators)[:bins]
+    power, place, a = np.linspace(0.5, 2.0, bins), np.array([0, 1, 1]), np.square(np.abs(h)).sum(axis=1)
+    focus = Focus(h, q, place)
+    moment = Moment([focus], power[None, None].astype(complex), q, place, np.ones((1, 2), bool))
+    w = filters_of(focus, find_multipliers([moment], level, response_error=error), power)
+    bound = level * (power @ np.square(np.abs((h * w).sum(axis=1))))
+
+    def responses(x):
+        filters = x.view(complex).reshape(bins, actuators)
+        there = power @ np.square(np.abs((q @ filters[..., None])[..., 0]))
+        return (h * filters).sum(axis=1), np.array([there[0], there[1:].mean()])
+
+    def energy(x):
+        return float(power @ np.square(x).reshape(bins, -1).sum(axis=1))
+
+    def deviation(x):
+        return responses(x)[0] - a
+
+    constraints = [{"type": "ineq", "fun": lambda x: 1.0 - responses(x)[1] / bound}]
+    if error:
+        amplitude = lambda x: (power * a) @ deviation(x).real  # noqa: E731
+        off = lambda x: error**2 - power @ np.square(np.abs(deviation(x))) / (power @ np.square(a))  # noqa: E731
+        constraints += [{"type": "eq", "fun": amplitude}, {"type": "ineq", "fun": off}]
+    else:
+        constraints.append({"type": "eq", "fun": lambda x: deviation(x).view(float)})
+    found = minimize(
+        energy, h.conj().ravel().view(float), jac=lambda x: 2.0 * np.repeat(power, 2 * actuators) * x,
+        constraints=constraints, method="SLSQP", options={"maxiter": 500, "ftol": 1e-10},
+    )  # fmt: skip
+    assert found.success
+    assert energy(np.ascontiguousarray(w).ravel().view(float)) == pytest.approx(found.fun, rel=3e-3)
+    np.testing.assert_allclose(w, found.x.view(complex).reshape(w.shape), rtol=0, atol=0.02 * np.abs(w).max())
 
 
 def test_given_saturation_then_it_is_the_same_problem_in_other_variables():
