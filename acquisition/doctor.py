@@ -377,7 +377,8 @@ def check_loopback(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> l
         ),
         _figure(
             "clock ratio",
-            f"the recorder's runs {found.skew_ppm:+.1f} ppm faster than the player's",
+            f"the recorder's clock runs {abs(found.skew_ppm):.1f} ppm "
+            f"{'slower' if found.skew_ppm < 0 else 'faster'} than the player's",
             abs(found.skew_ppm) <= GOOD_PPM,
             "check the sample rates set at the interface; the estimator allows 500 ppm",
         ),

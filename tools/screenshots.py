@@ -339,7 +339,8 @@ class Pictures:
         self.until(page.examine.isEnabled)
         page.examine.click()
         self.until(lambda: page.findings and not tab.examination.running)
-        page.table.setRowHidden(page.table.rowCount() - 1, True)  # the disk: it names the folder of this machine
+        for row, finding in enumerate(page.findings):
+            page.table.setRowHidden(row, finding.instrument == "disk")  # it names the folder of this machine
         self.keep("rig-examination", "light")
         tab.pages.setCurrentWidget(hand)
         self.until(hand.take.isEnabled)
