@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -22,7 +23,7 @@ from wavefocus.rendering.report.canvas import (
     drawn_in_style,
 )
 from wavefocus.rendering.scene.model import Scene, Source
-from wavefocus.rendering.scene.sampling import sample_scene
+from wavefocus.rendering.scene.sampling import SampledSource, sample_scene
 from wavefocus.rendering.verify.record import path_line_mm
 from wavefocus.storage.errors import InputError
 
@@ -54,16 +55,24 @@ class _Drawn:
 
 
 @drawn_in_style
-def scene_picture(scene: Scene, bank: GreenSource, *, outline_mm: Float64Array | None = None) -> Picture:
+def scene_picture(
+    scene: Scene,
+    bank: GreenSource,
+    *,
+    outline_mm: Float64Array | None = None,
+    sampled: Sequence[SampledSource] = (),
+) -> Picture:
     """Draw a scene before and after snapping.
 
     Left: the paths with their sample points, starts and directions, above the bank's positions. Right: the positions
     that the points are snapped to, coloured by n(x) of eq. (15) where the scene normalises, else by the instant of the
     first focus there; a line shows the order in which they are visited.
 
+    sampled: The sources as a render sampled them, which can take long; by default they are sampled anew.
+
     Raises InputError: a path leaves the bank's positions, or a source is not as stated.
     """
-    sources = _sources(scene, bank)
+    sources = _sources(scene, bank, sampled or sample_scene(scene, bank, "sampled").sources)
     surface = ReportSurface.of(bank, [drawn.line_mm for drawn in sources], outline_mm)
     height = surface.height_px(MAP_PX)
     lines = -(-min(len(sources), MAX_NAMED) // 2)
@@ -93,14 +102,14 @@ def scene_picture(scene: Scene, bank: GreenSource, *, outline_mm: Float64Array |
     return canvas.picture()
 
 
-def _sources(scene: Scene, bank: GreenSource) -> list[_Drawn]:
-    """Sample each source as the renderer does; the positions drawn are those that count for its foci."""
+def _sources(scene: Scene, bank: GreenSource, sampled: Sequence[SampledSource]) -> list[_Drawn]:
+    """Each source as it is drawn; its positions are those that count for its foci."""
     drawn = []
-    for source, sampled in zip(scene.sources, sample_scene(scene, bank, "sampled").sources, strict=True):
+    for source, points in zip(scene.sources, sampled, strict=True):
         count = min(MAX_LINE_POINTS, max(2, int(4 * source.path.length_mm) + 2))
-        focus_s = sampled.focus_sample / float(bank.sample_rate_hz)
-        line_mm, rows = path_line_mm(source, count), sampled.focus_position
-        drawn.append(_Drawn(source, line_mm, sampled.points_mm, focus_s, rows, sampled.snap_mm))
+        focus_s = points.focus_sample / float(bank.sample_rate_hz)
+        line_mm, rows = path_line_mm(source, count), points.focus_position
+        drawn.append(_Drawn(source, line_mm, points.points_mm, focus_s, rows, points.snap_mm))
     return drawn
 
 

@@ -319,3 +319,24 @@ def test_a_name_is_drawn_as_it_is_written(name: str) -> None:
 def test_given_a_source_then_it_is_known_how_long_it_emits_before_it_is_sampled(source: Source, lasts_s: float) -> None:
     size = scene_size(Scene("s", (source,)), sample_rate_hz=10_000.0, taps=1, actuators=1)
     assert size.seconds == pytest.approx(lasts_s)
+
+
+def test_given_the_sources_of_a_render_then_the_picture_does_not_sample_them_anew() -> None:
+    text = f"[scene]\nname = 'auto'\n{source('', POINT, IMPULSE)}[output]\ninterpolation = 'auto'\n"
+    scene, reads = read(text), list[int]()
+
+    class CountedBank:
+        def __getattr__(self, name: str) -> object:
+            return getattr(bank(), name)
+
+        def green(self, row: int) -> np.ndarray:
+            reads.append(row)
+            return bank().green(row)
+
+    _, report = render_with_report(scene, CountedBank())
+    reads.clear()
+    again = scene_picture(scene, CountedBank())
+    needed = len(reads)
+    reads.clear()
+    assert scene_picture(scene, CountedBank(), sampled=report.sources).png == again.png
+    assert len(reads) < needed

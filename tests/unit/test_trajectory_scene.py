@@ -66,7 +66,7 @@ def test_given_a_trajectory_then_its_drive_is_equation_9_summed_directly(interpo
 
 def test_given_a_trajectory_then_all_that_looks_at_paths_takes_it():
     scene = scene_of(MOVING, Source(Point((0.0, 0.0)), Sine(70.0, 0.1)))
-    whole, _ = render_with_report(scene, bank())
+    whole, report = render_with_report(scene, bank())
     sampled, _ = render_with_report(scene, bank(), method="sampled")
     blocks = list(SceneRenderer(scene, bank()).unlimited_blocks())
     size = scene_size(scene, sample_rate_hz=RATE_HZ, taps=60, actuators=3)
@@ -80,7 +80,9 @@ def test_given_a_trajectory_then_all_that_looks_at_paths_takes_it():
     np.testing.assert_array_equal(render_with_report(scene, bank(status))[0].drive_v, whole.drive_v)
     inverse, _ = inverse_filter(scene, bank())
     assert inverse.drive_v.shape == whole.drive_v.shape
-    assert scene_picture(scene, bank()).png.startswith(b"\x89PNG")
+    picture = scene_picture(scene, bank()).png
+    assert picture.startswith(b"\x89PNG")
+    assert scene_picture(scene, bank(), sampled=report.sources).png == picture
 
 
 def test_given_kernel_interpolation_then_a_trajectory_round_a_circle_is_nearly_that_circle():

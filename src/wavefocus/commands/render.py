@@ -127,7 +127,7 @@ def render(
             rendered = _in_two_passes(job) if streamed else _in_memory(job)
         peak_v = _write(job, rendered, out, wav, force=force)
         if picture is not None:
-            _write_picture(job, picture)
+            _write_picture(job, rendered.facts, picture)
         figures = _report(job, rendered, out, peak_v, rig_file)
         if as_json:
             print(json.dumps(figures | ({"streamed": True} if streamed else {})))
@@ -139,10 +139,13 @@ def _in_memory(job: _Job) -> _Rendered:
     unsaturated = None
     regularisation = job.scene.regularisation
     if job.options.focusing == "time-reversal" and (regularisation.saturation or regularisation.saturation_absolute):
-        plain = replace(  # limits change no ratio
+        output = job.scene.output.model_copy(update={"limit_v": None, "limit_rms_v": None})  # limits change no ratio
+        if isinstance(facts, RenderReport) and facts.interpolation_errors is not None:
+            output = output.model_copy(update={"interpolation": facts.interpolation_errors.kind})  # chosen once
+        plain = replace(
             job.scene,
             regularisation=regularisation.model_copy(update={"saturation": 0.0, "saturation_absolute": 0.0}),
-            output=job.scene.output.model_copy(update={"limit_v": None, "limit_rms_v": None}),
+            output=output,
         )
         with progress("render", 1) as report:
             unsaturated = render_by_options(plain, job.bank, job.options, report)[1].relative_rms_drive
@@ -280,12 +283,13 @@ def _report(job: _Job, rendered: _Rendered, out: Path, peak_v: float, rig_file: 
     }
 
 
-def _write_picture(job: _Job, path: Path) -> None:
+def _write_picture(job: _Job, facts: RenderReport | InverseReport, path: Path) -> None:
     from wavefocus.rendering.report.scene_picture import scene_picture
 
     outline_mm = None if job.rig is None else job.rig.surface.outline.line(OUTLINE_POINTS)
     with naming(job.scene_file, job.bank):
-        write_whole(path, scene_picture(job.scene, job.bank, outline_mm=outline_mm).png)
+        sampled = facts.sources if isinstance(facts, RenderReport) else ()
+        write_whole(path, scene_picture(job.scene, job.bank, outline_mm=outline_mm, sampled=sampled).png)
     say(f"{path}: the scene before and after snapping to the bank's positions")
 
 
