@@ -226,10 +226,7 @@ class CrossfadedBlocks:
         for index in range(1, len(instants) - 1):
             hat = instants[index - 1 : index + 2]
             there = [number for number, life in enumerate(lives) if life.begin < hat[2] and life.end > hat[0]]
-            share = np.concatenate([
-                np.linspace(0.0, 1.0, hat[1] - hat[0], endpoint=False),
-                np.linspace(1.0, 0.0, hat[2] - hat[1], endpoint=False),
-            ])  # fmt: skip
+            share = _hat_weights(hat[1] - hat[0], hat[2] - hat[1])
             # Where places are predicted, those before and after are no better known.
             counted = (0, -1, 1) if hat[1] <= due and 3 * len(there) <= MAX_PLACES else (0,)
             own = tuple(tuple(places[number][index + other][0] for other in counted) for number in there)
@@ -324,3 +321,9 @@ class CrossfadedBlocks:
         """n(x) of a row, and the row itself where it saturates, else -1."""
         (gain,), (saturated,) = self._rows.weigh(np.array([row]))
         return float(gain), row if saturated else -1
+
+
+@lru_cache(64)
+def _hat_weights(rise: int, fall: int) -> Float64Array:
+    """Weights of the samples of a hat, 1 at its instant, (rise + fall,)."""
+    return np.concatenate([np.linspace(0.0, 1.0, rise, endpoint=False), np.linspace(1.0, 0.0, fall, endpoint=False)])
