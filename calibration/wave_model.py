@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -132,20 +133,6 @@ def plane_waves(wavenumber_rad_mm: Complex128Array, offset_mm: Float64Array) -> 
     return _plane_waves(*_resolved(wavenumber_rad_mm, offset_mm), offset_mm)
 
 
-def kernel_parts(wavenumber_rad_mm: Complex128Array, offset_mm: Float64Array) -> tuple[Complex128Array, Float64Array]:
-    """The two terms of the covariance among the positions of a patch.
-
-    wavenumber_rad_mm, complex128 (frequencies,): Re k > 0, Im k <= 0.
-    offset_mm, float64 (n, 2) or (patches, n, 2): Positions relative to the first; several patches at one frequency
-        only.
-
-    Returns waves : complex128 (frequencies or patches, n, n); disk : float64 (frequencies or patches, n, n).
-    """
-    wavenumber, directions = _resolved(wavenumber_rad_mm, offset_mm)
-    waves = _plane_waves(wavenumber, directions, offset_mm)
-    return _parts(wavenumber, waves, offset_mm, waves, offset_mm, disk_kernel)
-
-
 def disk_kernel(radians: Float64Array) -> Float64Array:
     """2 J1(z) / z, the covariance of fields whose wave numbers fill a disk; 1 at 0."""
     from scipy.special import j1  # slow to load; a grid is planned with `disk_integral`
@@ -191,11 +178,18 @@ def _parts(
     others_mm: Float64Array,
     disk_of: Disk,
 ) -> tuple[Complex128Array, Float64Array]:
+    disk = disk_of(DISK_RADIUS * np.abs(wavenumber_rad_mm)[:, None, None] * _apart_mm(points_mm, others_mm))
+    return _ring(waves, others), disk
+
+
+def _ring(waves: Complex128Array, others: Complex128Array) -> Complex128Array:
+    return np.asarray(waves @ others.conj().transpose(0, 2, 1) / waves.shape[2])
+
+
+def _apart_mm(points_mm: Float64Array, others_mm: Float64Array) -> Float64Array:
+    """Distances from each point to each other, (..., n, m)."""
     gap_mm = points_mm[..., :, None, :] - others_mm[..., None, :, :]
-    apart_mm = np.hypot(gap_mm[..., 0], gap_mm[..., 1])
-    disk = disk_of(DISK_RADIUS * np.abs(wavenumber_rad_mm)[:, None, None] * apart_mm)
-    ring = waves @ others.conj().transpose(0, 2, 1) / waves.shape[2]
-    return np.asarray(ring), disk
+    return np.asarray(np.hypot(gap_mm[..., 0], gap_mm[..., 1]))
 
 
 SCANNED_RADIANS = np.geomspace(0.1, 3.6, 24)
@@ -245,29 +239,75 @@ def fit_waves(patches: Sequence[Patch], frequency_hz: Float64Array, values: Valu
     """
     shapes = _gather(patches, values)
     chosen = sorted({0, *range(len(frequency_hz) - 1, -1, -EVERY)})
-    found = [_Fit([(offset_mm, parts[number]) for offset_mm, parts in shapes]).run(spacing_mm) for number in chosen]
+    errors_of = _LeftOutErrors([offset_mm for offset_mm, _ in shapes])
+    found = [_Fit(errors_of, [parts[number] for _, parts in shapes]).run(spacing_mm) for number in chosen]
     return WaveModel(frequency_hz[chosen], *(np.array(column) for column in zip(*found, strict=True)))
+
+
+class _LeftOutErrors:
+    """What turns the values of patches into the errors at the positions left out; the same at all frequencies.
+
+    offsets_mm, of each shape float64 (n, 2): Positions of its patches.
+    """
+
+    def __init__(self, offsets_mm: Sequence[Float64Array]) -> None:
+        # Shapes of equally many positions go through linear algebra together.
+        sizes = [len(offset_mm) for offset_mm in offsets_mm]
+        self.order = sorted(range(len(sizes)), key=sizes.__getitem__)
+        """Of shapes, in which their errors come."""
+        stacks = [
+            np.stack([offsets_mm[shape] for shape in self.order if sizes[shape] == count])
+            for count in sorted(set(sizes))
+        ]
+        # On a grid few distances differ.
+        self._stacks = [(stack, *np.unique(_apart_mm(stack, stack), return_inverse=True)) for stack in stacks]
+        self._latest: tuple[complex, list[tuple[Complex128Array, Float64Array]]] | None = None
+        self.scanned = lru_cache(len(SCANNED_RADIANS))(self.at)
+        """`at`, kept for the wave numbers that are tried at every frequency."""
+
+    def at(self, wavenumber: complex, share: float, ridge: float) -> list[Complex128Array]:
+        """The error at position i is row i times the values of a patch, (LEFT_OUT, n), for each shape."""
+        if self._latest is None or self._latest[0] != wavenumber:
+            self._latest = wavenumber, [self._parts(wavenumber, *stack) for stack in self._stacks]
+        found = []
+        for ring, disk in self._latest[1]:
+            covariance = (1.0 - share) * ring + share * disk
+            count = covariance.shape[1]
+            covariance[:, range(count), range(count)] += ridge
+            # Columns of the inverse, which is Hermitian: (C^-1 g)_i / (C^-1)_ii is the error at position i.
+            for column in np.linalg.solve(covariance, np.eye(count, min(LEFT_OUT, count))):
+                own = column[range(column.shape[1]), range(column.shape[1])].real
+                found.append(column.conj().T / own[:, None])
+        return found
+
+    def _parts(
+        self, wavenumber: complex, offset_mm: Float64Array, apart_mm: Float64Array, inverse: Int64Array
+    ) -> tuple[Complex128Array, Float64Array]:
+        """The two terms of the covariance among the positions of patches, (shapes, n, n) each.
+
+        offset_mm, float64 (shapes, n, 2): Positions of patches of equally many.
+        apart_mm, inverse: Their different distances, and which of them each is.
+        """
+        resolved, directions = _resolved(np.array([wavenumber]), offset_mm)
+        waves = _plane_waves(resolved, directions, offset_mm)
+        disk = disk_kernel(DISK_RADIUS * np.abs(resolved) * apart_mm)[inverse]
+        return _ring(waves, waves), disk.reshape(*waves.shape[:2], -1)
 
 
 class _Fit:
     """The search at one frequency.
 
-    shapes, sequence of (float64 array, complex128 array): Positions of patches of one shape, (n, 2), and their values
-        side by side, (n, patches * actuators).
+    values, of each shape complex128 (n, patches * actuators): Those of its patches, side by side.
     """
 
-    def __init__(self, shapes: Sequence[tuple[Float64Array, Complex128Array]]) -> None:
-        # Shapes of equally many positions go through linear algebra together.
-        self._stacks: list[tuple[Float64Array, list[Complex128Array]]] = []
-        for count in sorted({len(offset_mm) for offset_mm, _ in shapes}):
-            alike = [shape for shape in shapes if len(shape[0]) == count]
-            self._stacks.append((np.stack([offset_mm for offset_mm, _ in alike]), [values for _, values in alike]))
-        self._whole = sum(float(np.square(np.abs(values[:LEFT_OUT])).sum()) for _, values in shapes)
-        self._latest: tuple[complex, list[tuple[Complex128Array, Float64Array]]] | None = None
+    def __init__(self, errors_of: _LeftOutErrors, values: Sequence[Complex128Array]) -> None:
+        self._errors_of, self._values = errors_of, [values[shape] for shape in errors_of.order]
+        self._whole = sum(float(np.square(np.abs(value[:LEFT_OUT])).sum()) for value in values)
 
     def run(self, spacing_mm: float) -> tuple[complex, float, float]:
         scanned = SCANNED_RADIANS / spacing_mm
-        misfits = [self._misfit(complex(k, -SCAN_DAMPING * k), SCAN_SHARE, SCAN_RIDGE) for k in scanned]
+        tried = [self._errors_of.scanned(complex(k, -SCAN_DAMPING * k), SCAN_SHARE, SCAN_RIDGE) for k in scanned]
+        misfits = [self._wrong(errors) for errors in tried]
         start = float(scanned[int(np.argmin(misfits))])
         wavenumber = self._refined(complex(start, -SCAN_DAMPING * start))
         return wavenumber, *self._chosen(wavenumber)
@@ -297,20 +337,13 @@ class _Fit:
         return max(choice for choice, misfit in zip(choices, misfits, strict=True) if misfit <= enough)
 
     def _misfit(self, wavenumber: complex, share: float, ridge: float) -> float:
+        return self._wrong(self._errors_of.at(wavenumber, share, ridge))
+
+    def _wrong(self, errors: Sequence[Complex128Array]) -> float:
         """Energy of the errors at the positions left out, over that of what is there."""
-        if self._latest is None or self._latest[0] != wavenumber:
-            wavenumbers = np.array([wavenumber])
-            self._latest = (wavenumber, [kernel_parts(wavenumbers, offset_mm) for offset_mm, _ in self._stacks])
         wrong = 0.0
-        for (_, values), (ring, disk) in zip(self._stacks, self._latest[1], strict=True):
-            covariance = (1.0 - share) * ring + share * disk
-            count = covariance.shape[1]
-            covariance[:, range(count), range(count)] += ridge
-            # Columns of the inverse, which is Hermitian: (C^-1 g)_i / (C^-1)_ii is the error at position i.
-            columns = np.linalg.solve(covariance, np.eye(count, min(LEFT_OUT, count)))
-            for column, value in zip(columns, values, strict=True):
-                own = column[range(column.shape[1]), range(column.shape[1])].real
-                wrong += float(np.square(np.abs((column.conj().T / own[:, None]) @ value)).sum())
+        for error, value in zip(errors, self._values, strict=True):
+            wrong += float(np.square(np.abs(error @ value)).sum())
         return wrong / self._whole if self._whole > 0 else 1.0
 
 
