@@ -24,16 +24,16 @@ Learning (2006), sections 2.2, 5.4. A. Sundstroem et al., arXiv 2506.13279 (2025
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, cast
 
 import numpy as np
-from scipy.linalg import cho_solve, solve_triangular
+from scipy.linalg import blas, lapack
 from scipy.optimize import minimize
 
 from wavefocus.calibration import Complex128Array, Float64Array
-from wavefocus.calibration.coarse_grid.waves import distances_mm, outgoing, waves_of_actuators
+from wavefocus.calibration.coarse_grid.waves import distances_mm, outgoing, outgoing_each, waves_of_actuators
 
 SHARE_LIMITS = ((-12.0, 0.5), (-25.0, 2.0), (-16.0, 0.0), (-24.0, 0.0))
 """Of log (rho1, rho2, n1, n2). A rim reflects no more than arrives: rho1 is below 1.6."""
@@ -78,7 +78,7 @@ class FrequencyWaves:
         self._power, self._relative_level = power, relative_level
         self._values = transfer / np.sqrt(power)
         self._sources = outgoing(self.wavenumber, self._to_ring_mm)
-        self._own, count = waves_of_actuators(self.wavenumber, pressure_share, points_mm, actuator_mm)
+        (self._own,), count = waves_of_actuators([self.wavenumber], pressure_share, points_mm, actuator_mm)
         met = np.square(np.abs(outgoing(self.wavenumber, distances_mm(actuator_mm, ring_mm))))
         seen = np.square(np.abs(self._sources)).mean(axis=0)
         self._image = met / (met @ seen)[:, None]
@@ -96,39 +96,40 @@ class FrequencyWaves:
         cosine = np.sqrt(1.0 - sine**2)
         k = size * (cosine + 1j * sine)
         slopes = PERCENT * np.array([k, size * (1j - sine / cosine)])
-        sources = outgoing(k, self._to_ring_mm)
-        source_slope = -self._to_ring_mm * outgoing(k, self._to_ring_mm, 1)  # of H0(k r) by k
-        own, own_slope = _with_slope(self._own_waves, k)
+        sources, first = outgoing_each([(k, 0), (k, 1)], self._to_ring_mm)
+        source_slope = -self._to_ring_mm * first  # of H0(k r) by k
+        step = DERIVATIVE_STEP * k
+        (own, after, before), _ = waves_of_actuators(
+            [k, k + step, k - step], self._share, self._points_mm, self._actuator_mm
+        )
+        own_slope = (after - before) / (2.0 * step)
         rho1, rho2, n1, n2 = np.exp(theta[:4])
         total, gradient, waves = 0.0, np.zeros(6), len(own)
         for actuator in range(self._values.shape[1]):
-            phi = np.column_stack([*own[:, :, actuator], sources])
-            slope = np.column_stack([*own_slope[:, :, actuator], source_slope])
             reflected, even = rho1 * self._image[actuator], np.full(len(self._ring_mm), rho2 * self._even)
             root = np.sqrt(np.append(self._own_variance[:, actuator], reflected + even))
             by_level = n1 * self._relative_level[:, actuator]
             variance = by_level + n2
-            x = phi * root / np.sqrt(variance)[:, None]
-            y = self._values[:, actuator] / np.sqrt(variance)
-            low, half = _factor(x)
-            inverse = half.conj().T @ half
-            beta = inverse @ (x.conj().T @ y)
+            scale = 1.0 / np.sqrt(variance)
+            x = _side_by_side(own[:, :, actuator], sources, root, scale)
+            y = self._values[:, actuator] * scale
+            low = _factor(x)
+            # Of the transposed inverse of B, its upper triangle.
+            inverse = lapack.zpotri(low.T, lower=0)[0]
+            beta = blas.zhemv(1.0, inverse, y.conj() @ x, lower=0).conj()
             alpha = y - x @ beta
-            xi = x @ inverse
+            xi = blas.zhemm(1.0, inverse, x.T, lower=0).T
             total += np.vdot(y, alpha).real + 2.0 * np.log(low.diagonal().real).sum() + np.log(variance).sum()
             by_wave = (1.0 - inverse.diagonal().real - np.square(np.abs(beta)))[waves:]
-            by_noise = 1.0 - np.square(np.abs(alpha)) - np.einsum("im,im->i", xi, x.conj()).real
+            by_noise = 1.0 - np.square(np.abs(alpha)) - np.einsum("im,im->i", xi.view(np.float64), x.view(np.float64))
             gradient[0] += (by_wave * reflected / (reflected + even)).sum()
             gradient[1] += (by_wave * even / (reflected + even)).sum()
             gradient[2] += (by_noise * by_level / variance).sum()
             gradient[3] += (by_noise * n2 / variance).sum()
-            moved = slope * root / np.sqrt(variance)[:, None]
+            moved = _side_by_side(own_slope[:, :, actuator], source_slope, root, scale)
             by_k = np.vdot(xi, moved) - np.vdot(alpha, moved @ beta)
             gradient[4:] += 2.0 * (by_k * slopes).real
         return total / self._values.size, gradient / self._values.size
-
-    def _own_waves(self, wavenumber: complex) -> Complex128Array:
-        return waves_of_actuators(wavenumber, self._share, self._points_mm, self._actuator_mm)[0]
 
     def fitted(self, starts: Sequence[Float64Array], evaluations: int) -> tuple[complex, Float64Array, float]:
         """Wave number and shares of greatest evidence, and the value of `evidence`; starts are of shares (4,)."""
@@ -152,8 +153,7 @@ class FrequencyWaves:
         found = []
         for actuator in range(len(self._power)):
             x, y, root, _ = self._scaled(actuator, shares)
-            low = np.linalg.cholesky(_plus_one(x.conj().T @ x))
-            found.append(root * cho_solve((low, True), x.conj().T @ y))
+            found.append(root * lapack.zpotrs(_factor(x).T, y.conj() @ x, lower=0)[0].conj())
         return np.asarray(np.array(found).T * np.sqrt(self._power), dtype=np.complex128)
 
     def sums(self, strength: Complex128Array) -> Complex128Array:
@@ -167,22 +167,22 @@ class FrequencyWaves:
         error, variance = np.empty_like(self._values), np.empty(self._values.shape)
         for actuator in range(len(self._power)):
             x, y, _, noise = self._scaled(actuator, shares)
-            _, half = _factor(x)
+            half = _inverse_of(_factor(x))
             explained = x @ half.conj().T
             free = np.maximum(1.0 - np.square(np.abs(explained)).sum(axis=1), 1e-9)
-            error[:, actuator] = noise * (y - explained @ (half @ (x.conj().T @ y))) / free
+            error[:, actuator] = noise * (y - explained @ (y.conj() @ explained).conj()) / free
             variance[:, actuator] = noise**2 / free
         return error * np.sqrt(self._power), variance * self._power
 
     def variance(self, points_mm: Float64Array, shares: Float64Array) -> Float64Array:
         """Variance of the waves at points (n, 2), without noise: (n, actuators)."""
         sources = outgoing(self.wavenumber, distances_mm(points_mm, self._ring_mm))
-        own, _ = waves_of_actuators(self.wavenumber, self._share, points_mm, self._actuator_mm)
+        (own,), _ = waves_of_actuators([self.wavenumber], self._share, points_mm, self._actuator_mm)
         variance = np.empty((len(points_mm), len(self._power)))
         for actuator, power in enumerate(self._power.tolist()):
             x, _, root, _ = self._scaled(actuator, shares)
-            _, half = _factor(x)
-            phi = np.column_stack([*own[:, :, actuator], sources]) * root
+            half = _inverse_of(_factor(x))
+            phi = _side_by_side(own[:, :, actuator], sources, root)
             variance[:, actuator] = power * np.square(np.abs(phi @ half.conj().T)).sum(axis=1)
         return variance
 
@@ -191,26 +191,31 @@ class FrequencyWaves:
     ) -> tuple[Complex128Array, Complex128Array, Float64Array, Float64Array]:
         """X and D^(-1/2) d of one actuator, V^(1/2), D^(1/2); powers over P."""
         rho1, rho2, n1, n2 = np.exp(shares)
-        phi = np.column_stack([*self._own[:, :, actuator], self._sources])
         root = np.sqrt(np.append(self._own_variance[:, actuator], rho1 * self._image[actuator] + rho2 * self._even))
         noise = np.sqrt(n1 * self._relative_level[:, actuator] + n2)
-        return phi * root / noise[:, None], self._values[:, actuator] / noise, root, noise
+        x = _side_by_side(self._own[:, :, actuator], self._sources, root, 1.0 / noise)
+        return x, self._values[:, actuator] / noise, root, noise
 
 
-def _plus_one(gram: Complex128Array) -> Complex128Array:
+def _side_by_side(
+    own: Complex128Array, sources: Complex128Array, root: Float64Array, scale: Float64Array | None = None
+) -> Complex128Array:
+    """Own waves (waves, points) and sources (points, sources) times `root`, rows times `scale`: (points, both)."""
+    waves = len(own)
+    phi = np.empty((len(sources), root.size), dtype=np.complex128)
+    np.multiply(own.T, root[:waves], out=phi[:, :waves])
+    np.multiply(sources, root[waves:], out=phi[:, waves:])
+    if scale is not None:
+        phi *= scale[:, None]
+    return phi
+
+
+def _factor(x: Complex128Array) -> Complex128Array:
+    """Lower Cholesky factor of B = 1 + X* X."""
+    gram = blas.zherk(1.0, x.T).T  # its lower triangle, and no other is looked at
     gram[np.diag_indices_from(gram)] += 1.0
-    return gram
+    return np.asarray(np.linalg.cholesky(gram))
 
 
-def _factor(x: Complex128Array) -> tuple[Complex128Array, Complex128Array]:
-    """Lower Cholesky factor of B = 1 + X* X, and its inverse."""
-    low = np.linalg.cholesky(_plus_one(x.conj().T @ x))
-    half = solve_triangular(low, np.eye(len(low)), lower=True, check_finite=False)
-    return np.asarray(low), np.asarray(half, dtype=np.complex128)
-
-
-def _with_slope(
-    function: Callable[[complex], Complex128Array], wavenumber: complex
-) -> tuple[Complex128Array, Complex128Array]:
-    step = DERIVATIVE_STEP * wavenumber
-    return function(wavenumber), (function(wavenumber + step) - function(wavenumber - step)) / (2.0 * step)
+def _inverse_of(low: Complex128Array) -> Complex128Array:
+    return np.asarray(lapack.ztrtri(low.T, lower=0)[0].T)

@@ -148,7 +148,7 @@ class RimWaves:
         wavenumbers, strengths = self.wavenumber[chosen], self.strength[chosen]
         found = outgoing_at_all(wavenumbers, to_ring_mm) @ strengths[:, own_count:]
         for place, (number, k) in enumerate(zip(chosen, wavenumbers.tolist(), strict=True)):
-            own, _ = waves_of_actuators(k, self.pressure_share, points_mm, self.actuator_mm)
+            (own,), _ = waves_of_actuators([k], self.pressure_share, points_mm, self.actuator_mm)
             found[place] += np.einsum("cpa,ca->pa", own, strengths[place, :own_count])
             if self.rest_radius[number] > 0:
                 found[place] += disk(self.rest_radius[number] * to_positions_mm) @ self.rest[number]

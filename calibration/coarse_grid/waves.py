@@ -5,6 +5,7 @@ Time as exp(+j w t): an outgoing wave is the Hankel function of the second kind,
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,13 +32,28 @@ def distances_mm(points_mm: Float64Array, others_mm: Float64Array) -> Float64Arr
 
 
 def outgoing(wavenumber: complex, distance_mm: Float64Array, order: int = 0) -> Complex128Array:
-    """H(2)(k r) at many distances, from a spline of its envelope ``H exp(j k r) sqrt(r)`` over log r."""
+    """H(2)(k r) at many distances, see `outgoing_each`."""
+    return np.asarray(outgoing_each([(wavenumber, order)], distance_mm)[0])
+
+
+def outgoing_each(waves: Sequence[tuple[complex, int]], distance_mm: Float64Array) -> Complex128Array:
+    """H(2)(k r) of several wave numbers and orders, (waves, *distances).
+
+    At many distances from splines of the envelopes ``H exp(j k r) sqrt(r)`` over log r, all with the same nodes.
+    """
+    wavenumber = np.array([k for k, _ in waves], dtype=np.complex128)
+    order = np.array([order for _, order in waves])
+    each = (slice(None), *(None for _ in distance_mm.shape))
     if distance_mm.size <= 4 * ENVELOPE_NODES:
-        return np.asarray(hankel2(order, wavenumber * distance_mm))
+        return np.asarray(hankel2(order[each], wavenumber[each] * distance_mm))
     nodes_mm = np.geomspace(distance_mm.min() * 0.999, distance_mm.max() * 1.001, ENVELOPE_NODES)
-    envelope = hankel2(order, wavenumber * nodes_mm) * np.exp(1j * wavenumber * nodes_mm) * np.sqrt(nodes_mm)
-    smooth = CubicSpline(np.log(nodes_mm), envelope)(np.log(distance_mm))
-    return np.asarray(smooth * np.exp(-1j * wavenumber * distance_mm) / np.sqrt(distance_mm))
+    k = wavenumber[:, None]
+    envelope = hankel2(order[:, None], k * nodes_mm) * np.exp(1j * k * nodes_mm) * np.sqrt(nodes_mm)
+    found = CubicSpline(np.log(nodes_mm), envelope, axis=1)(np.log(distance_mm))
+    different, same = np.unique(wavenumber, return_inverse=True)
+    found *= np.exp(-1j * different[each] * distance_mm)[same]
+    found /= np.sqrt(distance_mm)
+    return np.asarray(found)
 
 
 TABLE_STEP_RAD = 0.15
@@ -83,32 +99,40 @@ def own_waves(
         the plane of a solid: shear waves of wave number k and pressure waves of k times this share, each of orders 0
         and 2 (the derivatives of H0 that make up Green's tensor of a solid).
     """
-    distance_mm = distances_mm(points_mm, actuator_mm)
     if not pressure_share:
-        return outgoing(wavenumber, distance_mm)[None]
-    gap_mm = points_mm[:, None] - actuator_mm[None]
-    turn = np.exp(2j * np.arctan2(gap_mm[..., 1], gap_mm[..., 0]))
-    waves = []
-    for k in (wavenumber, pressure_share * wavenumber):
-        second = outgoing(k, distance_mm, 2)
-        waves += [outgoing(k, distance_mm), second * turn.real, second * turn.imag]
-    return np.stack(waves)
+        return outgoing_each([(wavenumber, 0)], distances_mm(points_mm, actuator_mm))
+    return np.asarray(_waves_of_a_solid([wavenumber], pressure_share, points_mm, actuator_mm)[0])
 
 
 def waves_of_actuators(
-    wavenumber: complex, pressure_share: float, points_mm: Float64Array, actuator_mm: Float64Array
+    wavenumbers: Sequence[complex], pressure_share: float, points_mm: Float64Array, actuator_mm: Float64Array
 ) -> tuple[Complex128Array, int]:
-    """`own_waves`, where scalar followed by those of other frequencies, (waves, points, actuators); how many are own.
+    """`own_waves` of some wave numbers, where scalar followed by those of other frequencies; how many are own.
 
     Green's functions are zero before their first tap, and limited to a band. Near an actuator the band-limited pulse
     begins earlier than that and is cut, which mixes frequencies, by some percent at the band's upper end.
+
+    Returns complex128 (wave numbers, waves, points, actuators), and the count.
     """
-    own = own_waves(wavenumber, pressure_share, points_mm, actuator_mm)
     if pressure_share:
-        return own, len(own)
-    distance_mm = distances_mm(points_mm, actuator_mm)
-    others = [outgoing(share * wavenumber, distance_mm) for share in SMEARED]
-    return np.concatenate([own, np.stack(others)]), len(own)
+        own = _waves_of_a_solid(wavenumbers, pressure_share, points_mm, actuator_mm)
+        return own, own.shape[1]
+    waves = [(share * k, 0) for k in wavenumbers for share in (1.0, *SMEARED)]
+    found = outgoing_each(waves, distances_mm(points_mm, actuator_mm))
+    return found.reshape(len(wavenumbers), -1, *found.shape[1:]), 1
+
+
+def _waves_of_a_solid(
+    wavenumbers: Sequence[complex], pressure_share: float, points_mm: Float64Array, actuator_mm: Float64Array
+) -> Complex128Array:
+    """Own waves of a solid, (wave numbers, waves, points, actuators)."""
+    gap_mm = points_mm[:, None] - actuator_mm[None]
+    turn = np.exp(2j * np.arctan2(gap_mm[..., 1], gap_mm[..., 0]))
+    waves = [(share * k, order) for k in wavenumbers for share in (1.0, pressure_share) for order in (0, 2)]
+    found = outgoing_each(waves, distances_mm(points_mm, actuator_mm)).reshape(-1, 2, *turn.shape)
+    zeroth, second = found[:, 0], found[:, 1]
+    each = np.stack([zeroth, second * turn.real, second * turn.imag], axis=1)
+    return each.reshape(len(wavenumbers), -1, *turn.shape)
 
 
 def rim_ring(points_mm: Float64Array, offset_mm: float, spacing_mm: float) -> Float64Array:
