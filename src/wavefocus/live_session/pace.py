@@ -14,7 +14,7 @@ BUSY = 0.8
 LOOKED_AT = 10
 LEFT_SHARE = 0.4
 """With less of it left to be played, computing has fallen behind."""
-CALM_S, MAX_CALM_S = 2.0, 60.0
+CALM_S, MAX_CALM_S = 2.0, 16.0
 RELAPSE_S = 10.0
 Change = Literal["slower", "faster"]
 
@@ -24,9 +24,8 @@ class Pace:
 
     Computing is slow while the latest blocks took more than 0.8 of their time on average. Where it is slow and less
     than 0.4 of what is to wait is left to be played, the latest source is left out, then the one before it; one
-    remains. Where it was not slow for 2 s, one is taken back; for twice as long after each relapse, up to a minute. One
-    that ran dry without being slow was stalled, which fewer sources would not mend: only a second time within 10 s
-    leaves one out.
+    remains. Where it was not slow for 2 s, one is taken back; for twice as long after each relapse, up to 16 s. A
+    player that ran dry without computing being slow was stalled, which fewer sources would not mend.
 
     block_s: Time of a block. ahead_s: What is to wait to be played.
     """
@@ -37,7 +36,7 @@ class Pace:
         """Sources that may sound; None: all."""
         self._latest: deque[float] = deque(maxlen=LOOKED_AT)
         self._calm_s, self._filled = 0.0, False
-        self._needed_s, self._since_faster_s, self._since_dry_s = CALM_S, RELAPSE_S, RELAPSE_S
+        self._needed_s, self._since_faster_s = CALM_S, RELAPSE_S
         self._begin_s = -math.inf
 
     def begin_s(self, now_s: float, waiting_s: float) -> float:
@@ -58,7 +57,6 @@ class Pace:
         """
         self._latest.append(computed_s)
         self._since_faster_s += self._block_s
-        self._since_dry_s += self._block_s
         low = waiting_s < LEFT_SHARE * self._ahead_s
         self._filled |= not low
         if self._slow:
@@ -72,12 +70,8 @@ class Pace:
 
         ahead_s: What is to wait from now on.
         """
-        stalled, self._since_dry_s = not self._slow and self._since_dry_s >= RELAPSE_S, 0.0
-        self._ahead_s, self._begin_s = ahead_s, -math.inf
-        if stalled:
-            self._start_anew()
-            return None
-        return "slower" if self._slower(sources) else None
+        self._ahead_s, self._begin_s, self._filled = ahead_s, -math.inf, False
+        return "slower" if self._slow and self._slower(sources) else None
 
     @property
     def _slow(self) -> bool:
@@ -88,7 +82,7 @@ class Pace:
     def _slower(self, sources: int) -> bool:
         """Step down; returns whether there was a step left."""
         if self._since_faster_s < RELAPSE_S:
-            self._needed_s = min(2 * self._needed_s, MAX_CALM_S)
+            self._needed_s, self._since_faster_s = min(2 * self._needed_s, MAX_CALM_S), RELAPSE_S
         self._start_anew()
         most = sources if self.most_sources is None else min(self.most_sources, sources)
         if most <= 1:
