@@ -22,6 +22,7 @@ from PyQt5.QtWidgets import QApplication, QComboBox, QWidget
 from pytestqt.exceptions import TimeoutError
 from pytestqt.qtbot import QtBot
 
+from tests.lab_files import RIG, RUN, write_positions
 from wavefocus.__main__ import run
 from wavefocus.config.scene import LineTable, Output, SceneConfig, SceneTable, SineTable, SourceTable
 from wavefocus.gui.campaign.tab import CampaignTab
@@ -29,37 +30,6 @@ from wavefocus.gui.files import Settings
 from wavefocus.gui.surface_view import SurfaceView
 from wavefocus.gui.tab import Tab
 from wavefocus.gui.window import Window, require_fonts
-
-RIG = """
-[rig]
-name = "three coils"
-
-[actuators]
-position_mm = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]
-"""
-
-RUN = """
-rig = "rig.toml"
-
-[grid]
-positions_file = "positions.csv"
-
-[sweep]
-duration_s = 0.3
-
-[capture]
-averages = 2
-decay_s = 0.1
-taps = 1000
-keep_raw = {raw}
-
-[quality]
-second_look = "never"
-
-[virtual]
-seed = 3
-noise_v = 1e-4
-"""
 
 AnyTab = TypeVar("AnyTab", bound=Tab)
 Opens = Callable[..., Window]
@@ -72,9 +42,10 @@ def write_lab(folder: Path, columns: int, rows: int, *, raw: bool = False) -> Pa
     """Write the files of a campaign on a grid of 1.5 mm; return the run file."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "rig.toml").write_text(RIG, encoding="utf-8")
-    (folder / "run.toml").write_text(RUN.format(raw=str(raw).lower()), encoding="utf-8")
-    lines = "".join(f"{1.5 * column},{1.5 * row}\n" for row in range(rows) for column in range(columns))
-    (folder / "positions.csv").write_text("x_mm,y_mm\n" + lines, encoding="utf-8")
+    (folder / "run.toml").write_text(
+        RUN.replace("[capture]", f"[capture]\nkeep_raw = {str(raw).lower()}"), encoding="utf-8"
+    )
+    write_positions(folder, [(1.5 * column, 1.5 * row) for row in range(rows) for column in range(columns)])
     return folder / "run.toml"
 
 

@@ -11,6 +11,7 @@ from PyQt5.QtWidgets import QFileDialog
 from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import Opens, answer, campaign_of, shown_tab, tab_of, wait, write_lab
+from tests.lab_files import change_text
 from wavefocus.config.scene import LineTable
 from wavefocus.gui.advice import in_window
 from wavefocus.gui.field_map import ColourBar
@@ -82,12 +83,12 @@ def test_given_a_run_then_outline_actuators_grid_and_hours_are_shown_before_ther
     assert np.ptp(surface.outline_mm, axis=0) == pytest.approx([250.0, 150.0])
     wait(qtbot, lambda: "12 positions" in tab.progress.figures.text())
     assert (tab.progress.bar.value(), tab.progress.bar.maximum()) == (0, 12)
-    run.write_text(run.read_text(encoding="utf-8").replace("averages = 2", "averages = 0"), encoding="utf-8")
+    change_text(run, "averages = 2", "averages = 0")
     shown_tab(window, RigTab)
     shown_tab(window, type(tab))  # it was edited: read again
     wait(qtbot, lambda: "averages" in window.messages.sentence)
     assert tab.map_panel.map.surface is None
-    run.write_text(run.read_text(encoding="utf-8").replace("averages = 0", "averages = 2"), encoding="utf-8")
+    change_text(run, "averages = 0", "averages = 2")
     shown_tab(window, RigTab)
     shown_tab(window, type(tab))
     wait(qtbot, lambda: tab.map_panel.map.surface is not None)

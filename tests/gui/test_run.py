@@ -11,6 +11,7 @@ from PyQt5.QtWidgets import QPlainTextEdit
 from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import Opens, answer, campaign_of, press, wait, write_lab
+from tests.lab_files import change_text
 from wavefocus.__main__ import run
 from wavefocus.storage.ledger.owner import bank_owner
 
@@ -67,7 +68,7 @@ def test_given_orders_that_fail_then_their_sentences_are_messages(
     campaign_of(window).run.order("pause", finished)
     wait(qtbot, lambda: "no process owns the bank" in window.messages.sentence)
     wrong = write_lab(tmp_path / "wrong", 2, 2)
-    wrong.write_text(wrong.read_text(encoding="utf-8").replace("taps = 1000", "taps = -3"), encoding="utf-8")
+    change_text(wrong, "taps = 1000", "taps = -3")
     window.open_file(wrong)
     press(qtbot, campaign_of(window).controls.buttons["start"])
     wait(qtbot, lambda: "capture.taps" in window.messages.sentence)

@@ -9,7 +9,8 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.gui.conftest import RIG, line_scene
+from tests.gui.conftest import line_scene
+from tests.lab_files import RIG
 from wavefocus.__main__ import run
 from wavefocus.config.scene import Regularisation, SceneConfig
 from wavefocus.gui.scene.calculation import (

@@ -13,6 +13,7 @@ from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import Opens, answer, campaign_of, line_scene, press, tab_of, wait, write_lab
 from tests.gui.test_run import HOLDER
+from tests.lab_files import ABSENT_RIG
 from wavefocus.gui.rig.tab import RigTab
 from wavefocus.gui.scene.exports import IDLE
 from wavefocus.gui.scene.tab import SceneTab
@@ -20,29 +21,11 @@ from wavefocus.gui.verification.tab import VerificationTab
 from wavefocus.storage.bank.layout import BankHeader
 from wavefocus.storage.bank.writer import create_bank
 
-REAL = """
-[actuators]
-position_mm = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]
-
-[mirror]
-driver = "asi-tiger"
-port = "/nowhere"
-
-[recorder]
-driver = "nidaqmx"
-device = "Dev1"
-address = "localhost:1"
-
-[player]
-driver = "sounddevice"
-device = "none"
-"""
-
 
 @pytest.fixture
 def real_rig(tmp_path: Path) -> Path:
     """A rig file of instruments that are not there."""
-    (tmp_path / "real.toml").write_text(REAL, encoding="utf-8")
+    (tmp_path / "real.toml").write_text(ABSENT_RIG.format(folder=tmp_path.as_posix()), encoding="utf-8")
     return tmp_path / "real.toml"
 
 

@@ -7,40 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.lab_files import POSITIONS, RIG, RUN, write_positions
 from wavefocus.__main__ import run
-
-ACTUATORS = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]
-POSITIONS = [[0.0, 0.0], [4.0, 0.0], [8.0, 0.0], [8.0, 4.0], [4.0, 4.0], [0.0, 4.0]]
-
-RIG = f"""
-[rig]
-name = "three coils"
-
-[actuators]
-position_mm = {ACTUATORS}
-"""
-
-RUN = """
-rig = "rig.toml"
-
-[grid]
-positions_file = "positions.csv"
-
-[sweep]
-duration_s = 0.3
-
-[capture]
-averages = 2
-decay_s = 0.1
-taps = 1000
-
-[quality]
-second_look = "never"
-
-[virtual]
-seed = 3
-noise_v = 1e-4
-"""
 
 SCENE = """
 [scene]
@@ -63,8 +31,7 @@ def write_lab(folder: Path) -> Path:
     (folder / "rig.toml").write_text(RIG, encoding="utf-8")
     (folder / "run.toml").write_text(RUN, encoding="utf-8")
     (folder / "scene.toml").write_text(SCENE, encoding="utf-8")
-    lines = "".join(f"{x_mm},{y_mm}\n" for x_mm, y_mm in POSITIONS)
-    (folder / "positions.csv").write_text("x_mm,y_mm\n" + lines, encoding="utf-8")
+    write_positions(folder, POSITIONS)
     return folder
 
 

@@ -15,6 +15,7 @@ import h5py
 import numpy as np
 import pytest
 
+from tests.lab_files import change_text
 from tests.system.captures import await_event, capture_process, held
 from tests.system.conftest import with_faults, write_lab
 from wavefocus.__main__ import run
@@ -37,8 +38,7 @@ def _capture(lab: Path, name: str = "plate.h5") -> Path:
 
 def _take_longer(lab: Path) -> None:
     """More sweeps a record, so that a signal still meets the campaign on a machine that is busy."""
-    text = (lab / "run.toml").read_text(encoding="utf-8")
-    (lab / "run.toml").write_text(text.replace("averages = 2", "averages = 12"), encoding="utf-8")
+    change_text(lab / "run.toml", "averages = 2", "averages = 12")
 
 
 def test_given_a_run_then_every_position_is_valid_and_events_tell_it(
@@ -266,8 +266,7 @@ def test_given_another_run_file_then_the_bank_is_refused_and_untouched(
     lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = bank.read_bytes()
-    text = (lab / "run.toml").read_text(encoding="utf-8")
-    (lab / "run.toml").write_text(text.replace("duration_s = 0.3", "duration_s = 0.4"), encoding="utf-8")
+    change_text(lab / "run.toml", "duration_s = 0.3", "duration_s = 0.4")
     capsys.readouterr()
     assert _wavefocus("capture", lab / "run.toml", "--bank", bank) == 2
     told = capsys.readouterr().err.strip().splitlines()

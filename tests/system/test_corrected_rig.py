@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.lab_files import ACTUATORS, change_text
 from tests.system.captures import empty_bank
-from tests.system.conftest import ACTUATORS
 from wavefocus.__main__ import run
 from wavefocus.storage.bank.reading import open_bank
 
@@ -28,12 +28,6 @@ device = "none"
 """
 
 
-def _change(file: Path, old: str, new: str) -> None:
-    text = file.read_text(encoding="utf-8")
-    assert old in text
-    file.write_text(text.replace(old, new), encoding="utf-8")
-
-
 def _printed(told: str) -> list[str]:
     """The words of the command that the last line ends with, without the program's name."""
     words = shlex.split(told.splitlines()[-1].rpartition("go on with: ")[2])
@@ -48,10 +42,10 @@ def test_given_a_wrong_port_then_the_printed_command_opens_the_corrected_one(
     place.mkdir()
     bank, rig = place / "plate.h5", lab / "rig.toml"
     rig.write_text(REAL.replace("PORT", str(lab / "old port")), encoding="utf-8")
-    _change(lab / "run.toml", "[virtual]\nseed = 3\nnoise_v = 1e-4\n", "")
+    change_text(lab / "run.toml", "[virtual]\nseed = 3\nnoise_v = 1e-4\n", "")
     assert run(["capture", str(lab / "run.toml"), "--bank", str(bank)]) == 3
     command = _printed(capsys.readouterr().err)
-    _change(rig, "old port", "new port")
+    change_text(rig, "old port", "new port")
     assert run(command) == 3
     told = capsys.readouterr().err
     assert "new port" in told
@@ -87,12 +81,12 @@ def test_given_a_rig_that_measures_other_rows_then_it_is_refused_by_its_keys(
 
 def test_given_other_names_and_limits_then_the_campaign_goes_on_and_its_rig_file_counts(lab: Path) -> None:
     bank = empty_bank(lab, "plate.h5")
-    _change(lab / "rig.toml", "three coils", "three other coils")
+    change_text(lab / "rig.toml", "three coils", "three other coils")
     with (lab / "rig.toml").open("a", encoding="utf-8") as rig:
         rig.write("[player]\nlimit_v = 0.001\n")
     command = ["resume", str(bank), "--rig", str(lab / "rig.toml")]
     assert run(command) == 2  # the sweep is too loud for it
-    _change(lab / "rig.toml", "limit_v = 0.001", "limit_v = 3.0")
+    change_text(lab / "rig.toml", "limit_v = 0.001", "limit_v = 3.0")
     assert run(command) == 0
     with open_bank(bank) as view:
         assert view.status.all()

@@ -8,25 +8,12 @@ from typing import Any
 
 import pytest
 
+from tests.lab_files import ABSENT_RIG
 from wavefocus.__main__ import run
 
 RIG = """
 [actuators]
 position_mm = [[110, 0], [0, 60], [-110, 10]]
-"""
-ABSENT = """
-[actuators]
-position_mm = [[110, 0], [0, 60], [-110, 10]]
-[mirror]
-driver = "generic"
-port = "{folder}/no-such-port"
-[recorder]
-driver = "nidaqmx"
-device = "Dev1"
-address = "localhost:1"
-[player]
-driver = "sounddevice"
-device = "no such interface"
 """
 KEYS = {"rig", "name", "good", "counts", "findings", "versions"}
 
@@ -94,7 +81,7 @@ def test_given_something_not_good_enough_then_exit_1_and_what_to_do(
 def test_given_real_instruments_that_are_not_there_then_each_is_a_finding_with_what_to_do(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code, told, _ = doctor(written(tmp_path, ABSENT.format(folder=tmp_path)), "--json", capsys=capsys)
+    code, told, _ = doctor(written(tmp_path, ABSENT_RIG.format(folder=tmp_path)), "--json", capsys=capsys)
     assert code == 1
     bad = {one["instrument"]: one for one in told["findings"] if one["verdict"] == "fail"}
     assert set(bad) == {"mirror", "recorder", "player"}

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import pytest
 from markdown_it import MarkdownIt
 
-from tests.system.conftest import RIG, RUN
+from tests.lab_files import RIG, RUN, change_text, write_positions
 from wavefocus.__main__ import run
 from wavefocus.cli import UsageError, parser
 
@@ -133,10 +133,8 @@ def make_small(folder: Path) -> None:
     """Put a small plate and run in place of those of `wavefocus init`."""
     (folder / "rig.toml").write_text(RIG, "utf-8")
     (folder / "run.toml").write_text(RUN.replace("[capture]", "[capture]\nkeep_raw = true"), "utf-8")
-    places = "".join(f"{x_mm},{y_mm}\n" for y_mm in (-4, 0, 4) for x_mm in range(-58, 63, 4))
-    (folder / "positions.csv").write_text("x_mm,y_mm\n" + places, "utf-8")
-    trials = (folder / "trials.toml").read_text("utf-8")
-    (folder / "trials.toml").write_text(trials.replace("limit_v = 1.0", "limit_v = 3.0"), "utf-8")  # of three actuators
+    write_positions(folder, [(x_mm, y_mm) for y_mm in (-4, 0, 4) for x_mm in range(-58, 63, 4)])
+    change_text(folder / "trials.toml", "limit_v = 1.0", "limit_v = 3.0")  # of three actuators
 
 
 @pytest.mark.long

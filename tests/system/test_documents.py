@@ -9,7 +9,8 @@ import event_model
 import h5py
 import pytest
 
-from tests.system.conftest import POSITIONS, with_faults
+from tests.lab_files import POSITIONS
+from tests.system.conftest import with_faults
 from wavefocus.__main__ import run
 
 NAMES = event_model.DocumentNames

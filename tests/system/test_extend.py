@@ -10,24 +10,13 @@ import h5py
 import numpy as np
 import pytest
 
+from tests.lab_files import POSITIONS, change_text, write_positions
 from tests.system.captures import held
-from tests.system.conftest import POSITIONS
 from wavefocus.__main__ import run
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter
 
 MORE = [[12.0, 0.0], *POSITIONS[:4], [12.0, 4.0]]
-
-
-def _write_positions(lab: Path, positions: list[list[float]]) -> None:
-    lines = "".join(f"{x_mm},{y_mm}\n" for x_mm, y_mm in positions)
-    (lab / "positions.csv").write_text("x_mm,y_mm\n" + lines, encoding="utf-8")
-
-
-def _change(file: Path, old: str, new: str) -> None:
-    text = file.read_text(encoding="utf-8")
-    assert old in text
-    file.write_text(text.replace(old, new), encoding="utf-8")
 
 
 def _scale_rows(bank: Path, rows: int, factor: float) -> None:
@@ -48,7 +37,7 @@ def test_given_more_positions_then_measured_rows_are_taken_over_and_the_others_m
     lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(["note", str(bank), "gel of Monday"]) == 0
-    _write_positions(lab, MORE)
+    write_positions(lab, MORE)
     assert _extend(lab, bank) == 0
     events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert {event["position"] for event in events if event["event"] == "position_committed"} == {0, 5}
@@ -68,7 +57,7 @@ def test_given_more_positions_then_measured_rows_are_taken_over_and_the_others_m
     assert (origin["bank"], origin["rows"]) == ("plate.h5", "1-4,6-7")
     assert run(["check", str(lab / "new.h5")]) == 0
     # Extended again, the rows keep the name of the bank that measured them.
-    _write_positions(lab, [*MORE, [16.0, 0.0]])
+    write_positions(lab, [*MORE, [16.0, 0.0]])
     assert _extend(lab, lab / "new.h5", new="newer.h5") == 0
     capsys.readouterr()
     assert run(["status", str(lab / "newer.h5"), "--json"]) == 0
@@ -79,7 +68,7 @@ def test_given_more_positions_then_measured_rows_are_taken_over_and_the_others_m
 def test_given_the_plate_has_changed_then_nothing_is_added(
     lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    _write_positions(lab, MORE)
+    write_positions(lab, MORE)
     _scale_rows(bank, len(POSITIONS), 2.0)
     assert _extend(lab, bank) == 3
     assert "sentinel" in capsys.readouterr().err
@@ -98,7 +87,7 @@ def test_given_the_plate_has_changed_then_nothing_is_added(
 def test_given_another_kind_of_rows_then_it_is_refused_by_its_key(
     lab: Path, bank: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, named: str
 ) -> None:
-    _change(lab / "run.toml", old, new)
+    change_text(lab / "run.toml", old, new)
     assert _extend(lab, bank) == 2
     told = capsys.readouterr().err
     assert named in told
@@ -108,7 +97,7 @@ def test_given_another_kind_of_rows_then_it_is_refused_by_its_key(
 def test_given_a_damaged_row_then_it_is_refused(lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with h5py.File(bank, "r+") as file:
         file["green"][2, 0, 5] += 1
-    _write_positions(lab, MORE)
+    write_positions(lab, MORE)
     assert _extend(lab, bank) == 2
     assert "position 2" in capsys.readouterr().err
     assert not (lab / "new.h5").exists()
@@ -125,7 +114,7 @@ def test_given_the_new_bank_is_there_or_an_input_then_it_stays(lab: Path, bank: 
 def test_given_two_banks_then_they_merge_where_a_shared_position_agrees(
     lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    _write_positions(lab, [[8.0, 0.0], [12.0, 0.0], [12.0, 4.0]])
+    write_positions(lab, [[8.0, 0.0], [12.0, 0.0], [12.0, 4.0]])
     other = lab / "other.h5"
     assert run(["capture", str(lab / "run.toml"), "--bank", str(other)]) == 0
     assert _extend(lab, bank, other, runs=False) == 0
@@ -136,7 +125,7 @@ def test_given_two_banks_then_they_merge_where_a_shared_position_agrees(
     _scale_rows(other, 3, 2.0)
     assert _extend(lab, bank, other, new="worse.h5", runs=False) == 2
     assert "level changed" in capsys.readouterr().err
-    _write_positions(lab, [[12.0, 0.0], [12.0, 4.0]])
+    write_positions(lab, [[12.0, 0.0], [12.0, 4.0]])
     apart = lab / "apart.h5"
     assert run(["capture", str(lab / "run.toml"), "--bank", str(apart)]) == 0
     assert _extend(lab, bank, apart, new="worse.h5", runs=False) == 2
@@ -144,11 +133,11 @@ def test_given_two_banks_then_they_merge_where_a_shared_position_agrees(
 
 
 def test_given_kept_recordings_then_they_are_taken_over_too(lab: Path) -> None:
-    _change(lab / "run.toml", "taps = 1000", "taps = 1000\nkeep_raw = true")
+    change_text(lab / "run.toml", "taps = 1000", "taps = 1000\nkeep_raw = true")
     bank = lab / "plate.h5"
-    _write_positions(lab, POSITIONS[:3])
+    write_positions(lab, POSITIONS[:3])
     assert run(["capture", str(lab / "run.toml"), "--bank", str(bank)]) == 0
-    _write_positions(lab, POSITIONS[:4])
+    write_positions(lab, POSITIONS[:4])
     assert _extend(lab, bank) == 0
     estimated = lab / "estimated.h5"
     assert run(["estimate", str(lab / "new.raw.h5"), "--bank", str(estimated)]) == 0

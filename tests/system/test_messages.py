@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.system.conftest import ACTUATORS
+from tests.lab_files import ACTUATORS
 from wavefocus.__main__ import run
 from wavefocus.acquisition.event_wording import sentence
 from wavefocus.config.messages.campaign import (

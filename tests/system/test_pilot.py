@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.system.conftest import ACTUATORS
+from tests.lab_files import ACTUATORS
 from wavefocus.__main__ import run
 from wavefocus.acquisition.grid import read_positions_file, surface_grid
 from wavefocus.benchmarks.rig_bank import RATE_HZ, TAPS, true_bank

@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 import pytest
 
+from tests.lab_files import change_text
 from tests.system.conftest import with_faults
 from wavefocus.__main__ import run
 
@@ -34,12 +35,6 @@ def _of_kind(events: list[dict[str, object]], kind: str) -> list[dict[str, objec
 def _status(bank: Path) -> list[int]:
     with h5py.File(bank, "r") as file:
         return [int(one) for one in file["status"]]
-
-
-def _changed(lab: Path, name: str, old: str, new: str) -> None:
-    text = (lab / name).read_text(encoding="utf-8")
-    assert old in text
-    (lab / name).write_text(text.replace(old, new), encoding="utf-8")
 
 
 @pytest.mark.parametrize(
@@ -73,7 +68,7 @@ def test_given_a_defect_in_one_record_then_it_is_named_with_its_remedy_and_not_v
 def test_given_taps_that_are_too_few_then_the_tail_is_named_and_no_try_is_wasted(
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    _changed(lab, "run.toml", "taps = 1000", "taps = 150")
+    change_text(lab / "run.toml", "taps = 1000", "taps = 150")
     bank, events, _ = _captured(lab, capsys)
     committed = _of_kind(events, "position_committed")
     assert all("tail" in event["defects"] for event in committed[:6])  # type: ignore[operator]
@@ -168,7 +163,7 @@ def test_given_a_pass_that_does_not_help_then_it_comes_once_and_another_capture_
 
 
 def test_given_no_passes_in_the_run_file_then_none_comes(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    _changed(lab, "run.toml", "[quality]", "[quality]\nremeasure_pass = 0")
+    change_text(lab / "run.toml", "[quality]", "[quality]\nremeasure_pass = 0")
     with_faults(lab, f'{READ}kind = "dropout"\nposition = 1\ncount = 3')
     bank, events, _ = _captured(lab, capsys)
     assert not _of_kind(events, "pass_started")

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.lab_files import ABSENT_RIG, change_text
 from wavefocus.__main__ import run
 from wavefocus.acquisition.run_queue import read_queue
 from wavefocus.config.rig import RigConfig
@@ -20,25 +21,10 @@ from wavefocus.mocks.wire.emulated_serial import EmulatedSerial, TcpWire
 from wavefocus.mocks.wire.vibrometer import PolytecDevice
 from wavefocus.rig.instruments import openers
 
-RIG = """
-[actuators]
-position_mm = [[110, 0], [0, 60], [-110, 10]]
-[mirror]
-driver = "generic"
-port = "{folder}/no-such-port"
-[recorder]
-driver = "nidaqmx"
-device = "Dev1"
-address = "localhost:1"
-[player]
-driver = "sounddevice"
-device = "no such interface"
-"""
-
 
 @pytest.fixture
 def real_lab(tmp_path: Path) -> Path:
-    (tmp_path / "rig.toml").write_text(RIG.format(folder=tmp_path.as_posix()), encoding="utf-8")
+    (tmp_path / "rig.toml").write_text(ABSENT_RIG.format(folder=tmp_path.as_posix()), encoding="utf-8")
     (tmp_path / "run.toml").write_text('rig = "rig.toml"\n[grid]\npositions_file = "p.csv"\n', encoding="utf-8")
     (tmp_path / "p.csv").write_text("x_mm,y_mm\n0,0\n4,0\n", encoding="utf-8")
     return tmp_path
@@ -112,7 +98,7 @@ def test_given_an_instrument_away_then_a_queues_run_fails_and_after_a_reboot_it_
     (failed,) = read_queue(queue)
     assert (str(failed.state), failed.code) == ("failed", 3)
     # A power cut leaves the run in this state.
-    queue.write_text(queue.read_text(encoding="utf-8").replace('"failed"', '"running"'), encoding="utf-8")
+    change_text(queue, '"failed"', '"running"')
     command = [sys.executable, "-m", "wavefocus", "queue", "run", str(queue)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as runner:
         assert runner.stderr is not None

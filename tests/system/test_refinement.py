@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.lab_files import change_text, write_positions
 from tests.system.captures import await_event, capture_process
 from wavefocus.__main__ import run
 from wavefocus.campaign.refinement import ErrorMap, worst_points
@@ -24,8 +25,7 @@ def coarse(lab: Path) -> Path:
     text = (lab / "run.toml").read_text(encoding="utf-8")
     text = text.replace("[grid]", "[grid]\nmargin_mm = 55\nrefine_to = 1e-5\nrefine_positions = 5")
     (lab / "run.toml").write_text(text, encoding="utf-8")
-    lines = "".join(f"{x_mm},{y_mm}\n" for x_mm, y_mm in SQUARE_MM)
-    (lab / "positions.csv").write_text("x_mm,y_mm\n" + lines, encoding="utf-8")
+    write_positions(lab, SQUARE_MM)
     return lab
 
 
@@ -82,8 +82,7 @@ def test_given_a_kill_in_the_middle_of_the_refinement_then_the_bank_ends_as_with
 
 
 def test_given_kept_recordings_then_they_grow_with_the_bank(coarse: Path) -> None:
-    text = (coarse / "run.toml").read_text(encoding="utf-8")
-    (coarse / "run.toml").write_text(text.replace("taps = 1000", "taps = 1000\nkeep_raw = true"), encoding="utf-8")
+    change_text(coarse / "run.toml", "taps = 1000", "taps = 1000\nkeep_raw = true")
     bank = coarse / "plate.h5"
     assert _capture(coarse, bank) == 0
     assert run(["estimate", str(coarse / "plate.raw.h5"), "--bank", str(coarse / "again.h5")]) == 0
@@ -105,8 +104,7 @@ def test_given_a_wrong_key_then_it_is_named(
 
 
 def test_too_few_positions_are_said_by_name(lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    text = (lab / "run.toml").read_text(encoding="utf-8")
-    (lab / "run.toml").write_text(text.replace("[grid]", "[grid]\nrefine_to = 0.05"), encoding="utf-8")
+    change_text(lab / "run.toml", "[grid]", "[grid]\nrefine_to = 0.05")
     assert _capture(lab, bank) == 2
     assert "12 measured positions" in capsys.readouterr().err
 

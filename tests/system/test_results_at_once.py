@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import wavefocus as wf
+from tests.lab_files import change_text
 from wavefocus.__main__ import run
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import staged_folder
@@ -207,7 +208,7 @@ def test_a_verification_over_an_older_one_then_never_leaves_its_fields_beside_th
     command = ["verify", str(scene), "--bank", str(bank), "--rig", str(lab / "rig.toml"), "--out", str(out)]
     assert run(command) == 0
     older = {name: hashlib.sha256((out / name).read_bytes()).hexdigest() for name in VERIFIED}
-    scene.write_text(scene.read_text(encoding="utf-8").replace("200.0", "150.0"), encoding="utf-8")
+    change_text(scene, "200.0", "150.0")
     watched = [sys.executable, "-c", WATCHED, str(out), str(lab / "seen.json"), *command, "--force"]
     assert subprocess.run(watched, check=False, capture_output=True).returncode == 0
     newer = {name: hashlib.sha256((out / name).read_bytes()).hexdigest() for name in VERIFIED}

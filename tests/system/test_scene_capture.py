@@ -8,6 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
+from tests.lab_files import change_text
 from wavefocus.__main__ import run
 
 
@@ -65,8 +66,7 @@ def test_given_a_scene_that_is_measured_already_then_nothing_is_played(far, caps
 
 
 def test_given_a_scene_off_the_grid_then_no_bank_is_made(far, capsys):
-    text = (far / "scene.toml").read_text(encoding="utf-8")
-    (far / "scene.toml").write_text(text.replace("[8, 0]", "[60, 0]"), encoding="utf-8")
+    change_text(far / "scene.toml", "[8, 0]", "[60, 0]")
     assert _wavefocus("capture", far / "run.toml", "--bank", far / "plate.h5", "--scene", far / "scene.toml") == 2
     told = capsys.readouterr().err
     assert "scene.toml" in told

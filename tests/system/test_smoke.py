@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.lab_files import change_text
 from wavefocus.__main__ import run
 from wavefocus.cli import COMMANDS
 
@@ -73,8 +74,7 @@ def test_given_no_campaign_is_running_then_an_order_is_refused(order: str, bank:
 
 
 def test_given_kept_recordings_then_estimate_makes_their_bank_again(lab: Path) -> None:
-    text = (lab / "run.toml").read_text(encoding="utf-8")
-    (lab / "run.toml").write_text(text.replace("[capture]", "[capture]\nkeep_raw = true"), encoding="utf-8")
+    change_text(lab / "run.toml", "[capture]", "[capture]\nkeep_raw = true")
     assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / BANK)]) == 0
     assert run(["estimate", str(lab / "plate.raw.h5"), "--bank", str(lab / "again.h5")]) == 0
     assert (lab / "again.h5").is_file()

@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 import pytest
 
+from tests.lab_files import change_text
 from tests.system.conftest import with_faults, write_lab
 from wavefocus.__main__ import run
 from wavefocus.campaign.blueprint import blueprint_from_bank
@@ -31,8 +32,7 @@ def _wavefocus(*arguments: object) -> int:
 def _with_capture(lab: Path, *lines: str) -> Path:
     """The lab's run file with more lines in its capture table."""
     path = lab / "run.toml"
-    text = path.read_text(encoding="utf-8")
-    path.write_text(text.replace("[capture]\n", "[capture]\n" + "\n".join(lines) + "\n"), encoding="utf-8")
+    change_text(path, "[capture]\n", "[capture]\n" + "\n".join(lines) + "\n")
     return path
 
 

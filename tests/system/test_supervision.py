@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.lab_files import change_text
 from tests.system.captures import (
     Listener,
     await_event,
@@ -42,12 +43,6 @@ POSIX = pytest.mark.skipif(os.name != "posix", reason="Windows has neither of th
 def _with_rig(lab: Path, text: str) -> None:
     with (lab / "rig.toml").open("a", encoding="utf-8") as rig:
         rig.write(text)
-
-
-def _in_run(lab: Path, old: str, new: str) -> None:
-    text = (lab / "run.toml").read_text(encoding="utf-8")
-    assert old in text
-    (lab / "run.toml").write_text(text.replace(old, new), encoding="utf-8")
 
 
 class _Orders:
@@ -267,7 +262,7 @@ LONG_NIGHT = ("averages = 2", "averages = 40")
 
 def _start(lab: Path, bank: Path) -> subprocess.Popen[str]:
     """A capture of its own, under way when this returns; parking fails, so that it is told."""
-    _in_run(lab, *LONG_NIGHT)
+    change_text(lab / "run.toml", *LONG_NIGHT)
     with_faults(lab, 'role = "mirror"\noperation = "park"\nkind = "timeout"\nat_call = 1')
     child = capture_process(lab, bank)
     await_event(child, "position_committed")
@@ -314,7 +309,7 @@ def test_given_a_terminal_that_is_closed_then_the_position_is_finished_and_the_l
     import pty
 
     bank = lab / "plate.h5"
-    _in_run(lab, *LONG_NIGHT)
+    change_text(lab / "run.toml", *LONG_NIGHT)
     command = [*WAVEFOCUS, "capture", str(lab / "run.toml"), "--bank", str(bank)]
     pid, terminal = pty.fork()
     if pid == 0:
@@ -388,8 +383,8 @@ def test_given_a_cold_room_then_it_is_waited_until_it_is_warm_and_has_settled(
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     _with_rig(lab, WATCHED)
-    _in_run(
-        lab,
+    change_text(
+        lab / "run.toml",
         "noise_v = 1e-4",
         "noise_v = 1e-4\nroom_c = [[5, 21], [6, 17], [100, 17], [101, 18.5], [150, 18.5], [151, 20]]",
     )

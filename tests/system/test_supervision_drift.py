@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 import pytest
 
+from tests.lab_files import change_text
 from tests.system.captures import events_of, held
 from tests.system.conftest import with_faults
 from wavefocus.__main__ import run
@@ -22,8 +23,7 @@ LOUDER = 'role = "recorder"\noperation = "read"\nkind = "drift"\nlevel_db = -6.0
 
 
 def _with_drift(lab: Path) -> None:
-    text = (lab / "run.toml").read_text(encoding="utf-8")
-    (lab / "run.toml").write_text(text.replace("[virtual]", f"{DRIFT}\n[virtual]"), encoding="utf-8")
+    change_text(lab / "run.toml", "[virtual]", f"{DRIFT}\n[virtual]")
 
 
 def _capture(lab: Path, bank: Path, *more: str) -> int:

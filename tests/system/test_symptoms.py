@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.system.conftest import RUN
+from tests.lab_files import RUN, write_positions
 from wavefocus.__main__ import run
 from wavefocus.campaign.blueprint import bank_configuration, blueprint_of
 from wavefocus.config.loading import validated
@@ -53,8 +53,7 @@ def measured_lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     lab = tmp_path_factory.mktemp("sound")
     for name, text in (("rig.toml", RIG), ("run.toml", SLOWER_WHEN_COLD), ("scene.toml", SCENE)):
         (lab / name).write_text(text, encoding="utf-8")
-    places = "".join(f"{x},{y}\n" for y in AXIS_MM for x in AXIS_MM)
-    (lab / "positions.csv").write_text("x_mm,y_mm\n" + places, encoding="utf-8")
+    write_positions(lab, [(x, y) for y in AXIS_MM for x in AXIS_MM])
     assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / "plate.h5")]) == 0
     return lab
 

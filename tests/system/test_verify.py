@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import soundfile
 
+from tests.lab_files import change_text
 from tests.system.conftest import with_faults
 from wavefocus.__main__ import run
 from wavefocus.rendering.verify.record import read_record
@@ -102,7 +103,7 @@ def test_given_a_rig_with_other_actuators_then_it_is_refused(
     lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rig = lab / "rig.toml"
-    rig.write_text(rig.read_text(encoding="utf-8").replace("110.0, 0.0", "109.0, 0.0"), encoding="utf-8")
+    change_text(rig, "110.0, 0.0", "109.0, 0.0")
     capsys.readouterr()
     assert _verify(lab, bank) == 2
     assert "actuators.position_mm" in capsys.readouterr().err
@@ -112,8 +113,7 @@ def test_given_a_scene_beyond_the_rigs_limit_then_it_is_refused_before_anything_
     lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scene = lab / "scene.toml"
-    text = scene.read_text(encoding="utf-8")
-    scene.write_text(text.replace("limit_v = 1.0", ""), encoding="utf-8")
+    change_text(scene, "limit_v = 1.0", "")
     capsys.readouterr()
     assert _verify(lab, bank) == 2
     assert "output.limit_v" in capsys.readouterr().err

@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.lab_files import POSITIONS, write_positions
 from tests.wire.analog_bench import analog_rig
 from tests.wire.emulated import emulated_instruments, free_port
-from tests.wire.test_campaign_through_wires import POSITIONS, errors_db, write_run
+from tests.wire.test_campaign_through_wires import errors_db, write_run
 
 pytestmark = pytest.mark.long
 
@@ -27,8 +28,7 @@ def test_given_the_box_is_unplugged_in_mid_campaign_then_the_bank_is_good_and_ev
     with (tmp_path / "rig.toml").open("a", encoding="utf-8") as file:
         file.write(f'\n[shutter]\ndriver = "nidaqmx"\ndevice = "Dev1"\naddress = "{address}"\nopens_s = 0.01\n')
     write_run(tmp_path, "run.toml", "rig.toml")
-    lines = "".join(f"{x_mm},{y_mm}\n" for x_mm, y_mm in POSITIONS)
-    (tmp_path / "positions.csv").write_text("x_mm,y_mm\n" + lines, encoding="utf-8")
+    write_positions(tmp_path, POSITIONS)
     bank = tmp_path / "plate.h5"
     command = [sys.executable, "-m", "wavefocus", "capture", str(tmp_path / "run.toml"), "--bank", str(bank), "--json"]
     with emulated_instruments(tmp_path / "rig.toml") as sides:

@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 import pytest
 
+from tests.lab_files import POSITIONS, write_positions
 from tests.wire.emulated import ACTUATORS, EmulatedInstruments, emulated_instruments, free_port, rig_text
 from wavefocus.configuration import load_rig
 from wavefocus.mocks.virtual.rig import VirtualRig
@@ -18,7 +19,6 @@ from wavefocus.rig.virtual_bench import virtual_settings
 
 pytestmark = pytest.mark.long
 
-POSITIONS = [[0.0, 0.0], [4.0, 0.0], [8.0, 0.0], [8.0, 4.0], [4.0, 4.0], [0.0, 4.0]]
 RATE_HZ = 10_000.0
 RUN = """
 rig = "{rig}"
@@ -55,8 +55,7 @@ def lab(tmp_path: Path) -> Path:
     (tmp_path / "virtual-rig.toml").write_text(VIRTUAL_RIG, encoding="utf-8")
     write_run(tmp_path, "run.toml", "rig.toml")
     write_run(tmp_path, "virtual-run.toml", "virtual-rig.toml")
-    lines = "".join(f"{x_mm},{y_mm}\n" for x_mm, y_mm in POSITIONS)
-    (tmp_path / "positions.csv").write_text("x_mm,y_mm\n" + lines, encoding="utf-8")
+    write_positions(tmp_path, POSITIONS)
     return tmp_path
 
 

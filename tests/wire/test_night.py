@@ -15,6 +15,7 @@ from pathlib import Path
 import h5py
 import pytest
 
+from tests.lab_files import POSITIONS, write_positions
 from tests.wire.emulated import emulated_instruments, free_port, rig_text
 from wavefocus.acquisition.run_queue import read_queue
 from wavefocus.campaign.control import read_heartbeat
@@ -26,7 +27,6 @@ pytestmark = [
     pytest.mark.skipif(os.name != "posix", reason="a computer that sleeps is a SIGSTOP"),
 ]
 
-POSITIONS = [[0.0, 0.0], [4.0, 0.0], [8.0, 0.0], [8.0, 4.0], [4.0, 4.0], [0.0, 4.0]]
 RUN = """
 rig = "rig.toml"
 
@@ -75,8 +75,7 @@ def lab(tmp_path: Path) -> Path:
     (tmp_path / "run.toml").write_text(RUN, encoding="utf-8")
     for name, y_mm in (("lower", 0), ("upper", 4)):
         (tmp_path / f"{name}.toml").write_text(SCENE.format(y_mm=y_mm), encoding="utf-8")
-    lines = "".join(f"{x_mm},{y_mm}\n" for x_mm, y_mm in POSITIONS)
-    (tmp_path / "positions.csv").write_text("x_mm,y_mm\n" + lines, encoding="utf-8")
+    write_positions(tmp_path, POSITIONS)
     return tmp_path
 
 

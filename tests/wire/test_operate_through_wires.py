@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from tests.lab_files import change_text
 from tests.system.lines import Lines
 from tests.wire.emulated import EmulatedInstruments
 
@@ -34,7 +35,7 @@ def swept(lines: Lines, actuator: int) -> dict[str, Any]:
 def test_given_real_drivers_then_the_beam_goes_where_it_is_sent_and_is_parked_however_it_ends(
     rig: Path, sides: EmulatedInstruments
 ) -> None:
-    rig.write_text(rig.read_text(encoding="utf-8").replace("inter_channel_delay_s = 1.4e-5", ""), encoding="utf-8")
+    change_text(rig, "inter_channel_delay_s = 1.4e-5", "")
     for ending in ("end", "input", "signal"):
         with Lines("operate", rig, environment=sides.environment) as lines:
             lines.hear("ready")

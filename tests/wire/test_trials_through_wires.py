@@ -6,10 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from tests.lab_files import POSITIONS, write_positions
 from tests.system.lines import Lines
 from tests.system.test_trials import MASKING, TRIALS
 from tests.wire.emulated import emulated_instruments, free_port, rig_text
-from tests.wire.test_campaign_through_wires import POSITIONS, VIRTUAL_RIG, write_run
+from tests.wire.test_campaign_through_wires import VIRTUAL_RIG, write_run
 from wavefocus.__main__ import run
 from wavefocus.trials.answers import read_answers
 
@@ -22,8 +23,7 @@ def test_given_a_player_that_is_unplugged_in_a_trial_then_the_trial_is_repeated_
     (tmp_path / "rig.toml").write_text(rig_text(tmp_path, f"localhost:{free_port()}"), encoding="utf-8")
     (tmp_path / "virtual-rig.toml").write_text(VIRTUAL_RIG, encoding="utf-8")
     write_run(tmp_path, "run.toml", "virtual-rig.toml", averages=1)
-    lines = "".join(f"{x_mm},{y_mm}\n" for x_mm, y_mm in POSITIONS)
-    (tmp_path / "positions.csv").write_text("x_mm,y_mm\n" + lines, encoding="utf-8")
+    write_positions(tmp_path, POSITIONS)
     assert run(["capture", str(tmp_path / "run.toml"), "--bank", str(tmp_path / "plate.h5")]) == 0
     trials = TRIALS.replace("repetitions = 4", "repetitions = 2").replace("[trials]", "[trials]\nfamiliarise = false")
     (tmp_path / "trials.toml").write_text(trials + MASKING, encoding="utf-8")
