@@ -13,7 +13,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import ClassVar
 
-from wavefocus.drivers.daq.ni.outputs_process import OutputSettings, ProcessOutputs
 from wavefocus.drivers.daq.nidaqmx import ANALOG_INPUT
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.protocols import DeviceIdentity, Mirror
@@ -88,6 +87,9 @@ class AnalogMirror:
         self._settled_s: float | None = None
         for angles in ((settings.limit_mrad, settings.limit_mrad), settings.park_mrad):
             self._volts_at(*angles, "preparing")
+        # Loaded where such a mirror is opened: whoever reads a rig file reads every driver's keys.
+        from wavefocus.drivers.daq.ni.outputs_process import OutputSettings, ProcessOutputs
+
         names = (driver.x_output, driver.y_output)
         outputs = OutputSettings(
             "mirror",

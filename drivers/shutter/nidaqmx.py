@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from wavefocus.drivers.daq.ni.outputs_process import OutputSettings, ProcessOutputs
 from wavefocus.drivers.protocols import DeviceIdentity, Shutter
 from wavefocus.drivers.registry import SHUTTERS, rig_key
 
@@ -43,6 +42,9 @@ class NiShutter:
     """
 
     def __init__(self, driver: NiShutterDriver) -> None:
+        # Loaded where such a shutter is opened: whoever reads a rig file reads every driver's keys.
+        from wavefocus.drivers.daq.ni.outputs_process import OutputSettings, ProcessOutputs
+
         self._opens_when_high = driver.opens_when_high
         self._name = f"shutter ({driver.name} at {driver.device}/{driver.line})"
         settings = OutputSettings(

@@ -13,7 +13,6 @@ from wavefocus.drivers.audio.resampling import HALF_LENGTH, converted, lead_samp
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.drive.coil_limits import Limiting, Reached, peaks, strictest
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.exchange.wav import sound_failures
 from wavefocus.storage.output_files import replacement, require_room
 
 BETWEEN_SAMPLES = "full scale of the interface between samples"
@@ -137,6 +136,8 @@ def stream_wav(
     cannot be rendered, or the rates have no ratio of small whole numbers.
     """
     import soundfile  # loaded by those who write a file
+
+    from wavefocus.storage.exchange.wav import sound_failures  # with it comes all that reads banks of others
 
     try:
         rate = InterfaceRate(sample_rate_hz, interface_rate_hz)

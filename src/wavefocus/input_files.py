@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.config.loading import parse_toml
 from wavefocus.console import say
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.text_file import read_text
@@ -34,6 +33,8 @@ def input_files(*files: Path | None) -> list[Path]:
 
 
 def _named_by(file: Path) -> list[Path]:
+    from wavefocus.config.loading import parse_toml  # loads pydantic, which no command without TOML files waits for
+
     try:
         content = parse_toml(read_text(file), str(file))
         return [path for text in _texts(content) if (path := file.parent / text).is_file()]

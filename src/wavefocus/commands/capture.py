@@ -23,8 +23,6 @@ from wavefocus.campaign.blueprint import (
 )
 from wavefocus.campaign.campaign_view import CampaignView
 from wavefocus.campaign.control import CampaignControl, resume_line
-from wavefocus.campaign.documents import Documents
-from wavefocus.campaign.extension import extend as extended
 from wavefocus.campaign.session_files import opened_raw, with_bank
 from wavefocus.campaign.sidecar_files import (
     EventLines,
@@ -155,7 +153,9 @@ def extend(
     documents: Path | None = None,
 ) -> Exit:
     """Make a bank of the rows of others, with more positions, and measure those."""
-    blueprint = extended(banks, bank, run_file)
+    from wavefocus.campaign import extension  # not needed by other captures
+
+    blueprint = extension.extend(banks, bank, run_file)
     rig_file = None if run_file is None else blueprint.configuration.run.rig_file(run_file)
     with open_bank(bank) as view:
         for origin in origins_of(view):
@@ -290,11 +290,13 @@ def _session(
 
 
 @contextmanager
-def _documents(file: Path | None, plan: Plan, bank: Path) -> Iterator[Documents | None]:
+def _documents(file: Path | None, plan: Plan, bank: Path) -> Iterator[Subscriber | None]:
     """The session's documents of bluesky's event model, appended to a file; none where no file is named."""
     if file is None:
         yield None
         return
+    from wavefocus.campaign.documents import Documents  # for those who ask for them
+
     with closing(Log(file)) as log:
         yield Documents(EventLines(log.write, str(file)).write, plan, bank)
 
