@@ -21,8 +21,6 @@ import numpy as np
 
 from wavefocus.calibration import Complex128Array, Float64Array, Int64Array
 
-Disk = Callable[[Float64Array], Float64Array]
-
 DISK_RADIUS = 1.15
 """Radius a of the disk, in wave numbers: room for what the damping smears."""
 MIN_DIRECTIONS = 16
@@ -65,13 +63,12 @@ class PatchKernel:
 
     model: Waves at the frequencies wanted.
     offset_mm, float64 (n, 2): Positions relative to the first.
-    disk: `disk_kernel` or `disk_integral`.
 
     inverse, complex128 (frequencies, n, n): Of the covariance among the positions, ridge included.
     """
 
-    def __init__(self, model: WaveModel, offset_mm: Float64Array, disk: Disk | None = None) -> None:
-        self._offset_mm, self._disk = offset_mm, disk or disk_kernel
+    def __init__(self, model: WaveModel, offset_mm: Float64Array) -> None:
+        self._offset_mm = offset_mm
         self._share = model.disk_share[:, None, None]
         self._wavenumber, self._directions = _resolved(model.wavenumber_rad_mm, offset_mm)
         self._waves = self._plane_waves(offset_mm)
@@ -117,41 +114,16 @@ class PatchKernel:
     def _covariance(
         self, waves: Complex128Array, points_mm: Float64Array, others: Complex128Array, others_mm: Float64Array
     ) -> Complex128Array:
-        ring, disk = _parts(self._wavenumber, waves, points_mm, others, others_mm, self._disk)
-        return np.asarray((1.0 - self._share) * ring + self._share * disk)
-
-
-def plane_waves(wavenumber_rad_mm: Complex128Array, offset_mm: Float64Array) -> Complex128Array:
-    """Waves from all directions at the positions of a patch.
-
-    wavenumber_rad_mm, complex128 (frequencies,): Re k > 0, Im k <= 0.
-    offset_mm, float64 (n, 2): Positions relative to where a wave's amplitude is 1.
-
-    Returns complex128 (frequencies, n, directions): the mean over the directions is that over all directions, to
-    rounding.
-    """
-    return _plane_waves(*_resolved(wavenumber_rad_mm, offset_mm), offset_mm)
+        disk = disk_kernel(DISK_RADIUS * np.abs(self._wavenumber)[:, None, None] * _apart_mm(points_mm, others_mm))
+        return np.asarray((1.0 - self._share) * _ring(waves, others) + self._share * disk)
 
 
 def disk_kernel(radians: Float64Array) -> Float64Array:
     """2 J1(z) / z, the covariance of fields whose wave numbers fill a disk; 1 at 0."""
-    from scipy.special import j1  # slow to load; a grid is planned with `disk_integral`
+    from scipy.special import j1  # slow to load, and only needed where waves are fitted
 
     safe = np.maximum(np.abs(radians), 1e-8)
     return np.asarray(2.0 * j1(safe) / safe)
-
-
-def disk_integral(radians: Float64Array) -> Float64Array:
-    """`disk_kernel` by Poisson's integral, the mean of ``2 sin(t)^2 cos(z cos(t))``, without SciPy, to 1e-12.
-
-    Meant for lattices, on which few distances differ: each is integrated once.
-    """
-    different, inverse = np.unique(np.round(np.abs(radians), 12), return_inverse=True)
-    # The trapezoidal rule over a half turn errs by the Bessel functions of orders above twice its points.
-    count = int(np.ceil(0.5 * different[-1])) + 16
-    angle = np.pi / 2 * (np.arange(count) + 0.5) / count
-    found = np.cos(np.outer(different, np.cos(angle))) @ (2.0 / count * np.square(np.sin(angle)))
-    return np.asarray(found[inverse].reshape(radians.shape))
 
 
 def _resolved(wavenumber_rad_mm: Complex128Array, offset_mm: Float64Array) -> tuple[Complex128Array, Float64Array]:
@@ -168,18 +140,6 @@ def _plane_waves(
     wavenumber_rad_mm: Complex128Array, directions: Float64Array, points_mm: Float64Array
 ) -> Complex128Array:
     return np.asarray(np.exp(-1j * wavenumber_rad_mm[:, None, None] * (points_mm @ directions)))
-
-
-def _parts(
-    wavenumber_rad_mm: Complex128Array,
-    waves: Complex128Array,
-    points_mm: Float64Array,
-    others: Complex128Array,
-    others_mm: Float64Array,
-    disk_of: Disk,
-) -> tuple[Complex128Array, Float64Array]:
-    disk = disk_of(DISK_RADIUS * np.abs(wavenumber_rad_mm)[:, None, None] * _apart_mm(points_mm, others_mm))
-    return _ring(waves, others), disk
 
 
 def _ring(waves: Complex128Array, others: Complex128Array) -> Complex128Array:

@@ -212,9 +212,6 @@ class Examination(Message, frozen=True):
     versions: Mapping[str, str]
 
 
-DOCTOR_MESSAGES = (FindingMade, Examination)
-
-
 class VerifyStarted(EventMessage, frozen=True, tag="started"):
     """A verification begins, in a process of a host."""
 
