@@ -54,7 +54,8 @@ def test_given_the_box_is_unplugged_in_mid_campaign_then_the_bank_is_good_and_ev
 
 
 @pytest.mark.timeout(180)
-@pytest.mark.parametrize(("settle_s", "code"), [(0.02, 0), (1e-4, 1)])
+# On a busy machine a move takes some tens of milliseconds more.
+@pytest.mark.parametrize(("settle_s", "code"), [(0.5, 0), (1e-4, 1)])
 def test_given_position_signals_then_calibrate_states_how_the_mirror_settles(
     tmp_path: Path, settle_s: float, code: int
 ) -> None:
