@@ -33,6 +33,7 @@ def kind_of_tables(data: Mapping[str, Any]) -> str:
     if "format" in data:  # only calibration files have it, whatever it says
         return "calibration" if data["format"] == "wavefocus-calibration" else ""
     shared = {kind: len(tables & data.keys()) for kind, tables in _OWN_TABLES.items()}
+    shared["rig"] += isinstance(data.get("rig"), Mapping)  # a run file has the name of a rig file there
     most = max(shared.values())
     kinds = [kind for kind, count in shared.items() if count == most]
     return kinds[0] if most and len(kinds) == 1 else ""

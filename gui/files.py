@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Sequence
-from enum import Enum, StrEnum, auto
+from enum import StrEnum, auto
 from pathlib import Path
 
 from PyQt5.QtCore import QByteArray, QSettings, Qt, QUrl, pyqtSignal
 from PyQt5.QtGui import QDropEvent
 from PyQt5.QtWidgets import QCheckBox, QComboBox, QFileDialog, QLineEdit, QSplitter, QWidget
 
+from wavefocus.config.file_kinds import kind_of_tables
 from wavefocus.config.loading import read_toml
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.number_box import NumberBox, typed_number
@@ -273,31 +274,23 @@ def short_path(path: Path) -> str:
         return str(path)
 
 
-class TomlKind(Enum):
-    """What a TOML file is for."""
+class TomlKind(StrEnum):
+    """What a TOML file is for; but for `UNREADABLE` as `kind_of_tables` calls it."""
 
     SCENE = auto()
     RIG = auto()
     RUN = auto()
     TRIALS = auto()
-    OTHER = auto()
+    CALIBRATION = auto()
     UNREADABLE = auto()
 
 
 def toml_kind(path: Path) -> TomlKind:
-    """What a TOML file is for, by its tables."""
+    """What a TOML file is for, by its tables; a run where they do not say: the capture says what is wrong."""
     try:
-        tables = read_toml(path)
+        return TomlKind(kind_of_tables(read_toml(path)) or TomlKind.RUN)
     except InputError:
         return TomlKind.UNREADABLE
-    if "source" in tables or "scene" in tables:
-        return TomlKind.SCENE
-    if isinstance(tables.get("rig"), dict) or ("mirror" in tables and "player" in tables):
-        return TomlKind.RIG
-    if "trials" in tables:
-        return TomlKind.TRIALS
-    # What a calibration measured has tables of instruments, too.
-    return TomlKind.OTHER if {"mirror", "player"} & tables.keys() else TomlKind.RUN
 
 
 class FileKind(StrEnum):
@@ -316,7 +309,7 @@ _WANTED = {
 }  # fmt: skip
 _TOML_WORDS = {
     TomlKind.SCENE: "scene file", TomlKind.RIG: "rig file", TomlKind.RUN: "run file",
-    TomlKind.TRIALS: "file of perception trials", TomlKind.OTHER: "calibration file",
+    TomlKind.TRIALS: "file of perception trials", TomlKind.CALIBRATION: "calibration file",
 }  # fmt: skip
 
 

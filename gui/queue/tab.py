@@ -276,7 +276,7 @@ class QueueTab(Themed, Tab):
         shared = self.context.shared
         if path.suffix.lower() == ".h5":
             return ["resume", str(path)]
-        kind = toml_kind(path) if path.suffix.lower() == ".toml" else TomlKind.OTHER
+        kind = toml_kind(path) if path.suffix.lower() == ".toml" else None
         if kind is TomlKind.RUN:
             bank = shared[FileKind.BANK] if shared.get(FileKind.RUN) == path and FileKind.BANK in shared else None
             return ["capture", str(path), "--bank", str(bank or path.with_suffix(".h5"))]

@@ -257,8 +257,10 @@ def test_given_findings_then_a_button_is_offered_where_something_can_be_done() -
         ('[scene]\nbank = "plate.h5"\n', TomlKind.SCENE),
         (REAL_RIG, TomlKind.RIG),
         ('[mirror]\ndriver = "virtual"\n[player]\nlimit_v = 1.0\n', TomlKind.RIG),
+        ("[actuators]\nposition_mm = [[0, 0], [10, 0]]\n", TomlKind.RIG),
+        ('[rig]\nname = "lab"\n', TomlKind.RIG),
         ('rig = "rig.toml"\n\n[grid]\nspacing_mm = 2.0\n', TomlKind.RUN),
-        ('format = "wavefocus-calibration"\nrig = "lab"\n[mirror]\ndevice = "virtual mirror"\n', TomlKind.OTHER),
+        ('format = "wavefocus-calibration"\nrig = "lab"\n[mirror]\ndevice = "virtual mirror"\n', TomlKind.CALIBRATION),
         ("\ufeff" + REAL_RIG, TomlKind.RIG),  # with a byte-order mark
         ("rig = [", TomlKind.UNREADABLE),
         (None, TomlKind.UNREADABLE),
