@@ -188,10 +188,12 @@ class RowsPredicted:
         Returns errors : complex128 (actuators, frequencies); variance : float64 (frequencies,).
         """
         patch = self.patches[position]
-        out = np.concatenate([[0], np.flatnonzero(np.isin(patch.rows, others))])
+        among = (patch.rows[:, None] == others).any(axis=1)
+        among[0] = True
+        out = among.nonzero()[0]
         inverse = self._kernel(patch).inverse
-        known = inverse[:, out] @ self.values[patch.rows][:, actuators].transpose(2, 0, 1)
-        left = np.linalg.inv(inverse[np.ix_(np.arange(len(inverse)), out, out)])[:, :1]
+        known = inverse[:, out] @ self.values[patch.rows[:, None], actuators].transpose(2, 0, 1)
+        left = np.linalg.inv(inverse[:, out[:, None], out])[:, :1]
         return np.asarray((left @ known)[:, 0].T), np.asarray(left[:, 0, 0].real)
 
     def at(self, position: int, offset_mm: Float64Array) -> Complex128Array:

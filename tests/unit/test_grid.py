@@ -37,8 +37,8 @@ def test_grid_columns_lie_at_half_spacings_and_rows_at_whole_ones() -> None:
 
 
 @given(
-    width_mm=st.floats(10, 200),
-    extra_mm=st.floats(0, 200),
+    width_mm=st.floats(5, 100),
+    extra_mm=st.floats(0, 100),
     margin=st.floats(0, 0.45),
     spacing_mm=st.floats(1, 8),
 )

@@ -88,7 +88,7 @@ def test_reversed_late_and_swapped_rows_then_are_named(clean: np.ndarray) -> Non
 def test_a_position_measured_elsewhere_then_is_told_where(clean: np.ndarray) -> None:
     greens = clean.copy()
     greens[84] = clean[20]
-    (one,) = judged(greens).differences
+    (one,) = judged(greens[:, ::2], actuator_mm=ACTUATOR_MM[::2]).differences
     assert (one.position, one.kind, one.whole) == (84, "elsewhere", True)
     assert one.place_mm == pytest.approx(tuple(SQUARE_MM[20]), abs=2.0)
 
