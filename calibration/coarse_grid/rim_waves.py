@@ -32,7 +32,7 @@ from wavefocus.calibration.coarse_grid.waves import (
     distances_mm,
     outgoing_at_all,
     rim_ring,
-    waves_of_actuators,
+    waves_of_actuators_at_all,
 )
 from wavefocus.calibration.numerics import evenly_spread
 
@@ -143,15 +143,17 @@ class RimWaves:
     def values(self, points_mm: Float64Array, index: Sequence[int] | None = None) -> Complex128Array:
         """Transfer functions at points (n, 2) and some frequencies, by default all: (frequencies, n, actuators)."""
         chosen = list(range(len(self.frequency_hz)) if index is None else index)
-        to_ring_mm, to_positions_mm = distances_mm(points_mm, self.ring_mm), _gaps_mm(points_mm, self.position_mm)
         own_count = self.strength.shape[1] - len(self.ring_mm)
         wavenumbers, strengths = self.wavenumber[chosen], self.strength[chosen]
-        found = outgoing_at_all(wavenumbers, to_ring_mm) @ strengths[:, own_count:]
-        for place, (number, k) in enumerate(zip(chosen, wavenumbers.tolist(), strict=True)):
-            (own,), _ = waves_of_actuators([k], self.pressure_share, points_mm, self.actuator_mm)
-            found[place] += np.einsum("cpa,ca->pa", own, strengths[place, :own_count])
-            if self.rest_radius[number] > 0:
-                found[place] += disk(self.rest_radius[number] * to_positions_mm) @ self.rest[number]
+        found = outgoing_at_all(wavenumbers, distances_mm(points_mm, self.ring_mm)) @ strengths[:, own_count:]
+        own = waves_of_actuators_at_all(wavenumbers, self.pressure_share, points_mm, self.actuator_mm)
+        found += np.einsum("fcpa,fca->fpa", own, strengths[:, :own_count])
+        apart_mm = _gaps_mm(points_mm, self.position_mm)
+        for radius in np.unique(self.rest_radius[chosen]):
+            if radius > 0:
+                places = np.flatnonzero(self.rest_radius[chosen] == radius)
+                kernel = disk(radius * apart_mm).astype(np.float32)
+                found[places] += kernel @ self.rest[np.array(chosen)[places]]
         return np.asarray(found, dtype=np.complex128)
 
     def deviations(self, points_mm: Float64Array, index: Sequence[int]) -> Float64Array:

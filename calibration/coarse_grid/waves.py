@@ -58,6 +58,8 @@ def outgoing_each(waves: Sequence[tuple[complex, int]], distance_mm: Float64Arra
 
 TABLE_STEP_RAD = 0.15
 """Step of a table of H0(2) in radians of the shortest wave; cubics between its nodes are right to 1e-5."""
+TABLE_STEP_SHARE = 0.1
+"""Step at most, in shares of the least distance: towards 0 H0(2) is a logarithm, however long the waves."""
 SMEARED = (0.3, 0.6, 0.85, 1.1, 1.2, 1.3)
 """Of the wave number: waves of other frequencies, which a bank's first tap, cutting off what comes before, mixes in."""
 
@@ -67,13 +69,14 @@ def outgoing_at_all(wavenumbers: Complex128Array, distance_mm: Float64Array) -> 
 
     All are interpolated from tables over r with the same weights, which is a product with one sparse matrix.
     """
-    step_mm = TABLE_STEP_RAD / float(np.abs(wavenumbers).max())
     low_mm, high_mm = float(distance_mm.min()), float(distance_mm.max())
+    step_mm = min(TABLE_STEP_RAD / float(np.abs(wavenumbers).max()), TABLE_STEP_SHARE * low_mm)
     nodes_mm = low_mm + step_mm * np.arange(-1, int((high_mm - low_mm) / step_mm) + 4)
     nodes_mm = np.maximum(nodes_mm, 1e-3 * step_mm)
+    waves = [(k, 0) for k in wavenumbers.tolist()]
     if distance_mm.size < 2 * len(nodes_mm):
-        return np.stack([outgoing(k, distance_mm) for k in wavenumbers.tolist()]).astype(np.complex64)
-    table = np.stack([outgoing(k, nodes_mm) for k in wavenumbers.tolist()], axis=1).astype(np.complex64)
+        return outgoing_each(waves, distance_mm).astype(np.complex64)
+    table = outgoing_each(waves, nodes_mm).T.astype(np.complex64)
     at = (distance_mm.ravel() - low_mm) / step_mm + 1.0
     cell = at.astype(np.int32)
     t = at - cell
@@ -120,6 +123,18 @@ def waves_of_actuators(
     waves = [(share * k, 0) for k in wavenumbers for share in (1.0, *SMEARED)]
     found = outgoing_each(waves, distances_mm(points_mm, actuator_mm))
     return found.reshape(len(wavenumbers), -1, *found.shape[1:]), 1
+
+
+def waves_of_actuators_at_all(
+    wavenumbers: Complex128Array, pressure_share: float, points_mm: Float64Array, actuator_mm: Float64Array
+) -> Complex64Array:
+    """`waves_of_actuators` for many wave numbers: (frequencies, waves, points, actuators)."""
+    if pressure_share:
+        each = [waves_of_actuators([k], pressure_share, points_mm, actuator_mm)[0][0] for k in wavenumbers.tolist()]
+        return np.stack(each).astype(np.complex64)
+    shares = np.array([1.0, *SMEARED])
+    found = outgoing_at_all((wavenumbers[:, None] * shares).ravel(), distances_mm(points_mm, actuator_mm))
+    return found.reshape(len(wavenumbers), len(shares), len(points_mm), len(actuator_mm))
 
 
 def _waves_of_a_solid(

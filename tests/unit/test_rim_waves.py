@@ -102,6 +102,14 @@ def test_waves_of_many_frequencies_are_those_of_each():
         assert np.allclose(values, hankel2(0, k * distance_mm), rtol=1e-4, atol=1e-6)
 
 
+@pytest.mark.parametrize("hz", [5.0, 25.0, 450.0])
+def test_waves_of_one_frequency_are_hankel_functions_however_long(hz):
+    """Waves much longer than the surface: H0 is a logarithm there, which the table has to follow."""
+    distance_mm, wavenumber = RNG.uniform(8.0, 260.0, (50, 60)), LAW.wavenumber(np.array([hz]))
+    found = outgoing_at_all(wavenumber, distance_mm)[0]
+    assert np.allclose(found, hankel2(0, wavenumber * distance_mm), rtol=1e-4, atol=1e-5)
+
+
 def test_sizes_and_too_few_positions_are_refused(coarse):
     position_mm, transfer = coarse
     with pytest.raises(ValueError, match="transfer has shape"):

@@ -40,7 +40,7 @@ from wavefocus.rendering.greens.source import (
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.wave_file import read_wave_file, wave_file, write_wave_file
 
-RECIPE = 2
+RECIPE = 3
 """Raised when the same bank gives another model, so that no older file is used."""
 ROOM = 0.08
 """Share of the taps that the transform is longer, so that what would come before the first tap does not wrap round."""
@@ -48,8 +48,8 @@ EDGE = 1.2
 """The band is modelled to this factor beyond its ends, where a bank still holds a little: a quarter octave."""
 FAINT = 1e-5
 """Frequencies with less of the loudest one's power are left out."""
-ROWS_AT_ONCE = 256
-"""Rows that are made together; most of the time goes into functions of distance, once for each frequency."""
+ROWS_AT_ONCE = 512
+"""Rows that are made together, and that are kept; most of the time goes into functions of distance."""
 MODELS_KEPT = 4
 
 
@@ -101,7 +101,7 @@ class WaveRows(AddedRows):
         green = scipy_fft.irfft(spectra, self._waves.samples, axis=2)[:, :, : self.taps]
         for number, row in zip(numbers, apply_exponent(green, self._waves.exponent), strict=True):
             self._rows[number] = row
-        while len(self._rows) > 2 * ROWS_AT_ONCE:
+        while len(self._rows) > ROWS_AT_ONCE:
             self._rows.popitem(last=False)
 
 
