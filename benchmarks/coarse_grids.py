@@ -34,6 +34,7 @@ from wavefocus.benchmarks.rig_bank import (
     BAND_HZ,
     MARGIN_MM,
     RATE_HZ,
+    TAPS,
     default_grid,
     exact_stadium,
     sweep_plan,
@@ -56,7 +57,7 @@ Complex128Array = NDArray[np.complex128]
 
 FREQUENCIES_HZ = (100.0, 250.0, 450.0)
 OTHERS_HZ = (25.0, 60.0, 110.0, 180.0, 270.0, 380.0, 495.0)
-"""Frequencies that the model is fitted to besides; a bank has a hundred."""
+"""Frequencies that the model is fitted to besides, and each shown one's neighbour; a bank has a hundred."""
 POINTS, CHECKS = 300, 12
 PLATES: dict[str, dict[str, Any]] = {
     "stadium, full reflection": {"plate": "stadium"},
@@ -108,6 +109,8 @@ CASES = (
     GridCase("solid", 14.0),
     GridCase("solid", 20.0),
     GridCase("thin", 20.0),
+    GridCase("thin", 10.0, -40.0),
+    GridCase("solid", 8.0, -40.0),
 )
 DEFAULT_CASES = CASES[:3]
 
@@ -139,13 +142,15 @@ def entries(cases: tuple[GridCase, ...], *, quick: bool = False, workers: int | 
 
 def lines_of(case: GridCase, *, quick: bool = False) -> list[Entry]:
     """Error of each method in one case."""
-    hz = np.array(sorted({*FREQUENCIES_HZ, *(() if quick else OTHERS_HZ)}))
+    beside = [one + RATE_HZ / TAPS for one in FREQUENCIES_HZ]
+    hz = np.array(sorted({*FREQUENCIES_HZ, *beside, *(() if quick else OTHERS_HZ)}))
     shown = [int(np.flatnonzero(hz == one)[0]) for one in FREQUENCIES_HZ]
     measured = _exact_case(case, hz) if case.plate == EXACT else _plate_case(case, hz)
     cpu_s, wall_s = time.process_time(), time.monotonic()
     model = RimWaves.fit(
-        hz, measured.position_mm, measured.actuator_mm, measured.transfer, measured.check_mm, measured.check, workers=1
-    )
+        hz, measured.position_mm, measured.actuator_mm, measured.transfer, measured.check_mm, measured.check,
+        resolution_hz=RATE_HZ / TAPS, workers=1,
+    )  # fmt: skip
     timing = Times(time.monotonic() - wall_s, time.process_time() - cpu_s)
     values, deviations = model.values(measured.points_mm, shown), model.deviations(measured.points_mm, shown)
     expected = model.expected_errors(measured.points_mm, shown)

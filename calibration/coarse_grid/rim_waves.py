@@ -4,9 +4,9 @@
 (knots) and interpolated between them: the wave number by the law of `Dispersion` and a spline of what it leaves.
 
 What no wave of one wave number explains is interpolated as a field whose wave numbers fill a disk: with r the residuals
-at the positions, ``rest(x) = K(x, X) (K(X, X) + ridge)^-1 r``, K(z) = 2 J1(z) / z. Radius and ridge are those with the
-least left-out error; where that is hardly less than the residuals themselves, there is no rest. (M. Ribeiro et al.,
-EURASIP J. ASMP 2024:43: directed plus residual kernels.)
+at the positions, ``rest(x) = K(x, X) (K(X, X) + ridge)^-1 r``, K(z) = 2 J1(z) / z. Radius and ridge are those of
+greatest evidence; where they leave hardly less of left-out positions than there is, or the positions do not resolve the
+waves, there is no rest. (M. Ribeiro et al., EURASIP J. ASMP 2024:43: directed plus residual kernels.)
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from typing import TypeVar
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, eigh
 from scipy.spatial import cKDTree
 from scipy.special import j1
 
-from wavefocus.calibration import Complex64Array, Complex128Array, Float64Array
+from wavefocus.calibration import BoolArray, Complex64Array, Complex128Array, Float64Array
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.coarse_grid.posterior import FIRST_SHARES, FrequencyWaves
 from wavefocus.calibration.coarse_grid.waves import (
@@ -68,11 +68,13 @@ class RimWaves:
     power, float64 (frequencies, actuators): Mean square of the transfer functions.
     relative_level, float64 (positions, actuators): Mean square over the band, relative to the mean over the positions.
     strength, complex64 (frequencies, own waves + sources, actuators).
-    rest_radius, rest_gain, float64 (frequencies,): Radius of the rest's disk in rad/mm, 0 for none; share of the
-        residuals, as amplitude, that is left then (1 for none).
+    rest_radius, rest_ridge, float64 (frequencies,): Radius of the rest's disk in rad/mm, 0 for none; ridge.
+    rest_power, float64 (frequencies, actuators): Mean square of the rest.
     rest, complex64 (frequencies, positions, actuators): ``(K + ridge)^-1 r``.
-    distance_mm, float64 (distances,); distance_scale, float64 (frequencies, distances): Factors on the standard
-        deviations at distances from an actuator, by left-out positions.
+    distance_mm, float64 (2, distances); distance_scale, float64 (frequencies, 2, distances): Factors on the standard
+        deviations at distances from an actuator, by left-out positions: amid the positions, and at their edge.
+    noise_share, float64 (frequencies,): Of what is at the positions and is no wave or rest, the share that is noise of
+        the measurement and not of the plate.
     deviation_scale, float64 (frequencies,): Factor on the standard deviations, from positions that judge.
     judged_by: ``"check positions"`` or ``"left-out positions"``.
     """
@@ -88,10 +90,12 @@ class RimWaves:
     relative_level: Float64Array
     strength: Complex64Array
     rest_radius: Float64Array
-    rest_gain: Float64Array
+    rest_ridge: Float64Array
+    rest_power: Float64Array
     rest: Complex64Array
     distance_mm: Float64Array
     distance_scale: Float64Array
+    noise_share: Float64Array
     deviation_scale: Float64Array
     judged_by: str
 
@@ -105,6 +109,7 @@ class RimWaves:
         check_transfer: Complex128Array | None = None,
         *,
         band_hz: tuple[float, float] | None = None,
+        resolution_hz: float | None = None,
         workers: int | None = None,
     ) -> RimWaves:
         """Fit the model to transfer functions.
@@ -115,6 +120,8 @@ class RimWaves:
         transfer, complex128 (frequencies, positions, actuators): exp(+j w t).
         check_mm, check_transfer: Positions that judge what lies between, and their transfer functions; at least 3.
         band_hz: Measured band: wave numbers are found there, and extrapolated beyond it. By default all is measured.
+        resolution_hz: One over the duration of the Green's functions; noise at frequencies so far apart is independent.
+            Where some are, they tell noise from what the plate does. By default all is taken for the plate's.
         workers: Threads; by default one per processor, at most 4.
 
         Raises ValueError: sizes do not fit, or positions are too few.
@@ -126,9 +133,8 @@ class RimWaves:
         if len(position_mm) < MIN_POSITIONS:
             raise ValueError(f"{len(position_mm)} positions are too few; at least {MIN_POSITIONS} are needed")
         with one_blas_thread():
-            return _Fit(frequency_hz, position_mm, actuator_mm, transfer, band_hz, workers).run(
-                check_mm, check_transfer
-            )
+            fit = _Fit(frequency_hz, position_mm, actuator_mm, transfer, band_hz, resolution_hz, workers)
+            return fit.run(check_mm, check_transfer)
 
     @property
     def spacing_mm(self) -> float:
@@ -161,15 +167,35 @@ class RimWaves:
 
         The true value lies within sqrt(log 20) = 1.73 of them with 95 % probability.
         """
-        _, near = cKDTree(self.position_mm).query(points_mm)
-        apart_mm = distances_mm(points_mm, self.actuator_mm)
         found = np.empty((len(index), len(points_mm), len(self.actuator_mm)))
         for place, number in enumerate(index):
-            waves = self._waves(number)
-            variance = waves.variance(points_mm, self.shares[number]) + self._noise(number, self.relative_level[near])
-            by_distance = np.interp(apart_mm, self.distance_mm, self.distance_scale[number])
-            found[place] = np.sqrt(variance) * by_distance * self.deviation_scale[number]
+            field, other = self.variances(points_mm, number)
+            found[place] = np.sqrt(field + (1.0 - self.noise_share[number]) * other) * self.deviation_scale[number]
         return found
+
+    def variances(self, points_mm: Float64Array, number: int) -> tuple[Float64Array, Float64Array]:
+        """Variances at points and one frequency, (n, actuators) each, before positions judge them.
+
+        Of waves and rest, which the positions determine; and of what else a measurement there would hold.
+        """
+        if self.rest_radius[number] > 0:
+            radius, ridge, power = self.rest_radius[number], self.rest_ridge[number], self.rest_power[number]
+            kernel = disk(radius * _gaps_mm(self.position_mm, self.position_mm))
+            kernel[np.diag_indices_from(kernel)] += ridge
+            across = disk(radius * _gaps_mm(points_mm, self.position_mm))
+            known = np.einsum("pn,np->p", across, cho_solve(cho_factor(kernel), across.T))
+            field = np.maximum(1.0 - known, 0.0)[:, None] * power
+            other = np.broadcast_to(ridge * power, field.shape)
+        else:
+            _, near = cKDTree(self.position_mm).query(points_mm)
+            field = self._waves(number).variance(points_mm, self.shares[number])
+            other = self._noise(number, self.relative_level[near])
+        apart_mm = distances_mm(points_mm, self.actuator_mm)
+        amid, edge = (
+            np.interp(apart_mm, *pair) for pair in zip(self.distance_mm, self.distance_scale[number], strict=True)
+        )
+        scale = np.square(np.where(at_edge(points_mm, self.position_mm)[:, None], edge, amid))
+        return field * scale, other * scale
 
     def expected_errors(self, points_mm: Float64Array, index: Sequence[int]) -> Float64Array:
         """Relative errors expected at points, (frequencies, n): L2 over the actuators, over that of the values."""
@@ -209,11 +235,12 @@ class _Fit:
         actuator_mm: Float64Array,
         transfer: Complex128Array,
         band_hz: tuple[float, float] | None,
+        resolution_hz: float | None,
         workers: int | None,
     ) -> None:
         low_hz, high_hz = band_hz or (0.0, np.inf)
         self._measured = (frequency_hz >= low_hz) & (frequency_hz <= high_hz)
-        self._frequency_hz, self._transfer = frequency_hz, transfer
+        self._frequency_hz, self._transfer, self._resolution_hz = frequency_hz, transfer, resolution_hz
         self._position_mm = np.asarray(position_mm, dtype=np.float64)
         self._actuator_mm = np.asarray(actuator_mm, dtype=np.float64)
         self._workers = min(os.cpu_count() or 1, 4) if workers is None else workers
@@ -225,7 +252,7 @@ class _Fit:
         self._some = np.random.default_rng(0).permutation(len(position_mm))[:FIT_POSITIONS]
         self._every = evenly_spread(len(actuator_mm), FIT_ACTUATORS)
         self._pressure_share = 0.0
-        self._rest_choice: dict[int, tuple[float, float, float]] = {}
+        self._rest_choice: dict[int, tuple[float, float]] = {}
 
     def run(self, check_mm: Float64Array | None, check_transfer: Complex128Array | None) -> RimWaves:
         knots = self._knots()
@@ -236,12 +263,15 @@ class _Fit:
         judged = sorted({*evenly_spread(len(self._frequency_hz), REST_JUDGED).tolist(), *knots})
         self._rest_choice = dict(zip(judged, self._each(judged, self._chosen_rest), strict=True))
         solved = self._each(range(len(self._frequency_hz)), self._solve)
-        strength, radius, gain, rest = (np.array(part) for part in zip(*solved, strict=True))
+        strength, radius, ridge, power, rest = (np.array(part) for part in zip(*solved, strict=True))
+        self._strength, self._rest = strength, (radius, ridge, power)
+        judged = judged_frequencies(self._frequency_hz)
+        left_out = dict(zip(judged, self._each(judged, self._left_out), strict=True))
         model = RimWaves(
             self._frequency_hz, wavenumber, shares, self._pressure_share, self._position_mm, self._actuator_mm,
-            self._ring_mm, self._power, self._relative_level, strength.astype(np.complex64), radius, gain,
-            rest.astype(np.complex64), *self._by_distance(strength, radius), np.ones(len(self._frequency_hz)),
-            "left-out positions",
+            self._ring_mm, self._power, self._relative_level, strength.astype(np.complex64), radius, ridge, power,
+            rest.astype(np.complex64), *self._by_distance(left_out), self._noise_share(left_out),
+            np.ones(len(self._frequency_hz)), "left-out positions",
         )  # fmt: skip
         if check_mm is not None and check_transfer is not None and len(check_mm) >= MIN_CHECKS:
             return judged_by_checks(model, check_mm, check_transfer, self._each)
@@ -331,64 +361,107 @@ class _Fit:
             self._power[number], self._relative_level, self._transfer[number],
         )  # fmt: skip
 
-    def _solve(self, number: int) -> tuple[Complex128Array, float, float, Complex128Array]:
+    def _solve(self, number: int) -> tuple[Complex128Array, float, float, Float64Array, Complex128Array]:
+        """Strengths of the waves; of the rest: radius, ridge, power and weights."""
         waves = self._frequency(number)
         strength = waves.strengths(self._shares[number])
         residual = self._transfer[number] - waves.sums(strength)
-        radius, ridge, gain = self._rest_of(number)
-        radius = radius * abs(self._wavenumber[number]) if radius > 0 else -radius
-        if not radius:
-            return strength, 0.0, 1.0, np.zeros_like(residual)
+        # The rest of the nearest frequency that was judged.
+        radius, ridge = self._rest_choice[min(self._rest_choice, key=lambda judged: abs(judged - number))]
+        if not radius > 0:
+            return strength, 0.0, 0.0, np.zeros(residual.shape[1]), np.zeros_like(residual)
         kernel = disk(radius * self._apart_mm)
-        return strength, radius, gain, cho_solve(cho_factor(kernel + ridge * np.eye(len(kernel))), residual)
+        rest = cho_solve(cho_factor(kernel + ridge * np.eye(len(kernel))), residual)
+        return strength, radius, ridge, np.einsum("pa,pa->a", residual.conj(), rest).real / len(rest), rest
 
-    def _rest_of(self, number: int) -> tuple[float, float, float]:
-        """What `_chosen_rest` says of the nearest frequency that was judged."""
-        return self._rest_choice[min(self._rest_choice, key=lambda judged: abs(judged - number))]
+    def _chosen_rest(self, number: int) -> tuple[float, float]:
+        """Radius of the rest's disk at one frequency, in rad/mm, 0 for none; ridge.
 
-    def _chosen_rest(self, number: int) -> tuple[float, float, float]:
-        """Of the rest at one frequency: radius, in wave numbers, or below 0 in rad/mm; ridge; share that stays.
-
-        Judged on the positions around the middle of the surface, enough for any number of them.
+        Those of greatest evidence, each actuator's rest with a power of its own. It is judged on the positions around
+        the middle of the surface, enough for any number of them. Where they do not resolve the waves, a rest between
+        them is anyone's guess, and there is none.
         """
+        if abs(self._wavenumber[number]) * self._spacing_mm > np.pi:
+            return NO_REST
         waves = self._frequency(number)
         residual = self._transfer[number] - waves.sums(waves.strengths(self._shares[number]))
         middle_mm = self._position_mm - np.median(self._position_mm, axis=0)
         some = np.argsort(np.hypot(*middle_mm.T), kind="stable")[:REST_POSITIONS]
         apart_mm, residual = self._apart_mm[np.ix_(some, some)], residual[some]
-        norm = np.maximum(np.linalg.norm(residual, axis=1), 1e-300)
-        best = NO_REST
-        for radius in (REST_RADIUS, -np.pi / self._spacing_mm):
-            in_rad_mm = radius * abs(self._wavenumber[number]) if radius > 0 else -radius
-            kernel = disk(in_rad_mm * apart_mm)
+        tries = []
+        resolved = np.pi / self._spacing_mm
+        for radius in (REST_RADIUS * abs(self._wavenumber[number]), *(share * resolved for share in REST_RESOLVED)):
+            size, turn = eigh(disk(radius * apart_mm))
+            seen = np.square(np.abs(turn.T @ residual))
             for ridge in REST_RIDGES:
-                missed = np.linalg.norm(_left_out_rest(kernel, ridge, residual), axis=1)
-                share = float(np.median(missed / norm))
-                if share < min(best[2], MAX_REST):
-                    best = (radius, ridge, share)
-        return best
+                power = np.maximum(size, 0.0) + ridge
+                by_actuator = np.maximum((seen / power[:, None]).mean(axis=0), 1e-300)
+                cost = np.log(power).mean() + np.log(by_actuator).mean()
+                tries.append((float(cost), float(radius), ridge))
+        _, radius, ridge = min(tries)
+        missed = np.linalg.norm(_left_out_rest(disk(radius * apart_mm), ridge, residual)[0], axis=1)
+        share = np.median(missed / np.maximum(np.linalg.norm(residual, axis=1), 1e-300))
+        return (radius, ridge) if share < MAX_REST else NO_REST
 
-    def _by_distance(self, strength: Complex128Array, radius: Float64Array) -> tuple[Float64Array, Float64Array]:
-        """Distances from an actuator, and factors on the deviations there, (frequencies, distances)."""
-        apart_mm = distances_mm(self._position_mm, self._actuator_mm).ravel()
-        count = int(np.clip(len(apart_mm) // MIN_IN_DISTANCE, 1, MAX_DISTANCES))
-        groups = np.array_split(np.argsort(apart_mm, kind="stable"), count)
+    def _left_out(self, number: int, rest_of: int | None = None) -> tuple[Complex128Array, Float64Array]:
+        """Error at each position if it is left out, and its variance, noise included, (positions, actuators).
 
-        def factors(number: int) -> list[float]:
-            waves = self._frequency(number)
-            error, variance = waves.left_out(self._shares[number])
-            if radius[number] > 0:
-                residual = self._transfer[number] - waves.sums(strength[number])
-                ridge = self._rest_of(number)[1]
-                error = _left_out_rest(disk(radius[number] * self._apart_mm), ridge, residual)
+        rest_of: Index of the frequency whose rest is taken; by default its own.
+        """
+        waves = self._frequency(number)
+        radius, ridge, power = (part[number if rest_of is None else rest_of] for part in self._rest)
+        if not radius > 0:
+            return waves.left_out(self._shares[number])
+        residual = self._transfer[number] - waves.sums(self._strength[number])
+        error, share = _left_out_rest(disk(radius * self._apart_mm), ridge, residual)
+        return error, np.maximum(share[:, None] * power, 1e-300)
+
+    def _by_distance(self, left_out: LeftOut) -> tuple[Float64Array, Float64Array]:
+        """Distances from an actuator, (2, distances), and factors on the deviations there, (frequencies, 2, distances).
+
+        Amid the positions, and at their edge, where they are on one side only.
+        """
+        apart_mm = distances_mm(self._position_mm, self._actuator_mm)
+        edge = at_edge(self._position_mm, self._position_mm, itself=True)
+        parts = [np.flatnonzero(np.broadcast_to(one[:, None], apart_mm.shape)) for one in (~edge, edge)]
+        if min(len(part) for part in parts) < MIN_IN_DISTANCE:
+            parts = [np.arange(apart_mm.size)] * 2
+        count = int(np.clip(min(len(part) for part in parts) // MIN_IN_DISTANCE, 1, MAX_DISTANCES))
+        groups = [np.array_split(part[np.argsort(apart_mm.ravel()[part], kind="stable")], count) for part in parts]
+        found = []
+        for error, variance in left_out.values():
             ratio = (np.square(np.abs(error)) / variance).ravel()
-            return [float(np.sqrt(np.quantile(ratio[group], 0.95) / NORMAL_95)) for group in groups]
+            found.append([[np.quantile(ratio[group], 0.95) / NORMAL_95 for group in part] for part in groups])
+        scale = np.sqrt(np.maximum(found, MIN_SCALE**2))
+        distance_mm = np.array([[np.median(apart_mm.ravel()[group]) for group in part] for part in groups])
+        return distance_mm, np.exp(_between(self._frequency_hz, list(left_out), np.log(scale)))
 
-        judged = judged_frequencies(self._frequency_hz)
-        found = np.log(np.maximum(self._each(judged, factors), MIN_SCALE))
-        octave, wanted = np.log2(self._frequency_hz[judged]), np.log2(self._frequency_hz)
-        scale = np.exp(np.stack([np.interp(wanted, octave, column) for column in found.T], axis=1))
-        return np.array([np.median(apart_mm[group]) for group in groups]), scale
+    def _noise_share(self, left_out: LeftOut) -> Float64Array:
+        """Share of the left-out errors that neighbouring frequencies have not in common, (frequencies,).
+
+        What the plate does changes little from one to the next, but turns by its delay, which grows with distance.
+        """
+        resolution_hz = self._resolution_hz
+        if resolution_hz is None:
+            return np.zeros(len(self._frequency_hz))
+        order = np.argsort(distances_mm(self._position_mm, self._actuator_mm).ravel(), kind="stable")
+        groups = np.array_split(order, max(len(order) // NOISE_PAIRS, 1))
+
+        def share(number: int) -> float:
+            off_hz = np.abs(np.abs(self._frequency_hz - self._frequency_hz[number]) - resolution_hz)
+            other = int(np.argmin(off_hz))
+            if off_hz[other] > NOISE_GAP * resolution_hz:
+                return np.nan
+            error, variance = left_out[number]
+            here, there = ((one / np.sqrt(variance)).ravel() for one in (error, self._left_out(other, number)[0]))
+            common = sum(abs(np.vdot(here[group], there[group])) for group in groups)
+            return 1.0 - float(common) / max(float(np.linalg.norm(here) * np.linalg.norm(there)), 1e-300)
+
+        found = np.array(self._each(list(left_out), share))
+        known = np.isfinite(found)
+        if not known.any():
+            return np.zeros(len(self._frequency_hz))
+        return _between(self._frequency_hz, np.array(list(left_out))[known].tolist(), found[known])
 
     def _each(self, numbers: Sequence[int], task: Callable[[int], Result]) -> list[Result]:
         if self._workers <= 1:
@@ -397,13 +470,21 @@ class _Fit:
             return list(pool.map(task, numbers))
 
 
+LeftOut = dict[int, tuple[Complex128Array, Float64Array]]
+"""Errors and variances at left-out positions, by the index of a frequency."""
 MIN_CHECKS = 3
 JUDGED = 24
 """Frequencies at which deviations are judged."""
 MIN_IN_DISTANCE, MAX_DISTANCES = 80, 10
 """Pairs of a position and an actuator that judge at one distance, at least; number of distances, at most."""
 MIN_SCALE = 0.03
-JUDGED_HALF_OCTAVES = 0.25
+NOISE_PAIRS = 400
+"""Pairs of a position and an actuator that show together what two frequencies have in common."""
+NOISE_GAP = 0.2
+"""Two frequencies are neighbours if they are the resolution apart, to this share of it."""
+EDGE_NEIGHBOURS, EDGE_SPACINGS = 12, 0.45
+"""A place is at the edge if the mean of the positions nearest to it is so many spacings away."""
+JUDGED_HALF_OCTAVES = 0.5
 """Half the width, in octaves, of the bands in which check positions judge together."""
 
 
@@ -422,33 +503,51 @@ def judged_by_checks(
 
     def ratios(number: int) -> Float64Array:
         error = np.abs(model.values(check_mm, [number])[0] - check_transfer[number])
-        return np.asarray(np.square(error / model.deviations(check_mm, [number])[0]).ravel())
+        return np.asarray((np.square(error) / sum(model.variances(check_mm, number))).ravel())
 
     judged = judged_frequencies(model.frequency_hz)
     ratio = np.array(each(judged, ratios))
     octave = np.log2(model.frequency_hz[judged])
-    scales = []
-    for here in octave:
-        band = np.abs(octave - here) <= JUDGED_HALF_OCTAVES
-        scales.append(np.sqrt(np.quantile(ratio[band], 0.95) / NORMAL_95))
-    scale = np.exp(np.interp(np.log2(model.frequency_hz), octave, np.log(np.maximum(scales, MIN_SCALE))))
+    bands = [np.abs(octave - here) <= JUDGED_HALF_OCTAVES for here in octave]
+    scale = np.sqrt([np.quantile(ratio[band], 0.95) / NORMAL_95 for band in bands])
+    trust = len(check_mm) / (len(check_mm) + 1.0)
+    scale = np.exp(_between(model.frequency_hz, judged, trust * np.log(np.maximum(scale, MIN_SCALE))))
     return replace(model, deviation_scale=scale, judged_by="check positions")
+
+
+def _between(frequency_hz: Float64Array, judged: list[int], values: Float64Array) -> Float64Array:
+    """Values at some frequencies (judged, ...), interpolated to all over the logarithm of frequency."""
+    octave, wanted = np.log2(frequency_hz[judged]), np.log2(frequency_hz)
+    flat = values.reshape(len(judged), -1)
+    return np.stack([np.interp(wanted, octave, column) for column in flat.T], axis=1).reshape(-1, *values.shape[1:])
+
+
+def at_edge(points_mm: Float64Array, position_mm: Float64Array, *, itself: bool = False) -> BoolArray:
+    """Whether the positions lie on one side of points, bool (n,); `itself`: each point is a position, left out."""
+    count = min(EDGE_NEIGHBOURS + itself, len(position_mm))
+    near = np.asarray(cKDTree(position_mm).query(points_mm, count)[1])
+    middle_mm = position_mm[near[:, int(itself) :]].mean(axis=1)
+    return np.asarray(np.hypot(*(points_mm - middle_mm).T) > EDGE_SPACINGS * grid_spacing_mm(position_mm))
 
 
 REST_JUDGED, REST_POSITIONS = 16, 400
 """Frequencies at which the rest is judged, and positions that judge it, at most."""
-NO_REST = (0.0, 1.0, 1.0)
-REST_RIDGES = (1e-6, 1e-4, 1e-2, 1e-1)
-REST_RADIUS = 1.15
-"""Radius of the rest's disk in wave numbers; or what the positions resolve, pi over their spacing."""
+NO_REST = (0.0, 1.0)
+REST_RIDGES = tuple(np.geomspace(1e-6, 1.0, 13).tolist())
+REST_RADIUS, REST_RESOLVED = 1.15, (0.5, 1.0)
+"""Radius of the rest's disk in wave numbers; or in shares of what the positions resolve, pi over their spacing. Half of
+it averages noise and still holds the near fields of bending waves, which all of it does not tell from noise."""
 MAX_REST = 0.9
 """Where positions that are left out say that more than this share would stay, there is no rest."""
 
 
-def _left_out_rest(kernel: Float64Array, ridge: float, residual: Complex128Array) -> Complex128Array:
-    """Error at each position if it is left out: ``(C^-1 r)_i / (C^-1)_ii`` with C = K + ridge."""
+def _left_out_rest(
+    kernel: Float64Array, ridge: float, residual: Complex128Array
+) -> tuple[Complex128Array, Float64Array]:
+    """Error at each position if it is left out, ``(C^-1 r)_i / (C^-1)_ii`` with C = K + ridge, and 1 / (C^-1)_ii."""
     inverse = cho_solve(cho_factor(kernel + ridge * np.eye(len(kernel))), np.eye(len(kernel)))
-    return np.asarray(inverse @ residual / inverse.diagonal()[:, None])
+    share = 1.0 / inverse.diagonal()
+    return np.asarray(inverse @ residual * share[:, None]), np.asarray(share)
 
 
 def disk(radians: Float64Array) -> Float64Array:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.special import h2vp, hankel2, jv, jvp
 
 from wavefocus.calibration.coarse_grid.posterior import FIRST_SHARES, FrequencyWaves
-from wavefocus.calibration.coarse_grid.rim_waves import RimWaves
+from wavefocus.calibration.coarse_grid.rim_waves import RimWaves, at_edge, judged_by_checks
 from wavefocus.calibration.coarse_grid.waves import Dispersion, distances_mm, outgoing, outgoing_at_all, rim_ring
 
 RADIUS_MM = 55.0
@@ -108,6 +110,79 @@ def test_waves_of_one_frequency_are_hankel_functions_however_long(hz):
     distance_mm, wavenumber = RNG.uniform(8.0, 260.0, (50, 60)), LAW.wavenumber(np.array([hz]))
     found = outgoing_at_all(wavenumber, distance_mm)[0]
     assert np.allclose(found, hankel2(0, wavenumber * distance_mm), rtol=1e-4, atol=1e-5)
+
+
+def within_bounds(model, points_mm, truth, number=0):
+    deviations = model.deviations(points_mm, [number])[0]
+    return float((np.abs(model.values(points_mm, [number])[0] - truth) < np.sqrt(np.log(20)) * deviations).mean())
+
+
+def test_noise_of_the_measurement_is_not_in_the_bounds_of_the_plate(random_mm):
+    """Two frequencies whose noise is independent tell noise from what the plate does."""
+    hz, position_mm = np.array([100.0, 105.0]), lattice(11.0)
+    exact = np.stack([disk_response(k, position_mm, ACTUATOR_MM) for k in LAW.wavenumber(hz)])
+    noise = np.random.default_rng(8).standard_normal((2, *exact.shape))
+    seen = exact + 0.05 / np.sqrt(2) * np.sqrt(np.square(np.abs(exact)).mean()) * (noise[0] + 1j * noise[1])
+    told = RimWaves.fit(hz, position_mm, ACTUATOR_MM, seen, resolution_hz=5.0, workers=1)
+    untold = replace(told, noise_share=np.zeros(2))
+    assert told.noise_share[0] > 0.7
+    assert np.median(told.deviations(random_mm, [0]) / untold.deviations(random_mm, [0])) < 0.75
+    assert within_bounds(told, random_mm, disk_response(LAW.wavenumber(hz)[0], random_mm, ACTUATOR_MM)) > 0.93
+
+
+def test_check_positions_scale_the_bounds(coarse, random_mm):
+    """Errors at check positions that are four times as large as stated widen the bounds by nearly that."""
+    position_mm, transfer = coarse
+    model = RimWaves.fit(FREQUENCY_HZ[2:], position_mm, ACTUATOR_MM, transfer[2:], workers=1)
+    checks_mm = random_mm[:12]
+    draw = np.random.default_rng(6).standard_normal((2, 12, len(ACTUATOR_MM)))
+    deviation = np.sqrt(sum(model.variances(checks_mm, 0)))
+    measured = model.values(checks_mm) + 4.0 * deviation * (draw[0] + 1j * draw[1]) / np.sqrt(2)
+    judged = judged_by_checks(model, checks_mm, measured, lambda numbers, task: [task(number) for number in numbers])
+    assert (model.judged_by, judged.judged_by) == ("left-out positions", "check positions")
+    assert 3.0 < judged.deviation_scale[0] < 4.5
+    wider = judged.deviations(random_mm, [0]) / model.deviations(random_mm, [0])
+    assert np.allclose(wider, judged.deviation_scale[0])
+
+
+def glass_response(points_mm, sources_mm, size_mm=(200.0, 120.0), wavenumber=0.0424, quality=100.0):
+    """Bending waves of a simply supported rectangle around 0: the sum of its modes."""
+    number = np.arange(1, 50)
+    shapes = []
+    for at_mm in (points_mm, sources_mm):
+        x, y = (np.sin(np.pi * np.outer(at / size + 0.5, number)) for at, size in zip(at_mm.T, size_mm, strict=True))
+        shapes.append(x[:, :, None] * y[:, None, :])
+    square = np.square(np.pi * number / size_mm[0])[:, None] + np.square(np.pi * number / size_mm[1])
+    return np.einsum("pmn,amn,mn->pa", *shapes, 1.0 / (square**2 - wavenumber**4 * (1 - 1j / quality)), optimize=True)
+
+
+def test_near_fields_of_bending_waves_are_in_the_rest():
+    """Glass, whose waves are long: what the rim adds fades within a few positions, as no wave does."""
+    side = [np.arange(-8, 9) * 10.0, np.arange(-4, 5) * 10.0]
+    position_mm = np.stack(np.meshgrid(*side), axis=-1).reshape(-1, 2)
+    actuator_mm = np.array([[92.0, 8.0], [30.0, 54.0], [-70.0, 52.0], [-91.0, -20.0], [10.0, -55.0]])
+    rng = np.random.default_rng(3)
+    points_mm = rng.uniform((-80, -40), (80, 40), (150, 2))
+    exact, truth = glass_response(position_mm, actuator_mm), glass_response(points_mm, actuator_mm)
+    noise = rng.standard_normal((2, *exact.shape)) * 1e-3 / np.sqrt(2) * np.sqrt(np.square(np.abs(exact)).mean())
+    model = RimWaves.fit(
+        np.array([450.0]), position_mm, actuator_mm, (exact + noise[0] + 1j * noise[1])[None], workers=1
+    )
+    error = np.linalg.norm(model.values(points_mm)[0] - truth, axis=1) / np.linalg.norm(truth, axis=1)
+    assert np.median(error) < 0.003
+    assert np.quantile(error, 0.9) < 0.01
+    assert within_bounds(model, points_mm, truth) > 0.9
+
+
+def test_a_place_is_at_the_edge_where_the_positions_are_on_one_side():
+    for position_mm in (lattice(11.0), hexagonal(11.0)):
+        amid_mm = np.array([[0.3, 0.3], [5.0, -7.0], [-12.0, 9.0]])
+        assert not at_edge(amid_mm, position_mm).any()
+        assert at_edge(np.array([[0.0, 50.0], [-48.0, 5.0]]), position_mm).all()
+        out = np.hypot(*position_mm.T)
+        edge = at_edge(position_mm, position_mm, itself=True)
+        assert not edge[out < 20.0].any()
+        assert edge[out.argmax()]
 
 
 def test_sizes_and_too_few_positions_are_refused(coarse):

@@ -218,7 +218,7 @@ def _fit(bank: GreenSource) -> BankWaves:
     model = RimWaves.fit(
         bins_hz[chosen[inside]], position_mm[rows], np.asarray(bank.actuator_mm, dtype=np.float64), spectra[inside],
         position_mm[checks], _spectra(reader, np.flatnonzero(checks), samples, chosen[inside]),
-        band_hz=bank.band_hz,
+        band_hz=bank.band_hz, resolution_hz=float(bank.sample_rate_hz) / bank.taps,
     )  # fmt: skip
     return BankWaves(model, reader.exponent, samples, int(chosen[inside][0]))
 
