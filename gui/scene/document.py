@@ -113,7 +113,7 @@ class SceneDocument(QObject):
     def choose(self, index: int) -> None:
         """Choose a source, -1 for none."""
         index = index if 0 <= index < len(self.draft.source) else -1
-        if index != self.chosen or (index >= 0 and self.chosen_quiet >= 0):
+        if index != self.chosen:
             self.chosen, self.chosen_quiet = index, -1 if index >= 0 else self.chosen_quiet
             self.chosen_changed.emit()
 
@@ -196,7 +196,7 @@ class SceneDocument(QObject):
     def _show(self, state: State) -> None:
         self.draft, chosen = state
         chosen = min(chosen, len(self.draft.source) - 1)
-        quiet = min(self.chosen_quiet, len(self.draft.quiet) - 1)
+        quiet = -1 if chosen >= 0 else min(self.chosen_quiet, len(self.draft.quiet) - 1)
         moved = (chosen, quiet) != (self.chosen, self.chosen_quiet)
         self.chosen, self.chosen_quiet = chosen, quiet
         self.edited.emit()

@@ -325,6 +325,20 @@ def test_given_quiet_places_then_they_are_drawn_edited_moved_deleted_undone_and_
     assert document.draft.quiet == (place,)
 
 
+def test_given_a_chosen_quiet_place_then_undoing_a_step_of_a_source_chooses_only_the_source(
+    qtbot: QtBot, tab: SceneTab
+) -> None:
+    document = tab.document
+    draw(qtbot, tab, "line")
+    document.add_quiet((30.0, 20.0))
+    document.choose(0)
+    document.edit_source("louder", amplitude=2.0)
+    document.choose_quiet(0)
+    tab.actions_by_name["undo"].trigger()
+    assert (document.chosen, document.chosen_quiet) == (0, -1)
+    assert len(document.draft.quiet) == 1
+
+
 def test_given_sources_then_they_are_copied_as_text_pasted_duplicated_reordered_and_deleted(
     qtbot: QtBot, tab: SceneTab
 ) -> None:
