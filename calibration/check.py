@@ -274,9 +274,11 @@ def _check_levels(rms: Float64Array, *, certain: bool) -> Iterator[BankProblem]:
 
 
 def _check_neighbours(bank: Bank, spectra: RowsAtFrequencies, measured: BoolArray) -> Iterator[BankProblem]:
-    """Check each row against what the rows of its neighbours predict of it."""
-    measured = measured & ~rows_off_grid(bank.positions, bank.check_rows, bank.run_json)
-    verdict = NeighbourJudge(bank.position_mm, bank.actuator_mm, spectra, measured).find()
+    """Check each row against what its neighbours predict of it, or, on coarse grids, waves from all other rows."""
+    on_grid = measured & ~rows_off_grid(bank.positions, bank.check_rows, bank.run_json)
+    judge = NeighbourJudge(bank.position_mm, bank.actuator_mm, spectra, on_grid, measured)
+    verdict = judge.find()
+    measured = measured if judge.by_waves else on_grid
     for difference in verdict.differences:
         actuator = difference.actuators[0] if len(difference.actuators) == 1 else None
         yield BankProblem(difference.position, actuator, f"position {difference.position}: {difference.sentence}")

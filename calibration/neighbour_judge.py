@@ -1,7 +1,8 @@
 """Rows of a bank judged against their neighbours: which differ, and in what.
 
-Every row is predicted from its neighbours (`wavefocus.calibration.neighbour_prediction`). By how much predictions miss
-is learned from the neighbourhood itself, frequency by frequency: noise, a coarse grid, the rim and the
+Every row is predicted from its neighbours (`wavefocus.calibration.neighbour_prediction`), or, where the grid is too
+coarse for that, from all other rows by waves (`wavefocus.calibration.coarse_grid.left_out_rows`). By how much
+predictions miss is learned from the neighbourhood itself, frequency by frequency: noise, a coarse grid, the rim and the
 field of a near actuator then raise the limit, and where a prediction explains too little nothing is judged.
 """
 
@@ -15,6 +16,8 @@ from numpy.typing import NDArray
 
 from wavefocus.calibration import BoolArray, Complex128Array, Float64Array, Int64Array
 from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.calibration.coarse_grid.left_out_rows import RowsByWaves, can_be_modelled
+from wavefocus.calibration.coarse_grid.rim_waves import MIN_POSITIONS
 from wavefocus.calibration.neighbour_difference import (
     EXPLAINED,
     NeighbourDifference,
@@ -33,13 +36,19 @@ NEAREST, RANK = 8, 3
 """A row that differs does so far more than the third worst of its eight nearest neighbours."""
 MIN_DIFFERENCE = 0.02
 """Relative to the row; smaller differences are not looked for."""
+LENIENCY_OF_WAVES, MIN_DIFFERENCE_BY_WAVES = 2.5, 0.04
+"""Waves miss more at the far edge than what is learned nearer to the actuator: up to 12 times the mean square there."""
+MIN_SHARE_BY_WAVES = 0.004
+"""Smaller differences, relative to the mean level of the actuator's rows, are not looked for: faint rows are mostly
+what the waves leave of loud ones."""
 MIN_PREDICTION_ERROR = 0.002
 """No prediction is taken to be better than this."""
 MISSES, FACTOR = 6.0, 30.0
 """Limits of the mean square of the errors and of the common factor's square over their expectations; on clean banks
 of the virtual rig they are 1.6 and 8 at most."""
-SOURCE_SPACINGS = 4.0
-"""Nearer to an actuator than so many grid spacings, the field is not that of waves from elsewhere."""
+SOURCE_SPACINGS, SOURCE_SPACINGS_OF_WAVES = 4.0, 2.0
+"""Nearer to an actuator than so many grid spacings, the field is not that of waves from elsewhere, nor quite that of
+the actuator's own wave."""
 UNSURE = 0.06
 """Rows whose level is not predicted within this are not judged."""
 MAX_ROUNDS = 40
@@ -47,14 +56,21 @@ SEARCHES = 3
 MAX_RENEWED, MAX_RENEWED_SHARE = 30_000, 0.25
 """Predictions that are renewed at most (half a minute), and so many more per row. One differing row needs 30, a
 position that was measured elsewhere some thousands; rows that do not belong together need a hundred each."""
+RENEWED_BY_WAVES = 30
+"""All of an actuator's rows are renewed at once by waves, which takes as long as so many."""
+MIN_COARSE_MM, COARSE, COARSE_QUANTILE = 5.0, 0.3, 0.1
+"""On grids coarser than this, a nominal gel's half wavelength at 480 Hz, waves predict where nine tenths of the rows
+miss so much of the band's upper quarter when neighbours predict them."""
 MAX_OUT = 0.5
 """Where more than this share of the rows differ, none is judged: it is not the rows that are wrong."""
 MIN_ROWS = 3
 """So many rows of a position make a whole that can differ by one cause."""
 GAIN_SIGMAS = 8.0
 """A common factor on a position's rows is one that differs from 1 by so many of its standard deviations."""
-PLACES, REACH = 12, (0.125, 0.25, 0.5, 0.75, 1.0, 1.5)
-"""Directions and grid spacings at which a mirror that points elsewhere is looked for."""
+PLACES = tuple((radius, 12) for radius in (0.125, 0.25, 0.5, 0.75, 1.0, 1.5))
+"""Circles in grid spacings, and directions, on which a mirror that points elsewhere is looked for."""
+PLACES_BY_WAVES = tuple((number / 8, 6 * number) for number in range(1, 13))
+"""The same where the grid is coarse: an eighth of a wavelength apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,23 +128,39 @@ class NeighbourJudge:
     actuator_mm, float64 (actuators, 2): Actuators in millimetres, NaN where unknown.
     spectra: The rows.
     usable, bool (positions,): Rows that are predicted from and judged.
+    modelled, bool (positions,): Rows that waves predict and judge where the grid is too coarse for neighbours and the
+        actuators' places are known; those off the grid, too. That takes 5 to 10 s of processor time more. By default
+        only neighbours judge.
 
     judged, bool (positions, actuators): Rows that can be judged.
     """
 
     def __init__(
-        self, position_mm: Float64Array, actuator_mm: Float64Array, spectra: RowsAtFrequencies, usable: BoolArray
+        self,
+        position_mm: Float64Array,
+        actuator_mm: Float64Array,
+        spectra: RowsAtFrequencies,
+        usable: BoolArray,
+        modelled: BoolArray | None = None,
     ) -> None:
         values, self._frequency_hz = spectra.values, spectra.frequency_hz
-        usable = usable & (np.abs(values).max(axis=(1, 2), initial=0.0) > 0) & np.isfinite(position_mm).all(axis=1)
+        there = (np.abs(values).max(axis=(1, 2), initial=0.0) > 0) & np.isfinite(position_mm).all(axis=1)
+        usable, modelled = usable & there, None if modelled is None else modelled & there
         # In the largest value's unit, so that a bank in any unit fits.
-        whole = np.abs(values[usable]).max(initial=0.0)
+        whole = np.abs(values[usable if modelled is None else usable | modelled]).max(initial=0.0)
         self._values = values / whole if whole > 0 else values
         self._position_mm = position_mm
-        self._rows = RowsPredicted(position_mm, self._values, self._frequency_hz, usable)
-        self._patches = self._rows.patches
-        self._all = np.array(sorted(self._patches), dtype=np.int64)
-        shape = values.shape
+        self._modelled, self._actuator_mm = modelled, actuator_mm
+        self._predict_by(RowsPredicted(position_mm, self._values, self._frequency_hz, usable))
+        if modelled is not None and self._too_coarse() and can_be_modelled(position_mm, actuator_mm, modelled):
+            self._predict_by(RowsByWaves(position_mm, actuator_mm, self._values, self._frequency_hz, modelled))
+
+    def _predict_by(self, rows: RowsPredicted | RowsByWaves) -> None:
+        """Begin anew with predictions of all rows."""
+        self._rows = rows
+        self._neighbours = rows.neighbours
+        self._all = np.array(sorted(self._neighbours), dtype=np.int64)
+        shape = self._values.shape
         self._out: BoolArray = np.zeros(shape[:2], dtype=bool)
         self.judged: BoolArray = np.zeros(shape[:2], dtype=bool)
         self._suspect: BoolArray = np.zeros(shape[:2], dtype=bool)
@@ -138,28 +170,35 @@ class NeighbourJudge:
         self._left_out: dict[int, BoolArray] = {}
         if not len(self._all):
             return
-        self._near_field = self._near_field_of(actuator_mm)
+        self._near_field = self._near_field_of(self._actuator_mm)
+        level = np.linalg.norm(self._values, axis=2)
+        mean = np.sqrt(np.square(level[self._all]).mean(axis=0))
+        self._faintness: Float64Array = mean / np.maximum(level, 1e-6 * mean + np.finfo(np.float64).tiny)
         self._users: dict[int, list[int]] = {}
-        for position, patch in self._patches.items():
-            for row in patch.rows[1:].tolist():
+        for position, around in self._neighbours.items():
+            for row in around[1:].tolist():
                 self._users.setdefault(row, []).append(position)
-        near = [np.resize(self._patches[position].rows[1:], LEARNED_FROM) for position in self._all.tolist()]
-        self._near: Int64Array = np.zeros((len(values), LEARNED_FROM), dtype=np.int64)
+        near = [np.resize(self._neighbours[position][1:], LEARNED_FROM) for position in self._all.tolist()]
+        self._near: Int64Array = np.zeros((shape[0], LEARNED_FROM), dtype=np.int64)
         self._near[self._all] = near
-        self._errors, variance = self._rows.errors()
-        self._variance_of_all = variance
-        self._variance: Float64Array = np.repeat(variance[:, None], shape[1], axis=1)
+        self._errors, variance = rows.errors()
+        self._variance_of_all, self._variance = variance, variance.copy()
         self._typical: Float64Array = np.zeros(shape)
         self._misses: Float64Array = np.full(shape[:2], np.nan)
         self._weight: Float64Array = np.full(shape[:2], np.nan)
         self._factor: Complex128Array = np.full(shape[:2], np.nan + 0j)
         strength = np.abs(self._errors) ** 2 / self._variance
         # Where neighbours lie on one side only, errors are as uncertain as predictions are.
-        one_sided = np.log(variance[self._all] / np.median(variance[self._all], axis=0)).mean(axis=1)
-        self._one_sided: Float64Array = np.ones((len(values), 1))
+        one_sided = np.log(variance[self._all] / np.median(variance[self._all], axis=0)).mean(axis=(1, 2))
+        self._one_sided: Float64Array = np.ones((shape[0], 1))
         self._one_sided[self._all, 0] = np.exp(0.5 * np.maximum(one_sided, 0.0))
         self._common = np.maximum(np.nanmedian(strength[self._all], axis=0), np.finfo(np.float64).tiny)
         self._learn(self._all)
+
+    @property
+    def by_waves(self) -> bool:
+        """Whether rows are predicted by waves from the actuators and the rim, from all other positions."""
+        return isinstance(self._rows, RowsByWaves)
 
     def find(self) -> NeighbourResult:
         """Find all rows that differ, the worst of each neighbourhood first, so that no row is blamed for another.
@@ -170,6 +209,11 @@ class NeighbourJudge:
         if len(self._all):
             with one_blas_thread():
                 self._search()
+                sound: BoolArray = np.asarray(~self._out.any(axis=1))
+                if isinstance(self._rows, RowsByWaves) and not sound.all() and sound[self._all].sum() > MIN_POSITIONS:
+                    # Wrong rows had a part in the waves that were found.
+                    self._predict_by(self._rows.found_from(sound))
+                    self._search()
         if self._renewed > self._most_renewed or self._out.sum() > MAX_OUT * len(self._all) * self._out.shape[1]:
             return NeighbourResult((), np.zeros_like(self.judged), incoherent=True)
         rows = {
@@ -200,9 +244,11 @@ class NeighbourJudge:
 
     def _leave_out_by_gain(self) -> None:
         """Leave out positions whose rows all have one wrong factor, found together however near each other they are."""
+        if isinstance(self._rows, RowsByWaves):
+            return
         for _ in range(SEARCHES):
             # The wrong ones found so far no longer count in what predictions usually miss.
-            gains = common_gains(self._patches, self._rows.coefficients, self._values, self._typical, self.judged)
+            gains = common_gains(self._rows.patches, self._rows.coefficients, self._values, self._typical, self.judged)
             wrong = self._wrong_by_gain(gains)
             found = set(wrong) - set(self._gain)
             self._gain |= {position: float(gains.value[position]) for position in wrong}
@@ -229,6 +275,18 @@ class NeighbourJudge:
 
     # -- how much predictions miss --------------------------------------------------------------
 
+    def _too_coarse(self) -> bool:
+        """Whether positions are far apart and neighbours predict next to nothing of the band's upper quarter."""
+        if not len(self._all) or self._rows.spacing_mm <= MIN_COARSE_MM:
+            return not len(self._all)
+        upper = slice(3 * len(self._frequency_hz) // 4, None)
+        there = np.linalg.norm(self._values[self._all, :, upper], axis=2)
+        relative = np.linalg.norm(self._errors[self._all, :, upper], axis=2) / np.maximum(
+            there, np.finfo(np.float64).tiny
+        )
+        # Few wrong rows spoil many predictions, of which only the best are looked at.
+        return bool(np.quantile(relative, COARSE_QUANTILE) > COARSE)
+
     def _near_field_of(self, actuator_mm: Float64Array) -> Float64Array:
         """Part of a row that is not of waves from elsewhere, on an arbitrary scale, (positions, actuators)."""
         power = np.square(np.abs(self._values)).sum(axis=2)
@@ -236,7 +294,12 @@ class NeighbourJudge:
         guess = np.median(loudest, axis=0)
         source_mm = np.where(np.isfinite(actuator_mm), actuator_mm, guess)
         far = np.hypot(*(self._position_mm[:, None] - source_mm).transpose(2, 0, 1))
-        reach = SOURCE_SPACINGS * self._rows.spacing_mm / np.maximum(far, 1e-3 * self._rows.spacing_mm)
+        # Waves hold the actuators' own.
+        reach = (
+            (SOURCE_SPACINGS_OF_WAVES if self.by_waves else SOURCE_SPACINGS)
+            * self._rows.spacing_mm
+            / np.maximum(far, 1e-3 * self._rows.spacing_mm)
+        )
         return np.asarray(np.square(reach))
 
     def _learn(self, positions: Int64Array) -> None:
@@ -267,8 +330,10 @@ class NeighbourJudge:
         nearest = self._near[positions][:, :NEAREST]
         misses, weight = self._misses[positions], self._weight[positions]
         # With neighbours left out, what no model of waves covers grows faster than what the kernel expects.
-        fewer = np.maximum((self._variance[positions] / self._variance_of_all[positions][:, None]).mean(axis=2), 1.0)
-        least = MIN_DIFFERENCE * fewer * (1.0 + self._near_field[positions] * fewer**3)
+        fewer = np.maximum((self._variance[positions] / self._variance_of_all[positions]).mean(axis=2), 1.0)
+        leniency, share = (LENIENCY_OF_WAVES, MIN_SHARE_BY_WAVES) if self.by_waves else (1.0, 0.0)
+        least = (MIN_DIFFERENCE_BY_WAVES if self.by_waves else MIN_DIFFERENCE) + share * self._faintness[positions]
+        least = least * fewer * (1.0 + self._near_field[positions] * fewer**3)
         factor = self._factor[positions] - 1.0
         # A wrong row may hide that its neighbours can be judged.
         judged = self.judged[positions] if strict else np.isfinite(misses)
@@ -277,6 +342,7 @@ class NeighbourJudge:
         usual = self._usual(self._misses, nearest) if strict else np.ones_like(misses)
         usual_factor = self._usual(by_factor, nearest) if strict else np.ones_like(misses)
         usual, usual_factor = usual * self._one_sided[positions], usual_factor * self._one_sided[positions]
+        usual, usual_factor = leniency * usual, leniency * usual_factor
         found = (misses > MISSES * usual) & (misses * len(self._frequency_hz) > np.square(least) * weight)
         found |= (by_factor[positions] > FACTOR * usual_factor) & (off > least)
         # All of a position by one factor: the median over its rows shows less than each of them could.
@@ -310,7 +376,7 @@ class NeighbourJudge:
         energy[~suspect] = 0.0
         chosen = np.zeros_like(suspect)
         for position in some.tolist():
-            around = self._patches[position].rows[1:]
+            around = self._neighbours[position][1:]
             if whole[position]:
                 largest = bool(total[position] >= total[around].max())
                 chosen[position] = ~self._tried[position] & largest
@@ -323,7 +389,7 @@ class NeighbourJudge:
         suspect = self._suspect & ~self._tried
         spoiled = np.zeros_like(suspect)
         for position in np.flatnonzero(self._out.any(axis=1)).tolist():
-            spoiled[position] = suspect[self._patches[position].rows[1:]].any(axis=0)
+            spoiled[position] = suspect[self._neighbours[position][1:]].any(axis=0)
         return spoiled
 
     def _leave_out(self, tried: BoolArray) -> None:
@@ -343,10 +409,13 @@ class NeighbourJudge:
 
     def _renew(self, changed: Int64Array) -> None:
         """Predict again what was predicted from some positions' rows, without those that are left out."""
+        if isinstance(self._rows, RowsByWaves):
+            self._renew_by_waves(self._rows)
+            return
         predicted = {user for position in changed.tolist() for user in self._users.get(position, ())}
         predicted.update(changed.tolist())
         for position in sorted(predicted):
-            rows = self._patches[position].rows
+            rows = self._neighbours[position]
             out = self._out[rows]
             out[0] = False
             changed_for = (out != self._left_out.get(position, np.zeros_like(out))).any(axis=0)
@@ -363,6 +432,17 @@ class NeighbourJudge:
         again = np.array(sorted(learned), dtype=np.int64)
         self._learn(again)
         self._suspect[again] = self._differing(again, strict=False)
+
+    def _renew_by_waves(self, rows: RowsByWaves) -> None:
+        for actuator, out in enumerate(self._out.T):
+            before = self._left_out.get(actuator, np.zeros_like(out))
+            if (out != before).any():
+                self._left_out[actuator] = out.copy()
+                self._renewed += RENEWED_BY_WAVES
+                found = rows.errors_without(actuator, np.flatnonzero(out))
+                self._errors[:, actuator], self._variance[:, actuator] = found
+        self._learn(self._all)
+        self._suspect[self._all] = self._differing(self._all, strict=False)
 
     # -- what differs ---------------------------------------------------------------------------------
 
@@ -404,9 +484,7 @@ class NeighbourJudge:
             left = missed.sum(axis=(1, 2))
             if left.min() < best:
                 best, place = float(left.min()), self._position_mm[some[int(left.argmin())]]
-        angle = 2.0 * np.pi * np.arange(PLACES) / PLACES
-        round_mm = self._rows.spacing_mm * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        offset_mm = np.concatenate([reach * round_mm for reach in REACH])
+        offset_mm = self._rows.spacing_mm * _places_around(PLACES_BY_WAVES if self.by_waves else PLACES)
         around = self._rows.at(position, offset_mm)[:, actuators]
         left = (np.square(np.abs(around - values)) / typical).sum(axis=(1, 2))
         if left.min() < best:
@@ -414,6 +492,13 @@ class NeighbourJudge:
         if place is None or best > (1.0 - EXPLAINED) * differs:
             return None
         return {"kind": "elsewhere", "place_mm": (float(place[0]), float(place[1]))}
+
+
+def _places_around(rings: Iterable[tuple[float, int]]) -> Float64Array:
+    """Places (n, 2) on circles, each of a radius and a number of directions."""
+    turns = [radius * np.exp(2j * np.pi * np.arange(count) / count) for radius, count in rings]
+    places = np.concatenate(turns)
+    return np.stack([places.real, places.imag], axis=1)
 
 
 def _nanmedian(values: Float64Array, axis: int) -> Float64Array:

@@ -154,11 +154,16 @@ class RowsPredicted:
             with one_blas_thread():
                 self.waves = self._fit()
 
+    @property
+    def neighbours(self) -> dict[int, Int64Array]:
+        """Of each position that can be predicted, itself and the rows that it is predicted from."""
+        return {position: patch.rows for position, patch in self.patches.items()}
+
     def errors(self) -> tuple[Complex128Array, Float64Array]:
         """Error of every row, left out, and the kernel's expectation of its square for a field of strength 1.
 
         Returns errors : complex128 (positions, actuators, frequencies): what the row has more than its prediction; NaN
-        where there is none; variance : float64 (positions, frequencies).
+        where there is none; variance : float64 of that shape, the same for all actuators.
         """
         errors = np.full(self.values.shape, np.nan + 0j)
         variance = np.full((len(self.values), len(self.frequency_hz)), np.nan)
@@ -175,7 +180,7 @@ class RowsPredicted:
                     missed += self.values[rows[:, place]] * weights[:, place]
                 errors[positions] = missed
                 variance[positions] = self._kernel(patch).left_out_variance
-        return errors, variance
+        return errors, np.repeat(variance[:, None], self.values.shape[1], axis=1)
 
     def error_without(
         self, position: int, others: Int64Array, actuators: Int64Array

@@ -26,6 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from typing import Any, cast
 
 import numpy as np
@@ -173,6 +174,30 @@ class FrequencyWaves:
             error[:, actuator] = noise * (y - explained @ (y.conj() @ explained).conj()) / free
             variance[:, actuator] = noise**2 / free
         return error * np.sqrt(self._power), variance * self._power
+
+    def whitened(self, shares: Float64Array) -> tuple[Complex128Array, Complex128Array, Float64Array]:
+        """What every left-out error follows from (`left_out_rows`), in the units of what is measured.
+
+        Returns E = X B^(-1/2), (actuators, positions, own waves + sources); ``D^(1/2) C^-1 d`` and the root of D,
+        (actuators, positions).
+        """
+        parts = []
+        for actuator, power in enumerate(self._power.tolist()):
+            x, y, _, noise = self._scaled(actuator, shares)
+            _, half = _factor(x)
+            explained = x @ half.conj().T
+            parts.append((explained, y - explained @ (explained.conj().T @ y), noise * np.sqrt(power)))
+        explained_all, left, noise_all = zip(*parts, strict=True)
+        return np.stack(explained_all), np.stack(left), np.stack(noise_all)
+
+    def at_points(self, points_mm: Float64Array, shares: Float64Array, transfer: Complex128Array) -> Complex128Array:
+        """The waves at points (n, 2) for other measured values, complex128 (positions, actuators): (n, actuators)."""
+        other = copy(self)
+        other._values = transfer / np.sqrt(self._power)
+        strength = other.strengths(shares)
+        own, _ = waves_of_actuators(self.wavenumber, self._share, points_mm, self._actuator_mm)
+        sources = outgoing(self.wavenumber, distances_mm(points_mm, self._ring_mm))
+        return np.asarray(np.einsum("cpa,ca->pa", own, strength[: len(own)]) + sources @ strength[len(own) :])
 
     def variance(self, points_mm: Float64Array, shares: Float64Array) -> Float64Array:
         """Variance of the waves at points (n, 2), without noise: (n, actuators)."""

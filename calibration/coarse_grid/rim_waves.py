@@ -15,7 +15,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -23,7 +23,7 @@ from scipy.linalg import cho_factor, cho_solve, eigh
 from scipy.spatial import cKDTree
 from scipy.special import j1
 
-from wavefocus.calibration import BoolArray, Complex64Array, Complex128Array, Float64Array
+from wavefocus.calibration import BoolArray, Complex64Array, Complex128Array, Float64Array, Int64Array
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.coarse_grid.posterior import FIRST_SHARES, FrequencyWaves
 from wavefocus.calibration.coarse_grid.waves import (
@@ -38,11 +38,8 @@ from wavefocus.calibration.numerics import evenly_spread
 
 Result = TypeVar("Result")
 
-KNOTS = 8
 FAINT_POWER = 3e-3
 """Knots have at least this share of the loudest frequency's power: at the faint edges of a band nothing is learnt."""
-FIT_POSITIONS, FIT_ACTUATORS = 240, 4
-EVALUATIONS = 60
 RING_WAVELENGTHS, RING_OFFSET_WAVELENGTHS = 0.46, 1.05
 """Distance of the ring's sources from one another and from everything else, in wavelengths at the highest knot."""
 MAX_RING_SHARE = 0.025
@@ -52,6 +49,20 @@ EXPLAINED = 0.02
 ELASTIC_GAIN = 0.5
 """A solid's waves are tried where they leave at most this share of what scalar waves leave."""
 MIN_POSITIONS = 12
+
+
+class Effort(NamedTuple):
+    """What the hyperparameters are found from: knots, positions, actuators; evaluations of the evidence at each."""
+
+    knots: int
+    positions: int
+    actuators: int
+    evaluations: int
+
+
+INTERPOLATING = Effort(8, 240, 4, 60)
+JUDGING = Effort(5, 120, 2, 25)
+"""A twentieth of the time; rows that are left out are predicted with errors of 1 to 4 %, enough to tell wrong ones."""
 NORMAL_95 = float(np.log(20.0))
 """Square of the 95 % bound of a complex normal error, over its variance."""
 
@@ -237,7 +248,9 @@ class _Fit:
         band_hz: tuple[float, float] | None,
         resolution_hz: float | None,
         workers: int | None,
+        effort: Effort = INTERPOLATING,
     ) -> None:
+        self._effort = effort
         low_hz, high_hz = band_hz or (0.0, np.inf)
         self._measured = (frequency_hz >= low_hz) & (frequency_hz <= high_hz)
         self._frequency_hz, self._transfer, self._resolution_hz = frequency_hz, transfer, resolution_hz
@@ -249,17 +262,14 @@ class _Fit:
         self._relative_level = np.maximum(level / np.maximum(level.mean(axis=0), 1e-300), 1e-12)
         self._spacing_mm = grid_spacing_mm(self._position_mm)
         self._apart_mm = _gaps_mm(self._position_mm, self._position_mm)
-        self._some = np.random.default_rng(0).permutation(len(position_mm))[:FIT_POSITIONS]
-        self._every = evenly_spread(len(actuator_mm), FIT_ACTUATORS)
+        self.learn_from(np.arange(len(position_mm)))
+        self._every = evenly_spread(len(actuator_mm), effort.actuators)
         self._pressure_share = 0.0
         self._rest_choice: dict[int, tuple[float, float]] = {}
 
     def run(self, check_mm: Float64Array | None, check_transfer: Complex128Array | None) -> RimWaves:
-        knots = self._knots()
-        law = self._law(knots)
-        self._place_ring(law, knots)
-        wavenumber, shares = self._hyperparameters(knots, law)
-        self._wavenumber, self._shares = wavenumber, shares
+        knots = self.find_waves()
+        wavenumber, shares = self._wavenumber, self._shares
         judged = sorted({*evenly_spread(len(self._frequency_hz), REST_JUDGED).tolist(), *knots})
         self._rest_choice = dict(zip(judged, self._each(judged, self._chosen_rest), strict=True))
         solved = self._each(range(len(self._frequency_hz)), self._solve)
@@ -277,6 +287,22 @@ class _Fit:
             return judged_by_checks(model, check_mm, check_transfer, self._each)
         return model
 
+    def learn_from(self, some: Int64Array) -> None:
+        """Find wave numbers and shares from some positions only."""
+        self._some = np.random.default_rng(0).permutation(some)[: self._effort.positions]
+
+    def find_waves(self) -> list[int]:
+        """Find wave number and shares at all frequencies; returns the knots."""
+        knots = self._knots()
+        law = self._law(knots)
+        self._place_ring(law, knots)
+        self._wavenumber, self._shares = self._hyperparameters(knots, law)
+        return knots
+
+    def each_frequency(self) -> list[tuple[FrequencyWaves, Float64Array]]:
+        """The waves that were found, and their shares, at each frequency."""
+        return [(self._frequency(number), shares) for number, shares in enumerate(self._shares)]
+
     def _knots(self) -> list[int]:
         """Indices of the frequencies at which the hyperparameters are found, dense where waves are long."""
         power = (
@@ -286,13 +312,13 @@ class _Fit:
         )
         loud = np.flatnonzero(power > FAINT_POWER * power.max())
         low_hz, high_hz = self._frequency_hz[loud[0]], self._frequency_hz[loud[-1]]
-        wanted_hz = np.linspace(np.sqrt(low_hz), np.sqrt(high_hz), KNOTS) ** 2
+        wanted_hz = np.linspace(np.sqrt(low_hz), np.sqrt(high_hz), self._effort.knots) ** 2
         nearest = [int(loud[np.argmin(np.abs(self._frequency_hz[loud] - hz))]) for hz in wanted_hz]
         return sorted(set(nearest))
 
     def _law(self, knots: list[int]) -> Dispersion:
         """The waves of the actuators alone: scalar, or a solid's where the evidence at the middle knot is for them."""
-        some, every = self._some[:120], self._every
+        some, every = self._some[: self._effort.positions // 2], self._every
         seen = self._transfer[knots][:, some][:, :, every]
         measured = (
             self._frequency_hz[knots],
@@ -334,7 +360,7 @@ class _Fit:
             self._ring_mm, self._power[number, self._every], self._relative_level[self._some][:, self._every],
             self._transfer[number][self._some][:, self._every],
         )  # fmt: skip
-        return waves.fitted(shares or [FIRST_SHARES], EVALUATIONS)
+        return waves.fitted(shares or [FIRST_SHARES], self._effort.evaluations)
 
     def _hyperparameters(self, knots: list[int], law: Dispersion) -> tuple[Complex128Array, Float64Array]:
         """Wave numbers and shares at all frequencies."""
@@ -470,8 +496,29 @@ class _Fit:
             return list(pool.map(task, numbers))
 
 
+def judging_waves(
+    frequency_hz: Float64Array,
+    position_mm: Float64Array,
+    actuator_mm: Float64Array,
+    transfer: Complex128Array,
+    some: Int64Array | None = None,
+) -> list[tuple[FrequencyWaves, Float64Array]]:
+    """Waves and their shares at each frequency, found quickly: enough to judge rows by the others.
+
+    some: Indices of the positions that they are found from, at least 12; by default of all. Other arguments as of
+        `RimWaves.fit`.
+    """
+    fit = _Fit(frequency_hz, position_mm, actuator_mm, transfer, None, None, 1, JUDGING)
+    if some is not None:
+        fit.learn_from(some)
+    fit.find_waves()
+    return fit.each_frequency()
+
+
 LeftOut = dict[int, tuple[Complex128Array, Float64Array]]
 """Errors and variances at left-out positions, by the index of a frequency."""
+
+
 MIN_CHECKS = 3
 JUDGED = 24
 """Frequencies at which deviations are judged."""

@@ -198,9 +198,9 @@ def test_a_bank_without_a_checksum_of_its_contents_then_is_read_and_checked_as_b
     assert check_bank(path) == []
 
 
-def plate_bank_file(path: Path, wrong: int, check_rows: tuple[int, ...] = ()) -> Path:
+def plate_bank_file(path: Path, wrong: int, check_rows: tuple[int, ...] = (), spacing_mm: float = 4.0) -> Path:
     """A bank of 7 x 7 positions and three actuators in which one row has the wrong sign and half the level."""
-    axis_mm = 4.0 * np.arange(-3, 4)
+    axis_mm = spacing_mm * np.arange(-3, 4)
     grid = np.stack(np.meshgrid(axis_mm, axis_mm), axis=-1).reshape(-1, 2)
     plate = plate_bank(grid)
     create_bank(
@@ -230,3 +230,10 @@ def test_a_row_that_its_neighbours_contradict_then_is_an_error_that_names_the_di
 def test_a_row_that_only_judges_what_is_interpolated_is_no_neighbour_and_has_none(tmp_path: Path) -> None:
     path = plate_bank_file(tmp_path / "bank.h5", wrong=24, check_rows=(24,))
     assert [one for one in check_bank(path) if one.severity == "error"] == []
+
+
+def test_on_a_coarse_grid_waves_judge_all_rows_also_those_off_the_grid(tmp_path: Path) -> None:
+    path = plate_bank_file(tmp_path / "bank.h5", wrong=24, check_rows=(24,), spacing_mm=10.0)
+    found = check_bank(path)
+    assert [(one.position, one.actuator) for one in found if one.severity == "error"] == [(24, 2)]
+    assert not any("were not judged" in one.message for one in found)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.unit.plate_banks import ACTUATOR_MM, BAND_HZ, RATE_HZ, SQUARE_MM, TAPS, plate_bank
+from tests.unit.plate_banks import ACTUATOR_MM, BAND_HZ, RATE_HZ, SQUARE_MM, TAPS, plate_bank, plate_greens
+from wavefocus.calibration.coarse_grid.left_out_rows import RowsByWaves
 from wavefocus.calibration.neighbour_judge import NeighbourJudge, NeighbourResult, RowsAtFrequencies
 from wavefocus.mocks.plates.thin import ThinPlate
 
@@ -134,3 +135,74 @@ def test_rows_that_do_not_belong_together_then_are_called_so_and_none_is_judged(
     assert verdict.incoherent
     assert verdict.differences == ()
     assert not verdict.judged.any()
+
+
+COARSE_MM = np.stack(np.meshgrid(10.0 * np.arange(-4, 5), 10.0 * np.arange(-3, 4)), axis=-1).reshape(-1, 2)
+CHECKS_MM = np.array([[-13.0, 4.0], [6.0, -17.0], [24.0, 13.0]])
+
+
+@pytest.fixture(scope="module")
+def coarse() -> np.ndarray:
+    """A grid of 10 mm, up to two wavelengths a spacing, and three positions off it."""
+    bank = plate_bank(np.vstack([COARSE_MM, CHECKS_MM]), noise_db=-50.0)
+    return np.stack([bank.green(position) for position in range(bank.positions)])
+
+
+def judged_by_waves(greens: np.ndarray) -> NeighbourResult:
+    spectra = RowsAtFrequencies(*greens.shape, RATE_HZ, BAND_HZ)
+    for position, green in enumerate(greens):
+        spectra.set(position, green)
+    on_grid = np.arange(len(greens)) < len(COARSE_MM)
+    judge = NeighbourJudge(
+        np.vstack([COARSE_MM, CHECKS_MM]), ACTUATOR_MM, spectra, on_grid, np.ones(len(greens), dtype=bool)
+    )
+    assert judge.by_waves
+    return judge.find()
+
+
+def test_a_clean_coarse_grid_then_has_no_differences_and_all_is_judged(coarse: np.ndarray) -> None:
+    verdict = judged_by_waves(coarse)
+    assert verdict.differences == ()
+    assert verdict.judged.mean() > 0.99
+
+
+def test_wrong_rows_of_a_coarse_grid_then_are_named_as_on_a_fine_one_and_no_other(coarse: np.ndarray) -> None:
+    greens = coarse.copy()
+    greens[12, 3] *= 0.8
+    greens[22, [2, 7]] = greens[22, [7, 2]]
+    place_mm = COARSE_MM[40] + [2.4, -3.2]
+    greens[40] = plate_greens(place_mm[None])[0]
+    greens[50] *= 0.8
+    greens[len(COARSE_MM) + 1] *= -1
+    verdict = judged_by_waves(greens)
+    assert found(verdict) == [(12, "level"), (22, "swapped"), (40, "elsewhere"), (50, "level"), (64, "polarity")]
+    level, swap, moved, whole, _ = verdict.differences
+    assert (level.actuators, swap.actuators) == ((3,), (2, 7))
+    assert (level.level_db, whole.level_db) == pytest.approx((-1.94, -1.94), abs=0.3)
+    assert moved.place_mm == pytest.approx(tuple(place_mm), abs=1.5)
+
+
+def test_left_out_errors_by_waves_are_those_of_the_dense_covariance(coarse: np.ndarray) -> None:
+    """By solving with the covariance matrix of the rows that stay, written down as it is defined."""
+    spectra = RowsAtFrequencies(*coarse.shape, RATE_HZ, BAND_HZ)
+    for position, green in enumerate(coarse):
+        spectra.set(position, green)
+    position_mm = np.vstack([COARSE_MM, CHECKS_MM])
+    usable = np.arange(len(coarse)) != 5
+    rows = RowsByWaves(position_mm, ACTUATOR_MM, spectra.values, spectra.frequency_hz, usable)
+    out, actuator, number = np.array([20, 31]), 4, 20
+    errors, variance = rows.errors_without(actuator, out)
+    assert np.isnan(errors[5]).all()
+    waves, shares = rows._waves[number]
+    x, _, _, noise = waves._scaled(actuator, shares)
+    power = np.sqrt(np.square(np.abs(spectra.values[usable, actuator, number])).mean())
+    covariance = power**2 * noise[:, None] * (x @ x.conj().T + np.eye(len(x))) * noise
+    values = spectra.values[usable, actuator, number]
+    place = np.flatnonzero(usable)
+    for position in (0, 20, 40):
+        stays = ~np.isin(place, [position, *out])
+        one = int(np.flatnonzero(place == position)[0])
+        weights = np.linalg.solve(covariance[np.ix_(stays, stays)], covariance[stays, one]).conj()
+        assert errors[position, number] == pytest.approx(values[one] - weights @ values[stays], rel=1e-3)
+        expected = covariance[one, one].real - (weights @ covariance[stays, one]).real
+        assert variance[position, number] == pytest.approx(expected, rel=1e-3)

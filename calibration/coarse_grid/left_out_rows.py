@@ -1,0 +1,126 @@
+"""Rows of a bank predicted by the waves of all others, each left out in turn.
+
+With C the covariance of what is measured and M = (C^-1)_TT^-1, the errors at positions T that are left out together are
+``M (C^-1 d)_T``, and M their covariance. In the terms of `posterior`, C^-1 = D^(-1/2) (1 - E E*) D^(-1/2) with
+E = X B^(-1/2) (Woodbury). S. Sundararajan and S. Keerthi, Neural Computation 13, 1103 (2001).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wavefocus.calibration import BoolArray, Complex64Array, Complex128Array, Float64Array, Int64Array
+from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.calibration.coarse_grid.rim_waves import MIN_POSITIONS, grid_spacing_mm, judging_waves
+from wavefocus.calibration.numerics import on_a_line
+
+MAX_ROWS = 12_000
+"""More rows take over half a gigabyte, and lie on a grid fine enough for their neighbours."""
+MIN_FREE = 1e-6
+"""Least part of a row's variance that the others leave open."""
+
+
+class RowsByWaves:
+    """Leave-one-out predictions of all rows of a bank by waves from the actuators and from the rim.
+
+    position_mm, float64 (positions, 2): In millimetres.
+    actuator_mm, float64 (actuators, 2): Finite.
+    values, complex128 (positions, actuators, frequencies): Fourier transforms of the rows.
+    frequency_hz, float64 (frequencies,): Ascending, > 0.
+    usable, bool (positions,): Rows that are there.
+    sound, bool (positions,): Rows that wave numbers and shares are found from; by default all that are usable.
+
+    spacing_mm: Median distance of neighbouring positions.
+    neighbours: Of each position that can be predicted, itself and all others, the nearest first.
+    """
+
+    def __init__(
+        self,
+        position_mm: Float64Array,
+        actuator_mm: Float64Array,
+        values: Complex128Array,
+        frequency_hz: Float64Array,
+        usable: BoolArray,
+        sound: BoolArray | None = None,
+    ) -> None:
+        self.values, self._usable = values, usable
+        self._actuator_mm, self._frequency_hz = actuator_mm, frequency_hz
+        self._position_mm, self._rows = position_mm, np.flatnonzero(usable)
+        self._number = np.full(len(values), -1)
+        self._number[self._rows] = np.arange(len(self._rows))
+        placed_mm = position_mm[self._rows]
+        gap_mm = placed_mm[:, None] - placed_mm
+        near = np.argsort(np.hypot(gap_mm[..., 0], gap_mm[..., 1]), axis=1, kind="stable")
+        self.spacing_mm = grid_spacing_mm(placed_mm)
+        self.neighbours: dict[int, Int64Array] = {
+            int(row): self._rows[np.append(number, order[order != number])].astype(np.int64)
+            for number, (row, order) in enumerate(zip(self._rows, near, strict=True))
+        }
+        with one_blas_thread():
+            transfer = values[self._rows].transpose(2, 0, 1)
+            some = None if sound is None else np.flatnonzero(sound[self._rows])
+            self._waves = judging_waves(frequency_hz, placed_mm, actuator_mm, transfer, some)
+            solved = [waves.whitened(shares) for waves, shares in self._waves]
+        self._explained: Complex64Array = np.stack([part[0].astype(np.complex64) for part in solved], axis=1)
+        self._left: Complex128Array = np.stack([part[1] for part in solved], axis=1)
+        self._noise: Float64Array = np.stack([part[2] for part in solved], axis=1)
+
+    def found_from(self, sound: BoolArray) -> RowsByWaves:
+        """The same rows, with wave numbers and shares found from some positions only."""
+        return RowsByWaves(self._position_mm, self._actuator_mm, self.values, self._frequency_hz, self._usable, sound)
+
+    def errors(self) -> tuple[Complex128Array, Float64Array]:
+        """Error of every row, left out, and its expected square, (positions, actuators, frequencies); NaN if none."""
+        errors = np.full(self.values.shape, np.nan + 0j)
+        variance = np.full(self.values.shape, np.nan)
+        free = np.maximum(1.0 - np.square(np.abs(self._explained)).sum(axis=3, dtype=np.float64), MIN_FREE)
+        errors[self._rows] = (self._noise * self._left / free).transpose(2, 0, 1)
+        variance[self._rows] = (np.square(self._noise) / free).transpose(2, 0, 1)
+        return errors, variance
+
+    def errors_without(self, actuator: int, out: Int64Array) -> tuple[Complex128Array, Float64Array]:
+        """As `errors`, of one actuator's rows and with some positions left out of all predictions as well.
+
+        Returns errors, variance : (positions, frequencies).
+        """
+        errors = np.full((len(self.values), self.values.shape[2]), np.nan + 0j)
+        variance = np.full(errors.shape, np.nan)
+        number = self._number[out]
+        explained, left, noise = self._explained[actuator], self._left[actuator], self._noise[actuator]
+        of_out = explained[:, number].astype(np.complex128)
+        inverse = np.linalg.inv(np.eye(len(out)) * (1.0 + MIN_FREE) - of_out @ of_out.conj().swapaxes(1, 2))
+        between = -(explained @ of_out.conj().swapaxes(1, 2).astype(np.complex64))
+        weights = between @ inverse
+        free = 1.0 - np.square(np.abs(explained)).sum(axis=2, dtype=np.float64)
+        free = np.maximum(free - (weights * between.conj()).sum(axis=2).real, MIN_FREE)
+        found = (left - (weights @ left[:, number, None])[..., 0]) / free
+        found[:, number] = (inverse @ left[:, number, None])[..., 0]
+        free[:, number] = 1.0 / np.maximum(np.diagonal(inverse, axis1=1, axis2=2).real, 1.0)
+        errors[self._rows], variance[self._rows] = (noise * found).T, (np.square(noise) / free).T
+        return errors, variance
+
+    def at(self, position: int, offset_mm: Float64Array) -> Complex128Array:
+        """Rows at places near a position, from all others, (places, actuators, frequencies).
+
+        A position counts for nothing where it has what the others predict of it instead of what was measured there.
+        """
+        measured = self.values[self._rows]
+        measured[self._number[position]] -= self.errors()[0][position]
+        points_mm = self._position_mm[position] + offset_mm
+        found = [
+            waves.at_points(points_mm, shares, measured[..., number])
+            for number, (waves, shares) in enumerate(self._waves)
+        ]
+        return np.stack(found, axis=2)
+
+
+def can_be_modelled(position_mm: Float64Array, actuator_mm: Float64Array, usable: BoolArray) -> bool:
+    """Whether waves can predict the rows of a bank: actuators' places are there, and positions not few or on a line."""
+    places_mm = position_mm[usable]
+    return bool(
+        len(places_mm) > MIN_POSITIONS
+        and len(places_mm) * len(actuator_mm) <= MAX_ROWS
+        and np.isfinite(actuator_mm).all()
+        and np.isfinite(places_mm).all()
+        and not on_a_line(places_mm)
+    )
