@@ -38,8 +38,8 @@ MIN_DIFFERENCE = 0.02
 """Relative to the row; smaller differences are not looked for."""
 LENIENCY_OF_WAVES, MIN_DIFFERENCE_BY_WAVES = 2.5, 0.04
 """Waves miss more at the far edge than what is learned nearer to the actuator: up to 12 times the mean square there."""
-MIN_SHARE_BY_WAVES = 0.004
-"""Smaller differences, relative to the mean level of the actuator's rows, are not looked for: faint rows are mostly
+MIN_SHARE_BY_WAVES = 0.01
+"""Smaller differences, relative to the median level of the actuator's rows, are not looked for: faint rows are mostly
 what the waves leave of loud ones."""
 MIN_PREDICTION_ERROR = 0.002
 """No prediction is taken to be better than this."""
@@ -172,8 +172,8 @@ class NeighbourJudge:
             return
         self._near_field = self._near_field_of(self._actuator_mm)
         level = np.linalg.norm(self._values, axis=2)
-        mean = np.sqrt(np.square(level[self._all]).mean(axis=0))
-        self._faintness: Float64Array = mean / np.maximum(level, 1e-6 * mean + np.finfo(np.float64).tiny)
+        usual_level = np.median(level[self._all], axis=0)
+        self._faintness: Float64Array = usual_level / np.maximum(level, 1e-9 * usual_level + np.finfo(np.float64).tiny)
         self._users: dict[int, list[int]] = {}
         for position, around in self._neighbours.items():
             for row in around[1:].tolist():
@@ -342,7 +342,7 @@ class NeighbourJudge:
         usual = self._usual(self._misses, nearest) if strict else np.ones_like(misses)
         usual_factor = self._usual(by_factor, nearest) if strict else np.ones_like(misses)
         usual, usual_factor = usual * self._one_sided[positions], usual_factor * self._one_sided[positions]
-        usual, usual_factor = leniency * usual, leniency * usual_factor
+        usual, usual_factor = np.maximum(usual, leniency), np.maximum(usual_factor, leniency)
         found = (misses > MISSES * usual) & (misses * len(self._frequency_hz) > np.square(least) * weight)
         found |= (by_factor[positions] > FACTOR * usual_factor) & (off > least)
         # All of a position by one factor: the median over its rows shows less than each of them could.

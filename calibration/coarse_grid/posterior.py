@@ -184,9 +184,9 @@ class FrequencyWaves:
         parts = []
         for actuator, power in enumerate(self._power.tolist()):
             x, y, _, noise = self._scaled(actuator, shares)
-            _, half = _factor(x)
+            half = _inverse_of(_factor(x))
             explained = x @ half.conj().T
-            parts.append((explained, y - explained @ (explained.conj().T @ y), noise * np.sqrt(power)))
+            parts.append((explained, y - explained @ (y.conj() @ explained).conj(), noise * np.sqrt(power)))
         explained_all, left, noise_all = zip(*parts, strict=True)
         return np.stack(explained_all), np.stack(left), np.stack(noise_all)
 
@@ -195,7 +195,7 @@ class FrequencyWaves:
         other = copy(self)
         other._values = transfer / np.sqrt(self._power)
         strength = other.strengths(shares)
-        own, _ = waves_of_actuators(self.wavenumber, self._share, points_mm, self._actuator_mm)
+        (own,), _ = waves_of_actuators([self.wavenumber], self._share, points_mm, self._actuator_mm)
         sources = outgoing(self.wavenumber, distances_mm(points_mm, self._ring_mm))
         return np.asarray(np.einsum("cpa,ca->pa", own, strength[: len(own)]) + sources @ strength[len(own) :])
 

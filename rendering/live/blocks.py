@@ -119,7 +119,7 @@ class CrossfadedBlocks:
         """Rows whose spectra are kept in memory."""
         if finer is not None and finer.count > self.most_rows:
             raise InputError(
-                f"interpolation is 'kernel', and {finer.count} rows between the positions do not fit into"
+                f"the {finer.count} rows between the positions that the interpolation makes do not fit into"
                 f" {CACHE_BYTES / 2**30:g} GiB; use 'nearest'"
             )
         self._row_filter = lru_cache(self.most_rows)(self._make_row_filter)

@@ -17,7 +17,7 @@ from wavefocus.rendering.greens.regularisation import BankRows
 from wavefocus.rendering.greens.source import GreenSource
 from wavefocus.rendering.live.blocks import CrossfadedBlocks
 from wavefocus.rendering.live.emitted import Emitted, default_signal, live_samples
-from wavefocus.rendering.live.finer import FinerRows
+from wavefocus.rendering.live.finer import finer_rows
 from wavefocus.rendering.live.lives import JUMP_MM_S, LOOK_S, VELOCITY_S, Life, Timing, trajectory
 from wavefocus.rendering.live.surface import PlayableSurface
 from wavefocus.rendering.scene.signals import Signal
@@ -84,7 +84,8 @@ class LiveEngine:
     block_samples: Drive samples of a block, at the bank's rate, B.
     look_ahead_samples: By how much sources lag their positions, >= 0.
     regularisation, interpolation: As of a scene; sources that are independent are as
-        `wavefocus.rendering.live.independent` has them. An interpolation that prepares paths beforehand is refused.
+        `wavefocus.rendering.live.independent` has them. Of "kernel", "waves" and "auto" the rows between positions are
+        made before the first block.
     hold_s: For how long a source goes on at its last velocity without a position.
     fade_s: Duration of each fade.
     most_sources: Names that may sound at a time.
@@ -123,7 +124,9 @@ class LiveEngine:
         self.frame_rate_hz = self.rate_hz if frame_rate_hz is None else frame_rate_hz
         self._look_ahead, self._most_sources = look_ahead_samples, most_sources
         regularisation = Regularisation() if regularisation is None else regularisation
-        finer = FinerRows(bank) if interpolation == "kernel" else None
+        default = default_signal(bank) if signal is None else signal
+        default_samples = live_samples(default, self.rate_hz)
+        interpolation, finer = finer_rows(bank, interpolation, default_samples)
         self._surface = PlayableSurface(bank, interpolation, self._read, finer)
         self._blocks = CrossfadedBlocks(
             BankRows(bank, regularisation),
@@ -141,8 +144,7 @@ class LiveEngine:
             hold=max(1, round(hold_s * self.rate_hz)), velocity=round(VELOCITY_S * self.rate_hz),
             jump_mm_per_sample=JUMP_MM_S / self.rate_hz,
         )  # fmt: skip
-        default = default_signal(bank) if signal is None else signal
-        self._default = Emitted(default, live_samples(default, self.rate_hz), repeat=True)
+        self._default = Emitted(default, default_samples, repeat=True)
         self._record, self._positions = record, bank.positions
         self._most: int | None = None  # sources that sound, the first ones
         self._sources: dict[str, _Source] = {}

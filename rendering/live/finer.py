@@ -1,19 +1,22 @@
-"""Filters at places between a bank's positions, by kernel interpolation at the frequencies of live blocks."""
+"""Filters at places between a bank's positions, at the frequencies of live blocks: by the kernel, or by waves."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.wave_model import PatchKernel
 from wavefocus.rendering.arrays import Float64Array, Int64Array
+from wavefocus.rendering.greens.interpolation.auto import choose_interpolation
 from wavefocus.rendering.greens.interpolation.base import SparseError
 from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
-from wavefocus.rendering.greens.source import GreenSource, usable
+from wavefocus.rendering.greens.interpolation.waves import WavesInterpolation
+from wavefocus.rendering.greens.source import GreenSource, apply_exponent, usable, well_measured
 from wavefocus.rendering.live.independent import Complex64Array
 from wavefocus.storage.errors import InputError
 
@@ -25,10 +28,101 @@ MIN_SHARED = 8
 most positions of a grid have one shape, and those near a curved rim one each."""
 
 
-class FinerRows:
-    """A lattice of places finer than the bank's grid, and the filters at those between its positions.
+AUTO_PLACES = 40
+"""Places between the positions at which the interpolation of least expected error is chosen."""
 
-    Its rows are those of the bank, and behind them those between. A filter is the same for all samples, so that weights
+
+def finer_rows(bank: GreenSource, interpolation: str, signal: Float64Array) -> tuple[str, FinerRows | None]:
+    """The interpolation in use, "auto" resolved, and the rows between the bank's that it takes, if any.
+
+    signal: What sources emit, at the bank's rate; "auto" takes what errs least in its band.
+
+    Raises InputError: the bank does not allow the interpolation.
+    """
+    if interpolation == "auto":
+        between_mm = _between(np.asarray(bank.position_mm, dtype=np.float64)[well_measured(bank)])
+        places_mm = between_mm[np.linspace(0, len(between_mm) - 1, AUTO_PLACES).astype(np.int64)]
+        interpolation = choose_interpolation(bank, places_mm, [signal]).name
+    if interpolation == "waves":
+        return interpolation, WaveRowsBetween(bank)
+    return interpolation, KernelRowsBetween(bank) if interpolation == "kernel" else None
+
+
+class FinerRows(Protocol):
+    """Places finer than the bank's grid, and filters at those between its positions."""
+
+    count: int
+    """Number of rows between the bank's; their numbers follow on the bank's."""
+
+    def nearest(self, at_mm: Float64Array) -> Int64Array:
+        """Rows (n,) nearest to places (n, 2)."""
+        ...
+
+    def filters(self, of_row: Callable[[int], Complex64Array], bin_hz: Float64Array) -> Complex64Array:
+        """Filters of time reversal of the rows between, complex64 (count, actuators, bins).
+
+        of_row: Those of a row of the bank, (actuators, bins). bin_hz, float64 (bins,): Multiples of one frequency,
+            from 0 on.
+        """
+        ...
+
+
+def _between(position_mm: Float64Array) -> Float64Array:
+    """Places (n, 2) at most `PITCH_MM` apart within the hull of positions, and not on one of them.
+
+    Raises InputError: the positions are too few or on a line.
+    """
+    from scipy.spatial import Delaunay, QhullError
+
+    grid = PositionGrid(position_mm)
+    try:
+        hull = Delaunay(position_mm)
+    except (QhullError, ValueError):
+        raise InputError(
+            "interpolation is 'waves' or 'auto', but the measured positions are too few or on one line; use 'nearest'"
+        ) from None
+    axes = [np.arange(low, high, PITCH_MM) for low, high in zip(position_mm.min(0), position_mm.max(0), strict=True)]
+    places_mm = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    away_mm = grid.nearest(places_mm)[1]
+    inside = (hull.find_simplex(places_mm) >= 0) & (away_mm > PITCH_MM / 2) & (away_mm <= grid.spacing_mm)
+    return places_mm[inside]
+
+
+class WaveRowsBetween:
+    """Rows by waves from the actuators and from the rim, as `WavesInterpolation` has them (`FinerRows`).
+
+    Raises InputError: the bank does not allow waves.
+    """
+
+    def __init__(self, bank: GreenSource) -> None:
+        self._method, self._rate_hz = WavesInterpolation(bank), float(bank.sample_rate_hz)
+        own_mm = self._method.grid.position_mm
+        between_mm = _between(own_mm)
+        self.count = len(between_mm)
+        self._added = self._method.rows.add(between_mm)
+        self._grid = PositionGrid(np.concatenate([own_mm, between_mm]))
+        self._row = np.concatenate([self._method.grid_row, bank.positions + np.arange(self.count)])
+
+    def nearest(self, at_mm: Float64Array) -> Int64Array:
+        """See `FinerRows`."""
+        return np.asarray(self._row[self._grid.nearest(at_mm)[0]])
+
+    def filters(self, of_row: Callable[[int], Complex64Array], bin_hz: Float64Array) -> Complex64Array:
+        """See `FinerRows`."""
+        samples = round(self._rate_hz * (len(bin_hz) - 1) / bin_hz[-1])
+        rows, exponent = self._method.rows, self._method.waves.exponent
+        found = np.empty((self.count, rows.actuators, len(bin_hz)), np.complex64)
+        with one_blas_thread():
+            for number, row in enumerate(self._added.tolist()):
+                green = apply_exponent(rows.green(row), -exponent)
+                found[number] = np.fft.rfft(green, n=samples, axis=1)[:, : len(bin_hz)].conj()
+        return found
+
+
+class KernelRowsBetween:
+    """Rows on a lattice finer than the bank's, by the kernel (`FinerRows`).
+
+    A filter is the same for all samples, so that weights
     of neighbours are taken at the frequencies of blocks; what would come before the first tap or after the last is
     not cut.
 
@@ -67,14 +161,11 @@ class FinerRows:
         self.count = len(between_mm)
 
     def nearest(self, at_mm: Float64Array) -> Int64Array:
-        """Rows (n,) nearest to places (n, 2)."""
+        """See `FinerRows`."""
         return self._grid.nearest(at_mm)[0]
 
     def filters(self, of_row: Callable[[int], Complex64Array], bin_hz: Float64Array) -> Complex64Array:
-        """Filters of time reversal of the rows between, complex64 (count, actuators, bins).
-
-        of_row: Those of a row of the bank, (actuators, bins). bin_hz, float64 (bins,): Frequencies.
-        """
+        """See `FinerRows`."""
         waves, made, key = self._kernel.waves.at(bin_hz), [], b""
         with one_blas_thread():
             for patch in self._patches:

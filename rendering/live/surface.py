@@ -27,7 +27,7 @@ HULL_LOOKS, MAX_HULL_LOOKS = 3.0, 1e6
 class PlayableSurface:
     """Places of a bank from which the interpolation can be made; a row is read when a place first needs it.
 
-    interpolation: "nearest", "bilinear" or "kernel": the nearest of `finer` rows then.
+    interpolation: "nearest" or "bilinear"; "kernel" or "waves": the nearest of `finer` rows then.
     read: Reads a row. Raises InputError where it may not be used.
 
     Raises InputError: the bank does not allow the interpolation, or no position was measured.
@@ -45,7 +45,7 @@ class PlayableSurface:
         if not issubclass(method, GridInterpolation):
             raise InputError(
                 f"interpolation is {interpolation!r}, which prepares a path beforehand; live sources need 'nearest',"
-                " 'bilinear' or 'kernel'"
+                " 'bilinear', 'kernel', 'waves' or 'auto'"
             )
         if reason := getattr(bank, "import_facts", {}).get("unsuited", {}).get(interpolation):
             raise InputError(f"interpolation is {interpolation!r}, and the bank was imported: {reason}; use 'nearest'")

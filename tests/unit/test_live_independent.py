@@ -10,7 +10,7 @@ from wavefocus.config.scene import Regularisation
 from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.live.engine import LiveEngine
-from wavefocus.rendering.live.finer import FinerRows
+from wavefocus.rendering.live.finer import KernelRowsBetween
 from wavefocus.rendering.live.independent import MAX_ENERGY, independent_filters
 from wavefocus.rendering.scene.signals import Noise
 from wavefocus.storage.errors import InputError
@@ -148,7 +148,7 @@ def test_given_fingers_that_come_near_and_part_then_the_engine_says_while_their_
 
 
 def test_finer_rows_are_those_of_kernel_interpolation():
-    kernel, finer = KernelInterpolation(BANK, BANK.position_mm), FinerRows(BANK)
+    kernel, finer = KernelInterpolation(BANK, BANK.position_mm), KernelRowsBetween(BANK)
     samples, bins = 4 * TAPS, 60
 
     def filters_of(row: int) -> np.ndarray:

@@ -13,6 +13,8 @@ from wavefocus.rendering.greens.interpolation import waves as waves_module
 from wavefocus.rendering.greens.interpolation.auto import choose_interpolation
 from wavefocus.rendering.greens.interpolation.base import interpolation_method
 from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.live.engine import LiveEngine
+from wavefocus.rendering.live.finer import finer_rows
 from wavefocus.rendering.scene.model import Scene, Source
 from wavefocus.rendering.scene.paths import Circle
 from wavefocus.rendering.scene.signals import Noise
@@ -107,6 +109,25 @@ def test_auto_takes_waves_by_the_check_positions_on_a_coarse_grid(coarse):
     assert method.choice.judged_by == "check positions"
     assert method.choice.errors["waves"] < 0.1
     assert min(error for name, error in method.choice.errors.items() if name != "waves") > 0.4
+
+
+@pytest.mark.parametrize("interpolation", ["waves", "auto"])
+def test_live_sources_take_rows_between_the_positions_of_a_coarse_grid(coarse, interpolation):
+    engine = LiveEngine(coarse, block_samples=10, look_ahead_samples=0, interpolation=interpolation)
+    name, finer = finer_rows(coarse, interpolation, SIGNAL)
+    assert name == "waves"
+    places_mm = np.array([[-13.0, 6.0], [17.0, -20.0], [5.0, 16.0]])
+    rows = finer.nearest(places_mm)
+    assert (rows >= coarse.positions).all()
+    assert np.hypot(*(finer._grid.nearest(places_mm)[1], 0.0)).max() < 1.5
+    hz = np.arange(0, 401) * 1.0
+    filters = finer.filters(lambda row: np.zeros(0), hz)[rows - coarse.positions][..., 150:401:50]
+    at_mm = finer._grid.position_mm[finer._grid.nearest(places_mm)[0]]
+    turn = np.exp(-2j * np.pi * np.outer(np.arange(TAPS), hz[150:401:50] / RATE_HZ))
+    truth = (responses(at_mm) @ turn).conj() * 2.0**-finer._method.waves.exponent
+    assert np.linalg.norm(filters - truth) < 0.1 * np.linalg.norm(truth)
+    engine.move("finger", (5.0, 16.0))
+    assert np.abs(engine.next_block()).max() > 0
 
 
 def test_auto_says_that_nothing_judges_a_coarse_grid_without_check_positions(small):

@@ -14,7 +14,7 @@ from wavefocus.config.scene import Output, Regularisation
 from wavefocus.console import progress
 from wavefocus.drives import naming
 from wavefocus.live_session.session import LiveSession, Publish
-from wavefocus.rendering.greens.source import usable
+from wavefocus.rendering.greens.source import is_check, usable
 from wavefocus.rendering.live.engine import LiveEngine
 from wavefocus.rendering.live.limiter import LiveLimiter
 from wavefocus.rendering.live.recording import SessionRecording
@@ -102,9 +102,12 @@ def open_session(
 
         with naming(options.scene_file or bank, view):
             # Finer rows take seconds, and warm nothing up.
-            warm = "nearest" if output.interpolation == "kernel" else output.interpolation
+            warm = "nearest" if output.interpolation in ("kernel", "waves", "auto") else output.interpolation
             _warm_up(*engine_and_limiter(warm), view)
-            finest = "kernel" if options.independent and options.scene_file is None else output.interpolation
+            finest = output.interpolation
+            if options.independent and options.scene_file is None:
+                # Check positions are of grids too coarse for the kernel.
+                finest = "waves" if is_check(view).any() else "kernel"
             try:
                 engine, limiter = engine_and_limiter(finest)
             except InputError:
