@@ -9,7 +9,7 @@ import pytest
 from scipy.special import h2vp, hankel2, jv, jvp
 
 from wavefocus.calibration.coarse_grid.posterior import FIRST_SHARES, FrequencyWaves
-from wavefocus.calibration.coarse_grid.rim_waves import RimWaves, at_edge, judged_by_checks
+from wavefocus.calibration.coarse_grid.rim_waves import RimWaves, at_edge, judged_by_checks, judged_frequencies
 from wavefocus.calibration.coarse_grid.waves import Dispersion, distances_mm, outgoing, outgoing_at_all, rim_ring
 
 RADIUS_MM = 55.0
@@ -143,6 +143,12 @@ def test_check_positions_scale_the_bounds(coarse, random_mm):
     assert 3.0 < judged.deviation_scale[0] < 4.5
     wider = judged.deviations(random_mm, [0]) / model.deviations(random_mm, [0])
     assert np.allclose(wider, judged.deviation_scale[0])
+
+
+def test_bounds_are_judged_more_often_than_errors_come_and_go():
+    """Errors of a plate may be small every 25 Hz: its bins are 4.6 Hz apart, and judged at every other one."""
+    bins_hz = 13.9 + 4.63 * np.arange(126)
+    assert np.diff(bins_hz[judged_frequencies(bins_hz)]).max() < 10.0
 
 
 def glass_response(points_mm, sources_mm, size_mm=(200.0, 120.0), wavenumber=0.0424, quality=100.0):
