@@ -281,17 +281,19 @@ def _unpack(made: Path, folder: Path, last: str) -> None:
 def _clear(folder: Path, name: str, owner: PositionedFile | None) -> None:
     """Remove a folder, its owner's file last."""
     try:
-        for left in folder.iterdir():
-            if left.name == _OWNER or not _is_ours(left.name, name):
-                continue
-            if left.is_dir() and not left.is_symlink():
-                shutil.rmtree(left)
-            else:
-                left.unlink()
-        if sys.platform == "win32" and owner is not None:  # no file is removed there while it is open
-            owner.close()
-        (folder / _OWNER).unlink(missing_ok=True)
-        folder.rmdir()
+        # Once its owner's file is gone, another process may take the folder for a leftover and remove it first.
+        with contextlib.suppress(FileNotFoundError):
+            for left in folder.iterdir():
+                if left.name == _OWNER or not _is_ours(left.name, name):
+                    continue
+                if left.is_dir() and not left.is_symlink():
+                    shutil.rmtree(left)
+                else:
+                    left.unlink()
+            if sys.platform == "win32" and owner is not None:  # no file is removed there while it is open
+                owner.close()
+            (folder / _OWNER).unlink(missing_ok=True)
+            folder.rmdir()
     finally:
         if owner is not None:
             owner.close()

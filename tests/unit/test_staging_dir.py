@@ -41,6 +41,17 @@ def test_given_a_maker_that_fails_then_its_workplace_is_gone(tmp_path: Path) -> 
     assert names(tmp_path) == []
 
 
+def test_given_another_process_that_removes_the_empty_folder_first_then_what_was_made_stands(tmp_path: Path) -> None:
+    path = tmp_path / "bank.h5"
+    with staging_dir(path) as place:
+        place.temporary.write_bytes(b"whole")
+        place.temporary.replace(path)
+        (place.temporary.parent / "owner").unlink()
+        clear_leftovers(tmp_path, path.name)
+    assert path.read_bytes() == b"whole"
+    assert names(tmp_path) == ["bank.h5"]
+
+
 @pytest.mark.parametrize("files", [{}, {"owner": b""}, {"owner": b"", "made": b"half"}, {"made": b"half"}])
 def test_given_what_a_killed_maker_left_then_it_is_removed(tmp_path: Path, files: dict[str, bytes]) -> None:
     leftover(tmp_path / "bank.h5", **files)

@@ -142,7 +142,9 @@ def second_process(campaign: Campaign, chance: random.Random, share: Share) -> G
             if not _stopped(pid):
                 campaign.processes.wait()
                 continue
-            owned = campaign.bank.exists() and campaign.bank.with_name(campaign.bank.name + ".owner").exists()
+            named = campaign.bank.with_name(campaign.bank.name + ".owner")
+            # Between its making and its writing the name is empty: the owner is another process, unnamed.
+            owned = campaign.bank.exists() and named.exists() and named.stat().st_size > 0
             rival.start(*(campaign.resume if owned else campaign.capture))
             if kill:
                 time.sleep(chance.uniform(0, 0.15))
