@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from wavefocus.calibration import BoolArray, Complex128Array, Float64Array, Int64Array
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.coarse_grid.left_out_rows import RowsByWaves, can_be_modelled
-from wavefocus.calibration.coarse_grid.rim_waves import MIN_POSITIONS
 from wavefocus.calibration.neighbour_difference import (
     EXPLAINED,
     NeighbourDifference,
@@ -210,9 +209,9 @@ class NeighbourJudge:
             with one_blas_thread():
                 self._search()
                 sound: BoolArray = np.asarray(~self._out.any(axis=1))
-                if isinstance(self._rows, RowsByWaves) and not sound.all() and sound[self._all].sum() > MIN_POSITIONS:
-                    # Wrong rows had a part in the waves that were found.
-                    self._predict_by(self._rows.found_from(sound))
+                # Wrong rows had a part in the waves that were found.
+                if isinstance(self._rows, RowsByWaves) and not sound.all() and (anew := self._rows.found_from(sound)):
+                    self._predict_by(anew)
                     self._search()
         if self._renewed > self._most_renewed or self._out.sum() > MAX_OUT * len(self._all) * self._out.shape[1]:
             return NeighbourResult((), np.zeros_like(self.judged), incoherent=True)

@@ -11,7 +11,6 @@ import numpy as np
 
 from wavefocus.calibration import BoolArray, Complex64Array, Complex128Array, Float64Array, Int64Array
 from wavefocus.calibration.blas import one_blas_thread
-from wavefocus.calibration.coarse_grid.rim_waves import MIN_POSITIONS, grid_spacing_mm, judging_waves
 from wavefocus.calibration.numerics import on_a_line
 
 MAX_ROWS = 12_000
@@ -43,6 +42,9 @@ class RowsByWaves:
         usable: BoolArray,
         sound: BoolArray | None = None,
     ) -> None:
+        # SciPy's optimisation and interpolation are slow to load: only for who judges a coarse grid.
+        from wavefocus.calibration.coarse_grid.rim_waves import grid_spacing_mm, judging_waves
+
         self.values, self._usable = values, usable
         self._actuator_mm, self._frequency_hz = actuator_mm, frequency_hz
         self._position_mm, self._rows = position_mm, np.flatnonzero(usable)
@@ -65,8 +67,10 @@ class RowsByWaves:
         self._left: Complex128Array = np.stack([part[1] for part in solved], axis=1)
         self._noise: Float64Array = np.stack([part[2] for part in solved], axis=1)
 
-    def found_from(self, sound: BoolArray) -> RowsByWaves:
-        """The same rows, with wave numbers and shares found from some positions only."""
+    def found_from(self, sound: BoolArray) -> RowsByWaves | None:
+        """The same rows, with wave numbers and shares found from some positions only; None where these are too few."""
+        if not can_be_modelled(self._position_mm, self._actuator_mm, self._usable & sound):
+            return None
         return RowsByWaves(self._position_mm, self._actuator_mm, self.values, self._frequency_hz, self._usable, sound)
 
     def errors(self) -> tuple[Complex128Array, Float64Array]:
@@ -116,6 +120,8 @@ class RowsByWaves:
 
 def can_be_modelled(position_mm: Float64Array, actuator_mm: Float64Array, usable: BoolArray) -> bool:
     """Whether waves can predict the rows of a bank: actuators' places are there, and positions not few or on a line."""
+    from wavefocus.calibration.coarse_grid.rim_waves import MIN_POSITIONS
+
     places_mm = position_mm[usable]
     return bool(
         len(places_mm) > MIN_POSITIONS
