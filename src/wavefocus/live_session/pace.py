@@ -24,7 +24,7 @@ class Pace:
 
     Computing is slow while the latest blocks took more than 0.8 of their time on average. Where it is slow and less
     than 0.4 of what is to wait is left to be played, the latest source is left out, then the one before it; one
-    remains. Where it was not slow for 2 s, one is taken back; for twice as long after each relapse, up to 16 s. A
+    remains. Where that was not so for 2 s, one is taken back; for twice as long after each relapse, up to 16 s. A
     player that ran dry without computing being slow was stalled, which fewer sources would not mend.
 
     block_s: Time of a block. ahead_s: What is to wait to be played.
@@ -59,9 +59,10 @@ class Pace:
         self._since_faster_s += self._block_s
         low = waiting_s < LEFT_SHARE * self._ahead_s
         self._filled |= not low
-        if self._slow:
+        if self._slow and low:
             self._calm_s = 0.0
-            return "slower" if low and self._filled and self._slower(sources) else None
+            return "slower" if self._filled and self._slower(sources) else None
+        # Some slow blocks in a row are no reason to wait longer while enough is left to be played.
         self._calm_s += self._block_s
         return "faster" if self._calm_s >= self._needed_s and self._faster(sources) else None
 
