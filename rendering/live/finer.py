@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.calibration.wave_model import PatchKernel
 from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.rendering.greens.interpolation.auto import choose_interpolation
@@ -41,7 +42,9 @@ def finer_rows(bank: GreenSource, interpolation: str, signal: Float64Array) -> t
     """
     if interpolation == "auto":
         between_mm = _between(np.asarray(bank.position_mm, dtype=np.float64)[well_measured(bank)])
-        places_mm = between_mm[np.linspace(0, len(between_mm) - 1, AUTO_PLACES).astype(np.int64)]
+        if not len(between_mm):
+            return "nearest", None  # the positions are as near to one another as such rows would be
+        places_mm = between_mm[evenly_spread(len(between_mm), AUTO_PLACES)]
         interpolation = choose_interpolation(bank, places_mm, [signal]).name
     if interpolation == "waves":
         return interpolation, WaveRowsBetween(bank)
@@ -122,9 +125,8 @@ class WaveRowsBetween:
 class KernelRowsBetween:
     """Rows on a lattice finer than the bank's, by the kernel (`FinerRows`).
 
-    A filter is the same for all samples, so that weights
-    of neighbours are taken at the frequencies of blocks; what would come before the first tap or after the last is
-    not cut.
+    A filter is the same for all samples, so that weights of neighbours are taken at the frequencies of blocks; what
+    would come before the first tap or after the last is not cut.
 
     Raises InputError: the grid is not a lattice, or too coarse or too small for the kernel.
     """

@@ -10,7 +10,7 @@ from wavefocus.config.scene import Regularisation
 from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.live.engine import LiveEngine
-from wavefocus.rendering.live.finer import KernelRowsBetween
+from wavefocus.rendering.live.finer import KernelRowsBetween, finer_rows
 from wavefocus.rendering.live.independent import MAX_ENERGY, independent_filters
 from wavefocus.rendering.scene.signals import Noise
 from wavefocus.storage.errors import InputError
@@ -164,6 +164,14 @@ def test_finer_rows_are_those_of_kernel_interpolation():
         mine = found[int(finer.nearest(place_mm[None])[0]) - BANK.positions][:, band]
         reference = filters_of(int(kernel.add(place_mm[None])[0]))[:, band]
         assert np.linalg.norm(mine - reference) < 0.02 * np.linalg.norm(reference)
+
+
+def test_given_a_grid_as_fine_as_such_rows_then_auto_takes_the_nearest_position():
+    step_mm = np.arange(8.0)
+    position_mm = np.stack(np.meshgrid(step_mm, step_mm), axis=-1).reshape(-1, 2)
+    green = np.random.default_rng(0).standard_normal((64, 3, 200))
+    bank = GreenArray(green, position_mm, 2000.0, actuator_mm=np.array([[-40.0, 0.0], [40.0, 0.0], [0.0, 40.0]]))
+    assert finer_rows(bank, "auto", np.ones(100)) == ("nearest", None)
 
 
 @pytest.mark.parametrize(

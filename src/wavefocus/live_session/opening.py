@@ -113,7 +113,7 @@ def open_session(
             except InputError:
                 if finest == output.interpolation:
                     raise
-                finest = output.interpolation  # the grid does not allow the kernel
+                finest = output.interpolation  # the bank does not allow the finer rows
                 engine, limiter = engine_and_limiter(finest)
         with progress("reading the bank", 1):
             engine.preload()
