@@ -98,9 +98,8 @@ class Dialogue:
         self._line = line
         self._marker: Marker | None = None
         self._behind = False
-        # Introductions, then markers, whose answers have not come.
-        self._introductions_due: Counter[str] = Counter()
-        self._markers_due = 0
+        # How often each question was sent whose answer has not come; only the marker's are waited for.
+        self._due: Counter[str] = Counter()
         self._lock = threading.RLock()
 
     @property
@@ -113,8 +112,7 @@ class Dialogue:
         with self._lock:
             self._marker = None
             self._behind = False
-            self._introductions_due.clear()
-            self._markers_due = 0
+            self._due.clear()
             self._line.open()
 
     def close(self) -> None:
@@ -155,10 +153,9 @@ class Dialogue:
                     self._line.send(before)
                     if before:
                         self._clock.sleep(BEFORE_S)
-                    self._line.send(question.text)
-                    self._introductions_due[question.text] += 1
+                    self._send(question.text)
                     answer = self._first_readable(question)
-                    self._introductions_due[question.text] -= 1
+                    self._due[question.text] -= 1
                     return answer
                 except NoAnswerError as missing:
                     latest = missing
@@ -181,7 +178,6 @@ class Dialogue:
         """
         self._marker = marker
         self._behind = True
-        self._markers_due = self._introductions_due[marker.text]
 
     def verify(self, doing: str) -> None:
         """Make sure that the device answers, and that it is still the same.
@@ -231,14 +227,12 @@ class Dialogue:
     def _exchange(self, query: Query[Answer]) -> Answer:
         # Until an answer has come, whatever ends the wait for it, an interrupt too, leaves the place in doubt.
         self._behind = True
-        asks_marker = self._marker is not None and query.text == self._marker.text
-        self._line.send(query.text)
-        self._markers_due += asks_marker
+        self._send(query.text)
         answer = self._line.receive(time.monotonic() + self._line.settings.answer_s)
         if answer.strip() == query.text.strip() and answer.strip():
             # The line echoes what is sent over it; the answer comes after that.
             answer = self._line.receive(time.monotonic() + self._line.settings.answer_s)
-        self._markers_due -= asks_marker
+        self._due[query.text] -= 1
         if self._line.received():
             raise NoAnswerError(f"more came than the answer {answer!r}")
         try:
@@ -250,6 +244,10 @@ class Dialogue:
             raise
         self._behind = False
         return read
+
+    def _send(self, question: str) -> None:
+        self._line.send(question)
+        self._due[question] += 1
 
     def _first_readable(self, query: Query[Answer]) -> Answer:
         """The first line that answers a question, whatever comes before it."""
@@ -276,8 +274,7 @@ class Dialogue:
         self._line.send("")
         strangers: list[str] = []
         for _ in range(2):
-            self._line.send(marker.text)
-            self._markers_due += 1
+            self._send(marker.text)
             stranger = self._await(marker)
             if stranger is None:
                 self._behind = False
@@ -308,13 +305,13 @@ class Dialogue:
                 break
             if marker.marks(line):
                 answered = True
-                self._markers_due -= 1
-                if self._markers_due <= 0:
+                self._due[marker.text] -= 1
+                if self._due[marker.text] <= 0:
                     break
             else:
                 stranger = marker.stranger(line) or stranger
         if answered:
-            self._markers_due = 0
+            self._due[marker.text] = 0
         return None if answered else stranger
 
     def _catch_up_or_fail(self, doing: str) -> None:
