@@ -149,7 +149,7 @@ class NeighbourJudge:
         whole = np.abs(values[usable if modelled is None else usable | modelled]).max(initial=0.0)
         self._values = values / whole if whole > 0 else values
         self._position_mm = position_mm
-        self._modelled, self._actuator_mm = modelled, actuator_mm
+        self._actuator_mm = actuator_mm
         self._predict_by(RowsPredicted(position_mm, self._values, self._frequency_hz, usable))
         if modelled is not None and self._too_coarse() and can_be_modelled(position_mm, actuator_mm, modelled):
             self._predict_by(RowsByWaves(position_mm, actuator_mm, self._values, self._frequency_hz, modelled))

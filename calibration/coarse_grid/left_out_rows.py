@@ -66,6 +66,7 @@ class RowsByWaves:
         self._explained: Complex64Array = np.stack([part[0].astype(np.complex64) for part in solved], axis=1)
         self._left: Complex128Array = np.stack([part[1] for part in solved], axis=1)
         self._noise: Float64Array = np.stack([part[2] for part in solved], axis=1)
+        self._free: Float64Array = 1.0 - np.square(np.abs(self._explained)).sum(axis=3, dtype=np.float64)
 
     def found_from(self, sound: BoolArray) -> RowsByWaves | None:
         """The same rows, with wave numbers and shares found from some positions only; None where these are too few."""
@@ -77,7 +78,7 @@ class RowsByWaves:
         """Error of every row, left out, and its expected square, (positions, actuators, frequencies); NaN if none."""
         errors = np.full(self.values.shape, np.nan + 0j)
         variance = np.full(self.values.shape, np.nan)
-        free = np.maximum(1.0 - np.square(np.abs(self._explained)).sum(axis=3, dtype=np.float64), MIN_FREE)
+        free = np.maximum(self._free, MIN_FREE)
         errors[self._rows] = (self._noise * self._left / free).transpose(2, 0, 1)
         variance[self._rows] = (np.square(self._noise) / free).transpose(2, 0, 1)
         return errors, variance
@@ -95,8 +96,7 @@ class RowsByWaves:
         inverse = np.linalg.inv(np.eye(len(out)) * (1.0 + MIN_FREE) - of_out @ of_out.conj().swapaxes(1, 2))
         between = -(explained @ of_out.conj().swapaxes(1, 2).astype(np.complex64))
         weights = between @ inverse
-        free = 1.0 - np.square(np.abs(explained)).sum(axis=2, dtype=np.float64)
-        free = np.maximum(free - (weights * between.conj()).sum(axis=2).real, MIN_FREE)
+        free = np.maximum(self._free[actuator] - (weights * between.conj()).sum(axis=2).real, MIN_FREE)
         found = (left - (weights @ left[:, number, None])[..., 0]) / free
         found[:, number] = (inverse @ left[:, number, None])[..., 0]
         free[:, number] = 1.0 / np.maximum(np.diagonal(inverse, axis1=1, axis2=2).real, 1.0)
@@ -108,12 +108,13 @@ class RowsByWaves:
 
         A position counts for nothing where it has what the others predict of it instead of what was measured there.
         """
-        measured = self.values[self._rows]
-        measured[self._number[position]] -= self.errors()[0][position]
+        measured, number = self.values[self._rows], self._number[position]
+        part = self._noise[..., number] / np.maximum(self._free[..., number], MIN_FREE)
+        measured[number] -= part * self._left[..., number]
         points_mm = self._position_mm[position] + offset_mm
         found = [
-            waves.at_points(points_mm, shares, measured[..., number])
-            for number, (waves, shares) in enumerate(self._waves)
+            waves.at_points(points_mm, shares, measured[..., index])
+            for index, (waves, shares) in enumerate(self._waves)
         ]
         return np.stack(found, axis=2)
 

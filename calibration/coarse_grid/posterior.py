@@ -167,11 +167,9 @@ class FrequencyWaves:
         """Error at each position if it alone is left out, and its variance, noise included, (positions, actuators)."""
         error, variance = np.empty_like(self._values), np.empty(self._values.shape)
         for actuator in range(len(self._power)):
-            x, y, _, noise = self._scaled(actuator, shares)
-            half = _inverse_of(_factor(x))
-            explained = x @ half.conj().T
+            explained, left, noise = self._whitened(actuator, shares)
             free = np.maximum(1.0 - np.square(np.abs(explained)).sum(axis=1), 1e-9)
-            error[:, actuator] = noise * (y - explained @ (y.conj() @ explained).conj()) / free
+            error[:, actuator] = noise * left / free
             variance[:, actuator] = noise**2 / free
         return error * np.sqrt(self._power), variance * self._power
 
@@ -181,14 +179,14 @@ class FrequencyWaves:
         Returns E = X B^(-1/2), (actuators, positions, own waves + sources); ``D^(1/2) C^-1 d`` and the root of D,
         (actuators, positions).
         """
-        parts = []
-        for actuator, power in enumerate(self._power.tolist()):
-            x, y, _, noise = self._scaled(actuator, shares)
-            half = _inverse_of(_factor(x))
-            explained = x @ half.conj().T
-            parts.append((explained, y - explained @ (y.conj() @ explained).conj(), noise * np.sqrt(power)))
-        explained_all, left, noise_all = zip(*parts, strict=True)
-        return np.stack(explained_all), np.stack(left), np.stack(noise_all)
+        parts = [self._whitened(actuator, shares) for actuator in range(len(self._power))]
+        explained, left, noise = zip(*parts, strict=True)
+        return np.stack(explained), np.stack(left), np.stack(noise) * np.sqrt(self._power)[:, None]
+
+    def _whitened(self, actuator: int, shares: Float64Array) -> tuple[Complex128Array, Complex128Array, Float64Array]:
+        x, y, _, noise = self._scaled(actuator, shares)
+        explained = x @ _inverse_of(_factor(x)).conj().T
+        return explained, y - explained @ (y.conj() @ explained).conj(), noise
 
     def at_points(self, points_mm: Float64Array, shares: Float64Array, transfer: Complex128Array) -> Complex128Array:
         """The waves at points (n, 2) for other measured values, complex128 (positions, actuators): (n, actuators)."""
