@@ -16,12 +16,14 @@ import json
 import math
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wavefocus.calibration import BoolArray, Float64Array, Int64Array
+from wavefocus.calibration.numerics import eigenvalue_rises
 from wavefocus.storage.errors import InputError
 
 if TYPE_CHECKING:
@@ -311,24 +313,32 @@ class _Bench:
         return np.concatenate([spectra.real, spectra.imag], axis=-1)
 
     def _pulse(self, late: float) -> Float64Array:
-        """The causal FIR of least energy that is a delay in the band: what the estimator makes of a leak of share 1."""
-        length = min(8 * self.period, self._whole)
-        angular = 2 * np.pi * np.linspace(*self._band_hz, 2 * length)
-        basis = np.exp(-1j * np.outer(angular, np.arange(length) / self._rate_hz))
-        gram = (basis.conj().T @ basis).real
-        gram[np.diag_indices(length)] += 1e-6 * len(angular)
-        wanted = np.exp(-1j * angular * late / self._band_hz[1])
+        """The FIR of a leak of share 1, as long as the rows that are looked at."""
         pulse = np.zeros(self._whole)
-        pulse[:length] = np.linalg.solve(gram, (basis.conj().T @ wanted).real)
+        known = _known_pulse(self._rate_hz, self._band_hz, min(8 * self.period, self._whole), late)
+        pulse[: known.size] = known
         return pulse
 
 
+@lru_cache(maxsize=2 * len(ROW_DELAYS))
+def _known_pulse(rate_hz: float, band_hz: tuple[float, float], length: int, late: float) -> Float64Array:
+    """The causal FIR of least energy that is a delay in the band: what the estimator makes of a leak of share 1."""
+    angular = 2 * np.pi * np.linspace(*band_hz, 2 * length)
+    basis = np.exp(-1j * np.outer(angular, np.arange(length) / rate_hz))
+    gram = (basis.conj().T @ basis).real
+    gram[np.diag_indices(length)] += 1e-6 * len(angular)
+    wanted = np.exp(-1j * angular * late / band_hz[1])
+    return np.asarray(np.linalg.solve(gram, (basis.conj().T @ wanted).real))
+
+
 class _Moments:
-    """Second moments of rows (pairs, columns)."""
+    """Second moments of rows (pairs, columns): of their distances from the mean row, by its axes, and of the mean."""
 
     def __init__(self, rows: Float64Array) -> None:
         self._pairs, self._columns = rows.shape
-        self._gram, self._sum = rows.T @ rows, rows.sum(axis=0)
+        self._mean = rows.mean(axis=0)
+        around = rows - self._mean
+        self._spread, self._axes = np.linalg.eigh(around.T @ around)
 
     def fit(self, pulse: Float64Array, ranks: tuple[int, int]) -> tuple[Float64Array, Float64Array, Float64Array]:
         """For each rank: the best share, its standard error, and by how much (ln) its removal lowers what is left."""
@@ -353,10 +363,16 @@ class _Moments:
         return best, math.sqrt(variance / curvature), math.log(max(none, 1e-300) / max(at, 1e-300))
 
     def _left(self, shares: Float64Array, pulse: Float64Array, ranks: tuple[int, ...]) -> Float64Array:
-        """Energy beyond the first singular values once each share of a pulse is taken out, (shares, ranks)."""
-        crossed = np.outer(self._sum, pulse)
-        crossed += crossed.T
-        square = self._pairs * np.outer(pulse, pulse)
-        grams = self._gram - shares[:, None, None] * crossed + shares[:, None, None] ** 2 * square
-        energy = np.linalg.eigvalsh(grams)
-        return np.stack([np.maximum(energy[:, : self._columns - rank].sum(axis=1), 0.0) for rank in ranks], axis=1)
+        """Energy beyond the first singular values once each share of a pulse is taken out, (shares, ranks).
+
+        A share of a pulse moves only the mean of the rows: the moments without the mean stay, and the mean's are added
+        to them as one more direction.
+        """
+        most = max(ranks)
+        squares = self._pairs * np.square((self._mean - shares[:, None] * pulse) @ self._axes)
+        rises = eigenvalue_rises(self._spread, squares, most)
+        energy = squares.sum(axis=1)
+        left = [
+            energy + self._spread[: self._columns - rank].sum() - rises[:, most - rank :].sum(axis=1) for rank in ranks
+        ]
+        return np.asarray(np.maximum(np.stack(left, axis=1), 0.0))
