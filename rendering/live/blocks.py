@@ -14,8 +14,8 @@ the instants t of the interface's samples are one product with a fixed matrix:
 
 Independent sources (`wavefocus.rendering.live.independent`) have filters of their own in place of conj(G). They last
 longer: `EXTENSION_S` of source samples more are taken at either end. A filter is made for the places of all sources at
-one instant, and serves samples around it, weighted by a hat: every `HAT_S`, and more and more rarely where places are
-predicted.
+one instant, and serves samples around it, weighted by a hat: every `HAT_S`; where places are predicted, the first one
+serves all samples after it.
 
 Three blocks are computed at once. Where an order changes a course the next block is computed anew, and crossfaded with
 what the computation before gave for it, so that a prediction that did not come true makes no click. Where nothing
@@ -83,6 +83,8 @@ class CrossfadedBlocks:
     """Source samples that a computation takes from the block's first one on: L - 1 + 3 B, and the extension."""
     extension_samples: int
     """Those before it."""
+    memory_samples: int
+    """A block depends on places until so many samples before it."""
 
     def __init__(
         self,
@@ -115,6 +117,7 @@ class CrossfadedBlocks:
         self._bins = min(self._bins, self._bins_of_band())
         self._synthesis = self._synthesis_matrix()
         self._hat = max(1, round(HAT_S * rate_hz))
+        self.memory_samples = self.extension_samples + (2 * self._hat if independent else 0)
         self.most_rows = max(1, CACHE_BYTES // (8 * self._bins * bank.actuators))
         """Rows whose spectra are kept in memory."""
         if finer is not None and finer.count > self.most_rows:
@@ -215,10 +218,11 @@ class CrossfadedBlocks:
         self.bounded = False
         if not lives:
             return []
-        instants, step = [first // self._hat * self._hat - self._hat], self._hat
-        while instants[-1] < stop:
-            instants.append(instants[-1] + step)
-            step = step if instants[-1] <= due else 2 * step
+        instants = [first // self._hat * self._hat - self._hat]
+        while instants[-1] <= due and instants[-1] < stop:
+            instants.append(instants[-1] + self._hat)
+        if instants[-1] < stop:
+            instants.append(stop)
         at = np.array(instants)
         places = self._places([life.course.at(np.clip(at, life.begin, life.end))[0] for life in lives])
         emitted: list[tuple[Complex64Array, list[Piece]]] = []
@@ -226,9 +230,10 @@ class CrossfadedBlocks:
         for index in range(1, len(instants) - 1):
             hat = instants[index - 1 : index + 2]
             there = [number for number, life in enumerate(lives) if life.begin < hat[2] and life.end > hat[0]]
-            share = _hat_weights(hat[1] - hat[0], hat[2] - hat[1])
+            predicted = hat[1] > due
+            share = _hat_weights(hat[1] - hat[0], hat[2] - hat[1], last=predicted)
             # Where places are predicted, those before and after are no better known.
-            counted = (0, -1, 1) if hat[1] <= due and 3 * len(there) <= MAX_PLACES else (0,)
+            counted = (0,) if predicted or 3 * len(there) > MAX_PLACES else (0, -1, 1)
             own = tuple(tuple(places[number][index + other][0] for other in counted) for number in there)
             weights = [self._gain(places[number][index][1]) for number in there]
             filters = self._filters(own, tuple(by for _, by in weights)) if own else ()
@@ -302,14 +307,10 @@ class CrossfadedBlocks:
         By the places of each, and the row that saturates it, or -1.
         """
         places = {place: index for index, place in enumerate(dict.fromkeys(place for mine in own for place in mine))}
-        reversed_in_time = [self._at(place, -1) for place in places]
-        green = np.ascontiguousarray(np.array(reversed_in_time).conj().transpose(2, 0, 1))
+        green = np.array([self._at(place, -1) for place in places]).conj()
         plain = np.array([self._at(mine[0], by) for mine, by in zip(own, saturated_by, strict=True)])
-        filters, bounded = independent_filters(
-            green, [[places[place] for place in mine] for mine in own], np.ascontiguousarray(plain.transpose(2, 0, 1))
-        )
-        ready = [np.ascontiguousarray(spectra) for spectra in filters.transpose(1, 2, 0)]
-        return list(zip(ready, (bounded.mean(axis=0) > BOUNDED_SHARE).tolist(), strict=True))
+        filters, bounded = independent_filters(green, [[places[place] for place in mine] for mine in own], plain)
+        return list(zip(filters, (bounded.mean(axis=1) > BOUNDED_SHARE).tolist(), strict=True))
 
     def _at(self, place: WeightedRows, saturated_by: int) -> Complex64Array:
         """Filters of time reversal at a place, (actuators, bins)."""
@@ -324,6 +325,7 @@ class CrossfadedBlocks:
 
 
 @lru_cache(64)
-def _hat_weights(rise: int, fall: int) -> Float64Array:
-    """Weights of the samples of a hat, 1 at its instant, (rise + fall,)."""
-    return np.concatenate([np.linspace(0.0, 1.0, rise, endpoint=False), np.linspace(1.0, 0.0, fall, endpoint=False)])
+def _hat_weights(rise: int, fall: int, *, last: bool) -> Float64Array:
+    """Weights of the samples of a hat, 1 at its instant, of the last one also after it, (rise + fall,)."""
+    falling = np.ones(fall) if last else np.linspace(1.0, 0.0, fall, endpoint=False)
+    return np.concatenate([np.linspace(0.0, 1.0, rise, endpoint=False), falling])

@@ -325,7 +325,7 @@ class LiveEngine:
 
     def _forget(self) -> None:
         """Drop knots and lives that no later block needs."""
-        due, needed = self.next_sample + self._look_ahead, self.next_sample - self._blocks.extension_samples
+        due, needed = self.next_sample + self._look_ahead, self.next_sample - self._blocks.memory_samples
         for number, life in list(self._lives.items()):
             if not self._record:
                 life.take(due)

@@ -21,46 +21,47 @@ SIGNAL = Noise((80.0, 400.0), 0.3, 4)
 FINGERS_MM = [(-10.0, -10.0), (14.0, -10.0), (-10.0, 14.0), (14.0, 14.0)]
 
 
-def rows_of(bins: int, places: int, actuators: int, seed: int = 0) -> np.ndarray:
+def rows_of(places: int, actuators: int, bins: int, seed: int = 0) -> np.ndarray:
     random = np.random.default_rng(seed)
-    return random.standard_normal((bins, places, actuators, 2)).astype(np.float32).view(np.complex64)[..., 0]
+    return random.standard_normal((places, actuators, bins, 2)).astype(np.float32).view(np.complex64)[..., 0]
 
 
-def energies(green: np.ndarray, filters: np.ndarray, at: list[int]) -> np.ndarray:
-    """Energy over that of time reversal, (bins, sources)."""
-    return np.square(np.abs(filters)).sum(axis=2) / np.square(np.abs(green[:, at])).sum(axis=2)
+def energies(green: np.ndarray, filters: np.ndarray) -> np.ndarray:
+    """Energy over that of time reversal, (sources, bins)."""
+    return np.square(np.abs(filters)).sum(axis=1) / np.square(np.abs(green)).sum(axis=1)
 
 
 def test_filters_are_the_least_change_of_time_reversal_and_level_under_its_response():
-    green, own = rows_of(5, 6, 9), [[0, 3], [1], [2, 4, 5]]
-    sigma = np.random.default_rng(1).uniform(0.2, 1.0, (3, 9)).astype(np.float32)
-    plain = green[:, :3].conj() * sigma
+    green, own = rows_of(6, 9, 5), [[0, 3], [1], [2, 4, 5]]
+    sigma = np.random.default_rng(1).uniform(0.2, 1.0, (9, 1)).astype(np.float32)
+    plain = green[:3].conj() * sigma
     filters, bounded = independent_filters(green, own, plain, quiet_db=-20.0, max_energy=1e6)
     assert not bounded.any()
-    floor = 0.01 * np.square(np.abs(green)).sum(axis=2).mean()
-    for bin_, rows in enumerate(green.astype(np.complex128)):
+    floor = 0.01 * np.square(np.abs(green)).sum(axis=1).mean()
+    for bin_ in range(5):
+        rows = green[..., bin_].astype(np.complex128)
         for source, mine in enumerate(own):
-            h, quiet, w0 = rows[mine[0]], np.delete(rows, mine, axis=0), plain[bin_, source]
+            h, quiet, w0 = rows[mine[0]], np.delete(rows, mine, axis=0), plain[source, :, bin_]
             matrix = np.zeros((10, 10), dtype=np.complex128)
             matrix[:9, :9] = np.eye(9) + quiet.conj().T @ quiet / floor
             matrix[:9, 9], matrix[9, :9] = h.conj(), h
             w = np.linalg.solve(matrix, np.append(w0, h @ w0))[:9]
-            np.testing.assert_allclose(filters[bin_, source], w, rtol=0, atol=2e-5 * np.abs(w).max())
+            np.testing.assert_allclose(filters[source, :, bin_], w, rtol=0, atol=2e-5 * np.abs(w).max())
 
 
 @pytest.mark.parametrize("actuators", [1, 3])
 def test_given_places_that_cannot_be_told_apart_then_the_response_stays_and_the_energy_is_bounded(actuators):
-    green = rows_of(40, 24, actuators)
-    green[:, 1] = green[:, 0] * (1.0 + 1e-4)
-    green[:, 2] = green[:, 0]
-    green[7:9] = 0.0
+    green = rows_of(24, actuators, 40)
+    green[1] = green[0] * (1.0 + 1e-4)
+    green[2] = green[0]
+    green[..., 7:9] = 0.0
     filters, _ = independent_filters(green, [[place] for place in range(24)], green.conj())
     assert np.isfinite(filters).all()
-    assert not filters[7:9].any()
-    loud = np.delete(np.arange(40), [7, 8])
-    power = np.square(np.abs(green[loud])).sum(axis=2)
-    np.testing.assert_allclose((green[loud] * filters[loud]).sum(axis=2), power, rtol=1e-3, atol=1e-4)
-    assert energies(green[loud], filters[loud], list(range(24))).max() < MAX_ENERGY * 1.01
+    assert not filters[..., 7:9].any()
+    green, filters = np.delete(green, [7, 8], axis=2), np.delete(filters, [7, 8], axis=2)
+    power = np.square(np.abs(green)).sum(axis=1)
+    np.testing.assert_allclose((green * filters).sum(axis=1), power, rtol=1e-3, atol=1e-4)
+    assert energies(green, filters).max() < MAX_ENERGY * 1.01
     if actuators == 1:
         np.testing.assert_allclose(filters, green.conj(), rtol=0, atol=5e-3 * np.abs(green).max())
 
@@ -145,6 +146,22 @@ def test_given_fingers_that_come_near_and_part_then_the_engine_says_while_their_
     assert any(bounded[20:45])
     assert not bounded[15]
     assert not bounded[-1]
+
+
+def test_given_fingers_that_move_then_what_is_forgotten_of_their_way_changes_no_drive():
+    drives = []
+    for keeps_all in (True, False):
+        engine = LiveEngine(
+            BANK, block_samples=BLOCK, look_ahead_samples=50, signal=SIGNAL, record=keeps_all,
+            regularisation=Regularisation(independent=True),
+        )  # fmt: skip
+        blocks = []
+        for block in range(80):
+            for source, (x_mm, y_mm) in enumerate([(-14.0, -10.0), (-14.0, 10.0)]):
+                engine.move(f"{source}", (x_mm + 0.3 * block, y_mm), 1.0 - source)
+            blocks.append(engine.next_block())
+        drives.append(np.concatenate(blocks, axis=1))
+    np.testing.assert_allclose(drives[1], drives[0], rtol=0, atol=1e-6 * np.abs(drives[0]).max())
 
 
 def test_finer_rows_are_those_of_kernel_interpolation():
