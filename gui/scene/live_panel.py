@@ -36,7 +36,7 @@ _NOTICE_LINES = 3
 _HINT_LINES = 3
 _HINTS = {
     IDLE: "Press Start (F8); sources then follow mouse and fingers on the surface",
-    STARTING: "Bank and rig are being opened",
+    STARTING: "Bank and rig are being opened; rows between positions can take a minute",
     LIVE: "Press on the surface and drag; each finger has a source of its own. Or use Space and the arrow keys",
     STOPPING: "The sources fade",
 }
