@@ -16,6 +16,7 @@ from wavefocus.rendering.greens.interpolation.base import (
     Interpolation,
     OffGridError,
     interpolation_method,
+    methods_between,
     near,
     show_mm,
 )
@@ -113,26 +114,28 @@ class PlaceRows:
     """Rows at places of a bank: a position's own row at the position, interpolated ones between positions.
 
     own: The scene's own interpolation, used where it makes rows of its own.
-    name: The method that is used else.
+    name: The method that is used else; by default the best that the bank allows.
     """
 
     rows: GreenSource
     """The bank whose rows `at` refers to."""
 
-    def __init__(self, bank: GreenSource, own: Interpolation | None = None, name: str = "kernel") -> None:
+    def __init__(self, bank: GreenSource, own: Interpolation | None = None, name: str | None = None) -> None:
         self._bank, self.rows = bank, bank
         self._grid, self._status = PositionGrid(bank.position_mm), np.asarray(bank.status)
         self._method = None if isinstance(own, GridInterpolation) else own
-        self.name = name if self._method is None else self._method.name
+        self._names = methods_between(bank) if name is None else (name,)
+        self.name = self._names[0] if self._method is None else self._method.name
         self._between_mm: list[Float64Array] = []
 
     def at(self, points_mm: Float64Array) -> Int64Array:
         """Rows (n,) at points (n, 2). Raises OffGridError: a point is off the grid, or nothing is measured there."""
         rows, distance_mm = near(self._grid, points_mm)
         between = (distance_mm > ON_GRID * self._grid.spacing_mm) | ~usable(self._bank)[rows]
-        if between.any() and self._method is None:
-            with suppress(InputError):  # too few positions to interpolate from: the nearest ones are taken
-                self._method = interpolation_method(self.name).over(self._bank, points_mm[between])
+        for name in self._names if between.any() else ():
+            if self._method is None:
+                with suppress(InputError):  # of none that the bank allows: the nearest positions are taken
+                    self._method, self.name = interpolation_method(name).over(self._bank, points_mm[between]), name
         if between.any() and self._method is not None:
             rows = rows.copy()
             rows[between] = self._method.nodes(points_mm[between]).rows[:, 0]

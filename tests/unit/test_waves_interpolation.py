@@ -9,14 +9,15 @@ from scipy.special import h2vp, hankel2, jv, jvp
 
 from wavefocus.config.scene import Output
 from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.field.prediction import predict
 from wavefocus.rendering.greens.interpolation import waves as waves_module
 from wavefocus.rendering.greens.interpolation.auto import choose_interpolation
 from wavefocus.rendering.greens.interpolation.base import interpolation_method
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.live.engine import LiveEngine
 from wavefocus.rendering.live.finer import finer_rows
-from wavefocus.rendering.scene.model import Scene, Source
-from wavefocus.rendering.scene.paths import Circle
+from wavefocus.rendering.scene.model import QuietPlace, Scene, Source
+from wavefocus.rendering.scene.paths import Circle, Point
 from wavefocus.rendering.scene.signals import Noise
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.errors import InputError
@@ -142,6 +143,17 @@ def test_a_scene_with_auto_states_what_was_chosen_and_its_error(coarse):
     errors = report.interpolation_errors
     assert (errors.kind, errors.found_by, errors.choice.judged_by) == ("waves", "check positions", "check positions")
     assert 1e-3 < errors.overall < 0.15
+
+
+def test_a_quiet_place_between_positions_of_a_coarse_grid_is_quiet_in_truth(coarse):
+    focus_mm, place_mm = coarse.position_mm[coarse.positions // 2], (-13.0, 6.0)
+    source = Source(Point(tuple(focus_mm)), Noise((170.0, 380.0), 0.5, 1))
+    scene = Scene("quiet", (source,), quiet=(QuietPlace(Point(place_mm), level_db=-20.0),))
+    drive, report = render_with_report(scene, coarse)
+    points_mm = np.array([place_mm, focus_mm])
+    power = np.square(predict(drive, GreenArray(responses(points_mm), points_mm, RATE_HZ)).field).sum(axis=1)
+    assert 10 * np.log10(power[0] / power[1]) == pytest.approx(-20, abs=2.0)
+    assert report.quiet_tracks[0].interpolation == "waves"
 
 
 def test_without_the_place_of_an_actuator_waves_are_refused(coarse):

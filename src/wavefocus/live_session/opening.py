@@ -14,7 +14,8 @@ from wavefocus.config.scene import Output, Regularisation
 from wavefocus.console import progress
 from wavefocus.drives import naming
 from wavefocus.live_session.session import LiveSession, Publish
-from wavefocus.rendering.greens.source import is_check, usable
+from wavefocus.rendering.greens.interpolation.base import methods_between
+from wavefocus.rendering.greens.source import usable
 from wavefocus.rendering.live.engine import LiveEngine
 from wavefocus.rendering.live.limiter import LiveLimiter
 from wavefocus.rendering.live.recording import SessionRecording
@@ -106,8 +107,7 @@ def open_session(
             _warm_up(*engine_and_limiter(warm), view)
             finest = output.interpolation
             if options.independent and options.scene_file is None:
-                # Check positions are of grids too coarse for the kernel.
-                finest = "waves" if is_check(view).any() else "kernel"
+                finest = methods_between(view)[0]
             try:
                 engine, limiter = engine_and_limiter(finest)
             except InputError:
