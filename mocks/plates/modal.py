@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from math import ceil
 
 import numpy as np
 import scipy
@@ -23,13 +24,64 @@ Modes = slice | NDArray[np.intp]
 ALL = slice(None)
 
 
+# Responses in single precision are computed at frequencies so much denser than they must be, and interpolated by so
+# many of them on either side, which together leave -135 dB (Kaiser's window, J. F. Kaiser, 1974).
+OVERSAMPLING = 4.0
+SIDE_TAPS = 6
+KAISER_BETA = 14.0
+# Tails below this share are of no account in single precision.
+TAIL_SHARE = 1e-7
+
+
+@dataclass(frozen=True, slots=True)
+class Smoothness:
+    """Where velocities of modes are smooth over frequency.
+
+    from_hz: Lowest frequency from which they are.
+    decay_per_s: There, the slowest of them dies away like ``exp(-decay_per_s t)``.
+    """
+
+    from_hz: float
+    decay_per_s: float
+
+
 @dataclass(frozen=True, slots=True)
 class ModeTable:
-    """Spectra (modes, bins) of the modes that are kept, and a bound on what the others add to any response."""
+    """Spectra (modes, bins) of the modes that are kept, and a bound on what the others add to any response.
+
+    spread: Makes all bins of a response from those of `spectra`, where these are fewer.
+    """
 
     modes: Modes
     spectra: NDArray[np.complexfloating]
     left_out: float = 0.0
+    spread: _Spread | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Spread:
+    """Bins of which the first are given, and the others interpolated from every so many.
+
+    bins: All of them.
+    dense: How many of them are given.
+    weights, complex64 (2 SIDE_TAPS, every): Of the bins given around a cell, for each bin in it.
+    chain, complex64 (bins,): What all of them are multiplied by.
+    """
+
+    bins: int
+    dense: int
+    weights: Complex64Array
+    chain: Complex64Array
+
+    def __call__(self, given: Complex64Array) -> Complex64Array:
+        """All bins (rows, bins) from those given (rows, dense and more)."""
+        response = np.empty((len(given), self.bins), dtype=np.complex64)
+        response[:, : self.dense] = given[:, : self.dense]
+        around = np.lib.stride_tricks.sliding_window_view(given[:, self.dense :], len(self.weights), axis=1)
+        cells = np.ascontiguousarray(around) @ self.weights
+        response[:, self.dense :] = cells.reshape(len(given), -1)[:, : self.bins - self.dense]
+        response *= self.chain
+        return response
 
 
 class ModalPlate(Plate):
@@ -59,6 +111,11 @@ class ModalPlate(Plate):
     def mode_velocities(self, frequency_hz: Float64Array) -> Complex128Array:
         """Velocity of every mode at frequencies >= 0 for a unit force on it: complex128 (modes, frequencies)."""
 
+    @property
+    def smoothness(self) -> Smoothness | None:
+        """Where `mode_velocities` are smooth; None where nothing is known of it."""
+        return None
+
     def largest_coefficients(self) -> Float64Array:
         """Bound on the coefficients anywhere on the plate, float64 (actuators, modes); a plate may have none."""
         raise ValueError(f'the plate "{self.name}" has no bound on its modes: leave out mode_tolerance')
@@ -68,7 +125,8 @@ class ModalPlate(Plate):
     ) -> Complex64Array | Complex128Array:
         table = self.mode_table(step_hz, bins, single)
         part = self.coefficients(np.array([place_mm], dtype=np.float64), table.modes)[0]
-        return _product(part, table.spectra)
+        response = _product(part, table.spectra)
+        return response if table.spread is None else table.spread(response)
 
     def fir_spectra(
         self, position_mm: Float64Array, taps: int, sample_rate_hz: float, length: int, bins: slice
@@ -90,6 +148,10 @@ class ModalPlate(Plate):
 
     def _make_table(self, step_hz: float, bins: int, single: bool) -> ModeTable:
         frequency_hz = step_hz * np.arange(bins, dtype=np.float64)
+        if single and self.smoothness is not None:
+            spread, given_hz = _spread(self.smoothness, step_hz, bins, self._chain(frequency_hz))
+            if spread is not None:
+                return replace(self._reduced(self.mode_velocities(given_hz).astype(np.complex64)), spread=spread)
         table = self.mode_velocities(frequency_hz) * self._chain(frequency_hz)
         return self._reduced(table.astype(np.complex64) if single else table)
 
@@ -123,6 +185,29 @@ class ModalPlate(Plate):
         place_mm = np.column_stack([x_mm.ravel(), y_mm.ravel()])
         part = self.coefficients(place_mm[self._outline.contains(place_mm, 0.1 * (top - bottom))])
         return np.asarray(np.square(part).mean(axis=(0, 1)))
+
+
+def _spread(
+    smoothness: Smoothness, step_hz: float, bins: int, chain: Complex128Array
+) -> tuple[_Spread | None, Float64Array]:
+    """How to interpolate over frequency, and at which frequencies values are needed; None where it does not pay.
+
+    Modes that die away have transforms as smooth as their impulse responses are short. Those are moved to the middle of
+    the interval of time in which a transform of so many bins would repeat them.
+    """
+    lasts_s = -np.log(TAIL_SHARE) / smoothness.decay_per_s
+    every = int(1.0 / (OVERSAMPLING * lasts_s * step_hz))
+    dense = ceil(smoothness.from_hz / step_hz) + SIDE_TAPS * every
+    if every < 2 or dense + 2 * every >= bins:
+        return None, np.zeros(0)
+    cells = -(-(bins - dense) // every)
+    given = dense + every * np.arange(1 - SIDE_TAPS, cells + SIDE_TAPS)
+    # In distances of the values: where each bin of a cell lies, from each value around it.
+    apart = np.arange(every) / every - np.arange(1 - SIDE_TAPS, SIDE_TAPS + 1)[:, None]
+    window = np.i0(KAISER_BETA * np.sqrt(np.maximum(1.0 - np.square(apart / SIDE_TAPS), 0.0))) / np.i0(KAISER_BETA)
+    weights = np.sinc(apart) * window * np.exp(-1j * np.pi * every * step_hz * lasts_s * apart)
+    spread = _Spread(bins, dense, weights.astype(np.complex64), chain.astype(np.complex64))
+    return spread, step_hz * np.concatenate([np.arange(dense), given]).astype(np.float64)
 
 
 def _product(part: Float64Array, table: NDArray[np.complexfloating]) -> NDArray[np.complexfloating]:

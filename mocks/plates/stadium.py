@@ -41,7 +41,7 @@ from wavefocus.mocks.plates import (
     Float64Array,
     PlateChange,
 )
-from wavefocus.mocks.plates.modal import ALL, ModalPlate, Modes
+from wavefocus.mocks.plates.modal import ALL, ModalPlate, Modes, Smoothness
 from wavefocus.mocks.plates.soft import SOFT_PLATE, UNIT_FORCE_N, DampedWave
 
 HIGHEST_HZ = 500.0
@@ -54,6 +54,8 @@ SOLVED_STEP_HZ = 26.0
 MIN_NORM = 1e-10
 """Directions of the projected space below this share of the strongest are dropped."""
 SMOOTHINGS = 8
+SMOOTH_FROM = 1.5
+"""Frequency in units of the slowest decay."""
 
 
 @PLATES.register
@@ -103,6 +105,12 @@ class StadiumPlate(ModalPlate):
         first = 1 / (1j * angular - self._pairs.rate_per_s[:, None])
         second = 1 / (1j * angular - self._pairs.rate_per_s[:, None].conj())
         return np.concatenate([first + second, 1j * (first - second)])
+
+    @property
+    def smoothness(self) -> Smoothness:
+        # Below, overdamped modes creep; from above, their poles are as far off as the frequency.
+        decay_per_s = self._wave.damping_per_s / 2
+        return Smoothness(SMOOTH_FROM * decay_per_s / (2 * np.pi), decay_per_s)
 
 
 @dataclass(frozen=True, slots=True)

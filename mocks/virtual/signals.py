@@ -48,13 +48,14 @@ class PlayedSignal:
         """
         return self._spectra(length, scale, samples)
 
-    def delayed(self, length: int, scale: float, samples: int, delay: float) -> Float32Array:
+    def delayed(self, length: int, scale: float, samples: int, delay: float, wanted: int) -> Float32Array:
         """The waveform on the clock of the recorder, some recorder samples late, band-limited.
 
         length, scale, samples: See `spectrum`.
         delay: Recorder samples, any number; what leaves at one end of the transform comes in at the other.
+        wanted: How many of its samples, 0 to `length`.
 
-        Returns float32 (length,).
+        Returns float32 (wanted,).
         """
         steps = round(delay * DELAYS)
         step = steps % DELAYS
@@ -65,7 +66,8 @@ class PlayedSignal:
             wave += piece
             wave *= rest
         wave += pieces[0]
-        return np.roll(wave, steps // DELAYS)
+        begin = -(steps // DELAYS) % length
+        return np.concatenate([wave[begin:], wave[:begin]])[:wanted]
 
     def _taylor(self, length: int, scale: float, samples: int, delay: float) -> Float32Array:
         """Waveform and derivatives by the delay over their factorials: float32 (ORDER + 1, length)."""

@@ -156,11 +156,10 @@ class Synthesis:
         rate_hz = sample_rate_hz * self._settings.clock_ratio
         warmer_k = self._warmer_k(start_ns)
         length = self._length(samples, rate_hz, start_ns, plays)
-        whole, highest = length // 2 + 1, 1
         reference_v = np.zeros(samples, dtype=np.float32)
         response_v = np.zeros(samples, dtype=np.float32)
         responses: dict[tuple[float, float], Complex64Array] = {
-            spot.place_mm: np.zeros(whole, dtype=np.complex64)
+            spot.place_mm: np.zeros(0, dtype=np.complex64)
             for spot in spots
             if spot.place_mm is not None and patched is None
         }
@@ -169,11 +168,11 @@ class Synthesis:
             scale = rate_hz / play.sample_rate_hz
             looped = self._settings.channel_of_loopback
             if looped in play.signals:
-                reference_v += self._output(play, looped, length, scale, offset, rate_hz)[:samples]
+                reference_v += self._output(play, looped, length, scale, offset, rate_hz, samples)
             for channel in patched or ():
                 if channel in play.signals:
                     earlier = offset - self._settings.inter_channel_delay_s * rate_hz
-                    response_v += self._output(play, channel, length, scale, earlier, rate_hz)[:samples]
+                    response_v += self._output(play, channel, length, scale, earlier, rate_hz, samples)
             driven = {
                 actuator: play.signals[channel]
                 for actuator, channel in enumerate(self._settings.channel_of_actuator)
@@ -182,18 +181,19 @@ class Synthesis:
             if not driven or not responses:
                 continue
             bins = max(self._bins(signal, length, scale, rate_hz, play.samples) for signal in driven.values())
-            highest = max(highest, bins)
             delay = _delay(offset, bins, length)
-            for place_mm, response in responses.items():
+            for place_mm, before in responses.items():
                 transfer = self._transfer(place_mm, rate_hz / length, bins, warmer_k)
-                total = np.zeros(bins, dtype=np.complex64)
+                total = np.zeros(max(bins, before.size), dtype=np.complex64)
                 for actuator, signal in driven.items():
                     spectrum = signal.spectrum(length, scale, play.samples)[:bins]
                     if self._uneven:
                         spectrum = spectrum * self._output_factor(actuator, spectrum.size, rate_hz / length)
                     total[: spectrum.size] += spectrum * transfer[actuator, : spectrum.size]
-                response[:bins] += total * delay
-        response_of = {place: self._wave(spectrum[:highest], length) for place, spectrum in responses.items()}
+                total[:bins] *= delay
+                total[: before.size] += before
+                responses[place_mm] = total
+        response_of = {place: self._wave(spectrum, length) for place, spectrum in responses.items()}
         for spot in spots:
             if spot.place_mm is not None and patched is None:
                 response_v[spot.first : spot.stop] = response_of[spot.place_mm][spot.first : spot.stop]
@@ -217,7 +217,7 @@ class Synthesis:
             if looped in play.signals:
                 offset = ((play.requested_ns - start_ns) * 1e-9 + (play.latency_s or 0.0)) * rate_hz
                 scale = rate_hz / play.sample_rate_hz
-                leaked_v += self._output(play, looped, length, scale, offset + late, rate_hz)[:samples]
+                leaked_v += self._output(play, looped, length, scale, offset + late, rate_hz, samples)
         return leaked_v * np.float32(settings.crosstalk)
 
     def spots(
@@ -260,11 +260,11 @@ class Synthesis:
         return np.asarray(spectra * self._velocity_per_volt[:, None])
 
     def _output(
-        self, play: VirtualPlay, channel: int, length: int, scale: float, offset: float, rate_hz: float
+        self, play: VirtualPlay, channel: int, length: int, scale: float, offset: float, rate_hz: float, samples: int
     ) -> Float32Array:
-        """Volts at one output of the player, on the recorder's clock: float32 (length,)."""
+        """The first volts at one output of the player, on the recorder's clock: float32 (samples,)."""
         late = self._output_late_s[channel] * rate_hz
-        wave = play.signals[channel].delayed(length, scale, play.samples, offset + late)
+        wave = play.signals[channel].delayed(length, scale, play.samples, offset + late, samples)
         return wave if not self._uneven else wave * np.float32(self._output_gain[channel])
 
     def _output_factor(self, actuator: int, bins: int, step_hz: float) -> Complex64Array:
@@ -334,8 +334,7 @@ class Synthesis:
 
 def _delay(samples: float, bins: int, length: int) -> Complex64Array:
     """The factor that delays a spectrum of a transform of some length."""
-    step = np.array([-2 * np.pi * samples / length])
-    return np.asarray(phase_ramp(step, bins, np.complex64)[0], dtype=np.complex64)
+    return np.asarray(phase_ramp(np.array([-2 * np.pi * samples / length]), bins, np.complex64)[0])
 
 
 def _quarter_shifts(length: int, bins: int) -> Complex64Array:

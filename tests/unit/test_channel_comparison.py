@@ -24,7 +24,7 @@ SIGNAL = PlayedSignal(SWEEP.signal_v(), full_scale_v=2.0)
 
 def heard(offset: float, ratio: float, gain: float, seed: int, samples: int = 7000) -> np.ndarray:
     """The sweep at an instant between samples, on another clock, with noise."""
-    wave = SIGNAL.delayed(16_384, ratio, SIGNAL.volts.size, offset)[:samples].astype(np.float64)
+    wave = SIGNAL.delayed(16_384, ratio, SIGNAL.volts.size, offset, samples).astype(np.float64)
     return gain * wave + np.random.default_rng(seed).normal(0, NOISE_V, samples)
 
 

@@ -123,6 +123,19 @@ def test_given_a_stadium_then_its_responses_are_those_of_all_elements(cache: Pat
     assert np.linalg.norm(single - response) < 1e-5 * np.linalg.norm(response)
 
 
+@pytest.mark.parametrize("admittance", [0.0, 0.7])
+@pytest.mark.parametrize(("step_hz", "bins"), [(0.25, 4000), (1.5, 601), (0.1, 2000)])
+def test_given_close_frequencies_then_what_is_interpolated_is_exact_to_single_precision(
+    cache: Path, admittance: float, step_hz: float, bins: int
+) -> None:
+    plate = StadiumPlate(ACTUATOR_MM, STADIUM, chain_response, rim_admittance=admittance)
+    exact = plate.response((-8.0, 3.0), step_hz, bins, single=False)
+    single = plate.response((-8.0, 3.0), step_hz, bins, single=True)
+    assert np.linalg.norm(single - exact) < 5e-6 * np.linalg.norm(exact)
+    assert np.abs(single - exact).max() < 1e-5 * np.abs(exact).max()
+    assert plate.mode_table(step_hz, bins, True).spectra.shape[1] < bins
+
+
 def test_given_taps_then_the_spectra_are_those_of_the_cut_responses(cache: Path) -> None:
     plate = StadiumPlate(ACTUATOR_MM, STADIUM, lambda hertz: 1 / (1 + 1j * hertz / 800.0) ** 4)
     rate_hz, taps, length = 10_000.0, 400, 512
