@@ -50,14 +50,15 @@ def fourier_sum(signal: Float64Array | Complex128Array, turn: float, first: int,
     import scipy.fft  # 0.2 s to load, which a render does not wait for
 
     samples = signal.shape[-1]
-    index = np.arange(samples, dtype=np.float64)
-    bin_index = np.arange(bins, dtype=np.float64)
-    between = np.arange(1 - samples, bins, dtype=np.float64)
-    length = scipy.fft.next_fast_len(between.size)
-    down = signal * np.exp(-1j * turn * index * (first + 0.5 * index))
-    up = np.exp(0.5j * turn * between**2)
-    product = scipy.fft.ifft(scipy.fft.fft(down, length) * scipy.fft.fft(up, length))[..., samples - 1 : between.size]
-    return np.asarray(product * np.exp(-0.5j * turn * bin_index**2), dtype=np.complex128)
+    length = scipy.fft.next_fast_len(samples + bins - 1)
+    # The chirp is even, and most of the time goes into exponentials: one side of it serves everywhere.
+    chirp = np.exp(0.5j * turn * np.square(np.arange(max(samples, bins), dtype=np.float64)))
+    up = np.concatenate([chirp[samples - 1 : 0 : -1], chirp[:bins]])
+    down = signal * chirp[:samples].conj()
+    if first:
+        down *= np.exp(-1j * (turn * first) * np.arange(samples))
+    product = scipy.fft.ifft(scipy.fft.fft(down, length) * scipy.fft.fft(up, length))[..., samples - 1 : up.size]
+    return np.asarray(product * chirp[:bins].conj(), dtype=np.complex128)
 
 
 def transform_at(
