@@ -76,7 +76,16 @@ class SoundingSource(Message, frozen=True):
 
 Degradation = Literal["none", "sources"]
 NoticeCode = Literal[
-    "degraded", "recovered", "underrun", "limited", "late", "lost", "reconnected", "recording", "bounded"
+    "degraded",
+    "recovered",
+    "underrun",
+    "limited",
+    "late",
+    "lost",
+    "reconnected",
+    "recording",
+    "bounded",
+    "interpolation",
 ]
 
 

@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 from socket import AF_INET, SOCK_DGRAM, socket
 
+import numpy as np
 import pytest
 from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
 from pythonosc.osc_message import OscMessage
@@ -18,6 +19,10 @@ from tests.system.lines import Lines
 from wavefocus.__main__ import run
 from wavefocus.rendering.scene.model import load_scene
 from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
+from wavefocus.storage.bank.layout import BankHeader
+from wavefocus.storage.bank.ledger import PointRecord
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.bank.writer import BankWriter, create_bank
 
 QUIET = {"amplitude": 1e-3}
 
@@ -88,6 +93,30 @@ def message(address: str, *values: object) -> OscMessage:
     for value in values:
         builder.add_arg(value)
     return builder.build()
+
+
+def test_given_a_coarse_bank_and_a_scene_with_nearest_then_a_notice_says_what_is_wrong(
+    bank: Path,
+) -> None:
+    with open_bank(bank) as view:
+        header = BankHeader(
+            float(view.sample_rate_hz), view.taps, view.band_hz, view.position_mm, view.actuator_mm, view.rig_json,
+            view.run_json, "ab" * 32, "test", check_rows=(view.positions - 1,),
+        )  # fmt: skip
+        coarse, figures = bank.with_name("coarse.h5"), np.ones(view.actuators, np.float32)
+        create_bank(coarse, header)
+        with BankWriter.open(coarse) as written:
+            for row in range(view.positions):
+                written.commit(row, view.green(row), PointRecord(1, 1, figures, figures, figures, figures))
+    arguments = ("--rig", bank.parent / "rig.toml", "--scene", bank.parent / "scene.toml", "--json")
+    with Lines("live", coarse, *arguments) as running:
+        running.hear("ready")
+        notice = running.hear("notice")
+        assert notice["code"] == "interpolation"
+        assert "'nearest'" in notice["sentence"]
+        running.send(order="end")
+        running.rest()
+        assert running.end() == 0
 
 
 def test_given_osc_messages_then_they_are_orders_and_wrong_ones_end_nothing(bank: Path) -> None:

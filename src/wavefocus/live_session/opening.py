@@ -15,7 +15,7 @@ from wavefocus.console import progress
 from wavefocus.drives import naming
 from wavefocus.live_session.session import LiveSession, Publish
 from wavefocus.rendering.greens.interpolation.base import methods_between
-from wavefocus.rendering.greens.source import usable
+from wavefocus.rendering.greens.source import is_check, usable
 from wavefocus.rendering.live.engine import LiveEngine
 from wavefocus.rendering.live.limiter import LiveLimiter
 from wavefocus.rendering.live.recording import SessionRecording
@@ -31,6 +31,10 @@ AHEAD_MS = 40.0
 """What waits to be played at first where nothing is asked for; an interface with long periods gets more, see `adapts`
 of the session."""
 WARM_BLOCKS = 3
+TOO_COARSE = (
+    "the bank's positions are too far apart for interpolation {!r}: between them the drives are wrong; use 'waves' or"
+    " 'auto' in the scene's [output]"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +110,8 @@ def open_session(
             warm = "nearest" if output.interpolation in ("kernel", "waves", "auto") else output.interpolation
             _warm_up(*engine_and_limiter(warm), view)
             finest = output.interpolation
-            if options.independent and options.scene_file is None:
+            coarse = bool(is_check(view).any())
+            if options.scene_file is None and (options.independent or coarse):
                 finest = methods_between(view)[0]
             try:
                 engine, limiter = engine_and_limiter(finest)
@@ -137,6 +142,7 @@ def open_session(
             duration_s=options.duration_s,
             gain=10.0 ** (options.gain_db / 20.0),
             recording=recording,
+            warning=TOO_COARSE.format(finest) if coarse and finest in ("nearest", "bilinear") else "",
         )
         ready = LiveReady(
             player.identify(),

@@ -51,6 +51,7 @@ class LiveSession:
     duration_s: The session ends by itself after so long; None: it does not.
     gain: Factor on the amplitudes of all orders.
     recording: Receives the courses of all sources; the engine must keep them.
+    warning: Published as a notice when it begins.
     """
 
     def __init__(
@@ -67,6 +68,7 @@ class LiveSession:
         duration_s: float | None = None,
         gain: float = 1.0,
         recording: SessionRecording | None = None,
+        warning: str = "",
     ) -> None:
         self.engine, self._player, self._limiter, self._publish = engine, player, limiter, publish
         self._channels, self._ahead_s, self._adapts = channels, ahead_s, adapts
@@ -80,6 +82,7 @@ class LiveSession:
         self._unwritten: deque[tuple[int, float]] = deque()
         self._noticed_s: dict[str, float] = {}
         self._recording, self._record_failed = recording, False
+        self._warning = warning
         self._gain, self._amplitudes = gain, dict[str, float]()
         self._late: set[str] = set()
         self._bounded = False
@@ -115,6 +118,8 @@ class LiveSession:
             with one_blas_thread(), _undisturbed():
                 self._begin()
                 on_begun()
+                if self._warning:
+                    self._notice("interpolation", self._warning, always=True)
                 while not self._stop.is_set():
                     try:
                         self._next_block()
