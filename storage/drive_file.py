@@ -36,6 +36,7 @@ Float64Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
 
 FORMAT = "wavefocus-drive"
+_FOCUS_AXES = ("x_mm", "y_mm")
 _NUMBERS = ("sample_rate_hz", "start_s", "scale", "omitted_bound")
 LONG_NAMES = {
     "drive": "voltage at each actuator",
@@ -45,6 +46,8 @@ LONG_NAMES = {
     "focus/sample": "sample of the focus after scene time zero",
     "focus/position": "row of the bank that the focus is at",
     "focus/source": "index of the source",
+    "focus/x_mm": "place of the focus, x",
+    "focus/y_mm": "place of the focus, y",
 }
 
 
@@ -107,6 +110,7 @@ class Drive:
     drive_unit: Unit of the drive, that of the bank.
     verified: Whether the file that it was read from carries checksums of all its values.
     quiet: Places at which it is quiet.
+    focus_mm, float64 (K, 2): Place of each focus; None: those of the rows `focus_position`.
     known_finite: Whether the check that the volts are finite is skipped, because the caller made it.
     """
 
@@ -122,6 +126,7 @@ class Drive:
     drive_unit: str = "V"
     verified: bool = True
     quiet: tuple[QuietTrack, ...] = ()
+    focus_mm: Float64Array | None = None
     known_finite: InitVar[bool] = False
 
     def __post_init__(self, known_finite: bool) -> None:
@@ -142,6 +147,10 @@ class Drive:
         shapes = {self.focus_sample.shape, self.focus_position.shape, self.focus_source.shape}
         if len(shapes) != 1 or self.focus_sample.ndim != 1:
             raise InputError(f"/focus datasets have shapes {sorted(shapes)}; one common length is needed")
+        if self.focus_mm is not None:
+            object.__setattr__(self, "focus_mm", np.ascontiguousarray(real_array("focus_mm", self.focus_mm)))
+            if self.focus_mm.shape != (len(self.focus_sample), 2) or not np.isfinite(self.focus_mm).all():
+                raise InputError("focus_mm is not a finite place (x, y) in mm for each focus")
 
     def __repr__(self) -> str:
         """Its size and how it was made, in one line."""
@@ -191,7 +200,9 @@ def write_drive(path: str | Path, drive: Drive, *, force: bool = False) -> None:
     """
     foci = (drive.focus_sample, drive.focus_position, drive.focus_source)
     about = {name: getattr(drive, name) for name in (*_NUMBERS, "method", "drive_unit")}
-    with drive_in_blocks(path, drive.drive_v.shape, foci=foci, quiet=drive.quiet, force=force, **about) as append:
+    with drive_in_blocks(
+        path, drive.drive_v.shape, foci=foci, quiet=drive.quiet, focus_mm=drive.focus_mm, force=force, **about
+    ) as append:
         append(drive.drive_v)
 
 
@@ -208,12 +219,13 @@ def drive_in_blocks(
     foci: tuple[Int64Array, Int64Array, Int64Array],
     drive_unit: str = "V",
     quiet: tuple[QuietTrack, ...] = (),
+    focus_mm: Float64Array | None = None,
     force: bool = False,
 ) -> Iterator[Callable[[Float64Array], None]]:
     """Write a drive file block by block, as `write_drive`.
 
     shape: Actuators and samples of the whole drive.
-    sample_rate_hz, start_s, method, scale, omitted_bound, drive_unit, quiet: See `Drive`.
+    sample_rate_hz, start_s, method, scale, omitted_bound, drive_unit, quiet, focus_mm: See `Drive`.
     foci: Sample, position and source of each focus.
 
     Yields a callable that writes the next block, volts as float64 (actuators, any number of samples).
@@ -235,6 +247,8 @@ def drive_in_blocks(
         focus = dimension_scale(file, "focus/focus", np.arange(len(foci[0])))
         for name, values in zip(("sample", "position", "source"), foci, strict=True):
             attach(filled(file, f"/focus/{name}", np.asarray(values, np.int64)), focus)
+        for name, places_mm in zip(_FOCUS_AXES, () if focus_mm is None else focus_mm.T, strict=False):
+            attach(filled(file, f"/focus/{name}", places_mm, "mm"), focus)
         actuator = dimension_scale(file, "actuator", np.arange(shape[0]))
         attach(volts, actuator, dimension_scale(file, "time_s", sample_times(shape[1], sample_rate_hz, start_s), "s"))
         set_long_names(file, LONG_NAMES)
@@ -293,7 +307,7 @@ def read_drive(path: str | Path) -> Drive:
         try:
             drive = Drive(
                 np.asarray(values, np.float64), rate, start_s, method, factor, omitted_bound, sample, position, source,
-                drive_unit, quiet=quiet,
+                drive_unit, quiet=quiet, focus_mm=_focus_mm(file, len(sample)),
             )  # fmt: skip
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
@@ -328,6 +342,12 @@ def _quiet(file: h5py.File, path: Path) -> tuple[QuietTrack, ...]:
 def _focus(file: h5py.File, name: str) -> Int64Array:
     there = hdf5_reading.has(file, f"/focus/{name}")
     return hdf5_reading.read_integers(file, f"/focus/{name}") if there else np.zeros(0, np.int64)
+
+
+def _focus_mm(file: h5py.File, foci: int) -> Float64Array | None:
+    if not all(hdf5_reading.has(file, f"/focus/{axis}") for axis in _FOCUS_AXES):
+        return None
+    return np.stack([hdf5_reading.read_floats(file, f"/focus/{axis}", (foci,)) for axis in _FOCUS_AXES], axis=1)
 
 
 def _finite(values: Float64Array) -> bool:

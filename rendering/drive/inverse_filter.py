@@ -150,7 +150,7 @@ def inverse_filter(
     drive_v *= limiting.scale
     drive = Drive(
         drive_v, rate_hz, sampled.start_s, "inverse-filter", limiting.scale, 0.0, *sampled.foci,
-        drive_unit=drive_unit(bank),
+        drive_unit=drive_unit(bank), focus_mm=sampled.focus_mm,
     )  # fmt: skip
     smallest = singular[:, -1]
     condition = np.divide(singular[:, 0], smallest, out=np.full_like(smallest, np.inf), where=smallest > 0)

@@ -135,7 +135,8 @@ class SceneRenderer:
         sampled, finite = self.sampled, bool(np.isfinite(self._levels.norms).all())
         return Drive(
             drive_v, self._rate_hz, sampled.start_s, sampled.method, report.scale, report.omitted_bound, *sampled.foci,
-            drive_unit=drive_unit(self._bank), quiet=report.quiet_tracks, known_finite=finite,
+            drive_unit=drive_unit(self._bank), quiet=report.quiet_tracks,
+            focus_mm=sampled.focus_mm, known_finite=finite,
         )  # fmt: skip
 
     def prepare(self, on_progress: OnProgress | None = None, keep_v: Float64Array | None = None) -> RenderReport:

@@ -33,6 +33,7 @@ class FocusInstant:
         ends with the drive.
     sample: The focus instant, in samples since t = 0: where within the emission window the predicted response at the
         path point is largest. For an impulse that is n_m itself.
+    focus: Its index in the drive.
     """
 
     source: int
@@ -40,6 +41,7 @@ class FocusInstant:
     start_sample: int
     stop_sample: int
     sample: int
+    focus: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +95,7 @@ def emission_windows(drive: Drive) -> tuple[FocusInstant, ...]:
         for focus, first, following in zip(of_source, start, stop, strict=True):
             row = int(drive.focus_position[focus])
             last = min(max(int(following), int(first) + 1), max(end, int(first) + 1))
-            windows.append(FocusInstant(int(source), row, int(first), last, int(first)))
+            windows.append(FocusInstant(int(source), row, int(first), last, int(first), int(focus)))
     return tuple(windows[index] for index in evenly_spread(len(windows), MAX_INSTANTS))
 
 

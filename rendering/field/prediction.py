@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -10,12 +9,10 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from wavefocus.calibration.blas import one_blas_thread
-from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
 from wavefocus.rendering.device import WORKERS, Device, host_device, threaded_map
 from wavefocus.rendering.field.bank_spectra import BankSpectra, Decimation
 from wavefocus.rendering.field.convolution import Convolution
-from wavefocus.rendering.field.focus_figures import FocusInstant, emission_windows
 from wavefocus.rendering.greens.source import GreenSource, RowReader, drive_unit, refusal, usable
 from wavefocus.storage.argument_types import Positions, bank_rows, float_type
 from wavefocus.storage.drive_file import Drive
@@ -29,7 +26,6 @@ OnProgress = Callable[[int, int], None]
 LISTED = 8
 MIN_ROWS = 8
 """Fewer rows are not worth a thread of their own."""
-MAX_FOCI = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,25 +193,3 @@ def chosen_positions(drive: Drive, bank: GreenSource, positions: Positions | Non
             f"positions holds {named}{more}: {refusal(int(status[refused[0]]))}; leave them out or measure them"
         )
     return index
-
-
-def predicted_focus_peak(drive: Drive, bank: GreenSource) -> float | None:
-    """Largest magnitude of the predicted response at a scene's foci, each while it is emitted.
-
-    In the bank's response unit, of at most `MAX_FOCI` foci; None where there is none that is finite.
-    """
-    windows = emission_windows(drive)
-    foci: dict[int, list[FocusInstant]] = {}
-    for index in evenly_spread(len(windows), MAX_FOCI).tolist():
-        foci.setdefault(windows[index].row, []).append(windows[index])
-    if not foci:
-        return None
-    peak, begin = 0.0, round(drive.start_s * drive.sample_rate_hz)
-    with np.errstate(over="ignore", invalid="ignore"):
-        prediction = Prediction(drive, bank, list(foci), dtype=np.float64)
-        for row, instants in foci.items():
-            response = np.abs(prediction.respond(np.array([row], dtype=np.int64))[0])
-            for instant in instants:
-                part = response[instant.start_sample - begin : instant.stop_sample - begin]
-                peak = max(peak, float(part.max(initial=0.0)))
-    return peak if math.isfinite(peak) else None

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.rendering.arrays import Float64Array, Int64Array
-from wavefocus.rendering.field.focus_figures import emission_windows
+from wavefocus.rendering.field.at_foci import windows_at_foci
+from wavefocus.rendering.field.focus_figures import FocusInstant, emission_windows
 from wavefocus.rendering.field.prediction import Prediction
 from wavefocus.rendering.greens.interpolation.base import OffGridError
 from wavefocus.rendering.greens.source import GreenSource
@@ -95,10 +96,11 @@ def quiet_levels(drive: Drive, bank: GreenSource) -> tuple[QuietLevel, ...]:
     measured = [track for track in drive.quiet if track.source < 0]
     if not measured:
         return rendered_levels(drive.quiet)
-    windows = emission_windows(drive)
-    response = Prediction(drive, bank, np.unique([window.row for window in windows]), dtype=np.float64).field()
-    position_mm = np.asarray(bank.position_mm, dtype=np.float64)
-    reference = max(_focus_energies(drive, response.field, response.position_index, position_mm), default=0.0)
+    windows, of_foci = windows_at_foci(drive, bank)
+    response = Prediction(drive, of_foci, np.unique([window.row for window in windows]), dtype=np.float64).field()
+    own_mm = drive.focus_mm if drive.focus_mm is not None else np.asarray(bank.position_mm)[drive.focus_position]
+    at_mm = np.asarray(own_mm, dtype=np.float64)[[window.focus for window in windows]]
+    reference = max(_focus_energies(drive, windows, response.field, response.position_index, at_mm), default=0.0)
     methods = {track.interpolation: PlaceRows(bank, name=track.interpolation) for track in measured}
     found: list[QuietLevel] = []
     for track in drive.quiet:
@@ -131,9 +133,11 @@ def field_levels(
     Returns each quiet place with its level, None where no focus or no position of it is in the field, and the number of
     positions. Those of sources are left out: their own response is there.
     """
+    windows = emission_windows(drive)
     focus_mm = np.zeros((int(max(position_index.max(), drive.focus_position.max(initial=0))) + 1, 2))
     focus_mm[position_index] = position_mm
-    reference = max(_focus_energies(drive, field, position_index, focus_mm), default=0.0)
+    at_mm = focus_mm[[window.row for window in windows]]
+    reference = max(_focus_energies(drive, windows, field, position_index, at_mm), default=0.0)
     found: list[tuple[QuietTrack, float | None, int]] = []
     for track in drive.quiet:
         if track.source >= 0:
@@ -156,20 +160,24 @@ def positions_at(track: QuietTrack, position_mm: Float64Array) -> tuple[list[Int
 
 
 def _focus_energies(
-    drive: Drive, field: NDArray[Any], position_index: Int64Array, focus_mm: Float64Array
+    drive: Drive,
+    windows: Sequence[FocusInstant],
+    field: NDArray[Any],
+    position_index: Int64Array,
+    at_mm: Float64Array,
 ) -> list[float]:
     """Energy of the response at the foci of each source whose foci are all in a field.
 
-    focus_mm, float64 (rows of the bank, 2): Places of all positions.
+    position_index: Rows of the field. at_mm, float64 (windows, 2): Places of the foci.
     """
-    windows, place = emission_windows(drive), {row: at for at, row in enumerate(position_index.tolist())}
+    place = {row: at for at, row in enumerate(position_index.tolist())}
     found = []
     for source in sorted({window.source for window in windows}):
-        own = [window for window in windows if window.source == source]
-        if all(window.row in place for window in own):
-            where = [np.array([place[window.row]]) for window in own]
-            begins, at_mm = np.array([window.start_sample for window in own]), focus_mm[[window.row for window in own]]
-            energy = _followed(drive, field, where, begins, at_mm, FOCUS_REACH_MM)
+        own = [index for index, window in enumerate(windows) if window.source == source]
+        if all(windows[index].row in place for index in own):
+            where = [np.array([place[windows[index].row]]) for index in own]
+            begins = np.array([windows[index].start_sample for index in own])
+            energy = _followed(drive, field, where, begins, at_mm[own], FOCUS_REACH_MM)
             found.append(float(sum(values.sum() for values in energy)))
     return found
 

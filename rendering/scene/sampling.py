@@ -235,6 +235,13 @@ class SampledScene:
             ),
         )
 
+    @property
+    def focus_mm(self) -> Float64Array | None:
+        """Places of the foci (K, 2); None where they are those of their rows."""
+        if self.interpolation.name == "nearest":
+            return None
+        return np.concatenate([source.points_mm for source in self.sources])
+
     def naming(self, row: int, at_mm: Float64Array) -> str:
         """Say which path point needs a row at `at_mm`: the first that is snapped to it, else the closest."""
         for source in self.sources:

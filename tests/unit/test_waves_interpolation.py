@@ -9,7 +9,9 @@ from scipy.special import h2vp, hankel2, jv, jvp
 
 from wavefocus.config.scene import Output
 from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.field.at_foci import predicted_focus_peak
 from wavefocus.rendering.field.prediction import predict
+from wavefocus.rendering.field.quiet_levels import quiet_levels
 from wavefocus.rendering.greens.interpolation import waves as waves_module
 from wavefocus.rendering.greens.interpolation.auto import choose_interpolation
 from wavefocus.rendering.greens.interpolation.base import interpolation_method
@@ -20,6 +22,7 @@ from wavefocus.rendering.scene.model import QuietPlace, Scene, Source
 from wavefocus.rendering.scene.paths import Circle, Point
 from wavefocus.rendering.scene.signals import Noise
 from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.drive_file import read_drive, write_drive
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.wave_file import wave_file
 
@@ -154,6 +157,23 @@ def test_a_quiet_place_between_positions_of_a_coarse_grid_is_quiet_in_truth(coar
     power = np.square(predict(drive, GreenArray(responses(points_mm), points_mm, RATE_HZ)).field).sum(axis=1)
     assert 10 * np.log10(power[0] / power[1]) == pytest.approx(-20, abs=2.0)
     assert report.quiet_tracks[0].interpolation == "waves"
+
+
+def test_response_and_levels_are_stated_at_the_focus_itself_and_not_at_the_position_nearest_to_it(coarse, tmp_path):
+    focus_mm, place_mm = (4.8, 5.6), (-13.0, 6.0)
+    source = Source(Point(focus_mm), Noise((170.0, 380.0), 0.5, 1))
+    quiet = (QuietPlace(Point(place_mm), level_db=-20.0),)
+    scene = Scene("between", (source,), output=Output(interpolation="waves"), quiet=quiet)
+    write_drive(tmp_path / "drive.h5", render_with_report(scene, coarse)[0])
+    drive = read_drive(tmp_path / "drive.h5")
+    np.testing.assert_array_equal(drive.focus_mm, [focus_mm])
+    truth = GreenArray(responses(np.array([focus_mm])), np.array([focus_mm]), RATE_HZ)
+    largest = np.abs(predict(drive, truth).field).max()
+    nearest = np.abs(predict(drive, coarse, drive.focus_position.tolist()).field).max()
+    assert nearest < 0.85 * largest
+    assert predicted_focus_peak(drive, coarse) == pytest.approx(largest, rel=0.1)
+    (level,) = quiet_levels(drive, coarse)
+    assert level.reached_db == pytest.approx(-20, abs=0.5)
 
 
 def test_without_the_place_of_an_actuator_waves_are_refused(coarse):

@@ -18,7 +18,8 @@ from wavefocus.input_files import input_files
 from wavefocus.rendering.drive.coil_limits import dynamic_range_db, peaks
 from wavefocus.rendering.drive.rendering import SceneRenderer
 from wavefocus.rendering.drive.wav import Interface, stream_wav
-from wavefocus.rendering.field.prediction import field_unit, predicted_focus_peak
+from wavefocus.rendering.field.at_foci import predicted_focus_peak
+from wavefocus.rendering.field.prediction import field_unit
 from wavefocus.rendering.field.quiet_levels import QuietLevel, levels_json, quiet_levels, rendered_levels
 from wavefocus.rendering.report.render_report import RenderReport
 from wavefocus.rendering.scene.model import Scene, load_scene
@@ -151,7 +152,7 @@ def _in_memory(job: _Job) -> _Rendered:
             unsaturated = render_by_options(plain, job.bank, job.options, report)[1].relative_rms_drive
     foci = drive.focus_sample, drive.focus_position, drive.focus_source
     about = {"start_s": drive.start_s, "method": drive.method, "omitted_bound": drive.omitted_bound, "foci": foci}
-    about["quiet"] = drive.quiet
+    about["quiet"], about["focus_mm"] = drive.quiet, drive.focus_mm
     actuators, samples = drive.drive_v.shape
     return _Rendered(
         (actuators, samples), iter([drive.drive_v]), about, facts, predicted_focus_peak(drive, job.bank), unsaturated,
@@ -174,7 +175,7 @@ def _in_two_passes(job: _Job) -> _Rendered:
     sampled = renderer.sampled
     about = {
         "start_s": sampled.start_s, "method": sampled.method, "foci": sampled.foci,
-        "omitted_bound": facts.omitted_bound, "quiet": facts.quiet_tracks,
+        "omitted_bound": facts.omitted_bound, "quiet": facts.quiet_tracks, "focus_mm": sampled.focus_mm,
     }  # fmt: skip
     return _Rendered(renderer.shape, renderer.blocks(), about, facts, quiet=rendered_levels(facts.quiet_tracks))
 
