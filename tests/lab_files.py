@@ -5,6 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+import numpy as np
+
+from wavefocus.storage.bank.layout import BankHeader
+from wavefocus.storage.bank.ledger import PointRecord
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.bank.writer import BankWriter, create_bank
+
 ACTUATORS = [[110.0, 0.0], [0.0, 60.0], [-110.0, 10.0]]
 POSITIONS = [[0.0, 0.0], [4.0, 0.0], [8.0, 0.0], [8.0, 4.0], [4.0, 4.0], [0.0, 4.0]]
 
@@ -65,3 +72,18 @@ def change_text(file: Path, old: str, new: str) -> None:
     text = file.read_text(encoding="utf-8")
     assert old in text
     file.write_text(text.replace(old, new), encoding="utf-8")
+
+
+def with_check_rows(bank: Path, out: Path, *rows: int) -> Path:
+    """Write the same bank with rows that lie off the grid and only judge what is between it."""
+    with open_bank(bank) as view:
+        header = BankHeader(
+            float(view.sample_rate_hz), view.taps, view.band_hz, view.position_mm, view.actuator_mm, view.rig_json,
+            view.run_json, view.plan_sha256, "test", check_rows=rows,
+        )  # fmt: skip
+        figures = np.ones(view.actuators, np.float32)
+        create_bank(out, header)
+        with BankWriter.open(out) as written:
+            for row in range(view.positions):
+                written.commit(row, view.green(row), PointRecord(1, 1, figures, figures, figures, figures))
+    return out

@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.lab_files import POSITIONS, change_text, write_positions
+from tests.lab_files import POSITIONS, change_text, with_check_rows, write_positions
 from tests.system.captures import held
 from wavefocus.__main__ import run
 from wavefocus.storage.bank.reading import open_bank
@@ -130,6 +130,16 @@ def test_given_two_banks_then_they_merge_where_a_shared_position_agrees(
     assert run(["capture", str(lab / "run.toml"), "--bank", str(apart)]) == 0
     assert _extend(lab, bank, apart, new="worse.h5", runs=False) == 2
     assert "shares no valid position" in capsys.readouterr().err
+
+
+def test_given_check_positions_then_they_stay_such_unless_the_new_grid_has_them(lab: Path, bank: Path) -> None:
+    coarse = with_check_rows(bank, lab / "coarse.h5", 4, 5)
+    assert _extend(lab, coarse, new="same.h5", runs=False) == 0
+    write_positions(lab, [*MORE, POSITIONS[4]])
+    assert _extend(lab, coarse) == 0
+    for name, checks in (("same.h5", [POSITIONS[4], POSITIONS[5]]), ("new.h5", [POSITIONS[5]])):
+        with open_bank(lab / name) as new:
+            assert new.position_mm[new.check].tolist() == checks
 
 
 def test_given_kept_recordings_then_they_are_taken_over_too(lab: Path) -> None:

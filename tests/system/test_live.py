@@ -9,20 +9,16 @@ import time
 from pathlib import Path
 from socket import AF_INET, SOCK_DGRAM, socket
 
-import numpy as np
 import pytest
 from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
 from pythonosc.osc_message import OscMessage
 from pythonosc.osc_message_builder import OscMessageBuilder
 
+from tests.lab_files import with_check_rows
 from tests.system.lines import Lines
 from wavefocus.__main__ import run
 from wavefocus.rendering.scene.model import load_scene
 from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
-from wavefocus.storage.bank.layout import BankHeader
-from wavefocus.storage.bank.ledger import PointRecord
-from wavefocus.storage.bank.reading import open_bank
-from wavefocus.storage.bank.writer import BankWriter, create_bank
 
 QUIET = {"amplitude": 1e-3}
 
@@ -98,16 +94,7 @@ def message(address: str, *values: object) -> OscMessage:
 def test_given_a_coarse_bank_and_a_scene_with_nearest_then_a_notice_says_what_is_wrong(
     bank: Path,
 ) -> None:
-    with open_bank(bank) as view:
-        header = BankHeader(
-            float(view.sample_rate_hz), view.taps, view.band_hz, view.position_mm, view.actuator_mm, view.rig_json,
-            view.run_json, "ab" * 32, "test", check_rows=(view.positions - 1,),
-        )  # fmt: skip
-        coarse, figures = bank.with_name("coarse.h5"), np.ones(view.actuators, np.float32)
-        create_bank(coarse, header)
-        with BankWriter.open(coarse) as written:
-            for row in range(view.positions):
-                written.commit(row, view.green(row), PointRecord(1, 1, figures, figures, figures, figures))
+    coarse = with_check_rows(bank, bank.with_name("coarse.h5"), 5)
     arguments = ("--rig", bank.parent / "rig.toml", "--scene", bank.parent / "scene.toml", "--json")
     with Lines("live", coarse, *arguments) as running:
         running.hear("ready")

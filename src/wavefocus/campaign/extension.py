@@ -69,12 +69,12 @@ def extend(banks: Sequence[Path], out: Path, run_file: Path | None = None) -> Bl
         if len(delays) > 1:
             raise InputError(f"{banks[-1]}: its recorder sampled the response later or earlier than that of {banks[0]}")
         grid_mm = wanted.position_mm if run_file is not None else np.zeros((0, 2))
-        taken, position_mm = _taken(views, grid_mm)
+        taken, position_mm, checks = _taken(views, grid_mm)
         blueprint = blueprint_of(replace(wanted, position_mm=position_mm))
         if blueprint.configuration.run.capture.keep_raw:
             require_outputs((raw_path(out),), [raw_path(view.path) for view in views], force=False)
             _extend_raw(views, taken, blueprint, raw_path(out))
-        _write(out, views, taken, blueprint)
+        _write(out, views, taken, blueprint, checks)
     return blueprint
 
 
@@ -98,13 +98,15 @@ def grow(bank: Path, own: Blueprint, added_mm: Float64Array, regular: int) -> Bl
         taken = {row: (0, row) for row in np.flatnonzero(view.status).tolist()}
         if blueprint.configuration.run.capture.keep_raw and not _is_of_plan(raw_path(bank), blueprint):
             _extend_raw([view], taken, blueprint, raw_path(bank), grown=True)
-        _write(temporary, [view], taken, blueprint)
+        _write(temporary, [view], taken, blueprint, view.check_rows)
     return blueprint
 
 
-def _write(out: Path, views: Sequence[Bank], taken: Taken, blueprint: Blueprint) -> None:
+def _write(out: Path, views: Sequence[Bank], taken: Taken, blueprint: Blueprint, checks: Sequence[int]) -> None:
+    header = blueprint.bank_header()
     header = replace(
-        blueprint.bank_header(),
+        header,
+        check_rows=tuple(sorted({*header.check_rows, *checks})),
         inter_channel_delay_s=views[0].inter_channel_delay_s,
         origins=_origins(views, taken),
     )
@@ -136,11 +138,15 @@ def _key(position_mm: Float64Array) -> tuple[int, int]:
     return round(float(position_mm[0]) / STEP_MM), round(float(position_mm[1]) / STEP_MM)
 
 
-def _taken(views: Sequence[Bank], grid_mm: Float64Array) -> tuple[Taken, Float64Array]:
-    """Which rows are taken from where, and all positions (P, 2)."""
+def _taken(views: Sequence[Bank], grid_mm: Float64Array) -> tuple[Taken, Float64Array, list[int]]:
+    """Which rows are taken from where, all positions (P, 2), and those of them that are check positions of all banks.
+
+    A check position that is on the new grid is none any longer.
+    """
     places = [*grid_mm]
     row_at = {_key(place): row for row, place in enumerate(places)}
     taken: Taken = {}
+    checks, on_grid = set[int](), set(range(len(places)))
     for index, view in enumerate(views):
         status, shared = view.status, 0
         for own in np.flatnonzero(np.isin(status, TAKEN)).tolist():
@@ -149,6 +155,7 @@ def _taken(views: Sequence[Bank], grid_mm: Float64Array) -> tuple[Taken, Float64
                 row_at[key] = len(places)
                 places.append(view.position_mm[own])
             row = row_at[key]
+            (checks if view.check[own] else on_grid).add(row)
             if row not in taken:
                 taken[row] = index, own
             elif status[own] == Status.VALID == views[taken[row][0]].status[taken[row][1]]:
@@ -159,7 +166,8 @@ def _taken(views: Sequence[Bank], grid_mm: Float64Array) -> tuple[Taken, Float64
                 f"{view.path}: shares no valid position with {views[0].path}, so that nothing shows that they are of "
                 "one plate; measure its positions with wavefocus extend --run instead"
             )
-    return dict(sorted(taken.items())), np.array(places, np.float64).reshape(-1, 2)
+    position_mm = np.array(places, np.float64).reshape(-1, 2)
+    return dict(sorted(taken.items())), position_mm, sorted(checks - on_grid)
 
 
 def _require_alike(first: Bank, row: int, second: Bank, other: int) -> None:
