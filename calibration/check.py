@@ -133,11 +133,15 @@ def _note_noise(bank: Bank) -> Iterator[BankProblem]:
     if error_db is None or median_db is None:
         return
     known_db = np.where((bank.status > 0)[:, np.newaxis] & np.isfinite(error_db), error_db, -np.inf)
-    position, actuator = (int(at) for at in np.unravel_index(np.argmax(known_db), known_db.shape))
-    message = (
-        f"white noise leaves an error of {median_db:.1f} dB in the median row, of "
-        f"{known_db[position, actuator]:.1f} dB in the worst (position {position}, actuator {actuator})"
-    )
+    hidden = known_db >= 0
+    heard_db = np.where(hidden, -np.inf, known_db)
+    position, actuator = (int(at) for at in np.unravel_index(np.argmax(heard_db), heard_db.shape))
+    message = f"white noise leaves an error of {median_db:.1f} dB in the median row"
+    if np.isfinite(heard_db).any():
+        message += f", of {heard_db[position, actuator]:.1f} dB in the worst (position {position}, actuator {actuator})"
+    if hidden.any():
+        position, actuator = (int(at) for at in np.argwhere(hidden)[0])
+        message += f"; rows that it hides: {int(hidden.sum())} (the first: position {position}, actuator {actuator})"
     yield BankProblem(None, None, message, "note")
 
 

@@ -42,7 +42,7 @@ class Grid(Table):
 
     lattice: Annotated[Literal["square", "hexagonal"], DERIVED] = Field(
         default="square",
-        description='Arrangement of the positions; hexagonal needs fewer, and interpolation "nearest" or "kernel"',
+        description='Arrangement of the positions; hexagonal needs fewer, and no interpolation "bilinear"',
     )
     spacing_mm: Annotated[Positive, DERIVED] = Field(default=4.0, description="Distance of neighbouring positions")
     margin_mm: Annotated[NonNegative, DERIVED] = Field(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from wavefocus.commands.demo import compare_with_truth
 from wavefocus.config.run import Virtual
 from wavefocus.rig.virtual_bench import virtual_rig
 from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.bank.writer import BankWriter
 
 STAGGERED = 'taps = 1000\nexcitation = "staggered"\nstagger_s = 0.15\nwhen_staggered_does_not_pay = "keep"'
 
@@ -50,3 +52,15 @@ def test_given_white_noise_then_the_error_of_the_rows_is_stated_within_1_db(
     assert run(["status", str(bank), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["median_noise_error_db"] == pytest.approx(median_db)
     assert any(f"{median_db:.1f} dB" in found.message for found in check_bank(bank) if found.severity == "note")
+
+
+def test_given_rows_that_the_noise_hides_then_they_are_counted_and_the_worst_is_one_that_is_heard(bank: Path) -> None:
+    with open_bank(bank) as view:
+        plan = view.plan_sha256
+    with BankWriter.open(bank, plan_sha256=plan) as writer:
+        record = writer.record(2)
+        snr_db = np.array([10.0, -230.0, 40.0], np.float32)
+        writer.commit(2, writer.green(2), replace(record, snr_db=snr_db))
+    (note,) = [found.message for found in check_bank(bank) if "white noise" in found.message]
+    assert "in the worst (position 2, actuator 0)" in note
+    assert "it hides: 1 (the first: position 2, actuator 1)" in note
