@@ -6,14 +6,15 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.fft
 import scipy.linalg
 
 from wavefocus.calibration import Complex64Array, Complex128Array, Float32Array, Float64Array, Int64Array
 from wavefocus.calibration.estimator.causal_fit import conjugate_gradients, toeplitz_product
 from wavefocus.storage.errors import InputError
 
-# Bins of the left vectors that are made at once, for little memory.
-CHUNK = 512
+# Left vectors that are made at once, for little memory.
+CHUNK = 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,27 +32,25 @@ class CausalBasis:
     right: Float64Array
 
 
-def causal_basis(omega: Float64Array, weight: Float64Array, taps: int, smallest: float) -> CausalBasis:
-    """Find the singular triplets above `smallest` of the matrix ``weight_k exp(-j omega_k n)``.
+def causal_basis(bins: Int64Array, weight: Float64Array, period: int, taps: int, smallest: float) -> CausalBasis:
+    """Find the singular triplets above `smallest` of the matrix ``weight_k exp(-j w_k n)``, ``w_k = 2 pi k / period``.
 
     Its Gram matrix is Toeplitz, so subspace iteration (Halko et al. 2011, algorithm 4.4) needs transforms and
     no matrix: memory for `rank` vectors, not for `taps` squared.
 
-    omega, float64 (bins,): Frequencies in radians per sample, multiples of one spacing, ascending.
+    bins, int64 (bins,): Numbers k of the frequencies, ascending, 0 to half the period.
     weight, float64 (bins,): Weight of each.
+    period: Samples of the period, at least `taps`.
     taps: Length L of the responses.
     smallest: Singular values below this are left out, > 0.
 
     Returns CausalBasis.
     """
-    kernel, lags = np.zeros(taps), np.arange(taps)
-    for low in range(0, omega.size, CHUNK):
-        part = slice(low, low + CHUNK)
-        kernel += np.square(weight[part]) @ np.cos(np.outer(omega[part], lags))
-    gram = toeplitz_product(kernel)
-    spacing = float(np.diff(omega).min()) if omega.size > 1 else np.pi
-    most = min(taps, 2 * omega.size)
-    wanted = min(most, int(omega.size * taps * spacing / np.pi) + 48)
+    power = np.zeros(period)
+    power[bins] = np.square(weight)
+    gram = toeplitz_product(period * scipy.fft.ifft(power)[:taps].real)
+    most = min(taps, 2 * bins.size)
+    wanted = min(most, int(2 * bins.size * taps / period) + 48)
     while True:
         found = np.random.default_rng(0).standard_normal((wanted, taps))
         for _ in range(4):
@@ -64,11 +63,11 @@ def causal_basis(omega: Float64Array, weight: Float64Array, taps: int, smallest:
     keep = square > smallest**2
     singular = np.sqrt(square[keep])
     right = turn.T[keep] @ found
-    left = np.empty((omega.size, singular.size), dtype=np.complex128)
-    for low in range(0, omega.size, CHUNK):
+    left = np.empty((bins.size, singular.size), dtype=np.complex128)
+    for low in range(0, singular.size, CHUNK):
         part = slice(low, low + CHUNK)
-        steering = weight[part, None] * np.exp(-1j * np.outer(omega[part], lags))
-        left[part] = steering @ (right / singular[:, None]).T
+        spectra = scipy.fft.rfft(right[part] / singular[part, None], period)[:, bins]
+        left[:, part] = (weight * spectra).T
     return CausalBasis(left, singular, right)
 
 
@@ -149,7 +148,8 @@ class JointFit:
                 "one actuator play at a time"
             )
         weight = np.sqrt(2 * power / period)
-        basis = causal_basis(omega, weight, taps, math.sqrt(CUT * ridge))
+        bins = np.round(omega * period / (2 * np.pi)).astype(np.int64)
+        basis = causal_basis(bins, weight, period, taps, math.sqrt(CUT * ridge))
         self.weight = weight.astype(np.float32)
         self.elements = 2 * omega.size
         self._left = np.concatenate([basis.left.real, basis.left.imag]).astype(np.float32)
@@ -164,7 +164,6 @@ class JointFit:
         else:
             slots, self._chosen = ring
             delays = delays[0] + (np.arange(slots) - self._chosen[0]) * (period / slots)
-            bins = np.round(omega * period / (2 * np.pi)).astype(np.int64)
             self._inverses, freedom, spread = _harmonics(basis.left, bins, slots, self._penalty)
         self._turns = np.exp(-1j * np.outer(omega, delays)).astype(np.complex64)
         if self._inverses is None:
