@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.fft
+import scipy.signal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
-from wavefocus.calibration.clock.resampling import resampled
+from wavefocus.calibration.clock.resampling import decimate, resampled
 from wavefocus.calibration.clock.timing import ClockFit, ClockFitter, fit_clock, to_playback_clock
 from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.storage.errors import InputError, WavefocusError
@@ -203,3 +204,17 @@ def test_one_fitter_gives_each_recording_the_same_fit_in_any_order() -> None:
     fitter = ClockFitter(KNOWN)
     assert [fitter.fit(recorded) for recorded in reversed(recordings)] == alone[::-1]
     assert [fitter.fit(recorded) for recorded in recordings] == alone
+
+
+@pytest.mark.parametrize("highest", [0.02, 0.09, 0.15])
+@pytest.mark.parametrize("samples", [300, 2003])
+def test_given_recordings_then_they_are_decimated_as_scipy_does(highest, samples):
+    recordings = np.random.default_rng(0).standard_normal((2, samples)).astype(np.float32)
+    decimated = decimate(recordings, highest)
+    impulse = np.zeros((1, samples), dtype=np.float32)
+    impulse[0, 0] = 1.0
+    # The filter, from its answers to an impulse at each sample of a step.
+    answers = [decimate(np.roll(impulse, late, axis=1), highest).values[0] for late in range(decimated.step)]
+    filter_ = np.stack(answers[::-1], axis=1).reshape(-1)[decimated.step - 1 :][: 1 - 2 * decimated.first]
+    wanted = scipy.signal.upfirdn(filter_, recordings, down=decimated.step, axis=1)
+    np.testing.assert_allclose(decimated.values, wanted, atol=2e-6)
