@@ -38,12 +38,12 @@ docs: ## Build the documentation's site in site/, warnings being errors; open si
 	@tools/set-up.sh docs
 	$(PY) -m sphinx -W -E --keep-going -q docs site
 
-test: ## Run unit, contract and wire tests, and one test of each command and tab; two or three minutes
+test: ## Run unit, contract and wire tests, and one test of each command and tab; five minutes
 	@tools/system-packages.sh $(TEST_PACKAGES)
 	@tools/set-up.sh test
 	$(PY) -m pytest -m "not long and not whole" $(ARGS)
 
-test-all: ## Run all tests but the long ones; six minutes or more
+test-all: ## Run all tests but the long ones; eleven minutes or more
 	@tools/system-packages.sh $(TEST_PACKAGES)
 	@tools/set-up.sh test
 	$(PY) -m pytest $(ARGS)
