@@ -235,9 +235,9 @@ def _side_by_side(
 
 def _factor(x: Complex128Array) -> Complex128Array:
     """Lower Cholesky factor of B = 1 + X* X."""
-    gram = blas.zherk(1.0, x.T).T  # its lower triangle, and no other is looked at
-    gram[np.diag_indices_from(gram)] += 1.0
-    return np.asarray(np.linalg.cholesky(gram))
+    gram = blas.zherk(1.0, x.T)  # transposed: its upper triangle, and no other is looked at
+    np.einsum("ii->i", gram)[:] += 1.0
+    return np.asarray(lapack.zpotrf(gram, lower=0, overwrite_a=1)[0].T)
 
 
 def _inverse_of(low: Complex128Array) -> Complex128Array:
