@@ -1,10 +1,11 @@
-"""Positions against their neighbours: what a position's own records cannot show."""
+"""Positions against their neighbours, or, on coarse grids, all others: what a position's own records cannot show."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,11 +15,15 @@ from wavefocus.acquisition.judgement import Judgement, PositionRow, difference, 
 from wavefocus.acquisition.plan import Plan
 from wavefocus.acquisition.plays import MEASURED
 from wavefocus.calibration import BoolArray, Float32Array, Int64Array
+from wavefocus.calibration.coarse_grid.left_out_rows import waves_of_rows
 from wavefocus.calibration.neighbour_difference import NeighbourDifference
 from wavefocus.calibration.neighbour_judge import NeighbourJudge, RowsAtFrequencies
 from wavefocus.storage.bank.layout import rows_off_grid
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.point_status import Status
+
+if TYPE_CHECKING:
+    from wavefocus.calibration.coarse_grid.rim_waves import WavesFound
 
 STRONG_DB, AROUND = 6.0, 13
 """Rows of less signal-to-noise ratio, where those around have no more either, are noise and need no judging."""
@@ -30,12 +35,12 @@ SAME = 0.25
 """Two measurements agree when they differ by this part of what both differ by from their neighbours."""
 
 
-_SENTENCE = "no neighbour can judge it: a second measurement must agree with it"
+_SENTENCE = "the other positions cannot judge it: a second measurement must agree with it"
 UNCONFIRMED = Judgement(Status.POOR_SIGNAL, _SENTENCE, 0.0, (RecordDefect("unconfirmed", (), _SENTENCE, Cure.AGAIN),))
 
 
 class NeighbourWatch:
-    """Judges what the bank holds, and a repeat before it is committed.
+    """Judges what the bank holds, and a repeat before it is committed: by neighbours, on coarse grids by waves.
 
     Verdicts depend only on the bank, so that a campaign that is killed anywhere goes on as one that is not: until a
     pass replaces it, a row that is marked counts as it did before.
@@ -48,6 +53,7 @@ class NeighbourWatch:
         self._plan = plan
         self._bank = bank
         self._marked: dict[int, bool] = {}
+        self._waves: tuple[bytes, WavesFound | None] = b"", None
 
     def is_done(self, covered: Int64Array) -> bool:
         """Whether `mark` came to its end for these positions: the last of them says so."""
@@ -157,7 +163,7 @@ class NeighbourWatch:
         rows = np.flatnonzero(usable)
         apart_mm = np.hypot(*(self._plan.position_mm[rows] - self._plan.position_mm[position]).T)
         rows = np.sort(rows[np.argsort(apart_mm, kind="stable")[:NEIGHBOURHOOD]])
-        found, judged = self._differences(rows, {position: green})
+        found, judged = self._differences(rows, {position: green}, self._waves_of_the_first_round)
         differences = found.get(position, ())
         if not differences:
             return before, position in judged
@@ -177,28 +183,52 @@ class NeighbourWatch:
         return poor
 
     def _differences(
-        self, rows: Int64Array, instead: dict[int, Float32Array]
+        self,
+        rows: Int64Array,
+        instead: dict[int, Float32Array],
+        waves: Callable[[], WavesFound | None] | None = None,
     ) -> tuple[dict[int, tuple[NeighbourDifference, ...]], frozenset[int]]:
         """What differs, and the positions all of whose rows could be judged."""
         if not len(rows):
             return {}, frozenset()
-        header = self._bank.header
-        spectra = RowsAtFrequencies(
-            len(rows), self._plan.actuators, self._plan.taps, header.sample_rate_hz, header.band_hz
-        )
-        for number, row in enumerate(rows.tolist()):
-            spectra.set(number, instead[row] if row in instead else self._bank.green(row))
+        header, all_rows = self._bank.header, np.ones(len(rows), dtype=bool)
         on_grid = ~rows_off_grid(header.positions, header.check_rows, header.run_json)[rows]
-        judge = NeighbourJudge(self._plan.position_mm[rows], self._plan.actuator_mm, spectra, on_grid)
+        places = self._plan.position_mm[rows], self._plan.actuator_mm
+        judge = NeighbourJudge(*places, self._spectra(rows, instead), on_grid, all_rows, waves)
         strong = self._strong(rows)
         found: dict[int, tuple[NeighbourDifference, ...]] = {}
-        if np.count_nonzero(judge.judged & strong) < TRUSTED * np.count_nonzero(strong[on_grid]):
+        if np.count_nonzero(judge.judged & strong) < TRUSTED * np.count_nonzero(
+            strong[all_rows if judge.by_waves else on_grid]
+        ):
             return found, frozenset()
         verdict = judge.find()
         for contradiction in verdict.differences:
             row = int(rows[contradiction.position])
             found[row] = (*found.get(row, ()), contradiction)
         return found, frozenset(rows[(verdict.judged | ~strong).all(axis=1)].tolist())
+
+    def _spectra(self, rows: Int64Array, instead: dict[int, Float32Array]) -> RowsAtFrequencies:
+        header = self._bank.header
+        spectra = RowsAtFrequencies(
+            len(rows), self._plan.actuators, self._plan.taps, header.sample_rate_hz, header.band_hz
+        )
+        for number, row in enumerate(rows.tolist()):
+            spectra.set(number, instead[row] if row in instead else self._bank.green(row))
+        return spectra
+
+    def _waves_of_the_first_round(self) -> WavesFound | None:
+        """Waves of the rows that no pass has replaced; None where these are too few.
+
+        They are found once in a pass, and are the same wherever it was interrupted.
+        """
+        status, attempts = self._bank.status, self._bank.attempts
+        rows = np.flatnonzero((status == Status.VALID) & (attempts <= self._plan.quality.max_attempts))
+        key = rows.tobytes() + attempts[rows].tobytes()
+        if key != self._waves[0]:
+            places = self._plan.position_mm[rows], self._plan.actuator_mm
+            spectra, every = self._spectra(rows, {}), np.ones(len(rows), dtype=bool)
+            self._waves = key, waves_of_rows(*places, spectra.values, spectra.frequency_hz, every)
+        return self._waves[1]
 
     def _strong(self, rows: Int64Array) -> BoolArray:
         """Actuators with enough signal at some positions, or at all positions around them."""

@@ -88,17 +88,23 @@ class Plan:
         return (count + self.drift.passes(count, position_s)) * position_s
 
     def second_looks(self, rows: Int64Array, speed_m_s: float = GEL_SPEED_M_S) -> int:
-        """Number of positions that no neighbour can be expected to judge, so that they are measured twice.
+        """Number of positions that no others can be expected to judge, so that they are measured twice.
 
         rows: The positions that are measured.
         speed_m_s: Phase speed of the plate's waves at the upper end of the band, > 0.
         """
         if not self.quality.confirms or not len(rows):
             return 0
-        from wavefocus.calibration.neighbour_prediction import have_neighbours  # with it comes SciPy
+        # With these comes SciPy.
+        from wavefocus.calibration.coarse_grid.left_out_rows import can_be_modelled
+        from wavefocus.calibration.neighbour_prediction import have_neighbours
 
         apart_mm = COARSE_WAVELENGTHS * 1e3 * speed_m_s / self.excitation.stop_hz
-        return len(rows) - int(np.count_nonzero(have_neighbours(self.position_mm[rows], apart_mm)))
+        places_mm = self.position_mm[rows]
+        judged = have_neighbours(places_mm, apart_mm)
+        if not judged.any() and can_be_modelled(places_mm, self.actuator_mm, np.ones(len(rows), dtype=bool)):
+            return 0
+        return len(rows) - int(np.count_nonzero(judged))
 
 
 def lead_samples(signal: StaggeredSignal, margins: RecordMargins) -> int:

@@ -55,7 +55,7 @@ class NeighbourDifference:
 
     def _what(self, *, single: bool) -> str:
         verb, its = ("differs", "its prediction") if single else ("differ", "their predictions")
-        against = f"{its} from the neighbouring positions"
+        against = f"{its} from the other positions"
         if self.kind == "level":
             return f"{verb} by {self.level_db:+.1f} dB from {against}"
         if self.kind == "polarity":

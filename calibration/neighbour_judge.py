@@ -8,15 +8,17 @@ field of a near actuator then raise the limit, and where a prediction explains t
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.calibration import BoolArray, Complex128Array, Float64Array, Int64Array
 from wavefocus.calibration.blas import one_blas_thread
-from wavefocus.calibration.coarse_grid.left_out_rows import RowsByWaves, can_be_modelled
+from wavefocus.calibration.coarse_grid.left_out_rows import RowsByWaves, waves_of_rows
 from wavefocus.calibration.neighbour_difference import (
     EXPLAINED,
     NeighbourDifference,
@@ -27,6 +29,9 @@ from wavefocus.calibration.neighbour_difference import (
 )
 from wavefocus.calibration.neighbour_prediction import Gains, RowsPredicted, common_gains
 from wavefocus.calibration.numerics import transform_at
+
+if TYPE_CHECKING:
+    from wavefocus.calibration.coarse_grid.rim_waves import WavesFound
 
 LINEAR_FREQUENCIES, OCTAVE_FREQUENCIES = 16, 16
 LEARNED_FROM = 12
@@ -130,6 +135,8 @@ class NeighbourJudge:
     modelled, bool (positions,): Rows that waves predict and judge where the grid is too coarse for neighbours and the
         actuators' places are known; those off the grid, too. That takes 5 to 10 s of processor time more. By default
         only neighbours judge.
+    waves: Gives the waves of rows that are right, in a third of that time if they were found before; None for none. By
+        default they are found from the rows that are judged.
 
     judged, bool (positions, actuators): Rows that can be judged.
     """
@@ -141,18 +148,20 @@ class NeighbourJudge:
         spectra: RowsAtFrequencies,
         usable: BoolArray,
         modelled: BoolArray | None = None,
+        waves: Callable[[], WavesFound | None] | None = None,
     ) -> None:
         values, self._frequency_hz = spectra.values, spectra.frequency_hz
         there = (np.abs(values).max(axis=(1, 2), initial=0.0) > 0) & np.isfinite(position_mm).all(axis=1)
-        usable, modelled = usable & there, None if modelled is None else modelled & there
+        usable, modelled = usable & there, there & (False if modelled is None else modelled)
         # In the largest value's unit, so that a bank in any unit fits.
-        whole = np.abs(values[usable if modelled is None else usable | modelled]).max(initial=0.0)
+        whole = np.abs(values[usable | modelled]).max(initial=0.0)
         self._values = values / whole if whole > 0 else values
         self._position_mm = position_mm
         self._actuator_mm = actuator_mm
         self._predict_by(RowsPredicted(position_mm, self._values, self._frequency_hz, usable))
-        if modelled is not None and self._too_coarse() and can_be_modelled(position_mm, actuator_mm, modelled):
-            self._predict_by(RowsByWaves(position_mm, actuator_mm, self._values, self._frequency_hz, modelled))
+        self._modelled, self._finds_waves = modelled, waves is None
+        if modelled.any() and self._too_coarse():
+            self._predict_by_waves(waves() if waves else self._waves_of(modelled))
 
     def _predict_by(self, rows: RowsPredicted | RowsByWaves) -> None:
         """Begin anew with predictions of all rows."""
@@ -194,6 +203,18 @@ class NeighbourJudge:
         self._common = np.maximum(np.nanmedian(strength[self._all], axis=0), np.finfo(np.float64).tiny)
         self._learn(self._all)
 
+    def _waves_of(self, rows: BoolArray) -> WavesFound | None:
+        return waves_of_rows(self._position_mm, self._actuator_mm, self._values, self._frequency_hz, rows)
+
+    def _predict_by_waves(self, found: WavesFound | None) -> bool:
+        """Begin anew with predictions by waves; False, and nothing changes, where none fit."""
+        rows = self._position_mm, self._actuator_mm, self._values, self._frequency_hz, self._modelled
+        with suppress(np.linalg.LinAlgError):
+            if found is not None:
+                self._predict_by(RowsByWaves(*rows, found))
+                return True
+        return False
+
     @property
     def by_waves(self) -> bool:
         """Whether rows are predicted by waves from the actuators and the rim, from all other positions."""
@@ -210,8 +231,8 @@ class NeighbourJudge:
                 self._search()
                 sound: BoolArray = np.asarray(~self._out.any(axis=1))
                 # Wrong rows had a part in the waves that were found.
-                if isinstance(self._rows, RowsByWaves) and not sound.all() and (anew := self._rows.found_from(sound)):
-                    self._predict_by(anew)
+                spoiled = self.by_waves and self._finds_waves and not sound.all()
+                if spoiled and self._predict_by_waves(self._waves_of(self._modelled & sound)):
                     self._search()
         if self._renewed > self._most_renewed or self._out.sum() > MAX_OUT * len(self._all) * self._out.shape[1]:
             return NeighbourResult((), np.zeros_like(self.judged), incoherent=True)
@@ -484,7 +505,10 @@ class NeighbourJudge:
             if left.min() < best:
                 best, place = float(left.min()), self._position_mm[some[int(left.argmin())]]
         offset_mm = self._rows.spacing_mm * _places_around(PLACES_BY_WAVES if self.by_waves else PLACES)
-        around = self._rows.at(position, offset_mm)[:, actuators]
+        wrong = self._out.copy()
+        wrong[position] = True
+        right = np.where(wrong[..., None], self._values - self._errors, self._values)
+        around = self._rows.at(position, offset_mm, right)[:, actuators]
         left = (np.square(np.abs(around - values)) / typical).sum(axis=(1, 2))
         if left.min() < best:
             best, place = float(left.min()), self._position_mm[position] + offset_mm[int(left.argmin())]

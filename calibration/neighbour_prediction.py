@@ -201,12 +201,15 @@ class RowsPredicted:
         left = np.linalg.inv(inverse[:, out[:, None], out])[:, :1]
         return np.asarray((left @ known)[:, 0].T), np.asarray(left[:, 0, 0].real)
 
-    def at(self, position: int, offset_mm: Float64Array) -> Complex128Array:
-        """Rows at places near a position, from its neighbours only, (places, actuators, frequencies)."""
+    def at(self, position: int, offset_mm: Float64Array, values: Complex128Array) -> Complex128Array:
+        """Rows at places near a position, from its neighbours only, (places, actuators, frequencies).
+
+        values, complex128 (positions, actuators, frequencies): The rows to use, wrong ones replaced.
+        """
         patch = self.patches[position]
         kernel = PatchKernel(self.waves, patch.offset_mm[1:])
         weights = kernel.weights(offset_mm)
-        return np.asarray(np.einsum("fpn,naf->paf", weights, self.values[patch.rows[1:]]))
+        return np.asarray(np.einsum("fpn,naf->paf", weights, values[patch.rows[1:]]))
 
     def coefficients(self, patch: Patch) -> Complex128Array:
         """What each row of a patch counts in the error of its first, (frequencies, rows): 1 for the first."""

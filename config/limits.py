@@ -45,7 +45,7 @@ class QualityLimits(Table):
     )
     second_look: Annotated[Literal["auto", "never"], BeforeValidator(_second_look)] = Field(
         default="auto",
-        description="Measure twice the positions that no neighbour can judge (coarse grids), or leave them valid",
+        description="Measure twice the positions that the others cannot judge (too few, too far), or leave them valid",
     )
     reference_db: Annotated[Positive, Field(le=20)] = Field(
         default=0.1,

@@ -7,12 +7,20 @@ E = X B^(-1/2) (Woodbury). S. Sundararajan and S. Keerthi, Neural Computation 13
 
 from __future__ import annotations
 
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from wavefocus.calibration import BoolArray, Complex64Array, Complex128Array, Float64Array, Int64Array
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.numerics import on_a_line
 
+if TYPE_CHECKING:
+    from wavefocus.calibration.coarse_grid.rim_waves import WavesFound
+
+MIN_POSITIONS = 30
+"""With fewer, waves predict little: 36 rows of a stadium, 25 mm apart, are all judged, of 28 next to none."""
 MAX_ROWS = 12_000
 """More rows take over half a gigabyte, and lie on a grid fine enough for their neighbours."""
 MIN_FREE = 1e-6
@@ -27,7 +35,9 @@ class RowsByWaves:
     values, complex128 (positions, actuators, frequencies): Fourier transforms of the rows.
     frequency_hz, float64 (frequencies,): Ascending, > 0.
     usable, bool (positions,): Rows that are there.
-    sound, bool (positions,): Rows that wave numbers and shares are found from; by default all that are usable.
+    found: Wave numbers and shares.
+
+    Raises LinAlgError: no numbers are precise enough for rows with so little noise.
 
     spacing_mm: Median distance of neighbouring positions.
     neighbours: Of each position that can be predicted, itself and all others, the nearest first.
@@ -40,14 +50,11 @@ class RowsByWaves:
         values: Complex128Array,
         frequency_hz: Float64Array,
         usable: BoolArray,
-        sound: BoolArray | None = None,
+        found: WavesFound,
     ) -> None:
-        # SciPy's optimisation and interpolation are slow to load: only for who judges a coarse grid.
-        from wavefocus.calibration.coarse_grid.rim_waves import grid_spacing_mm, judging_waves
+        from wavefocus.calibration.coarse_grid.rim_waves import grid_spacing_mm
 
-        self.values, self._usable = values, usable
-        self._actuator_mm, self._frequency_hz = actuator_mm, frequency_hz
-        self._position_mm, self._rows = position_mm, np.flatnonzero(usable)
+        self.values, self._position_mm, self._rows = values, position_mm, np.flatnonzero(usable)
         self._number = np.full(len(values), -1)
         self._number[self._rows] = np.arange(len(self._rows))
         placed_mm = position_mm[self._rows]
@@ -60,19 +67,13 @@ class RowsByWaves:
         }
         with one_blas_thread():
             transfer = values[self._rows].transpose(2, 0, 1)
-            some = None if sound is None else np.flatnonzero(sound[self._rows])
-            self._waves = judging_waves(frequency_hz, placed_mm, actuator_mm, transfer, some)
+            self._waves = list(zip(found.at(placed_mm, actuator_mm, transfer), found.shares, strict=True))
             solved = [waves.whitened(shares) for waves, shares in self._waves]
-        self._explained: Complex64Array = np.stack([part[0].astype(np.complex64) for part in solved], axis=1)
-        self._left: Complex128Array = np.stack([part[1] for part in solved], axis=1)
-        self._noise: Float64Array = np.stack([part[2] for part in solved], axis=1)
+        explained, left, noise = zip(*solved, strict=True)
+        self._explained: Complex64Array = np.stack(explained, axis=1)
+        self._left: Complex128Array = np.stack(left, axis=1)
+        self._noise: Float64Array = np.stack(noise, axis=1)
         self._free: Float64Array = 1.0 - np.square(np.abs(self._explained)).sum(axis=3, dtype=np.float64)
-
-    def found_from(self, sound: BoolArray) -> RowsByWaves | None:
-        """The same rows, with wave numbers and shares found from some positions only; None where these are too few."""
-        if not can_be_modelled(self._position_mm, self._actuator_mm, self._usable & sound):
-            return None
-        return RowsByWaves(self._position_mm, self._actuator_mm, self.values, self._frequency_hz, self._usable, sound)
 
     def errors(self) -> tuple[Complex128Array, Float64Array]:
         """Error of every row, left out, and its expected square, (positions, actuators, frequencies); NaN if none."""
@@ -103,29 +104,43 @@ class RowsByWaves:
         errors[self._rows], variance[self._rows] = (noise * found).T, (np.square(noise) / free).T
         return errors, variance
 
-    def at(self, position: int, offset_mm: Float64Array) -> Complex128Array:
+    def at(self, position: int, offset_mm: Float64Array, values: Complex128Array) -> Complex128Array:
         """Rows at places near a position, from all others, (places, actuators, frequencies).
 
-        A position counts for nothing where it has what the others predict of it instead of what was measured there.
+        values, complex128 (positions, actuators, frequencies): The rows to use. What the others predict of a row counts
+            for nothing: wrong ones, and the position's, are replaced by it.
         """
-        measured, number = self.values[self._rows], self._number[position]
-        part = self._noise[..., number] / np.maximum(self._free[..., number], MIN_FREE)
-        measured[number] -= part * self._left[..., number]
         points_mm = self._position_mm[position] + offset_mm
         found = [
-            waves.at_points(points_mm, shares, measured[..., index])
+            waves.at_points(points_mm, shares, values[self._rows, :, index])
             for index, (waves, shares) in enumerate(self._waves)
         ]
         return np.stack(found, axis=2)
 
 
+def waves_of_rows(
+    position_mm: Float64Array,
+    actuator_mm: Float64Array,
+    values: Complex128Array,
+    frequency_hz: Float64Array,
+    usable: BoolArray,
+) -> WavesFound | None:
+    """Find wave numbers and shares from rows; None where these are too few, or nothing fits. See `RowsByWaves`."""
+    if not can_be_modelled(position_mm, actuator_mm, usable):
+        return None
+    # SciPy's optimisation and interpolation are slow to load: only for who judges a coarse grid.
+    from wavefocus.calibration.coarse_grid.rim_waves import judging_waves
+
+    with one_blas_thread(), suppress(np.linalg.LinAlgError):
+        return judging_waves(frequency_hz, position_mm[usable], actuator_mm, values[usable].transpose(2, 0, 1))
+    return None
+
+
 def can_be_modelled(position_mm: Float64Array, actuator_mm: Float64Array, usable: BoolArray) -> bool:
     """Whether waves can predict the rows of a bank: actuators' places are there, and positions not few or on a line."""
-    from wavefocus.calibration.coarse_grid.rim_waves import MIN_POSITIONS
-
     places_mm = position_mm[usable]
     return bool(
-        len(places_mm) > MIN_POSITIONS
+        len(places_mm) >= MIN_POSITIONS
         and len(places_mm) * len(actuator_mm) <= MAX_ROWS
         and np.isfinite(actuator_mm).all()
         and np.isfinite(places_mm).all()

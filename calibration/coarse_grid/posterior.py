@@ -33,7 +33,7 @@ import numpy as np
 from scipy.linalg import blas, lapack
 from scipy.optimize import minimize
 
-from wavefocus.calibration import Complex128Array, Float64Array
+from wavefocus.calibration import Complex64Array, Complex128Array, Float64Array
 from wavefocus.calibration.coarse_grid.waves import distances_mm, outgoing, outgoing_each, waves_of_actuators
 
 SHARE_LIMITS = ((-12.0, 0.5), (-25.0, 2.0), (-16.0, 0.0), (-24.0, 0.0))
@@ -173,15 +173,19 @@ class FrequencyWaves:
             variance[:, actuator] = noise**2 / free
         return error * np.sqrt(self._power), variance * self._power
 
-    def whitened(self, shares: Float64Array) -> tuple[Complex128Array, Complex128Array, Float64Array]:
+    def whitened(self, shares: Float64Array) -> tuple[Complex64Array, Complex128Array, Float64Array]:
         """What every left-out error follows from (`left_out_rows`), in the units of what is measured.
 
-        Returns E = X B^(-1/2), (actuators, positions, own waves + sources); ``D^(1/2) C^-1 d`` and the root of D,
-        (actuators, positions).
+        Returns E = X B^(-1/2), complex64 (actuators, positions, own waves + sources); ``D^(1/2) C^-1 d`` and the root
+        of D, (actuators, positions).
         """
         parts = [self._whitened(actuator, shares) for actuator in range(len(self._power))]
         explained, left, noise = zip(*parts, strict=True)
-        return np.stack(explained), np.stack(left), np.stack(noise) * np.sqrt(self._power)[:, None]
+        return (
+            np.stack(explained, dtype=np.complex64, casting="same_kind"),
+            np.stack(left),
+            np.stack(noise) * np.sqrt(self._power)[:, None],
+        )
 
     def _whitened(self, actuator: int, shares: Float64Array) -> tuple[Complex128Array, Complex128Array, Float64Array]:
         x, y, _, noise = self._scaled(actuator, shares)

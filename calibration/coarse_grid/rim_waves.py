@@ -23,7 +23,7 @@ from scipy.linalg import cho_factor, cho_solve, eigh
 from scipy.spatial import cKDTree
 from scipy.special import j1
 
-from wavefocus.calibration import BoolArray, Complex64Array, Complex128Array, Float64Array, Int64Array
+from wavefocus.calibration import BoolArray, Complex64Array, Complex128Array, Float64Array
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.coarse_grid.posterior import FIRST_SHARES, FrequencyWaves
 from wavefocus.calibration.coarse_grid.waves import (
@@ -65,6 +65,28 @@ JUDGING = Effort(5, 120, 2, 25)
 """A twentieth of the time; rows that are left out are predicted with errors of 1 to 4 %, enough to tell wrong ones."""
 NORMAL_95 = float(np.log(20.0))
 """Square of the 95 % bound of a complex normal error, over its variance."""
+
+
+class WavesFound(NamedTuple):
+    """Waves of a bank at its frequencies; each as of `RimWaves`."""
+
+    wavenumber: Complex128Array
+    shares: Float64Array
+    pressure_share: float
+    ring_mm: Float64Array
+
+    def at(
+        self, position_mm: Float64Array, actuator_mm: Float64Array, transfer: Complex128Array
+    ) -> list[FrequencyWaves]:
+        """At each frequency, with transfer functions (frequencies, positions, actuators)."""
+        power, relative_level = _levels(transfer)
+        return [
+            FrequencyWaves(
+                k, self.pressure_share, position_mm, actuator_mm, self.ring_mm, power[number], relative_level,
+                transfer[number],
+            )
+            for number, k in enumerate(self.wavenumber.tolist())
+        ]  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,12 +279,10 @@ class _Fit:
         self._position_mm = np.asarray(position_mm, dtype=np.float64)
         self._actuator_mm = np.asarray(actuator_mm, dtype=np.float64)
         self._workers = min(os.cpu_count() or 1, 4) if workers is None else workers
-        self._power = np.maximum(np.square(np.abs(transfer)).mean(axis=1), 1e-300)
-        level = np.square(np.abs(transfer)).mean(axis=0)
-        self._relative_level = np.maximum(level / np.maximum(level.mean(axis=0), 1e-300), 1e-12)
+        self._power, self._relative_level = _levels(transfer)
         self._spacing_mm = grid_spacing_mm(self._position_mm)
         self._apart_mm = _gaps_mm(self._position_mm, self._position_mm)
-        self.learn_from(np.arange(len(position_mm)))
+        self._some = np.random.default_rng(0).permutation(len(position_mm))[: effort.positions]
         self._every = evenly_spread(len(actuator_mm), effort.actuators)
         self._pressure_share = 0.0
         self._rest_choice: dict[int, tuple[float, float]] = {}
@@ -287,10 +307,6 @@ class _Fit:
             return judged_by_checks(model, check_mm, check_transfer, self._each)
         return model
 
-    def learn_from(self, some: Int64Array) -> None:
-        """Find wave numbers and shares from some positions only."""
-        self._some = np.random.default_rng(0).permutation(some)[: self._effort.positions]
-
     def find_waves(self) -> list[int]:
         """Find wave number and shares at all frequencies; returns the knots."""
         knots = self._knots()
@@ -299,9 +315,10 @@ class _Fit:
         self._wavenumber, self._shares = self._hyperparameters(knots, law)
         return knots
 
-    def each_frequency(self) -> list[tuple[FrequencyWaves, Float64Array]]:
-        """The waves that were found, and their shares, at each frequency."""
-        return [(self._frequency(number), shares) for number, shares in enumerate(self._shares)]
+    @property
+    def waves(self) -> WavesFound:
+        """What was found."""
+        return WavesFound(self._wavenumber, self._shares, self._pressure_share, self._ring_mm)
 
     def _knots(self) -> list[int]:
         """Indices of the frequencies at which the hyperparameters are found, dense where waves are long."""
@@ -499,22 +516,15 @@ class _Fit:
 
 
 def judging_waves(
-    frequency_hz: Float64Array,
-    position_mm: Float64Array,
-    actuator_mm: Float64Array,
-    transfer: Complex128Array,
-    some: Int64Array | None = None,
-) -> list[tuple[FrequencyWaves, Float64Array]]:
+    frequency_hz: Float64Array, position_mm: Float64Array, actuator_mm: Float64Array, transfer: Complex128Array
+) -> WavesFound:
     """Waves and their shares at each frequency, found quickly: enough to judge rows by the others.
 
-    some: Indices of the positions that they are found from, at least 12; by default of all. Other arguments as of
-        `RimWaves.fit`.
+    Arguments as of `RimWaves.fit`.
     """
     fit = _Fit(frequency_hz, position_mm, actuator_mm, transfer, None, None, 1, JUDGING)
-    if some is not None:
-        fit.learn_from(some)
     fit.find_waves()
-    return fit.each_frequency()
+    return fit.waves
 
 
 LeftOut = dict[int, tuple[Complex128Array, Float64Array]]
@@ -610,6 +620,14 @@ def disk(radians: Float64Array) -> Float64Array:
 def grid_spacing_mm(position_mm: Float64Array) -> float:
     """Median distance of neighbouring positions."""
     return float(np.median(np.asarray(cKDTree(position_mm).query(position_mm, k=2)[0])[:, 1]))
+
+
+def _levels(transfer: Complex128Array) -> tuple[Float64Array, Float64Array]:
+    """Power and relative level, as of `RimWaves`, of transfer functions (frequencies, positions, actuators)."""
+    square = np.square(np.abs(transfer))
+    level = square.mean(axis=0)
+    relative_level = np.maximum(level / np.maximum(level.mean(axis=0), 1e-300), 1e-12)
+    return np.maximum(square.mean(axis=1), 1e-300), relative_level
 
 
 def _gaps_mm(points_mm: Float64Array, others_mm: Float64Array) -> Float64Array:

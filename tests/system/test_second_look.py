@@ -1,16 +1,24 @@
-"""Grids too coarse for neighbours: a second measurement confirms each position."""
+"""Grids too coarse for neighbours: waves judge each position, or a second measurement confirms it."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from shutil import copyfile
+from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 
+from tests.lab_files import write_positions
 from tests.system.lines import Lines
 from wavefocus.__main__ import run
+from wavefocus.acquisition.neighbour_watch import NeighbourWatch
+from wavefocus.campaign.blueprint import blueprint_from_bank
+from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.bank.writer import BankWriter
 
 RIG = """
 [rig]
@@ -113,3 +121,127 @@ def test_given_fewer_positions_than_neighbours_then_each_is_measured_twice_and_t
     assert run(["plan", str(tmp_path / "lab" / "run.toml"), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["second_looks"] == facts["positions"] == positions
+
+
+COARSE_RIG = """
+[rig]
+name = "virtual"
+[surface]
+kind = "rectangle"
+length_mm = 130.0
+width_mm = 100.0
+[actuators]
+position_mm = [[64, 3], [35, 49], [2, 48], [-64, -5], [-37, -49], [4, -48]]
+"""
+COARSE_RUN = """
+rig = "rig.toml"
+[grid]
+{grid}
+[sweep]
+duration_s = 0.3
+[capture]
+averages = 2
+decay_s = 0.1
+taps = 1000
+excitation = "staggered"
+when_staggered_does_not_pay = "keep"
+[virtual]
+seed = 5
+noise_v = 5e-5
+"""
+LEVEL, SWAPPED, MOVED, CHECKED = 12, 20, 31, 42
+
+
+def coarse_lab(folder: Path, grid: str) -> Path:
+    folder.mkdir()
+    (folder / "rig.toml").write_text(COARSE_RIG, encoding="utf-8")
+    (folder / "run.toml").write_text(COARSE_RUN.format(grid=grid), encoding="utf-8")
+    return folder / "run.toml"
+
+
+@pytest.fixture(scope="module")
+def coarse(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bank of a grid of 14 mm, more than a wavelength at the band's end, as a campaign without faults leaves it."""
+    run_file = coarse_lab(
+        tmp_path_factory.mktemp("coarse") / "lab", "spacing_mm = 14.0\nmargin_mm = 10.0\ncheck_positions = 4"
+    )
+    bank = run_file.with_name("plate.h5")
+    assert run(["capture", str(run_file), "--bank", str(bank)]) == 0
+    return bank
+
+
+@pytest.fixture(scope="module")
+def spoiled(coarse: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same bank with wrong rows, of a session that was killed before it judged them."""
+    blueprint = blueprint_from_bank(coarse)
+    plan = blueprint.plan
+    lab = tmp_path_factory.mktemp("coarse") / "aside"
+    run_file = coarse_lab(lab, 'positions_file = "positions.csv"\n[quality]\nsecond_look = "never"')
+    write_positions(lab, [plan.position_mm[MOVED] + [2.4, -3.2]])
+    assert run(["capture", str(run_file), "--bank", str(lab / "plate.h5")]) == 0
+    bank = lab / "spoiled.h5"
+    copyfile(coarse, bank)
+    with open_bank(lab / "plate.h5") as aside, BankWriter.open(bank, plan_sha256=plan.sha256) as writer:
+        rows = {position: writer.green(position) for position in (LEVEL, SWAPPED, CHECKED, int(plan.order[-1]))}
+        rows[LEVEL][3] *= 10 ** (1 / 20)
+        rows[SWAPPED][[2, 5]] = rows[SWAPPED][[5, 2]]
+        rows[CHECKED] *= 10 ** (-1 / 20)
+        rows[MOVED] = aside.green(0)
+        for position, row in rows.items():
+            writer.commit(position, row, replace(writer.record(position), neighbour_round=0))
+    return bank
+
+
+def test_given_a_coarse_grid_without_faults_then_no_position_has_a_second_look_and_none_is_planned(
+    coarse: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with h5py.File(coarse, "r") as file:
+        assert (file["status"][...] == 1).all()
+        assert (file["quality/attempts"][...] == 1).all()
+    assert run(["plan", str(coarse.with_name("run.toml")), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["second_looks"] == 0
+
+
+@pytest.fixture(scope="module")
+def mended(spoiled: Path) -> tuple[Path, list[dict[str, Any]]]:
+    """The bank after an undisturbed session, and the events of that."""
+    bank = spoiled.with_name("mended.h5")
+    copyfile(spoiled, bank)
+    with Lines("resume", bank, "--json") as session:
+        return bank, session.rest()
+
+
+def test_given_wrong_rows_on_a_coarse_grid_then_they_are_named_as_on_a_fine_one_and_measured_once_more(
+    mended: tuple[Path, list[dict[str, Any]]], coarse: Path
+) -> None:
+    bank, told = mended
+    named = {line["position"]: line["defects"] for line in told if line.get("defects")}
+    assert named == {
+        LEVEL: ["neighbour level"],
+        SWAPPED: ["neighbour swapped"],
+        MOVED: ["neighbour elsewhere"],
+        CHECKED: ["neighbour level"],
+    }
+    assert sorted(line["position"] for line in told if line["event"] == "position_started") == sorted(named)
+    with h5py.File(bank, "r") as file, h5py.File(coarse, "r") as right:
+        assert (file["status"][...] == 1).all()
+        apart = np.linalg.norm(file["green"][...] - right["green"][...], axis=(1, 2))
+        assert (apart < 0.01 * np.linalg.norm(right["green"][...], axis=(1, 2))).all()
+
+
+def test_given_kills_while_a_coarse_grid_is_judged_and_measured_again_then_the_bank_ends_as_an_undisturbed_one(
+    spoiled: Path, mended: tuple[Path, list[dict[str, Any]]], tmp_path: Path
+) -> None:
+    bank = tmp_path / "killed.h5"
+    copyfile(spoiled, bank)
+    plan = blueprint_from_bank(bank).plan
+    with BankWriter.open(bank, plan_sha256=plan.sha256) as writer:
+        marks = NeighbourWatch(plan, writer).mark(plan.order)
+        assert {next(marks)[0] for _ in range(2)} < {LEVEL, SWAPPED, MOVED, CHECKED}
+    with Lines("resume", bank, "--json") as killed:
+        for _ in ("marked", "marked", "measured again"):
+            killed.hear("position_committed")
+        killed.process.kill()
+    assert bank.read_bytes() != mended[0].read_bytes()
+    assert run(["resume", str(bank)]) == 0
+    assert bank.read_bytes() == mended[0].read_bytes()

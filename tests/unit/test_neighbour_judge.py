@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.unit.plate_banks import ACTUATOR_MM, BAND_HZ, RATE_HZ, SQUARE_MM, TAPS, plate_bank, plate_greens
-from wavefocus.calibration.coarse_grid.left_out_rows import RowsByWaves
+from wavefocus.calibration.coarse_grid.left_out_rows import RowsByWaves, waves_of_rows
 from wavefocus.calibration.neighbour_judge import NeighbourJudge, NeighbourResult, RowsAtFrequencies
 from wavefocus.mocks.plates.thin import ThinPlate
 
@@ -148,13 +148,17 @@ def coarse() -> np.ndarray:
     return np.stack([bank.green(position) for position in range(bank.positions)])
 
 
-def judged_by_waves(greens: np.ndarray) -> NeighbourResult:
+def coarse_spectra(greens: np.ndarray) -> RowsAtFrequencies:
     spectra = RowsAtFrequencies(*greens.shape, RATE_HZ, BAND_HZ)
     for position, green in enumerate(greens):
         spectra.set(position, green)
+    return spectra
+
+
+def judged_by_waves(greens: np.ndarray) -> NeighbourResult:
     on_grid = np.arange(len(greens)) < len(COARSE_MM)
     judge = NeighbourJudge(
-        np.vstack([COARSE_MM, CHECKS_MM]), ACTUATOR_MM, spectra, on_grid, np.ones(len(greens), dtype=bool)
+        np.vstack([COARSE_MM, CHECKS_MM]), ACTUATOR_MM, coarse_spectra(greens), on_grid, np.ones(len(greens), bool)
     )
     assert judge.by_waves
     return judge.find()
@@ -184,12 +188,11 @@ def test_wrong_rows_of_a_coarse_grid_then_are_named_as_on_a_fine_one_and_no_othe
 
 def test_left_out_errors_by_waves_are_those_of_the_dense_covariance(coarse: np.ndarray) -> None:
     """By solving with the covariance matrix of the rows that stay, written down as it is defined."""
-    spectra = RowsAtFrequencies(*coarse.shape, RATE_HZ, BAND_HZ)
-    for position, green in enumerate(coarse):
-        spectra.set(position, green)
+    spectra = coarse_spectra(coarse)
     position_mm = np.vstack([COARSE_MM, CHECKS_MM])
     usable = np.arange(len(coarse)) != 5
-    rows = RowsByWaves(position_mm, ACTUATOR_MM, spectra.values, spectra.frequency_hz, usable)
+    measured = position_mm, ACTUATOR_MM, spectra.values, spectra.frequency_hz, usable
+    rows = RowsByWaves(*measured, waves_of_rows(*measured))
     out, actuator, number = np.array([20, 31]), 4, 20
     errors, variance = rows.errors_without(actuator, out)
     assert np.isnan(errors[5]).all()
@@ -206,3 +209,35 @@ def test_left_out_errors_by_waves_are_those_of_the_dense_covariance(coarse: np.n
         assert errors[position, number] == pytest.approx(values[one] - weights @ values[stays], rel=1e-3)
         expected = covariance[one, one].real - (weights @ covariance[stays, one]).real
         assert variance[position, number] == pytest.approx(expected, rel=1e-3)
+
+
+def test_a_row_replaced_by_its_prediction_then_counts_for_nothing_at_places_near_it(coarse: np.ndarray) -> None:
+    greens = coarse.copy()
+    greens[41] *= -1
+    spectra = coarse_spectra(greens)
+    measured = np.vstack([COARSE_MM, CHECKS_MM]), ACTUATOR_MM, spectra.values, spectra.frequency_hz
+    usable = np.ones(len(greens), bool)
+    waves = waves_of_rows(*measured, usable & (np.arange(len(greens)) != 41))
+    assert waves is not None
+    rows = RowsByWaves(*measured, usable, waves)
+    wrong = np.array([40, 41])
+    predicted = np.stack(
+        [spectra.values[wrong, one] - rows.errors_without(one, wrong)[0][wrong] for one in range(ACTUATORS)], axis=1
+    )
+    right = spectra.values.copy()
+    right[wrong] = predicted
+    there = rows.at(40, np.zeros((1, 2)), right)[0]
+    assert np.linalg.norm(there - predicted[0]) < 0.002 * np.linalg.norm(there)
+    assert np.linalg.norm(rows.at(40, np.zeros((1, 2)), spectra.values)[0] - there) > 0.01 * np.linalg.norm(there)
+
+
+def test_waves_that_leave_no_noise_or_none_at_all_then_judge_no_row(coarse: np.ndarray) -> None:
+    spectra, usable = coarse_spectra(coarse), np.ones(len(coarse), bool)
+    position_mm = np.vstack([COARSE_MM, CHECKS_MM])
+    on_grid = np.arange(len(coarse)) < len(COARSE_MM)
+    waves = waves_of_rows(position_mm, ACTUATOR_MM, spectra.values, spectra.frequency_hz, usable)
+    assert waves is not None
+    exact = waves._replace(shares=waves.shares - np.array([0.0, 0.0, 60.0, 60.0]))
+    for found in (exact, None):
+        judge = NeighbourJudge(position_mm, ACTUATOR_MM, spectra, on_grid, usable, lambda found=found: found)
+        assert not judge.by_waves

@@ -109,7 +109,7 @@ def plan(
         )
     if second_looks:
         lines.append(
-            f"second look {second_looks} positions that no neighbour can judge are measured twice, "
+            f"second look {second_looks} positions that the others cannot judge are measured twice, "
             f"{hours(second_looks * position_s)} of that"
         )
     if sentinel_passes:
