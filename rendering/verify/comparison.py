@@ -224,7 +224,9 @@ def _loudest(drive: Drive, band: BandLimit) -> tuple[Int64Array, Complex128Array
 
 def _powers(signals: RealArray, band: BandLimit, chosen: Int64Array) -> NDArray[np.complex64]:
     """Spectra at some bins of the squares and the cubes of signals (n, samples): (2, n, bins)."""
-    return np.stack([band.spectrum(signals**2)[:, chosen], band.spectrum(signals**3)[:, chosen]])
+    squares = np.square(signals)
+    # `signals**3` would take ten times as long.
+    return np.stack([band.spectrum(squares)[:, chosen], band.spectrum(squares * signals)[:, chosen]])
 
 
 def _check_grids(prediction: Field, scan: Field | Scan) -> None:
