@@ -47,11 +47,12 @@ def test_waves_hold_on_other_shapes_and_beneath_a_finger_and_their_bounds_say_so
     expected = model.expected_errors(points_mm, range(len(hz)))
     within = np.abs(values - truth) <= np.sqrt(np.log(20.0)) * model.deviations(points_mm, range(len(hz)))
     # The kernel, from the neighbours of some positions spread over the surface, half a diagonal away.
-    kernel = RowsPredicted(position_mm, measured.transpose(1, 2, 0), hz, np.ones(len(position_mm), dtype=bool))
+    rows = measured.transpose(1, 2, 0)
+    kernel = RowsPredicted(position_mm, rows, hz, np.ones(len(position_mm), dtype=bool))
     missed = []
     for position in sorted(kernel.patches)[::12]:
         there = responses(position_mm[[position]] + 5.0)[:, 0].T
-        made = kernel.at(position, np.array([[5.0, 5.0]]))[0]
+        made = kernel.at(position, np.array([[5.0, 5.0]]), rows)[0]
         missed.append(np.linalg.norm(made - there, axis=0) / np.linalg.norm(there, axis=0))
     assert np.median(error[-1]) < 0.06
     assert np.median(missed, axis=0)[-1] > 0.4
