@@ -5,8 +5,10 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
+from contextlib import suppress
 from queue import SimpleQueue
-from typing import Any, Generic, Literal, TypeVar, cast
+from typing import Any, Generic, Literal, TypeVar
 
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.protocols import (
@@ -27,6 +29,7 @@ from wavefocus.drivers.protocols import (
 
 Answer = TypeVar("Answer")
 Device = TypeVar("Device", bound=Instrument)
+_Calls = SimpleQueue[tuple[Future[Any], Callable[[], object]] | None]
 
 # No lock is woken by a signal on Windows; this often Python gets to look for one there.
 SLICE_S = 0.25
@@ -40,50 +43,6 @@ class ShutError(InstrumentError):
     """Nothing is played, for the player was shut meanwhile."""
 
 
-class _Call(Generic[Answer]):
-    """A call for another thread. One lock for its end: a `Future` costs several times the hand-over itself."""
-
-    __slots__ = ("_answer", "_ended", "_failure", "_is_over")
-
-    def __init__(self) -> None:
-        self._answer: Answer | None = None
-        self._failure: BaseException | None = None
-        self._is_over = False
-        self._ended = threading.Lock()
-        self._ended.acquire()
-
-    def carry_out(self, ask: Callable[[], Answer]) -> None:
-        """Ask, and let those that wait go on."""
-        try:
-            self._answer = ask()
-        except BaseException as failure:  # raised again where the answer is waited for
-            self._failure = failure
-        self._is_over = True
-        self._ended.release()
-
-    def ends_within(self, limit_s: float) -> bool:
-        """Wait for its end; whether it came within `limit_s`."""
-        until_s = time.monotonic() + limit_s
-        while not self._is_over:
-            left_s = until_s - time.monotonic()
-            if left_s <= 0:
-                return False
-            self._ended.acquire(timeout=min(left_s, SLICE_S))
-        return True
-
-    def result(self) -> Answer:
-        """What it returned; raises what it raised."""
-        try:
-            if self._failure is not None:
-                raise self._failure
-            return cast("Answer", self._answer)
-        finally:
-            del self  # a failure's traceback holds this frame, and this frame the failure
-
-
-_Calls = SimpleQueue[tuple[_Call[Any], Callable[[], Any]] | None]
-
-
 class CallThread:
     """Carries out calls one after another in one thread of this name, each with a time limit.
 
@@ -94,7 +53,7 @@ class CallThread:
     def __init__(self, name: str) -> None:
         self._name = name
         self._calls: _Calls | None = None
-        self._under_way: _Call[Any] | None = None
+        self._under_way: Future[Any] | None = None
 
     def call(
         self,
@@ -114,7 +73,7 @@ class CallThread:
             instrument must fall silent.
         """
         before = self._under_way
-        if before is not None and not before.ends_within(limit_s if wait_before_s is None else wait_before_s):
+        if before is not None and not _over(before, limit_s if wait_before_s is None else wait_before_s):
             self.abandon()
         if self._calls is None:
             calls: _Calls = SimpleQueue()
@@ -126,10 +85,10 @@ class CallThread:
                 return ask()
             self._calls = calls
         # Left set when a signal breaks the wait off: the thread is then still at it.
-        call: _Call[Answer] = _Call()
+        call: Future[Answer] = Future()
         self._under_way = call
         self._calls.put((call, ask))
-        if not call.ends_within(limit_s):
+        if not _over(call, limit_s):
             self.abandon()
             raise HungError
         self._under_way = None
@@ -148,7 +107,10 @@ class CallThread:
 def _carry_out(calls: _Calls) -> None:
     while (asked := calls.get()) is not None:
         call, ask = asked
-        call.carry_out(ask)
+        try:
+            call.set_result(ask())
+        except BaseException as failure:  # raised again where the answer is waited for
+            call.set_exception(failure)
         del asked, call, ask  # what it returned may be large, and the next call may be long in coming
 
 
@@ -169,6 +131,18 @@ def in_time(instrument: str, operation: str, ask: Callable[[], Answer], limit_s:
 def hung_cause(limit_s: float) -> str:
     """What happened to a call that hangs, in words."""
     return f"the call did not come back within {limit_s:.3g} s"
+
+
+def _over(call: Future[Any], limit_s: float) -> bool:
+    """Whether a call came to its end within `limit_s`."""
+    until_s = time.monotonic() + limit_s
+    while not call.done():
+        left_s = until_s - time.monotonic()
+        if left_s <= 0:
+            return False
+        with suppress(TimeoutError):
+            call.exception(min(left_s, SLICE_S))
+    return True
 
 
 Role = Literal["mirror", "recorder", "player"]
