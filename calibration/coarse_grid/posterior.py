@@ -6,7 +6,7 @@ At position x_i, of actuator a, is measured
 
 psi the actuator's own waves, y_j sources on a ring around everything. With P_a the mean power of d_a,
 
-    s_ac ~ N(0, 100 P_a / mean_i |psi_c(x_i)|^2)  (1 in place of 100 for waves of other frequencies),
+    s_ac ~ N(0, 100 P_a / mean_i |psi_c(x_i)|^2)  (1 in place of 100 for waves of other frequencies; of a solid 1e-4),
     q_aj ~ N(0, P_a [rho1 |H0(2)(k |x_a - y_j|)|^2 / Z_a + rho2 / Z]),
     e_i  ~ N(0, P_a [n1 level_i^2 + n2]),
 
@@ -45,8 +45,9 @@ PERCENT = 0.01
 FIRST_SHARES = np.array([-2.0, -10.0, -10.0, -14.0])
 OWN_SHARE = 100.0
 """Prior power of an actuator's own wave over what was measured: large, so that it is free."""
-SMEARED_SHARE = 1.0
-"""The same of the waves of other frequencies."""
+SMEARED_SHARE, SMEARED_SHARE_OF_A_SOLID = 1.0, 1e-4
+"""The same of the waves of other frequencies. A solid has 18 of them per actuator: free, they fit the noise of 64
+positions."""
 DERIVATIVE_STEP = 1e-5
 """Relative step in k of the central difference; waves of 100 rad then err by 1e-6."""
 
@@ -84,7 +85,8 @@ class FrequencyWaves:
         seen = np.square(np.abs(self._sources)).mean(axis=0)
         self._image = met / (met @ seen)[:, None]
         self._even = 1.0 / seen.sum()
-        shares = np.where(np.arange(len(self._own)) < count, OWN_SHARE, SMEARED_SHARE)
+        smeared = SMEARED_SHARE_OF_A_SOLID if pressure_share else SMEARED_SHARE
+        shares = np.where(np.arange(len(self._own)) < count, OWN_SHARE, smeared)
         self._own_variance = shares[:, None] / np.square(np.abs(self._own)).mean(axis=1)
 
     def evidence(self, theta: Float64Array) -> tuple[float, Float64Array]:

@@ -104,13 +104,13 @@ def own_waves(
     """
     if not pressure_share:
         return outgoing_each([(wavenumber, 0)], distances_mm(points_mm, actuator_mm))
-    return np.asarray(_waves_of_a_solid([wavenumber], pressure_share, points_mm, actuator_mm)[0])
+    return np.asarray(_waves_of_a_solid([wavenumber], (1.0, pressure_share), points_mm, actuator_mm)[0])
 
 
 def waves_of_actuators(
     wavenumbers: Sequence[complex], pressure_share: float, points_mm: Float64Array, actuator_mm: Float64Array
 ) -> tuple[Complex128Array, int]:
-    """`own_waves` of some wave numbers, where scalar followed by those of other frequencies; how many are own.
+    """`own_waves` of some wave numbers, followed by those of other frequencies; how many are own.
 
     Green's functions are zero before their first tap, and limited to a band. Near an actuator the band-limited pulse
     begins earlier than that and is cut, which mixes frequencies, by some percent at the band's upper end.
@@ -118,8 +118,8 @@ def waves_of_actuators(
     Returns complex128 (wave numbers, waves, points, actuators), and the count.
     """
     if pressure_share:
-        own = _waves_of_a_solid(wavenumbers, pressure_share, points_mm, actuator_mm)
-        return own, own.shape[1]
+        found = _waves_of_a_solid(wavenumbers, (1.0, pressure_share, *SMEARED), points_mm, actuator_mm)
+        return found, found.shape[1] * 2 // (2 + len(SMEARED))
     waves = [(share * k, 0) for k in wavenumbers for share in (1.0, *SMEARED)]
     found = outgoing_each(waves, distances_mm(points_mm, actuator_mm))
     return found.reshape(len(wavenumbers), -1, *found.shape[1:]), 1
@@ -130,20 +130,20 @@ def waves_of_actuators_at_all(
 ) -> Complex64Array:
     """`waves_of_actuators` for many wave numbers: (frequencies, waves, points, actuators)."""
     if pressure_share:
-        each = [waves_of_actuators([k], pressure_share, points_mm, actuator_mm)[0][0] for k in wavenumbers.tolist()]
-        return np.stack(each).astype(np.complex64)
+        each = (waves_of_actuators([k], pressure_share, points_mm, actuator_mm)[0][0] for k in wavenumbers.tolist())
+        return np.stack([waves.astype(np.complex64) for waves in each])
     shares = np.array([1.0, *SMEARED])
     found = outgoing_at_all((wavenumbers[:, None] * shares).ravel(), distances_mm(points_mm, actuator_mm))
     return found.reshape(len(wavenumbers), len(shares), len(points_mm), len(actuator_mm))
 
 
 def _waves_of_a_solid(
-    wavenumbers: Sequence[complex], pressure_share: float, points_mm: Float64Array, actuator_mm: Float64Array
+    wavenumbers: Sequence[complex], shares: Sequence[float], points_mm: Float64Array, actuator_mm: Float64Array
 ) -> Complex128Array:
-    """Own waves of a solid, (wave numbers, waves, points, actuators)."""
+    """Waves of a solid, (wave numbers, waves, points, actuators): of orders 0 and 2 at shares of each wave number."""
     gap_mm = points_mm[:, None] - actuator_mm[None]
     turn = np.exp(2j * np.arctan2(gap_mm[..., 1], gap_mm[..., 0]))
-    waves = [(share * k, order) for k in wavenumbers for share in (1.0, pressure_share) for order in (0, 2)]
+    waves = [(share * k, order) for k in wavenumbers for share in shares for order in (0, 2)]
     found = outgoing_each(waves, distances_mm(points_mm, actuator_mm)).reshape(-1, 2, *turn.shape)
     zeroth, second = found[:, 0], found[:, 1]
     each = np.stack([zeroth, second * turn.real, second * turn.imag], axis=1)
