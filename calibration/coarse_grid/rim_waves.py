@@ -23,7 +23,7 @@ from scipy.linalg import cho_factor, cho_solve, eigh
 from scipy.spatial import cKDTree
 from scipy.special import j1
 
-from wavefocus.calibration import BoolArray, Complex64Array, Complex128Array, Float64Array
+from wavefocus.calibration import BoolArray, Complex64Array, Complex128Array, Float64Array, Int64Array
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.coarse_grid.posterior import FIRST_SHARES, FrequencyWaves
 from wavefocus.calibration.coarse_grid.waves import (
@@ -106,8 +106,8 @@ class RimWaves:
     rest, complex64 (frequencies, positions, actuators): ``(K + ridge)^-1 r``.
     distance_mm, float64 (2, distances); distance_scale, float64 (frequencies, 2, distances): Factors on the standard
         deviations at distances from an actuator, by left-out positions: amid the positions, and at their edge.
-    noise_share, float64 (frequencies,): Of what is at the positions and is no wave or rest, the share that is noise of
-        the measurement and not of the plate.
+    noise_share, float64 (frequencies, 2, distances): Of what is at the positions and is no wave or rest, the share that
+        is noise of the measurement and not of the plate; at the same distances.
     deviation_scale, float64 (frequencies,): Factor on the standard deviations, from positions that judge.
     judged_by: ``"check positions"`` or ``"left-out positions"``.
     """
@@ -203,7 +203,8 @@ class RimWaves:
         found = np.empty((len(index), len(points_mm), len(self.actuator_mm)))
         for place, number in enumerate(index):
             field, other = self.variances(points_mm, number)
-            found[place] = np.sqrt(field + (1.0 - self.noise_share[number]) * other) * self.deviation_scale[number]
+            of_plate = 1.0 - self._by_distance(points_mm, self.noise_share[number])
+            found[place] = np.sqrt(field + of_plate * other) * self.deviation_scale[number]
         return found
 
     def variances(self, points_mm: Float64Array, number: int) -> tuple[Float64Array, Float64Array]:
@@ -223,12 +224,14 @@ class RimWaves:
             _, near = cKDTree(self.position_mm).query(points_mm)
             field = self._waves(number).variance(points_mm, self.shares[number])
             other = self._noise(number, self.relative_level[near])
-        apart_mm = distances_mm(points_mm, self.actuator_mm)
-        amid, edge = (
-            np.interp(apart_mm, *pair) for pair in zip(self.distance_mm, self.distance_scale[number], strict=True)
-        )
-        scale = np.square(np.where(at_edge(points_mm, self.position_mm)[:, None], edge, amid))
+        scale = np.square(self._by_distance(points_mm, self.distance_scale[number]))
         return field * scale, other * scale
+
+    def _by_distance(self, points_mm: Float64Array, figures: Float64Array) -> Float64Array:
+        """Figures of distances from an actuator, (2, distances), at points: (n, actuators)."""
+        apart_mm = distances_mm(points_mm, self.actuator_mm)
+        amid, edge = (np.interp(apart_mm, *pair) for pair in zip(self.distance_mm, figures, strict=True))
+        return np.asarray(np.where(at_edge(points_mm, self.position_mm)[:, None], edge, amid))
 
     def expected_errors(self, points_mm: Float64Array, index: Sequence[int]) -> Float64Array:
         """Relative errors expected at points, (frequencies, n): L2 over the actuators, over that of the values."""
@@ -297,11 +300,12 @@ class _Fit:
         self._strength, self._rest = strength, (radius, ridge, power)
         judged = judged_frequencies(self._frequency_hz)
         left_out = dict(zip(judged, self._each(judged, self._left_out), strict=True))
+        distance_mm, groups = self._distances()
         model = RimWaves(
             self._frequency_hz, wavenumber, shares, self._pressure_share, self._position_mm, self._actuator_mm,
             self._ring_mm, self._power, self._relative_level, strength.astype(np.complex64), radius, ridge, power,
-            rest.astype(np.complex64), *self._by_distance(left_out), self._noise_share(left_out),
-            np.ones(len(self._frequency_hz)), "left-out positions",
+            rest.astype(np.complex64), distance_mm, self._distance_scale(left_out, groups),
+            self._noise_share(left_out, groups), np.ones(len(self._frequency_hz)), "left-out positions",
         )  # fmt: skip
         if check_mm is not None and check_transfer is not None and len(check_mm) >= MIN_CHECKS:
             return judged_by_checks(model, check_mm, check_transfer, self._each)
@@ -460,8 +464,8 @@ class _Fit:
         error, share = _left_out_rest(disk(radius * self._apart_mm), ridge, residual)
         return error, np.maximum(share[:, None] * power, 1e-300)
 
-    def _by_distance(self, left_out: LeftOut) -> tuple[Float64Array, Float64Array]:
-        """Distances from an actuator, (2, distances), and factors on the deviations there, (frequencies, 2, distances).
+    def _distances(self) -> tuple[Float64Array, list[list[Int64Array]]]:
+        """Distances from an actuator, (2, distances), and the pairs of a position and an actuator at each.
 
         Amid the positions, and at their edge, where they are on one side only.
         """
@@ -472,40 +476,56 @@ class _Fit:
             parts = [np.arange(apart_mm.size)] * 2
         count = int(np.clip(min(len(part) for part in parts) // MIN_IN_DISTANCE, 1, MAX_DISTANCES))
         groups = [np.array_split(part[np.argsort(apart_mm.ravel()[part], kind="stable")], count) for part in parts]
+        return np.array([[np.median(apart_mm.ravel()[group]) for group in part] for part in groups]), groups
+
+    def _distance_scale(self, left_out: LeftOut, groups: list[list[Int64Array]]) -> Float64Array:
+        """Factors on the deviations at distances, (frequencies, 2, distances)."""
         found = []
         for error, variance in left_out.values():
             ratio = (np.square(np.abs(error)) / variance).ravel()
             found.append([[np.quantile(ratio[group], 0.95) / NORMAL_95 for group in part] for part in groups])
         scale = np.sqrt(np.maximum(found, MIN_SCALE**2))
-        distance_mm = np.array([[np.median(apart_mm.ravel()[group]) for group in part] for part in groups])
-        return distance_mm, np.exp(_between(self._frequency_hz, list(left_out), np.log(scale)))
+        return np.exp(_between(self._frequency_hz, list(left_out), np.log(scale)))
 
-    def _noise_share(self, left_out: LeftOut) -> Float64Array:
-        """Share of the left-out errors that neighbouring frequencies have not in common, (frequencies,).
+    def _noise_share(self, left_out: LeftOut, groups: list[list[Int64Array]]) -> Float64Array:
+        """Share of the left-out errors that is noise of the measurement, (frequencies, 2, distances).
 
-        What the plate does changes little from one to the next, but turns by its delay, which grows with distance.
+        It is what neighbouring frequencies have not in common. What the plate does changes little from one to the next,
+        but echoes do that last as long as the Green's functions. Noise is alike at all distances, in proportion to the
+        level or apart from it: it is no more anywhere than where it is found least, by the larger of the two.
         """
-        resolution_hz = self._resolution_hz
+        resolution_hz, shape = self._resolution_hz, (len(self._frequency_hz), 2, len(groups[0]))
         if resolution_hz is None:
-            return np.zeros(len(self._frequency_hz))
+            return np.zeros(shape)
         order = np.argsort(distances_mm(self._position_mm, self._actuator_mm).ravel(), kind="stable")
-        groups = np.array_split(order, max(len(order) // NOISE_PAIRS, 1))
+        everywhere = np.array_split(order, max(len(order) // NOISE_PAIRS, 1))
 
-        def share(number: int) -> float:
+        def share(number: int) -> Float64Array:
             off_hz = np.abs(np.abs(self._frequency_hz - self._frequency_hz[number]) - resolution_hz)
             other = int(np.argmin(off_hz))
             if off_hz[other] > NOISE_GAP * resolution_hz:
-                return np.nan
+                return np.full(shape[1:], np.nan)
             error, variance = left_out[number]
-            here, there = ((one / np.sqrt(variance)).ravel() for one in (error, self._left_out(other, number)[0]))
-            common = sum(abs(np.vdot(here[group], there[group])) for group in groups)
-            return 1.0 - float(common) / max(float(np.linalg.norm(here) * np.linalg.norm(there)), 1e-300)
+            here, there = error.ravel(), self._left_out(other, number)[0].ravel()
+            power = np.broadcast_to(self._power[number], error.shape).ravel()
+            level = power * self._relative_level.ravel()
+
+            def noise(unit: Float64Array) -> Float64Array:
+                return min(_not_in_common(here[one], there[one], unit[one]) for one in everywhere) * unit
+
+            most = np.maximum(noise(level), noise(power)) / variance.ravel()
+            size, found = np.square(np.abs(here)) / variance.ravel(), np.empty(shape[1:])
+            for part, place in np.ndindex(*shape[1:]):
+                one = groups[part][place]
+                uncommon = _not_in_common(here[one], there[one], variance.ravel()[one])
+                found[part, place] = min(uncommon, float(most[one].mean())) / max(float(size[one].mean()), 1e-300)
+            return found
 
         judged = np.array(list(left_out))[evenly_spread(len(left_out), NOISE_JUDGED)]
         found = np.array(self._each(judged.tolist(), share))
-        known = np.isfinite(found)
+        known = np.isfinite(found).all(axis=(1, 2))
         if not known.any():
-            return np.zeros(len(self._frequency_hz))
+            return np.zeros(shape)
         return _between(self._frequency_hz, judged[known].tolist(), found[known])
 
     def _each(self, numbers: Sequence[int], task: Callable[[int], Result]) -> list[Result]:
@@ -546,6 +566,19 @@ EDGE_NEIGHBOURS, EDGE_SPACINGS = 12, 0.45
 """A place is at the edge if the mean of the positions nearest to it is so many spacings away."""
 JUDGED_HALF_OCTAVES = 0.5
 """Half the width, in octaves, of the bands in which check positions judge together."""
+
+
+def _not_in_common(here: Complex128Array, there: Complex128Array, variance: Float64Array) -> float:
+    """Mean square over `variance` of what errors at one frequency have not in common with those at another.
+
+    Errors that have nothing in common still seem to, by chance: their mean share of that is taken away.
+    """
+    root = np.sqrt(variance)
+    here, there = here / root, there / root
+    size, other = np.square(np.abs(here)), np.square(np.abs(there))
+    common = max(float(np.abs(np.vdot(here, there))) ** 2 - float(size @ other), 0.0)
+    share = float(np.sqrt(common / max(float(size.sum() * other.sum()), 1e-300)))
+    return float(size.mean()) * max(1.0 - share, 0.0)
 
 
 def judged_frequencies(frequency_hz: Float64Array) -> list[int]:

@@ -10,7 +10,16 @@ from scipy.special import h2vp, hankel2, jv, jvp
 
 from wavefocus.calibration.coarse_grid.posterior import FIRST_SHARES, FrequencyWaves
 from wavefocus.calibration.coarse_grid.rim_waves import RimWaves, at_edge, judged_by_checks, judged_frequencies
-from wavefocus.calibration.coarse_grid.waves import Dispersion, distances_mm, outgoing, outgoing_at_all, rim_ring
+from wavefocus.calibration.coarse_grid.waves import (
+    SMEARED,
+    Dispersion,
+    distances_mm,
+    outgoing,
+    outgoing_at_all,
+    own_waves,
+    rim_ring,
+    waves_of_actuators,
+)
 
 RADIUS_MM = 55.0
 RNG = np.random.default_rng(4)
@@ -96,6 +105,19 @@ def test_outgoing_waves_are_hankel_functions(order):
         assert np.allclose(outgoing(k, distance_mm, order), hankel2(order, k * distance_mm), rtol=3e-5)
 
 
+@pytest.mark.parametrize(("pressure_share", "count"), [(0.0, 1), (0.5, 6)])
+def test_waves_of_other_frequencies_follow_an_actuators_own(pressure_share, count):
+    """A solid's have the orders of its own: 0, and 2 in two directions."""
+    found, own = waves_of_actuators([0.6, 0.5 - 0.04j], pressure_share, lattice(11.0), ACTUATOR_MM)
+    assert own == count
+    for k, waves in zip((0.6, 0.5 - 0.04j), found, strict=True):
+        assert np.allclose(waves[:own], own_waves(k, pressure_share, lattice(11.0), ACTUATOR_MM))
+        of_each = len(waves[own:]) // len(SMEARED)
+        for number, share in enumerate(SMEARED):
+            other = own_waves(share * k, pressure_share, lattice(11.0), ACTUATOR_MM)[:of_each]
+            assert np.allclose(waves[own + number * of_each :][:of_each], other, atol=1e-3)
+
+
 def test_waves_of_many_frequencies_are_those_of_each():
     distance_mm = RNG.uniform(8.0, 260.0, (50, 60))
     wavenumbers = LAW.wavenumber(FREQUENCY_HZ)
@@ -124,10 +146,48 @@ def test_noise_of_the_measurement_is_not_in_the_bounds_of_the_plate(random_mm):
     noise = np.random.default_rng(8).standard_normal((2, *exact.shape))
     seen = exact + 0.05 / np.sqrt(2) * np.sqrt(np.square(np.abs(exact)).mean()) * (noise[0] + 1j * noise[1])
     told = RimWaves.fit(hz, position_mm, ACTUATOR_MM, seen, resolution_hz=5.0, workers=1)
-    untold = replace(told, noise_share=np.zeros(2))
-    assert told.noise_share[0] > 0.7
+    untold = replace(told, noise_share=np.zeros_like(told.noise_share))
+    assert told.noise_share[0].min() > 0.6
     assert np.median(told.deviations(random_mm, [0]) / untold.deviations(random_mm, [0])) < 0.75
     assert within_bounds(told, random_mm, disk_response(LAW.wavenumber(hz)[0], random_mm, ACTUATOR_MM)) > 0.93
+
+
+AROUND_MM = 80.0 * np.stack([np.cos(np.pi * np.arange(12) / 6), np.sin(np.pi * np.arange(12) / 6)], axis=1)
+NEIGHBOURS_HZ = np.array([200.0, 205.0])
+
+
+def noise_shares(added, noise):
+    """Shares of noise at the distances amid the positions; `added` is what no wave explains, over the wave's level."""
+    side = np.arange(-5, 6) * 9.0
+    position_mm = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    apart_mm = distances_mm(position_mm, AROUND_MM)
+    exact = outgoing_at_all(LAW.wavenumber(NEIGHBOURS_HZ), apart_mm)
+    draw = np.random.default_rng(8).standard_normal((2, *exact.shape)) / np.sqrt(2)
+    seen = exact * (1.0 + added(apart_mm) + noise * (draw[0] + 1j * draw[1]))
+    model = RimWaves.fit(NEIGHBOURS_HZ, position_mm, AROUND_MM, seen, resolution_hz=5.0, workers=1)
+    return model.noise_share[0][0]
+
+
+def test_noise_is_told_from_the_plate_at_each_distance():
+    """Near the actuators the plate does what no wave explains; further off there is only noise."""
+    ripple = np.exp(1j * np.random.default_rng(7).uniform(0, 2 * np.pi, (121, 12)))
+    assert noise_shares(lambda apart_mm: 0.0, 0.02).min() > 0.7
+    shares = noise_shares(lambda apart_mm: 0.06 * ripple * (apart_mm < 70.0), 0.02)
+    assert shares[:2].max() < 0.3
+    assert shares[2:].min() > 0.7
+
+
+def test_echoes_that_neighbouring_frequencies_have_not_in_common_are_not_noise():
+    """Far from an actuator the plate differs from one frequency to the next by more than noise does near it."""
+    rng = np.random.default_rng(9)
+
+    def echoes(apart_mm):
+        part = rng.standard_normal((2, 2, *apart_mm.shape))
+        return 0.2 * (apart_mm > 90.0) * (part[0] + 1j * part[1])
+
+    shares = noise_shares(echoes, 0.02)
+    assert shares[:3].min() > 0.7
+    assert shares[3:5].max() < 0.5
 
 
 def test_check_positions_scale_the_bounds(coarse, random_mm):

@@ -40,7 +40,7 @@ from wavefocus.rendering.greens.source import (
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.wave_file import read_wave_file, wave_file, write_wave_file
 
-RECIPE = 4
+RECIPE = 5
 """Raised when the same bank gives another model, so that no older file is used."""
 ROOM = 0.08
 """Share of the taps that the transform is longer, so that what would come before the first tap does not wrap round."""
