@@ -659,6 +659,7 @@ COMMANDS = (
                    help="Of live_latency: ten sources, then independent ones, on the virtual player for so long each."),
             number("--workers", 1, 256, whole=True,
                    help="Of coarse_grids: processes, each with cases of its own. [default: as many as processors]"),
+            argument("--plate", metavar="NAME", help="Of coarse_grids: only this plate, e.g. soft. [default: all]"),
             FORCE,
         ),
     ),
