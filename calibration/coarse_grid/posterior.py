@@ -240,10 +240,13 @@ def _side_by_side(
 
 
 def _factor(x: Complex128Array) -> Complex128Array:
-    """Lower Cholesky factor of B = 1 + X* X."""
+    """Lower Cholesky factor of B = 1 + X* X. Raises LinAlgError: B is not positive definite in these numbers."""
     gram = blas.zherk(1.0, x.T)  # transposed: its upper triangle, and no other is looked at
     np.einsum("ii->i", gram)[:] += 1.0
-    return np.asarray(lapack.zpotrf(gram, lower=0, overwrite_a=1)[0].T)
+    factor, failed = lapack.zpotrf(gram, lower=0, overwrite_a=1)
+    if failed:
+        raise np.linalg.LinAlgError("the matrix of the waves is not positive definite")
+    return np.asarray(factor.T)
 
 
 def _inverse_of(low: Complex128Array) -> Complex128Array:
