@@ -176,11 +176,13 @@ class CrossfadedBlocks:
         self._ahead = computed[:, size:]
         return block
 
-    def unchanged(self, first: int) -> Float64Array | None:
-        """The next block where no course has changed since the last one; None where it is to be computed."""
+    def foreseen(self, first: int) -> bool:
+        """Whether the block from this sample on was computed with the last one, and one to fade from after it."""
+        return self._ahead.shape[1] > self._frames(first, 1)
+
+    def unchanged(self, first: int) -> Float64Array:
+        """The next block where it is `foreseen`, and no course has changed since the last one."""
         size = self._frames(first, 1)
-        if self._ahead.shape[1] <= size:
-            return None
         block, self._ahead = self._ahead[:, :size].copy(), self._ahead[:, size:]
         return block
 

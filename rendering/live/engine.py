@@ -265,6 +265,11 @@ class LiveEngine:
         return tuple(states)
 
     @property
+    def foreseen(self) -> bool:
+        """Whether the next block was computed with the last one, and no course has changed since."""
+        return not self._changed and self._blocks.foreseen(self.next_sample)
+
+    @property
     def energy_bounded(self) -> bool:
         """Whether independent sources are so near to one another that their energy is bounded: they are less quiet."""
         return self._blocks.bounded
@@ -296,8 +301,9 @@ class LiveEngine:
         due = self.next_sample + self._look_ahead
         for life in self._lives.values():
             life.settle(due)
-        block = None if self._changed else self._blocks.unchanged(self.next_sample)
-        if block is None:
+        if self.foreseen:
+            block = self._blocks.unchanged(self.next_sample)
+        else:
             block = self._blocks.next(self._lives.values(), self.next_sample, due)
         self._changed = False
         if not np.isfinite(block).all():

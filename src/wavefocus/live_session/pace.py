@@ -11,6 +11,8 @@ PACED = 0.95
 burst would leave positions waiting for the next one."""
 BUSY = 0.8
 """Share of a block's time above which computing it counts as too slow."""
+SHORT_SHARE = 0.75
+"""With less of it left to be played, a block that was computed beforehand is played before orders are taken."""
 LOOKED_AT = 10
 LEFT_SHARE = 0.4
 """With less of it left to be played, computing has fallen behind."""
@@ -27,6 +29,9 @@ class Pace:
     remains. Where that was not so for 2 s, one is taken back; for twice as long after each relapse, up to 16 s. A
     player that ran dry without computing being slow was stalled, which fewer sources would not mend.
 
+    Before any of that orders wait for a block: one computation is enough for two blocks, so that computing keeps pace
+    as long as it takes less than the time of both.
+
     block_s: Time of a block. ahead_s: What is to wait to be played.
     """
 
@@ -38,6 +43,8 @@ class Pace:
         self._calm_s, self._filled = 0.0, False
         self._needed_s, self._since_faster_s = CALM_S, RELAPSE_S
         self._begin_s = -math.inf
+        self.short = False
+        """Whether little was left to be played at the last block: orders are to wait if a block is there without."""
 
     def begin_s(self, now_s: float, waiting_s: float) -> float:
         """When the next block begins; in the past where computing is behind.
@@ -57,6 +64,7 @@ class Pace:
         """
         self._latest.append(computed_s)
         self._since_faster_s += self._block_s
+        self.short = waiting_s < SHORT_SHARE * self._ahead_s
         low = waiting_s < LEFT_SHARE * self._ahead_s
         self._filled |= not low
         if self._slow and low:

@@ -146,7 +146,9 @@ class LiveSession:
 
     def _next_block(self) -> None:
         begun_s = time.monotonic()
-        self._apply_orders()
+        self._arrived = []
+        if not (self._pace.short and self.engine.foreseen):
+            self._apply_orders()
         first = self._frames + self._limiter.look_ahead_frames
         frames = self._limiter.limit(self.engine.next_block())
         computed_s = time.monotonic() - begun_s
@@ -160,7 +162,6 @@ class LiveSession:
         time.sleep(max(0.0, self._pace.begin_s(now_s, waiting_s) - now_s))
 
     def _apply_orders(self) -> None:
-        self._arrived = []
         for waiting in self._inbox.take():
             try:
                 self._apply(waiting.order)
