@@ -15,6 +15,7 @@ from wavefocus.rendering.greens.interpolation.on_grid import Nearest
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.rendering.scene.paths import Path
+from wavefocus.rendering.scene.quiet_places import ON_GRID, places_of
 from wavefocus.rendering.scene.sampling import MAX_POINTS
 from wavefocus.rendering.scene.size import MAX_PATH_POINTS
 from wavefocus.storage.errors import InputError
@@ -42,8 +43,10 @@ class SceneRows:
         return np.union1d(self.path, self.checks)
 
 
-def scene_rows(scene: Scene, position_mm: Float64Array) -> SceneRows:
+def scene_rows(scene: Scene, position_mm: Float64Array, *, coarse: bool = False) -> SceneRows:
     """Find the positions that a scene needs on a grid (positions, 2).
+
+    coarse: The grid is too coarse for the kernel: a quiet place between positions is made of waves, which need all.
 
     Raises InputError where a path leaves the grid, or the grid does not allow the scene's interpolation.
     """
@@ -57,12 +60,15 @@ def scene_rows(scene: Scene, position_mm: Float64Array) -> SceneRows:
         rows = _nearby_rows(tree, points_mm, nearest.nodes(points_mm).distance_mm + step_mm)
         path |= rows | method.needed_rows(grid, rows, points_mm, step_mm)
         checks |= _nearby_rows(tree, points_mm, np.full(len(points_mm), FOCUS_RADIUS_MM + grid.spacing_mm))
-    for place in scene.quiet:
+    for place in places_of(scene):
         # Between positions a quiet place takes the best interpolation, whatever the scene's is.
         points_mm, step_mm = _along(place.path, grid.spacing_mm, allow_large=scene.allow_large)
-        reach_mm = nearest.nodes(points_mm).distance_mm + step_mm + place.radius_mm
+        away_mm = nearest.nodes(points_mm).distance_mm
+        reach_mm = away_mm + step_mm + place.radius_mm
         rows = _nearby_rows(tree, points_mm, reach_mm)
-        path |= rows | interpolation_method("kernel").needed_rows(grid, rows, points_mm, step_mm)
+        between = step_mm + place.radius_mm > 0 or away_mm.max() > ON_GRID * grid.spacing_mm
+        best = interpolation_method("waves" if coarse and between else "kernel")
+        path |= rows | best.needed_rows(grid, rows, points_mm, step_mm)
         checks |= _nearby_rows(tree, points_mm, reach_mm + grid.spacing_mm)
     return SceneRows(np.array(sorted(path), dtype=np.int64), np.array(sorted(checks), dtype=np.int64))
 

@@ -285,6 +285,25 @@ def test_a_scene_needs_the_positions_around_its_quiet_places(bank):
     assert len(added) >= 36
 
 
+def test_a_scene_needs_the_positions_around_its_independent_sources(bank):
+    sources = tuple(Source(Point(at_mm), NOISE) for at_mm in ((-14.5, 0.5), (16.5, 8.5)))
+    alone, independent = (
+        scene_rows(Scene("two", sources, regularisation=Regularisation(independent=one)), bank.position_mm).path
+        for one in (False, True)
+    )
+    assert len(alone) < 10
+    assert len(set(independent) - set(alone)) >= 2 * 36 - 10
+
+
+def test_on_a_coarse_grid_a_quiet_place_between_positions_needs_all_of_them_and_one_at_a_position_does_not():
+    coarse_mm = 4.0 * SQUARE_MM
+    between, at_position = (
+        scene_rows(scene_of(one), coarse_mm, coarse=True).path for one in ((24.0, 24.0), (32.0, 32.0))
+    )
+    assert len(between) == len(coarse_mm)
+    assert len(at_position) < len(coarse_mm)
+
+
 def test_on_a_coarse_grid_it_is_said_how_quiet_a_place_between_positions_is_in_truth():
     coarse = GreenArray(
         plate_greens(4.0 * SQUARE_MM), 4.0 * SQUARE_MM, RATE_HZ, actuator_mm=4.0 * ACTUATOR_MM, band_hz=BAND_HZ

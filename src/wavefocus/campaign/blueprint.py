@@ -216,20 +216,21 @@ def ringing_of(blueprint: Blueprint) -> Ringing | None:
 
 
 def needed_by(
-    scene_files: Sequence[Path], position_mm: NDArray[np.float64], *, checks: bool, allow_large: bool = False
+    scene_files: Sequence[Path], blueprint: Blueprint, *, checks: bool, allow_large: bool = False
 ) -> frozenset[int]:
-    """Rows of a grid that scenes are rendered from and, if asked for, those that their checks look at.
+    """Rows of a plan that scenes are rendered from and, if asked for, those that their checks look at.
 
     Raises InputError: A scene file is wrong, or its paths leave the grid; the message names the file.
     """
     from wavefocus.rendering.scene.model import load_scene  # most campaigns are for no scene
     from wavefocus.rendering.scene.scene_rows import scene_rows
 
+    position_mm, coarse = blueprint.plan.position_mm, bool(len(check_rows(blueprint.configuration)))
     needed: set[int] = set()
     for file in scene_files:
         scene = load_scene(file, allow_large=allow_large)
         try:
-            rows = scene_rows(scene, position_mm)
+            rows = scene_rows(scene, position_mm, coarse=coarse)
         except InputError as wrong:
             raise InputError(f"{file}: {wrong}") from None
         needed.update(int(row) for row in (rows.all if checks else rows.path))

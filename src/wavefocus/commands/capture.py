@@ -86,7 +86,7 @@ def capture(
     if scene_files:
         from wavefocus.campaign.blueprint import needed_by  # with it comes what renders
 
-        needed = needed_by(scene_files, blueprint.plan.position_mm, checks=checks, allow_large=allow_large)
+        needed = needed_by(scene_files, blueprint, checks=checks, allow_large=allow_large)
     blueprint, earlier = with_bank(blueprint, bank, run_file, accept_calibration=accept_calibration)
     rig_file = blueprint.configuration.run.rig_file(run_file)
     options = SessionOptions(rig_file, as_json, accept_drift, accept_calibration, documents)

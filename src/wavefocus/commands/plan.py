@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wavefocus.acquisition.plan import ASSUMED_SNR_DB, GEL_SPEED_M_S, GROUP, Expectation, Plan, expect, schedule_name
+from wavefocus.acquisition.plan import ASSUMED_SNR_DB, GEL_SPEED_M_S, GROUP, Expectation, expect, schedule_name
 from wavefocus.acquisition.setup import names_of
 from wavefocus.acquisition.wording import finish_time, hours
 from wavefocus.campaign.blueprint import Blueprint, blueprint_from_files, blueprint_of, ringing_of
@@ -50,7 +50,7 @@ def plan(
     the_plan = blueprint.plan
     rig = blueprint.configuration.rig
     position_s = the_plan.position_s(rig.recorder)
-    needed = _needed_by_scenes(scene_files, the_plan, checks=checks, allow_large=allow_large)
+    needed = _needed_by_scenes(scene_files, blueprint, checks=checks, allow_large=allow_large)
     rows = np.array(sorted(needed), dtype=np.int64)
     checks_off_grid = check_rows(blueprint.configuration)
     second_looks = the_plan.second_looks(rows, speed_m_s)
@@ -180,8 +180,11 @@ def _pilot_lines(result: PilotResult) -> list[str]:
     return [*lines, f"recommended {result.recommended_spacing_mm:g} mm: {why}"]
 
 
-def _needed_by_scenes(files: Sequence[Path], plan: Plan, *, checks: bool, allow_large: bool) -> Collection[int]:
+def _needed_by_scenes(
+    files: Sequence[Path], blueprint: Blueprint, *, checks: bool, allow_large: bool
+) -> Collection[int]:
     """Positions that some scenes need; all positions without scenes."""
+    plan = blueprint.plan
     if not files:
         return range(plan.positions)
     from wavefocus.campaign.blueprint import needed_by
@@ -195,7 +198,7 @@ def _needed_by_scenes(files: Sequence[Path], plan: Plan, *, checks: bool, allow_
             check_scene_size(scene, sample_rate_hz=rate_hz, taps=plan.taps, actuators=plan.actuators)
         except InputError as wrong:
             raise InputError(f"{file}: {wrong}") from None
-    return needed_by(files, plan.position_mm, checks=checks, allow_large=allow_large)
+    return needed_by(files, blueprint, checks=checks, allow_large=allow_large)
 
 
 def _instruments(rig: RigConfig, run: RunConfig) -> list[str]:

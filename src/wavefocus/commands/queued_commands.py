@@ -103,7 +103,7 @@ def _capture_s(blueprint: Blueprint, bank: Path, scene_files: Sequence[Path] = (
         with open_bank(bank) as view:
             rows = plan.to_do(view.status)
     if scene_files:
-        needed = needed_by(scene_files, plan.position_mm, checks=True, allow_large=True)
+        needed = needed_by(scene_files, blueprint, checks=True, allow_large=True)
         rows = rows[[int(row) in needed for row in rows]]
     return plan.campaign_s(rows, blueprint.configuration.rig.recorder) if len(rows) else 0.0
 
