@@ -4,7 +4,7 @@
 JSON lines, 100 a second of each: on the virtual player, whose clock is the wall's, and on a real audio server with a
 dummy driver. Latency is the time from a position's arrival to the first drive sample made with it, written. The last
 message has that of all positions at the 99.9th percentile. A stall of the machine that is longer than what waits to be
-played makes an underrun whatever the session does: stalls of that length are counted in the process that sends.
+played makes an underrun whatever the session does: the longest that the process that sends has met is stated.
 
 The time of a block is the processor time of orders, block and limiter, without a player. The level of independent
 sources is the energy of the response where a source of amplitude 0 is over that where one sounds, the largest of three,
@@ -217,8 +217,8 @@ class LatencySession:
     states: list[dict[str, Any]] = field(default_factory=list)
     memory_mb: list[float] = field(default_factory=list)
     ended: dict[str, Any] = field(default_factory=dict)
-    stalls: int = 0
-    """How often the process that sends positions, and sleeps else, woke later than the sound lasts that waits."""
+    stall_s: float = 0.0
+    """Longest time by which the process that sends positions, and sleeps else, woke too late."""
 
     def play(self, case: LatencyCase, seconds: float) -> None:
         """Move sources for so long, then end."""
@@ -241,7 +241,7 @@ class LatencySession:
             for count in range(round(seconds * POSITIONS_HZ)):
                 before_s, due_s = time.monotonic(), begun_s + count / POSITIONS_HZ
                 time.sleep(max(0.0, due_s - before_s))
-                self.stalls += time.monotonic() - max(before_s, due_s) > 1e-3 * self.ahead_ms
+                self.stall_s = max(self.stall_s, time.monotonic() - max(before_s, due_s))
                 for source, at_mm in enumerate(_places_mm(count / POSITIONS_HZ, case.sources)):
                     order = {"order": "move", "name": f"{source}", "at_mm": at_mm, "amplitude": AMPLITUDE}
                     process.stdin.write(json.dumps(order) + "\n")
@@ -259,7 +259,7 @@ class LatencySession:
             "latency_largest_ms": float(max(latencies, default=math.nan)),
             "positions": float(self.ended["positions"]),
             "underruns": float(self.ended["underruns"]),
-            "stalls": float(self.stalls),
+            "stall_ms": 1e3 * self.stall_s,
             "load": float(median(state["load"] for state in self.states)),
             "degraded_share": sum(state["degradation"] != "none" for state in self.states) / len(self.states),
         }
