@@ -17,9 +17,9 @@ longer: `EXTENSION_S` of source samples more are taken at either end. A filter i
 one instant, and serves samples around it, weighted by a hat: every `HAT_S`; where places are predicted, the first one
 serves all samples after it.
 
-Three blocks are computed at once. Where an order changes a course the next block is computed anew, and crossfaded with
+Four blocks are computed at once. Where an order changes a course the next block is computed anew, and crossfaded with
 what the computation before gave for it, so that a prediction that did not come true makes no click. Where nothing
-changes, both are the same numbers, and the second block is taken as it is.
+changes, both are the same numbers, and the second and the third block are taken as they are.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ RAMP_S = 0.02
 """What is emitted before a block has no effect on it, except that a sudden begin has frequencies beyond the band."""
 HAT_S, EXTENSION_S = 0.02, 0.02
 """Sources are quiet where the others are at the instant of a hat, and where they are at those before and after."""
-AT_ONCE = 3
-"""Blocks computed at once: the one that is due, one that stands where no order comes, and one to fade from."""
+AT_ONCE = 4
+"""Blocks computed at once: the one that is due, two that stand where no order comes, and one to fade from."""
 BOUNDED_SHARE = 0.1
 """Share of the frequencies from which on it is worth saying that the bound of the energy acts."""
 MAX_PLACES = 24
@@ -80,7 +80,7 @@ class CrossfadedBlocks:
     """
 
     window_samples: int
-    """Source samples that a computation takes from the block's first one on: L - 1 + 3 B, and the extension."""
+    """Source samples that a computation takes from the block's first one on: L - 1 + 4 B, and the extension."""
     extension_samples: int
     """Those before it."""
     memory_samples: int

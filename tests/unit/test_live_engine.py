@@ -24,7 +24,7 @@ from wavefocus.rendering.scene.trajectory import Trajectory
 from wavefocus.storage.errors import InputError
 
 RATE_HZ, TAPS, BLOCK = 1000.0, 60, 8
-SUFFICIENT = TAPS - 1 + 3 * BLOCK
+SUFFICIENT = TAPS - 1 + 4 * BLOCK
 GRID_MM = np.array([(4.0 * x - 20.0, 4.0 * y - 20.0) for y in range(11) for x in range(11)])
 DECAY = np.exp(-np.arange(TAPS) / 15.0)
 GREEN = np.random.default_rng(3).standard_normal((len(GRID_MM), 3, TAPS)) * DECAY
@@ -142,7 +142,7 @@ def test_given_no_further_position_then_the_velocity_is_held_within_the_surface_
     assert amplitude.tolist() == [1.0, 1.0, 0.0]
     assert np.abs(drive_v[:, last + 400 - BLOCK : last + 400]).max() > 0
     assert np.abs(drive_v[:, last + 420 + 1 :]).max() < SINGLE * np.abs(drive_v).max()
-    assert not drive_v[:, last + 420 + 5 * BLOCK :].any()  # what was emitted 20 ms before a block still counts
+    assert not drive_v[:, last + 420 + 6 * BLOCK :].any()  # what was emitted 20 ms before a block still counts
     assert engine.state() == ()
 
 

@@ -29,8 +29,8 @@ class Pace:
     remains. Where that was not so for 2 s, one is taken back; for twice as long after each relapse, up to 16 s. A
     player that ran dry without computing being slow was stalled, which fewer sources would not mend.
 
-    Before any of that orders wait for a block: one computation is enough for two blocks, so that computing keeps pace
-    as long as it takes less than the time of both.
+    Before any of that orders wait for one block or two: a computation is enough for three blocks, so that computing
+    keeps pace as long as it takes less than the time of them.
 
     block_s: Time of a block. ahead_s: What is to wait to be played.
     """
