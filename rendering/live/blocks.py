@@ -178,7 +178,7 @@ class CrossfadedBlocks:
 
     def foreseen(self, first: int) -> bool:
         """Whether the block from this sample on was computed with the last one, and one to fade from after it."""
-        return self._ahead.shape[1] > self._frames(first, 1)
+        return bool(self._ahead.shape[1] > self._frames(first, 1))
 
     def unchanged(self, first: int) -> Float64Array:
         """The next block where it is `foreseen`, and no course has changed since the last one."""
