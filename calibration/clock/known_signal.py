@@ -43,9 +43,10 @@ def require_found(
 
     Raises ReferenceMissingError: with the cause.
     """
-    is_explained = explained > 1 - REFERENCE_LIMIT
-    if not is_explained or abs(ratio - 1) > 1.01e-6 * max_ppm:
+    if not explained > 1 - REFERENCE_LIMIT:
         found = f"explained {100 * explained:.0f} % in band, allowed {100 - 100 * REFERENCE_LIMIT:.0f} %"
-        if is_explained:
-            found = f"clock skew {1e6 * (ratio - 1):.0f} ppm, allowed {max_ppm:g} ppm"
-        raise missing_reference(reference_v, base_v, name, found, max_ppm)
+    elif abs(ratio - 1) > 1.01e-6 * max_ppm:
+        found = f"clock skew {1e6 * (ratio - 1):.0f} ppm, allowed {max_ppm:g} ppm"
+    else:
+        return
+    raise missing_reference(reference_v, base_v, name, found, max_ppm)

@@ -78,7 +78,6 @@ class LiveSession:
         self._stop, self._ending = threading.Event(), threading.Event()
         self._latency, self._figures = LatencyHistogram(), _Figures()
         self._frames = 0
-        self._arrived: list[float] = []
         self._unwritten: deque[tuple[int, float]] = deque()
         self._noticed_s: dict[str, float] = {}
         self._recording, self._record_failed = recording, False
@@ -146,13 +145,11 @@ class LiveSession:
 
     def _next_block(self) -> None:
         begun_s = time.monotonic()
-        self._arrived = []
-        if not (self._pace.short and self.engine.foreseen):
-            self._apply_orders()
+        arrived_s = [] if self._pace.short and self.engine.foreseen else self._apply_orders()
         first = self._frames + self._limiter.look_ahead_frames
         frames = self._limiter.limit(self.engine.next_block())
         computed_s = time.monotonic() - begun_s
-        self._unwritten.extend((first, arrived_s) for arrived_s in self._arrived)
+        self._unwritten.extend((first, one_s) for one_s in arrived_s)
         waiting_s = self._player.add_piece(frames)
         self._frames += frames.shape[1]
         while self._unwritten and self._unwritten[0][0] < self._frames:
@@ -161,7 +158,9 @@ class LiveSession:
         now_s = time.monotonic()
         time.sleep(max(0.0, self._pace.begin_s(now_s, waiting_s) - now_s))
 
-    def _apply_orders(self) -> None:
+    def _apply_orders(self) -> list[float]:
+        """Apply what waits; returns when the positions among it arrived."""
+        arrived_s: list[float] = []
         for waiting in self._inbox.take():
             try:
                 self._apply(waiting.order)
@@ -172,10 +171,11 @@ class LiveSession:
                 continue
             waiting.end()
             if isinstance(waiting.order, MoveSource):
-                self._arrived.append(waiting.arrived_s)
+                arrived_s.append(waiting.arrived_s)
         if self._duration_s is not None and self.played_s >= self._duration_s and not self._ending.is_set():
             self._ending.set()
             self._apply(EndLive())
+        return arrived_s
 
     def _apply(self, order: Order) -> None:
         match order:
