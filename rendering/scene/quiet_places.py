@@ -22,7 +22,7 @@ from wavefocus.rendering.greens.interpolation.base import (
 )
 from wavefocus.rendering.greens.interpolation.errors import judged_errors
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
-from wavefocus.rendering.greens.source import GreenSource, refusal, usable
+from wavefocus.rendering.greens.source import GreenSource, is_check, refusal, usable
 from wavefocus.rendering.scene.model import Scene, Source
 from wavefocus.rendering.scene.paths import Path, Point
 from wavefocus.rendering.scene.sampling import SampledScene
@@ -124,7 +124,7 @@ class PlaceRows:
         self._bank, self.rows = bank, bank
         self._grid, self._status = PositionGrid(bank.position_mm), np.asarray(bank.status)
         self._method = None if isinstance(own, GridInterpolation) else own
-        self._names = methods_between(bank) if name is None else (name,)
+        self._names = methods_between(coarse=bool(is_check(bank).any())) if name is None else (name,)
         self.name = self._names[0] if self._method is None else self._method.name
         self._between_mm: list[Float64Array] = []
 

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM
-from wavefocus.rendering.greens.interpolation.base import interpolation_method
+from wavefocus.rendering.greens.interpolation.base import interpolation_method, methods_between
 from wavefocus.rendering.greens.interpolation.on_grid import Nearest
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.scene.model import Scene
@@ -67,7 +67,7 @@ def scene_rows(scene: Scene, position_mm: Float64Array, *, coarse: bool = False)
         reach_mm = away_mm + step_mm + place.radius_mm
         rows = _nearby_rows(tree, points_mm, reach_mm)
         between = step_mm + place.radius_mm > 0 or away_mm.max() > ON_GRID * grid.spacing_mm
-        best = interpolation_method("waves" if coarse and between else "kernel")
+        best = interpolation_method(methods_between(coarse=coarse and bool(between))[0])
         path |= rows | best.needed_rows(grid, rows, points_mm, step_mm)
         checks |= _nearby_rows(tree, points_mm, reach_mm + grid.spacing_mm)
     return SceneRows(np.array(sorted(path), dtype=np.int64), np.array(sorted(checks), dtype=np.int64))

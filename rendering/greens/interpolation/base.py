@@ -172,10 +172,12 @@ def interpolation_method(name: str) -> type[Interpolation]:
     return found
 
 
-def methods_between(bank: GreenSource) -> tuple[str, ...]:
-    """Methods for places between positions whatever the scene's is, the best first."""
-    # Check positions are of grids too coarse for the kernel.
-    return ("waves", "kernel") if is_check(bank).any() else ("kernel",)
+def methods_between(*, coarse: bool) -> tuple[str, ...]:
+    """Methods for places between positions whatever the scene's is, the best first.
+
+    coarse: The grid has check positions: it is too coarse for the kernel.
+    """
+    return ("waves", "kernel") if coarse else ("kernel",)
 
 
 def scene_interpolation(scene: Scene, bank: GreenSource) -> Interpolation:

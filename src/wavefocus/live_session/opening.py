@@ -112,7 +112,7 @@ def open_session(
             finest = output.interpolation
             coarse = bool(is_check(view).any())
             if options.scene_file is None and (options.independent or coarse):
-                finest = methods_between(view)[0]
+                finest = methods_between(coarse=coarse)[0]
             try:
                 engine, limiter = engine_and_limiter(finest)
             except InputError:
