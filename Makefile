@@ -102,5 +102,4 @@ window-figures: ## Measure how soon the window is up and what it costs
 clean: ## Remove .venv, caches and what demo and bench wrote
 	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .coverage .coverage.* \
 		htmlcov build dist *.egg-info demo-out bench-out soak-out site
-	find src/wavefocus -type l -delete
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -11,7 +11,7 @@ extra=${1:-}
 target=".${extra:+[$extra]}"
 stamp=".venv/installed${extra:+-$extra}"
 # What the installation depends on: the project's description, and where it lies (the install points there).
-wanted=$({ pwd; cat pyproject.toml setup.py; } | cksum)
+wanted=$({ pwd; cat pyproject.toml; } | cksum)
 
 say() { echo "set-up: $*" >&2; }
 
@@ -52,23 +52,6 @@ usable() {
 import wavefocus, numpy, scipy.fft, h5py, pydantic, rich, matplotlib, jinja2, soundfile') >/dev/null 2>&1
 }
 
-# mypy, import-linter and editors look for a package's modules in its folder.
-link_packages() {
-    # git leaves wavefocus/__pycache__ of before at the root, where Python and the tools would find it first.
-    [ ! -d wavefocus ] || [ -n "$(find wavefocus -type f ! -name '*.pyc')" ] || rm -rf wavefocus
-    for folder in acquisition benchmarks calibration config drivers gui mocks rendering storage trials; do
-        link="src/wavefocus/$folder"
-        [ -e "$link/__init__.py" ] || .venv/bin/python -c '
-import os, subprocess, sys
-link, folder = sys.argv[1:]
-if sys.platform == "win32":  # a junction, which needs no rights
-    subprocess.run(["cmd", "/c", "mklink", "/J", link.replace("/", chr(92)), folder], check=True, stdout=subprocess.DEVNULL)
-else:
-    os.symlink(os.path.join("..", "..", folder), link)
-' "$link" "$folder"
-    done
-}
-
 install() {
     say "installing wavefocus${extra:+ with what \"$extra\" needs} into .venv (needs the network; about a minute)"
     rm -f "$stamp"
@@ -79,7 +62,6 @@ install() {
 }
 
 whole || make_venv
-link_packages
 [ "$(cat "$stamp" 2>/dev/null)" != "$wanted" ] || exit 0
 install
 if ! usable; then

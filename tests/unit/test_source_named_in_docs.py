@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
+PACKAGE = ROOT / "src" / "wavefocus"
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
@@ -15,9 +16,10 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 def test_every_module_function_and_folder_that_a_page_names_is_there(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     for module, names in re.findall(r"\b((?:\w+/)+\w+\.py)(?:: (\w+(?:\.\w+)*))?", text):
-        source = (ROOT / module).read_text(encoding="utf-8")
+        file = next(folder / module for folder in (PACKAGE, ROOT) if (folder / module).is_file())
+        source = file.read_text(encoding="utf-8")
         missing = [name for name in names.split(".") if not re.search(rf"\b{name}\b", source)]
         assert not missing, f"{page.name}: {module}: {names}"
     packages = "acquisition|benchmarks|calibration|config|drivers|gui|mocks|rendering|src|storage|tests|tools"
     for folder in re.findall(rf"`((?:{packages})/[\w/]*)/?`", text):
-        assert (ROOT / folder).is_dir(), f"{page.name}: {folder}"
+        assert (PACKAGE / folder).is_dir() or (ROOT / folder).is_dir(), f"{page.name}: {folder}"
