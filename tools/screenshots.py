@@ -96,7 +96,7 @@ OVER = (
 )
 _SCREEN = "-screen 0 2560x1600x24"
 """The X server's screen: pictures are taken where a person would see the faults of a real window, not offscreen."""
-PARTS = {"running": 1, "over": 1, "scaled": 2, "rig": 1, "trials": 1, "queue": 1}
+PARTS = {"running": 1, "over": 1, "scaled": 2, "rig": 1, "trials": 1}
 """Scaling of each part; that of a process is fixed at its start, so each has one of its own."""
 
 
@@ -108,9 +108,7 @@ def main() -> None:
         return
     if len(sys.argv) > 3:
         pictures = Pictures(out, Path(sys.argv[2]))
-        {"rig": pictures.take_rig, "queue": pictures.take_queue}.get(
-            sys.argv[3], lambda: pictures.take_campaign(sys.argv[3])
-        )()
+        {"rig": pictures.take_rig}.get(sys.argv[3], lambda: pictures.take_campaign(sys.argv[3]))()
         print(f"{sys.argv[3]}: pictures in {out}")
         return
     out.mkdir(parents=True, exist_ok=True)
@@ -124,7 +122,6 @@ def main() -> None:
             bench / "rig.toml": EMULATED_RIG,
         }.items():  # fmt: skip
             file.write_text(content, encoding="utf-8")
-        make_queue(lab / "night.queue.json")
         for part, scale in PARTS.items():
             environment = {
                 **os.environ, "QT_QPA_PLATFORM": "xcb", "QT_FONT_DPI": "96", "QT_SCALE_FACTOR": str(scale),
@@ -133,40 +130,10 @@ def main() -> None:
             file = {
                 "rig": bench / "rig.toml",
                 "trials": lab / "trials.toml",
-                "queue": lab / "night.queue.json",
             }.get(part, lab / "run.toml")
             command = ["xvfb-run", "-a", "-s", _SCREEN, sys.executable, __file__, str(out), str(file), part]
             if len(sys.argv) <= 2 or part in sys.argv[2].split(","):
                 subprocess.run(command, env=environment, check=True, stderr=subprocess.DEVNULL)
-
-
-def make_queue(file: Path) -> None:
-    """Write a queue in mid-night: runs that are done, failed, under way and waiting."""
-    from datetime import UTC, datetime, timedelta
-
-    from msgspec.structs import replace
-
-    from wavefocus.acquisition.run_queue import EntryState, add_entry, edited_queue, file_digests
-
-    scene = file.with_name("scene.toml")
-    verify = ["verify", "scene.toml", "--bank", "plate.h5", "--rig", "rig.toml", "--out", "verify"]
-    for words, expected_s in (
-        (["capture", "run.toml", "--bank", "plate.h5"], 12_000.0),
-        (["resume", "older.h5"], 600.0),
-        (verify, 1_500.0),
-        (["capture", "finer.toml", "--bank", "finer.h5"], 21_000.0),
-        (["check", "finer.h5"], 60.0),
-    ):
-        add_entry(file, words, file.parent, file_digests([scene]), None, expected_s)
-    now = datetime.now(UTC)
-    began = [now - timedelta(hours=4), now - timedelta(minutes=31), now - timedelta(minutes=14)]
-    with edited_queue(file) as entries:
-        done = {"code": 0, "started_at": began[0], "ended_at": began[1]}
-        entries[0] = replace(entries[0], state=EntryState.DONE, **done)
-        failed = {"code": 3, "said": "mirror (asi-tiger at COM3): reconnecting: it does not answer"}
-        entries[1] = replace(entries[1], state=EntryState.FAILED, started_at=began[1], ended_at=began[2], **failed)
-        entries[2] = replace(entries[2], state=EntryState.RUNNING, started_at=began[2])
-        entries[3] = replace(entries[3], files={str(scene): "changed"})
 
 
 class Pictures:
@@ -244,18 +211,6 @@ class Pictures:
             self.take_scene(looks)
             self.take_live(looks)
         window.close_at_once()
-
-    def take_queue(self) -> None:
-        """A queue in mid-night."""
-        from wavefocus.acquisition.run_queue import queue_claim
-        from wavefocus.gui.queue.tab import QueueTab
-        from wavefocus.storage.claims import claimed
-
-        tab = self.tab(QueueTab)
-        with claimed(queue_claim(self.file)):  # as the process that carries it out does
-            self.until(lambda: tab.table.rowCount() == 5 and tab.running)
-            self.keep("queue")
-        self.window.close_at_once()
 
     def take_verification(self, looks: dict[str, str]) -> None:
         """A scene verified with the campaign's bank."""

@@ -13,7 +13,6 @@ import os
 import re
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
@@ -128,9 +127,6 @@ JSON = switch("--json", "as_json", help="Print JSON on standard output.")
 JSON_LINES = switch("--json", "as_json", help="Print one JSON line per event on standard output.")
 FORCE = switch("--force", help="Replace older outputs; never an input, a bank or raw recordings.")
 DRIFT = switch("--accept-drift", help="Go on although the sentinel position has changed.")
-DOCUMENTS = file(
-    "--documents", metavar="FILE.jsonl", help="Also append the session as documents of bluesky's event model to a file."
-)
 CALIBRATION = switch("--accept-calibration", help="Go on with another calibration, or on other devices than its own.")
 OTHER_RIG = file(
     "--rig", dest="rig_file", metavar="RIG.toml",
@@ -251,12 +247,7 @@ def _live(**given: Any) -> int:
     return command.live(options=LiveOptions(**options), **given)
 
 
-QUEUE = file("queue", metavar="QUEUE.json", help="The queue file.")
-RUN_NUMBER = "Number of the run, as `queue list` shows it."
-GROUPS = {
-    "queue": "Carry out several runs, one after the other, with nobody there.",
-    "service": "Let the system carry on with a run by itself after a reboot.",
-}
+GROUPS: dict[str, str] = {}
 """Commands of two words: their first word, and its help."""
 
 COMMANDS = (
@@ -321,23 +312,21 @@ COMMANDS = (
             RUN, SCENES, NO_CHECKS, LARGE,
             number("--wave-speed", 1e-3, dest="speed_m_s", default=4.8,
                    help="Of the plate, in m/s; a gel's by default."),
-            file("--pilot-positions", metavar="FILE.csv", help="Write the positions of a pilot run to a new file."),
-            file("--pilot", metavar="BANK.h5", help="The bank of a pilot run: recommend the grid's spacing."),
             JSON,
         ),
     ),
     Command(
-        "capture", "capture:capture",
+        "capture", _bundling("capture:capture", "options", "capture:SessionOptions"),
         "Start, or go on with, a campaign.\n\nCtrl-C finishes the position; twice stops at once.",
-        (RUN, FROM_BANK, SCENES, NO_CHECKS, LARGE, JSON_LINES, DRIFT, CALIBRATION, DOCUMENTS),
+        (RUN, FROM_BANK, SCENES, NO_CHECKS, LARGE, JSON_LINES, DRIFT, CALIBRATION),
     ),
     Command(
-        "resume", "capture:resume",
+        "resume", _bundling("capture:resume", "options", "capture:SessionOptions"),
         "Go on with a campaign from its bank alone.\n\nA corrected rig file may replace the one that the bank holds.",
-        (BANK, OTHER_RIG, JSON_LINES, DRIFT, CALIBRATION, DOCUMENTS),
+        (BANK, OTHER_RIG, JSON_LINES, DRIFT, CALIBRATION),
     ),
     Command(
-        "extend", "capture:extend",
+        "extend", _bundling("capture:extend", "options", "capture:SessionOptions"),
         "Make a bank with more positions.\n\n"
         "Valid rows of one bank, or of several of one rig and plate, are taken over; the sentinel is measured first.",
         (
@@ -345,11 +334,11 @@ COMMANDS = (
             file("--run", dest="run_file", metavar="RUN.toml",
                  help="The run with the new positions; without it only what the banks hold."),
             file("--bank", metavar="NEW.h5", required=True, help="The bank to make."),
-            JSON_LINES, DRIFT, CALIBRATION, DOCUMENTS,
+            JSON_LINES, DRIFT, CALIBRATION,
         ),
     ),
     Command(
-        "remeasure", "capture:remeasure",
+        "remeasure", _bundling("capture:remeasure", "options", "capture:SessionOptions"),
         "Measure positions of a bank again.\n\n"
         "What the bank holds stays until something better is in, a valid row until one agrees.",
         (
@@ -358,7 +347,7 @@ COMMANDS = (
                      help="Which: poor, over-range or failed; commas between several."),
             argument("--positions", default="", metavar="I,J,...", help="Bank rows; 5-9 names a range."),
             switch("--replace", help="Also valid rows by others, where two attempts agree on them."),
-            OTHER_RIG, JSON_LINES, DRIFT, CALIBRATION, DOCUMENTS,
+            OTHER_RIG, JSON_LINES, DRIFT, CALIBRATION,
         ),
     ),
     Command(
@@ -367,49 +356,6 @@ COMMANDS = (
         (
             BANK, FORCE, JSON,
             file("--plot", metavar="FILE.png", help="Draw the sentinel position's drift over time."),
-        ),
-    ),
-    Command(
-        "queue add", "queue:add",
-        "Add a run to a queue.\n\n"
-        "What may be queued: capture, resume, remeasure, verify, estimate, render, predict, check, export, publish.\n\n"
-        "wavefocus queue add night.json capture run.toml --bank plate.h5\n\n"
-        "wavefocus queue add night.json verify scene.toml --bank plate.h5 --rig rig.toml --out verify\n\n"
-        "The queue file is made where missing. Names of files count from the present folder.",
-        (
-            JSON, QUEUE,
-            argument("words", nargs="...", metavar="COMMAND ...", help="The command, as after `wavefocus`."),
-        ),
-    ),
-    Command("queue list", "queue:list_runs", "Show the runs of a queue, with their finish times.", (QUEUE, JSON)),
-    Command(
-        "queue move", "queue:move",
-        "Move a run to another place among those that wait.\n\nA run that has ended waits again then.",
-        (
-            QUEUE, argument("number", type=int, metavar="RUN", help=RUN_NUMBER),
-            argument("place", type=int, metavar="PLACE", help="Place among the runs that wait, from 1."), JSON,
-        ),
-    ),
-    Command(
-        "queue remove", "queue:remove", "Remove runs from a queue.",
-        (QUEUE, argument("numbers", type=int, nargs="+", metavar="RUN", help=RUN_NUMBER), JSON),
-    ),
-    Command(
-        "queue run", "queue:run",
-        "Carry out the runs of a queue that wait.\n\n"
-        "A run that fails does not end the queue; the same command goes on where it was stopped or killed. Ctrl-C "
-        "finishes the position; twice stops at once.",
-        (QUEUE, JSON_LINES),
-    ),
-    Command(
-        "service install", "service:install",
-        "Write a user service that carries on with a queue or a campaign after a reboot.\n\n"
-        "A unit of systemd on Linux, an agent of launchd on macOS, a task of the Task Scheduler on Windows. It is "
-        "written and not started: the answer states the commands that do that.",
-        (
-            file("what", metavar="QUEUE.json|BANK.h5", help="A queue file, or the bank of a campaign."),
-            file("--rig", dest="rig_file", metavar="RIG.toml", help="With a bank: the rig file to resume with."),
-            FORCE, JSON,
         ),
     ),
     Command("pause", _order("pause"), "Pause a running capture after its position.", (BANK, WAIT, JSON)),
@@ -794,22 +740,11 @@ def run_command(arguments: Sequence[str]) -> int:
     from wavefocus.console import named_while_silent, working_on
 
     # What a command imports is part of its silence.
-    with _ended_with_input(), named_while_silent(f"{name}: {_first_sentence(command.help)}"):
+    with named_while_silent(f"{name}: {_first_sentence(command.help)}"):
         working_on("loading its modules")
         run = _found(command.run) if isinstance(command.run, str) else command.run
         working_on("")
         return int(run(**given) or 0)
-
-
-def _ended_with_input() -> AbstractContextManager[None]:
-    """End the command when standard input closes, where the process that started it asks for that."""
-    from wavefocus.exits import WATCHED_VARIABLE
-
-    if not os.environ.pop(WATCHED_VARIABLE, ""):
-        return nullcontext()
-    from wavefocus.ending import ended_by_input  # most commands are not watched
-
-    return ended_by_input()
 
 
 def _first_sentence(text: str) -> str:

@@ -13,9 +13,6 @@ from wavefocus.storage.errors import BankBusyError, InputError, WavefocusError
 STAND_IN = "wavefocus_stand_in"
 """Attribute of a standard stream that was closed when the process began, and has the null device in its place."""
 
-WATCHED_VARIABLE = "WAVEFOCUS_WATCHED"
-"""Environment variable: a command that has it ends, as by Ctrl-C, when its standard input is closed."""
-
 
 class Exit(IntEnum):
     """Exit codes, as the public contract states them."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,6 @@ from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import LEFT, NO_KEY, click, drag, pixel, shown_tab, wait
 from wavefocus.calibration.estimator.noise_error import bank_noise_error_db
-from wavefocus.campaign.sidecar_files import expected_path
 from wavefocus.gui.campaign.quality import DAMAGED, LOOKS
 from wavefocus.gui.campaign.tab import CampaignTab
 from wavefocus.gui.window import Window
@@ -126,30 +124,3 @@ def test_given_a_filter_then_only_events_of_that_weight_with_those_words_are_lis
     assert events.lines.rowCount() == 1
     events.view.doubleClicked.emit(events.lines.index(0, 2))
     assert tab.map_panel.map.shown == 7
-
-
-def test_given_a_refined_bank_then_the_map_of_expected_error_can_be_chosen_before_and_now(tab: CampaignTab) -> None:
-    panel, surface = tab.map_panel, tab.campaign.surface
-    assert surface is not None
-    labels = panel.colour_by.count()
-    points_mm = [[2.0 * x_mm, 2.0 * y_mm] for x_mm in range(5) for y_mm in range(5)]
-    maps = {
-        name: {"added": added, "points_mm": points_mm, "error": np.linspace(0.01, largest, 25).tolist()}
-        for name, added, largest in (("before", 0, 0.2), ("after", 4, 0.05))
-    }
-    expected_path(surface.bank).write_text(json.dumps(maps), encoding="utf-8")
-    try:
-        panel.redraw()
-        assert panel.colour_by.count() == labels + 2
-        for index, largest in ((labels, 20.0), (labels + 1, 5.0)):
-            panel.colour_by.setCurrentIndex(index)
-            assert panel.map.surface is not None
-            assert panel.map.surface.positions == 25
-            assert panel.map.levels == pytest.approx((1.0, largest))
-            assert panel.bar.isVisible()
-        panel.colour_by.setCurrentIndex(0)
-        assert panel.map.surface is surface
-    finally:
-        expected_path(surface.bank).unlink()
-        panel.redraw()
-    assert panel.colour_by.count() == labels

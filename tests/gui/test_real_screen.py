@@ -14,7 +14,6 @@ from pathlib import Path
 import pytest
 
 from tests.gui.test_trials_window import TRIALS
-from wavefocus.acquisition.run_queue import add_entry, read_queue
 from wavefocus.trials.answers import read_answers
 
 pytestmark = pytest.mark.long
@@ -127,51 +126,6 @@ timer.start(100)
 sys.exit(application.exec_())
 """
 
-DRAG_ROW = """
-import sys
-from pathlib import Path
-from PyQt5.QtCore import QEvent, QPoint, QPointF, QSettings, Qt, QTimer
-from PyQt5.QtGui import QMouseEvent
-from PyQt5.QtWidgets import QApplication
-from wavefocus.gui.files import Settings
-from wavefocus.gui.queue.tab import QueueTab
-from wavefocus.gui.window import Window, make_application
-application = make_application()
-assert QApplication.platformName() == "xcb", QApplication.platformName()
-window = Window(Settings(QSettings(sys.argv[2], QSettings.Format.IniFormat)))
-window.resize(1200, 760)
-window.show()
-window.open_file(Path(sys.argv[1]))
-tab = next(tab for tab in window.tabs if isinstance(tab, QueueTab))
-table, viewport = tab.table, tab.table.viewport()
-def mouse(kind, at, held=True):
-    button = Qt.NoButton if kind == QEvent.MouseMove else Qt.LeftButton
-    buttons = Qt.MouseButtons(Qt.LeftButton if held else Qt.NoButton)
-    places = QPointF(at), QPointF(viewport.mapTo(window, at)), QPointF(viewport.mapToGlobal(at))
-    application.sendEvent(viewport, QMouseEvent(kind, *places, button, buttons, Qt.NoModifier))
-def step():
-    if table.rowCount() != 3:
-        return
-    timer.stop()
-    start, end = table.visualRect(table.model().index(0, 2)).center(), QPoint(60, 300)
-    # Qt's own loop runs while a row is dragged: what the mouse does then comes from timers.
-    moves = [(QEvent.MouseMove, end), (QEvent.MouseMove, end + QPoint(1, 0)), (QEvent.MouseMove, end)]
-    for number, (kind, at) in enumerate(moves):
-        QTimer.singleShot(200 * (number + 1), lambda kind=kind, at=at: mouse(kind, at))
-    QTimer.singleShot(1000, lambda: mouse(QEvent.MouseButtonRelease, end, held=False))
-    QTimer.singleShot(2000, finish)
-    mouse(QEvent.MouseButtonPress, start)
-    mouse(QEvent.MouseMove, start + QPoint(0, 15))
-    mouse(QEvent.MouseMove, start + QPoint(0, 25))
-def finish():
-    print([entry.number for entry in tab.entries], flush=True)
-    window.close_at_once()
-timer = QTimer()
-timer.timeout.connect(step)
-timer.start(100)
-sys.exit(application.exec_())
-"""
-
 
 @pytest.fixture
 def display() -> Generator[str]:
@@ -250,16 +204,3 @@ def test_given_a_live_session_on_a_real_x_server_then_a_source_follows_the_mouse
     done = subprocess.run(command, env=_environment(display), capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
     assert "followed" in done.stdout
-
-
-def test_given_a_row_of_the_queue_is_dragged_on_a_real_x_server_then_the_file_has_the_new_order(
-    display: str, tmp_path: Path
-) -> None:
-    queue = tmp_path / "night.queue.json"
-    for number in range(3):
-        add_entry(queue, ["check", f"plate-{number}.h5"], tmp_path)
-    command = [sys.executable, "-c", DRAG_ROW, str(queue), str(tmp_path / "memory.ini")]
-    done = subprocess.run(command, env=_environment(display), capture_output=True, text=True, timeout=90, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "[2, 3, 1]" in done.stdout
-    assert [entry.number for entry in read_queue(queue)] == [2, 3, 1]

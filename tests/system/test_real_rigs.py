@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from tests.lab_files import ABSENT_RIG, change_text
+from tests.lab_files import ABSENT_RIG
 from wavefocus.__main__ import run
-from wavefocus.acquisition.run_queue import read_queue
 from wavefocus.config.rig import RigConfig
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial, TcpWire
@@ -88,25 +83,3 @@ def test_given_two_sensitivities_that_differ_then_the_rig_is_refused(vibrometer:
 def test_given_too_little_light_then_the_vibrometer_is_refused(vibrometer: EmulatedSerial) -> None:
     with pytest.raises(InstrumentError, match="focus the laser"):
         openers(with_vibrometer(vibrometer.address, least_signal_level=0.9)).vibrometer()
-
-
-@pytest.mark.skipif(os.name != "posix", reason="POSIX signals")
-def test_given_an_instrument_away_then_a_queues_run_fails_and_after_a_reboot_it_is_tried_again(real_lab: Path) -> None:
-    queue, bank = real_lab / "night.json", real_lab / "plate.h5"
-    assert run(["queue", "add", str(queue), "capture", str(real_lab / "run.toml"), "--bank", str(bank)]) == 0
-    assert run(["queue", "run", str(queue)]) == 1
-    (failed,) = read_queue(queue)
-    assert (str(failed.state), failed.code) == ("failed", 3)
-    # A power cut leaves the run in this state.
-    change_text(queue, '"failed"', '"running"')
-    command = [sys.executable, "-m", "wavefocus", "queue", "run", str(queue)]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as runner:
-        assert runner.stderr is not None
-        for line in runner.stderr:
-            if "tried again" in line:
-                break
-        runner.send_signal(signal.SIGINT)
-        runner.communicate(timeout=60)
-        assert runner.returncode == 130
-    (waiting,) = read_queue(queue)
-    assert str(waiting.state) == "waiting"

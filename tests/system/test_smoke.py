@@ -18,7 +18,7 @@ pytestmark = pytest.mark.smoke
 BANK, DRIVE, FIELD, RIG = "plate.h5", "drive.h5", "field.h5", "rig.toml"
 RENDER = ["render", "scene.toml", "--bank", BANK, "--out", DRIVE]
 PREDICT = ["predict", DRIVE, "--bank", BANK, "--out", FIELD]
-ADD = ["queue", "add", "night.json", "resume", BANK]
+
 # Of each command: what must have run before, its arguments, and what it writes. In the folder of a measured lab.
 STEPS: dict[str, tuple[list[list[str]], list[str], list[str]]] = {
     "init": ([], ["init", "new"], ["new/rig.toml", "new/run.toml", "new/scene.toml", "new/trials.toml"]),
@@ -32,10 +32,6 @@ STEPS: dict[str, tuple[list[list[str]], list[str], list[str]]] = {
     "status": ([], ["status", BANK], []),
     "check": ([], ["check", BANK], []),
     "note": ([], ["note", BANK, "a scratch near position 3"], []),
-    "queue add": ([], ADD, ["night.json"]),
-    "queue list": ([ADD], ["queue", "list", "night.json"], []),
-    "queue move": ([ADD], ["queue", "move", "night.json", "1", "1"], []),
-    "queue remove": ([ADD], ["queue", "remove", "night.json", "1"], []),
     "render": ([], RENDER, [DRIVE]),
     "predict": ([RENDER], PREDICT, [FIELD]),
     "movie": ([RENDER, PREDICT], ["movie", FIELD, "--bank", BANK, "--drive", DRIVE, "--snapshots", "s.png"], ["s.png"]),
@@ -48,7 +44,6 @@ STEPS: dict[str, tuple[list[list[str]], list[str], list[str]]] = {
 # Commands whose smoke test is elsewhere: they need standard input, another process, or minutes.
 ELSEWHERE = {
     "operate", "emulate", "pause", "go-on", "stop", "estimate", "live", "trials", "analyse", "bench", "gui", "demo",
-    "queue run", "service install",
 }  # fmt: skip
 
 

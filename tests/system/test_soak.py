@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.system.crash import cuts, kills, other_faults, queue_edits
+from tests.system.crash import cuts, kills, other_faults
 from tests.system.crash.campaign import Campaign
 from tests.system.crash.shares import Share
 from tests.system.crash.soak import DRAWN, Trials
@@ -39,7 +39,6 @@ def test_given_kills_cuts_full_disks_and_flipped_bytes_then_nothing_is_lost_and_
         (other_faults.full_disk, 1),
         (other_faults.failing_disk, 1),
         (other_faults.flipped_bytes, 1),
-        (queue_edits.at_calls, 5),
     ]
     for trials, count in classes:
         found = trials(campaign, random.Random(1), Share(count))

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.metadata import version
 from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wavefocus.acquisition.plan import Plan
 from wavefocus.calibration.excitation import PlayedExcitation, StaggeredSignal
@@ -58,17 +57,6 @@ class Blueprint:
             directions_deg=plate_behind(configuration.rig, configuration.run).directions_deg,
             check_rows=tuple(check_rows(configuration).tolist()),
         )
-
-
-def with_positions(blueprint: Blueprint, position_mm: NDArray[np.float64], regular: int) -> Blueprint:
-    """The blueprint of a bank that was refined.
-
-    position_mm, (positions, 2): All its positions, of which the first `regular` are the grid that was asked for; this
-        is kept as ``grid.regular_positions``.
-    """
-    run = blueprint.configuration.run
-    run = run.model_copy(update={"grid": run.grid.model_copy(update={"regular_positions": regular})})
-    return blueprint_of(replace(blueprint.configuration, run=run, position_mm=position_mm))
 
 
 def blueprint_from_files(run_file: Path) -> Blueprint:

@@ -109,12 +109,6 @@ def read_heartbeat(bank: Path) -> Heartbeat | None:
     return None
 
 
-def expected_finish(bank: Path) -> datetime | None:
-    """When the capture into a bank expects to have finished, by its heartbeat; None where none runs or knows."""
-    beat = read_heartbeat(bank)
-    return None if beat is None or beat.is_silent() else beat.finish_at
-
-
 LISTENS_EVERY_S = 0.2
 # A single failure may be a file that somebody holds open, on Windows.
 FAILURES_TOLD_AFTER = 3

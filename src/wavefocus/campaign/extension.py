@@ -19,7 +19,6 @@ from wavefocus.campaign.blueprint import (
     blueprint_from_bank,
     blueprint_of,
     listed_differences,
-    with_positions,
 )
 from wavefocus.campaign.schedule_choice import with_chosen_schedule
 from wavefocus.campaign.sidecar_files import raw_path
@@ -28,7 +27,7 @@ from wavefocus.input_files import parse_positions
 from wavefocus.storage.bank.ledger import QUALITY_NAMES, PointRecord
 from wavefocus.storage.bank.origins import Origin, origins_of
 from wavefocus.storage.bank.reading import Bank, ForeignRows, open_bank
-from wavefocus.storage.bank.writer import BankWriter, write_bank
+from wavefocus.storage.bank.writer import write_bank
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import replacement, require_outputs
 from wavefocus.storage.point_status import Status
@@ -78,30 +77,6 @@ def extend(banks: Sequence[Path], out: Path, run_file: Path | None = None) -> Bl
     return blueprint
 
 
-def grow(bank: Path, own: Blueprint, added_mm: Float64Array, regular: int) -> Blueprint:
-    """Put positions after those of a bank that no process measures into, in the same file.
-
-    All that is measured stays as it is. The file is replaced as a whole, its recordings first: where it ends between
-    the two, the same call goes on.
-
-    own: The bank's campaign.
-    added_mm, (positions, 2): Places of the new positions.
-    regular: Positions of the grid that was asked for, kept as ``grid.regular_positions``.
-
-    Returns the campaign. Raises InputError: a checksum does not hold, or the disk is full; the bank is as it was.
-    Raises BankBusyError: a process measures into it.
-    """
-    blueprint = with_positions(own, np.concatenate([own.plan.position_mm, added_mm]), regular)
-    with BankWriter.open(bank, plan_sha256=own.plan.sha256):
-        pass  # verifies every row, and that no other process owns the bank
-    with replacement(bank, grown=True) as temporary, open_bank(bank) as view:
-        taken = {row: (0, row) for row in np.flatnonzero(view.status).tolist()}
-        if blueprint.configuration.run.capture.keep_raw and not _is_of_plan(raw_path(bank), blueprint):
-            _extend_raw([view], taken, blueprint, raw_path(bank), grown=True)
-        _write(temporary, [view], taken, blueprint, view.check_rows)
-    return blueprint
-
-
 def _write(out: Path, views: Sequence[Bank], taken: Taken, blueprint: Blueprint, checks: Sequence[int]) -> None:
     header = blueprint.bank_header()
     header = replace(
@@ -112,11 +87,6 @@ def _write(out: Path, views: Sequence[Bank], taken: Taken, blueprint: Blueprint,
     )
     notes = sorted({note for view in views for note in view.notes}, key=lambda note: note.at)
     write_bank(out, header, _rows(views, taken), notes)
-
-
-def _is_of_plan(raw: Path, blueprint: Blueprint) -> bool:
-    with open_raw(raw) as kept:
-        return kept.header.plan_sha256 == blueprint.plan.sha256
 
 
 def _wanted(banks: Sequence[Path], run_file: Path | None) -> Configuration:
@@ -217,7 +187,7 @@ def _record(view: Bank, row: int) -> PointRecord:
     return PointRecord(int(view.status[row]), int(view.quality["attempts"][row]), **quality, suspect=suspect)
 
 
-def _extend_raw(views: Sequence[Bank], taken: Taken, blueprint: Blueprint, path: Path, *, grown: bool = False) -> None:
+def _extend_raw(views: Sequence[Bank], taken: Taken, blueprint: Blueprint, path: Path) -> None:
     """Take over the recordings too, for a run that keeps them."""
     plan, header = blueprint.plan, blueprint.bank_header()
     for view in views:
@@ -226,7 +196,7 @@ def _extend_raw(views: Sequence[Bank], taken: Taken, blueprint: Blueprint, path:
                 f"{raw_path(view.path)} is missing, and the run has capture.keep_raw = true: put it back, or set "
                 "keep_raw = false"
             )
-    with replacement(path, grown=grown) as temporary, ExitStack() as stack:
+    with replacement(path) as temporary, ExitStack() as stack:
         raws = [stack.enter_context(open_raw(raw_path(view.path))) for view in views]
         create_raw(
             temporary,

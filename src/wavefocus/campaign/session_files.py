@@ -16,7 +16,6 @@ from wavefocus.campaign.blueprint import (
     blueprint_of,
     require_same_plan,
     ringing_of,
-    with_positions,
 )
 from wavefocus.campaign.schedule_choice import choose_schedule, with_chosen_schedule
 from wavefocus.campaign.sidecar_files import raw_path
@@ -44,8 +43,7 @@ def with_bank(
         with suppress(ExistsError):  # another capture was quicker: go on as one that came later
             create_bank(bank, settled.bank_header())
             return settled, earlier
-    blueprint = _with_added_positions(_without_later_checks(blueprint, bank), bank)
-    blueprint = with_chosen_schedule(blueprint, bank)
+    blueprint = with_chosen_schedule(_without_later_checks(blueprint, bank), bank)
     blueprint = with_one_calibration(blueprint, bank, run_file, accept=accept_calibration)
     require_same_plan(bank, blueprint.configuration, blueprint.plan.sha256)
     return blueprint, ()
@@ -69,18 +67,6 @@ def _without_later_checks(blueprint: Blueprint, bank: Path) -> Blueprint:
     run = blueprint.configuration.run
     run = run.model_copy(update={"grid": run.grid.model_copy(update={"check_positions": None})})
     return blueprint_of(replace(blueprint.configuration, run=run, position_mm=regular_mm))
-
-
-def _with_added_positions(blueprint: Blueprint, bank: Path) -> Blueprint:
-    """The campaign with the positions that a refinement has added to the bank, where it began as the run file says."""
-    if blueprint.configuration.run.grid.refine_to is None:
-        return blueprint
-    with open_bank(bank) as view:
-        grid = bank_configuration(view).run.grid
-        regular, position_mm = grid.regular_positions, view.position_mm
-    if regular is None or not np.array_equal(position_mm[:regular], blueprint.plan.position_mm):
-        return blueprint
-    return with_positions(blueprint, position_mm, regular)
 
 
 def opened_raw(

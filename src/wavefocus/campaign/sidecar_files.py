@@ -13,7 +13,6 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import Any
 
 from wavefocus.acquisition.limits import DriftPoint
 from wavefocus.acquisition.wording import row_ranges
@@ -50,23 +49,6 @@ def raw_path(bank: Path) -> Path:
 def log_path(bank: Path) -> Path:
     """Where the events of a bank are logged: ``plate.h5`` -> ``plate.events.jsonl``."""
     return bank.with_suffix(".events.jsonl")
-
-
-def expected_path(bank: Path) -> Path:
-    """Where maps of the error expected between a bank's positions are kept: ``plate.h5`` -> ``plate.expected.json``."""
-    return bank.with_suffix(".expected.json")
-
-
-def read_expected_errors(bank: Path) -> dict[str, dict[str, list[Any]]]:
-    """Maps of the error expected between a bank's positions, ``before`` it was refined and ``after``.
-
-    Each has ``points_mm`` and ``error``. Empty where there are none that can be read.
-    """
-    try:
-        content = json.loads(expected_path(bank).read_text("utf-8"))
-        return {name: content[name] for name in ("before", "after")}
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return {}
 
 
 def said_path(bank: Path) -> Path:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from wavefocus.acquisition.engine.campaign import Campaign
 from wavefocus.acquisition.engine.session import EventPublisher, StopRequest
-from wavefocus.acquisition.plan import Plan
 from wavefocus.acquisition.plays import without_recordings
 from wavefocus.acquisition.wording import row_ranges
 from wavefocus.calibration.crosstalk import REMEDY
@@ -55,17 +54,16 @@ from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.point_status import STATUS_WORDS, Status, not_valid
-from wavefocus.storage.sidecar_files import Log
 
 
-class SessionOptions(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class SessionOptions:
     """Options of a session: the rig file that was named, events on standard output, and changes that are accepted."""
 
-    rig_file: Path | None
-    as_json: bool
-    accept_drift: bool
-    accept_calibration: bool
-    documents: Path | None = None
+    rig_file: Path | None = None
+    as_json: bool = False
+    accept_drift: bool = False
+    accept_calibration: bool = False
 
 
 def capture(
@@ -75,10 +73,7 @@ def capture(
     *,
     checks: bool = True,
     allow_large: bool = False,
-    as_json: bool,
-    accept_drift: bool,
-    accept_calibration: bool = False,
-    documents: Path | None = None,
+    options: SessionOptions,
 ) -> Exit:
     """Start a campaign in a new bank, or go on with it in the bank that is there; only for some scenes if named."""
     blueprint = blueprint_from_files(run_file)
@@ -87,11 +82,11 @@ def capture(
         from wavefocus.campaign.blueprint import needed_by  # with it comes what renders
 
         needed = needed_by(scene_files, blueprint, checks=checks, allow_large=allow_large)
-    blueprint, earlier = with_bank(blueprint, bank, run_file, accept_calibration=accept_calibration)
+    blueprint, earlier = with_bank(blueprint, bank, run_file, accept_calibration=options.accept_calibration)
     rig_file = blueprint.configuration.run.rig_file(run_file)
-    options = SessionOptions(rig_file, as_json, accept_drift, accept_calibration, documents)
+    options = replace(options, rig_file=rig_file)
     if needed is None:
-        return _refined(blueprint, bank, options, earlier)
+        return _session(blueprint, bank, None, options, earlier)
     with open_bank(bank) as view:
         left = blueprint.plan.to_do(view.status)
     rows = [int(row) for row in left if row in needed]
@@ -103,35 +98,9 @@ def capture(
     return done
 
 
-def resume(
-    bank: Path,
-    rig_file: Path | None = None,
-    *,
-    as_json: bool,
-    accept_drift: bool,
-    accept_calibration: bool = False,
-    documents: Path | None = None,
-) -> Exit:
+def resume(bank: Path, *, options: SessionOptions) -> Exit:
     """Go on with a campaign from the configuration that its bank holds, or with a corrected rig file."""
-    options = SessionOptions(rig_file, as_json, accept_drift, accept_calibration, documents)
-    return _refined(_from_bank(bank, options), bank, options)
-
-
-def _refined(blueprint: Blueprint, bank: Path, options: SessionOptions, earlier: Sequence[Event] = ()) -> Exit:
-    """Measure what is left, then, where the run says so, positions where the expected error is largest."""
-    if blueprint.configuration.run.grid.refine_to is None:
-        return _session(blueprint, bank, None, options, earlier)
-    from wavefocus.campaign.refinement import refine  # it loads SciPy's optimisers, which other campaigns do not need
-
-    done: Exit | None = None
-    while True:
-        with open_bank(bank) as view:
-            unfinished = bool((view.status == 0).any())
-        if unfinished:
-            done = _session(blueprint, bank, None, options, earlier)
-        if (refined := refine(bank, blueprint)) is None:
-            return _session(blueprint, bank, None, options, earlier) if done is None else done
-        blueprint, earlier = refined, ()
+    return _session(_from_bank(bank, options), bank, None, options)
 
 
 def _from_bank(bank: Path, options: SessionOptions) -> Blueprint:
@@ -147,10 +116,7 @@ def extend(
     bank: Path,
     run_file: Path | None = None,
     *,
-    as_json: bool,
-    accept_drift: bool,
-    accept_calibration: bool = False,
-    documents: Path | None = None,
+    options: SessionOptions,
 ) -> Exit:
     """Make a bank of the rows of others, with more positions, and measure those."""
     from wavefocus.campaign import extension  # not needed by other captures
@@ -165,29 +131,22 @@ def extend(
         say(f"{bank}: all {blueprint.plan.positions} positions are taken over, none is left to measure")
         return Exit.DONE
     say(f"{bank}: {left} positions are measured now, after the sentinel, which must be as it was")
-    return _session(
-        blueprint, bank, None, SessionOptions(rig_file, as_json, accept_drift, accept_calibration, documents)
-    )
+    return _session(blueprint, bank, None, replace(options, rig_file=rig_file))
 
 
 def remeasure(
     bank: Path,
     words: str,
     positions: str,
-    rig_file: Path | None = None,
     *,
     replace: bool = False,
-    as_json: bool,
-    accept_drift: bool,
-    accept_calibration: bool = False,
-    documents: Path | None = None,
+    options: SessionOptions,
 ) -> Exit:
     """Measure again the positions of some status, or those named.
 
     Valid rows are replaced by others only where `replace` says so, or where the latest measurement of the sentinel
     speaks against them.
     """
-    options = SessionOptions(rig_file, as_json, accept_drift, accept_calibration, documents)
     blueprint = _from_bank(bank, options)
     rows = parse_positions(positions, blueprint.plan.positions) if positions else []
     wanted = _status_bits(words) if words or not positions else Status.NOT_MEASURED
@@ -199,7 +158,7 @@ def remeasure(
         return Exit.DONE
     history = read_drift(bank)
     suspect = history[-1].suspect if history else ()
-    replaceable = chosen if replace or accept_drift or accept_calibration else suspect
+    replaceable = chosen if replace or options.accept_drift or options.accept_calibration else suspect
     return _session(blueprint, bank, chosen, options, replaceable=replaceable)
 
 
@@ -239,7 +198,6 @@ def _session(
         opened_raw(blueprint, setup, writer) as raw,
         EventLog(log_path(bank)) as log,
         EventLog(drift_path(bank), Drift, CrosstalkMeasured) as drift,
-        _documents(options.documents, plan, bank) as documents,
         progress("capture", plan.positions, timed=False) as report,
     ):
         subscribers: dict[str, Subscriber] = {
@@ -249,8 +207,6 @@ def _session(
             "the progress display": CampaignView(report),
             "the sending of messages": messenger,
         }
-        if documents is not None:
-            subscribers["the documents"] = documents
         if options.as_json:
             subscribers["standard output"] = EventLines(print_line, "standard output")
         publish = EventPublisher(subscribers, say)
@@ -287,18 +243,6 @@ def _session(
             f"vibrometer's range, a gain or the plate): {row_ranges(suspects)}; put it right before that"
         )
     return Exit.DONE
-
-
-@contextmanager
-def _documents(file: Path | None, plan: Plan, bank: Path) -> Iterator[Subscriber | None]:
-    """The session's documents of bluesky's event model, appended to a file; none where no file is named."""
-    if file is None:
-        yield None
-        return
-    from wavefocus.campaign.documents import Documents  # for those who ask for them
-
-    with closing(Log(file)) as log:
-        yield Documents(EventLines(log.write, str(file)).write, plan, bank)
 
 
 @contextmanager

@@ -8,7 +8,6 @@ from collections.abc import Collection, Sequence
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,33 +18,21 @@ from wavefocus.campaign.blueprint import Blueprint, blueprint_from_files, bluepr
 from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import RunConfig
 from wavefocus.configuration import check_rows
-from wavefocus.console import answer, say
-from wavefocus.rendering.number_text import number, percent
+from wavefocus.console import answer
 from wavefocus.rig.setup import open_setup
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.output_files import require_outputs, write_whole
-
-if TYPE_CHECKING:
-    from wavefocus.campaign.pilot import PilotResult
 
 
 def plan(
     run_file: Path,
     scene_files: Sequence[Path] = (),
     *,
-    pilot_positions: Path | None = None,
-    pilot: Path | None = None,
     speed_m_s: float = GEL_SPEED_M_S,
     checks: bool = True,
     allow_large: bool = False,
     as_json: bool,
 ) -> None:
-    """Walk the plan without playing anything and report time, size and limits; for some scenes alone if named.
-
-    pilot_positions: CSV file to write with positions of a pilot.
-    pilot: Bank of a pilot, which recommends the grid's spacing.
-    """
-    require_outputs((pilot_positions,), (run_file, *scene_files), force=False)
+    """Walk the plan without playing anything and report time, size and limits; for some scenes alone if named."""
     blueprint = blueprint_from_files(run_file)
     the_plan = blueprint.plan
     rig = blueprint.configuration.rig
@@ -85,10 +72,6 @@ def plan(
         "plan_sha256": the_plan.sha256,
     }
     lines: list[str] = []
-    grid = blueprint.configuration.run.grid
-    longest_s = duration_s + grid.refine_positions * position_s
-    if grid.refine_to is not None:
-        facts["refinement"] = {"positions_at_most": grid.refine_positions, "hours_at_most": longest_s / 3600.0}
     if (rings := ringing_of(blueprint)) is not None:
         facts["ringing"] = {"seconds": rings.seconds, "taps": rings.taps, "enough": not rings.advice}
     start, stop = the_plan.excitation.band_hz
@@ -102,11 +85,6 @@ def plan(
         all_s = the_plan.campaign_s(the_plan.order, rig.recorder, speed_m_s)
         lines.append(f"scenes      need {len(needed)} of {the_plan.positions} positions; all of them: {hours(all_s)}")
     lines.append(f"duration    {hours(duration_s)}; started now it finishes {finish:%a %d %b %H:%M}")
-    if grid.refine_to is not None:
-        lines.append(
-            f"refinement  up to {grid.refine_positions} positions more, until the expected error is below "
-            f"{percent(grid.refine_to)}: {hours(duration_s)} to {hours(longest_s)} in all"
-        )
     if second_looks:
         lines.append(
             f"second look {second_looks} positions that the others cannot judge are measured twice, "
@@ -130,54 +108,12 @@ def plan(
     lines += [f"instrument  {instrument}" for instrument in instruments]
     if rings is not None and rings.advice:
         lines.append(f"warning     {rings.advice}")
-    if pilot_positions is not None:
-        lines.append(_write_pilot(pilot_positions, blueprint))
-        facts["pilot_positions"] = str(pilot_positions)
-    if pilot is not None:
-        from wavefocus.campaign.pilot import pilot_result  # a plan without one needs no model
-
-        say("fitting the model to the pilot, which takes up to a minute")
-        result = pilot_result(pilot, blueprint, speed_m_s)
-        facts["pilot"] = asdict(result)
-        lines += _pilot_lines(result)
     lines.append(f"plan        {the_plan.sha256[:16]}; within all limits")
     if as_json:
         print(json.dumps({**facts, "lines": lines}))
         return
     for line in lines:
         answer(line)
-
-
-def _write_pilot(path: Path, blueprint: Blueprint) -> str:
-    from wavefocus.campaign.pilot import pilot_positions, positions_text
-
-    position_mm = pilot_positions(blueprint)
-    write_whole(path, positions_text(position_mm))
-    return f"pilot       {path}: {len(position_mm)} positions, for grid.positions_file of a pilot run"
-
-
-def _pilot_lines(result: PilotResult) -> list[str]:
-    from wavefocus.campaign.pilot import REASONS
-
-    lines = [f"pilot       {result.positions} measured positions"]
-    if result.band_hz is not None and result.left_out_error is not None and result.left_out_error_90 is not None:
-        low_hz, high_hz = result.band_hz
-        lines[0] += (
-            f", {low_hz:.0f} to {high_hz:.0f} Hz; error where one is left out: median "
-            f"{number(100 * result.left_out_error, '%')}, 90 % below {number(100 * result.left_out_error_90, '%')}"
-        )
-    for one in result.forecasts:
-        error = "expected error unknown"
-        if one.expected_error is not None and one.expected_error_90 is not None:
-            error = f"expected error {number(100 * one.expected_error, '%')}, "
-            error += f"below {number(100 * one.expected_error_90, '%')} on 90 % of the surface"
-        lines.append(
-            f"spacing     {one.spacing_mm:g} mm: {one.positions} positions, {hours(3600 * one.hours)}; {error}"
-        )
-    why = f"the coarsest whose expected error is below {number(100 * result.refine_to, '%')} on 90 % of the surface"
-    if result.reason:
-        why = REASONS[result.reason]
-    return [*lines, f"recommended {result.recommended_spacing_mm:g} mm: {why}"]
 
 
 def _needed_by_scenes(

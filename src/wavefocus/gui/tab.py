@@ -23,7 +23,6 @@ TABS = (
     ("wavefocus.gui.rig.tab", "RigTab"),
     ("wavefocus.gui.scene.tab", "SceneTab"),
     ("wavefocus.gui.verification.tab", "VerificationTab"),
-    ("wavefocus.gui.queue.tab", "QueueTab"),
 )
 # Does what an answer says, then calls its argument, which continues closing.
 Act = Callable[[Callable[[], object]], object]

@@ -24,7 +24,7 @@ from pathlib import Path
 
 import h5py
 
-from tests.system.crash import cuts, kills, other_faults, queue_edits, small_disk
+from tests.system.crash import cuts, kills, other_faults, small_disk
 from tests.system.crash.campaign import COUNTS, Campaign, Verdict
 from tests.system.crash.page import table
 from tests.system.crash.shares import Share
@@ -82,7 +82,6 @@ def classes() -> list[tuple[str, str, Trials, int]]:
         ("disk dead from any call on", "disk", other_faults.dead_disk, of_calls),
         ("flipped byte", "flip", other_faults.flipped_bytes, size("FLIPS", 600)),
         ("second process, or as the first is killed", "rival", other_faults.second_process, size("RIVALS", 100)),
-        ("kill, full or failing disk at a call of a queue's edit", "queue", queue_edits.at_calls, of_calls),
     ]  # fmt: skip
 
 

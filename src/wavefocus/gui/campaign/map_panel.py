@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pyqtgraph
@@ -14,13 +12,11 @@ from PyQt5.QtCore import QPointF, Qt, pyqtSignal
 from PyQt5.QtGui import QKeyEvent, QPolygonF
 from PyQt5.QtWidgets import QGraphicsPolygonItem, QLabel, QSizePolicy, QWidget
 
-from wavefocus.campaign.sidecar_files import expected_path, read_expected_errors
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.campaign.model import CampaignModel
 from wavefocus.gui.campaign.quality import FIGURES, LOOKS, NOT_MEASURED, QualityMetric, look_index, status_text
 from wavefocus.gui.field_map import ColourBar
-from wavefocus.gui.files import FileState, file_state
-from wavefocus.gui.surface import PlotSurface, raster_of
+from wavefocus.gui.surface import PlotSurface
 from wavefocus.gui.surface_view import MARK, Keys, PointMm, Spots, SurfaceView, map_colours, rgba
 from wavefocus.gui.theme import Themed
 from wavefocus.rendering.arrays import Float32Array
@@ -200,10 +196,6 @@ _DRAG_MODES = (
 _SIGNS = {"d": "◆", "+": "+", "x": "×", "s": "■", "t": "▼", "": "&nbsp;"}
 
 
-EXPECTED = ("before", "expected error between positions, before refinement"), ("after", "the same, now")
-"""Maps that a refinement has made, and what they are called."""
-
-
 class MapPanel(Themed, QWidget):
     """Draws the campaign's map, and below it the statuses with their counts, or a colour bar."""
 
@@ -218,9 +210,6 @@ class MapPanel(Themed, QWidget):
         self.counts = ui.label("Statuses of the positions", any_width=True)
         tip = "Colour of the map; residual and coherence are the worst actuator's"
         self.colour_by = ui.choice("Colour of the map", tip, ["status", *(figure.label for figure in FIGURES)])
-        self._expected: dict[str, dict[str, list[Any]]] = {}
-        self._expected_of: tuple[PlotSurface | None, FileState | None] = None, None
-        self._lattices: dict[str, tuple[PlotSurface, Float32Array]] = {}
         self.colour_by.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self.ways = ui.exclusive_buttons(_DRAG_MODES, partial(setattr, self.map, "drag_mode"))
         controls = ui.row(QLabel("Colour by"), (self.colour_by, 1), *self.ways.values())
@@ -264,10 +253,6 @@ class MapPanel(Themed, QWidget):
         if campaign.surface is None:
             self.forget()
             return
-        self._offer_expected(campaign.surface)
-        if index >= len(FIGURES):
-            self._show_expected(campaign.surface, *EXPECTED[index - len(FIGURES)])
-            return
         if self.map.surface is not campaign.surface:
             self.map.show_surface(campaign.surface)
         values = campaign.figures.get(FIGURES[index].key) if index >= 0 else None
@@ -281,35 +266,6 @@ class MapPanel(Themed, QWidget):
         self.counts.setVisible(self.map.levels is None)
         self.bar.setVisible(self.map.levels is not None)
         self.map.show_current(campaign.session.position)
-
-    def _offer_expected(self, surface: PlotSurface) -> None:
-        """Let the maps of expected error be chosen where a refinement has made some."""
-        state = file_state(expected_path(surface.bank))
-        if self._expected_of[0] is surface and self._expected_of[1] == state:
-            return
-        self._expected_of, self._expected = (surface, state), read_expected_errors(surface.bank)
-        self._lattices = {}
-        offered = self.colour_by.count() > len(FIGURES) + 1
-        if self._expected and not offered:
-            self.colour_by.addItems([label for _, label in EXPECTED])
-        elif offered and not self._expected:
-            self.colour_by.setCurrentIndex(min(self.colour_by.currentIndex(), len(FIGURES)))
-            for _ in EXPECTED:
-                self.colour_by.removeItem(len(FIGURES) + 1)
-
-    def _show_expected(self, surface: PlotSurface, name: str, title: str) -> None:
-        """Colour a lattice over the surface by the error expected at its points."""
-        if name not in self._lattices:
-            points_mm = np.array(self._expected[name]["points_mm"], np.float64)
-            percent = 100.0 * np.array(self._expected[name]["error"], np.float32)
-            self._lattices[name] = replace(surface, position_mm=points_mm, raster=raster_of(points_mm)), percent
-        lattice, percent = self._lattices[name]
-        if self.map.surface is not lattice:
-            self.map.show_surface(lattice)
-        self.map.show_figure(QualityMetric("expected", title, "%", np.nanmax), percent, np.ones(len(percent), np.uint8))
-        self.bar.show_range(title, "%", self.map.levels or (0.0, 1.0), self.map.beyond)
-        self.counts.hide()
-        self.bar.show()
 
 
 def _counts_text(status: NDArray[np.uint8]) -> str:

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.acquisition.run_queue import QUEUE_ENDING
 from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.config.messages.campaign import Fault, ReconnectTried, State, StateChanged
 from wavefocus.config.messages.codec import MessageError, message_of
@@ -306,7 +305,7 @@ def record_of(path: Path) -> Path | None:
     """Return the record of the verification that a file or folder belongs to; None for any other file."""
     if path.is_dir():
         return path / RECORD_NAME if (path / RECORD_NAME).is_file() else None
-    if path.suffix.lower() == ".json" and not path.name.lower().endswith(QUEUE_ENDING):  # it may have been renamed
+    if path.suffix.lower() == ".json":  # it may have been renamed
         return path
     sidecar = path.with_name(RECORD_NAME)
     return sidecar if path.name in (*FIELD_NAMES, REPORT_NAME) and sidecar.is_file() else None
