@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import accumulate
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -54,7 +55,7 @@ class LiveLimiter:
         self._leak = math.exp(-self._chunk / (LEAK_S * rate_hz))
         window = max(1, round(RMS_WINDOW_S * rate_hz))
         self._most = window / (1.0 + math.ceil((window - 1) / self._chunk) * (1.0 - self._leak))
-        self._peak_deficit, self._chunk_gain = 0.0, 1.0
+        self._peak_gain, self._chunk_gain = 1.0, 1.0
         self._energy: Float64Array = np.zeros(len(full_scale_v))
         # Samples that wait; r r_j from `reach` before the first of them; r of those beyond the last whole chunk.
         self._waiting: Float64Array = np.zeros((len(full_scale_v), self.look_ahead_frames))
@@ -101,11 +102,13 @@ class LiveLimiter:
             return np.ones(0)
         with np.errstate(over="ignore", divide="ignore", under="ignore"):
             allowed = np.minimum(_ROUNDING / (np.abs(block) / self._peak_v).max(axis=0), 1.0)
-        # Deficits, so that what is not limited is 0 and stays 0.
-        fallen = self._release * np.arange(1, block.shape[1] + 1)
-        deficit = np.maximum.accumulate(np.maximum(1.0 - allowed + fallen, self._peak_deficit)) - fallen
-        self._peak_deficit = float(deficit[-1])
-        return np.asarray(np.minimum(allowed, 1.0 - deficit))
+        if self._peak_gain == 1.0 and (allowed == 1.0).all():
+            return np.asarray(allowed)
+        # One sample after another, so that a gain does not depend on where a block begins.
+        rising = accumulate(allowed.tolist(), lambda gain, most: min(most, gain + self._release), initial=self._peak_gain)
+        gains = np.fromiter(rising, float, len(allowed) + 1)[1:]
+        self._peak_gain = float(gains[-1])
+        return gains
 
     def _rms_gains(self, samples: Float64Array) -> Float64Array:
         """Gains r_j of whole chunks of samples that are within the peak, one value per sample."""
