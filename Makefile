@@ -20,10 +20,13 @@ COMPILER := gcc libc6-dev
 TEST_PACKAGES := libportaudio2 libasound2 libasound2-plugins jackd2 libusb-1.0-0 $(COMPILER) \
 	$(WINDOW_PACKAGES) $(X_PACKAGES)
 
-# Octave reads a bank in a long test; what it recommends (Java, for one) is not needed.
+# Octave reads a bank in a nightly test; what it recommends (Java, for one) is not needed.
 OCTAVE := octave octave-netcdf
 
-.PHONY: help demo docs test test-all coverage test-long lint bench bench-pages stiff-cases soak screenshots window-figures clean
+# Only these are collected by `make test`: whole folders, and the files with a test of a command or a tab.
+QUICK = tests/unit tests/wire tests/contract $(shell grep -rl "mark.smoke" tests/system tests/gui)
+
+.PHONY: help demo docs test test-all test-nightly constraints lint bench bench-pages stiff-cases soak screenshots window-figures clean
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
 
@@ -38,28 +41,32 @@ docs: ## Build the documentation's site in site/, warnings being errors; open si
 	@tools/set-up.sh docs
 	$(PY) -m sphinx -W -E --keep-going -q docs site
 
-test: ## Run unit, contract and wire tests, and one test of each command and tab; five minutes
+test: ## Run unit, contract and wire tests, and one test of each command and tab
 	@tools/system-packages.sh $(TEST_PACKAGES)
 	@tools/set-up.sh test
-	$(PY) -m pytest -m "not long and not whole" $(ARGS)
+	$(PY) -m pytest -m "not long and not whole and not nightly" $(QUICK) $(ARGS)
 
-test-all: ## Run all tests but the long ones; eleven minutes or more
+test-all: ## Run the tests that `make test` leaves out: whole commands, kills, captures in real time
 	@tools/system-packages.sh $(TEST_PACKAGES)
-	@tools/set-up.sh test
-	$(PY) -m pytest $(ARGS)
+	@tools/set-up.sh test-all
+	$(PY) -m pytest -m "(whole or long) and not nightly" $(ARGS)
 
-coverage: ## Run the tests and measure which lines they reach; slower
-	@tools/system-packages.sh $(TEST_PACKAGES)
-	@tools/set-up.sh test
-	@# Python 3.12 and later can measure coverage at next to no cost.
-	COVERAGE_CORE=$$($(PY) -c 'import sys; print("sysmon" if sys.version_info >= (3, 12) else "ctrace")') \
-		$(PY) -m pytest --cov --cov-report=term $(ARGS)
-
-test-long: ## Run the tests marked long: captures in real time through every emulated wire, benchmarks
+test-nightly: ## Benchmarks, mutations, commands of all pages, properties on new cases, coverage, soak; two hours
 	@tools/system-packages.sh $(TEST_PACKAGES)
 	@tools/system-packages.sh --no-install-recommends $(OCTAVE)
-	@tools/set-up.sh test
-	$(PY) -m pytest -m long $(ARGS)
+	@tools/set-up.sh test-all
+	@tools/set-up.sh bench
+	COVERAGE_CORE=$$($(PY) -c 'import sys; print("sysmon" if sys.version_info >= (3, 12) else "ctrace")') \
+		$(PY) -m pytest -m "not nightly" --hypothesis-profile nightly --cov --cov-report=term $(ARGS)
+	$(PY) -m pytest -m nightly $(ARGS)
+	$(MAKE) soak
+
+constraints: ## Renew constraints.txt with the newest versions of what wavefocus and its tests need, and run the tests
+	: >constraints.txt
+	rm -rf .venv
+	for extra in test-all lint docs bench; do tools/set-up.sh $$extra || exit 1; done
+	$(PY) -m pip --disable-pip-version-check freeze --exclude wavefocus >constraints.txt
+	$(MAKE) test
 
 lint: ## Check style, types and import directions
 	@tools/set-up.sh lint

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Generator
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+# Temporary files in memory, where there is enough of it: tests wait for no disk.
+MEMORY = Path("/dev/shm")
+if "PYTEST_DEBUG_TEMPROOT" not in os.environ and MEMORY.is_dir() and shutil.disk_usage(MEMORY).free > 4 * 2**30:
+    os.environ["PYTEST_DEBUG_TEMPROOT"] = str(MEMORY)
 
 CI = os.environ.get("CI") == "true"
 
@@ -15,9 +21,10 @@ CI = os.environ.get("CI") == "true"
 for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
     os.environ.setdefault(variable, "1")
 
-# No deadlines: speed is measured by benchmarks, and a busy machine is no defect. CI tries the same cases
-# each time.
-settings.register_profile("wavefocus", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=CI)
+# No deadlines: speed is measured by benchmarks, and a busy machine is no defect. The same cases are tried each time;
+# `make test-nightly` looks for new ones.
+for name, seeded in (("wavefocus", True), ("nightly", False)):
+    settings.register_profile(name, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=seeded)
 settings.load_profile("wavefocus")
 
 

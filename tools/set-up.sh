@@ -1,6 +1,6 @@
 #!/bin/sh
 # Make .venv and install wavefocus into it; does nothing when that is done already.
-#   tools/set-up.sh [EXTRA]      EXTRA: plates, window, test, lint, docs or bench; PYTHON names the interpreter to start from
+#   tools/set-up.sh [EXTRA]      EXTRA: plates, window, test, test-all, lint, docs or bench; PYTHON names the interpreter to start from
 set -eu
 unset CDPATH PYTHONPATH PYTHONHOME __PYVENV_LAUNCHER__ 2>/dev/null || true
 PIP_USER=0 PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_INPUT=1
@@ -11,7 +11,7 @@ extra=${1:-}
 target=".${extra:+[$extra]}"
 stamp=".venv/installed${extra:+-$extra}"
 # What the installation depends on: the project's description, and where it lies (the install points there).
-wanted=$({ pwd; cat pyproject.toml; } | cksum)
+wanted=$({ pwd; cat pyproject.toml constraints.txt; } | cksum)
 
 say() { echo "set-up: $*" >&2; }
 
@@ -55,7 +55,7 @@ import wavefocus, numpy, scipy.fft, h5py, pydantic, rich, matplotlib, jinja2, so
 install() {
     say "installing wavefocus${extra:+ with what \"$extra\" needs} into .venv (needs the network; about a minute)"
     rm -f "$stamp"
-    .venv/bin/python -m pip install --quiet --editable "$target" || {
+    .venv/bin/python -m pip install --quiet --constraint constraints.txt --editable "$target" || {
         say "pip could not install; its reason stands above. Try again, or start afresh with: make clean"
         exit 1
     }

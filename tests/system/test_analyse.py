@@ -107,7 +107,7 @@ def test_given_some_simulated_people_then_the_intervals_hold_the_truth_in_most(t
     assert 0.5 < found.slope_ratio < 2.0
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.timeout(1800)
 def test_given_200_simulated_people_of_each_design_then_the_intervals_hold_the_truth_in_95_of_100(
     tmp_path: Path,

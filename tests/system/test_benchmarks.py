@@ -6,7 +6,7 @@ import pytest
 
 from wavefocus.benchmarks import bank, cluster, commands, focusing, interpolation, live, paper, plate
 
-pytestmark = [pytest.mark.timeout(900), pytest.mark.long]
+pytestmark = [pytest.mark.timeout(900), pytest.mark.nightly]
 
 
 def test_the_paper_s_figures_are_drawn_and_its_numbers_compared_misses_included(tmp_path):

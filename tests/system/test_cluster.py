@@ -67,7 +67,7 @@ def wavefocus(*arguments: object) -> str:
     return done.stderr
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.parametrize("rate", [(), ("--rate", "500")])
 def test_given_a_cluster_then_the_field_is_the_same_to_the_byte(lab: Path, address: str, rate: tuple[str, ...]) -> None:
     predict = ["predict", lab / "drive.h5", "--bank", lab / "bank.h5", *rate, "--out"]
@@ -78,7 +78,7 @@ def test_given_a_cluster_then_the_field_is_the_same_to_the_byte(lab: Path, addre
         assert file["position_index"][:].tolist() == [row for row in range(60) if row != 7]
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.parametrize("where", ["address", "local"])
 def test_given_a_cluster_then_the_estimated_bank_is_the_same_to_the_byte(
     tmp_path: Path, request: pytest.FixtureRequest, where: str
@@ -91,7 +91,7 @@ def test_given_a_cluster_then_the_estimated_bank_is_the_same_to_the_byte(
     assert (tmp_path / "there.h5").read_bytes() == (tmp_path / "here.h5").read_bytes()
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_given_no_scheduler_at_the_address_then_exit_2_and_one_sentence(
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

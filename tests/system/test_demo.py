@@ -36,7 +36,7 @@ def test_given_a_known_error_of_some_places_then_it_is_stated() -> None:
     assert wrong[2] / right[2] == pytest.approx(0.01, rel=1e-3)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.timeout(900)
 def test_given_a_coarse_grid_then_the_demo_says_how_wrong_it_is_between_positions(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

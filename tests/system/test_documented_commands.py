@@ -137,7 +137,7 @@ def make_small(folder: Path) -> None:
     change_text(folder / "trials.toml", "limit_v = 1.0", "limit_v = 3.0")  # of three actuators
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.timeout(600)
 @BY_PAGE
 def test_every_command_of_a_page_does_what_the_page_shows(

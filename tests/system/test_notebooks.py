@@ -19,7 +19,7 @@ def test_every_notebook_is_in_the_table_of_its_folder(notebook: Path) -> None:
     assert f"]({notebook.name})" in (FOLDER / "README.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs_twice_without_a_warning_and_saves_its_pictures(notebook: Path, tmp_path: Path) -> None:
     environment = os.environ | {"FOLDER": str(tmp_path / "out"), "MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1"}

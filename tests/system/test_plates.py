@@ -58,10 +58,10 @@ interpolation = "kernel"
 @pytest.mark.parametrize(
     ("plate", "kind", "size"),
     [
-        pytest.param("soft", "stadium", (90.0, 60.0, 4.0), marks=pytest.mark.long),
+        pytest.param("soft", "stadium", (90.0, 60.0, 4.0), marks=pytest.mark.nightly),
         ("stadium", "rectangle", (90.0, 60.0, 4.0)),
-        pytest.param("thin", "rectangle", (300.0, 200.0, 20.0), marks=pytest.mark.long),
-        pytest.param("thin, infinite", "stadium", (300.0, 200.0, 20.0), marks=pytest.mark.long),
+        pytest.param("thin", "rectangle", (300.0, 200.0, 20.0), marks=pytest.mark.nightly),
+        pytest.param("thin, infinite", "stadium", (300.0, 200.0, 20.0), marks=pytest.mark.nightly),
         ("solid", "stadium", (90.0, 60.0, 4.0)),
     ],
 )

@@ -71,7 +71,7 @@ def octave(script: str, folder: Path) -> list[np.ndarray]:
     return [np.array(line.split(), float) for line in done.stdout.splitlines()]
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("reader", "functions", "call"), [("octave", "", "ncread"), ("matlab", MATLAB_IN_OCTAVE, "h5read")]
 )
@@ -94,7 +94,7 @@ def test_octave_reads_a_bank_with_equal_numbers(tmp_path: Path, reader: str, fun
         assert np.array_equal(lines[5].astype(np.float32), green[2].ravel())
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("to", "read"),
     [

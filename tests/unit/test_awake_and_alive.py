@@ -125,7 +125,7 @@ with AliveSignal(MessagesSection(alive_file=sys.argv[1], alive_url=sys.argv[2]),
 """
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_given_20_kills_then_silence_is_noticed_within_three_minutes_each_time(watch: Watch, tmp_path: Path) -> None:
     # A minute lasts half a second here. A watcher that expects a sign each minute and grants two more raises the alarm
     # three minutes after the last sign.

@@ -261,7 +261,7 @@ def test_given_a_damaged_file_then_it_is_read_or_refused(tmp_path: Path, kind: s
     assert all(outcomes)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("kind", FORMATS)
 def test_given_hundreds_of_damaged_files_then_each_import_ends_well(

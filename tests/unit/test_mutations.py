@@ -70,7 +70,7 @@ def test_single_mutations_then_are_found_where_they_change_a_value(tmp_path: Pat
     assert missed(tmp_path / "file.h5", kind, 30, seed=1) == []
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("kind", MAKERS)
 def test_a_thousand_single_mutations_then_are_found_where_they_change_a_value(tmp_path: Path, kind: str) -> None:

@@ -26,7 +26,7 @@ from tests.wire.audio_bench import (
 )
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 
-pytestmark = [pytest.mark.long, *needs_audio_server]
+pytestmark = [pytest.mark.nightly, *needs_audio_server]
 
 PLAYING = """
 import sys, time

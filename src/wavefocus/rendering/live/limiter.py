@@ -105,7 +105,8 @@ class LiveLimiter:
         if self._peak_gain == 1.0 and (allowed == 1.0).all():
             return np.asarray(allowed)
         # One sample after another, so that a gain does not depend on where a block begins.
-        rising = accumulate(allowed.tolist(), lambda gain, most: min(most, gain + self._release), initial=self._peak_gain)
+        step = self._release
+        rising = accumulate(allowed.tolist(), lambda gain, most: min(most, gain + step), initial=self._peak_gain)
         gains = np.fromiter(rising, float, len(allowed) + 1)[1:]
         self._peak_gain = float(gains[-1])
         return gains
