@@ -53,7 +53,6 @@ ROWS = [
     ("30", "r = 0 of a thin plate", "NaN", "the analytic limit", "1e-6"),
     ("31", "time step beyond the explicit limit", "1e161", "refused before the first step, naming the limit", "-"),
     ("32", "Newmark at 0.1 ms", "-0.8 % in frequency at 500 Hz", "correct, dispersion reported", "5 % of it"),
-    ("33", "inverse filter of 10 close points", "condition 3e8", "Tikhonov; warning with the condition", "-"),
     ("34", "everything below the converter's step", "silence", "refused", "-"),
     ("35", "overlapping emission times", "negative slices", "the documented sum", "1e-12"),
     ("36", "duplicate or collinear positions", "a library's error", "merged; refused where degenerate", "1e-12"),

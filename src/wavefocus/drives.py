@@ -19,7 +19,6 @@ from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import Field, read_field
 
 if TYPE_CHECKING:
-    from wavefocus.rendering.drive.inverse_filter import InverseReport
     from wavefocus.rendering.drive.wav import Interface
     from wavefocus.rendering.field.foci import FocusResults
     from wavefocus.rendering.field.quiet_levels import QuietLevel
@@ -32,26 +31,17 @@ if TYPE_CHECKING:
 class RenderOptions:
     """Options of a render: method of eq. (16) or (9), what may be left out (< 0 dB), largest interpolation error.
 
-    Raises InputError: an option of one way of focusing is given for the other, or one that a GPU does not support.
+    Raises InputError: an option that a GPU does not support.
     """
 
     method: Literal["sampled", "exact"] | None = None
     tolerance_db: float | None = None
     interpolation_tolerance: float | None = None
-    focusing: Literal["time-reversal", "inverse"] = "time-reversal"
-    regularisation_db: float | None = None
     device: Literal["cpu", "cuda"] = "cpu"
 
     def __post_init__(self) -> None:
-        if self.device != "cpu" and (self.focusing == "inverse" or self.tolerance_db is not None):
-            raise InputError(f"--device {self.device} goes neither with --focusing inverse nor with --tolerance-db")
-        if self.focusing == "inverse":
-            for key in ("method", "tolerance_db", "interpolation_tolerance"):
-                if getattr(self, key) is not None:
-                    option = key.replace("_", "-")
-                    raise InputError(f"--{option} is for time reversal; leave it out with --focusing inverse")
-        elif self.regularisation_db is not None:
-            raise InputError("--regularisation-db is for the inverse filter; add --focusing inverse")
+        if self.device != "cpu" and self.tolerance_db is not None:
+            raise InputError(f"--device {self.device} does not go with --tolerance-db")
 
 
 @checked
@@ -60,10 +50,8 @@ def render(
     bank: GreenSource | str | Path,
     *,
     method: Literal["sampled", "exact"] | None = None,
-    focusing: Literal["time-reversal", "inverse"] = "time-reversal",
     tolerance_db: float | None = None,
     interpolation_tolerance: float | None = None,
-    regularisation_db: float | None = None,
     device: Literal["cpu", "cuda"] = "cpu",
     on_progress: OnProgress | None = None,
 ) -> Drive:
@@ -79,16 +67,12 @@ def render(
         An open bank, an array of Green's functions (`GreenArray`), or the path of a bank.
     method
         ``"sampled"`` (eq. 16) or ``"exact"`` (eq. 9); by default exact where an emission is continuous.
-    focusing
-        ``"time-reversal"``, or ``"inverse"``: inverse filtering at the path points.
     tolerance_db
         Bound on the relative L2 error of the drives in dB, < 0, within which single precision may be used. By default
         nothing is.
     interpolation_tolerance
         Largest relative error of the Green's functions between the bank's positions, > 0. By default an error above
         0.05 is warned of.
-    regularisation_db
-        Of the inverse filter, relative to the largest mean power at a control point, in dB, < 0.
     device
         ``"cuda"`` computes on a GPU, and needs CuPy.
     on_progress
@@ -120,7 +104,7 @@ def render(
     from wavefocus.rendering.report.render_report import RenderWarning
     from wavefocus.rendering.scene.model import load_scene
 
-    options = RenderOptions(method, tolerance_db, interpolation_tolerance, focusing, regularisation_db, device)
+    options = RenderOptions(method, tolerance_db, interpolation_tolerance, device)
     file = scene if isinstance(scene, str | Path) else None
     made = load_scene(scene) if isinstance(scene, str | Path) else scene
     with opened_bank(bank) as view, nullcontext() if file is None else naming(file, view):
@@ -306,21 +290,11 @@ def render_by_options(
     options: RenderOptions,
     on_progress: OnProgress | None = None,
     interface: Interface | None = None,
-) -> tuple[Drive, RenderReport | InverseReport]:
+) -> tuple[Drive, RenderReport]:
     """Render a scene as the options say, for an `interface` as of `SceneRenderer`.
 
     Raises InputError: the scene does not fit the bank.
     """
-    if options.focusing == "inverse":
-        if scene.has_quiet_places:
-            raise InputError(
-                "quiet places and independent sources are for time reversal; leave out --focusing inverse, or [[quiet]]"
-                " and regularisation.independent"
-            )
-        from wavefocus.rendering.drive.inverse_filter import REGULARISATION_DB, inverse_filter
-
-        regularisation_db = REGULARISATION_DB if options.regularisation_db is None else options.regularisation_db
-        return inverse_filter(scene, bank, regularisation_db=regularisation_db, interface=interface)
     from wavefocus.rendering.device import cuda_device
     from wavefocus.rendering.drive.rendering import render_with_report
 

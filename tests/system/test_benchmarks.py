@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from wavefocus.benchmarks import bank, cluster, commands, focusing, interpolation, live, paper, plate
+from wavefocus.benchmarks import bank, cluster, commands, interpolation, live, paper, plate
 
 pytestmark = [pytest.mark.timeout(900), pytest.mark.nightly]
 
@@ -39,15 +39,6 @@ def test_the_interpolation_benchmark_reaches_its_marks():
     # Twelve check positions know a quantile to some percent: the coverage of their bounds is told, not judged, here.
     assert {one.method for one in points if one.marks} == {*(one.method for one in marked), "waves"}
     assert all(one.met for one in marked)
-
-
-def test_the_focusing_benchmark_compares_methods_on_one_scene():
-    points = focusing.run(quick=True).points
-    plain = next(one for one in points if one.method == "time reversal")
-    assert plain.figures["energy"] == plain.figures["peak"] == 1.0
-    assert plain.figures["at_focus"] == pytest.approx(1.0, abs=1e-3)
-    assert {one.work for one in points} == {"one point in the middle", "two points 12 mm apart"}
-    assert all(one.figures["condition"] > 1.0 for one in points if one.work.startswith("two") and "inv" in one.method)
 
 
 def test_the_bank_s_benchmark_commits_every_position_and_reads_it_back(tmp_path):

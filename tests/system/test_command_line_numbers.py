@@ -27,7 +27,6 @@ PLAN = ["plan", "run.toml"]
 PLAY = ["play", "scene.toml", "--bank", "bank.h5", "--rig", "virtual"]
 OPTIONS = [
     *((RENDER, option) for option in ("--tolerance-db", "--interpolation-tolerance")),
-    ([*RENDER, "--focusing", "inverse"], "--regularisation-db"),
     (PREDICT, "--rate"),
     *((MOVIE, option) for option in ("--from-s", "--slow", "--limit", "--frame-rate-hz", "--width-px")),
     *((PLAN, option) for option in ("--wave-speed",)),

@@ -144,7 +144,7 @@ def test_given_wrong_keys_of_a_rig_then_the_error_names_them(keys: dict, named: 
         lambda: wf.render("none.toml", "plate.h5"),
         lambda: wf.render("scene.toml", "none.h5"),
         lambda: wf.render("scene.toml", "drive.h5"),
-        lambda: wf.render("scene.toml", "plate.h5", method="exact", focusing="inverse"),
+        lambda: wf.render("scene.toml", "plate.h5", device="cuda", tolerance_db=-60.0),
         lambda: wf.predict("none.h5", "plate.h5"),
         lambda: wf.predict("drive.h5", "plate.h5", [99]),
         lambda: wf.focus_figures("drive.h5", "plate.h5", "none.h5"),

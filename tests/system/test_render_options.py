@@ -1,4 +1,4 @@
-"""What ``render`` and ``movie`` do besides drives: limits, ways of focusing, figures, pictures."""
+"""What ``render`` and ``movie`` do besides drives: limits, figures, pictures."""
 
 from __future__ import annotations
 
@@ -80,41 +80,27 @@ def test_given_a_saturated_scene_then_levels_are_told_with_and_without_saturatio
     assert told["dynamic_range_db"] < plain["dynamic_range_db"]
 
 
-@pytest.mark.parametrize("focusing", ["time-reversal", "inverse"])
 def test_given_limits_of_scene_and_rig_then_the_stricter_scales_and_the_actuator_is_named(
-    lab: Path, capsys: pytest.CaptureFixture[str], focusing: str
+    lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    way = ("--focusing", focusing)
-    free_v = (figures(lab, capsys, *way), read_drive(lab / "drive.h5").drive_v)[1]
+    free_v = (figures(lab, capsys), read_drive(lab / "drive.h5").drive_v)[1]
     (lab / "scene.toml").write_text(SCENE + "\n[output]\nlimit_rms_v = 2e-3\n", encoding="utf-8")
-    told = figures(lab, capsys, *way)
+    told = figures(lab, capsys)
     drive = read_drive(lab / "drive.h5")
     rms_v = np.sqrt(np.mean(drive.drive_v**2, axis=1))
     assert rms_v.max() == pytest.approx(2e-3, rel=1e-9)
     assert (told["limited_by"], told["limiting_actuator"]) == ("limit_rms_v", int(np.argmax(rms_v)))
     assert np.allclose(drive.drive_v, drive.scale * free_v, rtol=1e-12, atol=0)
-    told = figures(lab, capsys, *way, "--rig", str(lab / "rig.toml"))
+    told = figures(lab, capsys, "--rig", str(lab / "rig.toml"))
     rms_v = np.sqrt(np.mean(read_drive(lab / "drive.h5").drive_v ** 2, axis=1))
     assert rms_v.max() == pytest.approx(1e-3, rel=1e-9)
     assert told["scale"] == pytest.approx(drive.scale / 2, rel=1e-9)
 
 
-def test_given_the_inverse_filter_then_its_condition_is_told(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    told = figures(lab, capsys, "--focusing", "inverse", "--regularisation-db", "-40")
-    assert told["method"] == "inverse-filter"
-    assert told["regularisation_db"] == -40.0
-    assert told["condition"] > told["regularised_condition"] > 1.0
-    assert 0 < told["misfit"] < 1
-
-
 @pytest.mark.parametrize(
     ("options", "named"),
     [
-        (("--regularisation-db", "-20"), "--regularisation-db"),
-        (("--focusing", "inverse", "--method", "exact"), "--method"),
-        (("--focusing", "inverse", "--tolerance-db", "-60"), "--tolerance-db"),
-        (("--focusing", "inverse", "--interpolation-tolerance", "0.1"), "--interpolation-tolerance"),
-        (("--focusing", "inverse", "--regularisation-db", "3"), "regularisation_db"),
+        (("--focusing", "inverse"), "--focusing"),
         (("--interpolation-tolerance", "0.0001"), "scene.toml"),
         (("--rig", "virtual"), "actuators"),
     ],

@@ -134,13 +134,7 @@ def test_given_options_that_do_not_go_together_then_the_line_says_what_to_do(
     assert error.count("\n") == 1
 
 
-def test_given_stream_then_inverse_filtering_is_refused(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert render(lab, "drive", "--stream", "--focusing", "inverse") == 2
-    assert "--stream is for time reversal" in capsys.readouterr().err
-    assert not (lab / "drive.h5").exists()
-
-
-@pytest.mark.parametrize("other", [("--tolerance-db", "-60"), ("--focusing", "inverse"), ("--stream",)])
+@pytest.mark.parametrize("other", [("--tolerance-db", "-60"), ("--stream",)])
 def test_given_a_gpu_then_what_it_does_not_know_is_refused(
     lab: Path, capsys: pytest.CaptureFixture[str], other: tuple[str, ...]
 ) -> None:

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from wavefocus.config.scene import Regularisation, SceneConfig
-from wavefocus.rendering.drive.inverse_filter import inverse_filter
 from wavefocus.rendering.drive.rendering import SceneRenderer, render_with_report
 from wavefocus.rendering.greens.regularisation import BankRows
 from wavefocus.rendering.greens.source import GreenArray
@@ -65,7 +64,6 @@ def test_a_large_scene_is_refused_by_its_size_before_anything_is_made(name: str)
         for make in (
             lambda: render_with_report(scene, small),
             lambda: SceneRenderer(scene, small),
-            lambda: inverse_filter(scene, small),
             lambda: scene_picture(scene, small),
         ):
             with pytest.raises(InputError, match="allowed"):

@@ -11,13 +11,12 @@ import scipy.fft
 from tests.unit.plate_banks import SQUARE_MM, errors_at, plate_bank
 from wavefocus.calibration.estimator.sequential import SequentialEstimator
 from wavefocus.calibration.excitation import PlayedExcitation
-from wavefocus.config.scene import Output, Regularisation
+from wavefocus.config.scene import Output
 from wavefocus.mocks.plates.thin import ThinPlate
-from wavefocus.rendering.drive.inverse_filter import inverse_filter
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.scene.model import Scene, Source
-from wavefocus.rendering.scene.paths import Circle, Line, Point
+from wavefocus.rendering.scene.paths import Circle, Point
 from wavefocus.rendering.scene.signals import Impulse, Noise
 from wavefocus.storage.errors import InputError
 
@@ -147,31 +146,3 @@ def test_row_24_the_estimate_does_not_divide_by_the_sweep_outside_its_band(recor
     divided = scipy.fft.irfft(scipy.fft.rfft(response) / scipy.fft.rfft(reference), len(reference))[:taps]
     assert np.linalg.norm(divided - green) > np.linalg.norm(green)
     assert np.linalg.norm(found) < 1.1 * np.linalg.norm(green)
-
-
-def test_row_33_an_inverse_filter_of_ten_close_points_is_held_by_tikhonov_and_its_condition_said(record_property):
-    """Ten points along 4.5 mm: their transfer functions are all but equal."""
-    close = Source(Line((0.0, 0.3), (4.6, 0.3)), Impulse(), 0.0, 20.0, 0.5, emission="per_point")
-    scene = Scene("close", (close,), Regularisation(), Output(interpolation="kernel"))
-    drive, report = inverse_filter(scene, bank())
-    frequency_hz, condition = report.worst_condition
-    held = report.regularised_condition.max()
-    record_property("measured", f"condition {condition:.1g}, held to {held:.2g}")
-    assert report.control_points == 10
-    assert condition > 1e6
-    assert report.regularised_condition.max() < 1e3
-    assert any("hardly independent: condition" in text and "Hz" in text for text in report.warnings)
-    assert np.isfinite(drive.drive_v).all()
-    # Held: not much louder than the focus of one point, ten times over.
-    one, _ = inverse_filter(
-        Scene("one", (Source(Point((2.0, 0.3)), Impulse()),), output=Output(interpolation="kernel")), bank()
-    )
-    assert np.abs(drive.drive_v).max() < 30.0 * np.abs(one.drive_v).max()
-    assert 50.0 <= frequency_hz <= 600.0 or frequency_hz < 50.0
-
-
-def test_row_33_independent_points_are_not_warned_about():
-    apart = Source(Line((-20.0, 0.0), (20.0, 0.0)), Impulse(), 0.0, 100.0, 20.0, emission="per_point")
-    _, report = inverse_filter(Scene("apart", (apart,)), bank())
-    assert report.worst_condition[1] < 1e3
-    assert not report.warnings

@@ -9,7 +9,6 @@ import pytest
 
 from tests.unit.plate_banks import plate_bank
 from wavefocus.config.scene import Output, Regularisation
-from wavefocus.rendering.drive.inverse_filter import inverse_filter
 from wavefocus.rendering.drive.rendering import SceneRenderer, render_with_report
 from wavefocus.rendering.greens.interpolation.base import interpolation_method
 from wavefocus.rendering.greens.source import GreenArray
@@ -78,8 +77,6 @@ def test_given_a_trajectory_then_all_that_looks_at_paths_takes_it():
     status = np.where(np.isin(np.arange(len(GRID_MM)), needed.all), 1, 0).astype(np.uint8)
     assert len(needed.path) < len(GRID_MM) / 2
     np.testing.assert_array_equal(render_with_report(scene, bank(status))[0].drive_v, whole.drive_v)
-    inverse, _ = inverse_filter(scene, bank())
-    assert inverse.drive_v.shape == whole.drive_v.shape
     picture = scene_picture(scene, bank()).png
     assert picture.startswith(b"\x89PNG")
     assert scene_picture(scene, bank(), sampled=report.sources).png == picture

@@ -112,7 +112,6 @@ def test_given_a_wrong_type_then_it_is_an_input_error(
 @pytest.mark.parametrize(
     ("name", "given"),
     [
-        ("render", {"focusing": "Inverse"}),
         ("render", {"method": "Exact"}),
         ("render", {"device": "gpu"}),
         ("render", {"tolerance_db": "-60"}),

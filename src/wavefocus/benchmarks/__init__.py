@@ -28,7 +28,6 @@ BENCHMARKS = {
     "render": Benchmark("renderers and predictors side by side"),
     "interpolation": Benchmark("the bank between its positions"),
     "coarse_grids": Benchmark("grids coarser than half a wavelength, on all plates", on_request=True),
-    "focusing": Benchmark("focusing methods on one scene"),
     "quiet": Benchmark("quiet places: level, drive energy, run time", on_request=True),
     "commands": Benchmark("commands from the shell"),
     "symptoms": Benchmark("causes of a failed verification, one by one on four plates", on_request=True),

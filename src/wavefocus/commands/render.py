@@ -40,7 +40,6 @@ from wavefocus.storage.units import PLAYED_UNITS, quantity
 
 if TYPE_CHECKING:
     from wavefocus.config.rig import RigConfig
-    from wavefocus.rendering.drive.inverse_filter import InverseReport
 
 Float64Array = NDArray[np.float64]
 
@@ -82,7 +81,7 @@ class _Rendered:
     shape: tuple[int, int]
     blocks: Iterator[Float64Array]
     about: dict[str, Any]
-    facts: RenderReport | InverseReport
+    facts: RenderReport
     focus_peak: float | None = None
     unsaturated: Float64Array | None = None
     quiet: tuple[QuietLevel, ...] = ()
@@ -116,13 +115,11 @@ def render(
         rig = None if (rig_file, wav, picture) == (None, None, None) else rig_of(rig_file, view)
         if rig_file is not None and rig is not None:
             scene = within(scene, rig)
-        if stream and options.focusing == "inverse":
-            raise InputError("--stream is for time reversal; leave it out with --focusing inverse")
         if stream and options.device != "cpu":
             raise InputError("--stream goes with --device cpu alone")
         limited = rig is not None and (wav is not None or rig_file is not None)
         job = _Job(scene_file, scene, view, rig, interface_of(rig) if rig is not None and limited else None, options)
-        whole = options.focusing == "inverse" or options.device != "cpu"
+        whole = options.device != "cpu"
         with naming(scene_file, view):
             streamed = not whole and (stream or _too_large(job))
             rendered = _in_two_passes(job) if streamed else _in_memory(job)
@@ -139,9 +136,9 @@ def _in_memory(job: _Job) -> _Rendered:
         drive, facts = render_by_options(job.scene, job.bank, job.options, report, job.interface)
     unsaturated = None
     regularisation = job.scene.regularisation
-    if job.options.focusing == "time-reversal" and (regularisation.saturation or regularisation.saturation_absolute):
+    if regularisation.saturation or regularisation.saturation_absolute:
         output = job.scene.output.model_copy(update={"limit_v": None, "limit_rms_v": None})  # limits change no ratio
-        if isinstance(facts, RenderReport) and facts.interpolation_errors is not None:
+        if facts.interpolation_errors is not None:
             output = output.model_copy(update={"interpolation": facts.interpolation_errors.kind})  # chosen once
         plain = replace(
             job.scene,
@@ -251,46 +248,29 @@ def _report(job: _Job, rendered: _Rendered, out: Path, peak_v: float, rig_file: 
         say(f"predicted response at the focus: up to {rendered.focus_peak:.3g} {unit}")
     if limiting.decided_by is not None:
         say(limited_words(limiting, rig_file))
-    if job.options.tolerance_db is not None and isinstance(facts, RenderReport):
+    if job.options.tolerance_db is not None:
         what = f": {', '.join(facts.left_out_words)}" if facts.left_out_words else ""
         say(f"left out no more than {facts.omitted_bound:.3g} of the drives (relative L2, proved){what}")
     without = "" if unsaturated is None else f", {dynamic_range_db(unsaturated):.1f} dB without saturation"
     say(f"rms of the drives: actuators differ by up to {range_db:.1f} dB{without}")
     for level in rendered.quiet:
         say(f"quiet: {level}")
-    if isinstance(facts, RenderReport):
-        if facts.interpolation_errors is not None:
-            say(facts.interpolation_errors.words)
-            figures["interpolation"] = facts.interpolation_errors.facts
-        if facts.quiet is not None:
-            say(f"quiet places cost {facts.quiet.energy:.3g} times the energy of plain time reversal")
-            figures["quiet"] = levels_json(rendered.quiet, facts.quiet.plain_db, facts.quiet.multiplier)
-            figures["quiet_energy"] = facts.quiet.energy
-        return figures
-    frequency_hz, condition = facts.worst_condition
-    say(
-        f"{facts.control_points} control points, condition at most {condition:.3g} (at {frequency_hz:.3g} Hz), held"
-        f" to {facts.regularised_condition.max():.3g} by {facts.regularisation_db:g} dB; control points are"
-        f" {100 * facts.misfit:.3g} % off"
-    )
-    return figures | {
-        "control_points": facts.control_points,
-        "regularisation_db": facts.regularisation_db,
-        "condition": condition if np.isfinite(condition) else None,
-        "condition_at_hz": frequency_hz,
-        "regularised_condition": float(facts.regularised_condition.max()),
-        "misfit": facts.misfit,
-        "cut_share": facts.cut_share,
-    }
+    if facts.interpolation_errors is not None:
+        say(facts.interpolation_errors.words)
+        figures["interpolation"] = facts.interpolation_errors.facts
+    if facts.quiet is not None:
+        say(f"quiet places cost {facts.quiet.energy:.3g} times the energy of plain time reversal")
+        figures["quiet"] = levels_json(rendered.quiet, facts.quiet.plain_db, facts.quiet.multiplier)
+        figures["quiet_energy"] = facts.quiet.energy
+    return figures
 
 
-def _write_picture(job: _Job, facts: RenderReport | InverseReport, path: Path) -> None:
+def _write_picture(job: _Job, facts: RenderReport, path: Path) -> None:
     from wavefocus.rendering.report.scene_picture import scene_picture
 
     outline_mm = None if job.rig is None else job.rig.surface.outline.line(OUTLINE_POINTS)
     with naming(job.scene_file, job.bank):
-        sampled = facts.sources if isinstance(facts, RenderReport) else ()
-        write_whole(path, scene_picture(job.scene, job.bank, outline_mm=outline_mm, sampled=sampled).png)
+        write_whole(path, scene_picture(job.scene, job.bank, outline_mm=outline_mm, sampled=facts.sources).png)
     say(f"{path}: the scene before and after snapping to the bank's positions")
 
 
