@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
 from wavefocus.benchmarks import BENCHMARKS
+from wavefocus.config.retired import OPTIONS, refused, retired_command
 from wavefocus.storage.exchange import EXPORTS, IMPORTS
 
 DESCRIPTION = (
@@ -38,7 +39,7 @@ class Argument(NamedTuple):
 
 
 class Command(NamedTuple):
-    """One command; a name of two words, as ``queue add``, is a command of a group, see `GROUPS`.
+    """One command.
 
     `run` is ``"module:function"`` in `wavefocus.commands` or an adapter in this module; the first paragraph of `help`
     stands in the list of commands; `arguments` are in the order of the help.
@@ -146,11 +147,6 @@ LARGE = switch("--allow-large", help="Allow scenes of over an hour, 8 GiB of dri
 NO_CHECKS = switch(
     "--no-checks", "checks", off=True, help="With --scene: leave out the positions that only `verify` looks at."
 )
-PUBLICATION = file(
-    "--publication",
-    metavar="FILE.toml",
-    help="A run file, or another with a table [publication], in place of the bank's.",
-)
 METHOD = argument(
     "--method", choices=("sampled", "exact"), help="By default exact, or sampled where emission is per point."
 )
@@ -246,9 +242,6 @@ def _live(**given: Any) -> int:
     options = {name: given.pop(name) for name in LiveOptions.__dataclass_fields__ if name in given}
     return command.live(options=LiveOptions(**options), **given)
 
-
-GROUPS: dict[str, str] = {}
-"""Commands of two words: their first word, and its help."""
 
 COMMANDS = (
     Command(
@@ -533,7 +526,8 @@ COMMANDS = (
             argument("--convention", choices=("GeneralFIR-E", "SingleRoomMIMOSRIR"), default="GeneralFIR-E",
                      help="For sofa: what room acoustics reads, too, is SingleRoomMIMOSRIR."),
             switch("--binary", help="For uff: functions in binary (58b), a fifth of the size of text."),
-            PUBLICATION,
+            file("--publication", metavar="FILE.toml",
+                 help="A run file, or another with a table [publication], in place of the bank's."),
             switch("--list", "only_list", help="List what would be written, with sizes, and write nothing."),
             FORCE, JSON,
         ),
@@ -580,18 +574,6 @@ COMMANDS = (
         ),
     ),
     Command(
-        "publish", "bank.publish:publish",
-        "Write a folder for a data repository: exports, README, pictures, RO-Crate, checksums.\n\n"
-        "Title, people and licence come from [publication] of the bank's run file, or from --publication.",
-        (
-            BANK,
-            _out("FOLDER", "The folder to write."),
-            argument("--to", default="netcdf,csv", metavar="FORMAT,...",
-                     help=f"Which exports: {', '.join(EXPORTS)}. [default: netcdf,csv]"),
-            PUBLICATION, FORCE, JSON,
-        ),
-    ),
-    Command(
         "bench", "bench:bench", "Measure error against run time, ours and peers.",
         (
             argument("what", nargs="?", choices=(*BENCHMARKS, "all"), default="all",
@@ -617,7 +599,6 @@ COMMANDS = (
             argument("--plate", choices=("stadium", "soft"),
                      help="A gel with a rim that reflects waves, or without a rim. [default: stadium]"),
             switch("--quick", help="A hundred positions and, unless --plate is given, no rim: to see that it works."),
-            switch("--coarse", help="A grid of 10 mm, measured in minutes; a model of waves for what is between."),
             FORCE,
         ),
     ),
@@ -660,6 +641,8 @@ class _Parser(argparse.ArgumentParser):
         """Refuse what is left over of a command line, with the option that may have been meant."""
         known = [name for one in self.of_commands[command]._actions for name in one.option_strings]
         option = next((one for one in extra if one.startswith("-")), extra[0])
+        if gone := OPTIONS.get(option.partition("=")[0]):
+            raise UsageError(f"{command}: {refused(option.partition('=')[0], gone)}")
         guess = nearest(option.partition("=")[0], known) if option.startswith("-") else ""
         raise UsageError(f"{command}: {option} is not known{guess} (wavefocus {command} --help shows what there is)")
 
@@ -693,21 +676,13 @@ def parser(commands: Sequence[Command] = COMMANDS, words: Sequence[str] | None =
     )
     most = number("--most-gib", help="Largest part of a file that is read at once, in GiB; 8 by default.")
     whole.add_argument(*most.names, **most.settings)
-    chosen = {"": _subcommands(whole)}
+    chosen = whole.add_subparsers(dest="command", metavar="COMMAND", title="commands", required=True)
     for one in commands:
-        group, _, last = one.name.rpartition(" ")
-        if group not in chosen:
-            chosen[group] = _subcommands(chosen[""].add_parser(group, help=GROUPS[group], description=GROUPS[group]))
         first = one.help.partition("\n\n")[0]
-        under = whole.of_commands[one.name] = chosen[group].add_parser(last, help=first, description=one.help)
-        under.set_defaults(command=one.name)
-        for each in one.arguments if words is None or last in words else ():
+        under = whole.of_commands[one.name] = chosen.add_parser(one.name, help=first, description=one.help)
+        for each in one.arguments if words is None or one.name in words else ():
             under.add_argument(*each.names, **each.settings)
     return whole
-
-
-def _subcommands(under: _Parser) -> argparse._SubParsersAction[_Parser]:
-    return under.add_subparsers(dest="command", metavar="COMMAND", title="commands", required=True)
 
 
 def parsed(arguments: Sequence[str]) -> tuple[Command, dict[str, Any]]:
@@ -715,6 +690,9 @@ def parsed(arguments: Sequence[str]) -> tuple[Command, dict[str, Any]]:
 
     Raises UsageError: the command line is wrong.
     """
+    words = [word for word in arguments if not word.startswith("-")]
+    if gone := retired_command(words):
+        raise UsageError(gone)
     whole = parser(COMMANDS, arguments)
     read, extra = whole.parse_known_args(arguments)
     given = vars(read)

@@ -53,7 +53,7 @@ def load_run(path: Path) -> Configuration:
             f"{path}: settled: comes from the trial before a staggered campaign and stands in its bank alone"
         )
     if isinstance(data.get("grid"), dict) and "regular_positions" in data["grid"]:
-        raise InputError(f"{path}: grid.regular_positions: comes from a refinement and stands in its bank alone")
+        raise InputError(f"{path}: grid.regular_positions: is of banks of earlier versions alone")
     virtual = data.get("virtual")
     if isinstance(virtual, dict) and isinstance(virtual.get("fault_plan"), str):
         plan_file = named_file(path, "virtual.fault_plan", virtual["fault_plan"])
@@ -187,8 +187,9 @@ def configuration_from_json(
 
     Raises InputError: the texts are no configuration of this version.
     """
-    rig = validated(RigConfig, _from_json(rig_json, f"{source}: attribute rig"), f"{source}: attribute rig")
-    run = validated(RunConfig, _from_json(run_json, f"{source}: attribute run"), f"{source}: attribute run")
+    rig_source, run_source = f"{source}: attribute rig", f"{source}: attribute run"
+    rig = validated(RigConfig, _from_json(rig_json, rig_source), rig_source, kept=True)
+    run = validated(RunConfig, _from_json(run_json, run_source), run_source, kept=True)
     check_together(run, rig, source)
     return Configuration(run, rig, position_mm)
 

@@ -6,10 +6,12 @@ with "$ " and shows some of what they print, numbers aside. Comments, which a re
     <!-- not run: REASON -->   before a block or a command: it needs hardware, a network or a person, and is parsed only
     <!-- Ctrl-C -->            after the first position; the exit code is 130
     <!-- file: NAME -->        before a block: the file that the reader writes
+    <!-- shell -->             before a block: it is carried out as a whole, sh by a POSIX shell, bat by Windows' own
 """
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 import shutil
@@ -37,7 +39,7 @@ BY_PAGE = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 class Step(NamedTuple):
     """A command, a file or lines of Python of a page; what the page shows of its output."""
 
-    kind: str  # "command", "mention", "file", "python"
+    kind: str  # "command", "mention", "file", "python", "sh", "bat"
     text: str
     note: str = ""
     shown: tuple[str, ...] = ()
@@ -69,6 +71,10 @@ def block(language: str, content: str, note: str) -> Iterator[Step]:
     """The steps of a fenced block."""
     if note.startswith("file: "):
         yield Step("file", content, note.removeprefix("file: "))
+    elif note == "shell":
+        yield Step(language, content, note)
+        for command in re.findall(r"\bwavefocus .*?(?=;|$)", content, re.MULTILINE):
+            yield Step("mention", command.replace("\\", "/"), note)
     elif language == "sh":
         yield from (Step("command", line, note) for line in content.replace("\\\n", " ").splitlines())
     elif language == "console":
@@ -156,6 +162,8 @@ def test_every_command_of_a_page_does_what_the_page_shows(
             Path(step.note).write_text(step.text, "utf-8")
         elif step.kind == "python":
             exec(step.text, {})
+        elif step.kind in ("sh", "bat"):
+            carry_out_in_shell(step, tmp_path)
         else:
             capfd.readouterr()
             code = interrupted(step.text) if step.note == "Ctrl-C" else carried_out(step.text)
@@ -174,6 +182,21 @@ def carried_out(text: str) -> int:
     if words[1] == "init":
         make_small(Path(words[2]))
     return code
+
+
+def carry_out_in_shell(step: Step, folder: Path) -> None:
+    """Carry out a block as the reader of this system does; that of the other system was parsed."""
+    if (step.kind == "bat") != (os.name == "nt"):
+        return
+    script = folder / f"night.{step.kind}"
+    script.write_text(step.text, "utf-8")
+    shell = ["cmd", "/c"] if os.name == "nt" else ["sh"]
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    with_path = {**os.environ, "PATH": path}
+    done = subprocess.run([*shell, str(script)], cwd=folder, env=with_path, check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    for made in re.findall(r"--out (\S+)|export \S+ (\S+)", step.text):
+        assert (folder / "".join(made)).exists(), done.stderr
 
 
 def interrupted(text: str) -> int:

@@ -39,7 +39,6 @@ STEPS: dict[str, tuple[list[list[str]], list[str], list[str]]] = {
     "verify": ([], ["verify", "scene.toml", "--bank", BANK, "--rig", RIG, "--out", "verify"], ["verify/verify.json"]),
     "export": ([], ["export", BANK, "plate.npz", "--to", "npz"], ["plate.npz"]),
     "import": ([["export", BANK, "plate.npz", "--to", "npz"]], ["import", "plate.npz", "--bank", "new.h5"], ["new.h5"]),
-    "publish": ([], ["publish", BANK, "--out", "published"], ["published/ro-crate-metadata.json"]),
 }  # fmt: skip
 # Commands whose smoke test is elsewhere: they need standard input, another process, or minutes.
 ELSEWHERE = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import h5py
@@ -11,7 +12,9 @@ import pytest
 from wavefocus.__main__ import run
 from wavefocus.cli import COMMANDS, UsageError, nearest, run_command
 from wavefocus.config.calibration import load_calibration
-from wavefocus.configuration import load_rig, load_run
+from wavefocus.config.retired import COMMANDS as GONE
+from wavefocus.config.retired import KEYS, OPTIONS
+from wavefocus.configuration import configuration_from_json, load_rig, load_run
 from wavefocus.rendering.scene.model import load_scene
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.errors import InputError
@@ -72,7 +75,6 @@ def test_given_a_run_file_with_a_key_of_a_rig_then_the_key_is_named(lab: Path, t
         (["Capture", "run.toml"], "capture"),
         (["verfy"], "verify"),
         (["exprot"], "export"),
-        (["pubish"], "publish"),
         (["cap"], "capture"),
         (["plan", "run.toml", "--scnee", "a.toml"], "--scene"),
         (["plan", "run.toml", "--josn"], "--json"),
@@ -88,3 +90,39 @@ def test_given_a_mistyped_word_then_the_nearest_is_named(arguments: list[str], m
 def test_given_a_word_that_is_near_to_none_then_none_is_named() -> None:
     assert nearest("xyzzy", [one.name for one in COMMANDS]) == ""
     assert run(["xyzzy"]) == 2
+
+
+@pytest.mark.parametrize("words", GONE)
+def test_given_a_command_of_an_earlier_version_then_one_sentence_names_what_serves_instead(
+    words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run([*words.split(), "plate.h5", "--out", "x"]) == 2
+    assert capsys.readouterr().err == f"wavefocus: {words} is gone: {GONE[words]}\n"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "capture run.toml --bank b.h5 --documents",
+        "plan run.toml --pilot",
+        "plan run.toml --pilot-positions",
+        "demo --coarse",
+    ],
+)
+def test_given_an_option_of_an_earlier_version_then_one_sentence_names_what_serves_instead(
+    line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command, *_, option = line.split()
+    assert run([*line.split(), "x"]) == 2
+    assert capsys.readouterr().err == f"wavefocus: {command}: {option} is gone: {OPTIONS[option]}\n"
+
+
+@pytest.mark.parametrize("key", ["refine_to", "refine_positions"])
+def test_given_a_key_of_an_earlier_version_then_a_file_is_refused_in_one_sentence_and_a_bank_is_read(
+    lab: Path, tmp_path: Path, key: str
+) -> None:
+    (tmp_path / "run.toml").write_text(f"[grid]\n{key} = 1\n")
+    with pytest.raises(InputError, match=rf"grid: {key} is gone: {KEYS[key]}$"):
+        load_run(tmp_path / "run.toml")
+    kept = configuration_from_json("{}", json.dumps({"grid": {key: 1}}), np.zeros((1, 2)), "b.h5")
+    assert kept.plan_sha256 == configuration_from_json("{}", "{}", np.zeros((1, 2)), "b.h5").plan_sha256

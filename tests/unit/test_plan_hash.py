@@ -57,8 +57,8 @@ def test_given_every_key_of_rig_and_run_then_it_is_hashed_or_marked_as_free() ->
         "Actuators.position_mm",  # hashed as actuator_mm
         "Capture.allowed_loss_db", "Capture.keep_raw", "Capture.when_staggered_does_not_pay",
         "Emulation.fault_plan", "Emulation.ni_product", "Emulation.period_frames",
-        "Grid.lattice", "Grid.margin_mm", "Grid.positions_file", "Grid.refine_positions", "Grid.refine_to",
-        "Grid.regular_positions", "Grid.spacing_mm", "MirrorSection.address", "MirrorSection.baud",
+        "Grid.lattice", "Grid.margin_mm", "Grid.positions_file", "Grid.regular_positions", "Grid.spacing_mm",
+        "MirrorSection.address", "MirrorSection.baud",
         "MirrorSection.device", "MirrorSection.distance_mm", "MirrorSection.identity",
         "MirrorSection.limit_mrad", "MirrorSection.limit_v", "MirrorSection.map", "MirrorSection.park_mrad",
         "MirrorSection.port", "MirrorSection.settle_s", "MirrorSection.setup", "MirrorSection.slew_v_per_s",

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 import sys
 import time
-import webbrowser
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from importlib.util import find_spec
@@ -31,7 +29,6 @@ from wavefocus.drives import RenderOptions
 from wavefocus.exits import Exit
 from wavefocus.input_files import scan_rows
 from wavefocus.mocks.virtual.rig import VirtualRig
-from wavefocus.rendering.greens.interpolation.base import scene_interpolation
 from wavefocus.rendering.scene.model import load_scene
 from wavefocus.rig.virtual_bench import virtual_rig
 from wavefocus.storage.bank.reading import Bank, open_bank
@@ -44,10 +41,6 @@ PLATE = "stadium"
 QUICK_SPACING_MM = 16.0
 # Away from the scene's path one of so many positions is scanned: the maps stay readable, the scan takes half the time.
 SCANNED_EVERY = 4
-# 246 positions and 12 that judge: 23 minutes of all actuators at once, in place of 32 hours.
-COARSE_SPACING_MM = 10.0
-# Between the positions of a coarse grid the truth is asked for at so many places.
-BETWEEN = 40
 
 _MARKER = "made-by-wavefocus-demo"
 
@@ -64,17 +57,12 @@ class _Stopwatch:
         self.parts.append((name, time.monotonic() - started_s))
 
 
-def demo(
-    out: Path, *, plate: str | None = None, quick: bool = False, coarse: bool = False, force: bool = False
-) -> Exit:
+def demo(out: Path, *, plate: str | None = None, quick: bool = False, force: bool = False) -> Exit:
     """Capture, kill half-way, resume, check, render, predict, verify; all files in a folder of its own.
 
     plate: By default with a rim, and without one where it is to be quick.
     quick: A hundred positions, to see that everything works; nothing is interpolated.
-    coarse: A grid of 10 mm, all actuators at once, and what lies between its positions by the waves' model.
     """
-    if quick and coarse:
-        raise InputError("--quick and --coarse: choose one of them; both change the grid")
     plate = plate or ("soft" if quick else PLATE)
     if plate == "stadium" and find_spec("skfem") is None:
         raise InputError("--plate stadium: needs scikit-fem, pip install 'wavefocus[plates]'; or choose --plate soft")
@@ -82,7 +70,7 @@ def demo(
     run, bank, scene = out / "run.toml", out / "plate.h5", out / "scene.toml"
     drive, report = out / "drive.h5", out / "verify" / "report.html"
     watch = _Stopwatch()
-    watch.time("Configuration", lambda: _configure(out, plate, quick=quick, coarse=coarse))
+    watch.time("Configuration", lambda: _configure(out, plate, quick=quick))
     watch.time("Compute the plate, or read it from the cache", lambda: _rig(run))
     watch.time("Plan", lambda: plan.plan(run, as_json=False))
     watch.time("Capture, until the power is cut half-way", lambda: _capture_and_kill(run, bank))
@@ -104,38 +92,28 @@ def demo(
             as_json=False,
         ),
     )
-    if coarse:
-        watch.time("Compare with the plate's truth between the positions", lambda: _compare_between(bank, scene))
-    some = "0-9" if quick else "100-109" if coarse else "700-709"
+    some = "0-9" if quick else "700-709"
     watch.time(
         "Predict ten positions of its field",
         lambda: prediction.predict(drive, bank, out / "field.h5", some, as_json=False),
     )
     watch.time(
         "Play it on the rig, scan it, compare",
-        lambda: outcome.append(_verify(scene, bank, out / "verify", 1 if quick or coarse else SCANNED_EVERY)),
+        lambda: outcome.append(_verify(scene, bank, out / "verify", 1 if quick else SCANNED_EVERY)),
     )
-    _print_result(watch, report)
+    _print_result(watch, report, bank)
     return max(outcome)
 
 
-def _configure(out: Path, plate: str, *, quick: bool, coarse: bool) -> None:
+def _configure(out: Path, plate: str, *, quick: bool) -> None:
     init.init(out, "virtual")
     changes = {'plate = "soft"': f'plate = "{plate}"'}
     if quick:
         changes["spacing_mm = 4.0"] = f"spacing_mm = {QUICK_SPACING_MM:g}"
-    if coarse:
-        changes["spacing_mm = 4.0"] = f"spacing_mm = {COARSE_SPACING_MM:g}"
-        changes['excitation = "sequential"'] = 'excitation = "staggered"'
-        _change(out / "scene.toml", {'interpolation = "nearest"': 'interpolation = "auto"'})
-    _change(out / "run.toml", changes)
-
-
-def _change(file: Path, changes: dict[str, str]) -> None:
-    text = file.read_text(encoding="utf-8")
+    text = (out / "run.toml").read_text(encoding="utf-8")
     for old, new in changes.items():
         text = text.replace(old, new)
-    file.write_text(text, encoding="utf-8")
+    (out / "run.toml").write_text(text, encoding="utf-8")
 
 
 def _rig(run: Path) -> VirtualRig:
@@ -198,35 +176,8 @@ def _verify(scene: Path, bank: Path, out: Path, every: int) -> Exit:
     return verification.verify(scene, bank, Path("virtual"), out, ",".join(map(str, rows)), as_json=False)
 
 
-def _compare_between(bank: Path, scene_file: Path) -> None:
-    """Report how far interpolated Green's functions are from the truth at places that nobody measured."""
-    with open_bank(bank) as view:
-        chosen = scene_interpolation(load_scene(scene_file), view)
-        configuration = load_run(bank.with_name("run.toml"))
-        outline, margin_mm = configuration.rig.surface.outline, configuration.run.grid.margin_mm
-        left, bottom, right, top = outline.box_mm
-        places_mm = np.random.default_rng(1).uniform((left, bottom), (right, top), (8 * BETWEEN, 2))
-        places_mm = places_mm[outline.contains(places_mm, margin_mm)][:BETWEEN]
-        nodes, rows = chosen.nodes(places_mm), chosen.rows_of(view)
-        made = (
-            np.tensordot(weights, np.stack([rows.green(int(row)) for row in numbers]), axes=1)
-            for weights, numbers in zip(nodes.weights, nodes.rows, strict=True)
-        )
-        rig = virtual_rig(configuration.rig, configuration.run.virtual or Virtual())
-        wrong, true = norms_of_errors(view, rig, places_mm, made)
-    error = np.linalg.norm(wrong, axis=1) / np.linalg.norm(true, axis=1)
-    judged = "not judged"
-    if chosen.choice is not None and np.isfinite(chosen.choice.errors[chosen.name]):
-        judged = f"{chosen.choice.errors[chosen.name]:.2%} by {chosen.choice.judged_by}"
-    say(
-        f"error of {chosen.name!r} between the positions: {judged} in the scene's band; by the plate's truth at "
-        f"{len(places_mm)} random places: median {np.median(error):.2%}, 90 % below {np.quantile(error, 0.9):.2%} "
-        "(relative L2 over band and actuators)"
-    )
-
-
-def _print_result(watch: _Stopwatch, report: Path) -> None:
-    """Times, memory and where the report is; opens it where somebody can look."""
+def _print_result(watch: _Stopwatch, report: Path, bank: Path) -> None:
+    """Times, and what to open."""
     people().rule("Done", align="left")
     from rich.table import Table
 
@@ -235,25 +186,7 @@ def _print_result(watch: _Stopwatch, report: Path) -> None:
         table.add_row(name, f"{seconds:6.1f} s")
     table.add_row("Together", f"{sum(seconds for _, seconds in watch.parts):6.1f} s")
     people().print(table)
-    if (peak := _peak_memory_bytes()) is not None:
-        say(f"largest process: {peak / 1e6:.0f} MB of memory")
-    say(f"report: {report}")
-    if sys.stdin.isatty() and people().is_terminal and _has_display():
-        webbrowser.open(report.resolve().as_uri())
-
-
-def _peak_memory_bytes() -> int | None:
-    """Largest resident memory of this process and its children, where the system reports it."""
-    if sys.platform == "win32":
-        return None
-    import resource
-
-    unit = 1 if sys.platform == "darwin" else 1024
-    return unit * max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-
-
-def _has_display() -> bool:
-    return sys.platform in ("win32", "darwin") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    say(f"open {report} in a browser; wavefocus gui {bank} shows the bank")
 
 
 # Bounds memory to some 20 MB.

@@ -9,9 +9,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, get_args, get_origin
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, StrictBool
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, StrictBool, ValidationInfo, model_validator
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
+
+from wavefocus.config.retired import KEYS
 
 # Strict: "20" and true are no numbers in TOML, and guessing would hide a slip of the pen.
 Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
@@ -30,6 +32,8 @@ class PlanMark:
     meaning: str
 
 
+KEPT: Mapping[str, object] = {"of": "a bank"}
+"""Context of a validation of what a bank has kept: keys that are gone are passed over."""
 FREE = PlanMark("may change in a campaign")
 DERIVED = PlanMark("hashed in another form, as the positions that follow from a grid")
 ALWAYS = PlanMark("hashed at its default too, as the first banks were")
@@ -40,6 +44,14 @@ class Table(BaseModel):
     """A table of a configuration file: immutable, and closed to unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_retired_keys(cls, data: Any, info: ValidationInfo) -> Any:
+        """Pass over keys that are gone, in what a bank has kept."""
+        if info.context is not KEPT or not isinstance(data, dict):
+            return data
+        return {key: value for key, value in data.items() if key in cls.model_fields or key not in KEYS}
 
     def plan_values(self) -> dict[str, Any]:
         """Keys that a resume must not change, as JSON has them: all that are not marked `FREE` or `DERIVED`."""

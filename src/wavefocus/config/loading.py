@@ -16,7 +16,9 @@ from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from wavefocus.config.fields import KEPT
 from wavefocus.config.file_kinds import hdf5_kind, other_kind
+from wavefocus.config.retired import KEYS, refused
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.text_file import read_text
 
@@ -65,15 +67,17 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
         raise InputError(printable(f"{source}: not TOML: nested too deeply, or a number too long")) from None
 
 
-def validated(model: type[Model], data: object, source: str) -> Model:
+def validated(model: type[Model], data: object, source: str, *, kept: bool = False) -> Model:
     """Validate plain tables against a model.
+
+    kept: They were kept in a bank, where keys of earlier versions are passed over.
 
     Raises InputError: one line with the first few mistakes.
     """
     if wrong := other_kind(model.__name__, data):
         raise InputError(printable(f"{source}: {wrong}"))
     try:
-        return model.model_validate(data)
+        return model.model_validate(data, context=KEPT if kept else None)
     except ValidationError as failure:
         raise InputError(one_line(source, failure, model, data)) from None
 
@@ -170,6 +174,8 @@ def sentence(error: ErrorDetails, model: type[BaseModel], data: object) -> str:
         # A key may be a mistaken address itself.
         steps = steps if known.startswith("did you mean") or steps[-1] in SECRETS else (*steps[:-1], "...")
         return f"{dotted(steps)}: unknown key; {known}"
+    if kind == "extra_forbidden" and (gone := KEYS.get(str(steps[-1]))):
+        return f"{dotted(steps[:-1])}: {refused(str(steps[-1]), gone)}"
     if kind == "extra_forbidden":
         return f"{dotted(steps)} = {shown(error['input'])}: unknown key; {_known_keys(model, steps, data)}"
     if kind == "missing":

@@ -51,15 +51,9 @@ class Grid(Table):
     positions_file: Annotated[Text | None, DERIVED] = Field(
         default=None, description="CSV file with the header x_mm,y_mm, in place of a lattice"
     )
-    refine_to: Annotated[Positive | None, FREE, Field(le=1)] = Field(
-        default=None,
-        description="Largest expected error between positions, relative; positions are added where it is larger",
-    )
-    refine_positions: Annotated[Whole, FREE, Field(ge=0, le=100_000)] = Field(
-        default=200, description="Most positions that are added for refine_to"
-    )
     regular_positions: Annotated[Whole | None, FREE, Field(ge=1)] = Field(
-        default=None, description="Positions before those that refine_to has added; only a bank says it"
+        default=None,
+        description="Positions on the lattice, in banks of earlier versions that were refined",
     )
     check_positions: Annotated[Whole, Field(ge=0, le=1000), DERIVED] | None = Field(
         default=None,

@@ -1,4 +1,4 @@
-"""Names that one process of this computer holds at a time: an instrument, a rig, a queue."""
+"""Names that one process of this computer holds at a time: an instrument, a rig."""
 
 from __future__ import annotations
 

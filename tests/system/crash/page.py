@@ -11,7 +11,7 @@ PAGE = Path(__file__).parents[3] / "docs" / "reference" / "crash-safety.md"
 BEGIN, END = "<!-- table: begin -->\n", "<!-- table: end -->\n"
 _TOTALS = {
     "kill": "kills", "cut": "power cuts", "disk": "full and failing disks", "flip": "flipped bytes",
-    "rival": "second processes", "queue": "edits of a queue", "raw": "kills and power cuts of the raw file",
+    "rival": "second processes", "raw": "kills and power cuts of the raw file",
 }  # fmt: skip
 _COLUMNS = ("trials", "unreadable", "lost", "wrong", "different", "badly_told")
 
