@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pytestqt.qtbot import QtBot
 
 from wavefocus.campaign.status import Heartbeat
 from wavefocus.config.messages.campaign import (
@@ -18,6 +19,7 @@ from wavefocus.config.messages.campaign import (
     Logged,
     PositionCommitted,
     PositionRepeated,
+    PositionStarted,
     ReconnectTried,
     SessionEnded,
     SessionStarted,
@@ -38,6 +40,7 @@ from wavefocus.gui.campaign.model import (
     possible_actions,
     read_record,
 )
+from wavefocus.gui.campaign.panels import ProgressRow
 from wavefocus.gui.campaign.quality import per_position
 from wavefocus.gui.surface import raster_of
 from wavefocus.storage.ledger.owner import Owner
@@ -116,24 +119,32 @@ def test_given_a_state_then_only_orders_that_make_sense_are_possible(
     assert possible_actions(ShownState(word), has_run=True, has_bank=True, left=left) == orders
 
 
-def test_given_faults_then_the_instrument_they_name_is_shown_with_its_last_message() -> None:
+LOST = Fault(1.0, "virtual player", "playing", "no answer", "look", 25, 1, retried=True)
+
+
+def test_given_a_fault_then_it_is_shown_until_that_instrument_works_again() -> None:
     campaign = CampaignModel()
-    _said(
-        campaign, SessionStarted(0.0, "plate.h5", 6, 3, 0, 6, 60.0, ("virtual mirror, 250 mrad", "virtual recorder, 2"))
-    )
-    fault = Fault(1.0, "virtual recorder", "recording", "no answer", "look", None, None, True)
-    _said(campaign, fault)
-    mirror, recorder = campaign.instruments
-    assert (mirror.state, recorder.state) == ("in use", "faulty")
-    assert "no answer" in recorder.message
+    _said(campaign, SessionStarted(0.0, "plate.h5", 6, 3, 0, 6, 60.0, ("virtual mirror, 250 mrad", "virtual player")))
+    _said(campaign, PositionStarted(0.5, 25, 1, 0.0, 0.0), LOST)
     assert campaign.lines[-1].weight is Weight.FAULT
-    _said(campaign, ReconnectTried(2.0, "recorder", "virtual recorder", 1, False, "gone", 1.0, 9.0))
-    assert recorder.state == "away"
-    _said(campaign, PositionCommitted(3.0, 0, 1, 1, 60.0, -60.0, 0.0, 0.0))
-    assert recorder.state == "in use"
-    assert campaign.lines[-1].position == 0
-    _said(campaign, fault, StateChanged(4.0, State.FAILED, "no answer"))
-    assert (mirror.state, recorder.state) == ("at rest", "faulty")
+    assert "no answer" in campaign.instrument_faults["virtual player"]
+    _said(campaign, ReconnectTried(2.0, "player", "virtual player", 1, False, "gone", 1.0, 9.0))
+    assert "gone" in campaign.instrument_faults["virtual player"]
+    _said(campaign, ReconnectTried(3.0, "player", "virtual player", 2, True, "connected", None, None))
+    assert campaign.instrument_faults == {}
+    _said(campaign, LOST, PositionStarted(4.0, 25, 2, 0.0, 0.0), PositionCommitted(5.0, 25, 1, 2, 60.0, -60.0, 0, 0))
+    assert campaign.instrument_faults == {}
+
+
+def test_given_a_player_that_is_lost_for_good_then_it_is_shown_as_lost_after_the_end(qtbot: QtBot) -> None:
+    campaign = CampaignModel()
+    _said(campaign, PositionStarted(0.5, 24, 1, 0.0, 0.0), PositionStarted(0.9, 25, 1, 0.0, 0.0), LOST)
+    _said(campaign, PositionCommitted(1.1, 24, 1, 1, 60.0, -60.0, 0.0, 0.0))  # was being written meanwhile
+    _said(campaign, StateChanged(1.2, State.FAILED, "no answer"), SessionEnded(1.3, State.FAILED, 25, 30, {}))
+    row = ProgressRow()
+    qtbot.addWidget(row)
+    row.show_faults(campaign.instrument_faults)
+    assert row.faults.text().startswith("▲ virtual player: playing: no answer")
 
 
 def test_given_a_week_of_events_then_no_more_than_so_many_lines_are_kept() -> None:

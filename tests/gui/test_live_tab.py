@@ -136,7 +136,6 @@ def test_given_mouse_fingers_and_keys_then_sources_sound_follow_and_end_and_stop
     wait(qtbot, lambda: run.places[KEYS][0] < from_mm[0] - SHORT_MM)
     qtbot.keyRelease(surface, Qt.Key.Key_Left)
     wait(qtbot, lambda: sounds_at(tab, KEYS, *run.places[KEYS]))
-    window.choose_theme("dark")
     qtbot.keyClick(surface, Qt.Key.Key_Space)
     wait(qtbot, lambda: not sounds(tab, KEYS))
 

@@ -53,11 +53,10 @@ def test_given_every_action_of_every_menu_in_every_tab_then_no_error_is_raised(
     wait(qtbot, lambda: campaign.campaign.measured == 12 or not with_files)
     for tab in tabs:
         triggered = 0
-        for name, menu in menus(window).items():
+        for menu in menus(window).values():
             menu.aboutToShow.emit()
             for action in actions(menu):
-                # Drawing all anew, for another theme or size of text, takes seconds.
-                if action.text() == "&Quit" or (name == "View" and (tab > 0 or not with_files)):
+                if action.text() in ("&Quit", "&Documentation"):
                     continue
                 window._pages.setCurrentIndex(tab)
                 window.refresh()

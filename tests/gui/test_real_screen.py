@@ -56,7 +56,7 @@ from wavefocus.gui.trials.window import TrialsWindow
 from wavefocus.gui.window import make_application
 application = make_application()
 assert QApplication.platformName() == "xcb", QApplication.platformName()
-window = TrialsWindow(sys.argv[2:], Settings(QSettings(sys.argv[1], QSettings.Format.IniFormat)))
+window = TrialsWindow(sys.argv[1:])
 window.closed.connect(application.quit)
 seen = set()
 def look():

@@ -23,7 +23,6 @@ from wavefocus.gui.scene.draft import EMPTY
 from wavefocus.gui.scene.exports import DRIVE, IDLE, MOVIE, OPENING, PLAYING, RENDERING, WAV
 from wavefocus.gui.scene.figures_view import GOOD, HELD, MISSED
 from wavefocus.gui.scene.results_panel import NO_BANK, ResultsPanel
-from wavefocus.gui.theme import redraw_all
 from wavefocus.gui.window import Window
 from wavefocus.storage.drive_file import Drive, read_drive, write_drive
 
@@ -132,8 +131,6 @@ def look_at_field(qtbot: QtBot, bench: Bench) -> None:
     bench.edit(line_scene(amplitude=2.0))
     assert view.slider.time_s >= at_s - 1e-9
     assert view.map.marked == 6
-    bench.window.choose_theme("dark")
-    redraw_all(panel)
 
 
 def test_given_no_bank_a_path_off_the_grid_or_a_bank_that_goes_and_comes_then_a_sentence_says_so(

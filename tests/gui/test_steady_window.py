@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from tests.gui.conftest import Opens, campaign_of, tab_of, wait, write_lab
 from wavefocus.campaign.control import read_heartbeat
 from wavefocus.config.scene import SceneConfig, TextTable
 from wavefocus.gui.campaign.follower import Follower
-from wavefocus.gui.campaign.position_panel import GreenPlot, Greens
 from wavefocus.gui.field_map import MAX_COLUMNS, decimate
 from wavefocus.gui.scene.draft import new_source
 from wavefocus.gui.scene.exports import SceneTask
@@ -79,22 +77,6 @@ def test_given_a_smooth_slope_then_thinning_makes_no_ripple_and_loses_no_peak(le
     spike[length // 3] = 1.0
     few_x, few_y = decimate(x, spike)
     assert few_x[few_y.argmax()] == x[length // 3]
-
-
-def test_given_a_weak_actuator_then_its_trace_can_be_drawn_to_its_own_peak(qtbot: QtBot) -> None:
-    surface = SimpleNamespace(sample_rate_hz=1000.0, unit="m/s/V")
-    green = np.outer([1.0, 1e-6], np.sin(np.arange(100.0)))
-    plot = GreenPlot()
-    qtbot.addWidget(plot)
-
-    def spans() -> list[float]:
-        return [float(np.ptp(curve.getData()[1])) for curve in plot.getPlotItem().listDataItems()]
-
-    plot.show_green(surface, Greens(0, green), -1, waterfall=False)
-    assert spans()[1] < 1e-5
-    plot.show_green(surface, Greens(0, green), -1, waterfall=False, own_scale=True)
-    assert spans()[1] == pytest.approx(spans()[0])
-    assert all(curve.opts["antialias"] for curve in plot.getPlotItem().listDataItems())
 
 
 def test_given_a_large_scene_then_a_box_allows_it_in_the_window_and_in_its_commands(

@@ -13,7 +13,6 @@ from PyQt5.QtWidgets import QApplication, QWidget
 from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import LEFT, NO_KEY, SOON_MS
-from wavefocus.gui.files import Settings
 from wavefocus.gui.trials.window import TrialsWindow
 from wavefocus.gui.window import require_fonts
 from wavefocus.trials.answers import read_answers
@@ -57,7 +56,7 @@ Opens = Callable[..., TrialsWindow]
 
 
 @pytest.fixture
-def start(qtbot: QtBot, memory: Settings, measured: Path, tmp_path: Path) -> Generator[Opens]:
+def start(qtbot: QtBot, measured: Path, tmp_path: Path) -> Generator[Opens]:
     """Opens the window for a participant, on the measured bank."""
     require_fonts()
     opened: list[TrialsWindow] = []
@@ -67,7 +66,7 @@ def start(qtbot: QtBot, memory: Settings, measured: Path, tmp_path: Path) -> Gen
         bank, rig = ("--bank", str(measured / "plate.h5")), ("--rig", str(measured / "rig.toml"))
         person = ("--participant", participant, "--out", str(tmp_path / "out"))
         arguments = [str(tmp_path / "trials.toml"), *bank, *rig, *person, "--fast"]
-        opened.append(window := TrialsWindow(arguments, memory))
+        opened.append(window := TrialsWindow(arguments))
         return window
 
     yield make

@@ -135,9 +135,9 @@ def test_given_a_plate_then_a_night_of_it_is_run_interrupted_resumed_mended_rend
     positions = tab.campaign.surface.positions
     assert tab.campaign.measured == positions
     assert _not_valid(bank) == [DARK]
-    tries = len(tab.campaign.history[DARK])
+    tries = tab.campaign.commits[DARK]
     press(qtbot, buttons["poor"])
-    wait(qtbot, lambda: tab.run.own is None and len(tab.campaign.history[DARK]) > tries)
+    wait(qtbot, lambda: tab.run.own is None and tab.campaign.commits[DARK] > tries)
     assert _not_valid(bank) == [DARK]  # it is still dark there, and never called valid
     shown = tab.map_panel.map
     at = [pixel(shown, *tab.campaign.surface.position_mm[row]) for row in (7, 8)]
@@ -145,7 +145,7 @@ def test_given_a_plate_then_a_night_of_it_is_run_interrupted_resumed_mended_rend
     for one in at:
         click(shown, one, Qt.KeyboardModifier.ControlModifier)
     press(qtbot, buttons["selected"])
-    wait(qtbot, lambda: tab.run.own is None and all(len(tab.campaign.history[row]) > 1 for row in (7, 8)))
+    wait(qtbot, lambda: tab.run.own is None and all(tab.campaign.commits[row] > 1 for row in (7, 8)))
     assert _not_valid(bank) == [DARK]
 
     turn_to(qtbot, window, "Scene")

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PyQt5.QtCore import QMimeData, QPoint, QPointF, QRect, Qt, QTimer, QUrl
-from PyQt5.QtGui import QColor, QDragEnterEvent, QDropEvent
+from PyQt5.QtCore import QRect, QTimer
+from PyQt5.QtGui import QColor, QFont
 from PyQt5.QtWidgets import (
     QAbstractButton,
     QAbstractSpinBox,
@@ -24,7 +24,7 @@ from PyQt5.QtWidgets import (
 )
 from pytestqt.qtbot import QtBot
 
-from tests.gui.conftest import LEFT, NO_KEY, Opens, campaign_of, tab_of, wait, write_lab
+from tests.gui.conftest import Opens, campaign_of, tab_of, wait, write_lab
 from tests.system.test_startup import loaded_by
 from wavefocus.gui.files import Settings
 from wavefocus.gui.scene.tab import SceneTab
@@ -44,7 +44,7 @@ application = make_application()
 window = Window(Settings(QSettings(str(Path("memory.ini").absolute()), QSettings.Format.IniFormat)))
 window.show()
 application.processEvents()
-assert len(window.tabs) == 5
+assert len(window.tabs) == 4
 """
 
 
@@ -98,31 +98,18 @@ def test_given_messages_then_questions_wait_for_an_answer_and_no_control_moves(
     assert messages.sentence == ""
 
 
-def test_given_files_then_those_that_a_tab_opens_can_be_dropped_and_are_remembered(
+def test_given_files_then_a_tab_opens_each_and_they_are_remembered(
     open_window: Opens, finished: Path, memory: Settings, tmp_path: Path
 ) -> None:
     window = open_window()
     rig, run = tmp_path / "rig.toml", write_lab(tmp_path / "other", 2, 2)
     rig.write_text("[rig]\n", encoding="utf-8")
     (tmp_path / "scene.toml").write_text("[scene]\n", encoding="utf-8")
-    for path, opens in (
-        (rig, True),
-        (tmp_path / "scene.toml", True),
-        (run.with_name("positions.txt"), False),
-        (finished, True),
-        (run, True),
-    ):
-        content = QMimeData()
-        content.setUrls([QUrl.fromLocalFile(str(path))])
-        enter = QDragEnterEvent(QPoint(9, 9), Qt.DropAction.CopyAction, content, LEFT, NO_KEY)
-        enter.ignore()
-        window.dragEnterEvent(enter)
-        assert (path.name, enter.isAccepted()) == (path.name, opens)
-        if path in (finished, run):
-            window.dropEvent(QDropEvent(QPointF(9, 9), Qt.DropAction.CopyAction, content, LEFT, NO_KEY))
+    for path in (rig, tmp_path / "scene.toml", finished, run):
+        window.open_file(path)
     tab = campaign_of(window)
     assert (tab.run_field.path, tab.bank_field.path) == (run, finished)
-    assert memory.recent() == [run, finished]
+    assert memory.recent()[:2] == [run, finished]
     window.open_file(run.with_name("positions.txt"))
     assert "no tab opens such a file" in window.messages.sentence
 
@@ -130,9 +117,12 @@ def test_given_files_then_those_that_a_tab_opens_can_be_dropped_and_are_remember
 def test_given_large_text_and_a_long_message_then_the_window_still_fits_a_small_screen(
     qtbot: QtBot, open_window: Opens, finished: Path
 ) -> None:
-    window = open_window(finished)
-    window._resize_text(6)
+    font = QApplication.font()
+    large = QFont(font)
+    large.setPointSize(font.pointSize() + 6)
+    QApplication.setFont(large)
     try:
+        window = open_window(finished)
         window.messages.fault(f"/{'a_folder_without_spaces' * 40}/plate.h5: no such file")
         for tab in window.tabs:
             window._pages.setCurrentWidget(tab)
@@ -143,22 +133,16 @@ def test_given_large_text_and_a_long_message_then_the_window_still_fits_a_small_
         window.resize(1240, 720)
         assert (window.width(), window.height()) == (1240, 720)
     finally:
-        window._resize_text(-6)
+        QApplication.setFont(font)
 
 
-def test_given_size_theme_text_run_and_bank_then_the_next_window_has_them_again(
+def test_given_size_run_and_bank_then_the_next_window_has_them_again(
     qtbot: QtBot, open_window: Opens, finished: Path, memory: Settings
 ) -> None:
     window = open_window(finished.with_name("run.toml"))
     assert campaign_of(window).bank_field.path == finished
     window.resize(780, 560)
-    window.choose_theme("dark")
-    assert window.palette().window().color().name() == DARK.window
-    size_pt = QApplication.font().pointSize()
-    window._resize_text(2)
     window.close()
-    assert (memory.text("theme"), memory.whole("text_pt", 0)) == ("dark", size_pt + 2)
-    window._resize_text(-2)
     again = Window(memory)
     assert (again.width(), again.height()) == (780, 560)
     assert campaign_of(again).bank_field.path is None

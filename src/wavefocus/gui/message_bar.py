@@ -10,12 +10,11 @@ from functools import partial
 from types import TracebackType
 from typing import Any
 
-from PyQt5.QtCore import QEvent, QObject, Qt, QTimer, pyqtSignal
+from PyQt5.QtCore import QObject, Qt, QTimer, pyqtSignal
 from PyQt5.QtGui import QColor, QPalette, QResizeEvent
-from PyQt5.QtWidgets import QApplication, QFrame, QPushButton, QSizePolicy, QStyle, QToolButton
+from PyQt5.QtWidgets import QFrame, QPushButton, QSizePolicy
 
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.advice import in_window
 from wavefocus.gui.theme import Themed
 from wavefocus.storage.errors import WavefocusError
 
@@ -71,7 +70,6 @@ class ErrorHook(QObject):
 Answer = tuple[str, Callable[[], object]]
 _NOTE_STAYS_MS = 8000
 _LINES = 2
-_MAX_WAITING = 5
 
 
 class MessageBar(Themed, QFrame):
@@ -91,21 +89,17 @@ class MessageBar(Themed, QFrame):
         self._kind = self.sentence = self._idle = ""
         """The message that is shown; empty when there is none."""
         self._buttons: list[QPushButton] = []
-        self.label = ui.label(wraps=True)
-        self.label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.label = ui.label(wraps=True, selectable=True)
         self.label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored)  # no path widens the window
-        self._close = ui.named(QToolButton(), "Dismiss this message (Esc)", "Dismiss the message")
-        style = QApplication.style()
-        assert style is not None
-        self._close.setIcon(style.standardIcon(QStyle.StandardPixmap.SP_TitleBarCloseButton))
+        self._close = ui.tool_button("✕", "Dismiss this message (Esc)", self.dismiss, "Dismiss the message")
         self._close.setAutoRaise(True)
         self._close.setShortcut("Esc")
-        self._close.clicked.connect(self.dismiss)
         self._row = ui.row((self.label, 1), self._close, owner=self, margins=(10, 4, 6, 4))
         self._fade = QTimer(self)
         self._fade.setSingleShot(True)
         self._fade.timeout.connect(self.dismiss)
-        self._set_height()
+        lines = _LINES * self.fontMetrics().lineSpacing()
+        self.setFixedHeight(max(lines, QPushButton("Ag").sizeHint().height()) + 10 + 2 * self.frameWidth())
         self._show("", "", ())
 
     def buttons(self) -> list[QPushButton]:
@@ -138,7 +132,6 @@ class MessageBar(Themed, QFrame):
 
     def withdraw(self, sentence: str) -> None:
         """Remove a message that no longer holds."""
-        sentence = in_window(sentence)
         self._waiting = [one for one in self._waiting if one[1] != sentence]
         if sentence and sentence == self.sentence:
             self.dismiss_old()
@@ -147,11 +140,6 @@ class MessageBar(Themed, QFrame):
         super().resizeEvent(event)
         self._fit()
 
-    def changeEvent(self, event: QEvent | None) -> None:  # noqa: N802
-        super().changeEvent(event)
-        if event is not None and event.type() == QEvent.Type.FontChange:
-            self._set_height()
-
     def show_idle(self, text: str) -> None:
         """Set what is shown, faintly, while there is no message."""
         if text != self._idle:
@@ -159,10 +147,8 @@ class MessageBar(Themed, QFrame):
             self._fit()
 
     def _enqueue(self, kind: str, sentence: str, answers: Sequence[Answer]) -> None:
-        sentence = in_window(sentence)
         if self._kind == "question":
-            others = [one for one in self._waiting if one[1] != sentence]
-            self._waiting = [*others, (kind, sentence, answers)][-_MAX_WAITING:]
+            self._waiting.append((kind, sentence, answers))
         else:
             self._show(kind, sentence, answers)
 
@@ -178,7 +164,7 @@ class MessageBar(Themed, QFrame):
             self._row.insertWidget(number, button)
             self._buttons.append(button)
         self._close.setVisible(bool(sentence))
-        self.redraw()
+        self._colour()
         self._row.activate()
         self._fit()
         self._fade.stop()
@@ -189,10 +175,6 @@ class MessageBar(Themed, QFrame):
         self.dismiss()
         act()
 
-    def _set_height(self) -> None:
-        lines = _LINES * self.fontMetrics().lineSpacing()
-        self.setFixedHeight(max(lines, QPushButton("Ag").sizeHint().height()) + 10 + 2 * self.frameWidth())
-
     def _fit(self) -> None:
         """Show as much of the text as two lines hold; a path may break after each slash."""
         metrics, width = self.label.fontMetrics(), self.label.width()
@@ -200,7 +182,7 @@ class MessageBar(Themed, QFrame):
         self.label.setText(text.replace("/", "/\u200b"))
         self.label.setToolTip(self.sentence if self.sentence and text != self.sentence else "")
 
-    def redraw(self) -> None:
+    def _colour(self) -> None:
         theme, palette = self.theme, QPalette()
         colours = {"warning": theme.warning, "fault": theme.fault, "": theme.window}
         palette.setColor(QPalette.ColorRole.Window, QColor(theme.base if self.sentence else theme.window))

@@ -1,4 +1,4 @@
-"""Light and dark theme: colours of widgets and plots, and the style of check boxes."""
+"""Light and dark theme, chosen at start: colours of widgets and plots, and the style of check boxes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from pyqtgraph import PlotItem
 
 _DARK_BELOW = 128
-_MIN_PT, _MAX_PT = 7, 24
 _FUSION_DARKENS = 140
 
 
@@ -50,23 +49,12 @@ DARK = Theme(
     "dark", "#22262b", "#191c20", "#20242a", "#2e343b", "#e8ebee", "#9aa5b1", "#56b4e9", "#4a535d", "#3a424b",
     "#10151a", "#56b4e9", "#f0b030", "#ff8a4c", ("#56b4e9", "#ff8a4c", "#35c49b", "#e29ac6", "#f0e442"),
 )  # fmt: skip
-CHOICES = ("system", "light", "dark")
 
 
 class Themed:
-    """A widget that is drawn in colours of the theme, and drawn again after another one was chosen."""
+    """A widget that is drawn in the colours of `theme`, which is chosen before the first widget is made."""
 
     theme: ClassVar[Theme] = LIGHT
-
-    def redraw(self) -> None:
-        """Draw it in the colours of `theme`; parts of a widget are drawn before the widget."""
-
-
-def theme_named(choice: str, system: QPalette) -> Theme:
-    """The theme of a choice; ``"system"`` follows the desktop's palette."""
-    if choice == "system":
-        return DARK if system.color(QPalette.ColorRole.Window).lightness() < _DARK_BELOW else LIGHT
-    return DARK if choice == "dark" else LIGHT
 
 
 def palette_of(theme: Theme) -> QPalette:
@@ -91,9 +79,10 @@ def palette_of(theme: Theme) -> QPalette:
     return palette
 
 
-def set_theme(application: QApplication, theme: Theme) -> None:
-    """Apply a theme to the application; `redraw_all` to what exists already."""
-    Themed.theme = theme
+def use_desktop_theme(application: QApplication) -> None:
+    """Draw everything in light or dark colours, as the desktop's palette is."""
+    dark = application.palette().color(QPalette.ColorRole.Window).lightness() < _DARK_BELOW
+    theme = Themed.theme = DARK if dark else LIGHT
     application.setPalette(palette_of(theme))
     pyqtgraph.setConfigOptions(background=theme.base, foreground=theme.text)
     sheet = (
@@ -107,13 +96,6 @@ def set_theme(application: QApplication, theme: Theme) -> None:
         application.setStyleSheet(sheet)
 
 
-def redraw_all(widget: QWidget) -> None:
-    """Draw a widget and its parts in the theme's colours, parts first."""
-    for part in reversed([widget, *widget.findChildren(QWidget)]):
-        if isinstance(part, Themed):
-            part.redraw()
-
-
 def theme_axes(plot: PlotItem) -> None:
     """Give a plot's axes the theme's colours."""
     theme = Themed.theme
@@ -121,15 +103,6 @@ def theme_axes(plot: PlotItem) -> None:
         axis = plot.getAxis(name)
         axis.setPen(pyqtgraph.mkPen(theme.grid))
         axis.setTextPen(pyqtgraph.mkPen(theme.text))
-
-
-def resized_text(application: QApplication, step: int) -> int:
-    """Make all text larger or smaller by some points; return its size now."""
-    font = application.font()
-    size_pt = min(max(font.pointSize() + step, _MIN_PT), _MAX_PT)
-    font.setPointSize(size_pt)
-    application.setFont(font)
-    return size_pt
 
 
 class BoxStyle(QProxyStyle):

@@ -1,4 +1,4 @@
-"""The application and its window: tabs, menus, messages, dropped files, closing."""
+"""The application and its window: tabs, menus, messages, closing."""
 
 from __future__ import annotations
 
@@ -8,22 +8,24 @@ from functools import partial
 from pathlib import Path
 
 from PyQt5.QtCore import QSize, Qt, QTimer
-from PyQt5.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QFontDatabase, QGuiApplication, QKeySequence
-from PyQt5.QtWidgets import QAction, QActionGroup, QApplication, QFileDialog, QMainWindow, QMenu, QWidget
+from PyQt5.QtGui import QCloseEvent, QFontDatabase, QGuiApplication, QKeySequence
+from PyQt5.QtWidgets import QAction, QApplication, QFileDialog, QMainWindow, QMenu, QWidget
 
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.files import FileKind, PathField, Settings, dropped_files, make_dialog, short_path
+from wavefocus.gui.files import FileKind, PathField, Settings, make_dialog, short_path
 from wavefocus.gui.message_bar import ErrorHook, MessageBar
 from wavefocus.gui.process import Background, CommandProcess
 from wavefocus.gui.surface import VIRTUAL
 from wavefocus.gui.tab import Act, ClosingQuestion, Tab, TabContext, make_tabs
-from wavefocus.gui.theme import CHOICES, BoxStyle, redraw_all, resized_text, set_theme, theme_named
+from wavefocus.gui.theme import BoxStyle, use_desktop_theme
 from wavefocus.storage.errors import InputError
 
 _REFRESH_EVERY_MS = 50
 _SIZE, _LEAST, _FRAME = QSize(1240, 720), QSize(800, 560), QSize(16, 48)
 _ERRORS_KEPT = 20
 _LAB = "lab"
+# Holds docs and, once it is built, the site made of them.
+_ROOT = Path(__file__).resolve().parents[3]
 
 
 class Window(QMainWindow):
@@ -33,7 +35,6 @@ class Window(QMainWindow):
         super().__init__()
         self.settings = settings
         self.setWindowTitle("wavefocus")
-        self.setAcceptDrops(True)
         self.messages = MessageBar()
         self.background = Background(self)
         self.context = TabContext(self.messages, self.background, settings, self)
@@ -41,11 +42,10 @@ class Window(QMainWindow):
         self._error_hook.install()
         application = QApplication.instance()
         assert isinstance(application, QApplication)
-        self._application, self._system_palette = application, application.palette()
+        use_desktop_theme(application)
         self._may_close = self._shut_down = False
         self.tracebacks: list[str] = []
         """Tracebacks of the last errors that nobody caught."""
-        set_theme(application, theme_named(settings.text("theme", "system"), self._system_palette))
         self.tabs = self.context.tabs
         self.tabs += make_tabs(self.context)
         self._pages = ui.tab_pages("Tabs", {tab.title: tab for tab in self.tabs})
@@ -61,8 +61,9 @@ class Window(QMainWindow):
         self._pages.currentChanged.connect(lambda _index: self.context.settle("file"))
         self._recent = QMenu("Open &recent", self)
         self._make_menus()
-        self._resize_text(settings.whole("text_pt", application.font().pointSize()) - application.font().pointSize())
-        self.choose_theme(settings.text("theme", "system"))
+        for part in reversed(self.findChildren(QWidget)):
+            if hasattr(part, "redraw"):
+                part.redraw()
         if not self.restoreGeometry(settings.bytes("geometry")):
             screen = QGuiApplication.primaryScreen()
             room = _SIZE if screen is None else screen.availableSize() - _FRAME
@@ -105,11 +106,6 @@ class Window(QMainWindow):
         self.tracebacks = [*self.tracebacks[-_ERRORS_KEPT:], details]
         self.messages.fault(sentence, ("Copy details", lambda: ui.copy_text(details)))
 
-    def choose_theme(self, choice: str) -> None:
-        set_theme(self._application, theme_named(choice, self._system_palette))
-        redraw_all(self)
-        self.settings.keep("theme", choice)
-
     def closeEvent(self, event: QCloseEvent | None) -> None:  # noqa: N802
         """Ask the questions of the tabs first, one after the other."""
         assert event is not None
@@ -142,16 +138,6 @@ class Window(QMainWindow):
             process.detach()
         self.background.end()
         self._error_hook.remove()
-
-    def dragEnterEvent(self, event: QDragEnterEvent | None) -> None:  # noqa: N802
-        if event is not None and any(tab.accepts(path) for path in dropped_files(event) for tab in self.tabs):
-            event.acceptProposedAction()
-
-    def dropEvent(self, event: QDropEvent | None) -> None:  # noqa: N802
-        if event is not None:
-            event.acceptProposedAction()
-            for path in dropped_files(event):
-                self.open_file(path)
 
     def _ask(self, questions: Sequence[ClosingQuestion], chosen: Sequence[Act]) -> None:
         """Ask all questions before any answer is carried out, so that "Do not close" loses nothing."""
@@ -188,19 +174,13 @@ class Window(QMainWindow):
             for action in tab.menu_actions():
                 menu.addSeparator() if action is None else menu.addAction(action)
             bar.addMenu(menu)
-        view, group = QMenu("&View", self), QActionGroup(self)
-        for choice, text in zip(CHOICES, ("Colours of the &desktop", "&Light", "&Dark"), strict=True):
-            action = _add(view, text, partial(self.choose_theme, choice))
-            action.setCheckable(True)
-            action.setChecked(self.settings.text("theme", "system") == choice)
-            group.addAction(action)
-        view.addSeparator()
-        _add(view, "L&arger text", lambda: self._resize_text(1), QKeySequence.StandardKey.ZoomIn)
-        _add(view, "&Smaller text", lambda: self._resize_text(-1), QKeySequence.StandardKey.ZoomOut)
-        view.addSeparator()
+        view = QMenu("&View", self)
         for index, tab in enumerate(self.tabs):
             _add(view, tab.title, partial(self._pages.setCurrentIndex, index), f"Alt+{index + 1}")
         bar.addMenu(view)
+        help_menu = QMenu("&Help", self)
+        _add(help_menu, "&Documentation", self._open_documentation, QKeySequence.StandardKey.HelpContents)
+        bar.addMenu(help_menu)
 
     def _choose_file(self) -> None:
         dialog = make_dialog(self, "Open", self.settings.folder(".h5"), "Files of wavefocus", self._endings())
@@ -262,8 +242,14 @@ class Window(QMainWindow):
         self._recent.addSeparator()
         _add(self._recent, "&Clear this list", self.settings.forget_recent)
 
-    def _resize_text(self, step: int) -> None:
-        self.settings.keep("text_pt", resized_text(self._application, step))
+    def _open_documentation(self) -> None:
+        """Open the pages that lie beside the program: the built site, or the text that it is built from."""
+        pages = [_ROOT / "site" / "index.html", _ROOT / "docs" / "README.md"]
+        page = next((one for one in pages if one.is_file()), None)
+        if page is None:
+            self.messages.warn(f"{_ROOT}: holds no docs; get the source of wavefocus, and run make docs there")
+        else:
+            self.context.open_outside(page)
 
 
 def _add(menu: QMenu, text: str, act: Callable[[], object], *keys: QKeySequence.StandardKey | str) -> QAction:

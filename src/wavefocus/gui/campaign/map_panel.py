@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from functools import partial
 
 import numpy as np
 import pyqtgraph
 from numpy.typing import NDArray
-from PyQt5.QtCore import QPointF, Qt, pyqtSignal
-from PyQt5.QtGui import QKeyEvent, QPolygonF
-from PyQt5.QtWidgets import QGraphicsPolygonItem, QLabel, QSizePolicy, QWidget
+from PyQt5.QtCore import QPointF, QRectF, Qt, pyqtSignal
+from PyQt5.QtGui import QKeyEvent
+from PyQt5.QtWidgets import QGraphicsRectItem, QLabel, QSizePolicy, QWidget
 
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.campaign.model import CampaignModel
@@ -29,8 +28,7 @@ _MANY, _OUTLIERS_PERCENT = 100, 1.0
 class SurfaceMap(SurfaceView):
     """The map; arrow keys walk from position to position, Space selects, Ctrl+A selects all, Esc nothing.
 
-    A click shows a position, Ctrl-click selects it; a drag with Shift, or in a selecting `drag_mode`, selects what it
-    surrounds.
+    A click shows a position, Ctrl-click selects it; a drag with Shift selects the rectangle, with Ctrl, too, adds it.
     """
 
     shown_changed = pyqtSignal(int)
@@ -38,25 +36,29 @@ class SurfaceMap(SurfaceView):
 
     def __init__(self) -> None:
         self.selected: set[int] = set()
-        self.drag_mode = "pan"  # or "rectangle", "lasso"
         self._status: NDArray[np.uint8] = np.zeros(0, np.uint8)
         self._marked_status: bytes = b""
         self.levels: tuple[float, float] | None = None
         """Values at the ends of the colour bar; None while the status is shown."""
         self.beyond = False, False
-        self._corners: list[PointMm] = []
         self.colour_map = pyqtgraph.colormap.get("viridis")
         self._marks = Spots(pxMode=True)
         self._selection = Spots(symbol="s", size=11, pxMode=True)
         self._current_rim = Spots(symbol="o", size=17, pxMode=True)
         self._current = Spots(symbol="o", size=17, pxMode=True)
-        self._selecting = QGraphicsPolygonItem()
+        self._selecting = QGraphicsRectItem()
         super().__init__("Map of the surface")
         self.setAccessibleDescription("Arrow keys go from position to position, Space selects")
         for depth, item in enumerate((self._marks, self._selection, self._current_rim, self._current)):
             self.add_item(item, 30 + depth)
         self.add_item(self._selecting, 100)
         self._selecting.hide()
+        self._selecting.setPen(pyqtgraph.mkPen(self.theme.text, width=0, style=Qt.PenStyle.DashLine))
+        for item, colour, width in (
+            (self._selection, MARK, 2.0), (self._current_rim, "#000000", 4.5), (self._current, "#ffffff", 2.0),
+        ):  # fmt: skip
+            item.setPen(pyqtgraph.mkPen(colour, width=width))
+            item.setBrush(None)
         self.picked.connect(self.show_position)
 
     @property
@@ -112,17 +114,6 @@ class SurfaceMap(SurfaceView):
         self._put(self._selection, sorted(self.selected))
         self.selection_changed.emit(len(self.selected))
 
-    def redraw(self) -> None:
-        """Apply the theme's colours; the owner colours the positions again."""
-        super().redraw()
-        self._selection.setPen(pyqtgraph.mkPen(MARK, width=2))
-        self._current_rim.setPen(pyqtgraph.mkPen("#000000", width=4.5))
-        self._current.setPen(pyqtgraph.mkPen("#ffffff", width=2))
-        self._selecting.setPen(pyqtgraph.mkPen(self.theme.text, style=Qt.PenStyle.DashLine))
-        for item in (self._selection, self._current_rim, self._current):
-            item.setBrush(None)
-        self._marked_status = b""
-
     def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802
         assert event is not None
         key = event.key()
@@ -145,21 +136,16 @@ class SurfaceMap(SurfaceView):
         else:
             super().click_at(at_mm, keys)
 
-    def claims_drag(self, at_mm: PointMm, keys: Keys) -> bool:
-        self._corners = [at_mm]
-        return self.drag_mode != "pan" or bool(keys & Qt.KeyboardModifier.ShiftModifier)
+    def claims_drag(self, _at_mm: PointMm, keys: Keys) -> bool:
+        return bool(keys & Qt.KeyboardModifier.ShiftModifier)
 
     def drag_to(self, start_mm: PointMm, at_mm: PointMm, keys: Keys, *, ended: bool) -> None:
-        if self.drag_mode == "lasso":
-            self._corners.append(at_mm)
-        else:
-            self._corners = [start_mm, (at_mm[0], start_mm[1]), at_mm, (start_mm[0], at_mm[1])]
-        shape = QPolygonF([QPointF(*corner) for corner in self._corners])
-        self._selecting.setPolygon(shape)
+        around = QRectF(QPointF(*start_mm), QPointF(*at_mm)).normalized()
+        self._selecting.setRect(around)
         self._selecting.setVisible(not ended)
         if ended and self.surface is not None:
             places = enumerate(self.surface.position_mm.tolist())
-            inside = {number for number, at in places if shape.containsPoint(QPointF(*at), Qt.FillRule.WindingFill)}
+            inside = {number for number, at in places if around.contains(*at)}
             self.select(self.selected | inside if keys & Qt.KeyboardModifier.ControlModifier else inside)
 
     def _draw_marks(self) -> None:
@@ -187,11 +173,6 @@ class SurfaceMap(SurfaceView):
         item.setVisible(bool(inside))  # even an empty one takes time to paint
 
 
-_DRAG_MODES = (
-    ("pan", "Pan", "A drag pans the map, the wheel zooms, a double click shows everything", "Drag: pan"),
-    ("rectangle", "Rectangle", "A drag selects positions in a rectangle; with Ctrl adds them", "Drag: rectangle"),
-    ("lasso", "Lasso", "A drag selects positions inside a freely drawn line; with Ctrl adds them", "Drag: lasso"),
-)
 # Characters like the shapes over the cells.
 _SIGNS = {"d": "◆", "+": "+", "x": "×", "s": "■", "t": "▼", "": "&nbsp;"}
 
@@ -211,11 +192,10 @@ class MapPanel(Themed, QWidget):
         tip = "Colour of the map; residual and coherence are the worst actuator's"
         self.colour_by = ui.choice("Colour of the map", tip, ["status", *(figure.label for figure in FIGURES)])
         self.colour_by.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-        self.ways = ui.exclusive_buttons(_DRAG_MODES, partial(setattr, self.map, "drag_mode"))
-        controls = ui.row(QLabel("Colour by"), (self.colour_by, 1), *self.ways.values())
+        controls = ui.row(QLabel("Colour by"), (self.colour_by, 1))
         ui.column(controls, (self.map, 1), self.counts, self.bar, owner=self)
         self.bar.hide()
-        self.colour_by.currentIndexChanged.connect(self._redraw)
+        self.colour_by.currentIndexChanged.connect(self._colour)
 
     def show_plan(self, planned: PlotSurface | None) -> None:
         """Show another plan while there is no bank."""
@@ -227,10 +207,9 @@ class MapPanel(Themed, QWidget):
         """Show the plan, or nothing: another bank will be followed."""
         self._drawn = {"surface": -1, "map": -1}
         self.map.show_surface(self.planned)
-        if self.planned is not None:
-            self.map.show_status(np.zeros(self.planned.positions, np.uint8))
-        counted = "" if self.planned is None else _counts_text(np.zeros(self.planned.positions, np.uint8))
-        self.counts.setText(counted)
+        unmeasured = np.zeros(0 if self.planned is None else self.planned.positions, np.uint8)
+        self.map.show_status(unmeasured)
+        self.counts.setText("" if self.planned is None else _counts_text(unmeasured))
         self.counts.show()
         self.bar.hide()
 
@@ -243,18 +222,12 @@ class MapPanel(Themed, QWidget):
             self.map.show_surface(campaign.surface)
         if self._drawn["map"] != revision["map"]:
             self._drawn["map"] = revision["map"]
-            self._redraw()
+            self._colour()
 
-    def redraw(self) -> None:
-        self._redraw()
-
-    def _redraw(self) -> None:
+    def _colour(self) -> None:
         campaign, index = self._campaign, self.colour_by.currentIndex() - 1
-        if campaign.surface is None:
-            self.forget()
+        if campaign.surface is None or self.map.surface is not campaign.surface:
             return
-        if self.map.surface is not campaign.surface:
-            self.map.show_surface(campaign.surface)
         values = campaign.figures.get(FIGURES[index].key) if index >= 0 else None
         if values is None or len(values) != len(campaign.status):
             self.map.show_status(campaign.status)

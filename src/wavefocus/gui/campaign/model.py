@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -22,7 +23,6 @@ from wavefocus.config.messages.campaign import (
     Fault,
     Logged,
     PositionCommitted,
-    PositionKept,
     PositionRepeated,
     PositionStarted,
     Progress,
@@ -33,7 +33,6 @@ from wavefocus.config.messages.campaign import (
     StateChanged,
     event_of,
 )
-from wavefocus.gui.advice import in_window
 from wavefocus.gui.campaign.quality import DAMAGED
 from wavefocus.gui.surface import PlotSurface
 from wavefocus.rendering.arrays import Float32Array
@@ -90,8 +89,8 @@ def line_of(logged: Logged) -> EventLine | None:
     if isinstance(logged.event, Progress | RecordTaken):
         return None
     position: int | None = getattr(logged.event, "position", None)
-    text = in_window(sentence(logged.event))
-    return EventLine(logged.at.timestamp(), _weight(logged.event), text, -1 if position is None else position)
+    row = -1 if position is None else position
+    return EventLine(logged.at.timestamp(), _weight(logged.event), sentence(logged.event), row)
 
 
 def _weight(event: Event) -> Weight:
@@ -114,7 +113,6 @@ KEPT_LINES = 20_000
 _DROPPED_AT = 22_000
 # A killed process may have logged its last event after its owner was last asked for.
 _ASKED_AFTER_S = 0.05
-_ROLES = ("mirror", "recorder", "player")
 
 
 class Extra(StrEnum):
@@ -181,29 +179,6 @@ def possible_actions(state: ShownState, *, has_run: bool, has_bank: bool, left: 
     return frozenset(action for action, makes_sense in allowed.items() if makes_sense)
 
 
-@dataclass(frozen=True, slots=True)
-class PastAttempt:
-    """One line of a position's quality history; `status` 0 and NaN where nothing was committed."""
-
-    at_s: float
-    number: int
-    outcome: str
-    status: int = 0
-    snr_db: float = math.nan
-    residual_db: float = math.nan
-    reason: str = ""
-
-
-@dataclass(slots=True)
-class InstrumentState:
-    """One instrument: ``"in use"``, ``"at rest"`` (the session is over), ``"faulty"`` or ``"away"``."""
-
-    name: str
-    state: str = "in use"
-    message: str = ""
-    at_s: float = math.nan
-
-
 @dataclass(eq=False)
 class CampaignModel:
     """A campaign; `revision` counts the changes of each part, so that only changes are drawn."""
@@ -213,8 +188,10 @@ class CampaignModel:
     figures: Mapping[str, Float32Array] = field(default_factory=dict)
     lines: list[EventLine] = field(default_factory=list)
     trimmed: int = 0
-    history: dict[int, list[PastAttempt]] = field(default_factory=dict)
-    instruments: list[InstrumentState] = field(default_factory=list)
+    instrument_faults: dict[str, str] = field(default_factory=dict)
+    """Instruments whose last word in the log is a fault, and that word."""
+    commits: Counter[int] = field(default_factory=Counter)
+    """How often the log has each position committed."""
     drift: list[DriftPoint] = field(default_factory=list)
     session: CampaignStatus = field(default_factory=CampaignStatus)
     """As the log has it."""
@@ -222,16 +199,16 @@ class CampaignModel:
     heartbeat: Heartbeat | None = None
     trouble: tuple[str, str] = "", ""
     """Why the bank or its log cannot be read, empty while they can; and the traceback of a defect."""
-    revision: dict[str, int] = field(
-        default_factory=lambda: dict.fromkeys(("surface", "map", "lines", "instruments", "drift", "history"), 0)
-    )
+    revision: dict[str, int] = field(default_factory=lambda: dict.fromkeys(("surface", "map", "lines", "drift"), 0))
+    _begun: set[int] = field(default_factory=set)
+    """Positions begun since the last fault of an instrument."""
     _logged_s: float = 0.0
     _asked_s: float = 0.0
 
     def open(self, surface: PlotSurface) -> None:
         """Show the bank, for the first time or after it was replaced."""
         self.surface, self.status, self.figures = surface, np.zeros(surface.positions, np.uint8), {}
-        self._changed("surface", "map", "history")
+        self._changed("surface", "map")
 
     def add_records(self, records: Sequence[Logged | EventLine], *, anew: bool) -> None:
         """Add new records of the log; `anew` when the log was replaced."""
@@ -291,11 +268,11 @@ class CampaignModel:
 
     def _forget_log(self) -> None:
         self.lines.clear()
-        self.history.clear()
-        self.instruments.clear()
+        self.instrument_faults.clear()
+        self.commits.clear()
         self.session = CampaignStatus()
         self.trimmed += 1
-        self._changed("lines", "history", "instruments", "map")
+        self._changed("lines", "map")
 
     def _take_record(self, record: Logged | EventLine) -> None:
         line = record if isinstance(record, EventLine) else line_of(record)
@@ -310,56 +287,27 @@ class CampaignModel:
             former, self.session = self.session, self.session.after(record)
             if self.session.position != former.position:
                 self._changed("map")
-            self._take_event(record.event, record.at.timestamp(), "" if line is None else line.text)
+            self._take_event(record.event, "" if line is None else line.text)
 
-    def _take_event(self, event: Event, at_s: float, text: str) -> None:
+    def _take_event(self, event: Event, text: str) -> None:
         match event:
-            case SessionStarted():
-                self.instruments = [InstrumentState(name) for name in event.instruments]
-                self._changed("instruments")
-            case StateChanged() if not self.session.goes_on:
-                self._change_instruments({"in use"}, "at rest")
-            case PositionCommitted():
-                self._commit(event, at_s)
-                self._change_instruments({"at rest", "faulty", "away"}, "in use")  # it used all of them
-            case PositionRepeated(position=position, attempt=attempt, reason=reason):
-                self._note(position, PastAttempt(at_s, attempt, f"repeated: {reason}"))
-            case PositionKept(position=position, attempt=attempt, reason=reason):
-                self._note(position, PastAttempt(at_s, attempt, f"earlier measurement kept: {reason}"))
-            case Fault(instrument=name):
-                role = next((role for role in _ROLES if role in name), "")
-                self._change_instrument(name, role, "faulty", text, at_s)
-            case ReconnectTried(instrument=name, role=role, connected=connected):
-                self._change_instrument(name, role, "in use" if connected else "away", text, at_s)
-
-    def _commit(self, event: PositionCommitted, at_s: float) -> None:
-        position, status = event.position, event.status
-        if 0 <= position < len(self.status) and 0 < status < 256 and self.status[position] != status:
-            self.status = self.status.copy()
-            self.status[position] = status
-        self._changed("map")
-        quality = status, event.snr_db, event.residual_db
-        self._note(position, PastAttempt(at_s, event.attempts, "committed", *quality, reason=event.reason))
-
-    def _note(self, position: int, attempt: PastAttempt) -> None:
-        self.history.setdefault(position, []).append(attempt)
-        self._changed("history")
-
-    def _change_instrument(self, name: str, role: str, state: str, text: str, at_s: float) -> None:
-        """Change the instrument of a name, or else of a role; a new one where there is none."""
-        wanted = [one for one in (name, role) if one]
-        known = (one for part in wanted for one in self.instruments if part in one.name or one.name in part)
-        instrument = next(known, None)
-        if instrument is None:
-            self.instruments.append(instrument := InstrumentState(name))
-        instrument.state, instrument.message, instrument.at_s = state, text.removeprefix(f"{name}: "), at_s
-        self._changed("instruments")
-
-    def _change_instruments(self, former: set[str], state: str) -> None:
-        for instrument in self.instruments:
-            if instrument.state in former:
-                instrument.state = state
-                self._changed("instruments")
+            case SessionStarted() | StateChanged(state=State.RUNNING):  # all instruments work
+                self.instrument_faults.clear()
+            case ReconnectTried(instrument=name, connected=True):
+                self.instrument_faults.pop(name, None)
+            case Fault(instrument=name) | ReconnectTried(instrument=name):
+                self.instrument_faults[name] = text.removeprefix(f"{name}: ")
+                self._begun.clear()
+            case PositionStarted(position=position):
+                self._begun.add(position)
+            case PositionCommitted(position=position, status=status):
+                self.commits[position] += 1
+                if position in self._begun:  # it used all instruments
+                    self.instrument_faults.clear()
+                if 0 <= position < len(self.status) and 0 < status < 256 and self.status[position] != status:
+                    self.status = self.status.copy()
+                    self.status[position] = status
+                self._changed("map")
 
     def _changed(self, *parts: str) -> None:
         for part in parts:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
-from PyQt5.QtCore import QAbstractTableModel, QModelIndex, Qt, pyqtSignal
+from PyQt5.QtCore import QAbstractTableModel, QModelIndex, QSortFilterProxyModel, Qt, pyqtSignal
 from PyQt5.QtGui import QColor
 from PyQt5.QtWidgets import QAbstractItemView, QAction, QHeaderView, QLineEdit, QTableView, QToolButton, QWidget
 
@@ -14,7 +14,6 @@ from wavefocus.acquisition.wording import hours
 from wavefocus.campaign.status import GOING_ON, CampaignStatus
 from wavefocus.config.messages.campaign import State
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.advice import in_window
 from wavefocus.gui.campaign.model import CampaignAction, CampaignModel, EventLine, Extra, ShownState, Weight, clock
 from wavefocus.gui.theme import Themed
 
@@ -75,7 +74,10 @@ class ProgressRow(Themed, QWidget):
         self.reason = ui.label("Reason of the state", any_width=True)
         self.bar = ui.progress_bar("Progress of the campaign", "%v of %m positions (%p %)")
         self.figures = ui.label("Rate, remaining time and finish time")
-        ui.row(self.state, (self.reason, 3), (self.bar, 3), self.figures, owner=self, spacing=10)
+        self.faults = ui.label("Faults of instruments", any_width=True)
+        self.faults.setStyleSheet(f"color: {self.theme.fault};")
+        row = ui.row(self.state, (self.reason, 3), (self.bar, 3), self.figures, spacing=10)
+        ui.column(row, self.faults, owner=self)
 
     def show_state(self, state: ShownState, report: str, owner: str) -> None:
         """Show a state and its reason; `report` of the capture replaces the reason while it has none."""
@@ -87,9 +89,16 @@ class ProgressRow(Themed, QWidget):
             else theme.faint
         )  # fmt: skip
         self.state.show_word(str(word), colour)
-        reason = in_window(report or state.reason)
+        reason = report or state.reason
         ui.put(self.reason, reason)
         self.reason.setToolTip(f"{reason}\n{owner}".strip())
+
+    def show_faults(self, faults: Mapping[str, str]) -> None:
+        """Show the instruments whose last word is a fault."""
+        text = "\n".join(f"▲ {name.partition(',')[0]}: {word}" for name, word in faults.items())
+        ui.put(self.faults, text)
+        self.faults.setToolTip(text)
+        self.faults.setVisible(bool(faults))
 
     def show_progress(self, measured: int, total: int, session: CampaignStatus, state: ShownState) -> None:
         """Show the progress of the bank, or of the session while it runs and has measured a position."""
@@ -121,30 +130,27 @@ def pace_text(session: CampaignStatus, *, going_on: bool) -> str:
 _TITLES = ("time", "weight", "event")
 _NOWHERE = QModelIndex()
 _COUNT_EVERY_S = 0.5
-_STATE_MARKS = {"in use": "●", "at rest": "○", "faulty": "▲", "away": "✕"}
 
 
 class EventTable(QAbstractTableModel):
-    """Lines that pass the filter."""
+    """All lines of the campaign."""
 
     def __init__(self, campaign: CampaignModel) -> None:
         super().__init__()
         self._campaign = campaign
-        self.shown: list[EventLine] = []
-        self._taken = self._trimmed = 0
-        self._least = Weight.NOTE
-        self._text = ""
+        self._shown, self._trimmed = 0, campaign.trimmed
 
     def rowCount(self, parent: QModelIndex = _NOWHERE) -> int:  # noqa: N802
-        return 0 if parent.isValid() else len(self.shown)
+        return 0 if parent.isValid() else self._shown
 
     def columnCount(self, parent: QModelIndex = _NOWHERE) -> int:  # noqa: N802
         return 0 if parent.isValid() else len(_TITLES)
 
+    def line(self, row: int) -> EventLine:
+        return self._campaign.lines[row]
+
     def data(self, index: QModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> object:
-        if not index.isValid():
-            return None
-        line = self.shown[index.row()]
+        line = self.line(index.row())
         if role in (Qt.ItemDataRole.DisplayRole, Qt.ItemDataRole.ToolTipRole):
             return (clock(line.at_s), line.weight.name.lower(), line.text)[index.column()]
         if role == Qt.ItemDataRole.ForegroundRole and line.weight >= Weight.WARNING:
@@ -157,33 +163,37 @@ class EventTable(QAbstractTableModel):
         wanted = orientation == Qt.Orientation.Horizontal and role == Qt.ItemDataRole.DisplayRole
         return _TITLES[section] if wanted else None
 
-    def restrict(self, least: Weight, text: str) -> None:
-        """Show only lines of at least some weight that contain a text."""
-        self._least, self._text = least, text.casefold()
-        self._rebuild()
-
-    def take_new(self) -> bool:
-        """Add new lines; whether any of them is shown."""
-        lines = self._campaign.lines
+    def take_new(self) -> None:
+        """Add new lines; all of them anew where old ones were dropped."""
+        count = len(self._campaign.lines)
         if self._trimmed != self._campaign.trimmed:
-            self._rebuild()
-            return True
-        new = [line for line in lines[self._taken :] if self._passes(line)]
-        self._taken = len(lines)
-        if new:
-            self.beginInsertRows(QModelIndex(), len(self.shown), len(self.shown) + len(new) - 1)
-            self.shown.extend(new)
+            self.beginResetModel()
+            self._shown, self._trimmed = count, self._campaign.trimmed
+            self.endResetModel()
+        elif count > self._shown:
+            self.beginInsertRows(QModelIndex(), self._shown, count - 1)
+            self._shown = count
             self.endInsertRows()
-        return bool(new)
 
-    def _rebuild(self) -> None:
-        self.beginResetModel()
-        self.shown = [line for line in self._campaign.lines if self._passes(line)]
-        self._taken, self._trimmed = len(self._campaign.lines), self._campaign.trimmed
-        self.endResetModel()
 
-    def _passes(self, line: EventLine) -> bool:
-        return line.weight >= self._least and (not self._text or self._text in line.text.casefold())
+class EventFilter(QSortFilterProxyModel):
+    """Lines of at least some weight that contain a text, of all positions (-1) or of one."""
+
+    def __init__(self, table: EventTable) -> None:
+        super().__init__()
+        self._table = table
+        self._least, self._text, self._position = Weight.NOTE, "", -1
+        self.setSourceModel(table)
+
+    def restrict(self, least: Weight, text: str, position: int) -> None:
+        self._least, self._text, self._position = least, text.casefold(), position
+        self.invalidateFilter()
+
+    def filterAcceptsRow(self, row: int, _parent: QModelIndex) -> bool:  # noqa: N802
+        line = self._table.line(row)
+        if line.weight < self._least or self._position not in (-1, line.position):
+            return False
+        return not self._text or self._text in line.text.casefold()
 
 
 class EventList(Themed, QWidget):
@@ -194,55 +204,62 @@ class EventList(Themed, QWidget):
     def __init__(self, campaign: CampaignModel) -> None:
         super().__init__()
         self._campaign = campaign
-        self._drawn = -1
+        self._drawn = self._position = -1
         self._count_due_s = 0.0
-        self.lines = EventTable(campaign)
+        self._table = EventTable(campaign)
+        self.lines = EventFilter(self._table)
         choices = ["everything", "notes and above", "warnings and faults", "faults"]
         tip = "Events shown here (all are in the log next to the bank)"
         self.weight = ui.choice("Least weight", tip, choices, Weight.NOTE)
         self.text = ui.named(QLineEdit(), "Show only events that contain this text (Ctrl+F)", "Filter text")
         self.text.setPlaceholderText("filter…")
         self.text.setClearButtonEnabled(True)
+        self.of_position = ui.check("this position", "Show only events of the position that is shown above")
         self.view = QTableView()
         self.view.setModel(self.lines)
         self.view.setAccessibleName("Events")
         self.view.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
         self.view.setShowGrid(False)
         self.view.setWordWrap(False)
-        rows, columns = self.view.verticalHeader(), self.view.horizontalHeader()
+        rows, columns, metrics = self.view.verticalHeader(), self.view.horizontalHeader(), self.fontMetrics()
         assert rows is not None
         assert columns is not None
         rows.hide()
         rows.setSectionResizeMode(QHeaderView.ResizeMode.Fixed)
+        rows.setDefaultSectionSize(metrics.height() + 5)
         columns.setStretchLastSection(True)
-        self._rows = rows
+        self.view.setColumnWidth(0, metrics.horizontalAdvance("Wed 00:00:00") + 18)
+        self.view.setColumnWidth(1, metrics.horizontalAdvance("warning") + 22)
         self._count = ui.label(role="faint")
+        self._count.setMinimumWidth(metrics.horizontalAdvance("0000 of 00000"))
         title = ui.label(text="Events", role="strong")
-        ui.column(ui.row(title, self.weight, (self.text, 1), self._count), (self.view, 1), owner=self)
+        filters = ui.row(title, self.weight, self.of_position, (self.text, 1), self._count)
+        ui.column(filters, (self.view, 1), owner=self)
         self.weight.currentIndexChanged.connect(self._restrict)
         self.text.textChanged.connect(self._restrict)
-        self.view.doubleClicked.connect(self._show_position)
+        self.of_position.toggled.connect(self._restrict)
+        self.view.doubleClicked.connect(self._want_position)
 
     def draw(self) -> None:
         if self._drawn != self._campaign.revision["lines"]:
             self._drawn = self._campaign.revision["lines"]
             bar = self.view.verticalScrollBar()
             at_end = bar is None or bar.value() >= bar.maximum() - 1
-            if self.lines.take_new() and at_end:
+            self._table.take_new()
+            if at_end:
                 self.view.scrollToBottom()
         if time.monotonic() >= self._count_due_s:
             self._show_count()
 
-    def redraw(self) -> None:
-        """Use the size of the text, too."""
-        metrics = self.fontMetrics()
-        self._rows.setDefaultSectionSize(metrics.height() + 5)
-        self.view.setColumnWidth(0, metrics.horizontalAdvance("Wed 00:00:00") + 18)
-        self.view.setColumnWidth(1, metrics.horizontalAdvance("warning") + 22)
-        self._count.setMinimumWidth(metrics.horizontalAdvance("0000 of 00000"))
+    def show_position(self, position: int) -> None:
+        """Note the position that "this position" means; -1 for none."""
+        self._position = position
+        if self.of_position.isChecked():
+            self._restrict()
 
     def _restrict(self) -> None:
-        self.lines.restrict(Weight(self.weight.currentIndex()), self.text.text())
+        position = self._position if self.of_position.isChecked() else -1
+        self.lines.restrict(Weight(self.weight.currentIndex()), self.text.text(), position)
         self._show_count()
         self.view.scrollToBottom()
 
@@ -251,37 +268,7 @@ class EventList(Themed, QWidget):
         self._count_due_s = time.monotonic() + _COUNT_EVERY_S
         self._count.setText(f"{self.lines.rowCount()} of {len(self._campaign.lines)}")
 
-    def _show_position(self, index: QModelIndex) -> None:
-        position = self.lines.shown[index.row()].position
+    def _want_position(self, index: QModelIndex) -> None:
+        position = self._table.line(self.lines.mapToSource(index).row()).position
         if position >= 0:
             self.position_wanted.emit(position)
-
-
-class InstrumentList(Themed, QWidget):
-    """State and last message of each instrument."""
-
-    def __init__(self, campaign: CampaignModel) -> None:
-        super().__init__()
-        self._campaign = campaign
-        self._drawn = -1
-        self.table = ui.table(("instrument", "state", "last message"), "Instruments", stretched=(2,))
-        self.table.setWordWrap(False)
-        ui.column(ui.label(text="Instruments", role="strong"), (self.table, 1), owner=self)
-
-    def draw(self) -> None:
-        if self._drawn == self._campaign.revision["instruments"]:
-            return
-        self._drawn = self._campaign.revision["instruments"]
-        instruments, theme = self._campaign.instruments, self.theme
-        self.table.setRowCount(len(instruments))
-        colours = {"in use": theme.good, "at rest": theme.faint, "faulty": theme.warning, "away": theme.fault}
-        for number, instrument in enumerate(instruments):
-            message = f"{clock(instrument.at_s)}  {instrument.message}".strip()
-            state = f"{_STATE_MARKS[instrument.state]} {instrument.state}"
-            ui.fill_row(self.table, number, (instrument.name, state, message or "-"), {1: colours[instrument.state]})
-            name = self.table.item(number, 0)
-            assert name is not None
-            name.setText(instrument.name.partition(",")[0])
-
-    def redraw(self) -> None:
-        self._drawn = -1

@@ -21,7 +21,7 @@ from wavefocus.gui import widgets as ui
 from wavefocus.gui.campaign.follower import Follower, same_file
 from wavefocus.gui.campaign.map_panel import MapPanel
 from wavefocus.gui.campaign.model import CampaignAction, CampaignModel, Extra, possible_actions
-from wavefocus.gui.campaign.panels import Controls, EventList, InstrumentList, ProgressRow
+from wavefocus.gui.campaign.panels import Controls, EventList, ProgressRow
 from wavefocus.gui.campaign.position_panel import PositionPanel
 from wavefocus.gui.campaign.quality import NOT_GOOD
 from wavefocus.gui.files import FileKind, PathField, TomlKind, rig_of_run, runs_on_virtual_rig, toml_kind
@@ -207,11 +207,11 @@ class CampaignTab(Tab):
         self.map_panel = MapPanel(self.campaign)
         self.position_panel = PositionPanel(context, self.campaign)
         self.events = EventList(self.campaign)
-        self.instruments = InstrumentList(self.campaign)
         self._lay_out()
         self.run_field.chosen.connect(self._run_chosen)
         self.bank_field.chosen.connect(self._bank_chosen)
-        self.map_panel.map.shown_changed.connect(self.position_panel.show_position)
+        for panel in (self.position_panel, self.events):
+            self.map_panel.map.shown_changed.connect(panel.show_position)
         self.events.position_wanted.connect(self.map_panel.map.show_position)
         self.map_panel.map.selection_changed.connect(self._share_selection)
 
@@ -269,6 +269,7 @@ class CampaignTab(Tab):
         report = self.run.last_line(bank) if state.word in (Extra.STARTING, Extra.PREPARING) else ""
         who = f"process {owner.pid} on {owner.host} owns the bank" if owner else ""
         self.progress.show_state(state, report, who)
+        self.progress.show_faults(campaign.instrument_faults)
         measured, total = campaign.measured, campaign.surface.positions if campaign.surface else 0
         self.progress.show_progress(measured, total, campaign.session, state)
         if campaign.surface is None and self.map_panel.planned is not None:
@@ -279,7 +280,7 @@ class CampaignTab(Tab):
         self._paused = CampaignAction.CONTINUE in orders
         poor = int(((campaign.status & NOT_GOOD) > 0).sum())
         self.controls.show_possible(orders, has_run=has_run, selected=selected, poor=poor)
-        for part in (self.map_panel, self.position_panel, self.events, self.instruments):
+        for part in (self.map_panel, self.position_panel, self.events):
             part.draw()
 
     def run_file(self) -> Path | None:
@@ -324,9 +325,8 @@ class CampaignTab(Tab):
 
     def _lay_out(self) -> None:
         upper = ui.side_by_side((self.map_panel, 700), (self.position_panel, 560))
-        lower = ui.side_by_side((self.instruments, 480), (self.events, 780))
-        both = ui.stacked((upper, 470), (lower, 190), growing=[0])
-        self.remember(upper=upper, lower=lower, both=both)
+        both = ui.stacked((upper, 470), (self.events, 190), growing=[0])
+        self.remember(upper=upper, map_and_events=both)
         files = ui.row((self.run_field, 1), (self.bank_field, 1))
         ui.column(files, self.controls, self.progress, (both, 1), owner=self, margins=ui.PAGE_MARGINS)
 

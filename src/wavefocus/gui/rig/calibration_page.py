@@ -168,10 +168,6 @@ class CalibrationPage(Themed, QWidget):
     def draw(self, *, has_rig: bool) -> None:
         self.options.setEnabled(has_rig and not self._calibration.running)
 
-    def redraw(self) -> None:
-        self.picture.show_marks(self._marks_mm, -1, 0)
-        self._show()
-
     def _show(self) -> None:
         calibration = self._calibration
         question, running = calibration.question, calibration.running

@@ -50,6 +50,15 @@ class SurfacePicture(SurfaceView):
         self.setAccessibleDescription("A click sends the beam there; arrow keys move it by a step")
         for depth, item in enumerate((self._chosen, self._marks, self._residuals, self._tips, self._spot), start=30):
             self.add_item(item, depth)
+        fault = pyqtgraph.mkBrush(self.theme.fault)
+        for item, brush, pen in (
+            (self._chosen, None, pyqtgraph.mkPen(self.theme.accent, width=3)),
+            (self._tips, fault, None),
+            (self._spot, fault, pyqtgraph.mkPen(self.theme.base, width=1.5)),
+        ):
+            item.setBrush(brush)
+            item.setPen(pen)
+        self._residuals.setPen(pyqtgraph.mkPen(self.theme.fault, width=2.5))
 
     def show_rig(self, outline: Outline, actuator_mm: Sequence[Numbers]) -> None:
         self.show_outline(outline.line(_RIM_POINTS))
@@ -97,16 +106,6 @@ class SurfacePicture(SurfaceView):
         self._residuals.setData(lines[:, 0], lines[:, 1])
         self._tips.setData(pos=tips)
         return times
-
-    def redraw(self) -> None:
-        super().redraw()
-        theme = self.theme
-        self._chosen.setBrush(None)
-        self._chosen.setPen(pyqtgraph.mkPen(theme.accent, width=3))
-        self._residuals.setPen(pyqtgraph.mkPen(theme.fault, width=2.5))
-        for item, pen in ((self._tips, None), (self._spot, pyqtgraph.mkPen(theme.base, width=1.5))):
-            item.setBrush(pyqtgraph.mkBrush(theme.fault))
-            item.setPen(pen)
 
     def click_at(self, at_mm: PointMm, _keys: Keys) -> None:
         self.clicked.emit(*at_mm)

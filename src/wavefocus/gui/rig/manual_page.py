@@ -12,7 +12,6 @@ from PyQt5.QtWidgets import QLabel, QWidget
 
 from wavefocus.config.messages.operate import ChannelLevel, LevelMeasured, SweepTaken
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.advice import in_window
 from wavefocus.gui.field_map import Plot
 from wavefocus.gui.rig.jog import JogPanel
 from wavefocus.gui.rig.session import ManualSession
@@ -142,9 +141,6 @@ class SoundPanel(Themed, QWidget):
             boxes = (self.level_v, self.start_hz, self.stop_hz, self.length_s)
             self._session.take_sweep(self.actuator.currentIndex(), *(box.value() for box in boxes))
 
-    def redraw(self) -> None:
-        self._show_sweep()
-
     def _show_state(self) -> None:
         facts, ready = self._session.facts, self._session.state == "ready"
         for part in (self.listen, self.sounds, self.actuator, self.level_v, self.start_hz, self.stop_hz,
@@ -172,7 +168,7 @@ class SoundPanel(Themed, QWidget):
         self.figures.setText(_sweep_text(sweep))
         defects = [] if sweep.figures is None else [defect.sentence for defect in sweep.figures.defects]
         defects = [trouble for trouble in (self._session.swept_off, sweep.trouble) if trouble] + defects
-        self.verdict.setText("▲ " + in_window("; ".join(defects)) if defects else "✔ no defects")
+        self.verdict.setText("▲ " + "; ".join(defects) if defects else "✔ no defects")
         self.verdict.setStyleSheet(f"color: {self.theme.fault if defects else self.theme.good};")
         self._draw_waveform(sweep)
         self._draw_spectrum(sweep)
@@ -248,11 +244,6 @@ class LevelMeter(Themed, QWidget):
             palette.setColor(QPalette.ColorRole.Highlight, QColor(colour))
             bar.setPalette(palette)
         self.setAccessibleName("; ".join(label.text() for label, _ in self._bars.values()))
-
-    def redraw(self) -> None:
-        for _, bar in self._bars.values():
-            bar.setPalette(QPalette())
-        self.show_levels(self._levels)
 
     def mousePressEvent(self, _event: QMouseEvent | None) -> None:  # noqa: N802
         self.held_v.clear()

@@ -17,7 +17,6 @@ from wavefocus.config.messages.operate import Numbers
 from wavefocus.config.messages.rig_checks import Action, Finding, FindingMade
 from wavefocus.config.rig import Surface
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.advice import in_window
 from wavefocus.gui.files import FileKind, PathField, TomlKind, rig_of_run, toml_kind
 from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess, Message
 from wavefocus.gui.rig.calibration_page import CalibrationPage
@@ -162,10 +161,6 @@ class ExaminationPage(Themed, QWidget):
         self.plays.setEnabled(not self.running)
         self.cancel_button.setVisible(self.running)
 
-    def redraw(self) -> None:
-        for number in range(len(self.findings)):
-            self._fill(number)
-
     def _receive(self, message: Message) -> None:
         if "finding" in message:
             self._add(from_record(FindingMade, message).finding)
@@ -178,7 +173,7 @@ class ExaminationPage(Themed, QWidget):
         if (wanted := button_of(finding)) is not None:
             action, text = wanted
             on = "" if finding.act is None else finding.act.on
-            tip, name = in_window(finding.remedy) or finding.what, f"{text}: {finding.instrument}, {finding.check}"
+            tip, name = finding.remedy or finding.what, f"{text}: {finding.instrument}, {finding.check}"
             act = partial(self.wanted.emit, action, on)
             button = self.buttons[number] = ui.tool_button(text, tip, act, name)
             self.table.setCellWidget(number, len(_HEADINGS) - 1, button)
@@ -194,7 +189,7 @@ class ExaminationPage(Themed, QWidget):
             finding.instrument,
             finding.check,
             finding.what,
-            in_window(finding.remedy),
+            finding.remedy,
         )
         ui.fill_row(self.table, number, texts, {0: colours.get(finding.verdict, theme.faint)})
 

@@ -101,7 +101,7 @@ class ExperimenterStrip(Themed, QFrame):
         self.trial, self.stimulus, self.onset = (ui.label(name) for name in ("Trial", "Stimulus", "Onset error"))
         self.note = ui.label("Note", wraps=True, any_width=True)
         ui.row(self.trial, 16, self.stimulus, 16, self.onset, 16, (self.note, 1), owner=self, margins=(10, 4, 10, 4))
-        self.redraw()
+        self.setStyleSheet(f"ExperimenterStrip {{ border: 0; border-top: 1px solid {self.theme.grid}; }}")
         self.hide()
 
     def show_state(self, state: TrialsState) -> None:
@@ -117,9 +117,6 @@ class ExperimenterStrip(Themed, QFrame):
         ui.put(self.stimulus, presented.stimulus)
         late = "onset known to" if error is None else f"onset error {error:+.2f}"
         ui.put(self.onset, f"{late} ± {within:.2f} ms")
-
-    def redraw(self) -> None:
-        self.setStyleSheet(f"ExperimenterStrip {{ border: 0; border-top: 1px solid {self.theme.grid}; }}")
 
 
 def counted(number: int, of: int | None) -> str:

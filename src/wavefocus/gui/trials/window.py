@@ -24,10 +24,9 @@ from wavefocus.config.messages.trials import (
     Welcome,
 )
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.files import Settings
 from wavefocus.gui.message_bar import ErrorHook
 from wavefocus.gui.process import CommandProcess, Message
-from wavefocus.gui.theme import set_theme, theme_named
+from wavefocus.gui.theme import use_desktop_theme
 from wavefocus.gui.trials.pages import REPLAY_KEY, NoticePage, QuestionPage, WelcomePage
 from wavefocus.gui.trials.parts import ExperimenterStrip, Input, counted, key_code
 from wavefocus.gui.window import make_application
@@ -50,11 +49,11 @@ class TrialsWindow(QMainWindow):
 
     closed = pyqtSignal()
 
-    def __init__(self, arguments: Sequence[str], settings: Settings) -> None:
+    def __init__(self, arguments: Sequence[str]) -> None:
         super().__init__()
         application = QApplication.instance()
         assert isinstance(application, QApplication)
-        set_theme(application, theme_named(settings.text("theme", "system"), application.palette()))
+        use_desktop_theme(application)
         self.setWindowTitle("Trials - wavefocus")
         self.tracebacks: list[str] = []
         """Tracebacks of errors that nobody caught."""
@@ -236,7 +235,7 @@ def show(arguments: Sequence[str], say: Callable[[str], object]) -> int:
     """
     application = make_application()
     application.setQuitOnLastWindowClosed(False)
-    window = TrialsWindow(arguments, Settings())
+    window = TrialsWindow(arguments)
     window.closed.connect(application.quit)
     alive = QTimer()  # Python runs signal handlers between Qt's events
     alive.timeout.connect(lambda: None)

@@ -71,7 +71,7 @@ class FiguresPanel(Themed, QWidget):
         self._folder = Path() if results is None else results.folder
         for button in self.buttons.values():
             button.setEnabled(results is not None)
-        self.redraw()
+        self._fill()
 
     def as_text(self) -> str:
         """All figures, columns separated by tabs."""
@@ -87,7 +87,7 @@ class FiguresPanel(Themed, QWidget):
         ]
         return "\n".join([*lines, *("\t".join(_cells(one)) for one in record.figures)]) + "\n"
 
-    def redraw(self) -> None:
+    def _fill(self) -> None:
         record, theme = self._record, self.theme
         self.verdict.setVisible(record is not None)
         self.table.setRowCount(0 if record is None else len(record.figures))
@@ -155,14 +155,17 @@ class WaveformPanel(Themed, QWidget):
         self.index = -1
         self.place = ui.label("Position shown", any_width=True)
         self.figures = ui.label("Figures of the position", any_width=True, selectable=True)
-        self.legend = ui.label("Legend of the lines")  # outside the plot, where it would cover the waveforms
+        lines = (f'<span style="color:{colour}">━ {name}</span>' for name, colour in _lines(self.theme))
+        # Outside the plot, where it would cover the waveforms.
+        self.legend = ui.label("Legend of the lines", "   ".join(lines))
         words = "time (ms); click: show that instant"
         self.plot = Plot("Waveforms at the position", words, "response", axis_px=64)
         self.plot.setMinimumHeight(90)
         self.plot.setToolTip(
             "Click: show that instant on the maps. Wheel: zoom. Drag: pan. Double click: show everything."
         )
-        self._instant = pyqtgraph.InfiniteLine(angle=90, movable=False)
+        pen = pyqtgraph.mkPen(self.theme.faint, width=1, style=Qt.PenStyle.DashLine)
+        self._instant = pyqtgraph.InfiniteLine(angle=90, movable=False, pen=pen)
         self.plot.scene().sigMouseClicked.connect(self._clicked)
         head = ui.row((self.place, 1), self.legend, spacing=12)
         ui.column(head, self.figures, (self.plot, 1), owner=self, spacing=2)
@@ -216,12 +219,6 @@ class WaveformPanel(Themed, QWidget):
     def show_time(self, time_s: float) -> None:
         """Mark the instant that the maps show."""
         self._instant.setValue(1e3 * time_s)
-
-    def redraw(self) -> None:
-        lines = (f'<span style="color:{colour}">━ {name}</span>' for name, colour in _lines(self.theme))
-        self.legend.setText("   ".join(lines))
-        self._instant.setPen(pyqtgraph.mkPen(self.theme.faint, width=1, style=Qt.PenStyle.DashLine))
-        self.show_position(self.index)
 
     def _clicked(self, event) -> None:  # type: ignore[no-untyped-def]
         if self.index >= 0 and event.button() == Qt.MouseButton.LeftButton and not event.double():
@@ -312,9 +309,6 @@ class MapsPanel(Themed, QWidget):
         """Mark a position in all three maps; -1 for none."""
         for field_map in self.maps:
             field_map.mark(index)
-
-    def redraw(self) -> None:
-        self._rescale()
 
     def _moved(self, sample: int) -> None:
         if self._results is not None:
