@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+from tests.simulated_people import CONSTANT, PEOPLE, Observer, SimulatedParticipant, coverage, designs
 from tests.system.lines import Lines
 from tests.unit.trials_files import STROKES
 from wavefocus.__main__ import run
-from wavefocus.benchmarks.trials import CONSTANT, PEOPLE, coverage, designs
 from wavefocus.trials.answers import COLUMNS, read_answers
 from wavefocus.trials.design import load_trials
-from wavefocus.trials.simulated import Observer, SimulatedParticipant
 
 TRIALS = f"""
 [trials]

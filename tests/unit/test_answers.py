@@ -98,6 +98,16 @@ def test_given_a_last_row_with_a_zero_inside_a_sector_then_it_is_damage_and_not_
         read_answers(tmp_path)
 
 
+@pytest.mark.parametrize("blank", [b"\r\n", b"\n\n", b"  \r\n ", b"\r\n\r\n"])
+def test_given_blank_lines_at_the_end_then_they_are_no_rows_and_the_next_answer_follows(
+    tmp_path: Path, blank: bytes
+) -> None:
+    whole = stored(tmp_path, ROW)
+    (tmp_path / ANSWERS).write_bytes(whole + blank)
+    assert read_answers(tmp_path) == (ROW,)
+    assert stored(tmp_path, NEXT).startswith(whole + b"P01,1,2,")
+
+
 def resaved(folder: Path, change: Callable[[dict[str, str]], dict[str, str]], **options: str) -> None:
     """Write the table anew, as another program does."""
     path = folder / ANSWERS

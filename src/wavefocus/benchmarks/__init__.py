@@ -31,7 +31,6 @@ BENCHMARKS = {
     "quiet": Benchmark("quiet places: level, drive energy, run time", on_request=True),
     "commands": Benchmark("commands from the shell"),
     "symptoms": Benchmark("causes of a failed verification, one by one on four plates", on_request=True),
-    "trials": Benchmark("analysis of trials against simulated participants", on_request=True),
     "paper": Benchmark(
         "the paper's figures on the virtual rig",
         on_request=True,

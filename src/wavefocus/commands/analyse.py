@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from wavefocus.config.loading import validated
-from wavefocus.config.trials import AdaptiveTable, TrialsTable
 from wavefocus.console import say
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import replaced_folder, require_replaceable_folder
 from wavefocus.storage.text_file import read_regular
 from wavefocus.trials.analysis.bids import write_bids
-from wavefocus.trials.analysis.report import build_report, percent
+from wavefocus.trials.analysis.consistency import stored_design, unfit_rows
+from wavefocus.trials.analysis.report import build_report, left_out_lines, percent
 from wavefocus.trials.analysis.results import FORMAT, analysis_of
 from wavefocus.trials.analysis.shares import RIGHT
 from wavefocus.trials.answers import ANSWERS, FACTS, read_answers, read_facts
@@ -30,14 +29,15 @@ def analyse(folder: Path, out: Path | None, *, force: bool, as_json: bool) -> No
     rows, facts = read_answers(folder), read_facts(folder)
     if not rows:
         raise InputError(f"{folder / ANSWERS} holds no answer yet")
-    tables = facts.get("design")
-    if not isinstance(tables, dict):
-        raise InputError(f"{folder / FACTS}: design is {tables!r:.40}; put the file that `wavefocus trials` wrote back")
-    design = validated(TrialsTable, tables.get("trials"), f"{folder / FACTS}: design.trials")
-    adaptive = None
-    if "adaptive" in tables:
-        adaptive = validated(AdaptiveTable, tables["adaptive"], f"{folder / FACTS}: design.adaptive")
-    analysis = analysis_of(rows, design, adaptive)
+    design = stored_design(facts, folder / FACTS)
+    left_out = unfit_rows(rows, design, facts)
+    unfit = {row.line for row in left_out}
+    rows = tuple(row for line, row in enumerate(rows, 2) if line not in unfit)
+    if not rows:
+        raise InputError(
+            f"{folder / ANSWERS}: no row fits the experiment of {FACTS}; line {left_out[0].line}: {left_out[0].reason}"
+        )
+    analysis = analysis_of(rows, design.config.trials, design.config.adaptive, left_out)
     sources = [
         ("answers", f"{ANSWERS} of {folder.absolute().name}"),
         ("trials file", str(facts.get("trials_file", ""))),
@@ -59,6 +59,8 @@ def analyse(folder: Path, out: Path | None, *, force: bool, as_json: bool) -> No
     whole = next((one for one in analysis.shares if not one.participant and not one.factors), None)
     right = f", {percent(whole.share)} right" if whole is not None and whole.outcome == RIGHT else ""
     people = len(analysis.trials)
+    for line in left_out_lines(analysis):
+        say(f"warning: {line}")
     say(f"{out / 'report.html'}: {len(rows)} answers of {people} participant{'s' * (people != 1)}{right}")
 
 

@@ -253,6 +253,8 @@ def _rows_of(content: bytes, path: Path) -> tuple[tuple[Row, ...], tuple[str, ..
     columns = _columns_of(first.removeprefix(_BYTE_ORDER_MARK), path)
     *lines, rest = body.split(b"\n")
     whole = content[: len(content) - len(rest)]
+    while lines and not (lines[-1] + rest).strip():  # blank lines at the end are no rows
+        whole, rest = whole[: -len(lines.pop()) - 1], b""
     # Only the last row can be torn: those before it were on the disk before it was written.
     if lines and _is_torn(lines[-1] + b"\n", len(whole)):
         whole = whole[: -len(lines.pop()) - 1]

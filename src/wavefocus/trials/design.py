@@ -30,7 +30,7 @@ class Stimulus:
     plays: Times that it is played in one trial.
     correct: Right answer; None where no answer is right or wrong.
     track: Adaptive track that it belongs to; empty where the design is not adaptive.
-    scene: Scene with its one source.
+    scene: Scene with its one source; None of an experiment that was read from ``trials.json``.
     """
 
     name: str
@@ -41,7 +41,7 @@ class Stimulus:
     plays: int
     correct: str | None
     track: str
-    scene: Scene
+    scene: Scene | None
 
     def level(self, factor: str) -> str:
         """Level of a factor as names write it (empty: it has none); the stimulus' own name for ``stimulus``."""

@@ -109,27 +109,34 @@ def prepare(
     on_progress(len(design.stimuli), len(design.stimuli))
     if entries != listed:
         _write_manifest(place, origin, entries)
-    return Prepared(
-        place, bank_sha256, {name: entry["sha256"] for name, entry in entries.items()}, tuple(renderer.warnings)
-    )
+    return Prepared(place, bank_sha256, {name: entry["sha256"] for name, entry in entries.items()}, renderer.warnings())
 
 
 class _Renderer:
     """Renders stimuli; of those that differ only in amplitude and follow each other, only the first."""
 
     def __init__(self, bank: Bank) -> None:
-        self.warnings: dict[str, None] = {}
+        self._of_warning: dict[str, list[str]] = {}
         self._bank = bank
         self._last: tuple[Scene, Drive] | None = None
 
+    def warnings(self) -> tuple[str, ...]:
+        """Each warning once, with the stimuli that it is about."""
+        return tuple(
+            f"{'stimulus' if len(names) == 1 else 'stimuli'} {', '.join(names)}: {text}"
+            for text, names in self._of_warning.items()
+        )
+
     def drive(self, stimulus: Stimulus) -> Drive:
+        assert stimulus.scene is not None  # of a trials file
         (source,) = stimulus.scene.sources
         wanted = stimulus.scene.output
         output = Output(interpolation=wanted.interpolation, most_energy=wanted.most_energy)
         scene = replace(stimulus.scene, name="", sources=(replace(source, amplitude=1.0),), output=output)
         if self._last is None or self._last[0] != scene:
             drive, report = render_with_report(scene, self._bank)
-            self.warnings |= dict.fromkeys(f"stimulus {stimulus.name}: {text}" for text in report.warnings)
+            for text in report.warnings:
+                self._of_warning.setdefault(text, []).append(stimulus.name)
             self._last = scene, drive
         drive = self._last[1]
         with np.errstate(over="ignore"):

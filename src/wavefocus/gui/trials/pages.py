@@ -13,7 +13,7 @@ from wavefocus.gui.trials.parts import LARGE, TEXT, TITLE, Input, LargeButton, P
 
 REPLAY_KEY = "R"
 _MAX_LARGE = 4
-_CLOSING = "The window can be closed at any time: the surface is muted at once, and the same command resumes."
+_CLOSING = "The window can be closed at any time: the surface is muted at once, and your answers are kept."
 
 
 class WelcomePage(QWidget):

@@ -35,7 +35,7 @@ _SIZE, _FRAME = QSize(1000, 700), QSize(16, 48)
 # The child mutes when its input ends; a driver that hangs is not waited for.
 _MUTES_WITHIN_MS, _KILLED_AFTER_MS = 20_000, 10_000
 _THANKS = ("Thank you", "All trials are done. Please call the experimenter.", "Close")
-_RESUME = "Every answer given so far is stored. The same command resumes at the next trial."
+_RESUME = "Every answer given so far is stored. The session can go on later at the next trial."
 _SHORTCUTS = (Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.AltModifier, Qt.KeyboardModifier.MetaModifier)
 
 

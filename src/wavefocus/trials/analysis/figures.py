@@ -84,13 +84,14 @@ def reaction_time_plot(name: str, times: Sequence[ReactionTime]) -> Picture:
     canvas = Canvas(name, width_px, 280)
     axes = canvas.plot(58, 20, width_px - 74, 204, xlabel=NAMES[factor], ylabel="median reaction time (s)")
     medians = np.array([time.median_s for time in times])
-    ends = np.array([time.interval_s for time in times]).T
+    # An end that is open is not drawn.
+    ends = np.array([[np.nan if end is None else end for end in time.interval_s] for time in times]).T
     axes.errorbar(
         range(len(times)), medians, yerr=abs(ends - medians), fmt="o", color=COLOURS[0], ecolor=INK, capsize=3
     )
     axes.set_xticks(range(len(times)), [time.factors[factor] for time in times])
     axes.set_xlim(-0.6, len(times) - 0.4)
-    axes.set_ylim(0.0, max(1.1 * float(ends.max()), 1e-3))
+    axes.set_ylim(0.0, max(1.1 * float(np.nanmax([*ends[1], *medians])), 1e-3))
     axes.grid(axis="y", color=FAINT, alpha=0.25, lw=0.6)
     return canvas.picture()
 

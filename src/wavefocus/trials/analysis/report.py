@@ -20,6 +20,8 @@ from wavefocus.trials.analysis.psychometric_fit import MAX_LAPSES, Interval
 from wavefocus.trials.analysis.results import Analysis
 from wavefocus.trials.analysis.shares import RIGHT, Share
 
+MAX_UNFIT = 20
+"""Rows that are left out and named one by one."""
 MIN_ANSWERS = 3
 """With two answers, hits and false alarms are the whole confusion matrix."""
 
@@ -64,6 +66,17 @@ def build_report(analysis: Analysis, facts: Sequence[tuple[str, str]]) -> tuple[
     return html, tuple(picture for section in sections for picture in section.pictures)
 
 
+def left_out_lines(analysis: Analysis) -> list[str]:
+    """Sentences about rows that are left out: their number, and the first of them by line and reason."""
+    count = len(analysis.left_out)
+    if not count:
+        return []
+    rows = "1 row of trials.csv does" if count == 1 else f"{count} rows of trials.csv do"
+    more = [f"{count - MAX_UNFIT} more stand in analysis.json"] if count > MAX_UNFIT else []
+    first = [f"line {row.line}, participant {row.participant}: {row.reason}" for row in analysis.left_out[:MAX_UNFIT]]
+    return [f"{rows} not fit the experiment and {'is' if count == 1 else 'are'} left out", *first, *more]
+
+
 def percent(share: float) -> str:
     """A share as per cent with one digit after the point."""
     return f"{100.0 * share:.1f} %"
@@ -79,6 +92,7 @@ def _headlines(analysis: Analysis) -> Iterator[str]:
 
 
 def _notes(analysis: Analysis) -> Iterator[str]:
+    yield from left_out_lines(analysis)
     if len(analysis.trials) > 1:
         yield (
             "Intervals of all participants together take each answer as independent of the others. Where participants"
@@ -213,9 +227,8 @@ def _psychometric(analysis: Analysis) -> Iterator[Section]:
         f"Psychometric functions of {factor}",
         "p = guess + (1 − guess − lapse) / (1 + exp(−slope (x − threshold))), x = log10 of the level; the threshold is"
         " given as a level. Maximum of the likelihood with Firth's penalty; guess held, lapse fitted between 0 and"
-        f" {percent(MAX_LAPSES)}. Intervals: profile likelihood, its limit from a parametric bootstrap. p of the"
-        " deviance: share of bootstrap replicates that lie as far from their function; below 0.05 the function does not"
-        " describe the answers."
+        f" {percent(MAX_LAPSES)}. Intervals: profile likelihood, chi-square limit. p of the deviance: by chi-square;"
+        " below 0.05 the function does not describe the answers."
         + (
             ""
             if all(function.fit.slope_resolved for function in analysis.psychometric)
@@ -243,7 +256,7 @@ def _times(analysis: Analysis) -> Iterator[Section]:
     yield Section(
         "Reaction times",
         "From the onset of the last presentation, as the recorder's loopback shows it, to the answer; of right answers"
-        " where there are right ones. Interval of the median: percentiles of a bootstrap over trials.",
+        " where there are right ones. Interval of the median: by order statistics.",
         [PageTable(["participant", "trials", "of", "median", "95 % interval"], rows, 2)],
         pictures, "Median reaction time, all participants together, with 95 % intervals.",
     )  # fmt: skip

@@ -11,6 +11,7 @@ import numpy as np
 from wavefocus.config.trials import AdaptiveTable, TrialsTable
 from wavefocus.trials.adaptive import UpDown
 from wavefocus.trials.analysis.confusion import Confusion, confusions_of
+from wavefocus.trials.analysis.consistency import UnfitRow
 from wavefocus.trials.analysis.psychometric_fit import PsychometricFit, fit_psychometric
 from wavefocus.trials.analysis.sensitivity import Sensitivity, sensitivities_of
 from wavefocus.trials.analysis.shares import Share, factors_of, groups, shares_of, table_of
@@ -50,6 +51,7 @@ class Analysis:
     trials: By participant, the number that is answered.
     banks, tables: SHA-256 of the banks and trials files that answers belong to; with more than one of either,
         the answers belong to several experiments.
+    left_out: Rows of the file that are no answers of the experiment and are in none of the statistics.
     """
 
     name: str
@@ -65,14 +67,23 @@ class Analysis:
     reaction_times: tuple[ReactionTime, ...]
     onset_errors: OnsetErrors | None
     replays: int
+    left_out: tuple[UnfitRow, ...] = ()
 
     def document(self) -> dict[str, Any]:
         """All of it for JSON."""
         return {"format": FORMAT, "format_version": 1, **asdict(self)}
 
 
-def analysis_of(rows: Sequence[Row], design: TrialsTable, adaptive: AdaptiveTable | None = None) -> Analysis:
-    """Analyse all answers of an experiment, at least one."""
+def analysis_of(
+    rows: Sequence[Row],
+    design: TrialsTable,
+    adaptive: AdaptiveTable | None = None,
+    left_out: Sequence[UnfitRow] = (),
+) -> Analysis:
+    """Analyse all answers of an experiment, at least one.
+
+    left_out: Rows that are not among `rows`.
+    """
     answers = table_of(rows)
     return Analysis(
         design.name,
@@ -88,6 +99,7 @@ def analysis_of(rows: Sequence[Row], design: TrialsTable, adaptive: AdaptiveTabl
         reaction_times_of(answers),
         onset_errors_of(answers),
         int(answers.replays.sum()),
+        tuple(left_out),
     )
 
 

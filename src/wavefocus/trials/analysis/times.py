@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import quantile_test
 
+from wavefocus.trials.analysis.psychometric_fit import Interval
 from wavefocus.trials.analysis.shares import all_and_each, factors_of, groups
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-REPLICATES = 2000
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,15 +24,15 @@ class ReactionTime:
 
     participant, factors: See `wavefocus.trials.analysis.shares.Share`.
     of: Trials in it: only right answers where the design has right answers.
-    interval: 95 % of the median, percentiles of a bootstrap over these trials (Efron and Tibshirani, An Introduction to
-        the Bootstrap, 1993, chapter 13).
+    interval_s: 95 % of the median, by order statistics (`scipy.stats.quantile_test`); None at an end that so few trials
+        leave open.
     """
 
     participant: str
     factors: Mapping[str, str]
     of: int
     median_s: float
-    interval_s: tuple[float, float]
+    interval_s: Interval
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,16 +54,21 @@ class OnsetErrors:
 def reaction_times_of(answers: DataFrame) -> tuple[ReactionTime, ...]:
     """Median reaction times of all participants together and of each: of all trials, and by factor."""
     counted = answers[answers.correct.fillna(True)]
-    rng = np.random.default_rng(1)
     times = []
     for code, own in all_and_each(counted):
         for factors in ((), *((factor,) for factor in factors_of(answers))):
             for levels, part in groups(own, factors):
                 reaction_s = part.reaction_s.to_numpy()
-                medians = np.median(rng.choice(reaction_s, (REPLICATES, len(part))), axis=1)
-                low_s, high_s = np.quantile(medians, (0.025, 0.975)).tolist()
-                times.append(ReactionTime(code, levels, len(part), float(np.median(reaction_s)), (low_s, high_s)))
+                times.append(
+                    ReactionTime(code, levels, len(part), float(np.median(reaction_s)), _median_interval(reaction_s))
+                )
     return tuple(times)
+
+
+def _median_interval(values: NDArray[np.float64]) -> Interval:
+    ends = np.asarray(quantile_test(values, q=0.0, p=0.5).confidence_interval(0.95)).tolist()
+    low, high = (None if math.isnan(end) else end for end in ends)
+    return low, high
 
 
 def onset_errors_of(answers: DataFrame) -> OnsetErrors | None:

@@ -1,8 +1,9 @@
-"""Simulated participants: answers follow a psychometric function that is known."""
+"""Simulated participants: answers follow a psychometric function that is known, through session, order and analysis."""
 
 from __future__ import annotations
 
 import math
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,12 +13,50 @@ import numpy as np
 
 from wavefocus.config.messages.codec import Message
 from wavefocus.config.messages.trials import Answer, GoOn, TrialsState
+from wavefocus.trials.analysis.results import psychometric_of
+from wavefocus.trials.analysis.shares import table_of
 from wavefocus.trials.answers import AnswersFile, Row
-from wavefocus.trials.design import Stimulus, TrialsDesign
+from wavefocus.trials.design import Stimulus, TrialsDesign, load_trials
 from wavefocus.trials.presentation import Onset
 from wavefocus.trials.psychometric import share_right
 from wavefocus.trials.resuming import Experiment
 from wavefocus.trials.session import TrialsSession
+
+PEOPLE = 200
+_TRIALS = """
+[trials]
+question = "Which way?"
+answers = ["left", "right"]
+correct = "path"
+{repetitions}
+familiarise = false
+most_alike = 0
+
+[path.left]
+kind = "line"
+start_mm = [8, 0]
+end_mm = [0, 0]
+
+[path.right]
+kind = "line"
+start_mm = [0, 0]
+end_mm = [8, 0]
+
+[signal.burst]
+kind = "sine"
+frequency_hz = 200.0
+duration_s = 0.02
+
+[[stimuli]]
+path = ["left", "right"]
+signal = "burst"
+speed_mm_s = 200
+step_mm = 4
+amplitude = {levels}
+"""
+_ADAPTIVE = '\n[adaptive]\nmethod = "{method}"\nfactor = "amplitude"\ntrials = 60\n'
+CONSTANT, UP_DOWN, QUEST = "8 levels, 40 trials each", "up-down, 10 reversals", "QUEST+, 60 trials"
+
 
 REACTION_S = 0.4
 
@@ -90,3 +129,51 @@ def simulate(design: TrialsDesign, participant: str, observer: Observer, folder:
     with AnswersFile(folder) as answers:
         TrialsSession(experiment, participant, answers, simulated, simulated, simulated.receive, hurried=True).run()
         return answers.rows
+
+
+@dataclass(frozen=True, slots=True)
+class Coverage:
+    """Of how many people the intervals hold the truth; errors of the threshold in decades, ratios of the slope."""
+
+    people: int
+    threshold_held: int
+    slope_held: int
+    open_slopes: int
+    threshold_error_decades: float
+    slope_ratio: float
+
+
+def designs(folder: Path) -> dict[str, TrialsDesign]:
+    """The three designs, read from trials files in a folder."""
+    constant = [round(float(one), 6) for one in np.geomspace(0.1, 1.0, 8)]
+    ladder = [round(float(one), 6) for one in np.geomspace(10**-1.5, 1.0, 16)]
+    texts = {
+        CONSTANT: _TRIALS.format(repetitions="repetitions = 20", levels=constant),
+        UP_DOWN: _TRIALS.format(repetitions="", levels=ladder) + _ADAPTIVE.format(method="up_down"),
+        QUEST: _TRIALS.format(repetitions="", levels=ladder) + _ADAPTIVE.format(method="quest_plus"),
+    }
+    found = {}
+    for number, (name, text) in enumerate(texts.items()):
+        file = folder / f"trials-{number}.toml"
+        file.write_text(text)
+        found[name] = load_trials(file)
+    return found
+
+
+def coverage(design: TrialsDesign, people: int, lapse: float, folder: Path) -> Coverage:
+    """Run people through a design and the analysis."""
+    held, errors, ratios = [], [], []
+    for person in range(people):
+        rng = np.random.default_rng((person, people))
+        observer = Observer("amplitude", float(rng.uniform(-0.7, -0.4)), float(rng.uniform(6.0, 12.0)), lapse=lapse)
+        place = Path(tempfile.mkdtemp(dir=folder))
+        rows = simulate(design, f"P{person}", observer, place, person)
+        (found,) = psychometric_of(table_of(rows), design.config.trials.answers, design.config.adaptive)
+        fit, threshold = found.fit, 10.0**observer.threshold
+        ends = zip((fit.threshold_interval, fit.slope_interval), (threshold, observer.slope), strict=True)
+        held.append([(low is None or low <= true) and (high is None or true <= high) for (low, high), true in ends])
+        held[-1].append(None in fit.slope_interval)
+        errors.append(np.log10(fit.threshold / threshold))
+        ratios.append(fit.slope / observer.slope)
+    threshold_held, slope_held, open_slopes = (int(one) for one in np.sum(held, axis=0))
+    return Coverage(people, threshold_held, slope_held, open_slopes, float(np.std(errors)), float(np.median(ratios)))
