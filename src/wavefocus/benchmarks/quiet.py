@@ -25,7 +25,7 @@ import numpy as np
 from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times, measure
 from wavefocus.benchmarks.plate import RIGS
 from wavefocus.benchmarks.rig_bank import QUICK_ERROR_DB, default_grid, true_bank
-from wavefocus.config.scene import Output, Regularisation
+from wavefocus.config.scene import Output
 from wavefocus.mocks.plates import REFERENCE_C
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.rendering.arrays import Float64Array
@@ -62,7 +62,7 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
         position_mm = default_grid(rig)
         banks[name] = rig, true_bank(rig, position_mm[(np.abs(position_mm) < AREA_MM).all(axis=1)], QUICK_ERROR_DB)
     points = [one for name, (_, bank) in banks.items() for one in random_layouts(name, bank, 4 if quick else LAYOUTS)]
-    points += [cross(name, bank, one) for name, (_, bank) in banks.items() for one in (0.0, 0.1)]
+    points += [cross(name, bank) for name, (_, bank) in banks.items()]
     points += [disc(name, bank, places) for name, (_, bank) in banks.items() for places in (CROSS[:1], CROSS)]
     points += [off_grid(name, rig, bank) for name, (rig, bank) in banks.items()]
     speeds_mm_s = (100.0,) if quick else (25.0, 100.0, 400.0)
@@ -104,18 +104,16 @@ def random_layouts(plate: str, bank: GreenArray, count: int) -> list[Entry]:
     return points
 
 
-def cross(plate: str, bank: GreenArray, response_error: float) -> Entry:
+def cross(plate: str, bank: GreenArray) -> Entry:
     """Four points about the focus at -30 dB."""
-    scene = _about(bank, CROSS, regularisation=Regularisation(response_error=response_error))
     marks = (
         (Mark("energy", 7.0, at_most=True), Mark("peak", 1.5, at_most=True), Mark("level_db", -29.5, at_most=True))
-        if plate == "soft" and not response_error
+        if plate == "soft"
         else ()
     )
     return Entry(
-        work="cross of four at 24 mm, -30 dB", method=plate, parameters={"response_deviation": response_error},
-        figures=_figures(bank, scene), marks=marks,
-    )  # fmt: skip
+        work="cross of four at 24 mm, -30 dB", method=plate, figures=_figures(bank, _about(bank, CROSS)), marks=marks
+    )
 
 
 def disc(plate: str, bank: GreenArray, places: Sequence[tuple[float, float]]) -> Entry:
@@ -244,12 +242,11 @@ def scene_of(
     *,
     radius_mm: float = 0.0,
     level_db: float = -30.0,
-    regularisation: Regularisation | None = None,
 ) -> Scene:
     """Noise focused at a point, with quiet places at others."""
     return Scene(
-        "quiet", (Source(Point(tuple(focus_mm.tolist())), NOISE),), regularisation or Regularisation(),
-        Output(most_energy=CAP), quiet=tuple(QuietPlace(Point(one), 0.0, radius_mm, level_db) for one in places),
+        "quiet", (Source(Point(tuple(focus_mm.tolist())), NOISE),),
+        output=Output(most_energy=CAP), quiet=tuple(QuietPlace(Point(one), 0.0, radius_mm, level_db) for one in places),
     )  # fmt: skip
 
 

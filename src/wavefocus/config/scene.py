@@ -253,7 +253,7 @@ class QuietTable(Table):
 
 
 class Regularisation(Table):
-    """How weak and strong actuators are evened out, and how free the response at a focus is."""
+    """How weak and strong actuators are evened out, and whether sources keep quiet at one another."""
 
     saturation: NonNegative = Field(
         default=0.0, title="Saturation", description="C of eq. (14) as a fraction of the bank's median rms; 0: off"
@@ -266,12 +266,6 @@ class Regularisation(Table):
     )
     independent: Switch = Field(
         default=False, title="Independent", description="Whether each source is quiet where the other sources are"
-    )
-    response_error: Annotated[NonNegative, Field(lt=1)] = Field(
-        default=0.0,
-        title="Response error",
-        description="Allowed deviation of the response at the focus from that of time reversal, for less drive energy"
-        " where places are quiet",
     )
 
     @model_validator(mode="after")

@@ -2,45 +2,46 @@
 
 A filter w of `wavefocus.rendering.drive.quiet_filters` is longer than the Green's functions that it is made of. It is
 computed at the frequencies of a transform of twice its length, and kept from -(L - 1) samples, where the drive begins,
-to `TAIL_S` after its focus. So its reversal in time is a row of L + tail samples, and the block accumulator makes
-drives of such rows as it does of the bank's. The drives begin where those of other scenes do, and end a tail later.
-What is cut costs level at the quiet places, which are asked for less in return; the response at the focus at its
-instant stays as it is, since no tap of a Green's function meets what is cut.
+to a tail after its focus. So its reversal in time is a row of L + tail samples, and the block accumulator makes drives
+of such rows as it does of the bank's. The drives begin where those of other scenes do, and end a tail later. The tail
+is the first of `TAILS_S` behind which the filters would lie `BELOW_DB` below the levels asked for; the response at the
+focus at its instant stays as it is, since no tap of a Green's function meets what is cut.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache
+from functools import lru_cache
 
 import numpy as np
 
 from wavefocus.calibration.numerics import evenly_spread
-from wavefocus.config.scene import Regularisation
 from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
 from wavefocus.rendering.device import fast_length
 from wavefocus.rendering.drive.quiet_filters import (
     Focus,
     Moment,
     Multipliers,
+    energies_of,
+    filters_of,
     find_multipliers,
-    focusing,
     least_energy,
-    of_rows,
-    reversed_power,
 )
 from wavefocus.rendering.drive.windows import Events
+from wavefocus.rendering.field.quiet_levels import QuietLevel, quiet_levels, rendered_levels
 from wavefocus.rendering.greens.regularisation import BankRows
 from wavefocus.rendering.greens.source import GreenSource, RealArray, RowReader, to_single
 from wavefocus.rendering.scene.emission import ContinuousEmission, Emission, PointEmission
 from wavefocus.rendering.scene.model import Scene
-from wavefocus.rendering.scene.quiet_places import PlaceRows, QuietPlan, paths_of, place_at, plan_quiet
+from wavefocus.rendering.scene.quiet_places import PlaceRows, PlannedPlace, QuietPlan, paths_of, place_at, plan_quiet
 from wavefocus.rendering.scene.sampling import SampledScene
-from wavefocus.storage.drive_file import QuietTrack
+from wavefocus.storage.drive_file import Drive, QuietTrack
 
-TAIL_S = 0.05
-"""Length of the filters after the focus; what is cut there is -40 dB of them (docs/explanation/quiet-places.md)."""
+TAILS_S = (0.05, 0.07, 0.1, 0.14, 0.2)
+"""Lengths of the filters after the focus that are tried."""
+BELOW_DB = 20.0
+"""What is cut then changes a level by 1 dB at most."""
 MAX_STATES = 64
 MOMENTS = 4
 """Instants of a scene that moves from which the multipliers are found."""
@@ -49,12 +50,9 @@ FAINT = 1e-12
 MAX_SIGNAL_SAMPLES = 2**21
 MAX_COHERENT = 16
 """Of more sources that sound together the spectra only, not the cross spectra."""
-SPECTRA_BYTES = 256 * 2**20
-KEY = 2**21
-
-
-MISSED_DB = 0.5
-"""Level above the one asked for from which it is said."""
+SPECTRA_KEPT = 256
+MISSED_DB = 0.2
+"""Level above the one asked for from which it is said; the search ends within a tenth of it."""
 TRACK_INSTANTS, MAX_TRACK_INSTANTS = 32, 1000
 """Instants at which a place that moves is kept in drive files, and those of all places together."""
 
@@ -63,7 +61,7 @@ TRACK_INSTANTS, MAX_TRACK_INSTANTS = 32, 1000
 class QuietFigures:
     """Figures of the quiet places of a scene.
 
-    tracks: The places, with the levels that the filters reach.
+    levels: The places, with the levels of the finished drive; of the filters where there is no drive in memory.
     plain_db, float64 (places,): Levels of plain time reversal.
     multiplier, float64 (places,): Of the equations in `wavefocus.rendering.drive.quiet_filters`, for rows in the bank's
         unit.
@@ -71,11 +69,16 @@ class QuietFigures:
     warnings: Levels that are not reached, and places that a source passes.
     """
 
-    tracks: tuple[QuietTrack, ...]
+    levels: tuple[QuietLevel, ...]
     plain_db: Float64Array
     multiplier: Float64Array
     energy: float
     warnings: tuple[str, ...]
+
+    @property
+    def tracks(self) -> tuple[QuietTrack, ...]:
+        """The places, as drive files keep them."""
+        return tuple(level.track for level in self.levels)
 
 
 def quiet_scene(scene: Scene, bank: GreenSource, sampled: SampledScene) -> tuple[SampledScene, QuietRows]:
@@ -85,22 +88,16 @@ def quiet_scene(scene: Scene, bank: GreenSource, sampled: SampledScene) -> tuple
     """
     place_rows = PlaceRows(bank, sampled.interpolation)
     plan = plan_quiet(scene, bank, sampled, place_rows)
-    tail = max(1, round(TAIL_S * float(bank.sample_rate_hz)))
-    moments, lasts = _instants(scene, sampled, plan)
-    at = [
-        sampled.interpolation.nodes(
-            place_at(source.path, source.speed_mm_s, source.start_s, plan.knots[moments], float(bank.sample_rate_hz))
-        )
-        for source in scene.sources
-    ]
-    rows = QuietRows(scene, sampled, bank, place_rows, plan, tail)
-    foci = [list(zip(nodes.rows, nodes.weights, nodes.nearest.tolist(), strict=True)) for nodes in at]
-    rows.solve(scene, moments, lasts, foci)
+    for tail_s in TAILS_S:
+        rows = QuietRows(scene, sampled, bank, place_rows, plan, max(1, round(tail_s * float(bank.sample_rate_hz))))
+        rows.solve()
+        if rows.long_enough:
+            break
     sources = [
         replace(source, emission=QuietEmission(source.emission, plan, index, rows), nodes=2 * source.nodes)
         for index, source in enumerate(sampled.sources)
     ]
-    return replace(sampled, sources=sources, samples=sampled.samples + tail), rows
+    return replace(sampled, sources=sources, samples=sampled.samples + rows.tail), rows
 
 
 class QuietEmission:
@@ -131,10 +128,13 @@ class QuietEmission:
 class QuietRows(BankRows):
     """Rows that focus like a row of the bank and are quiet elsewhere, by numbers that `numbers` gives.
 
+    tail: Samples of the filters after the focus.
     found: The multipliers, once `solve` found them.
     """
 
     found: Multipliers
+    long_enough: bool
+    """No longer filters are of use."""
     _bins: Int64Array
 
     def __init__(
@@ -146,145 +146,150 @@ class QuietRows(BankRows):
         plan: QuietPlan,
         tail: int,
     ) -> None:
-        regularisation: Regularisation = scene.regularisation
-        super().__init__(sampled.interpolation.rows_of(bank), regularisation, sampled.naming)
-        self.plan, self._sampled, self._tail = plan, sampled, tail
-        self._most_energy = scene.output.most_energy
-        self._saturates = bool(regularisation.saturation or regularisation.saturation_absolute)
-        self._numbers: dict[int, int] = {}
+        self._moments, self._lasts = _instants(scene, sampled, plan)
+        rate_hz = float(bank.sample_rate_hz)
+        # An interpolation adds rows at its nodes, so these come before its rows are looked at.
+        self._nodes = [
+            sampled.interpolation.nodes(
+                place_at(source.path, source.speed_mm_s, source.start_s, plan.knots[self._moments], rate_hz)
+            )
+            for source in scene.sources
+        ]
+        super().__init__(sampled.interpolation.rows_of(bank), scene.regularisation, sampled.naming)
+        self.plan, self.tail = plan, tail
+        self._scene, self._sampled, self._measured_bank, self._place_rows = scene, sampled, bank, place_rows
+        self._saturates = bool(scene.regularisation.saturation or scene.regularisation.saturation_absolute)
+        self._numbers: dict[tuple[int, int, int], int] = {}
         self._keys: list[tuple[int, int, int]] = []
         self._length = fast_length(2 * (bank.taps + tail))
         self._quiet_reader = RowReader(place_rows.rows)
-        self._interpolation = place_rows.name
-        self._row_error = place_rows.error([source.signal for source in sampled.sources])
+        self._quiet_spectrum = lru_cache(SPECTRA_KEPT)(self._transform)
+        self._quiet = lru_cache(MAX_STATES)(self._stack)  # foci that keep the same rows quiet share the array
 
     @property
     def taps(self) -> int:
-        return self.bank.taps + self._tail
+        return self.bank.taps + self.tail
 
     def numbers(self, sets: Int64Array, rows: Int64Array, regularised_by: Int64Array) -> Int64Array:
         """Numbers of the rows that focus like `rows` (n, k) with sets of the plan, (n,), as (n, k)."""
-        by = regularised_by + 1 if self._saturates else np.zeros_like(regularised_by)
-        key = (sets[:, None] * KEY + rows) * KEY + by[:, None]
-        different, inverse = np.unique(key, return_inverse=True)
-        for key in different.tolist():
-            if key not in self._numbers:
-                self._numbers[key] = len(self._keys)
-                self._keys.append((key // KEY // KEY, key // KEY % KEY, key % KEY - 1))
-        numbers = np.array([self._numbers[key] for key in different.tolist()], dtype=np.int64)
-        return np.asarray(numbers[inverse].reshape(rows.shape))
+        by = regularised_by if self._saturates else np.full_like(regularised_by, -1)
+        key = np.stack(np.broadcast_arrays(sets[:, None], rows, by[:, None]), axis=2).reshape(-1, 3)
+        different, inverse = np.unique(key, axis=0, return_inverse=True)
+        numbers = np.empty(len(different), dtype=np.int64)
+        for place, one in enumerate(map(tuple, different.tolist())):
+            if one not in self._numbers:
+                self._numbers[one] = len(self._keys)
+                self._keys.append(one)
+            numbers[place] = self._numbers[one]
+        return np.asarray(numbers[inverse.ravel()].reshape(rows.shape))
 
     def read(self, row: int, *, single: bool = False) -> RealArray:
         """The row of a number, (actuators, taps), over two to the bank's exponent."""
         number, focus_row, by = self._keys[row]
         green = self._measured(focus_row)
-        own = self.plan.sets[number]
         sigma = self.sigma(by) if by >= 0 else None
         made = np.zeros((len(green), self.taps))
-        made[:, self._tail :] = green
+        made[:, self.tail :] = green
         focus = Focus(self._spectrum_of(green), *self._quiet(number), sigma)
-        z, d = least_energy(focus, of_rows(self.found.of_place, own.place))
-        filters = z * focusing(reversed_power(focus), d, self.found.slack, self._power[own.source])[:, None]
+        [filters] = least_energy([focus], self.found.of_place)
         # The accumulator multiplies by sigma; what is left of the bins without energy is the row itself.
         change = np.conj(filters / (1.0 if sigma is None else sigma)) - focus.row
-        turn = np.exp(-2j * np.pi * self._tail / self._length * self._bins)
+        turn = np.exp(-2j * np.pi * self.tail / self._length * self._bins)
         made += self._in_time(change * turn[:, None])[:, : self.taps]
         return to_single(made) if single else made
 
-    def figures(self) -> QuietFigures:
-        """The places with their levels."""
-        plan, found = self.plan, self.found
-        instants = min(TRACK_INSTANTS, max(2, MAX_TRACK_INSTANTS // len(plan.places)))
+    def figures(self, drive: Drive | None) -> QuietFigures:
+        """The places with the levels of the finished drive, where there is one in memory."""
+        found, places = self.found, self.plan.places
+        instants = min(TRACK_INSTANTS, max(2, MAX_TRACK_INSTANTS // len(places)))
         reached_db, plain_db = (10.0 * np.log10(np.maximum(level, 1e-30)) for level in (found.level, found.plain_level))
-        tracks, warnings = [], list(plan.warnings)
-        # What is wrong with a row is alike in no two actuators, so that their drives do not focus on it.
-        true_db = 10.0 * np.log10(max(self._row_error**2 * found.energy / self.bank.actuators, 1e-30))
-        if true_db > max(place.level_db for place in plan.places) - MISSED_DB:
-            warnings.append(
-                f"between the grid's positions, the responses at quiet places are wrong by about"
-                f" {100 * self._row_error:.0f} %, so that these are no quieter than about {true_db:.0f} dB; use"
-                " interpolation 'auto', or measure a finer grid"
+        tracks = [self._track(*pair, instants) for pair in zip(places, reached_db.tolist(), strict=True)]
+        levels = rendered_levels(tuple(tracks))
+        if drive is not None and drive.drive_v.any():
+            levels = tuple(
+                replace(level, track=replace(level.track, rendered_db=round(level.reached_db, 3)))
+                for level in quiet_levels(replace(drive, quiet=tuple(tracks)), self._measured_bank)
             )
-        for place, level_db in zip(plan.places, reached_db.tolist(), strict=True):
-            moves = place.path.length_mm > 0
-            knots = plan.knots if moves else plan.knots[:1]
-            sample = knots[evenly_spread(len(knots), instants)]
-            at_mm = place.at(sample, float(self.bank.sample_rate_hz)).round(6)
-            source = -1 if place.source is None else place.source
-            tracks.append(
-                QuietTrack(
-                    place.words,
-                    sample,
-                    at_mm,
-                    place.radius_mm,
-                    place.level_db,
-                    round(level_db, 3),
-                    source,
-                    self._interpolation,
+        warnings = [*self.plan.warnings, *self._row_error_words()]
+        for number, (place, level) in enumerate(zip(places, levels, strict=True)):
+            if level.reached_db > place.level_db + MISSED_DB:
+                why = self._reason(number, place)
+                warnings.append(
+                    f"{place.words} reaches {level.reached_db:.1f} dB of {place.level_db:g} dB asked; {why}"
                 )
-            )
-            if level_db > place.level_db + MISSED_DB:
-                why = (
-                    f"more would cost over {self._most_energy:g} times the energy of plain time reversal"
-                    if found.capped
-                    else "the bank's actuators cannot do more"
-                )
-                warnings.append(f"{place.words} reaches {level_db:.1f} dB of {place.level_db:g} dB asked; {why}")
         unit = np.ldexp(1.0, -2 * self._reader.exponent)
-        return QuietFigures(tuple(tracks), plain_db, found.of_place * unit, found.energy, tuple(warnings))
+        return QuietFigures(levels, plain_db, found.of_place * unit, found.energy, tuple(warnings))
 
-    def solve(
-        self,
-        scene: Scene,
-        moments: Int64Array,
-        lasts: Int64Array,
-        foci: Sequence[Sequence[tuple[Int64Array, Float64Array, int]]],
-    ) -> None:
-        """Find the multipliers from the foci of some moments.
+    def _track(self, place: PlannedPlace, level_db: float, instants: int) -> QuietTrack:
+        knots = self.plan.knots if place.path.length_mm > 0 else self.plan.knots[:1]
+        sample = knots[evenly_spread(len(knots), instants)]
+        return QuietTrack(
+            place.words, sample, place.at(sample, self._rate_hz).round(6), place.radius_mm, place.level_db,
+            round(level_db, 3), -1 if place.source is None else place.source, self._place_rows.name,
+        )  # fmt: skip
 
-        moments, int64 (moments,): Knots of the plan; `lasts` says for how many knots each stands.
-        foci: Of each source and moment: rows, their weights, and the regularising row.
-        """
-        emissions = [source.emission for source in self._sampled.sources]
-        sounding = np.array([_sounding(emission, self.plan.knots)[moments] for emission in emissions])
-        green = {
-            (source, m): sum(weight * self._measured(row) for row, weight
-                             in zip(rows.tolist(), weights.tolist(), strict=True) if weight)
-            for source, own in enumerate(foci) for m, (rows, weights, _) in enumerate(own)
-            if sounding[source, m]
-        }  # fmt: skip
-        energy = sum(np.square(np.abs(np.fft.rfft(row, self._length, axis=1))).sum(axis=0) for row in green.values())
+    def _row_error_words(self) -> list[str]:
+        """Says how quiet places between positions are, where their rows are not known well enough."""
+        error = self._place_rows.error([source.signal for source in self._sampled.sources])
+        # What is wrong with a row is alike in no two actuators, so that their drives do not focus on it.
+        true_db = 10.0 * np.log10(max(error**2 * self.found.energy / self.bank.actuators, 1e-30))
+        if true_db <= max(place.level_db for place in self.plan.places) - MISSED_DB:
+            return []
+        return [
+            f"between the grid's positions, the responses at quiet places are wrong by about {100 * error:.0f} %, so"
+            f" that these are no quieter than about {true_db:.0f} dB; measure a finer grid"
+        ]
+
+    def _reason(self, number: int, place: PlannedPlace) -> str:
+        """Why a place is louder than asked: energy, the actuators, or the filters' length."""
+        if self.found.capped:
+            most = self._scene.output.most_energy
+            return f"more would cost over {most:g} times the energy of plain time reversal"
+        if self.found.uncut_level[number] > place.level * 10 ** (0.1 * MISSED_DB):
+            return "the bank's actuators cannot do more"
+        length_s = self.taps / self._rate_hz
+        if place.path.length_mm > 0 or any(source.path.length_mm > 0 for source in self._scene.sources):
+            return f"filters are {length_s:.2g} s long, in which places and sources move: the filters' length"
+        return f"filters end {self.tail / self._rate_hz:.2g} s after their focus: the filters' length"
+
+    @property
+    def _rate_hz(self) -> float:
+        return float(self.bank.sample_rate_hz)
+
+    def solve(self) -> None:
+        """Find the multipliers from the foci of some moments."""
+        scene, plan, sampled = self._scene, self.plan, self._sampled
+        moments, lasts = self._moments, self._lasts
+        emissions = [source.emission for source in sampled.sources]
+        sounding = np.array([_sounding(emission, plan.knots)[moments] for emission in emissions])
+        green: dict[tuple[int, int], tuple[RealArray, int]] = {}
+        for number, nodes in enumerate(self._nodes):
+            for m in np.flatnonzero(sounding[number]).tolist():
+                parts = zip(nodes.rows[m].tolist(), nodes.weights[m].tolist(), strict=True)
+                row = np.sum([weight * self._measured(row) for row, weight in parts if weight], axis=0)
+                green[number, m] = row, int(nodes.nearest[m])
+        energy = sum(np.square(np.abs(np.fft.rfft(row, self._length, axis=1))).sum(axis=0) for row, _ in green.values())
         self._bins = np.flatnonzero(energy > FAINT * np.max(energy))
-        row_bytes = 16 * len(self._bins) * self.bank.actuators
-        self._quiet_spectrum = lru_cache(max(64, SPECTRA_BYTES // row_bytes))(self._transform)
-        self._quiet = lru_cache(4)(self._stack)
-        stack = cache(self._stack)  # foci that keep the same rows quiet share the array, and its solution
         cross = self._emitted(scene, emissions)
         whole = np.maximum(sounding @ lasts, 1)
         made = []
         for m, knot in enumerate(moments.tolist()):
             together = np.flatnonzero(sounding[:, m]).tolist()
-            rows, place = self.plan.rows_at(knot)
-            quiet = self._spectra(rows)
-            one_foci, applies = [], np.zeros((len(together), len(self.plan.places)), dtype=bool)
+            rows, place = plan.rows_at(knot)
+            foci, applies = [], np.zeros((len(together), len(plan.places)), dtype=bool)
             for index, source in enumerate(together):
-                number = int(self.plan.of_source[source, knot])
-                own = self.plan.sets[number]
-                applies[index, own.place] = True
-                by = foci[source][m][2]
-                one_foci.append(Focus(self._spectrum_of(green[source, m]), *stack(number), self.sigma(by), source))
-            gains = self.weigh(np.array([foci[source][m][2] for source in together]))[0]
+                own, (row, by) = int(plan.of_source[source, knot]), green[source, m]
+                applies[index, plan.sets[own].place] = True
+                foci.append(Focus(self._spectrum_of(row), *self._quiet(own), self.sigma(by), source))
+            gains = self.weigh(np.array([green[source, m][1] for source in together]))[0]
             gains = gains * np.sqrt(lasts[m] / whole[together])
             chosen = cross[np.ix_(together, together)] if cross.ndim == 3 else _diagonal(cross[together])
-            made.append(Moment(one_foci, chosen * np.outer(gains, gains)[..., None], quiet, place, applies))
-        self._power = cross.real if cross.ndim == 2 else np.einsum("jjf->jf", cross).real
-        self.found = find_multipliers(
-            made,
-            np.array([place.level for place in self.plan.places]),
-            response_error=scene.regularisation.response_error,
-            most_energy=self._most_energy,
-            cut=self._cut,
-        )
+            made.append(Moment(foci, chosen * np.outer(gains, gains)[..., None], self._spectra(rows), place, applies))
+        level = np.array([place.level for place in plan.places])
+        self.found = find_multipliers(made, level, most_energy=scene.output.most_energy, cut=self._cut)
+        behind = [[self._behind(one) for one in own] for own in filters_of(made, self.found.of_place)]
+        left = energies_of(made, behind).place / max(self.found.focus, 1e-300)
+        self.long_enough = self.found.capped or bool((left <= level * 10 ** (-0.1 * BELOW_DB)).all())
 
     def _emitted(self, scene: Scene, emissions: Sequence[Emission]) -> Complex128Array:
         """Cross spectra (sources, sources, bins) of what the sources emit, of many only the spectra, (sources, bins).
@@ -320,8 +325,15 @@ class QuietRows(BankRows):
 
     def _cut(self, filters: Complex128Array) -> Complex128Array:
         in_time = self._in_time(filters)
-        in_time[:, self._tail + 1 : self._length - (self.bank.taps - 1)] = 0.0
-        return np.ascontiguousarray(np.fft.rfft(in_time, axis=1)[:, self._bins].T)
+        in_time[:, self.tail + 1 : self._length - (self.bank.taps - 1)] = 0.0
+        return self._spectrum_of(in_time)
+
+    def _behind(self, filters: Complex128Array) -> Complex128Array:
+        """The part of filters that the tail leaves out; what is half a transform later comes before the drive."""
+        in_time, first = self._in_time(filters), self._length - (self.bank.taps - 1)
+        in_time[:, : self.tail + 1] = 0.0
+        in_time[:, (self.tail + 1 + first) // 2 :] = 0.0
+        return self._spectrum_of(in_time)
 
     def _in_time(self, spectra: Complex128Array) -> Float64Array:
         whole = np.zeros((spectra.shape[1], self._length // 2 + 1), dtype=np.complex128)

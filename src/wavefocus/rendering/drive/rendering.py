@@ -39,6 +39,8 @@ OnProgress = Callable[[int, int], None]
 ROUNDING = 1e-9
 """Drives that are made anew may come so far beyond a limit, relatively."""
 PIECE_SAMPLES = 4096
+LEVELS_BYTES = 2**31
+"""Drives with quiet places are kept while they are made, up to this size, for the levels are those of the drive."""
 
 
 class SceneRenderer:
@@ -51,8 +53,8 @@ class SceneRenderer:
     and path points.
 
     The drive starts at -(L - 1) samples of scene time, L the taps of the bank, even if all sources start later, and
-    ends with the last emitted sample; with quiet places, 50 ms later. A continuous emission lasts until n_M, silence
-    included.
+    ends with the last emitted sample; with quiet places, 0.05 to 0.2 s later. A continuous emission lasts until n_M,
+    silence included.
 
     method: Eq. (16) or eq. (9), see `sample_scene`.
     tolerance_db: Allows single precision as long as the proved bound on the relative L2 error of the drives stays below
@@ -148,6 +150,8 @@ class SceneRenderer:
         Raises InputError: a row on a path cannot be used, a drive does not fit into float64, or an interpolation is
         beyond its tolerance.
         """
+        if self._quiet is not None and keep_v is None and 8 * math.prod(self.shape) <= LEVELS_BYTES:
+            keep_v = np.empty(self.shape)
         signals = [source.signal for source in self.sampled.sources]
         errors, remarks = judged_errors(
             self._scene, self._bank, self.sampled.interpolation, signals, self._interpolation_tolerance
@@ -160,7 +164,7 @@ class SceneRenderer:
         self._report = report_render(
             self._scene, self._rows, self.sampled.sources, self._accumulator.statistics, self._levels.norms,
             limiting=self._limiting(between), omitted_bound=self._bound(), errors=errors, remarks=remarks,
-            quiet=None if self._quiet is None else self._quiet.figures(),
+            quiet=None if self._quiet is None else self._quiet.figures(self._drive_of(keep_v)),
         )  # fmt: skip
         return self._report
 
@@ -185,6 +189,16 @@ class SceneRenderer:
         """
         for block in self._accumulator.blocks(ahead):
             yield apply_exponent(block, self._rows.drive_exponent)
+
+    def _drive_of(self, drive_v: Float64Array | None) -> Drive | None:
+        """The drive that was made, for the levels at its quiet places."""
+        if drive_v is None:
+            return None
+        sampled, finite = self.sampled, bool(np.isfinite(self._levels.norms).all())
+        return Drive(
+            drive_v, self._rate_hz, sampled.start_s, sampled.method, 1.0, 0.0, *sampled.foci,
+            focus_mm=sampled.focus_mm, known_finite=finite,
+        )  # fmt: skip
 
     def _new_accumulator(self) -> BlockAccumulator:
         return BlockAccumulator(self.sampled, self._rows, single=self._single, device=self._device)
