@@ -20,7 +20,6 @@ from wavefocus.config.scene import Regularisation
 from wavefocus.drivers.errors import InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.drivers.timeouts import BoundedPlayer
-from wavefocus.live_session.latency import LatencyHistogram
 from wavefocus.live_session.orders import MAX_WAITING, Inbox, UseSignal, order_of
 from wavefocus.live_session.pace import Pace
 from wavefocus.live_session.priority import raise_priority
@@ -386,14 +385,3 @@ def test_given_threads_that_hold_pythons_lock_then_their_priority_is_raised_with
     if os.SCHED_RR not in policies:
         pytest.skip("no real-time priority is allowed here")
     assert policies == [os.SCHED_RR] * 2
-
-
-def test_given_latencies_then_percentiles_are_theirs_to_a_step() -> None:
-    histogram = LatencyHistogram()
-    assert histogram.percentile_ms(99.9) is None
-    for tenth_ms in range(1, 2001):
-        histogram.add(tenth_ms / 1e4)
-    histogram.add(1e9)
-    assert histogram.percentile_ms(50.0) == pytest.approx(100.0, abs=0.2)
-    assert histogram.take_largest_ms() == 1e12
-    assert histogram.take_largest_ms() is None

@@ -44,7 +44,7 @@ class LiveOptions:
     scene_file: Its regularisation, its output and the signal of its first source are used.
     look_ahead_ms: By how much sources lag what is ordered.
     block_ms: Time of a block, rounded to whole samples of the bank.
-    ahead_ms: So much waits to be played; None: 20 ms, and twice as much after each underrun.
+    ahead_ms: So much waits to be played; None: 40 ms, and twice as much after each underrun.
     gain_db: On the amplitudes of all orders.
     duration_s: The session ends by itself after so long.
     record: Folder in which the session is recorded as a scene.
