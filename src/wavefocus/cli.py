@@ -443,7 +443,7 @@ COMMANDS = (
         '{"order": "move", "name": "finger", "at_mm": [10, 5], "amplitude": 1} moves a source, or lets it appear.\n\n'
         '{"order": "signal", "name": "finger", "signal": {"kind": "sine", "frequency_hz": 200, "duration_s": 1}}\n\n'
         '{"order": "end_source", "name": "finger"} lets it fade; {"order": "end"} ends all.\n\n'
-        "docs/reference/live-orders.md has every order, event and OSC address. Ctrl-C mutes at once.",
+        "docs/reference/live.md has every order, event and OSC address. Ctrl-C mutes at once.",
         (
             BANK, ON_RIG,
             file("--scene", dest="scene_file", metavar="SCENE.toml",
