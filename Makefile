@@ -26,7 +26,7 @@ OCTAVE := octave octave-netcdf
 # Only these are collected by `make test`: whole folders, and the files with a test of a command or a tab.
 QUICK = tests/unit tests/wire tests/contract $(shell grep -rl "mark.smoke" tests/system tests/gui)
 
-.PHONY: help demo docs test test-all test-nightly constraints lint bench bench-pages stiff-cases soak screenshots window-figures clean
+.PHONY: help demo docs test test-all test-nightly constraints lint bench bench-pages stiff-cases soak screenshots clean
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
 
@@ -96,15 +96,10 @@ soak: ## Kill, cut the power, fill disks and flip bytes by the thousand; half an
 	@tools/set-up.sh test
 	$(PY) -m tests.system.crash.soak --out soak-out
 
-screenshots: ## Take pictures of the window, light, dark and scaled; writes docs/pictures/window-*.png
+screenshots: ## Take pictures of the window; writes docs/pictures/window-*.png
 	@tools/system-packages.sh $(WINDOW_PACKAGES) $(X_PACKAGES)
 	@tools/set-up.sh window
 	$(PY) tools/screenshots.py docs/pictures $(ARGS)
-
-window-figures: ## Measure how soon the window is up and what it costs
-	@tools/system-packages.sh $(WINDOW_PACKAGES)
-	@tools/set-up.sh window
-	$(PY) -m tools.window_figures $(ARGS)
 
 clean: ## Remove .venv, caches and what demo and bench wrote
 	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .coverage .coverage.* \

@@ -1,8 +1,8 @@
-"""Pictures of the window for the documentation, under an X server: light and dark, at 1280 x 800 and at 200 %.
+"""Pictures of the window for the documentation, under an X server, at 1280 x 800.
 
 Run it with: make screenshots; with ARGS=rig,trials only of some parts. A campaign on the virtual rig, with planned
-faults, is measured; the pictures are of it while it runs and when it is over, of a scene and a verification over its
-bank, and of an emulated rig.
+faults, is measured; the pictures are of it, of a scene and a verification over its bank, of an emulated rig and of a
+participant's trials.
 """
 
 from __future__ import annotations
@@ -36,7 +36,6 @@ duration_s = 0.3
 averages = 2
 decay_s = 0.15
 taps = 1000
-keep_raw = true
 
 [drift]
 every_positions = 25
@@ -60,6 +59,7 @@ speed_mm_s = 300.0
 step_mm = 8.0
 path = { kind = "circle", centre_mm = [0, 0], radius_mm = 32, turns = 0.75, start_deg = 0 }
 signal = { kind = "noise", band_hz = [50, 300], duration_s = 0.015, seed = 1 }
+amplitude = 0.01
 emission = "per_point"
 
 [regularisation]
@@ -81,23 +81,13 @@ dead_actuators = [7]
 output_gain_spread_db = 2.0
 mirror_map = {[list(row) for row in MIRROR_MAP]}
 """
-LIVE_AMPLITUDE, LIVE_S = 0.01, 15.0
-"""Amplitude of the live source, and for how long it is moved before each picture of it, s."""
+LIVE_S = 15.0
+"""For how long a live source is moved before the picture of it, s."""
 MARK_ERROR_MM = 0.15
 """Rms error in x and in y of the person who brings the beam onto the marks."""
-# Name of the picture, theme, what the map is coloured by, page of the details, how Green's functions are shown.
-OVER = (
-    ("campaign-light", "light", 0, 0, 0),
-    ("campaign-dark", "dark", 1, 0, 1),
-    ("spectrum", "light", 2, 1, 0),
-    ("quality", "light", 4, 2, 0),
-    ("recordings", "dark", 0, 3, 0),
-    ("drift", "light", 5, 4, 0),
-)
-_SCREEN = "-screen 0 2560x1600x24"
+_SCREEN = "-screen 0 1600x1000x24"
 """The X server's screen: pictures are taken where a person would see the faults of a real window, not offscreen."""
-PARTS = {"running": 1, "over": 1, "scaled": 2, "rig": 1, "trials": 1}
-"""Scaling of each part; that of a process is fixed at its start, so each has one of its own."""
+PARTS = ("campaign", "rig", "trials")
 
 
 def main() -> None:
@@ -108,7 +98,7 @@ def main() -> None:
         return
     if len(sys.argv) > 3:
         pictures = Pictures(out, Path(sys.argv[2]))
-        {"rig": pictures.take_rig}.get(sys.argv[3], lambda: pictures.take_campaign(sys.argv[3]))()
+        pictures.take_rig() if sys.argv[3] == "rig" else pictures.take_campaign()
         print(f"{sys.argv[3]}: pictures in {out}")
         return
     out.mkdir(parents=True, exist_ok=True)
@@ -122,15 +112,11 @@ def main() -> None:
             bench / "rig.toml": EMULATED_RIG,
         }.items():  # fmt: skip
             file.write_text(content, encoding="utf-8")
-        for part, scale in PARTS.items():
+        for part in PARTS:
             environment = {
-                **os.environ, "QT_QPA_PLATFORM": "xcb", "QT_FONT_DPI": "96", "QT_SCALE_FACTOR": str(scale),
-                "QT_SCALE_FACTOR_ROUNDING_POLICY": "Round", "XDG_RUNTIME_DIR": folder, "HOME": folder,
+                **os.environ, "QT_QPA_PLATFORM": "xcb", "QT_FONT_DPI": "96", "XDG_RUNTIME_DIR": folder, "HOME": folder,
             }  # fmt: skip
-            file = {
-                "rig": bench / "rig.toml",
-                "trials": lab / "trials.toml",
-            }.get(part, lab / "run.toml")
+            file = {"rig": bench / "rig.toml", "trials": lab / "trials.toml"}.get(part, lab / "run.toml")
             command = ["xvfb-run", "-a", "-s", _SCREEN, sys.executable, __file__, str(out), str(file), part]
             if len(sys.argv) <= 2 or part in sys.argv[2].split(","):
                 subprocess.run(command, env=environment, check=True, stderr=subprocess.DEVNULL)
@@ -150,7 +136,6 @@ class Pictures:
         settings = QSettings(str(file.with_name("memory.ini")), QSettings.Format.IniFormat)
         self.window = Window(Settings(settings))
         self.window.open_file(file)
-        self.window.choose_theme("light")
         self.window.resize(1280, 800)
         self.window.show()
 
@@ -166,70 +151,56 @@ class Pictures:
             self.application.processEvents()
             time.sleep(0.01)
 
-    def keep(self, name: str, theme: str = "") -> None:
+    def keep(self, name: str) -> None:
         """Save the picture ``window-NAME.png``."""
-        if theme:
-            self.window.choose_theme(theme)
         drawn_s = time.monotonic() + 0.6
         self.until(lambda: time.monotonic() > drawn_s)
         if not self.window.grab().save(str(self.out / f"window-{name}.png")):
             raise SystemExit(f"{self.out} cannot be written")
 
-    def take_campaign(self, part: str) -> None:
-        """A campaign while it runs or when it is over, then verification and scene."""
+    def take_campaign(self) -> None:
+        """A campaign while it runs and when it is over, then verification and scene."""
         from wavefocus.gui.campaign.tab import CampaignTab
 
         tab, window = self.tab(CampaignTab), self.window
-        if part == "running":
-            self.until(tab.controls.buttons["start"].isEnabled)
-            tab.controls.buttons["start"].click()
-            self.until(lambda: tab.campaign.measured > 120)
-            tab.map_panel.map.show_position(100)
-            self.until(lambda: tab.position_panel.greens is not None)
-            self.keep("running")
-            tab.run.closing_question()
-            window.close()
-            self.keep("closing")
-            window.messages.dismiss()
-            self.until(lambda: tab.run.own is None)
+        self.until(tab.controls.buttons["start"].isEnabled)
+        tab.controls.buttons["start"].click()
+        self.until(lambda: tab.campaign.measured > 120)
+        tab.map_panel.map.show_position(100)
+        self.until(lambda: tab.position_panel.greens is not None)
+        window.close()
+        self.keep("closing")
+        window.messages.dismiss()
+        self.until(lambda: tab.run.own is None)
         self.until(lambda: tab.campaign.state().word == "finished")
         window.messages.dismiss()
-        tab.map_panel.map.show_position(71 if part == "over" else 100)
+        tab.map_panel.map.show_position(71)
         tab.map_panel.map.select([60, 71])
         tab.events.weight.setCurrentIndex(2)
-        for name, theme, colour, page, view in {"over": OVER, "scaled": [("scaled-200", "dark", 1, 0, 0)]}.get(
-            part, ()
-        ):
-            tab.map_panel.colour_by.setCurrentIndex(colour)
-            tab.position_panel.setCurrentIndex(page)
-            tab.position_panel.view.setCurrentIndex(view)
-            self.keep(name, theme)
-        # End of the name, and theme.
-        looks = {"over": {"light": "light", "dark": "dark"}, "scaled": {"scaled-200": "light"}}.get(part)
-        if looks:
-            self.take_verification(looks)
-            self.take_scene(looks)
-            self.take_live(looks)
+        self.keep("campaign-light")
+        tab.position_panel.setCurrentWidget(tab.position_panel.drift_plot)
+        tab.map_panel.colour_by.setCurrentIndex(1)
+        self.keep("drift")
+        self.take_verification()
+        self.take_scene()
+        self.take_live()
         window.close_at_once()
 
-    def take_verification(self, looks: dict[str, str]) -> None:
+    def take_verification(self) -> None:
         """A scene verified with the campaign's bank."""
         from wavefocus.gui.verification.tab import VerificationTab
 
         tab = self.tab(VerificationTab)
         self.window._pages.setCurrentWidget(tab)
         tab.form.take_bank(self.file.with_name("plate.h5"))
-        tab.form.drawn.setChecked(False)
         self.until(tab.row.start.isEnabled)
         tab.row.start.trigger()
         self.until(lambda: tab.results is not None)
         self.window.messages.dismiss()
-        for shown, (name, theme) in enumerate(looks.items()):
-            tab.maps.third.setCurrentIndex(shown)
-            tab.maps.time.to_mark(1)
-            self.keep(f"verification-{name}", theme)
+        tab.maps.time.to_mark(1)
+        self.keep("verification-light")
 
-    def take_scene(self, looks: dict[str, str]) -> None:
+    def take_scene(self) -> None:
         """A scene over the campaign's bank."""
         from wavefocus.gui.scene.tab import SceneTab
 
@@ -238,10 +209,9 @@ class Pictures:
         tab.document.use_bank(self.file.with_name("plate.h5"))
         self.until(lambda: tab.live.idle and tab.results.complete)
         self.window.messages.dismiss()
-        for name, theme in looks.items():
-            self.keep(f"scene-{name}", theme)
+        self.keep("scene-light")
 
-    def take_live(self, looks: dict[str, str]) -> None:
+    def take_live(self) -> None:
         """A source that follows the mouse round a circle, over the campaign's bank."""
         from PyQt5.QtCore import QEvent, QPointF, Qt
         from PyQt5.QtGui import QMouseEvent
@@ -254,7 +224,6 @@ class Pictures:
         surface, rig = tab.live_surface, tab.results.bar.rig_field
         rig.show_path(self.file.with_name("rig.toml"))
         rig.chosen.emit(rig.path)
-        tab.document.edit_source("soften", amplitude=LIVE_AMPLITUDE)
         tab.use_mode(PAGE)
         self.until(tab.live_panel.start.isEnabled)
         tab.live_panel.start.trigger()
@@ -268,20 +237,16 @@ class Pictures:
                 surface.viewport(), QMouseEvent(kind, at, button, left, Qt.KeyboardModifier.NoModifier)
             )
 
-        for name, theme in looks.items():
-            self.window.choose_theme(theme)
-            self.application.processEvents()
-            begun_s = time.monotonic()
-            mouse(QEvent.Type.MouseButtonPress, 0.0)
+        def round_it() -> bool:
+            mouse(QEvent.Type.MouseMove, 2.0 * (time.monotonic() - begun_s))
+            return time.monotonic() > begun_s + LIVE_S
 
-            def round_it(begun_s: float = begun_s) -> bool:
-                mouse(QEvent.Type.MouseMove, 2.0 * (time.monotonic() - begun_s))
-                return time.monotonic() > begun_s + LIVE_S
-
-            self.until(round_it)
-            if not self.window.grab().save(str(self.out / f"window-live-{name}.png")):
-                raise SystemExit(f"{self.out} cannot be written")
-            mouse(QEvent.Type.MouseButtonRelease, 0.0)
+        begun_s = time.monotonic()
+        mouse(QEvent.Type.MouseButtonPress, 0.0)
+        self.until(round_it)
+        if not self.window.grab().save(str(self.out / "window-live-light.png")):
+            raise SystemExit(f"{self.out} cannot be written")
+        mouse(QEvent.Type.MouseButtonRelease, 0.0)
         tab.live_panel.stop.trigger()
         self.until(lambda: not tab.live_run.busy)
 
@@ -296,7 +261,7 @@ class Pictures:
         self.until(lambda: page.findings and not tab.examination.running)
         for row, finding in enumerate(page.findings):
             page.table.setRowHidden(row, finding.instrument == "disk")  # it names the folder of this machine
-        self.keep("rig-examination", "light")
+        self.keep("rig-examination")
         tab.pages.setCurrentWidget(hand)
         self.until(hand.take.isEnabled)
         hand.take.click()
@@ -308,11 +273,10 @@ class Pictures:
         self.until(lambda: tab.session.levels is not None)
         hand.sound.sweep.click()
         self.until(lambda: tab.session.sweep is not None)
-        self.keep("rig-hand", "dark")
+        self.keep("rig-hand")
         tab.pages.setCurrentWidget(tab.calibration_page)
-        self.window.choose_theme("light")
         self.meet_marks(tab)
-        self.keep("rig-calibration", "light")
+        self.keep("rig-calibration")
         self.window.close_at_once()
 
     def meet_marks(self, tab: RigTab) -> None:
@@ -338,18 +302,16 @@ class Pictures:
 
 def take_trials(out: Path, trials_file: Path) -> None:
     """The pages of a participant's trials, over the campaign's bank."""
-    from PyQt5.QtCore import QSettings, Qt
+    from PyQt5.QtCore import Qt
     from PyQt5.QtTest import QTest
 
-    from wavefocus.gui.files import Settings
     from wavefocus.gui.trials.window import TrialsWindow
     from wavefocus.gui.window import make_application
 
     application = make_application()
-    memory = QSettings(str(trials_file.with_name("trials.ini")), QSettings.Format.IniFormat)
     files = ["--bank", "plate.h5", "--rig", "rig.toml", "--participant", "P01", "--out", "trials"]
     os.chdir(trials_file.parent)
-    window = TrialsWindow([trials_file.name, *files, "--fast"], Settings(memory))
+    window = TrialsWindow([trials_file.name, *files, "--fast"])
     window.resize(1000, 700)
 
     def until(*waited: str) -> None:

@@ -13,11 +13,10 @@ from pytestqt.qtbot import QtBot
 from tests.gui.conftest import Opens, answer, campaign_of, shown_tab, tab_of, wait, write_lab
 from tests.lab_files import change_text
 from wavefocus.config.scene import LineTable
-from wavefocus.gui.advice import in_window
 from wavefocus.gui.field_map import ColourBar
 from wavefocus.gui.files import FileKind, PathField, Settings, misplaced
 from wavefocus.gui.rig.tab import RigTab
-from wavefocus.gui.scene.draft import new_source, read_draft
+from wavefocus.gui.scene.draft import new_source
 from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.verification.tab import VerificationTab
 from wavefocus.gui.window import Window
@@ -134,27 +133,6 @@ def test_given_a_run_or_a_bank_in_one_tab_then_all_tabs_have_it(
         for chosen in (copy, finished):
             type_path(field, chosen)
             assert {scene.document.bank, verification.form.bank.path, campaign.bank_field.path} == {chosen}
-
-
-def test_given_an_unsaved_drawing_then_the_verification_plays_it(
-    qtbot: QtBot, open_window: Opens, finished: Path
-) -> None:
-    window = open_window(finished.with_name("run.toml"), finished)
-    drawn = draw(window)
-    tab = shown_tab(window, VerificationTab)
-    assert (tab.form.drawn.isChecked(), tab.form.missing()) == (True, "")
-    scene = Path(tab.form.request().arguments[1])
-    assert scene == finished.with_name("verify-scene.toml")  # it stays with the results
-    assert read_draft(scene.read_text(encoding="utf-8"), scene) == drawn.document.draft
-    saved = finished.with_name("mine.toml")
-    drawn.document.save(saved)
-    assert Path(tab.form.request().arguments[1]) == saved
-    type_path(tab.form.scene, saved)
-    assert not tab.form.drawn.isChecked()  # a file was chosen after it was drawn
-    draw(window, end_mm=3.0)
-    shown_tab(window, SceneTab)
-    shown_tab(window, VerificationTab)
-    assert tab.form.drawn.isChecked()  # and the drawing has changed since
 
 
 WRONG = (
@@ -274,27 +252,3 @@ def test_given_a_gain_then_live_sources_are_so_much_louder(qtbot: QtBot, open_wi
     assert tab.live_run._move("finger").amplitude == 0.01
     tab.live_panel.gain.setValue(-20.0)
     assert tab.live_run._move("finger").amplitude == pytest.approx(0.001)
-
-
-ADVICE = (
-    ("start a new bank, or go on with --accept-drift", "Accept drift"),
-    ("more than an hour must be allowed with --allow-large", "Allow large scenes"),
-    ("2 positions; then go on with wavefocus resume", "Resume"),
-    ("muted, mirror parked; wavefocus go-on, or stop", "Continue"),
-    ("then wavefocus remeasure plate.h5 --positions 3,5-9 and resume, or go on with --accept-drift", "3,5-9"),
-    ("run wavefocus calibrate --only outputs, or correct player.full_scale_v", "Calibration"),
-)
-
-
-def test_given_advice_of_a_command_then_the_window_names_actions_that_it_has(
-    open_window: Opens,
-) -> None:
-    window = open_window()
-    for advice, named in ADVICE:
-        window.messages.fault(advice)
-        assert window.messages.sentence == in_window(advice)
-        assert named in window.messages.sentence
-        assert "--" not in window.messages.sentence
-        assert "wavefocus " not in window.messages.sentence
-    words = {action.text().replace("&", "") for tab in window.tabs for action in tab.menu_actions() if action}
-    assert {"Accept drift", "Accept another calibration", "Resume", "Remeasure selected"} <= words

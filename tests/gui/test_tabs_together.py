@@ -91,7 +91,7 @@ def test_given_a_campaign_on_a_real_rig_then_other_tabs_say_that_its_instruments
     refused("Verify")
     assert not verification.run.running
     # Instruments in software are for everybody.
-    form.virtual.setChecked(True)
+    form.rig.line.setText("virtual")
     verification.row.start.trigger()
     assert verification.run.running
     assert verification.instruments_held() == ""
@@ -141,3 +141,23 @@ def test_given_a_campaign_and_an_unsaved_scene_then_closing_asks_one_after_the_o
     wait(qtbot, lambda: not window.isVisible())
     log = long_run.with_name("plate.events.jsonl")
     wait(qtbot, lambda: "session_ended" in log.read_text(encoding="utf-8"))
+
+
+def test_given_a_bank_of_another_lab_then_it_is_said_whole_and_stays_and_start_is_off(
+    qtbot: QtBot, open_window: Opens, finished: Path, tmp_path: Path
+) -> None:
+    other = write_lab(tmp_path / "other", 2, 2)
+    window = open_window(other)
+    tab, scene = campaign_of(window), tab_of(window, SceneTab)
+    wait(qtbot, tab.controls.buttons["start"].isEnabled)
+    scene.bank_field.line.setText(str(finished))
+    scene.bank_field.line.editingFinished.emit()
+    wait(qtbot, lambda: "plate.h5 is not of run.toml" in tab.progress.faults.text())
+    assert str(finished) in tab.progress.faults.text()
+    wait(qtbot, lambda: not tab.controls.buttons["start"].isEnabled())
+    window.messages.note("something else")
+    assert tab.progress.faults.isVisible()
+    window.open_file(finished.with_name("run.toml"))  # the run of that bank
+    window.open_file(finished)
+    wait(qtbot, lambda: tab.progress.faults.text() == "")
+    wait(qtbot, tab.controls.buttons["start"].isEnabled)

@@ -13,8 +13,9 @@ from PyQt5.QtWidgets import QApplication, QWidget
 from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import LEFT, NO_KEY, SOON_MS
+from wavefocus.gui.trials.start import TrialsStart
 from wavefocus.gui.trials.window import TrialsWindow
-from wavefocus.gui.window import require_fonts
+from wavefocus.gui.window import Window, require_fonts
 from wavefocus.trials.answers import read_answers
 
 TRIALS = """
@@ -165,6 +166,38 @@ def test_given_it_is_closed_in_a_trial_then_a_second_window_resumes_there_and_sh
     qtbot.waitUntil(again.notice.isVisible, timeout=SOON_MS)
     qtbot.waitUntil(again.notice.button.isVisible, timeout=SOON_MS)
     assert again.process.failure in again.notice.text.text()
+
+
+def test_given_a_trials_file_then_the_window_shows_what_is_left_and_starts_the_participants_window(
+    start: Opens, open_window: Callable[..., Window], qtbot: QtBot, tmp_path: Path, measured: Path
+) -> None:
+    window = start()
+    begin(qtbot, window)
+    key(window, Qt.Key.Key_Left)
+    waits_for(qtbot, window, "answer")
+    window.close()
+    qtbot.waitUntil(lambda: not window.isVisible(), timeout=SOON_MS)
+    main = open_window(measured / "plate.h5", measured / "rig.toml", tmp_path / "trials.toml")
+    dialog = main.findChild(TrialsStart)
+    assert dialog is not None
+    assert dialog.isVisible()
+    assert (dialog.bank.path, dialog.rig.path) == (measured / "plate.h5", measured / "rig.toml")
+    qtbot.waitUntil(lambda: "4 stimuli" in dialog.standing.text() or "code" in dialog.standing.text(), timeout=SOON_MS)
+    assert not dialog.start.isEnabled()
+    dialog.out.line.setText(str(tmp_path / "out"))
+    qtbot.keyClicks(dialog.participant, "P01")
+    qtbot.waitUntil(dialog.start.isEnabled, timeout=SOON_MS)
+    assert dialog.standing.text() == "participant P01: 1 of 6 trials are answered, 1 of 1 blocks are left"
+    qtbot.keyClicks(dialog.participant, "+")
+    qtbot.waitUntil(lambda: "a code of 1 to 20 letters" in dialog.standing.text(), timeout=SOON_MS)
+    assert not dialog.start.isEnabled()
+    dialog.participant.setText("P01")
+    qtbot.waitUntil(dialog.start.isEnabled, timeout=SOON_MS)
+    dialog.start.click()
+    assert dialog.process is not None
+    dialog.process.kill()
+    qtbot.waitUntil(lambda: dialog.process is None, timeout=SOON_MS)
+    assert "the trials: process ended unexpectedly" in main.messages.sentence
 
 
 @pytest.mark.smoke

@@ -12,6 +12,7 @@ import h5py
 import numpy as np
 import pytest
 from PyQt5.QtCore import Qt
+from PyQt5.QtGui import QColor
 from PyQt5.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
@@ -195,8 +196,7 @@ def test_given_a_bank_that_is_too_loud_then_the_run_is_watched_and_its_failure_t
 ) -> None:
     window = open_window()
     tab = ready(window, other_bank(lab, "loud.h5", gain=1.2))
-    tab.form.positions.setCurrentIndex(tab.form.positions.findData("every"))
-    tab.form.step.setValue(2)
+    tab.form.positions.setText("every:2")
     assert tab.row.start.isEnabled()
     steps = set()
 
@@ -211,7 +211,11 @@ def test_given_a_bank_that_is_too_loud_then_the_run_is_watched_and_its_failure_t
     assert steps & {"scan", "compare and report"}
     assert window.messages.sentence.startswith("Not good enough. ")
     assert "normalised error" in window.messages.sentence
-    assert "not good enough" in tab.figures.verdict.text()
+    assert "not good enough" in tab.verdict.verdict.text()
+    # What is beyond its limit stands above the maps, in the colour of faults.
+    assert "▲ normalised error: " in tab.verdict.findings.text()
+    assert tab.verdict.findings.isVisible()
+    assert tab.verdict.findings.palette().windowText().color() == QColor(tab.verdict.theme.fault)
     assert cells(tab, 0)[5] == "✗ fail"
     assert list(tab.results.record.position_index) == list(range(0, 12, 2))
     assert tab.results.folder == lab / "new"
@@ -292,62 +296,52 @@ def test_given_a_spoilt_folder_then_one_sentence_and_what_was_shown_stays(
     assert "report.html is gone" in window.messages.sentence
 
 
-def test_given_files_then_each_is_opened_or_put_where_it_belongs(qtbot: QtBot, open_window: Opens, lab: Path) -> None:
+def test_given_files_then_each_opens_or_belongs_to_a_field_and_the_next_window_has_them(
+    qtbot: QtBot, open_window: Opens, lab: Path
+) -> None:
     window = open_window(lab / "verify" / "scan.h5")
     tab = shown_tab(window, VerificationTab)
     wait(qtbot, lambda: tab.results is not None)
     assert not any(one is not tab and one.accepts(lab / "verify" / "scan.h5") for one in window.tabs)
     assert campaign_of(window).accepts(lab / "plate.h5")
-    for name in ("scene.toml", "rig.toml", "plate.h5"):
-        tab.take_dropped(lab / name)
-    (lab / "empty").mkdir()
-    tab.take_dropped(lab / "empty")
+    tab.form.take_bank(lab / "plate.h5")
+    tab.form.out.show_path(lab / "empty")
     assert tab.form.missing() == ""
-    chosen = [field.path for field in (tab.form.scene, tab.form.bank, tab.form.rig, tab.form.out)]
-    assert chosen == [lab / "scene.toml", lab / "plate.h5", lab / "rig.toml", lab / "empty"]
-    tab.take_dropped(lab / "positions.csv")
-    assert "positions.csv: drop a scene" in window.messages.sentence
+    chosen = [lab / "scene.toml", lab / "plate.h5", lab / "rig.toml", lab / "empty"]
+    assert [field.path for field in (tab.form.scene, tab.form.bank, tab.form.rig, tab.form.out)] == chosen
+    tab.form.positions.setText("path")
     tab.save_settings()
     again = shown_tab(open_window(), VerificationTab)
     assert [field.path for field in (again.form.scene, again.form.bank, again.form.rig, again.form.out)] == chosen
+    assert again.form.positions.text() == "path"
 
 
-def test_given_choices_of_positions_then_the_command_says_so_or_a_sentence_what_is_missing(
-    open_window: Opens, lab: Path
-) -> None:
-    window = open_window()
-    tab = ready(window, lab / "plate.h5")
+def test_given_choices_then_the_command_has_them_and_what_a_folder_holds_stays(open_window: Opens, lab: Path) -> None:
+    tab = ready(open_window(), lab / "plate.h5")
     form = tab.form
 
-    def choose(key: str) -> list[str]:
-        form.positions.setCurrentIndex(form.positions.findData(key))
+    def options() -> list[str]:
         arguments = list(form.request().arguments)
         return arguments[arguments.index("--json") + 1 :]
 
-    assert choose("all") == []
-    assert choose("every") == ["--positions", "every:4"]
-    assert choose("path") == ["--positions", "path"]
-    form.rows.setText("0-3,7")
-    assert choose("rows") == ["--positions", "0-3,7"]
-    form.positions.setCurrentIndex(form.positions.findData("selected"))
-    tab.row.start.trigger()
-    assert "nothing is selected" in window.messages.sentence
-    window.context.selection.bank, window.context.selection.rows = lab / "other.h5", frozenset({3})
-    tab.row.start.trigger()
-    assert "other.h5" in window.messages.sentence
-    window.context.selection.bank, window.context.selection.rows = lab / "plate.h5", frozenset({5, 3})
-    assert choose("selected") == ["--positions", "3,5"]
-    form.virtual.setChecked(True)
+    assert options() == []
+    form.positions.setText(" 0-3,7 ")
+    assert options() == ["--positions", "0-3,7"]
+    form.rig.line.setText("virtual")
     arguments = form.request().arguments
     assert arguments[arguments.index("--rig") + 1] == "virtual"
-    # What a folder holds stays: the next one with a number is taken.
+    form.take_bank(lab / "plate.h5")
+    assert form.rig.line.text() == "virtual"  # what was typed stays
+    # The next folder with a number is taken.
     (lab / "render").mkdir()
     (lab / "render" / "drive.h5").write_bytes(b"precious")
     for used, free in (("render", "render-2"), ("verify", "verify-2")):
-        tab.form.out.show_path(lab / used)
+        form.out.show_path(lab / used)
         assert form.request().out == lab / free
     (lab / "verify-2").mkdir()
     (lab / "verify-2" / "report.html").write_text("earlier", encoding="utf-8")
-    tab.form.out.show_path(lab / "verify-2")
+    form.out.show_path(lab / "verify-2")
     assert form.request().out == lab / "verify-3"
     assert (lab / "render" / "drive.h5").read_bytes() == b"precious"
+    form.scene.line.clear()
+    assert form.missing() == "choose a scene file"

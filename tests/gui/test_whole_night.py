@@ -171,7 +171,7 @@ def test_given_a_plate_then_a_night_of_it_is_run_interrupted_resumed_mended_rend
     verification = tab_of(window, VerificationTab)
     choose(qtbot, window, verification.form.bank, "plate.h5")
     assert verification.form.missing() == ""  # scene and rig lie beside the bank
-    verification.form.positions.setCurrentIndex(verification.form.positions.findData("path"))
+    verification.form.positions.setText("path")
     press(qtbot, _named(verification, "Verify"))
     wait(qtbot, lambda: verification.results is not None, A_NIGHT_MS)
     assert verification.results is not None

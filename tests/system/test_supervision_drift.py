@@ -85,8 +85,12 @@ def test_given_drift_during_a_run_then_exit_3_names_the_positions_that_are_suspe
     assert "--accept-drift" in last
     assert events_of(told.out, "drift")[-1]["suspect"] == [1]
     assert events_of(told.out, "session_ended")[-1]["failure"] == "drift"
-    assert session_failure(bank, datetime.now(UTC) - timedelta(minutes=5)) == "drift"
-    assert session_failure(bank, datetime.now(UTC) + timedelta(minutes=5)) == ""
+    failure, reason = session_failure(bank, datetime.now(UTC) - timedelta(minutes=5))
+    assert failure == "drift"
+    assert "level changed" in reason
+    assert "wavefocus" not in reason  # the window says in its own words what to press
+    assert "--" not in reason
+    assert session_failure(bank, datetime.now(UTC) + timedelta(minutes=5)) == ("", "")
     assert held(bank) == [1, 4, 0, 0, 0, 0]
     assert run(["status", str(bank)]) == 0
     assert "--positions 1" in capsys.readouterr().out

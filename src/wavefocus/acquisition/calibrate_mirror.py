@@ -174,8 +174,8 @@ def measure_mirror(
         if len(moved) < MIN_MARKS:  # the present map put the beam at the others, and would only be found again
             figures = None
             refusal = NotMeasuredError(
-                f"the beam was moved at {len(moved)} of {len(marks_mm)} marks, which decides no map; at least "
-                f"{MIN_MARKS} must be met by moving the beam. If the spot was on every mark, the present map is right"
+                f"Move the beam onto at least {MIN_MARKS} marks. It was moved at {len(moved)} of {len(marks_mm)}; if "
+                "the spot was on every mark as it stood, the present map is right"
             )
         match operator.judge(_view(marks_mm, figures, refusal, limit_mm)):
             case Redo(number) if 1 <= number <= len(found):

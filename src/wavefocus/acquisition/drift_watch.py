@@ -19,7 +19,14 @@ from wavefocus.storage.errors import WavefocusError
 
 
 class DriftError(WavefocusError):
-    """The plate measured now is not the plate that is in the bank."""
+    """The plate measured now is not the plate that is in the bank.
+
+    suspects: Positions measured since the sentinel was last steady, to be measured again.
+    """
+
+    def __init__(self, sentence: str, suspects: Sequence[int] = ()) -> None:
+        super().__init__(sentence)
+        self.suspects = tuple(suspects)
 
 
 class SentinelUnusableError(DriftError):
@@ -119,7 +126,8 @@ class DriftWatch:
         if figures.verdict(limits) == "stop" and not self.accept_drift:
             raise DriftError(
                 f"sentinel position {position} is not what the bank holds ({figures.cause(limits)}): {figures}; "
-                f"nothing was added; {self._put_right(suspects)}, start a new bank, or go on with --accept-drift"
+                f"nothing was added; {_put_right(suspects)}, or start a new bank",
+                suspects,
             )
 
     def check_again(self) -> None:
@@ -150,18 +158,10 @@ class DriftWatch:
         if figures.verdict(limits) == "stop" and not self.accept_drift:
             raise DriftError(
                 f"sentinel position {position} has changed during the run ({figures.cause(limits)}): {figures}; "
-                f"{self._put_right(suspects)}, or go on with --accept-drift"
+                + _put_right(suspects),
+                suspects,
             )
         self._begin_anew()
-
-    def _put_right(self, suspects: tuple[int, ...]) -> str:
-        if not suspects:
-            return "put it right and resume"
-        rows = row_ranges(suspects)
-        return (
-            f"positions {rows}, measured since it was last steady, are marked as suspect; put it right, then "
-            f"wavefocus remeasure {self._bank.path} --positions {rows} and resume"
-        )
 
     def check_last(self) -> None:
         """Measure the sentinel once more when all positions are done; where that cannot be, say so and let it be.
@@ -209,6 +209,14 @@ def _suspicion(sentinel: int | None, figures: DriftFigures) -> str:
         f"sentinel position {sentinel} had changed by {figures.level_db:+.2f} dB when it was measured next: the "
         "vibrometer's range, a gain or the plate changed at some time before; put it right, then wavefocus remeasure"
     )
+
+
+def _put_right(suspects: tuple[int, ...]) -> str:
+    if not suspects:
+        return "put it right and resume"
+    rows = row_ranges(suspects)
+    marked = f"positions {rows}, measured since it was last steady, are marked as suspect"
+    return f"{marked}; put it right and measure them again"
 
 
 def measure_again(

@@ -26,6 +26,8 @@ from wavefocus.config.messages.campaign import (
     PositionStarted,
     SessionEnded,
     SessionStarted,
+    State,
+    StateChanged,
     event_line,
     read_event,
 )
@@ -155,12 +157,17 @@ def last_events(bank: Path) -> Iterator[Logged]:
     return (logged for line in _lines_backwards(log_path(bank)) if (logged := read_event(line)) is not None)
 
 
-def session_failure(bank: Path, since: datetime) -> str:
-    """Failure of the session that ended last, as of `SessionEnded`; empty where none ended after an instant."""
+def session_failure(bank: Path, since: datetime) -> tuple[str, str]:
+    """Failure of the session that ended last, as of `SessionEnded`, and its reason; empty where none ended since."""
+    failure = ""
     for logged in last_events(bank):
-        if isinstance(logged.event, SessionEnded):
-            return logged.event.failure if logged.at >= since.astimezone(UTC).replace(microsecond=0) else ""
-    return ""
+        match logged.event:
+            case SessionEnded(failure=failure):
+                if not failure or logged.at < since.astimezone(UTC).replace(microsecond=0):
+                    break
+            case StateChanged(state=State.FAILED, reason=reason) if failure:
+                return failure, reason
+    return "", ""
 
 
 def unvouched_rows(bank: Path) -> tuple[int, ...]:

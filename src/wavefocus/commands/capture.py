@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from wavefocus.acquisition.drift_watch import DriftError, SentinelUnusableError
 from wavefocus.acquisition.engine.campaign import Campaign
 from wavefocus.acquisition.engine.session import EventPublisher, StopRequest
 from wavefocus.acquisition.plays import without_recordings
@@ -247,9 +248,17 @@ def _session(
 
 @contextmanager
 def _naming_resume_command(bank: Path, rig_file: Path | None) -> Iterator[None]:
-    """Add the command that resumes the campaign to the message of an instrument that failed."""
+    """Add the command that goes on to the message of an instrument that failed, or of a plate that has changed."""
     try:
         yield
+    except SentinelUnusableError:
+        raise
+    except DriftError as changed:
+        again = ""
+        if changed.suspects:
+            remeasure = resume_line(bank, None, word="remeasure")
+            again = f"; {remeasure} --positions {row_ranges(changed.suspects)} and resume"
+        raise DriftError(f"{changed}{again}; --accept-drift goes on all the same", changed.suspects) from changed
     except InstrumentError as failure:
         corrected = "" if rig_file is not None else "; a corrected rig file is taken by --rig RIG.toml"
         remedy = f"{failure.remedy}; nothing measured is lost{corrected}; then go on with: "

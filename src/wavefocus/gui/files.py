@@ -7,8 +7,7 @@ from collections.abc import Callable, Collection, Sequence
 from enum import StrEnum, auto
 from pathlib import Path
 
-from PyQt5.QtCore import QByteArray, QSettings, Qt, QUrl, pyqtSignal
-from PyQt5.QtGui import QDropEvent
+from PyQt5.QtCore import QByteArray, QSettings, Qt, pyqtSignal
 from PyQt5.QtWidgets import QCheckBox, QComboBox, QFileDialog, QLineEdit, QSplitter, QWidget
 
 from wavefocus.config.file_kinds import kind_of_tables
@@ -138,13 +137,6 @@ def choose_place(owner: QWidget, title: str, suggested: Path, kind: str, ending:
     _show(dialog, chosen)
 
 
-def dropped_files(event: QDropEvent) -> list[Path]:
-    """Local files of a drop."""
-    content = event.mimeData()
-    urls: list[QUrl] = [] if content is None else content.urls()
-    return [Path(url.toLocalFile()) for url in urls if url.isLocalFile()]
-
-
 def _show(dialog: QFileDialog, chosen: Chosen) -> None:
     dialog.fileSelected.connect(lambda name: chosen(Path(name)))
     dialog.show()
@@ -185,8 +177,7 @@ class PathField(QWidget):
         self._last: Path | None = None
         self.line = QLineEdit()
         self.line.setAccessibleName(kind)
-        self.line.setPlaceholderText(f"{kind}: type, choose or drop")
-        self.line.setAcceptDrops(False)  # the window takes what is dropped
+        self.line.setPlaceholderText(f"{kind}: type or choose")
         self.browse = ui.tool_button("…", f"Choose {kind}", self.open_dialog, f"Choose {kind}")
         label = ui.labelled(word, self.line)[:1] if word else ()
         ui.row(*label, (self.line, 1), self.browse, owner=self)

@@ -45,6 +45,7 @@ class CommandProcess(QObject):
     name, advice: Subject of sentences about the process; what to do when it ended unexpectedly.
 
     exit_code: None while the process runs; negative when a signal ended it.
+    cancelled: Whether it was asked to stop, or killed, from here.
     last_message: Last JSON object that it wrote.
     """
 
@@ -65,6 +66,7 @@ class CommandProcess(QObject):
     ) -> None:
         super().__init__(parent)
         self.exit_code: int | None = None
+        self.cancelled = False
         self._name, self._advice = name or f"wavefocus {arguments[0]}", advice
         self._log_file = log_file
         self.last_message: Message = {}
@@ -175,6 +177,7 @@ class CommandProcess(QObject):
 
     def _signal(self, number: int) -> None:
         if self._process is not None and self.running:
+            self.cancelled = True
             with suppress(OSError):
                 self._process.send_signal(number)
 

@@ -14,7 +14,7 @@ from PyQt5.QtWidgets import QAction, QWidget
 
 from wavefocus.gui.files import FileKind, Settings
 from wavefocus.gui.message_bar import MessageBar, error_text
-from wavefocus.gui.process import Background, CommandProcess, Message
+from wavefocus.gui.process import STOPPED_BY_USER, Background, CommandProcess, Message
 from wavefocus.storage.errors import WavefocusError
 
 # Module and class of each tab, from left to right.
@@ -26,14 +26,6 @@ TABS = (
 )
 # Does what an answer says, then calls its argument, which continues closing.
 Act = Callable[[Callable[[], object]], object]
-
-
-@dataclass(slots=True)
-class Selection:
-    """Bank and selected positions of the campaign's map; the Campaign tab writes it."""
-
-    bank: Path | None = None
-    rows: frozenset[int] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,12 +53,13 @@ class TabContext:
     background: Background
     settings: Settings
     owner: QObject
-    selection: Selection = field(default_factory=Selection)
     shared: dict[FileKind, Path] = field(default_factory=dict)
     """The run file, rig file and bank that were opened last in any tab."""
     tabs: list[Tab] = field(default_factory=list)
     troubles: dict[str, str] = field(default_factory=dict)
     """Sentences about what failed, by topic."""
+    holders: list[Callable[[], str]] = field(default_factory=list)
+    """Dialogs' `Tab.instruments_held`."""
 
     def run(
         self,
@@ -85,6 +78,15 @@ class TabContext:
 
         process.finished.connect(lambda: done(process))
         return process
+
+    def report_end(self, process: CommandProcess, done: str = "", stopped: str = "") -> None:
+        """Say how a command ended: `done` (empty for nothing), `stopped` by the user, or why it failed."""
+        if process.exit_code == STOPPED_BY_USER or (process.cancelled and process.failure and stopped):
+            self.messages.note(stopped)
+        elif process.failure:
+            self.messages.fault(process.failure)
+        elif done:
+            self.messages.note(done)
 
     def run_file(self) -> Path | None:
         """Run file that is open in a tab."""
@@ -112,7 +114,8 @@ class TabContext:
         virtual: Whether the rig is virtual: several programs can use it at once.
         """
         others = [tab for tab in self.tabs if tab is not asks and not tab.isAncestorOf(asks)]
-        held = "" if virtual else next((held for tab in others if (held := tab.instruments_held())), "")
+        holders = () if virtual else (*(tab.instruments_held for tab in others), *self.holders)
+        held = next((held for holder in holders if (held := holder())), "")
         if held:
             self.messages.warn(f"{held}, so the instruments are busy: stop it first", (f"{word} anyway", act))
         else:

@@ -12,7 +12,7 @@ from PyQt5.QtGui import QCloseEvent, QFontDatabase, QGuiApplication, QKeySequenc
 from PyQt5.QtWidgets import QAction, QApplication, QFileDialog, QMainWindow, QMenu, QWidget
 
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.files import FileKind, PathField, Settings, make_dialog, short_path
+from wavefocus.gui.files import FileKind, PathField, Settings, TomlKind, make_dialog, short_path, toml_kind
 from wavefocus.gui.message_bar import ErrorHook, MessageBar
 from wavefocus.gui.process import Background, CommandProcess
 from wavefocus.gui.surface import VIRTUAL
@@ -92,7 +92,10 @@ class Window(QMainWindow):
                 tab.open_file(path)
                 self.settings.opened(path)
                 return
-        self.messages.warn(f"{path}: no tab opens such a file; they open {', '.join(self._endings())}")
+        if path.name.lower().endswith(".toml") and toml_kind(path) is TomlKind.TRIALS:
+            self._open_trials(path)
+        else:
+            self.messages.warn(f"{path}: no tab opens such a file; they open {', '.join(self._endings())}")
 
     def restore_settings(self) -> None:
         for tab in self.tabs:
@@ -241,6 +244,14 @@ class Window(QMainWindow):
             _add(self._recent, str(path), partial(self.open_file, path))
         self._recent.addSeparator()
         _add(self._recent, "&Clear this list", self.settings.forget_recent)
+
+    def _open_trials(self, path: Path) -> None:
+        from wavefocus.gui.trials.start import TrialsStart
+
+        self.settings.opened(path)
+        dialog = TrialsStart(self.context, path, self)
+        self.context.holders.append(dialog.instruments_held)
+        dialog.show()
 
     def _open_documentation(self) -> None:
         """Open the pages that lie beside the program: the built site, or the text that it is built from."""

@@ -174,7 +174,7 @@ class Suspension:
     def pause(self) -> None:
         """Stand still until a person says to go on, or to stop: StoppedWhileWaitingError."""
         self._rest()
-        self._session.enter(State.PAUSED, "paused by the user: outputs muted, mirror parked; wavefocus go-on, or stop")
+        self._session.enter(State.PAUSED, "paused by the user: outputs muted, mirror parked")
         while self._stop.pause_requested:
             self._session.require_no_stop(" while paused")
             # A person's time is the wall's, whatever clock the rig lives by.

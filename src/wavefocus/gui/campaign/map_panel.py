@@ -32,7 +32,6 @@ class SurfaceMap(SurfaceView):
     """
 
     shown_changed = pyqtSignal(int)
-    selection_changed = pyqtSignal(int)
 
     def __init__(self) -> None:
         self.selected: set[int] = set()
@@ -112,7 +111,6 @@ class SurfaceMap(SurfaceView):
         """Select these and no others."""
         self.selected = {int(position) for position in positions}
         self._put(self._selection, sorted(self.selected))
-        self.selection_changed.emit(len(self.selected))
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802
         assert event is not None
@@ -194,7 +192,7 @@ class MapPanel(Themed, QWidget):
         self.colour_by.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         controls = ui.row(QLabel("Colour by"), (self.colour_by, 1))
         ui.column(controls, (self.map, 1), self.counts, self.bar, owner=self)
-        self.bar.hide()
+        self.forget()
         self.colour_by.currentIndexChanged.connect(self._colour)
 
     def show_plan(self, planned: PlotSurface | None) -> None:

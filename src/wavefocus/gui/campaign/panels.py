@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 
 from PyQt5.QtCore import QAbstractTableModel, QModelIndex, QSortFilterProxyModel, Qt, pyqtSignal
 from PyQt5.QtGui import QColor
@@ -74,7 +74,7 @@ class ProgressRow(Themed, QWidget):
         self.reason = ui.label("Reason of the state", any_width=True)
         self.bar = ui.progress_bar("Progress of the campaign", "%v of %m positions (%p %)")
         self.figures = ui.label("Rate, remaining time and finish time")
-        self.faults = ui.label("Faults of instruments", any_width=True)
+        self.faults = ui.label("Lasting faults", wraps=True, selectable=True)
         self.faults.setStyleSheet(f"color: {self.theme.fault};")
         row = ui.row(self.state, (self.reason, 3), (self.bar, 3), self.figures, spacing=10)
         ui.column(row, self.faults, owner=self)
@@ -93,11 +93,9 @@ class ProgressRow(Themed, QWidget):
         ui.put(self.reason, reason)
         self.reason.setToolTip(f"{reason}\n{owner}".strip())
 
-    def show_faults(self, faults: Mapping[str, str]) -> None:
-        """Show the instruments whose last word is a fault."""
-        text = "\n".join(f"▲ {name.partition(',')[0]}: {word}" for name, word in faults.items())
-        ui.put(self.faults, text)
-        self.faults.setToolTip(text)
+    def show_faults(self, faults: Sequence[str]) -> None:
+        """Show what is wrong and stays so: instruments whose last word is a fault, a bank of another run."""
+        ui.put(self.faults, "\n".join(f"▲ {fault}" for fault in faults))
         self.faults.setVisible(bool(faults))
 
     def show_progress(self, measured: int, total: int, session: CampaignStatus, state: ShownState) -> None:

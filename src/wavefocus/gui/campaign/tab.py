@@ -24,8 +24,8 @@ from wavefocus.gui.campaign.model import CampaignAction, CampaignModel, Extra, p
 from wavefocus.gui.campaign.panels import Controls, EventList, ProgressRow
 from wavefocus.gui.campaign.position_panel import PositionPanel
 from wavefocus.gui.campaign.quality import NOT_GOOD
-from wavefocus.gui.files import FileKind, PathField, TomlKind, rig_of_run, runs_on_virtual_rig, toml_kind
-from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess
+from wavefocus.gui.files import FileKind, PathField, TomlKind, file_state, rig_of_run, runs_on_virtual_rig, toml_kind
+from wavefocus.gui.process import CommandProcess
 from wavefocus.gui.surface import PlotSurface, raster_of
 from wavefocus.gui.tab import ClosingQuestion, Tab, TabContext
 from wavefocus.rendering.verify.record import FIELD_NAMES, RECORD_NAME
@@ -82,17 +82,21 @@ class CampaignRun:
         """Send an order to the process that owns the bank; `done` is called when it was received."""
 
         def answered(process: CommandProcess) -> None:
-            self._context.messages.note(process.last_line)
-            done()
+            self._context.report_end(process, process.last_line, f"{word}: the answer is not waited for")
+            if process.exit_code == 0:
+                done()
 
         if bank is not None:
-            failed = f"{word} was not carried out"
-            self._ask(f"{word}: waiting for the capture…", "Stop waiting", [word, str(bank)], answered, failed)
+            order = self._context.run([word, str(bank), "--json"], answered, name=word)
+            self._context.messages.warn(f"{word}: waiting for the capture…", ("Stop waiting", order.kill))
 
     def plan(self, run_file: Path) -> None:
         """Dry run: report positions, time and size."""
 
         def planned(process: CommandProcess) -> None:
+            if process.exit_code != 0:
+                self._context.report_end(process, stopped="the dry run was cancelled")
+                return
             facts: dict[str, Any] = process.last_message
             finish, lines = datetime.fromisoformat(facts["finish_at"]), "\n".join(facts["lines"])
             self._context.messages.warn(
@@ -102,8 +106,8 @@ class CampaignRun:
                 ("Details", lambda: ui.show_text("Dry run", lines, self._owner)),
             )
 
-        command, failed = ["plan", str(run_file)], "the dry run was cancelled"
-        self._ask(f"dry run of {run_file.name}…", "Cancel", command, planned, failed)
+        plan = self._context.run(["plan", str(run_file), "--json"], planned, name="the dry run")
+        self._context.messages.warn(f"dry run of {run_file.name}…", ("Cancel", plan.kill))
 
     def instruments_held(self) -> str:
         return "" if self.own is None or self._virtual else f"a run of this window measures {self.bank}"
@@ -137,32 +141,18 @@ class CampaignRun:
         if self.own is not None:
             self.own.detach()
 
-    def _ask(
-        self, waits: str, gives_up: str, arguments: list[str], answered: Callable[[CommandProcess], object], failed: str
-    ) -> None:
-        """Run a short command while a message says so; `failed` where its process was ended without a word."""
-
-        def ended(process: CommandProcess) -> None:
-            if process.exit_code == 0:
-                answered(process)
-            else:
-                self._context.messages.fault(process.last_line or failed)
-
-        order = self._context.run([*arguments, "--json"], ended)
-        self._context.messages.warn(waits, (gives_up, order.kill))
-
     def _ended(self, process: CommandProcess) -> None:
         self.own = None
-        failure, messages = process.failure, self._context.messages
-        if not failure:
-            messages.note(process.last_line or "the capture is done")
-        elif process.exit_code == STOPPED_BY_USER:
-            messages.note("stopped; nothing measured is lost, Resume continues")
-        elif session_failure(self.bank, self._started_at) == "drift":
+        failure, reason = session_failure(self.bank, self._started_at) if process.failure else ("", "")
+        fault = self._context.messages.fault
+        if failure == "drift":
             again = [*self._arguments, "--accept-drift"]
-            messages.fault(failure, ("Continue anyway", lambda: self.start(again, self.bank, virtual=self._virtual)))
+            fault(reason, ("Continue anyway", lambda: self.start(again, self.bank, virtual=self._virtual)))
+        elif failure == "instrument":
+            fault(f"{reason}; nothing measured is lost: put it right, then press Resume")
         else:
-            messages.fault(failure)
+            stopped = "stopped; nothing measured is lost, Resume continues"
+            self._context.report_end(process, process.last_line or "the capture is done", stopped)
 
 
 # Findings per tick; the rest of a long log follows with the next ticks, so that the window stays responsive.
@@ -186,8 +176,10 @@ class CampaignTab(Tab):
         self._trouble = ""
         self._paused = False
         self._run_file: Path | None = None
-        self._plan_of: tuple[Path, int] | None = None
+        self._plan_of: tuple[object, ...] = ()
         self._planned_s = math.nan
+        self._mismatch = ""
+        """Why run file and bank do not belong together."""
         self._drawn: tuple[int, ...] = ()
         self._draw_due_s = 0.0
         self.run_field = PathField("&Run", ".toml", "run file", context.settings)
@@ -210,10 +202,10 @@ class CampaignTab(Tab):
         self._lay_out()
         self.run_field.chosen.connect(self._run_chosen)
         self.bank_field.chosen.connect(self._bank_chosen)
+        self.run.accepts["--accept-calibration"].toggled.connect(lambda _on: self._read_plan())
         for panel in (self.position_panel, self.events):
             self.map_panel.map.shown_changed.connect(panel.show_position)
         self.events.position_wanted.connect(self.map_panel.map.show_position)
-        self.map_panel.map.selection_changed.connect(self._share_selection)
 
     def menu_actions(self) -> list[QAction | None]:
         """Actions of the buttons, and what a resume may accept."""
@@ -247,6 +239,7 @@ class CampaignTab(Tab):
         self.campaign.forget()
         self.map_panel.forget()
         self.follower = Follower(bank)
+        self._read_plan()
         self.context.share(self, FileKind.BANK, bank)
 
     def poll(self) -> None:
@@ -269,13 +262,15 @@ class CampaignTab(Tab):
         report = self.run.last_line(bank) if state.word in (Extra.STARTING, Extra.PREPARING) else ""
         who = f"process {owner.pid} on {owner.host} owns the bank" if owner else ""
         self.progress.show_state(state, report, who)
-        self.progress.show_faults(campaign.instrument_faults)
+        faults = [f"{name.partition(',')[0]}: {word}" for name, word in campaign.instrument_faults.items()]
+        self.progress.show_faults([*filter(None, [self._mismatch]), *faults])
         measured, total = campaign.measured, campaign.surface.positions if campaign.surface else 0
         self.progress.show_progress(measured, total, campaign.session, state)
         if campaign.surface is None and self.map_panel.planned is not None:
             self.progress.show_plan(self.map_panel.planned.positions, self._planned_s)
+        startable = has_run and bank is not None and not self._mismatch
         orders = possible_actions(
-            state, has_run=has_run and bank is not None, has_bank=campaign.surface is not None, left=total - measured
+            state, has_run=startable, has_bank=campaign.surface is not None, left=total - measured
         )
         self._paused = CampaignAction.CONTINUE in orders
         poor = int(((campaign.status & NOT_GOOD) > 0).sum())
@@ -354,25 +349,24 @@ class CampaignTab(Tab):
         self.follow(path)
 
     def _read_plan(self) -> None:
-        """Read the campaign that the run file describes, for the map and the hours; once for each state of the file."""
-        run = self.run_field.path
-        if run is None:
-            return
-        try:
-            state = run, run.stat().st_mtime_ns
-        except OSError:
-            state = run, 0
-        if state != self._plan_of:
-            self._plan_of = state
-            self.context.background.ask("plan", partial(_planned, run), self._show_plan, self._no_plan)
+        """Read the campaign of the run file, for the map and the hours, and whether the bank is of it."""
+        run, bank = self.run_field.path, self.bank_field.path
+        accept = self.run.accepts["--accept-calibration"].isChecked()
+        states = [None if path is None else file_state(path) for path in (run, bank)]
+        # Once for each state of the run file; a bank that is measured changes all the time.
+        now = run, states[0], bank, states[1] is not None, accept
+        if run is not None and now != self._plan_of:
+            self._plan_of = now
+            self.context.background.ask("plan", partial(_planned, run, bank, accept), self._show_plan, self._no_plan)
 
-    def _show_plan(self, planned: tuple[PlotSurface, float]) -> None:
+    def _show_plan(self, planned: tuple[PlotSurface, float, str]) -> None:
         self.context.settle("plan")
-        surface, self._planned_s = planned
+        surface, self._planned_s, self._mismatch = planned
         self.map_panel.show_plan(surface)
         self._draw_due_s = 0.0
 
     def _no_plan(self, failure: Exception) -> None:
+        self._mismatch = ""
         self.map_panel.show_plan(None)
         self.context.report_failure(failure, "plan")
 
@@ -409,22 +403,25 @@ class CampaignTab(Tab):
             answers = [("Copy details", lambda: ui.copy_text(details))] if details else []
             self.context.messages.fault(sentence, *answers)
 
-    def _share_selection(self) -> None:
-        self.context.selection.bank = self.bank_field.path
-        self.context.selection.rows = frozenset(self.map_panel.map.selected)
-
     def _remeasure_selected(self) -> None:
         rows = ",".join(str(row) for row in sorted(self.map_panel.map.selected))
         if rows:
             self._start("Remeasure", "remeasure", "--positions", rows)
 
 
-def _planned(run: Path) -> tuple[PlotSurface, float]:
-    """Surface of a run file's campaign, and its duration, s."""
+def _planned(run: Path, bank: Path | None, accept_calibration: bool) -> tuple[PlotSurface, float, str]:
+    """Surface of a run file's campaign, its duration in s, and why a bank is of another one, empty where it is not."""
     from wavefocus.campaign.blueprint import blueprint_from_files  # loads SciPy, and this runs in a thread
+    from wavefocus.campaign.session_files import with_bank
 
     blueprint = blueprint_from_files(run)
     rig, plan = blueprint.configuration.rig, blueprint.plan
     outline_mm = rig.surface.outline.line(181)
     surface = PlotSurface(plan.position_mm, plan.actuator_mm, outline_mm, raster_of(plan.position_mm))
-    return surface, plan.campaign_s(plan.order, rig.recorder)
+    mismatch = ""
+    if bank is not None and bank.is_file():
+        try:
+            with_bank(blueprint, bank, run, accept_calibration=accept_calibration)
+        except InputError as other:
+            mismatch = f"{bank.name} is not of {run.name}: {other}"
+    return surface, plan.campaign_s(plan.order, rig.recorder), mismatch

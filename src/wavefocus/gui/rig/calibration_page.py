@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import tempfile
-from pathlib import Path
 
 from PyQt5.QtCore import Qt, pyqtSignal
 from PyQt5.QtWidgets import QAbstractItemView, QFormLayout, QPlainTextEdit, QPushButton, QWidget
@@ -26,9 +24,7 @@ _PARTS = (
     ("mirror", "&Mirror: bring the beam onto marks", "You jog the beam onto marks on the surface"),
     ("actuators", "Actuato&rs: polarity and level", "Nothing to do; the mirror map must be measured before"),
 )
-_MARKS = ("seven places: middle, corners, ends", "five places: corners, middle", "from a file")
-_CORNERS, _FILE = 1, 2
-_DEFAULT_LIMIT_MM = 1.0
+_MARKS = ("seven places: middle, corners, ends", "from a file")
 _STEPS_MRAD = (0.05, 0.2, 1.0, 5.0, 20.0)
 _RESIDUALS = ("mark", "x (mm)", "y (mm)", "Δx (mm)", "Δy (mm)", "|Δ| (mm)")
 _YES = {AskJog: "here", MapView: "keep", AskConnect: "done", AskAgain: "again"}
@@ -41,15 +37,11 @@ class CalibrationOptions(QWidget):
 
     def __init__(self, settings: Settings) -> None:
         super().__init__()
-        self.size_mm = (250.0, 150.0)
-        self._folder: tempfile.TemporaryDirectory[str] | None = None
         self.parts = {part: ui.check(text, tip, on=part == "mirror") for part, text, tip in _PARTS}
         tip = "Places of the beam; four marks determine the map, each more checks it"
         self.marks = ui.choice("Marks on the surface", tip, _MARKS)
         self.file = PathField("&File", ".csv", "file of marks", settings)
         self.file.setToolTip("x_mm,y_mm of each mark; with x_mrad,y_mrad nothing is jogged")
-        tip = "A map that misses a mark by more, in mm on the surface, is refused"
-        self.limit_mm = ui.number_box("Largest residual in mm", tip, " mm", 2, 0.01, 100.0, value=_DEFAULT_LIMIT_MM)
         tip = "Its values override the rig file's; a measured bank keeps its own calibration"
         self.use = ui.check("&Name the new file in the rig file", tip, on=True)
         tip = "Open the instruments and measure; you are asked what to connect"
@@ -57,7 +49,6 @@ class CalibrationOptions(QWidget):
         form = QFormLayout()
         form.setFieldGrowthPolicy(QFormLayout.FieldGrowthPolicy.FieldsStayAtSizeHint)
         form.addRow("Marks", self.marks)
-        form.addRow("Largest residual", self.limit_mm)
         for widget in (self.file, self.use, self.start):
             form.addRow(widget)
         ui.column(ui.label(text="Measure the rig's own values", role="strong"), *self.parts.values(), form, owner=self)
@@ -71,38 +62,19 @@ class CalibrationOptions(QWidget):
         for name, box in self.parts.items():
             box.setChecked(part in ("", name))
 
-    def shut_down(self) -> None:
-        if self._folder is not None:
-            self._folder.cleanup()
-            self._folder = None
-
     def _enable(self) -> None:
         mirror = self.parts["mirror"].isChecked()
         self.marks.setEnabled(mirror)
-        self.limit_mm.setEnabled(mirror)
-        self.file.setVisible(mirror and self.marks.currentIndex() == _FILE)
+        self.file.setVisible(mirror and self.marks.currentIndex() == 1)
         self.start.setEnabled(any(box.isChecked() for box in self.parts.values()))
 
     def _start(self) -> None:
         options = ["--only", ",".join(name for name, box in self.parts.items() if box.isChecked())]
-        if self.parts["mirror"].isChecked():
-            options += ["--limit-mm", f"{self.limit_mm.value():g}"]
-            if self.marks.currentIndex() == _CORNERS:
-                options += ["--fiducials", str(self._corners())]
-            elif self.marks.currentIndex() == _FILE:
-                options += ["--fiducials", str(self.file.path or "")]
+        if not self.file.isHidden():
+            options += ["--fiducials", str(self.file.path or "")]
         if self.use.isChecked():
             options.append("--use")
         self.started.emit(options)
-
-    def _corners(self) -> Path:
-        """File with the corners and the middle."""
-        if self._folder is None:
-            self._folder = tempfile.TemporaryDirectory(prefix="wavefocus-marks-")
-        path = Path(self._folder.name) / "corners.csv"
-        middle, *corners = default_marks_mm(*self.size_mm)[:5]
-        path.write_text("x_mm,y_mm\n" + "".join(f"{x:g},{y:g}\n" for x, y in (*corners, middle)), encoding="utf-8")
-        return path
 
 
 class CalibrationPage(Themed, QWidget):
@@ -159,7 +131,6 @@ class CalibrationPage(Themed, QWidget):
         return min(rows) + 1 if rows else None
 
     def show_surface(self, surface: Surface, actuator_mm: list[Numbers]) -> None:
-        self.options.size_mm = (surface.length_mm, surface.width_mm)
         self.picture.show_rig(surface.outline, actuator_mm)
         if not self._calibration.running:
             self._marks_mm = list(default_marks_mm(surface.length_mm, surface.width_mm))

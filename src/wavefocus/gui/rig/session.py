@@ -233,8 +233,8 @@ class ManualSession(RigProcess):
         expected, then, self._then = self.state == "ending", self._then, None
         self._reset()
         self._enter("released")
+        self._context.report_end(process)
         if process.failure:
-            self._context.messages.fault(process.failure)
             return
         if not expected:
             self._context.messages.warn("wavefocus operate has ended; the outputs are muted, the mirror is parked")

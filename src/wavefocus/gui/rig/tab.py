@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -14,7 +13,7 @@ from PyQt5.QtWidgets import QAction, QToolButton, QWidget
 from wavefocus.config.loading import read_toml
 from wavefocus.config.messages.codec import from_record
 from wavefocus.config.messages.operate import Numbers
-from wavefocus.config.messages.rig_checks import Action, Finding, FindingMade
+from wavefocus.config.messages.rig_checks import Finding, FindingMade
 from wavefocus.config.rig import Surface
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.files import FileKind, PathField, TomlKind, rig_of_run, toml_kind
@@ -26,7 +25,6 @@ from wavefocus.gui.surface import is_virtual, surface_from
 from wavefocus.gui.tab import Tab, TabContext
 from wavefocus.gui.theme import Themed
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.text_file import read_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,24 +53,6 @@ def read_rig_file(path: Path) -> RigFile:
     return RigFile(path, is_virtual(content), surface_from(surface), actuator_mm)
 
 
-def line_of(path: Path, key: str) -> int:
-    """Line, from 1, of a key such as ``player.channels``, or else of its table; 0 where there is neither."""
-    table, _, name = key.rpartition(".")
-    table = table or name
-    try:
-        lines = read_text(path).splitlines()
-    except InputError:
-        return 0
-    inside, found = False, 0
-    for number, line in enumerate(lines, start=1):
-        if heading := re.match(r"\s*\[+\s*([\w.\-]+)\s*\]+", line):
-            inside = heading.group(1) == table
-            found = number if inside and not found else found
-        elif inside and re.match(rf"\s*{re.escape(name)}\s*=", line):
-            return number
-    return found
-
-
 _HEADINGS = ("", "instrument", "check", "finding", "remedy", "")
 # Mark and word of a verdict, and its word in the summary.
 _VERDICTS = {
@@ -81,22 +61,23 @@ _VERDICTS = {
     "skipped": ("– skipped", "skipped"),
     "ok": ("✔ ok", "ok"),
 }
-# Actions of a finding, and the text of the button; {on} is the subject.
-_BUTTON_TEXTS: dict[Action, str] = {
-    "calibrate": "Calibrate {on}…",
-    "edit-rig": "Open the rig file",
-    "open-folder": "Open the folder",
-    "reset-usb": "Reset its USB…",
-    "run": "Copy the command",
-    "test-message": "Send a test",
-}
 
 
 def button_of(finding: Finding) -> tuple[str, str] | None:
-    """Action and text of a finding's button; None where there is nothing to do."""
-    if finding.act is not None:
-        return finding.act.do, _BUTTON_TEXTS[finding.act.do].format(on=finding.act.on).replace(" …", "…")
+    """Action and text of a finding's button; None where there is nothing to do in the window."""
+    if finding.act is not None and finding.act.do == "calibrate":
+        return "calibrate", f"Calibrate {finding.act.on}…".replace(" …", "…")
     return ("again", "Check again") if _is_bad(finding) else None
+
+
+def remedy_of(finding: Finding) -> str:
+    """What to do about a finding: the button to press, or the remedy with the key of the rig file that it is about."""
+    button, act = button_of(finding), finding.act
+    if button is not None and button[0] == "calibrate":
+        return f"press {button[1]}"
+    if act is not None and act.do == "edit-rig" and act.on not in finding.remedy:
+        return f"{finding.remedy} ({act.on} in the rig file)"
+    return finding.remedy
 
 
 def _is_bad(finding: Finding) -> bool:
@@ -133,11 +114,11 @@ class ExaminationPage(Themed, QWidget):
     def running(self) -> bool:
         return self._process is not None
 
-    def start(self, rig: Path, options: Sequence[str]) -> None:
+    def start(self, rig: Path) -> None:
         quiet = [] if self.plays.isChecked() else ["--no-play"]
         self.clear()
         self.summary.setText("examining…")
-        self._process = self._context.run(["doctor", str(rig), "--lines", *quiet, *options], self._ended, self._receive)
+        self._process = self._context.run(["doctor", str(rig), "--lines", *quiet], self._ended, self._receive)
 
     def cancel(self) -> None:
         """End it; instruments are put to rest first."""
@@ -189,7 +170,7 @@ class ExaminationPage(Themed, QWidget):
             finding.instrument,
             finding.check,
             finding.what,
-            finding.remedy,
+            remedy_of(finding),
         )
         ui.fill_row(self.table, number, texts, {0: colours.get(finding.verdict, theme.faint)})
 
@@ -206,7 +187,7 @@ class ExaminationPage(Themed, QWidget):
             self.summary.setText("cancelled; the instruments were put to rest")
         else:
             self.summary.setText("the examination was not completed")
-            self._context.messages.fault(process.failure)
+            self._context.report_end(process)
 
     def _hide_good(self) -> None:
         for number, finding in enumerate(self.findings):
@@ -240,11 +221,10 @@ class RigTab(Tab):
         self.manual_page.take.clicked.connect(self.take)
         self.calibration_page.options.started.connect(self.calibrate)
         sound = self.manual_page.sound
-        self._actions = [
-            ui.action(self, "Examine", self.examine, "Ctrl+I"),
-            ui.action(self, "Cancel the examination", self.examination.cancel),
-            None,
-            ui.action(self, "Open instruments", self.take, "Ctrl+Shift+T"),
+        self._examine = ui.action(self, "Examine", self.examine, "Ctrl+I")
+        self._cancel = ui.action(self, "Cancel the examination", self.examination.cancel)
+        self._take = ui.action(self, "Open instruments", self.take, "Ctrl+Shift+T")
+        self._with_instruments = [
             ui.action(self, "Close instruments", self.session.release, "Ctrl+Shift+G"),
             ui.action(self, "Sweep", sound.take_sweep, "F5"),
             ui.action(self, "Mute", sound.mute, "Ctrl+0"),
@@ -255,7 +235,7 @@ class RigTab(Tab):
             self._show_rig(Path(remembered))
 
     def menu_actions(self) -> list[QAction | None]:
-        return [*self._actions]
+        return [self._examine, self._cancel, None, self._take, *self._with_instruments]
 
     def accepts(self, path: Path) -> bool:
         return path.name.lower().endswith(".toml") and toml_kind(path) is TomlKind.RIG
@@ -274,8 +254,8 @@ class RigTab(Tab):
             self.context.settings.keep("rig/file", str(path.absolute()))
             self._show_rig(path)
 
-    def examine(self, *options: str) -> None:
-        self._with_free_instruments("Examine", lambda rig: self.examination.start(rig.path, options))
+    def examine(self) -> None:
+        self._with_free_instruments("Examine", lambda rig: self.examination.start(rig.path))
 
     def take(self) -> None:
         self._with_free_instruments("Open them", lambda rig: self.session.take(rig.path))
@@ -284,33 +264,21 @@ class RigTab(Tab):
         self._with_free_instruments("Calibrate", lambda rig: self.calibration.start(rig.path, options))
 
     def do(self, action: str, on: str) -> None:
-        rig, messages = self.rig, self.context.messages
-        if rig is None:
-            return
-        match action:
-            case "again":
-                self.examine()
-            case "test-message":
-                self.examine("--test-message")
-            case "reset-usb":
-                messages.ask(
-                    f"Reset the USB device of the {on}? It is switched off and on; programs that use it lose it.",
-                    ("Reset it", lambda: self.examine("--reset-usb", on)),
-                    ("Cancel", lambda: None),
-                )
-            case "calibrate":
-                self.calibration_page.options.choose(on)
-                self.pages.setCurrentWidget(self.calibration_page)
-            case "run":
-                ui.copy_text(on)
-                messages.note(f"copied: {on}; paste it into a terminal")
-            case "edit-rig":
-                line = line_of(rig.path, on)
-                where = f", line {line}" if line else ""
-                messages.warn(f"{on} is in {rig.path}{where}; edit and save it, then examine again")
-                self.context.open_outside(rig.path)
-            case "open-folder":
-                self.context.open_outside(Path(on))
+        """Press a finding's button."""
+        if action == "again":
+            self.examine()
+        else:
+            self.calibration_page.options.choose(on)
+            self.pages.setCurrentWidget(self.calibration_page)
+
+    def poll(self) -> None:
+        """Enable what makes sense, also while the tab is hidden: its keys work in every tab."""
+        has_rig, ready = self.rig is not None, self.session.state == "ready"
+        self._examine.setEnabled(has_rig and not self.examination.running)
+        self._cancel.setEnabled(self.examination.running)
+        self._take.setEnabled(has_rig and self.session.state == "released")
+        for action in self._with_instruments:
+            action.setEnabled(ready)
 
     def draw(self) -> None:
         has_rig, examining = self.rig is not None, self.examination.running
@@ -328,7 +296,6 @@ class RigTab(Tab):
         """Leave the processes: they mute, park and exit by themselves."""
         for part in (self.session, self.calibration, self.examination):
             part.detach()
-        self.calibration_page.options.shut_down()
 
     def _show_rig(self, path: Path) -> None:
         self.rig_field.show_path(path)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -35,8 +34,33 @@ _COLUMNS = (
 _VERDICTS = {True: "✓ pass", False: "✗ fail", None: "– not judged"}
 
 
+class VerdictPanel(Themed, QWidget):
+    """Verdict, and below it in its colour what is beyond a limit and what is wrong, with what to do."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.verdict = ui.Badge("Verdict")
+        self.summary = ui.label("Summary", any_width=True)
+        self.findings = ui.label("Findings", wraps=True, selectable=True)
+        self.findings.setStyleSheet(f"color: {self.theme.fault};")
+        self.changes = ui.label("Changes since an earlier verification", wraps=True)
+        ui.column(ui.row(self.verdict, (self.summary, 1)), self.findings, self.changes, owner=self, spacing=2)
+
+    def show_results(self, results: Results) -> None:
+        record, theme = results.record, self.theme
+        word, colour = ("✓ passed", theme.good) if record.passed else ("✗ not good enough", theme.fault)
+        self.verdict.show_word(word, colour)
+        self.summary.setText(f"{record.scene}, {_when(record)}, in {results.folder.name}: {record.summary}")
+        self.summary.setToolTip(
+            f"{record.summary}\nscene {record.scene_file}\nbank {record.bank}\nrig {record.rig}\n{results.folder}"
+        )
+        for label, lines in ((self.findings, _findings(record)), (self.changes, _changes(record))):
+            label.setText("\n".join(lines))
+            label.setVisible(bool(lines))
+
+
 class FiguresPanel(Themed, QWidget):
-    """Verdict, table, buttons.
+    """Table of the figures, buttons.
 
     acts: Actions of the buttons ``"report"``, ``"folder"`` and ``"copy"``.
     """
@@ -44,9 +68,6 @@ class FiguresPanel(Themed, QWidget):
     def __init__(self, acts: dict[str, Callable[[], object]]) -> None:
         super().__init__()
         self._record: VerificationRecord | None = None
-        self._folder = Path()
-        self.verdict = ui.Badge("Verdict")
-        self.summary = ui.label("Summary", wraps=True)
         self.table = ui.table([title for title, _ in _COLUMNS], "Figures with tolerances", (0,))
         self.table.setShowGrid(False)
         for place, (_, tip) in enumerate(_COLUMNS):
@@ -60,18 +81,18 @@ class FiguresPanel(Themed, QWidget):
                 ("copy", "Copy figures", "All figures as text, columns separated by tabs"),
             )
         }
-        head = ui.row(self.verdict, (self.summary, 1))
-        head.setAlignment(self.verdict, Qt.Alignment() | Qt.AlignmentFlag.AlignTop)
-        ui.column(head, (self.table, 1), ui.row(*self.buttons.values(), None), owner=self, spacing=4)
-        self.show_results(None)
+        ui.column((self.table, 1), ui.row(*self.buttons.values(), None), owner=self, spacing=4)
 
-    def show_results(self, results: Results | None) -> None:
-        """Show another verification's figures; None shows none."""
-        self._record = None if results is None else results.record
-        self._folder = Path() if results is None else results.folder
-        for button in self.buttons.values():
-            button.setEnabled(results is not None)
-        self._fill()
+    def show_results(self, results: Results) -> None:
+        self._record, theme = results.record, self.theme
+        colours = {True: theme.good, False: theme.fault, None: theme.faint}
+        last = len(_COLUMNS) - 1
+        self.table.setRowCount(len(self._record.figures))
+        for number, figure in enumerate(self._record.figures):
+            tip = f"{figure.name}: {figure.definition}"
+            ui.fill_row(
+                self.table, number, _cells(figure), {last: colours[figure.passed]}, right=range(1, last), tip=tip
+            )
 
     def as_text(self) -> str:
         """All figures, columns separated by tabs."""
@@ -82,35 +103,11 @@ class FiguresPanel(Themed, QWidget):
             f"{record.scene}: {'passed' if record.passed else 'not good enough'}",
             record.summary,
             *_findings(record),
+            *_changes(record),
             f"scene {record.scene_file}, bank {record.bank}, rig {record.rig}, {_when(record)}",
             "\t".join(title for title, _ in _COLUMNS),
         ]
         return "\n".join([*lines, *("\t".join(_cells(one)) for one in record.figures)]) + "\n"
-
-    def _fill(self) -> None:
-        record, theme = self._record, self.theme
-        self.verdict.setVisible(record is not None)
-        self.table.setRowCount(0 if record is None else len(record.figures))
-        if record is None:
-            self.summary.setText("")
-            self.summary.setToolTip("")
-            return
-        self.verdict.show_word(
-            "✓ passed" if record.passed else "✗ not good enough", theme.good if record.passed else theme.fault
-        )
-        self.summary.setText(
-            "\n".join([f"{record.scene}, {_when(record)}, in {self._folder.name}", *_findings(record)])
-        )
-        self.summary.setToolTip(
-            f"{record.summary}\nscene {record.scene_file}\nbank {record.bank}\nrig {record.rig}\n{self._folder}"
-        )
-        colours = {True: theme.good, False: theme.fault, None: theme.faint}
-        last = len(_COLUMNS) - 1
-        for number, figure in enumerate(record.figures):
-            tip = f"{figure.name}: {figure.definition}"
-            ui.fill_row(
-                self.table, number, _cells(figure), {last: colours[figure.passed]}, right=range(1, last), tip=tip
-            )
 
 
 def _cells(figure: Figure) -> list[str]:
@@ -128,15 +125,25 @@ def _cells(figure: Figure) -> list[str]:
 
 
 def _findings(record: VerificationRecord) -> list[str]:
-    """Symptoms with what to do, and what has changed since an earlier verification."""
-    from wavefocus.rendering.verify.changes import change_lines
+    """Figures beyond their limits, and symptoms with what to do."""
+    from wavefocus.rendering.number_text import number
     from wavefocus.rendering.verify.symptom_words import remedy, sentence
 
-    lines = [f"{sentence(symptom)} {remedy(symptom)}" for symptom in record.symptoms]
-    if record.changes is not None:
-        since = record.changes.made.astimezone().strftime("%d %b %Y %H:%M")
-        lines.append(f"Since {since}: {'; '.join(change_lines(record.changes))}.")
-    return lines
+    beyond = [
+        f"▲ {one.name}: {number(one.value, one.unit)}, {one.relation} {number(one.limit, one.unit)} is allowed"
+        for one in record.figures
+        if one.passed is False and one.value is not None and one.limit is not None
+    ]
+    return [*beyond, *(f"▲ {sentence(symptom)} {remedy(symptom)}" for symptom in record.symptoms)]
+
+
+def _changes(record: VerificationRecord) -> list[str]:
+    from wavefocus.rendering.verify.changes import change_lines
+
+    if record.changes is None:
+        return []
+    since = record.changes.made.astimezone().strftime("%d %b %Y %H:%M")
+    return [f"Since {since}: {'; '.join(change_lines(record.changes))}."]
 
 
 def _when(record: VerificationRecord) -> str:
@@ -151,7 +158,6 @@ class WaveformPanel(Themed, QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self._results: Results | None = None
         self.index = -1
         self.place = ui.label("Position shown", any_width=True)
         self.figures = ui.label("Figures of the position", any_width=True, selectable=True)
@@ -169,23 +175,16 @@ class WaveformPanel(Themed, QWidget):
         self.plot.scene().sigMouseClicked.connect(self._clicked)
         head = ui.row((self.place, 1), self.legend, spacing=12)
         ui.column(head, self.figures, (self.plot, 1), owner=self, spacing=2)
-        self.show_results(None)
 
-    def show_results(self, results: Results | None) -> None:
-        """Show another verification, at no position."""
-        self._results = results
-        self.show_position(-1)
-
-    def show_position(self, index: int) -> None:
-        """Show a position of the record, -1 for none."""
+    def show_position(self, results: Results, index: int) -> None:
+        """Show a position of a verification's record, -1 for none."""
         self.index = index
         plot = self.plot.getPlotItem()
         plot.clear()
-        results = self._results
         for side in ("left", "bottom"):
-            plot.showAxis(side, results is not None and index >= 0)
-        if results is None or index < 0:
-            self.place.setText("" if results is None else "click a position on a map")
+            plot.showAxis(side, index >= 0)
+        if index < 0:
+            self.place.setText("click a position on a map")
             self.figures.setText("")
             return
         predicted, scanned = results.pair.at_position(index)
@@ -209,11 +208,10 @@ class WaveformPanel(Themed, QWidget):
         plot.getViewBox().enableAutoRange(axis="y")
         row, at_mm = int(results.record.position_index[index]), results.record.position_mm[index]
         self.place.setText(f"position {row} at ({at_mm[0]:.1f}, {at_mm[1]:.1f}) mm")
-        text = _figures_text(results, index)
-        self.figures.setText(text)
+        self.figures.setText(_figures_text(results.record, index))
         self.figures.setToolTip(
-            f"relative {text}\nWithin the bank's band, over all samples of this position: norm of (scan − prediction) "
-            "over norm of the scan, zero-lag correlation, and norm of the scan over norm of the prediction"
+            "Within the bank's band, over all samples of this position: norm of (scan − prediction) over norm of the "
+            "scan, and zero-lag correlation"
         )
 
     def show_time(self, time_s: float) -> None:
@@ -231,18 +229,15 @@ def _lines(theme: Theme) -> list[tuple[str, str]]:
     return [("prediction", theme.traces[0]), ("scan", theme.traces[1]), ("difference", theme.traces[3])]
 
 
-def _figures_text(results: Results, index: int) -> str:
+def _figures_text(record: VerificationRecord, index: int) -> str:
     """The figures of a position, or why it has none."""
-    row = int(results.record.position_index[index])
-    if excluded := [one.reason for one in results.record.excluded if one.position == row]:
+    row = int(record.position_index[index])
+    if excluded := [one.reason for one in record.excluded if one.position == row]:
         return f"not compared: {excluded[0]}"
-    figures = results.pair.figures(index)
-    if math.isnan(figures.error):
+    error, correlation = record.position_error[index], record.position_correlation[index]
+    if math.isnan(error):
         return "silent, or not scanned"
-    return (
-        f"L2 error {100 * figures.error:.3g} %  ·  correlation {figures.correlation:.5f}  ·  "
-        f"level {round(figures.level_db, 2) + 0.0:+.2f} dB"
-    )
+    return f"L2 error {100 * error:.3g} %  ·  correlation {correlation:.5f}"
 
 
 # A few positions at nodes have huge relative errors; they must not make all others look alike.
@@ -284,23 +279,17 @@ class MapsPanel(Themed, QWidget):
         self.time.moved.connect(self._moved)
         self.third.currentIndexChanged.connect(lambda _index: self._rescale())
         self.scale.currentIndexChanged.connect(lambda _index: self._rescale())
-        self.show_results(None)
 
     @property
     def shows_error(self) -> bool:
         """Whether the third map shows each position's error."""
         return self.third.currentIndex() == 1
 
-    def show_results(self, results: Results | None) -> None:
-        """Show another verification, at its first focus instant; None shows nothing."""
+    def show_results(self, results: Results) -> None:
+        """Show another verification, at its first focus instant."""
         self._results = results
-        self.setEnabled(results is not None)
         for field_map in self.maps:
-            field_map.show_surface(None if results is None else results.surface)
-            field_map.bar.setVisible(results is not None)
-        if results is None:
-            self.time.show_samples(0.0, 1.0, 0)
-            return
+            field_map.show_surface(results.surface)
         self._rescale()
         pair = results.pair
         self.time.show_samples(pair.start_s, pair.sample_rate_hz, pair.samples, results.focus_sample)

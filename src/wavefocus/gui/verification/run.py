@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from enum import Enum, auto
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +17,6 @@ from wavefocus.config.messages.campaign import Fault, ReconnectTried, State, Sta
 from wavefocus.config.messages.codec import MessageError, message_of
 from wavefocus.config.messages.rig_checks import VERIFY_MESSAGES, VerifyEnded, VerifyStarted, VerifyStep
 from wavefocus.gui.campaign.follower import LogTail
-from wavefocus.gui.files import TomlKind, toml_kind
 from wavefocus.gui.message_bar import error_text
 from wavefocus.gui.process import NOT_GOOD_ENOUGH, STOPPED_BY_USER, CommandProcess
 from wavefocus.gui.surface import PlotSurface, raster_of
@@ -221,36 +219,25 @@ class VerificationRun:
         assert out is not None
         with suppress(OSError):
             (out / STOP_NAME).unlink(missing_ok=True)
-        reason = "" if ended is None else ended.reason
-        if ended is not None and code == 0:
+        reason = failure if ended is None else ended.reason
+        if code == 0:
             messages.note(f"Verified. {reason}")
-            self._done(out / RECORD_NAME)
-        elif ended is not None and code == NOT_GOOD_ENOUGH:
+        elif code == NOT_GOOD_ENOUGH:
             messages.fault(f"Not good enough. {reason}")
-            self._done(out / RECORD_NAME)
         elif code == STOPPED_BY_USER:
             messages.note(
                 "stopped; the outputs are muted and the mirror is parked; Verify goes on with what was scanned"
             )
         else:
-            messages.fault(reason or failure or "the verification ended")
+            messages.fault(reason or "the verification ended")
+        if code in (0, NOT_GOOD_ENOUGH):
+            self._done(out / RECORD_NAME)
         if self._close is not None:
             self._close()
 
 
 # Number of instants that give the largest response where no focus instants are known.
 _INSTANTS = 64
-
-
-class Dropped(Enum):
-    """Kinds of dropped files."""
-
-    RECORD = auto()
-    SCENE = auto()
-    RIG = auto()
-    BANK = auto()
-    FOLDER = auto()
-    OTHER = auto()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -309,17 +296,3 @@ def record_of(path: Path) -> Path | None:
         return path
     sidecar = path.with_name(RECORD_NAME)
     return sidecar if path.name in (*FIELD_NAMES, REPORT_NAME) and sidecar.is_file() else None
-
-
-def dropped_kind(path: Path) -> Dropped:
-    """Return what a dropped file or folder is, by its content."""
-    if record_of(path) is not None:
-        return Dropped.RECORD
-    if path.is_dir():
-        return Dropped.FOLDER
-    name = path.name.lower()
-    if name.endswith(".h5") and not name.endswith(".raw.h5"):
-        return Dropped.BANK
-    if not name.endswith(".toml"):
-        return Dropped.OTHER
-    return {TomlKind.SCENE: Dropped.SCENE, TomlKind.RIG: Dropped.RIG}.get(toml_kind(path), Dropped.OTHER)

@@ -9,42 +9,32 @@ from functools import partial
 from pathlib import Path
 
 from PyQt5.QtCore import Qt
-from PyQt5.QtGui import QDragEnterEvent, QDropEvent, QShowEvent
-from PyQt5.QtWidgets import QAction, QComboBox, QGridLayout, QLabel, QLineEdit, QStackedWidget, QWidget
+from PyQt5.QtWidgets import QAction, QGridLayout, QLabel, QLineEdit, QStackedWidget, QWidget
 
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.files import FileKind, PathField, choose_file, dropped_files, names_virtual_rig
+from wavefocus.gui.files import FileKind, PathField, choose_file, names_virtual_rig
 from wavefocus.gui.message_bar import error_text
 from wavefocus.gui.process import Background
-from wavefocus.gui.tab import ClosingQuestion, Drawing, Tab, TabContext
+from wavefocus.gui.surface import VIRTUAL
+from wavefocus.gui.tab import ClosingQuestion, Tab, TabContext
 from wavefocus.gui.theme import Themed
-from wavefocus.gui.verification.panels import FiguresPanel, MapsPanel, WaveformPanel
+from wavefocus.gui.verification.panels import FiguresPanel, MapsPanel, VerdictPanel, WaveformPanel
 from wavefocus.gui.verification.run import (
-    Dropped,
     Results,
     VerificationProgress,
     VerificationRequest,
     VerificationRun,
-    dropped_kind,
     read_results,
     record_of,
 )
 from wavefocus.rendering.verify.record import FIELD_NAMES, PICTURE_NAMES, RECORD_NAME, REPORT_NAME
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.output_files import replacement
 
-_CHOICES = (
-    ("all", "all positions", "Every position of the bank"),
-    ("every", "one position in", "For a quick look: one position of so many, in the bank's order"),
-    ("path", "along the path", "What the scene is rendered from, and all within 15 mm of its paths"),
-    ("selected", "selected on the map", "The positions that are selected in the Campaign tab, of this bank"),
-    ("rows", "these rows", "Bank rows from 0: single or as ranges, 3,5-9"),
-)
 _FOLDER = "verify"
 
 
 class RequestForm(QWidget):
-    """Two rows of fields; `choice` holds the positions to scan."""
+    """Fields for scene, bank, rig, folder and the positions to scan."""
 
     def __init__(self, context: TabContext) -> None:
         super().__init__()
@@ -52,52 +42,32 @@ class RequestForm(QWidget):
         settings = context.settings
         self.scene = PathField("&Scene", ".toml", "scene file", settings)
         self.bank = PathField("&Bank", ".h5", "bank to verify", settings)
-        self.rig = PathField("Ri&g", ".toml", "rig file", settings)
+        self.rig = PathField("Ri&g", ".toml", "rig file", settings, words=(VIRTUAL,))
+        self.rig.line.setToolTip(f"A rig file, or the word {VIRTUAL} for the rig in software")
         self.out = PathField("F&older", "", "folder for the report", settings)
-        tip = "Play on the virtual rig that comes with wavefocus, without a rig file"
-        self.virtual = ui.check("virtual", tip, "Virtual rig")
-        tip = "Verify the scene as it is drawn in the Scene tab now, saved or not"
-        self.drawn = ui.check("as drawn", tip, "Scene as drawn")
-        self._drawing_left = ""
         self._filled: dict[PathField, Path] = {}
         """What was filled in by itself, and follows the bank."""
-        self.positions = QComboBox()
-        self.positions.setAccessibleName("Positions to scan")
-        for key, words, _ in _CHOICES:
-            self.positions.addItem(words, key)
-        self.step = ui.whole_box("One position in so many", "One position in so many, in the bank's order", 2, 1000)
-        self.step.setValue(4)
-        self.rows = ui.named(QLineEdit(), "Bank rows from 0: single or as ranges, 3,5-9", "Bank rows to scan")
-        self.rows.setPlaceholderText("0-99,120")
-        tip = "Allow scenes of over an hour, 8 GiB of drives or a million path points (--allow-large)"
-        self.large = ui.check("large", tip, "Allow large scenes")
+        tip = "Bank rows to scan: path (along the scene's paths), every:4 (one in four), or rows as 3,5-9; empty: all"
+        self.positions = ui.named(QLineEdit(), tip, "Positions to scan")
+        self.positions.setPlaceholderText("all; or path, every:4, 3,5-9")
         self.choice = QWidget()
-        ui.row(*ui.labelled("&Positions", self.positions), self.step, self.rows, self.large, owner=self.choice)
-        rig = ui.row((self.rig, 1), self.virtual)
+        ui.row(*ui.labelled("&Positions", self.positions), owner=self.choice)
         grid = QGridLayout(self)
         grid.setContentsMargins(0, 0, 0, 0)
-        grid.addLayout(ui.row((self.scene, 1), self.drawn), 0, 0)
-        grid.addWidget(self.bank, 0, 1)
-        grid.addLayout(rig, 1, 0)
-        grid.addWidget(self.out, 1, 1)
         for place, fields in enumerate(((self.scene, self.rig), (self.bank, self.out))):
             grid.setColumnStretch(place, 1)
             labels = [label for field in fields if (label := field.findChild(QLabel)) is not None]
+            for line, field in enumerate(fields):
+                grid.addWidget(field, line, place)
             for label in labels:
                 label.setMinimumWidth(max(one.sizeHint().width() for one in labels))
-        files: dict[str, QWidget] = {"scene": self.scene, "bank": self.bank, "rig": self.rig, "out": self.out}
-        which = {"virtual": self.virtual, "positions": self.positions, "step": self.step, "rows": self.rows}
-        self.choices = files | which
+        self.choices: dict[str, QWidget] = {
+            "scene": self.scene, "bank": self.bank, "rig": self.rig, "out": self.out, "rows": self.positions,
+        }  # fmt: skip
         self.bank.chosen.connect(self.take_bank)
         for field in (self.scene, self.rig):
             field.chosen.connect(settings.opened)
         self.rig.chosen.connect(lambda path: context.share(self, FileKind.RIG, path))
-        self.scene.chosen.connect(lambda _path: self._leave_drawing())
-        self.drawn.toggled.connect(self.scene.setDisabled)
-        self.drawn.clicked.connect(lambda on: None if on else self._leave_drawing())
-        self.virtual.toggled.connect(self.rig.setDisabled)
-        self.positions.currentIndexChanged.connect(self._show_choice)
-        self._show_choice()
 
     def take_bank(self, bank: Path) -> None:
         """Verify a bank; empty fields are filled with the files next to it."""
@@ -106,111 +76,38 @@ class RequestForm(QWidget):
         self._context.share(self, FileKind.BANK, bank)
         for field, name in ((self.scene, "scene.toml"), (self.rig, "rig.toml"), (self.out, _FOLDER)):
             neighbour = bank.with_name(name)
-            if field.path in (None, self._filled.get(field)) and (field is self.out or neighbour.is_file()):
+            empty = not field.line.text().strip() or field.path == self._filled.get(field)
+            if empty and (field is self.out or neighbour.is_file()):
                 field.show_path(neighbour)
                 self._filled[field] = neighbour
 
-    def use_rig(self, rig: Path) -> None:
-        """Play on a rig that was chosen in another tab."""
-        self.virtual.setChecked(False)
-        self.rig.show_path(rig)
-
     def missing(self) -> str:
         """What has to be chosen first; empty when a verification can be started."""
-        rigs = [] if self.virtual.isChecked() else [(self.rig, "a rig file, or the virtual rig")]
-        scenes = [] if self.drawn.isChecked() else [(self.scene, "a scene file")]
-        fields = [*scenes, (self.bank, "a bank"), *rigs, (self.out, "a folder")]
-        words = [word for field, word in fields if field.path is None]
+        fields = (
+            (self.scene, "a scene file"), (self.bank, "a bank"), (self.rig, f"a rig file, or type {VIRTUAL}"),
+            (self.out, "a folder"),
+        )  # fmt: skip
+        words = [word for field, word in fields if not field.line.text().strip()]
         return "" if not words else f"choose {', and '.join(words)}"
 
     def request(self) -> VerificationRequest:
         """The command of the present choices; results in the folder are kept, and a numbered folder is used instead.
 
-        Raises InputError: A choice is missing, or the positions are wrong.
+        Raises InputError: A choice is missing.
         """
         if missing := self.missing():
             raise InputError(f"{missing} first")
-        drawing = self._context.drawing() if self.drawn.isChecked() else None
-        if self.drawn.isChecked() and drawing is None:
-            raise InputError("the Scene tab has no scene: draw one there, or choose a scene file")
-        bank, out = self.bank.path, self.out.path
-        assert bank is not None
+        out = self.out.path
         assert out is not None
         earlier, out = out / RECORD_NAME, unused_folder(out)
-        scene = self.scene.path if drawing is None else drawing.path or _written(drawing, out)
-        rig = "virtual" if self.virtual.isChecked() else str(self.rig.path)
-        arguments = ["verify", str(scene), "--bank", str(bank), "--rig", rig, "--out", str(out), "--json"]
-        if self.large.isChecked() or (drawing is not None and drawing.allow_large):
-            arguments.append("--allow-large")
+        rig = str(self.rig.path or VIRTUAL)
+        files = ["--bank", str(self.bank.path), "--rig", rig, "--out", str(out), "--json"]
+        arguments = ["verify", str(self.scene.path), *files]
         if out != earlier.parent and earlier.is_file():
             arguments += ["--against", str(earlier)]
-        if positions := self._positions(bank):
+        if positions := self.positions.text().strip():
             arguments += ["--positions", positions]
         return VerificationRequest(tuple(arguments), out, names_virtual_rig(rig))
-
-    def take_drawing(self) -> None:
-        """Verify the scene that is drawn in the Scene tab, unless a file was chosen since it was changed."""
-        drawing = self._context.drawing()
-        self.drawn.setEnabled(drawing is not None)
-        if drawing is None:
-            self.drawn.setChecked(False)
-        elif drawing.toml != self._drawing_left:
-            self.drawn.setChecked(True)
-
-    def _leave_drawing(self) -> None:
-        """Verify the scene file; the drawing is offered again when it has changed."""
-        drawing = self._context.drawing()
-        self._drawing_left = "" if drawing is None else drawing.toml
-        self.drawn.setChecked(False)
-
-    def _positions(self, bank: Path) -> str:
-        match self.positions.currentData():
-            case "every":
-                return f"every:{self.step.whole()}"
-            case "path":
-                return "path"
-            case "selected":
-                return self._selected(bank)
-            case "rows":
-                text = self.rows.text().strip()
-                if not text:
-                    raise InputError("name the bank rows to scan, as 3,5-9, or choose other positions")
-                return text
-        return ""
-
-    def _selected(self, bank: Path) -> str:
-        selection = self._context.selection
-        if not selection.rows or selection.bank is None:
-            raise InputError("nothing is selected on the campaign's map; Ctrl-click or Shift-drag there selects")
-        if selection.bank.absolute() != bank.absolute():
-            raise InputError(
-                f"the campaign's map shows {selection.bank}, and {bank} is to be verified; open that bank in the "
-                "Campaign tab and select there"
-            )
-        return ",".join(str(row) for row in sorted(selection.rows))
-
-    def _show_choice(self) -> None:
-        key = self.positions.currentData()
-        self.positions.setToolTip(next(tip for one, _, tip in _CHOICES if one == key))
-        self.step.setVisible(key == "every")
-        self.rows.setVisible(key == "rows")
-
-
-def _written(drawing: Drawing, out: Path) -> Path:
-    """Write a drawing that has no file of its own next to the results, ``NAME-scene.toml``; other files stay.
-
-    Raises InputError: It cannot be written.
-    """
-    content = drawing.toml.encode()
-    names = (out.with_name(f"{out.name}-scene{count or ''}.toml") for count in itertools.count())
-    path = next(one for one in names if not os.path.lexists(one) or (one.is_file() and one.read_bytes() == content))
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with replacement(path) as temporary:
-            temporary.write_bytes(content)
-    except OSError as failure:
-        raise InputError(f"{path} cannot be written: {error_text(failure)}") from None
-    return path
 
 
 def unused_folder(folder: Path) -> Path:
@@ -296,9 +193,8 @@ class RunRow(Themed, QWidget):
 
 
 _HINT = (
-    "Choose a scene (or draw one in the Scene tab), a bank, a rig and a folder, and press Verify: the scene is played "
-    "and scanned, and compared with what the bank predicts.\n\nOr open the verify.json of an earlier verification, or "
-    "drop it here."
+    "Choose a scene, a bank, a rig and a folder, and press Verify: the scene is played and scanned, and compared with "
+    "what the bank predicts.\n\nOr open the verify.json of an earlier verification."
 )
 _WAITING = "Prediction, scan and difference are shown here when the scan is done."
 
@@ -317,11 +213,11 @@ class VerificationTab(Tab):
         self.run = VerificationRun(context, self.open_record)
         self.form = RequestForm(context)
         self.row = RunRow(self.form.choice, self._start, self.run.cancel, self._choose_record)
+        self.verdict = VerdictPanel()
         self.maps = MapsPanel()
         self.waveforms = WaveformPanel()
         opens = {"report": partial(self._open, REPORT_NAME), "folder": partial(self._open, "")}
         self.figures = FiguresPanel({**opens, "copy": self._copy})
-        self.setAcceptDrops(True)
         self._lay_out()
         self.maps.picked.connect(self.show_position)
         self.maps.moved.connect(lambda _sample: self.waveforms.show_time(self.maps.time.time_s))
@@ -357,7 +253,8 @@ class VerificationTab(Tab):
     def show_position(self, index: int) -> None:
         """Show the waveforms of a position, by its place in the record."""
         self.maps.mark(index)
-        self.waveforms.show_position(index)
+        if self.results is not None:
+            self.waveforms.show_position(self.results, index)
         self.waveforms.show_time(self.maps.time.time_s)
 
     def poll(self) -> None:
@@ -369,11 +266,9 @@ class VerificationTab(Tab):
         if kind is FileKind.BANK:
             self.form.take_bank(path)
         elif kind is FileKind.RIG:
-            self.form.use_rig(path)
-
-    def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802
-        super().showEvent(event)
-        self.form.take_drawing()
+            self.form.rig.show_path(path)
+        elif kind is FileKind.SCENE:
+            self.form.scene.show_path(path)
 
     def draw(self) -> None:
         self.hint.setText(_WAITING if self.run.running else _HINT)
@@ -393,46 +288,18 @@ class VerificationTab(Tab):
         self.background.end()
         self.run.detach()
 
-    def dragEnterEvent(self, event: QDragEnterEvent | None) -> None:  # noqa: N802
-        if event is not None and any(dropped_kind(path) is not Dropped.OTHER for path in dropped_files(event)):
-            event.acceptProposedAction()
-
-    def dropEvent(self, event: QDropEvent | None) -> None:  # noqa: N802
-        if event is None:
-            return
-        event.acceptProposedAction()
-        for path in dropped_files(event):
-            self.take_dropped(path)
-
-    def take_dropped(self, path: Path) -> None:
-        """Put a file that was dropped on this tab where it belongs."""
-        match dropped_kind(path):
-            case Dropped.RECORD:
-                self.open_file(path)
-            case Dropped.SCENE:
-                self.form.scene.show_path(path)
-            case Dropped.RIG:
-                self.form.rig.show_path(path)
-                self.form.virtual.setChecked(False)
-            case Dropped.BANK:
-                self.form.take_bank(path)
-            case Dropped.FOLDER:
-                self.form.out.show_path(path)
-            case Dropped.OTHER:
-                self.context.messages.warn(
-                    f"{path}: drop a scene, a bank, a rig, a folder, or the verify.json of an earlier verification"
-                )
-
     def _lay_out(self) -> None:
         lower = ui.side_by_side((self.waveforms, 515), (self.figures, 745))
         both = ui.stacked((self.maps, 360), (lower, 260), growing=[0])
         self.remember(lower=lower, both=both, **self.form.choices)
+        shown = QWidget()
+        ui.column(self.verdict, (both, 1), owner=shown)
         self.pages = QStackedWidget()
         self.hint = ui.label(text=_HINT, role="faint", wraps=True)
         self.hint.setAlignment(Qt.Alignment() | Qt.AlignmentFlag.AlignCenter)
         self.hint.setMargin(40)
         self.pages.addWidget(self.hint)
-        self.pages.addWidget(both)
+        self.pages.addWidget(shown)
         ui.column(self.form, self.row, (self.pages, 1), owner=self, margins=ui.PAGE_MARGINS)
 
     def _start(self) -> None:
@@ -464,9 +331,8 @@ class VerificationTab(Tab):
         self._reading = ""
         self.results = results
         self.pages.setCurrentIndex(1)
-        self.maps.show_results(results)
-        self.waveforms.show_results(results)
-        self.figures.show_results(results)
+        for panel in (self.verdict, self.maps, self.figures):
+            panel.show_results(results)
         self.show_position(self._first_position(results))
 
     def _fail(self, failure: Exception) -> None:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +12,7 @@ from numpy.typing import NDArray
 from wavefocus.calibration.numerics import parabola_vertex
 from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float32Array, Int64Array
 from wavefocus.rendering.device import fast_length
-from wavefocus.rendering.field.metrics import RealArray, band_weights, correlation, level_db, normalised_error
+from wavefocus.rendering.field.metrics import RealArray, band_weights
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import FieldRowReader
 
@@ -74,18 +72,6 @@ class CancelledError(Exception):
     """Reading was cancelled."""
 
 
-@dataclass(frozen=True, slots=True)
-class PositionFigures:
-    """Agreement of prediction and scan at one position, within the band; NaN where a field is silent.
-
-    `level_db` is the norm of the scan over that of the prediction.
-    """
-
-    error: float
-    correlation: float
-    level_db: float
-
-
 class FieldPair:
     """Two fields of equal positions, rate, start and length, limited to one band.
 
@@ -125,16 +111,6 @@ class FieldPair:
     def sample_at(self, time_s: float) -> int:
         """The sample nearest to a time of the scene."""
         return min(max(round((time_s - self.start_s) * self.sample_rate_hz), 0), self.samples - 1)
-
-    def figures(self, index: int) -> PositionFigures:
-        """Agreement of both at the `index`-th position."""
-        predicted, scanned = (values.astype(np.float64) for values in self.at_position(index))
-        norms = float(np.linalg.norm(predicted)), float(np.linalg.norm(scanned))
-        if not (norms[0] > 0.0 and norms[1] > 0.0):
-            return PositionFigures(math.nan, math.nan, math.nan)
-        return PositionFigures(
-            normalised_error(scanned, predicted), correlation(scanned, predicted), level_db(norms[1] / norms[0])
-        )
 
     def loudest(self, samples: Int64Array, compared: BoolArray) -> tuple[float, float]:
         """Magnitude that all but a thousandth of both fields, and of their difference, keep to."""

@@ -1,0 +1,127 @@
+"""The dialog that starts a participant's trials, in a window and a process of their own."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+from PyQt5.QtCore import QTimer
+from PyQt5.QtWidgets import QDialog, QFormLayout, QLineEdit, QWidget
+
+from wavefocus.gui import widgets as ui
+from wavefocus.gui.files import FileKind, PathField, names_virtual_rig, short_path
+from wavefocus.gui.process import CommandProcess
+from wavefocus.gui.surface import VIRTUAL
+from wavefocus.gui.tab import TabContext
+
+# Answers are read again so long after the last key.
+_READS_AFTER_MS = 300
+_FOLDER = "answers"
+
+
+class TrialsStart(QDialog):
+    """Names the participant, shows what is left of the trials, and starts the participant's window.
+
+    trials: The trials file.
+    """
+
+    def __init__(self, context: TabContext, trials: Path, owner: QWidget) -> None:
+        super().__init__(owner)
+        self.setWindowTitle(f"Trials: {trials.name}")
+        self._context, self._trials = context, trials
+        self.process: CommandProcess | None = None
+        settings = context.settings
+        self.participant = ui.named(QLineEdit(), "Code of the participant, no name: letters, digits, -", "Participant")
+        self.bank = PathField("", ".h5", "bank file", settings)
+        self.rig = PathField("", ".toml", "rig file", settings, words=(VIRTUAL,))
+        self.out = PathField("", "", "folder for the answers", settings)
+        for field, kind, name in ((self.bank, FileKind.BANK, "plate.h5"), (self.rig, FileKind.RIG, "rig.toml")):
+            beside = trials.with_name(name)
+            found = beside if beside.is_file() else context.shared.get(kind)
+            if found is not None:
+                field.show_path(found)
+        self.out.show_path(trials.with_name(_FOLDER))
+        self.standing = ui.label("What is left of the trials", wraps=True)
+        tip = "Open the participant's window; stimuli are prepared first"
+        self.start = ui.push_button("&Start", tip, self._start)
+        close = ui.push_button("&Close", "Close this dialog; a participant's window stays", self.close)
+        form = QFormLayout()
+        for words, widget in (
+            ("&Participant", self.participant), ("&Bank", self.bank), ("&Rig", self.rig), ("&Answers", self.out),
+        ):  # fmt: skip
+            form.addRow(words, widget)
+            if isinstance(widget, PathField):
+                widget.setFocusProxy(widget.line)
+        ui.column(
+            ui.label(text=short_path(trials), role="strong"), form, self.standing, ui.row(None, self.start, close),
+            owner=self, margins=(12, 12, 12, 12), spacing=8,
+        )  # fmt: skip
+        self.resize(620, self.sizeHint().height())
+        self._timer = QTimer(self)
+        self._timer.setSingleShot(True)
+        self._timer.timeout.connect(self._read)
+        for line in (self.participant, self.out.line):
+            line.textChanged.connect(self._changed)
+        self._changed()
+
+    def instruments_held(self) -> str:
+        """Holder of real instruments, as the beginning of a sentence; empty for none."""
+        real = self.process is not None and not names_virtual_rig(self.rig.path or VIRTUAL)
+        return f"trials of participant {self.participant.text().strip()} are running" if real else ""
+
+    def _changed(self) -> None:
+        self.start.setEnabled(False)
+        self._timer.start(_READS_AFTER_MS)
+
+    def _read(self) -> None:
+        participant, out = self.participant.text().strip(), self.out.path
+        if self.process is not None or out is None:
+            return
+        work = partial(_standing, self._trials, out, participant)
+        self._context.background.ask("trials", work, self._show, lambda failure: self._show((str(failure), False)))
+
+    def _show(self, standing: tuple[str, bool]) -> None:
+        sentence, can_start = standing
+        self.standing.setText(sentence)
+        self.start.setEnabled(can_start and self.process is None)
+
+    def _start(self) -> None:
+        bank, rig, out = self.bank.path, self.rig.path or VIRTUAL, self.out.path
+        if bank is None or out is None:
+            self.standing.setText("choose a bank and a folder for the answers first")
+            return
+        arguments = ["trials", str(self._trials), "--bank", str(bank), "--rig", str(rig), "--out", str(out)]
+        arguments += ["--participant", self.participant.text().strip()]
+        virtual = names_virtual_rig(rig)
+        self._context.claim_instruments(self, "Start", partial(self._run, arguments), virtual=virtual)
+
+    def _run(self, arguments: list[str]) -> None:
+        self.process = self._context.run(arguments, self._ended, name="the trials", advice="Start resumes them")
+        self.start.setEnabled(False)
+        self.standing.setText("the participant's window opens when the stimuli are prepared")
+
+    def _ended(self, process: CommandProcess) -> None:
+        self.process = None
+        self._context.report_end(process, stopped="the trials were ended before; Start resumes them")
+        self._read()
+
+
+def _standing(trials: Path, out: Path, participant: str) -> tuple[str, bool]:
+    """Say what is left of a participant's trials, and whether they can be started.
+
+    Raises InputError: a file is wrong, or the participant is complete or has answered another experiment.
+    """
+    from wavefocus.trials.answers import ANSWERS, check_participant, read_answers  # loads SciPy, and runs in a thread
+    from wavefocus.trials.design import load_trials
+    from wavefocus.trials.resuming import Experiment, resume_sequence
+
+    design = load_trials(trials)
+    of = "" if design.trials is None else f" of {design.trials}"
+    if not participant:
+        return f"{design.config.trials.name}: {len(design.stimuli)} stimuli; type the participant's code", False
+    rows = read_answers(out) if (out / ANSWERS).exists() else ()
+    order, done = resume_sequence(Experiment(design), check_participant(participant), rows)
+    trial, blocks = order.next_trial(), design.config.trials.blocks
+    assert trial is not None
+    left = blocks - trial.block + 1
+    return f"participant {participant}: {done}{of} trials are answered, {left} of {blocks} blocks are left", True
