@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.acquisition.judgement import judge
+from wavefocus.acquisition.leak import mark_leaks
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.estimator.estimate import bank_figures
 from wavefocus.calibration.estimator.raw_estimation import PositionResult, affordable_workers, estimate_positions
@@ -149,14 +150,18 @@ def estimate_into(
                         else estimate_positions(recordings, estimator, to_do, count)
                     )
                     for result in results:
-                        if fault := _commit(writer, result, limits, calibrated=plan is not None):
+                        leak_db = float(recordings.leak_db[result.position])
+                        if fault := _commit(writer, result, limits, leak_db, calibrated=plan is not None):
                             faults.append(fault)
                         done += 1
                         show(done, header.positions)
+            faults += mark_leaks(writer, header.response_per_volt)
             return Estimated(writer.status, done - first, time.monotonic() - started_s, tuple(faults))
 
 
-def _commit(writer: BankWriter, result: PositionResult, limits: QualityLimits, *, calibrated: bool) -> str:
+def _commit(
+    writer: BankWriter, result: PositionResult, limits: QualityLimits, leak_db: float, *, calibrated: bool
+) -> str:
     """Keep one position; the sentence about it where it is not valid."""
     actuators, taps = writer.header.actuators, writer.header.taps
     found = result.estimate
@@ -166,7 +171,7 @@ def _commit(writer: BankWriter, result: PositionResult, limits: QualityLimits, *
         return f"position {result.position} failed: {result.fault}"
     before_db = writer.reference_before_db(result.position)
     judgement = judge(found, False, limits, before_db=before_db, calibrated=calibrated)
-    record = PointRecord(int(judgement.status), 1, **bank_figures(found, actuators))
+    record = PointRecord(int(judgement.status), 1, **bank_figures(found, actuators), leak_db=leak_db)
     writer.commit(result.position, found.green, record)
     return "" if judgement.good else f"position {result.position}: {judgement.reason}"
 

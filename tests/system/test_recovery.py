@@ -103,7 +103,7 @@ def test_given_a_record_that_fails_once_then_it_alone_is_taken_again_and_the_ban
 ) -> None:
     disturbed = empty_bank(lab, "disturbed.h5")
     capsys.readouterr()
-    with_faults(lab, 'role = "player"\noperation = "wait"\nkind = "underflow"\nat_call = 8')
+    with_faults(lab, 'role = "player"\noperation = "wait"\nkind = "underflow"\nat_call = 9')
     assert capture(lab, disturbed) == 0
     faults = events_of(capsys.readouterr().out, "fault")
     assert [(one["instrument"], one["position"], one["retried"]) for one in faults] == [("virtual player", 2, True)]
@@ -113,7 +113,7 @@ def test_given_a_record_that_fails_once_then_it_alone_is_taken_again_and_the_ban
 def test_given_an_instrument_that_keeps_failing_passingly_then_it_gets_a_fresh_connection(
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with_faults(lab, 'role = "recorder"\noperation = "read"\nkind = "timeout"\nat_call = 7\ncount = 6')
+    with_faults(lab, 'role = "recorder"\noperation = "read"\nkind = "timeout"\nat_call = 8\ncount = 6')
     assert capture(lab, lab / "plate.h5") == 0
     tries = events_of(capsys.readouterr().out, "reconnect_tried")
     assert [(one["role"], one["connected"]) for one in tries] == [("recorder", True)]

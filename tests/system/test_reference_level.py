@@ -79,7 +79,7 @@ def test_given_a_reference_that_changes_for_good_within_its_calibration_then_it_
 ) -> None:
     _as(lab, schedule)
     records = 3 if schedule == "sequential" else 1
-    with_faults(lab, f"{READ}at_call = {2 * records + 1}\ncount = 999\nlevel_db = -0.2")
+    with_faults(lab, f"{READ}at_call = {2 * records + 2}\ncount = 999\nlevel_db = -0.2")
     bank, events = _captured(lab, "plate.h5", capsys)
     assert list(_rows(bank)[0]) == [1, 1, 4, 4, 4, 4]
     assert {tuple(one["defects"]) for one in _of_kind(events, "position_committed")} == {(), ("reference level",)}  # type: ignore[arg-type]

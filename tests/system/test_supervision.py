@@ -367,7 +367,7 @@ def test_given_a_condition_that_leaves_its_band_then_it_is_waited_for_and_the_ba
     quiet, disturbed = empty_bank(lab, "quiet.h5"), empty_bank(lab, "disturbed.h5")
     assert capture(lab, quiet) == 0
     # From the third position's first record on: its three records, the last good position's, and two probes.
-    with_faults(lab, f'role = "recorder"\noperation = "read"\nat_call = 7\ncount = 6\n{fault}')
+    with_faults(lab, f'role = "recorder"\noperation = "read"\nat_call = 8\ncount = 6\n{fault}')
     capsys.readouterr()
     assert capture(lab, disturbed) == 0
     told = capsys.readouterr().out
@@ -406,7 +406,7 @@ def test_given_a_condition_that_stays_away_then_exit_3_says_so_and_resume_goes_o
     quiet, bank = empty_bank(lab, "quiet.h5"), empty_bank(lab, "plate.h5")
     assert capture(lab, quiet) == 0
     sound = (lab / "run.toml").read_text(encoding="utf-8")
-    with_faults(lab, 'role = "recorder"\noperation = "read"\nat_call = 7\ncount = 9999\nkind = "dark"')
+    with_faults(lab, 'role = "recorder"\noperation = "read"\nat_call = 8\ncount = 9999\nkind = "dark"')
     capsys.readouterr()
     assert capture(lab, bank) == 3
     told = capsys.readouterr()
@@ -437,7 +437,7 @@ def test_given_a_dark_spot_then_it_is_the_positions_fault_and_nothing_is_suspend
 
 def test_given_ctrl_c_while_suspended_then_it_stops_at_once(lab: Path) -> None:
     _with_rig(lab, WATCHED)
-    with_faults(lab, 'role = "recorder"\noperation = "read"\nat_call = 7\ncount = 9999\nkind = "dark"')
+    with_faults(lab, 'role = "recorder"\noperation = "read"\nat_call = 8\ncount = 9999\nkind = "dark"')
     listener = Listener(('"state": "suspended"', lambda: signal.raise_signal(signal.SIGINT)))
     with contextlib.redirect_stdout(listener):
         assert capture(lab, lab / "plate.h5") == 130
@@ -446,7 +446,7 @@ def test_given_ctrl_c_while_suspended_then_it_stops_at_once(lab: Path) -> None:
 
 def test_given_a_pause_while_suspended_then_it_is_paused_and_looks_again_when_it_goes_on(lab: Path) -> None:
     _with_rig(lab, WATCHED)
-    with_faults(lab, 'role = "recorder"\noperation = "read"\nat_call = 7\ncount = 4\nkind = "dark"')
+    with_faults(lab, 'role = "recorder"\noperation = "read"\nat_call = 8\ncount = 4\nkind = "dark"')
     bank = lab / "plate.h5"
     orders = _Orders(bank)
     listener = Listener(

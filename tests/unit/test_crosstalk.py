@@ -2,35 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from wavefocus.acquisition.crosstalk_watch import CrosstalkWatch
-from wavefocus.acquisition.doctor import crosstalk_alone
+from wavefocus.acquisition.engine.recovery import Recovery
+from wavefocus.acquisition.engine.session import Session, StopRequest
+from wavefocus.acquisition.leak import LeakWatch, measure_leak
 from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.check import check_bank
-from wavefocus.calibration.crosstalk import Crosstalk, crosstalk_of_record, crosstalk_of_rows
+from wavefocus.calibration.crosstalk import NONE_DB, Crosstalk, crosstalk_of_record
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.campaign.blueprint import blueprint_of
-from wavefocus.campaign.sidecar_files import last_events, read_crosstalk
+from wavefocus.campaign.sidecar_files import last_events
 from wavefocus.config.messages.campaign import CrosstalkMeasured
 from wavefocus.drivers.protocols import RecordLabel, RecordRequest
+from wavefocus.estimation import estimate
 from wavefocus.mocks.virtual.mirror import MirrorMotion
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
 from wavefocus.mocks.wire.emulated_rig import WireBench
 from wavefocus.rendering.verify.leak import crosstalk_symptom, with_crosstalk
 from wavefocus.rendering.verify.results import CERTAIN_SHARE, Symptom
-from wavefocus.storage.bank.layout import BankHeader
 from wavefocus.storage.bank.ledger import PointRecord
-from wavefocus.storage.bank.reading import Bank
+from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.bank.writer import BankWriter, create_bank
 from wavefocus.storage.point_status import Status
+from wavefocus.storage.raw.writer import open_raw
 from wavefocus.virtual import virtual_rig
 
 RATE_HZ = 10_000.0
@@ -69,158 +70,159 @@ def silent_record(share: float, delay_s: float, noise_v: float, seed: int = 0) -
     return crosstalk_of_record(sweep, response, RATE_HZ, (40.0, 400.0))
 
 
-@pytest.mark.parametrize(("share", "delay_s"), [(1e-4, 0.0), (-1e-3, 2.3e-4), (1e-2, 4e-3)])
+@pytest.mark.parametrize(("share", "delay_s"), [(1e-4, 0.0), (-1e-3, 2.3e-4), (1e-2, 4e-3), (-1e-3, 0.0193)])
 def test_leak_in_a_record_without_a_response_is_measured_with_its_delay(share: float, delay_s: float) -> None:
     found = silent_record(share, delay_s, 1.5e-4)
-    assert found.is_named
+    assert found.reaches(1e-4)
     assert found.share == pytest.approx(share, abs=4 * found.error)
     assert found.delay_s == pytest.approx(delay_s, abs=3e-5)
 
 
 def test_records_without_a_leak_name_none_and_loud_ones_resolve_none() -> None:
-    assert not any(silent_record(0.0, 0.0, 1.5e-4, seed).is_named for seed in range(100))
+    assert not any(silent_record(0.0, 0.0, 1.5e-4, seed).is_seen for seed in range(100))
     quiet, loud = silent_record(0.0, 0.0, 1.5e-4), silent_record(1e-4, 0.0, 1.0)
-    assert quiet.is_resolved
-    assert not loud.is_resolved
-    assert not loud.is_named
+    assert quiet.resolves(1e-4)
+    assert not loud.resolves(1e-4)
+    assert not loud.is_seen
 
 
-PLATES = {"gel": {}, "glass": {"plate": "thin", "edge": "infinite"}}
+def measured(path: Path, share: float, delay_s: float = 0.0, **run: dict[str, object]) -> Bank:
+    """A campaign of some positions on the soft plate, with a leak."""
+    keys = {"crosstalk": share, "crosstalk_delay_s": delay_s, "seed": 3, **run.pop("virtual", {})}
+    rig = virtual_rig(actuators=4, spacing_mm=60.0, run={**RUN, **run, "virtual": keys})
+    return rig.measure(path)
+
+
+def looks(bank: Bank) -> list[CrosstalkMeasured]:
+    """All looks at the leak, oldest first."""
+    found = [one.event for one in last_events(bank.path) if isinstance(one.event, CrosstalkMeasured)]
+    return found[::-1]
 
 
 @pytest.fixture(scope="module")
-def banks(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, float], Bank]:
-    """Banks of some 60 positions and 4 actuators, each measured once."""
-
-    @cache
-    def measured(plate: str, share: float) -> Bank:
-        keys = {**PLATES[plate], "crosstalk": share}
-        rig = virtual_rig(actuators=4, spacing_mm=20.0, run={**RUN, "virtual": keys})
-        return rig.measure(tmp_path_factory.mktemp("bank") / "plate.h5")
-
-    return measured
+def clean(tmp_path_factory: pytest.TempPathFactory) -> Bank:
+    return measured(tmp_path_factory.mktemp("bank") / "plate.h5", 0.0)
 
 
-def found_in(bank: Bank, added: float = 0.0) -> Crosstalk | None:
-    """What the rows of a bank show, once another pulse is in them."""
-    green = np.stack([bank.green(position) for position in range(bank.positions)]).astype(np.float64)
-    green[:, :, 0] += added * PER_VOLT
-    return crosstalk_of_rows(green, bank.position_mm, bank.actuator_mm, RATE_HZ, (20.0, 500.0), PER_VOLT)
+def one_percent(bank: Bank) -> float:
+    """Share of the loopback that makes 1 % of a bank's median row."""
+    return 0.01 * float(np.median(bank.rms)) * np.sqrt(bank.taps) / (PER_VOLT * np.sqrt(2 * 480 / RATE_HZ))
 
 
-@pytest.mark.parametrize("plate", list(PLATES))
-def test_leak_in_rows_is_named_on_every_plate(banks: Callable[[str, float], Bank], plate: str) -> None:
-    found = found_in(banks(plate, 1e-4))
-    assert found is not None
-    assert found.is_named
-    # On glass without an edge, whose waves have no front, the level reads up to some decibels high.
-    assert found.share == pytest.approx(1e-4, rel=0.2 if plate == "gel" else 0.6)
-    assert found.delay_s == pytest.approx(0.0, abs=2.5e-4)
-    assert found.actuators == ()
-
-
-@pytest.mark.parametrize("plate", list(PLATES))
-def test_rows_without_a_leak_name_none(banks: Callable[[str, float], Bank], plate: str) -> None:
-    found = found_in(banks(plate, 0.0))
-    assert found is not None
-    assert not found.is_named
-
-
-def test_campaign_marks_all_positions_of_a_leak_as_poor_and_keeps_its_level(
-    banks: Callable[[str, float], Bank],
+@pytest.mark.parametrize(("times", "delay_s"), [(1.0, 0.0), (-1.0, 0.0), (3.0, 0.004), (-30.0, 0.01), (100.0, 0.0002)])
+def test_leak_of_one_percent_of_the_median_row_and_more_is_named_with_level_and_delay_and_marks_all(
+    clean: Bank, tmp_path: Path, times: float, delay_s: float
 ) -> None:
-    bank = banks("gel", 1e-4)
-    assert set(bank.status.tolist()) == {int(Status.POOR_SIGNAL)}
-    leak = read_crosstalk(bank.path)
-    assert leak is not None
-    assert leak.level_db == pytest.approx(-80.0, abs=1.5)
-    assert len(leak.marked) >= bank.positions - 2  # speckle has made the others poor
+    share = times * one_percent(clean)
+    bank = measured(tmp_path / "plate.h5", share, delay_s)
+    last = looks(bank)[-1]
+    assert last.named
+    assert last.level_db == pytest.approx(20 * np.log10(abs(share)), abs=1.0)
+    assert last.share * share > 0
+    assert last.delay_s == pytest.approx(delay_s, abs=1 / RATE_HZ)
+    assert not np.any(bank.status == Status.VALID)
+    assert bank.quality["leak_db"] == pytest.approx(last.level_db, abs=0.1)
 
 
-def test_campaign_without_a_leak_stays_valid_and_says_that_it_looked(banks: Callable[[str, float], Bank]) -> None:
-    bank = banks("gel", 0.0)
-    assert np.count_nonzero(bank.status == Status.VALID) >= bank.positions - 2
-    looked = [one.event for one in last_events(bank.path) if isinstance(one.event, CrosstalkMeasured)]
-    assert [one.named for one in looked] == [False]
-    assert read_crosstalk(bank.path) is None
+def test_leak_of_a_third_of_a_percent_stands_in_the_events_and_marks_nothing(clean: Bank, tmp_path: Path) -> None:
+    share = one_percent(clean) / 3
+    bank = measured(tmp_path / "plate.h5", share)
+    assert [one.named for one in looks(bank)] == [False, False]
+    assert looks(bank)[-1].level_db == pytest.approx(20 * np.log10(share), abs=2.0)
+    assert np.array_equal(bank.status, clean.status)
 
 
-def test_leak_that_begins_in_mid_campaign_marks_the_latest_positions_and_judges_the_next_while_it_lasts(
-    banks: Callable[[str, float], Bank], tmp_path: Path
-) -> None:
-    clean, leaking = banks("gel", 0.0), banks("gel", 1e-4)
-    half = clean.positions
-    places = np.concatenate([clean.position_mm, clean.position_mm + 0.5])
-    plan = blueprint_of(virtual_rig(actuators=4, position_mm=places, run=RUN).configuration).plan
-    instruments = VirtualRig().instruments
-    setup = Setup(instruments, MirrorMap.straight(1000.0), (0, 1, 2, 3), 4, (10.0, 10.0), PER_VOLT)
-    unknown, path = np.full((4, 2), np.nan), tmp_path / "plate.h5"
-    create_bank(path, BankHeader(RATE_HZ, clean.taps, (20.0, 500.0), places, unknown, "{}", "{}", "ab" * 32, "test"))
-    figures = np.ones(4, np.float32)
-    with BankWriter.open(path) as bank:
-        watch = CrosstalkWatch(plan, setup, bank)
-        seen = []
-        for source, first in ((clean, 0), (leaking, half), (clean, 0)):
-            for position in range(half):
-                row = np.asarray(source.green(position), np.float32)
-                bank.commit(first + position, row, PointRecord(1, 1, figures, figures, figures, figures))
-                watch.committed(first + position)
-            found, marked = watch.look()
-            seen.append((found is not None and found.is_named, watch.found is not None, marked[-half:]))
-    assert seen[0] == (False, False, ())
-    assert seen[1] == (True, True, tuple(range(half, 2 * half)))
-    assert seen[2][:2] == (False, False)
+def test_campaigns_without_a_leak_name_none_and_say_that_they_looked(tmp_path: Path) -> None:
+    for seed in range(3):
+        virtual = {"seed": seed, "noise_v": 10.0 ** (-4 + seed / 2)}
+        bank = measured(tmp_path / f"{seed}.h5", 0.0, virtual=virtual)
+        assert [one.named for one in looks(bank)] == [False, False]
+        assert set(bank.quality["leak_db"][bank.status > 0].tolist()) == {NONE_DB}
 
 
-def test_leak_that_the_first_positions_are_too_few_to_show_marks_them_too_when_it_is_found(
-    banks: Callable[[str, float], Bank], tmp_path: Path
-) -> None:
-    leaking, path = banks("gel", 1e-4), tmp_path / "plate.h5"
-    places, few = leaking.position_mm, 5
-    plan = blueprint_of(virtual_rig(actuators=4, position_mm=places, run=RUN).configuration).plan
-    setup = Setup(VirtualRig().instruments, MirrorMap.straight(1000.0), (0, 1, 2, 3), 4, (10.0, 10.0), PER_VOLT)
-    unknown, figures = np.full((4, 2), np.nan), np.ones(4, np.float32)
-    create_bank(path, BankHeader(RATE_HZ, leaking.taps, (20.0, 500.0), places, unknown, "{}", "{}", "ab" * 32, "test"))
-    with BankWriter.open(path) as bank:
-        watch = CrosstalkWatch(plan, setup, bank)
-        marks = []
-        for positions in (range(few), range(few, leaking.positions)):
-            for position in positions:
-                row = np.asarray(leaking.green(position), np.float32)
-                bank.commit(position, row, PointRecord(1, 1, figures, figures, figures, figures))
-                watch.committed(position)
-            marks.append(set(watch.look()[1]))
-    assert marks == [set(), set(range(leaking.positions))]
+class LeakingSetup:
+    """A bank, and watches of leaks of any share into it."""
+
+    def __init__(self, path: Path) -> None:
+        self.rig = virtual_rig(actuators=4, spacing_mm=60.0, run=RUN)
+        plan = blueprint_of(self.rig.configuration).plan
+        header = blueprint_of(self.rig.configuration).bank_header()
+        create_bank(path, header)
+        self.bank = BankWriter.open(path)
+        self.events: list[CrosstalkMeasured] = []
+        self.plan, self.done = plan, 0
+
+    def watch(self, share: float, unvouched: tuple[int, ...] = ()) -> LeakWatch:
+        settings = VirtualSettings(crosstalk=share, actuator_mm=tuple(map(tuple, self.plan.actuator_mm.tolist())))
+        setup = Setup(
+            VirtualRig(settings).instruments, MirrorMap.straight(1000.0), settings.channel_of_actuator,
+            settings.channel_of_loopback, (10.0, 10.0), PER_VOLT,
+        )  # fmt: skip
+        session = Session(setup.instruments.clock, self.events.append, StopRequest())
+        return LeakWatch(self.plan, setup, self.bank, session, Recovery(setup, session), unvouched)
+
+    def commit(self, watch: LeakWatch, count: int) -> None:
+        """Commit rows as loud as 100 times 1e-4 of the loopback."""
+        rows, figures = np.zeros((4, self.plan.taps), np.float32), np.ones(4, np.float32)
+        rows[:, 5] = 1e-2 * PER_VOLT * np.sqrt(2 * 480 / RATE_HZ)
+        for position in range(self.done, self.done + count):
+            record = PointRecord(1, 1, figures, figures, figures, figures, leak_db=watch.level_db)
+            self.bank.commit(position, rows, record)
+            watch.committed(position)
+        self.done += count
 
 
-def test_check_calls_a_bank_with_a_leak_wrong_and_one_without_it_right(banks: Callable[[str, float], Bank]) -> None:
-    named = [one for one in check_bank(banks("gel", 1e-4).path) if one.severity == "error"]
-    assert [one.message.split(":")[0] for one in named] == ["crosstalk"]
-    assert [one for one in check_bank(banks("gel", 0.0).path) if one.severity == "error"] == []
+def test_leak_that_begins_between_two_looks_marks_what_came_since_the_clean_one(tmp_path: Path) -> None:
+    bench = LeakingSetup(tmp_path / "plate.h5")
+    with ThreadPoolExecutor(1) as worker:
+        before, after = bench.watch(0.0), bench.watch(1e-3)
+        before.look(worker)
+        bench.commit(before, 3)
+        assert before.look(worker) == ()
+        bench.commit(after, 2)
+        assert after.look(worker) == (3, 4)
+        assert after.found is not None
+        over = bench.watch(0.0, unvouched=(3, 4))
+        assert over.look(worker) == ()
+        assert over.found is None
+    assert bench.bank.status[:5].tolist() == [1, 1, 1, 4, 4]
+    assert bench.bank.record(4).leak_db == pytest.approx(-60.0, abs=0.5)
+    assert [one.marked for one in bench.events] == [(), (), (3, 4), ()]
+    assert "10 % of the median row" in bench.events[2].reason
+    bench.bank.close()
 
 
-def test_pulse_of_one_sample_in_another_programs_rows_is_named(banks: Callable[[str, float], Bank]) -> None:
-    found = found_in(banks("gel", 0.0), 1e-3)
-    assert found is not None
-    assert found.is_named
+def test_leak_at_the_beginning_is_judged_once_there_are_rows(tmp_path: Path) -> None:
+    bench = LeakingSetup(tmp_path / "plate.h5")
+    with ThreadPoolExecutor(1) as worker:
+        watch = bench.watch(1e-3)
+        assert watch.look(worker) == ()
+        assert watch.found is None
+        bench.commit(watch, 2)
+        assert watch.look(worker) == (0, 1)
+    assert [one.named for one in bench.events] == [False, True]
+    bench.bank.close()
 
 
-def test_leak_in_the_rows_of_one_actuator_is_named_with_it_as_that_of_a_staggered_campaign() -> None:
-    draw = np.random.default_rng(4)
-    places = draw.uniform(-50.0, 50.0, (200, 2))
-    corners = np.array([[-90.0, -50.0], [90.0, -50.0], [90.0, 50.0], [-90.0, 50.0]])
-    rows = 1e-4 * draw.standard_normal((200, 4, 1000))
-    rows[:, 1, 0] += 1e-3
-    found = crosstalk_of_rows(rows, places, corners, RATE_HZ, (20.0, 500.0), 1.0)
-    assert found is not None
-    assert found.is_named
-    assert found.actuators == (1,)
+def test_kept_recordings_have_the_level_and_estimate_keeps_it(clean: Bank, tmp_path: Path) -> None:
+    bank = measured(tmp_path / "plate.h5", 5 * one_percent(clean), capture={"averages": 1, "keep_raw": True})
+    again = tmp_path / "again.h5"
+    with open_raw(tmp_path / "plate.raw.h5") as raw:
+        assert np.allclose(raw.leak_db, bank.quality["leak_db"], atol=0.01)
+    estimate(tmp_path / "plate.raw.h5", again, workers=1)
+    with open_bank(again) as estimated:
+        assert not np.any(estimated.status == Status.VALID)
+        assert np.allclose(estimated.quality["leak_db"], bank.quality["leak_db"], atol=0.01)
 
 
-def test_rows_of_actuators_at_unknown_places_are_not_judged() -> None:
-    places = np.zeros((100, 2))
-    rows = np.ones((100, 4, 1000))
-    assert crosstalk_of_rows(rows, places, np.full((4, 2), np.nan), RATE_HZ, (20.0, 500.0), 1.0) is None
+def test_check_calls_valid_rows_with_a_leak_wrong_and_others_right(clean: Bank, tmp_path: Path) -> None:
+    assert [one for one in check_bank(clean.path) if one.severity == "error"] == []
+    path = tmp_path / "plate.h5"
+    path.write_bytes(clean.path.read_bytes())
+    with BankWriter.open(path) as writer:
+        writer.amend(1, leak_db=-40.0)
+    named = [one for one in check_bank(path) if one.severity == "error"]
+    assert [(one.position, one.message.split(":")[0]) for one in named] == [(1, "crosstalk")]
 
 
 @pytest.mark.parametrize(("noise", "certain"), [(1e-4, True), (1.0, False)])
@@ -283,7 +285,7 @@ def test_leak_is_measured_with_the_loopback_alone_whatever_the_wiring() -> None:
         rig.instruments, MirrorMap.straight(1000.0), settings.channel_of_actuator, settings.channel_of_loopback,
         (10.0, 10.0), PER_VOLT, inter_channel_delay_s=2e-5,
     )  # fmt: skip
-    found = crosstalk_alone(setup, (0.0, 0.0), 1.0, RATE_HZ)
-    assert found.is_named
+    found = measure_leak(setup, (0.0, 0.0), 1.0, RATE_HZ)
+    assert found.reaches(2e-4)
     assert found.share == pytest.approx(2e-4, abs=4 * found.error)
     assert found.delay_s == pytest.approx(1e-4, abs=5e-5)

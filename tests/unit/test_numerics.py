@@ -7,7 +7,6 @@ import pytest
 import scipy.signal
 
 from wavefocus.calibration.numerics import (
-    eigenvalue_rises,
     evenly_spread,
     fourier_sum,
     on_a_line,
@@ -61,23 +60,3 @@ def test_given_points_then_only_those_on_a_line_are_on_one():
     assert on_a_line(along)
     assert on_a_line(along[:1])
     assert not on_a_line(along + [[0.0, 0.01 * (n % 2)] for n in range(10)], share=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("values", "direction"),
-    [
-        (np.geomspace(1e-9, 1.0, 30), np.linspace(-1.0, 2.0, 30)),
-        (np.zeros(12), np.ones(12)),
-        (np.repeat([0.0, 1.0, 3.0], 5), np.linspace(0.0, 1.0, 15)),
-        (np.arange(10.0), np.eye(10)[4]),
-        (np.arange(10.0), np.zeros(10)),
-        (np.arange(10.0), np.geomspace(1e-12, 1e6, 10)),
-    ],
-)
-def test_eigenvalues_rise_by_a_direction_as_those_of_the_whole_matrix(values, direction):
-    lengths = np.array([0.0, 1e-6, 1.0, 1e3])
-    rises = eigenvalue_rises(values, np.square(lengths[:, None] * direction), 6)
-    whole = np.diag(values) + np.square(lengths)[:, None, None] * np.outer(direction, direction)
-    scale = values[-1] + np.square(lengths * np.linalg.norm(direction))
-    off = np.abs(values[-6:] + rises - np.linalg.eigvalsh(whole)[:, -6:]).max(axis=1)
-    assert np.all(off <= 1e-14 * scale)

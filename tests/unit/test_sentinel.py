@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from wavefocus.acquisition.limits import DriftFigures, compare_sentinel
+from wavefocus.acquisition.limits import DriftFigures, compare_sentinel, step_of
 from wavefocus.config.limits import DriftLimits
+from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
 
 
 def _responses(seed: int = 1) -> np.ndarray:
@@ -112,3 +113,54 @@ def test_given_known_noise_then_it_is_no_drift_and_a_gain_is_still_seen(snr_db: 
     assert {one.verdict(limits) for one in steady} == {"steady"}
     louder = [compare_sentinel(measured(1.0), measured(10 ** (2.2 / 20)), ratios_db, ratios_db) for _ in range(50)]
     assert all(one.speaks_against(limits) for one in louder)
+
+
+RATE_HZ, TAPS, BAND_HZ = 10_000.0, 1000, (20.0, 500.0)
+CORNER, MIDDLE = (-70.0, -40.0), (10.0, 5.0)
+NOISE_SHARE = 10**-5.5
+
+
+def _truth(place_mm: tuple[float, float], warmer_k: float = 0.0) -> np.ndarray:
+    """Green's functions of the soft plate, whose waves slow down and fade by half a percent and 2 % per kelvin."""
+    keys = (("speed_per_k", -0.005), ("loss_per_k", 0.02))
+    return VirtualRig(VirtualSettings(seed=3, plate_keys=keys, room_c=((0.0, 21.0 + warmer_k),))).truth(*place_mm, TAPS)
+
+
+def _step(then: np.ndarray, now: np.ndarray, place_mm: tuple[float, float], chance: np.random.Generator) -> float:
+    """The figure of a change, with the noise of both looks."""
+    rows = []
+    for green in (then, now):
+        white = np.fft.rfft(chance.standard_normal(green.shape))
+        hertz = np.fft.rfftfreq(TAPS, 1 / RATE_HZ)
+        noise = np.fft.irfft(white * ((hertz >= BAND_HZ[0]) & (hertz <= BAND_HZ[1])), TAPS)
+        norm = np.linalg.norm(green, axis=1, keepdims=True) / np.linalg.norm(noise, axis=1, keepdims=True)
+        rows.append((green + np.sqrt(NOISE_SHARE) * norm * noise).astype(np.float32))
+    distance_mm = np.hypot(*(np.array(VirtualSettings().actuator_mm) - place_mm).T)
+    share = np.full(len(then), 2 * NOISE_SHARE)
+    return step_of(*rows, share, distance_mm, band_hz=BAND_HZ, sample_rate_hz=RATE_HZ)
+
+
+@pytest.mark.parametrize("place_mm", [CORNER, MIDDLE])
+def test_given_a_change_at_once_of_any_cause_then_it_is_a_step_and_slow_drift_is_none(
+    place_mm: tuple[float, float],
+) -> None:
+    chance, then = np.random.default_rng(7), _truth(place_mm)
+    hertz = np.fft.rfftfreq(2 * TAPS, 1 / RATE_HZ)
+    delays = [np.exp(-2j * np.pi * hertz * samples / RATE_HZ) for samples in (0.3, -0.3)]
+    later, earlier = (np.fft.irfft(np.fft.rfft(then, 2 * TAPS) * delay)[:, :TAPS] for delay in delays)
+    aside = [_truth((place_mm[0] + x, place_mm[1] + y)) for x, y in ((0.3, 0.0), (0.0, -0.3), (0.21, 0.21))]
+    louder, fainter = then * 10 ** (0.5 / 20), then * 10 ** (-0.5 / 20)
+    swapped = then[[1, 0, *range(2, len(then))]]
+    silent = np.where(np.arange(len(then))[:, None] == np.argmax(np.linalg.norm(then, axis=1)), 0.0, then)
+    changes = [later, earlier, *aside, louder, fainter, -then, swapped, silent]
+    assert all(_step(then, now, place_mm, chance) > 1.0 for now in changes for _ in range(5))
+    warmer = [_truth(place_mm, kelvin) for kelvin in (0.0, 0.25, -0.25, 0.5, -0.5)]
+    assert all(_step(then, now, place_mm, chance) < 1.0 for now in warmer for _ in range(4))
+
+
+def test_given_figures_with_a_step_then_it_decides_and_the_limits_of_a_stop_stay() -> None:
+    drifted, stepped = DriftFigures(0.9, 1.5, 0.97, step=0.4), DriftFigures(0.1, 0.4, 0.999, step=1.5)
+    assert (drifted.verdict(DriftLimits()), drifted.speaks_against(DriftLimits())) == ("steady", False)
+    assert (stepped.verdict(DriftLimits()), stepped.speaks_against(DriftLimits())) == ("warn", True)
+    assert stepped.cause(DriftLimits()) == "timing changed"
+    assert DriftFigures(3.5, 0.0, 0.99, step=0.4).verdict(DriftLimits()) == "stop"

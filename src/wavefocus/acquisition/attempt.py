@@ -209,7 +209,13 @@ def evaluate(
 
 
 def commit_attempt(
-    bank: BankWriter, result: AttemptResult, attempts: int, raw: RawWriter | None = None, *, count_anyway: bool = False
+    bank: BankWriter,
+    result: AttemptResult,
+    attempts: int,
+    raw: RawWriter | None = None,
+    *,
+    count_anyway: bool = False,
+    leak_db: float = math.nan,
 ) -> AttemptResult:
     """Commit the best attempt at a position, unless the bank already holds a better one.
 
@@ -218,6 +224,7 @@ def commit_attempt(
     attempts: Tries at this position so far, for the bank's ``attempts``.
     raw: Where its recordings are kept, before the bank's row.
     count_anyway: Let the bank count the tries although it keeps what it has, so that the pass counts as over.
+    leak_db: Level of the loopback's leak at the look before, in dB re the loopback.
 
     Returns `result` without its recordings, and saying whether it was committed.
     """
@@ -235,12 +242,13 @@ def commit_attempt(
         attempts=attempts,
         **bank_figures(estimate, actuators),
         moved_mm=math.hypot(*result.attempt.moved_mm),
+        leak_db=leak_db,
         neighbour_round=bank.record(position).neighbour_round if held else 0,
         unjudgeable=bool(held) and bank.record(position).unjudgeable,
     )
     green = np.zeros((actuators, taps), np.float32) if estimate is None else estimate.green
     if raw is not None and result.recordings:
-        keep_recordings(raw, position, result.recordings)
+        keep_recordings(raw, position, result.recordings, leak_db)
     bank.commit(position, green, record)
     return replace(result, committed=True, recordings=())
 

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from typing import Protocol, TypeVar, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefocus.acquisition.leak import leak_of
 from wavefocus.acquisition.setup import (
     MAX_DELAY_DIFFERENCE_S,
     Openers,
     Setup,
+    naming_role,
     point_at,
     record_silence,
     take_record,
@@ -21,12 +23,13 @@ from wavefocus.acquisition.setup import (
 )
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.clock.timing import fit_clock
-from wavefocus.calibration.crosstalk import REMEDY, Crosstalk, crosstalk_of_record
+from wavefocus.calibration.crosstalk import REMEDY, UNKNOWN_ROWS_SHARE, Crosstalk
 from wavefocus.calibration.excitation import PlayedExcitation
 from wavefocus.config.messages.rig_checks import Act, Finding, Verdict
 from wavefocus.config.rig import RigConfig
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import (
+    BlocksBeam,
     DeviceIdentity,
     Instruments,
     Mirror,
@@ -101,6 +104,7 @@ SAMPLE_RATE_HZ = 10_000.0
 # Longest waits, on top of what a question takes by its nature.
 OPEN_S, ANSWER_S = 60.0, 30.0
 SETTLE_S = 5.0
+PARKED_S = 0.1  # longest time that a mirror of any driver takes to its parking direction
 # A mirror that reads back and stands further off than this does not meet its positions: half a millimetre at 1 m.
 MAX_ASTRAY_MRAD = 0.5
 WEAK_LIGHT = 0.2
@@ -252,13 +256,25 @@ class _Examination:
             why = "nothing was to be played"
         if why:
             skip("player", "loopback", why)
-            skip("vibrometer", "response", why)
         elif not self._tell("player", "loopback", partial(check_loopback, setup, *level)):
-            skip("vibrometer", "response", "without a loopback the response cannot be measured")
+            why = "without a loopback the response cannot be measured"
         elif not points:
-            skip("vibrometer", "response", "the mirror does not point, so the beam may be anywhere")
+            why = "the mirror does not point, so the beam may be anywhere"
+        if why:
+            skip("vibrometer", "response", why)
+            skip("recorder", "pickup", f"not measured: {why}")
+            return
+        self._tell("vibrometer", "response", partial(check_response, setup, *level))
+        if isinstance(self._mirror, BlocksBeam) or not self._parks_on_surface(setup):
+            self._tell("recorder", "pickup", partial(check_pickup, setup, *level))
         else:
-            self._tell("vibrometer", "response", partial(check_response, setup, *level))
+            what = "not measured: the mirror has no shutter, and the beam parked at mirror.park_mrad is on the surface"
+            skip("recorder", "pickup", what)
+
+    def _parks_on_surface(self, setup: Setup) -> bool:
+        tangents = [*np.tan(np.array(self._rig.mirror.park_mrad) / 1000), 1.0]
+        x, y, scale = np.linalg.solve(np.array(setup.mirror_map.matrix), tangents)
+        return bool(self._rig.surface.outline.contains(np.array([[x / scale, y / scale]])).all())
 
     def _tell(self, instrument: str, check: str, listen: Callable[[], list[Finding]]) -> bool:
         """Publish the findings of a record; True where nothing of that instrument failed."""
@@ -388,42 +404,47 @@ def check_loopback(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> l
             found.residual_db <= GOOD_RESIDUAL_DB,
             "look for hum, a loose cable or a range much too wide",
         ),
-        crosstalk_finding(measured_crosstalk(setup, recording, sample_rate_hz)),
+        crosstalk_finding(leak_of(setup, recording, sample_rate_hz, BAND_HZ)),
     ]
-
-
-def measured_crosstalk(setup: Setup, recording: Recording, sample_rate_hz: float) -> Crosstalk:
-    """The leak in a record of only the loopback, which no actuator answers."""
-    return crosstalk_of_record(
-        recording.volts[0],
-        recording.volts[1],
-        sample_rate_hz,
-        BAND_HZ,
-        reference_gain=setup.reference_gain,
-        inter_channel_delay_s=setup.inter_channel_delay_s,
-    )
-
-
-def crosstalk_alone(setup: Setup, place_mm: Sequence[float], amplitude_v: float, sample_rate_hz: float) -> Crosstalk:
-    """Measure the leak: play only on the loopback, the beam on a place where light comes back.
-
-    Raises InstrumentError: of the instrument that failed.
-    """
-    point_at(setup, float(place_mm[0]), float(place_mm[1]))
-    signals_v = setup.signals_v(_sweep(amplitude_v, sample_rate_hz).signal_v())
-    recording = take_record(setup, signals_v, sample_rate_hz, RecordLabel(0, 0, 0, "crosstalk"))
-    return measured_crosstalk(setup, recording, sample_rate_hz)
 
 
 def crosstalk_finding(found: Crosstalk) -> Finding:
     """What of the loopback leaks into the response input, and what to do about it."""
-    if found.is_named:
+    if found.reaches(UNKNOWN_ROWS_SHARE):
         return Finding("recorder", "crosstalk", "fail", f"the loopback leaks into the response input: {found}", REMEDY)
-    if not found.is_resolved:
+    if not found.resolves(UNKNOWN_ROWS_SHARE):
         what = f"the response input is too loud to see a leak of the loopback below {found.visible_db:.0f} dB"
         return Finding("recorder", "crosstalk", "warn", what, "point the beam where light comes back, or play louder")
-    below_db = max(found.level_db, found.visible_db)
-    return Finding("recorder", "crosstalk", "ok", f"below {below_db:.0f} dB re the loopback")
+    return Finding("recorder", "crosstalk", "ok", str(found))
+
+
+def check_pickup(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> list[Finding]:
+    """Play each output while no light comes back, shutter closed or beam parked: what of its voltage is picked up.
+
+    Raises InstrumentError: of any instrument.
+    """
+    mirror = setup.instruments.mirror
+    with naming_role("mirror"):
+        mirror.park()
+        if isinstance(mirror, BlocksBeam):
+            mirror.block()
+    setup.instruments.clock.sleep(PARKED_S)
+    signal_v = _sweep(amplitude_v, sample_rate_hz).signal_v()
+    found: list[Crosstalk] = []
+    for number, actuators in enumerate([(), *((actuator,) for actuator in range(len(setup.actuator_channels)))]):
+        label = RecordLabel(0, 1, number, "pickup")
+        recording = take_record(setup, setup.signals_v(signal_v, *actuators), sample_rate_hz, label)
+        found.append(leak_of(setup, recording, sample_rate_hz, BAND_HZ))
+    alone, *single = found
+    # Each record has the loopback's leak too: what exceeds it is the output's own.
+    own = [Crosstalk(one.share - alone.is_seen * alone.share, one.delay_s, one.error) for one in single]
+    worst = max(range(len(own)), key=lambda actuator: abs(own[actuator].share))
+    if own[worst].reaches(UNKNOWN_ROWS_SHARE):
+        what = f"the response input picks up output {setup.actuator_channels[worst]}: "
+        what += f"{own[worst].level_db:.1f} dB re its voltage"
+        return [Finding("recorder", "pickup", "fail", what, REMEDY)]
+    visible_db = max(one.visible_db for one in own)
+    return [Finding("recorder", "pickup", "ok", f"none of {len(own)} outputs is picked up above {visible_db:.0f} dB")]
 
 
 def check_response(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> list[Finding]:

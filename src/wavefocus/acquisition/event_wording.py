@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from wavefocus.acquisition.wording import hours, row_ranges
+from wavefocus.calibration.crosstalk import SIGMAS
 from wavefocus.config.messages.campaign import (
     ConditionsSeen,
     CrosstalkMeasured,
@@ -58,7 +59,10 @@ def sentence(event: Event) -> str:
             return _reconnect(event)
         case CrosstalkMeasured():
             if not event.named:
-                return f"no crosstalk: {event.level_db:.0f} dB re the loopback"
+                word = "at" if event.sigmas >= SIGMAS else "below"
+                return (
+                    f"crosstalk: the loopback leaks into the response input {word} {event.level_db:.0f} dB of its level"
+                )
             if not event.marked:
                 return event.reason
             return f"{event.reason}; positions {row_ranges(event.marked)} are poor, and so are the next while it lasts"
@@ -66,7 +70,7 @@ def sentence(event: Event) -> str:
             return (
                 f"sentinel position {event.position}: level {event.level_db:+.2f} dB, "
                 f"delay {event.delay_samples:+.3f} samples, correlation {event.correlation:.5f}: "
-                f"{event.verdict}{f' ({event.cause})' if event.cause else ''}"
+                f"{event.verdict}{f' ({event.cause})' if event.cause else ''}{_drifted(event.change)}"
             )
         case ConditionsSeen():
             return f"{'conditions are back' if event.back else 'still suspended'}: {event.reason}"
@@ -77,6 +81,11 @@ def sentence(event: Event) -> str:
                 f"{hours(event.time_s)} on the rig's clock"
             )
     return tag(event)
+
+
+def _drifted(change: float) -> str:
+    """What slow drift means for the bank."""
+    return f"; rows measured now differ by {100 * change:.1f} % from the first" if math.isfinite(change) else ""
 
 
 def _quality(event: PositionCommitted) -> list[str]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wavefocus.calibration import Float32Array
+from wavefocus.calibration import Complex128Array, Float32Array, Float64Array
 from wavefocus.calibration.numerics import parabola_vertex
 from wavefocus.config.messages.codec import Instant, Number
 
@@ -15,35 +15,56 @@ if TYPE_CHECKING:  # pydantic, which status does without
     from wavefocus.config.limits import DriftLimits
 
 
+STEP_DB, STEP_SAMPLES = 0.5, 0.3
+"""The smallest changes at once that must be seen: 6 % of a row, and 6 % at the upper end of the usual band. They set
+the limit of the change between two looks; half of them would be near what a warming plate leaves after its part is
+taken out (0.2 to 0.9 % of 1.5 %, on soft and solid plates), double would leave rows of 12 % error valid."""
+SEEN_SHARE = 0.8
+"""Part of such a change from which on it is called one: noise and drift may take away the rest."""
+ROW_CHANGE = 0.5
+"""A single row has changed at once where this part of it is left: 6 dB, as rows are judged against each other."""
+GROUPS = 8
+"""Parts of the band in which the drift has a coefficient each: dispersion changes little within them."""
+
+
 @dataclass(frozen=True, slots=True)
 class DriftFigures:
-    """How a re-measured sentinel differs from the first measurement.
+    """How a re-measured sentinel differs from the first measurement, and from the latest good look.
 
     level_db: Energy now over energy then, in dB.
     delay_samples: Lag of the largest cross-correlation, refined by a parabola; positive when the response comes later
         now.
     correlation: Cross-correlation at that lag over the root of both energies, 0 to 1.
     noise_db: How far noise alone may move the level, in dB.
+    change: Norm of the difference in band over that of the first measurement, noise taken out: what drift makes of a
+        row that is measured now.
+    step: Change since the latest good look over the smallest that is a step, see `step_of`; None where no look is
+        compared.
     """
 
     level_db: float
     delay_samples: float
     correlation: float
     noise_db: float = 0.0
+    change: float = float("nan")
+    step: float | None = None
 
     def verdict(self, limits: DriftLimits) -> str:
-        """``"steady"``, ``"warn"`` or ``"stop"``."""
-        for word, level_db, delay_samples, correlation in (
-            ("stop", limits.stop_level_db, limits.stop_delay_samples, limits.stop_correlation),
-            ("warn", limits.warn_level_db, limits.warn_delay_samples, limits.warn_correlation),
-        ):
-            beyond = abs(self.level_db) > level_db + self.noise_db or abs(self.delay_samples) > delay_samples
-            if beyond or self.correlation < correlation:
-                return word
+        """``"steady"``, ``"warn"`` for a step, or ``"stop"``."""
+        beyond = abs(self.level_db) > limits.stop_level_db + self.noise_db
+        if beyond or abs(self.delay_samples) > limits.stop_delay_samples or self.correlation < limits.stop_correlation:
+            return "stop"
+        if self.step is not None:
+            return "warn" if self.step > 1.0 else "steady"
+        beyond = abs(self.level_db) > limits.warn_level_db + self.noise_db
+        if beyond or abs(self.delay_samples) > limits.warn_delay_samples or self.correlation < limits.warn_correlation:
+            return "warn"
         return "steady"
 
     def speaks_against(self, limits: DriftLimits) -> bool:
         """Whether what was measured since the last steady measurement has another scale, or is of another plate."""
+        if self.step is not None:
+            return self.verdict(limits) != "steady"
         return self.verdict(limits) == "stop" or abs(self.level_db) > limits.warn_level_db + self.noise_db
 
     def cause(self, limits: DriftLimits) -> str:
@@ -58,15 +79,71 @@ class DriftFigures:
         stop = word == "stop"
         if self.correlation < (limits.stop_correlation if stop else limits.warn_correlation):
             return "plate or mirror moved"
-        if abs(self.delay_samples) > (limits.stop_delay_samples if stop else limits.warn_delay_samples):
+        if abs(self.delay_samples) > (limits.stop_delay_samples if stop else SEEN_SHARE * STEP_SAMPLES):
             return "timing changed"
-        return "level changed"
+        if stop or abs(self.level_db) > SEEN_SHARE * STEP_DB:
+            return "level changed"
+        return "plate or mirror moved"
 
     def __str__(self) -> str:
         return (
             f"level {self.level_db:+.2f} dB, delay {self.delay_samples:+.2f} samples, "
             f"correlation {self.correlation:.3f}"
         )
+
+
+def step_of(
+    then: Float32Array,
+    now: Float32Array,
+    noise_share: Float64Array,
+    distance_mm: Float64Array,
+    *,
+    band_hz: tuple[float, float],
+    sample_rate_hz: float,
+) -> float:
+    """Change of a position's rows between two looks, over the smallest change at once that must be seen.
+
+    Slow drift, of the room's temperature for one, changes each row by a factor that grows with the distance of its
+    actuator: ``exp(c r)``, with one complex c for each part of the band. That part is taken out, and the norm of what
+    is left is compared with what changes of `STEP_DB` and `STEP_SAMPLES` in all rows would leave of themselves; in a
+    single row, with half of it.
+
+    then, now, float32 (actuators, taps): Green's functions at the two looks.
+    noise_share, float64 (actuators,): Energy of both looks' noise over that of each row.
+    distance_mm, float64 (actuators,): From the actuators to the position; where one is NaN no drift is taken out.
+    """
+    taps = then.shape[1]
+    hertz = np.fft.rfftfreq(2 * taps, 1 / sample_rate_hz)
+    inside = (hertz >= band_hz[0]) & (hertz <= band_hz[1])
+    first, second = (np.fft.rfft(green.astype(np.float64), 2 * taps, axis=1)[:, inside] for green in (then, now))
+    known = bool(np.isfinite(distance_mm).all()) and len(then) > 2
+    weights = distance_mm / np.mean(distance_mm) if known else np.zeros(len(then))
+    steps = (
+        10 ** (STEP_DB / 20) * first,
+        np.exp(-2j * np.pi * hertz[inside] * STEP_SAMPLES / sample_rate_hz) * first,
+    )
+    smallest = SEEN_SHARE**2 * min(float(_left(first, step, weights).sum()) for step in steps)
+    # The noise is known within some 3 dB, so that twice of it must be exceeded.
+    left, energy = _left(first, second, weights), np.sum(np.abs(first) ** 2, axis=1)
+    together = left.sum() / max(smallest + 2 * float(noise_share @ energy), 1e-300)
+    single = left / np.maximum((ROW_CHANGE**2 + 2 * noise_share) * energy, 1e-300)
+    return float(np.sqrt(max(together, single.max())))
+
+
+def _left(first: Complex128Array, second: Complex128Array, weights: Float64Array) -> Float64Array:
+    """Energy in each row of a change that no factors ``exp(c weights)`` explain, one c for each part of the band."""
+    energy = np.zeros(len(first))
+    for bins in np.array_split(np.arange(first.shape[1]), min(GROUPS, first.shape[1])):
+        before, after, factor = first[:, bins], second[:, bins], 0j
+        for _ in range(4):  # Gauss-Newton; the changes are small
+            model = before * np.exp(factor * weights[:, None])
+            slope = model * weights[:, None]
+            power = float(np.sum(np.abs(slope) ** 2))
+            if power > 0.0:
+                factor += np.vdot(slope, after - model) / power
+                factor /= max(1.0, abs(factor) / 0.5)
+        energy += np.sum(np.abs(after - before * np.exp(factor * weights[:, None])) ** 2, axis=1)
+    return energy
 
 
 # Responses with less signal-to-noise ratio say nothing of a drift, unless none has more.
@@ -111,6 +188,8 @@ def compare_sentinel(
         energies.append(float(each.sum()))
         noise.append(float(np.sum(each / (1.0 + 10.0 ** (0.1 * ratio_db[clear])))) / max(energies[-1], 1e-300))
     energy_then, energy_now = energies
+    apart = float(np.sum(np.fft.irfft(spectra[1] - spectra[0], length, axis=1) ** 2))
+    change = np.sqrt(max(apart - noise[0] * energies[0] - noise[1] * energies[1], 0.0) / max(energies[0], 1e-300))
     if energy_then == 0.0 or energy_now == 0.0:
         return DriftFigures(-np.inf if energy_now == 0.0 else np.inf, 0.0, 0.0)
     spectrum = np.sum(np.conj(spectra[0]) * spectra[1], axis=0)
@@ -126,6 +205,7 @@ def compare_sentinel(
         delay_samples=float(delay),
         correlation=min(float(lagged[peak] / np.sqrt(signal_then * signal_now)), 1.0),
         noise_db=10.0 * np.log10(1.0 + sum(noise)),
+        change=float(change),
     )
 
 
@@ -136,7 +216,8 @@ class DriftPoint:
     at: When, with a time zone.
     level_db, delay_samples, correlation: See `DriftFigures`.
     verdict: ``"steady"``, ``"warn"`` or ``"stop"``.
-    suspect: Positions measured since it was last steady, where the verdict is to stop.
+    suspect: Positions measured since it was last steady, where it is not steady now.
+    change: Relative change of its rows since the first measurement, noise taken out; NaN in earlier versions.
     """
 
     at: Instant
@@ -145,3 +226,4 @@ class DriftPoint:
     correlation: Number
     verdict: str
     suspect: tuple[int, ...] = ()
+    change: Number = float("nan")

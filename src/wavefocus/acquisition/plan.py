@@ -17,6 +17,8 @@ from wavefocus.config.limits import DriftLimits, QualityLimits
 
 # Time of a mirror move, of starting a task and of a commit, for the estimate before a run.
 POSITION_OVERHEAD_S = 0.05
+LEAK_S = 0.52
+"""Length of the sweep that plays on the loopback alone, and of the longest delay that is looked for."""
 GEL_SPEED_M_S = 4.8
 """Waves of a gel plate as in the paper: group velocity about 4.8 m/s."""
 # On the virtual rig, up to 500 Hz and 4.8 m/s: all positions are judged at 7 mm, 77 % at 10 mm, 7 % at 12 mm.
@@ -82,10 +84,12 @@ class Plan:
         return self.records * self.record_s(margins) + POSITION_OVERHEAD_S
 
     def campaign_s(self, rows: Int64Array, margins: RecordMargins, speed_m_s: float = GEL_SPEED_M_S) -> float:
-        """Seconds that some positions take, sentinel and second looks included."""
+        """Seconds that some positions take; sentinel, second looks and looks at the leak included."""
         position_s = self.position_s(margins)
         count = len(rows) + self.second_looks(rows, speed_m_s)
-        return (count + self.drift.passes(count, position_s)) * position_s
+        passes = self.drift.passes(count, position_s)
+        leak_s = record_samples(margins, 0, self.excitation.sample_rate_hz) / self.excitation.sample_rate_hz + LEAK_S
+        return (count + passes) * position_s + (passes + 1) * leak_s
 
     def second_looks(self, rows: Int64Array, speed_m_s: float = GEL_SPEED_M_S) -> int:
         """Number of positions that no others can be expected to judge, so that they are measured twice.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -159,11 +160,11 @@ def require_same(raw: RawWriter, wanted: RawHeader) -> None:
             )
 
 
-def keep_recordings(raw: RawWriter, position: int, recordings: Sequence[Recording]) -> None:
+def keep_recordings(raw: RawWriter, position: int, recordings: Sequence[Recording], leak_db: float = math.nan) -> None:
     """Commit all records of an attempt.
 
     Of an attempt that was taken in a wider range, what lies beyond the file's counts is cut to them: an estimate then
-    marks the position as over-range, while the bank has it right.
+    marks the position as over-range, while the bank has it right. `leak_db` is the leak's level at the look before.
 
     Raises WavefocusError: the disk failed; positions committed earlier are intact.
     """
@@ -171,7 +172,7 @@ def keep_recordings(raw: RawWriter, position: int, recordings: Sequence[Recordin
     for channel, step_v in enumerate(raw.header.volts_per_count):
         volts = np.stack([recording.volts[channel] for recording in recordings])
         kept.append(np.clip(volts, -COUNTS * step_v, (COUNTS - 1) * step_v, dtype=np.float32))
-    raw.commit(position, kept[0], kept[1])
+    raw.commit(position, kept[0], kept[1], leak_db)
 
 
 def without_recordings(status: NDArray[np.uint8], raw: RawWriter) -> list[int]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from wavefocus.calibration import BoolArray, Float64Array
 from wavefocus.calibration.blas import one_blas_thread
-from wavefocus.calibration.crosstalk import REMEDY, crosstalk_of_bank
+from wavefocus.calibration.crosstalk import REMEDY, ROW_SHARE, SPARE, response_per_volt, share_of_median_row
 from wavefocus.calibration.estimator.noise_error import bank_noise_error_db
 from wavefocus.calibration.neighbour_judge import NeighbourJudge, RowsAtFrequencies
 from wavefocus.storage.bank.layout import rows_off_grid
@@ -74,7 +74,7 @@ def check_bank(path: str | Path) -> list[BankProblem]:
         findings += _check_moved(bank)
         findings += _check_suspects(bank)
         findings += _check_rows(bank)
-        findings += _check_crosstalk(bank)
+        findings += _check_leak(bank)
         findings += _note_noise(bank)
     return sorted(findings, key=lambda finding: -1 if finding.position is None else finding.position)
 
@@ -207,25 +207,22 @@ def _check_rows(bank: Bank) -> Iterator[BankProblem]:
     yield from _check_neighbours(bank, spectra, np.isfinite(rms).all(axis=1))
 
 
-def _check_crosstalk(bank: Bank) -> Iterator[BankProblem]:
-    """One error for the whole bank where the loopback leaks into its rows; a note where that cannot be seen."""
-    status = _status_or_none(bank)
-    rows = np.arange(bank.positions) if status is None else np.flatnonzero(usable(status))
-    if len(rows) < _NEIGHBOURHOOD or bank.band_hz is None:
+def _check_leak(bank: Bank) -> Iterator[BankProblem]:
+    """An error for valid rows that were measured with a leak of 1 % of the median row, by ``/quality/leak_db``."""
+    status, per_volt = _status_or_none(bank), response_per_volt(bank.rig_json)
+    if status is None or bank.band_hz is None or per_volt is None:
         return
-    found = crosstalk_of_bank(bank, rows)
-    if found is None:
+    whole = share_of_median_row(bank.rms[usable(status)], bank.taps, bank.sample_rate_hz, bank.band_hz, per_volt)
+    if whole is None:
+        return
+    part = 10.0 ** (bank.quality["leak_db"] / 20.0) / whole
+    rows = np.flatnonzero((status == VALID) & (part >= SPARE * ROW_SHARE))
+    if len(rows):
         message = (
-            "crosstalk was not looked for: it shows in rows far from actuators whose places are known, and there are "
-            "too few"
+            f"crosstalk: the leak of the loopback was up to {100 * part[rows].max():.2g} % of the median row when "
         )
-        yield BankProblem(None, None, message, "note")
-    elif found.is_named:
-        message = f"crosstalk: the loopback leaks into {found.rows}: {found} ({found.sigmas:.0f} sigma): {REMEDY}"
-        yield BankProblem(None, None, message)
-    elif not found.is_resolved:
-        message = f"crosstalk below {found.in_words(found.visible_db)} would not show in these rows"
-        yield BankProblem(None, None, message, "note")
+        message += f"positions {row_ranges(rows.tolist())} were measured: {REMEDY}"
+        yield BankProblem(int(rows[0]), None, message)
 
 
 def _status_or_none(bank: Bank) -> NDArray[np.uint8] | None:

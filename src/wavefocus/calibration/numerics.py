@@ -1,4 +1,4 @@
-"""Small numerical tools: vertex of a parabola, evenly spread indices, Fourier transforms, eigenvalues that move."""
+"""Small numerical tools: vertex of a parabola, evenly spread indices, Fourier transforms."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ from wavefocus.calibration import Complex128Array, Float64Array, Int64Array
 
 MAX_GROWTH = 20.0
 """Nepers to which rows at complex frequencies grow: the rest of a row that is over by then is noise."""
-MAX_ROOT_STEPS = 120
-"""Steps of the search for eigenvalues, which takes three to seven; more where a direction has no share in one."""
 
 
 def parabola_vertex(before: Any, at: Any, after: Any) -> Any:
@@ -90,46 +88,3 @@ def on_a_line(points: Float64Array, share: float = 1e-3) -> bool:
     """Whether points (n, 2) extend across a line by less than `share` of their extent along it."""
     extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(len(extent) < 2 or extent[1] <= share * extent[0])
-
-
-def eigenvalue_rises(values: Float64Array, squares: Float64Array, most: int) -> Float64Array:
-    """How far a direction z added to a diagonal matrix, ``diag(values) + z z^T``, raises its largest eigenvalues.
-
-    Each lies between its value and the next, and is a root of ``1 + sum of z_j^2 / (values_j - root)``; the sums of the
-    poles below and above are each taken for one pole of the same slope, which leaves a quadratic equation to solve.
-
-    values, float64 (columns,): Ascending.
-    squares, float64 (shares, columns): Squared elements of each z.
-    most: How many eigenvalues.
-
-    Returns float64 (shares, most): the largest eigenvalue's last. Source: R.-C. Li, "Solving secular equations stably
-    and efficiently", LAPACK Working Note 89 (1993).
-    """
-    own = np.arange(values.size - most, values.size)
-    apart = values - values[own, None]
-    below = np.asarray(np.arange(values.size) <= own[:, None], dtype=np.float64)
-    above = 1.0 - below
-    room = np.empty((len(squares), most))
-    room[:, :-1], room[:, -1] = np.diff(values[own]), 2.0 * squares.sum(axis=1)  # no pole is beyond the last
-    low, high = np.zeros_like(room), room.copy()
-    rise, enough = 0.5 * room, 4.0 * np.finfo(np.float64).eps * (values[-1] + room[:, -1:])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        for _ in range(MAX_ROOT_STEPS):
-            gap = apart - rise[..., None]
-            part = squares[:, None, :] / gap
-            slope = part / gap
-            left = room - rise
-            from_below = np.einsum("smc,mc->sm", slope, below) * rise
-            from_above = np.einsum("smc,mc->sm", slope, above) * left
-            off = 1.0 + part.sum(axis=2)
-            low, high = np.where(off < 0, rise, low), np.where(off < 0, high, rise)
-            level = off + from_below - from_above
-            middle = level * room + from_below * rise + from_above * left
-            wanted = from_below * rise * room
-            root = 2.0 * wanted / (middle + np.sqrt(np.maximum(np.square(middle) - 4.0 * level * wanted, 0.0)))
-            root = np.where(np.isfinite(root), np.clip(root, low, high), 0.5 * (low + high))
-            done = bool(np.all(np.abs(root - rise) <= enough))
-            rise = root
-            if done:
-                break
-    return rise

@@ -229,11 +229,11 @@ def read_drift(bank: Path) -> list[DriftPoint]:
 
 
 def read_crosstalk(bank: Path) -> CrosstalkMeasured | None:
-    """The leak of the loopback that was measured last, where it is to be named; it stands in the drift history."""
+    """The latest look at the leak of the loopback; it stands in the drift history."""
     for line in reversed(drift_path(bank).read_bytes().splitlines() if drift_path(bank).is_file() else ()):
         logged = read_event(line)
         if logged is not None and isinstance(logged.event, CrosstalkMeasured):
-            return logged.event if logged.event.named else None
+            return logged.event
     return None
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from wavefocus.acquisition.event_wording import sentence
 from wavefocus.acquisition.wording import a_while, hours, row_ranges
 from wavefocus.calibration.estimator.noise_error import median_noise_error_db
 from wavefocus.campaign.campaign_view import remaining
@@ -150,7 +151,7 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
             f"wavefocus remeasure {bank} --positions {suspect}"
         )
     if leak is not None:
-        answer(leak.reason)
+        answer(leak.reason or sentence(leak))
     if owner is None:
         if beat is not None and beat.state not in ("finished", "idle"):
             # The heartbeat of a process that was killed keeps its last state.

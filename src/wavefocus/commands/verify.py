@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from wavefocus.acquisition.doctor import crosstalk_alone
+from wavefocus.acquisition.leak import BAND_HZ, measure_leak
 from wavefocus.acquisition.setup import Setup
 from wavefocus.acquisition.wording import hours
-from wavefocus.calibration.crosstalk import Crosstalk, crosstalk_of_bank
+from wavefocus.calibration.crosstalk import ROW_SHARE, UNKNOWN_ROWS_SHARE, Crosstalk, share_of_median_row
 from wavefocus.campaign.blueprint import bank_configuration, blueprint_of
 from wavefocus.campaign.campaign_view import CampaignView
 from wavefocus.campaign.sidecar_files import EventLines, read_drift
@@ -269,10 +269,6 @@ class _Work:
             took_s = setup.instruments.clock.now_s() - started_s
             leak = self._leak(setup, prediction)
             marker: Float64Array | None = marker_v(setup, measured.field.shape[1], drive.sample_rate_hz)
-        if leak is None or not leak.is_named:
-            with self._step("crosstalk in the bank", 1) as report:
-                leak, marker = crosstalk_of_bank(self.bank, np.flatnonzero(usable(self.bank.status))), None
-                report(1, 1)
         return measured, quiet, sentinel, leak, marker, took_s, correction
 
     def _corrected(self, setup: Setup, drive: Drive, measured: Scan) -> Correction:
@@ -299,17 +295,20 @@ class _Work:
         return correction
 
     def _leak(self, setup: Setup, prediction: Field) -> Crosstalk | None:
-        """How much of the loopback leaks into the response input now; None where it cannot be measured."""
+        """The leak of the loopback into the response input now, where it makes 1 % of the median row; else None."""
         place_mm = self.bank.position_mm[int(prediction.position_index[0])]
         try:
             with self._step("crosstalk", 1) as report:
                 rate_hz = self.bank.sample_rate_hz
-                found = crosstalk_alone(setup, place_mm.tolist(), self.rig.safe_amplitude_v, rate_hz)
+                band = () if self.bank.band_hz is None else (self.bank.band_hz,)
+                found = measure_leak(setup, place_mm.tolist(), self.rig.safe_amplitude_v, rate_hz, *band)
                 report(1, 1)
         except TransientInstrumentError as failure:
             say(f"warning: crosstalk is not measured: {failure}")
             return None
-        return found
+        rms, per_volt = self.bank.rms[usable(self.bank.status)], setup.response_per_volt
+        whole = share_of_median_row(rms, self.bank.taps, rate_hz, band[0] if band else BAND_HZ, per_volt)
+        return found if found.reaches(UNKNOWN_ROWS_SHARE if whole is None else ROW_SHARE * whole) else None
 
     def _scan(self, plan: ScanPlan, setup: Setup, drive: Drive, journal: Path) -> Scan:
         with self._journal(drive, journal) as kept, self._step(plan.purpose, len(plan.position)) as report:

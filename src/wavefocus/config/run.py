@@ -190,7 +190,7 @@ class FaultSection(Table):
     position: Annotated[Whole, Field(ge=0)] | None = None
     attempt: Annotated[Whole, Field(ge=1)] | None = None
     record: Annotated[Whole, Field(ge=0)] | None = None
-    purpose: Literal["capture", "sentinel", "probe", "scan", "presentation", "trial"] | None = None
+    purpose: Literal["capture", "sentinel", "probe", "scan", "presentation", "trial", "crosstalk"] | None = None
     count: Annotated[Whole, Field(ge=1)] = 1
     level_db: Finite = -3.0
     tries: Annotated[Whole, Field(ge=0)] = 1

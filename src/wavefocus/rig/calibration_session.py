@@ -36,7 +36,8 @@ from wavefocus.acquisition.calibrate_mirror import (
     output,
     read_fiducials,
 )
-from wavefocus.acquisition.doctor import crosstalk_alone, crosstalk_finding
+from wavefocus.acquisition.doctor import crosstalk_finding
+from wavefocus.acquisition.leak import measure_leak
 from wavefocus.acquisition.mirror_settling import farthest_apart, measure_settling
 from wavefocus.acquisition.setup import Setup, identities_of, names_of
 from wavefocus.calibration import Float64Array
@@ -329,7 +330,7 @@ class CalibrationSession:
     def _actuators(self, setup: Setup, operator: Operator) -> Setup:
         channels = self._rig.player.channels
         rate_hz = self._request.sample_rate_hz
-        leak = crosstalk_finding(crosstalk_alone(setup, self._places[0], self._amplitude_v, rate_hz))
+        leak = crosstalk_finding(measure_leak(setup, self._places[0], self._amplitude_v, rate_hz))
         operator.report(f"crosstalk: {leak.what}")
         if leak.verdict != "ok":
             self.problems.append(f"crosstalk: {leak.what}: {leak.remedy}")

@@ -17,29 +17,26 @@ import numpy as np
 from wavefocus.acquisition.attempt import (
     Attempt,
     AttemptResult,
-    PositionRecords,
     Recorded,
     attempts_again,
     commit_attempt,
-    evaluate,
     is_final,
     is_futile,
     next_attempt,
 )
 from wavefocus.acquisition.conditions import Conditions
-from wavefocus.acquisition.crosstalk_watch import CrosstalkWatch, judgement_of
 from wavefocus.acquisition.drift_watch import DriftError, DriftWatch
-from wavefocus.acquisition.engine.recovery import Recovery, Suspension
+from wavefocus.acquisition.engine.recovery import Suspension
 from wavefocus.acquisition.engine.report import CampaignReport
 from wavefocus.acquisition.engine.session import Session, StoppedWhileWaitingError, StopRequest
+from wavefocus.acquisition.engine.station import Station
+from wavefocus.acquisition.leak import LeakWatch, judgement_of
 from wavefocus.acquisition.neighbour_watch import NeighbourWatch, mark_suspects
 from wavefocus.acquisition.plan import Plan
-from wavefocus.acquisition.plays import measuring_of
 from wavefocus.acquisition.setup import Setup, names_of
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.crosstalk import Crosstalk
 from wavefocus.config.messages.campaign import (
-    CrosstalkMeasured,
     PositionStarted,
     RecordTaken,
     SessionEnded,
@@ -86,17 +83,13 @@ class Campaign:
         self._plan, self._setup, self._bank, self._raw, self._stop = plan, setup, bank, raw, stop
         self._session = session = Session(setup.instruments.clock, publish, stop)
         self._report = CampaignReport(plan, setup, bank, session)
-        self._recovery = recovery = Recovery(setup, session)
-        measuring = measuring_of(plan, setup)
-        self._estimator = measuring.estimator
-        self._records = records = PositionRecords(plan, setup, measuring.plays, session.fault)
-        self._drift = DriftWatch(
-            plan, bank, session, self._report, records, recovery, self._evaluate, self._mark_suspects, unvouched
+        self._station = station = Station(plan, setup, session, bank.reference_before_db)
+        self._drift = DriftWatch(station, bank, self._report, self._mark_suspects, unvouched)
+        self._suspension = Suspension(
+            setup, session, Conditions(setup.watch, setup, plan.excitation), station.records, station.recovery
         )
-        conditions = Conditions(setup.watch, setup, plan.excitation)
-        self._suspension = Suspension(setup, session, conditions, records, recovery)
         self._neighbours = NeighbourWatch(plan, bank)
-        self._crosstalk = CrosstalkWatch(plan, setup, bank)
+        self._leak = LeakWatch(plan, setup, bank, session, station.recovery, unvouched, raw)
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="estimate")
         self._queue: deque[Attempt] = deque()
         self._rows_of_session = plan.order
@@ -133,7 +126,7 @@ class Campaign:
         self._neighbours_judged = again or self._neighbours.is_done(self._rows_of_session)
         state, reason = State.FINISHED, "every position is committed"
         try:
-            names = self._recovery.retry_after_reconnect(lambda: names_of(self._setup.instruments))
+            names = self._station.recovery.retry_after_reconnect(lambda: names_of(self._setup.instruments))
             self._report.start(rows, names, second_looks=not self._neighbours_judged)
             with one_blas_thread(), self._worker:
                 self._walk()
@@ -150,8 +143,8 @@ class Campaign:
 
     @property
     def crosstalk(self) -> Crosstalk | None:
-        """The leak that the latest positions of this session show; None where they show none."""
-        return self._crosstalk.found
+        """The leak of the loopback, where the latest look found one that counts; else None."""
+        return self._leak.found
 
     # -- steps --------------------------------------------------------------------------------
 
@@ -174,10 +167,8 @@ class Campaign:
             return self._collect
         if queue and queue[0].of_session > 1:
             return self._measure
-        if not queue and self._crosstalk.due:
-            return self._look_for_crosstalk
-        if not queue and self._drift.owes_a_look and state is State.RUNNING:
-            return self._drift.check_last
+        if not queue and state is State.RUNNING and (self._leak.due or self._drift.owes_a_look):
+            return self._check_last
         if not queue and not self._neighbours_judged and np.all(self._bank.status[self._rows_of_session]):
             return self._mark
         if state is State.STOPPING or self._pass_is_futile() or not (queue or self._due_again()):
@@ -192,7 +183,7 @@ class Campaign:
 
     def _pass_is_futile(self) -> bool:
         """Whether the latest positions of the pass have all stayed as they were, or a leak makes all of them poor."""
-        if self._in_pass and self._crosstalk.found is not None:
+        if self._in_pass and self._leak.found is not None:
             return True
         if not (self._in_pass and self._queue):
             return False
@@ -204,7 +195,7 @@ class Campaign:
 
         While the loopback leaks, or the sentinel is not as the bank holds it, there is none.
         """
-        if self._crosstalk.found is not None or self._drift.is_off:
+        if self._leak.found is not None or self._drift.is_off:
             return []
         return attempts_again(
             self._rows_of_session, self._bank.status, self._bank.attempts, self._setup, self._plan.quality
@@ -221,34 +212,28 @@ class Campaign:
     def _pause(self) -> None:
         self._suspension.pause()
         if self._sentinel_compared:
-            self._drift.check_again()
+            self._check_again()
 
     def _check_again(self) -> None:
-        """Look at the sentinel and at what was measured since."""
-        self._look_for_crosstalk()
+        """Measure the leak and the sentinel: what was measured since the last look depends on both."""
+        self._look_for_leak()
         self._drift.check_again()
 
-    def _look_for_crosstalk(self) -> None:
+    def _check_last(self) -> None:
+        """The same when all positions are done."""
+        self._look_for_leak()
+        if self._drift.owes_a_look:
+            self._drift.check_last()
+
+    def _look_for_leak(self) -> None:
         """Measure how much of the loopback leaks; no Ctrl-C lands in the worker, which marks what has it."""
-        found, marked = self._worker.submit(self._crosstalk.look).result()
-        if found is not None:
-            self._session.publish(
-                CrosstalkMeasured,
-                found.level_db,
-                found.delay_s,
-                found.share,
-                found.sigmas,
-                found.is_named,
-                found.actuators,
-                marked,
-                judgement_of(found).reason if found.is_named else "",
-            )
-            for position in marked:
-                self._report.marked(position, judgement_of(found))
+        for position in self._leak.look(self._worker):
+            self._report.marked(position, judgement_of(self._leak.found))
 
     def _compare_sentinel(self) -> None:
         """Before this session measures anything, see whether it is still the plate that the bank holds."""
         self._sentinel_compared = True
+        self._look_for_leak()
         self._drift.check()
 
     def _mark(self) -> None:
@@ -287,7 +272,7 @@ class Campaign:
         except TransientInstrumentError as fault:
             self._last_fault = fault
             self._session.fault(fault, attempt, retried=attempt.of_session < self._plan.quality.max_attempts)
-            self._recovery.renew_if_repeated(fault)
+            self._station.recovery.renew_if_repeated(fault)
             return Recorded(attempt, (), str(fault))
         except InstrumentError as fault:
             self._session.fault(fault, attempt, retried=False)
@@ -295,12 +280,12 @@ class Campaign:
         if attempt.of_session == 1:
             self._drift.recorded()
         if self._queue:
-            self._records.set_out_for(self._queue[0])
+            self._station.records.set_out_for(self._queue[0])
         return Recorded(attempt, recordings, "")
 
     def _take(self, attempt: Attempt) -> tuple[Recording, ...]:
         def taken(record: int) -> None:
-            records = len(self._records.plays)
+            records = len(self._station.records.plays)
             if records > 1:
                 self._session.publish(RecordTaken, attempt.position, attempt.number, record, records)
             # An estimate that is done is collected, so that a repeat follows at once.
@@ -308,7 +293,7 @@ class Campaign:
                 self._collect()
             self._session.follow_requests()
 
-        return self._recovery.retry_after_reconnect(lambda: self._records.take(attempt, "capture", taken), attempt)
+        return self._station.take(attempt, "capture", taken)
 
     # -- judging and committing ---------------------------------------------------------------
 
@@ -321,14 +306,19 @@ class Campaign:
         position = attempt.position
         earlier = self._best.pop(position, None)
         result = self._neighbours.confirmed(
-            self._evaluate(recorded), earlier, repeat=self._neighbours_judged, replaceable=position in self._replaceable
+            self._station.evaluate(recorded),
+            earlier,
+            repeat=self._neighbours_judged,
+            replaceable=position in self._replaceable,
         )
         final = is_final(attempt, result.judgement, limits)
         if final:
-            result = self._crosstalk.judged(result)
+            result = self._leak.judged(result)
         best = result if earlier is None else min((result, earlier), key=lambda candidate: candidate.rank)
         if final:
-            return commit_attempt(self._bank, best, attempt.number, self._raw, count_anyway=self._in_pass)
+            return commit_attempt(
+                self._bank, best, attempt.number, self._raw, count_anyway=self._in_pass, leak_db=self._leak.level_db
+            )
         self._best[position] = best
         following = next_attempt(
             attempt,
@@ -340,12 +330,6 @@ class Campaign:
             joint=self._plan.staggered is not None,
         )
         return replace(result, following=following)
-
-    def _evaluate(self, recorded: Recorded) -> AttemptResult:
-        place_mm = self._plan.position_mm[recorded.attempt.position]
-        distance_mm = np.hypot(*(self._plan.actuator_mm - place_mm).T)
-        before_db = self._bank.reference_before_db(recorded.attempt.position)
-        return evaluate(recorded, self._estimator, self._setup.range_v, self._plan.quality, distance_mm, before_db)
 
     def _collect(self) -> None:
         """Wait for the estimate under way, if any, and publish or queue what follows from it."""
@@ -359,7 +343,7 @@ class Campaign:
             return
         if result.committed:
             self._drift.committed(result.attempt.position)
-            self._crosstalk.committed(result.attempt.position)
+            self._leak.committed(result.attempt.position)
         self._report.position_done(result, len(self._queue), recording=self._recording)
         self._count_failures(result)
 

@@ -203,9 +203,10 @@ class ReconnectTried(Event, frozen=True):
 class Drift(Event, frozen=True):
     """The sentinel position measured again: what changed since it was first measured.
 
-    `occasion` is ``"resume"``, ``"run"`` or ``"repeat"`` (of a stop during a run, to be sure), `cause` what figures
-    that are not steady come from, and `suspect` the positions measured since the last steady measurement, where the
-    verdict is to stop.
+    `verdict` is ``"steady"``, ``"warn"`` for a step since the latest good look, or ``"stop"``.
+    `occasion` is ``"resume"``, ``"run"`` or ``"repeat"`` (of one that is not steady, to be sure), `cause` what such
+    figures come from, and `suspect` the positions measured since the last steady measurement, where this one is not.
+    `change` is the relative change of its rows, noise taken out: the error that drift means for what is measured now.
     """
 
     position: int
@@ -216,14 +217,16 @@ class Drift(Event, frozen=True):
     occasion: str
     cause: str
     suspect: tuple[int, ...]
+    change: Number = float("nan")
 
 
 class CrosstalkMeasured(Event, frozen=True):
-    """How much of the loopback voltage leaks into the response input, by the latest positions.
+    """How much of the loopback voltage leaks into the response input, by a record of the loopback alone.
 
-    `level_db` is re the loopback, `share` in V per V and `sigmas` in standard errors of it. `named` says that it is
-    large and sure enough; then the `marked` positions became poor, `reason` says what to do, and what follows is poor
-    as long as it lasts. `actuators` are those whose rows show it, where not all do.
+    `level_db` is re the loopback (what it is below, where `sigmas` are under 5), `share` in V per V, `sigmas` in
+    standard errors of it. `named` says that it makes 1 % of the median row; then the `marked` positions, measured since
+    the last clean look, became poor, `reason` says what to do, and what follows is poor as long as it lasts.
+    `actuators` has meaning in logs of earlier versions only: those whose rows show it, where not all do.
     """
 
     level_db: Number

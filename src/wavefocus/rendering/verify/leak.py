@@ -39,7 +39,7 @@ def crosstalk_symptom(found: Crosstalk, fields: FieldComparison, marker_v: Float
     gained = len(difference) * (float(wanted @ wanted) - float(np.sum((wanted - fitted) ** 2)))
     explained = float(np.clip(gained / excess, 0.0, 1.0)) if excess > 0.0 else 0.0
     certain = explained >= CERTAIN_SHARE
-    return Symptom("crosstalk", found.actuators, found.level_db, explained, certain, delay_s=found.delay_s)
+    return Symptom("crosstalk", (), found.level_db, explained, certain, delay_s=found.delay_s)
 
 
 def with_crosstalk(symptoms: tuple[Symptom, ...], leak: Symptom) -> tuple[Symptom, ...]:

@@ -6,13 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wavefocus.acquisition.attempt import Attempt, PositionRecords, evaluate
-from wavefocus.acquisition.drift_watch import measure_again
-from wavefocus.acquisition.engine.recovery import Recovery
+from wavefocus.acquisition.attempt import Attempt
+from wavefocus.acquisition.drift_watch import says_nothing
 from wavefocus.acquisition.engine.session import Session, StopRequest
+from wavefocus.acquisition.engine.station import Station
 from wavefocus.acquisition.limits import compare_sentinel
 from wavefocus.acquisition.plan import Plan, sentinel_of
-from wavefocus.acquisition.plays import measuring_of
 from wavefocus.acquisition.setup import Setup
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.config.limits import DriftLimits
@@ -42,15 +41,7 @@ def measure_sentinel(
     session = Session(setup.instruments.clock, publish, StopRequest())
     session.enter(State.RUNNING, f"sentinel position {position} to measure")
     with one_blas_thread():
-        measuring = measuring_of(plan, setup)
-        result = measure_again(
-            Attempt(position, 1, 1),
-            PositionRecords(plan, setup, measuring.plays, session.fault),
-            Recovery(setup, session),
-            session,
-            lambda recorded: evaluate(recorded, measuring.estimator, setup.range_v, plan.quality),
-            plan.quality.max_attempts,
-        )
+        result = Station(plan, setup, session).measure(Attempt(position, 1, 1), "sentinel", says_nothing)
     if result.estimate is None:
         return None
     return Sentinel(position, result.estimate.green, result.estimate.snr_db)

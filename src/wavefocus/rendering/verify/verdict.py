@@ -227,7 +227,7 @@ def compare(
         model_error=model_error,
         nonlinear_share=share,
     )
-    if leak is not None and leak.is_named:
+    if leak is not None:
         symptoms = with_crosstalk(diagnosis.symptoms, crosstalk_symptom(leak, fields, marker_v))
         diagnosis = replace(diagnosis, symptoms=symptoms)
     drift = None if sentinel is None else drift_of(sentinel, bank, drift_limits or DriftLimits())

@@ -21,11 +21,12 @@ QUALITY = {
     "attempts": ("1", "number of measurements of the position"),
     "moved_mm": ("mm", "distance of the laser from the position"),
     "reference_db": ("dB", "level of the reference relative to its calibration"),
+    "leak_db": ("dB", "level of the loopback's leak into the response input, at the look before"),
 }
 """Unit and meaning of each figure of ``/quality``."""
 QUALITY_NAMES = tuple(QUALITY)
 FIRST_QUALITY_NAMES, LATER_QUALITY_NAMES = QUALITY_NAMES[:5], QUALITY_NAMES[5:]
-"""The later ones, one figure per position, are not in banks of the first edition."""
+"""The later ones, one figure per position, are not in all banks of earlier versions."""
 _PER_ACTUATOR = FIRST_QUALITY_NAMES[:-1]
 VALID, OVER_RANGE, POOR_SIGNAL, FAILED, DISABLED = 1, 2, 4, 8, 16
 _ALL_BITS = 31
@@ -43,9 +44,8 @@ BANK = LedgerFormat(
     crc_at=40,
     remedy="measure it again with: wavefocus resume {path}, or restore a copy",
 )
-# The later figures are whole numbers, in steps of 0.001 mm and 0.001 dB; 0 is a row that has none.
-_STEP = 1e-3
-_ZEROS = {"moved_mm": 1, "reference_db": 32768}
+# The later figures are whole numbers: their step, and the number that stands for zero; 0 is a row that has none.
+_LATER = {"moved_mm": (1e-3, 1), "reference_db": (1e-3, 32768), "leak_db": (1e-2, 32768)}
 _QUALITY_AT = 48
 
 
@@ -59,6 +59,8 @@ class PointRecord:
         coherence (0 to 1) and largest response in DAQ volts per actuator; NaN where unknown.
     moved_mm: Distance of the laser from the position, 0 to 65 mm; NaN where unknown.
     reference_db: Level of the reference in dB of its calibration, median over the records; NaN where unknown.
+    leak_db: Level of the loopback's leak into the response input at the look before, in dB re the loopback, -200 where
+        none was seen; NaN where unknown.
     neighbour_round: Number of positions that were judged against their neighbours together, on those that were marked
         for it and on the last of them; 0 elsewhere.
     suspect: Whether the sentinel position had changed when it was measured next.
@@ -73,6 +75,7 @@ class PointRecord:
     peak_v: Float32Array
     moved_mm: float = float("nan")
     reference_db: float = float("nan")
+    leak_db: float = float("nan")
     neighbour_round: int = 0
     suspect: bool = False
     unjudgeable: bool = False
@@ -93,7 +96,7 @@ class LedgerFigures:
     """What the ledger says of all positions.
 
     status, neighbour_round, suspect, unjudgeable, arrays (P,): See `PointRecord`; 0 where the row does not hold.
-    quality: As ``/quality``: (P, N); ``attempts``, ``moved_mm`` and ``reference_db`` (P,).
+    quality: As ``/quality``: (P, N); the others (P,).
     rms, float64 (P, N): Root mean square over the taps of each Green's function; NaN where the row does not hold, is
         silent, or was written by an older version.
     """
@@ -114,11 +117,14 @@ def bank_row_shape(actuators: int, taps: int) -> RowShape:
 def _row_dtype(actuators: int) -> np.dtype[np.void]:
     size = round_to_page(_QUALITY_AT + 16 * actuators)
     with_rms = actuators if _QUALITY_AT + 24 * actuators <= size else 0  # where the row has room for it
+    used = _QUALITY_AT + 16 * actuators + 8 * with_rms
     fields = {
         "status": ("<u4", 32), "attempts": ("<u4", 36), "green_crc": ("<u4", 40), "moved_mm": ("<u2", 44),
         "reference_db": ("<u2", 46), "quality": (("<f4", (4, actuators)), _QUALITY_AT),
         "rms": (("<f8", (with_rms,)), _QUALITY_AT + 16 * actuators),
     }  # fmt: skip
+    if used + 2 <= size:
+        fields["leak_db"] = ("<u2", size - 2)  # at the end of the page, where earlier versions have zeros
     names, formats, offsets = list(fields), [kind for kind, _ in fields.values()], [at for _, at in fields.values()]
     return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})
 
@@ -134,9 +140,10 @@ def encode_row(position: int, record: PointRecord, green: Float32Array) -> bytes
     marks = record.suspect << _SUSPECT_AT | record.unjudgeable << _UNJUDGEABLE_AT
     row["status"] = record.status | record.neighbour_round << _ROUND_AT | marks
     row["attempts"] = record.attempts
-    for name, zero in _ZEROS.items():
+    for name, (step, zero) in _LATER.items():
         figure = getattr(record, name)
-        row[name] = 0 if np.isnan(figure) else int(np.clip(round(figure / _STEP) + zero, 1, 65535))
+        if name in (row.dtype.names or ()):
+            row[name] = 0 if np.isnan(figure) else int(np.clip(np.rint(figure / step) + zero, 1, 65535))
     row["green_crc"] = zlib.crc32(green.astype("<f4", copy=False).data)
     for index, name in enumerate(_PER_ACTUATOR):
         row["quality"][index] = getattr(record, name)
@@ -156,9 +163,10 @@ def figures_of(content: Bytes, holds: NDArray[np.bool_], actuators: int) -> Ledg
     for index, name in enumerate(_PER_ACTUATOR):
         quality[name] = np.where(holds[:, None], rows["quality"][:, index], np.nan).astype(np.float32)
     quality["attempts"] = np.where(holds, rows["attempts"], 0).astype(np.float32)
-    for name, zero in _ZEROS.items():
-        values = (rows[name].astype(np.float64) - zero) * _STEP
-        quality[name] = np.where(holds & (rows[name] > 0), values, np.nan).astype(np.float32)
+    for name, (step, zero) in _LATER.items():
+        whole = rows[name] if name in (rows.dtype.names or ()) else np.zeros(len(rows), "<u2")
+        values = (whole.astype(np.float64) - zero) * step
+        quality[name] = np.where(holds & (whole > 0), values, np.nan).astype(np.float32)
     rms = np.full((len(rows), actuators), np.nan)
     stored = holds & rows["rms"].any(axis=1)
     rms[:, : rows["rms"].shape[1]] = np.where(stored[:, None], rows["rms"], np.nan)

@@ -180,7 +180,7 @@ class Bank(Closing):
     time_s, (L,): Tap times in seconds.
     band_hz: Lowest and highest measured frequency in Hz.
     quality: ``snr_db``, ``residual_db``, ``coherence``, ``peak_v`` (P, N) and ``attempts``, ``moved_mm``,
-        ``reference_db`` (P,); NaN (attempts 0) where the file does not say.
+        ``reference_db``, ``leak_db`` (P,); NaN (attempts 0) where the file does not say.
     rms, (P, N): Root mean square over the taps of each Green's function, float64, as computed when the position was
         committed and covered by its checksum; NaN in rows that are not measured or silent, of an older version, or
         foreign.

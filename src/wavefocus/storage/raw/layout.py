@@ -24,6 +24,8 @@ from wavefocus.storage.ledger.layout import (
 )
 from wavefocus.storage.raw.header import RAW, RawHeader, Schedule
 
+LEAK = "/leak_db"
+"""Level of the loopback's leak at the look before each position, in dB re the loopback; not in earlier versions."""
 _WORDS = {"rig": "rig_json", "run": "run_json", **{name: name for name in ("plan_sha256", "software", "sweep_law")}}
 
 
@@ -162,6 +164,7 @@ def _lay_out(file: h5py.File, header: RawHeader) -> LedgerLayout:
     channels = lay_out_data(file, header.rows, header.positions, ["1", "1"])
     for dataset, volts in zip(channels, header.volts_per_count, strict=True):
         dataset.attrs["volts_per_count"] = np.float64(volts)
+    filled(file, LEAK, np.full(header.positions, np.nan, "<f4"), "dB")
     lay_out_ledger(file, header.rows, header.positions)
     layout = _find_layout(file, header, Path(file.filename))
     file.attrs["layout_crc32"] = np.uint32(_checksum(layout))
@@ -169,7 +172,10 @@ def _lay_out(file: h5py.File, header: RawHeader) -> LedgerLayout:
 
 
 def _find_layout(file: h5py.File, header: RawHeader, path: Path) -> LedgerLayout:
-    return find_layout(file, path, header, header.rows, header.positions, {})
+    figures: dict[str, tuple[tuple[int, ...], str]] = {}
+    if hdf5_reading.has(file, LEAK):
+        figures[LEAK] = (header.positions,), "<f4"
+    return find_layout(file, path, header, header.rows, header.positions, figures)
 
 
 def _checksum(layout: LedgerLayout) -> int:

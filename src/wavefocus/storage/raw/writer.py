@@ -22,12 +22,13 @@ from wavefocus.storage.ledger.pages import ROW_HEAD, sealed
 from wavefocus.storage.ledger.reader import DamagedError, LedgerReader
 from wavefocus.storage.ledger.writer import LedgerWriter
 from wavefocus.storage.raw.header import RAW, RawHeader
-from wavefocus.storage.raw.layout import create_raw, read_raw_header, read_raw_layout
+from wavefocus.storage.raw.layout import LEAK, create_raw, read_raw_header, read_raw_layout
 
 __all__ = ["DamagedError", "RawFile", "RawWriter", "Recordings", "create_raw", "open_raw"]
 
 Float32Array = NDArray[np.float32]
 
+_LEAK_AT = ROW_HEAD.size + 8  # after the checksums of reference and response
 _FOREIGN_CACHE_BYTES = 32 << 20  # a compressed chunk may hold many positions
 
 
@@ -51,11 +52,14 @@ class RawFile(Closing):
 
     header: What it says about itself.
     rows: Where the recordings come from.
+    leak_db, float32 (P,): Level of the loopback's leak at the look before each position, in dB re the loopback; NaN
+        where the file does not say.
     """
 
     path: Path
     header: RawHeader
     rows: RawRows | ForeignRecordings = field(repr=False)
+    leak_db: Float32Array = field(repr=False)
 
     def read(self, position: int) -> Recordings | None:
         """Read all records of a position; None where nothing was recorded.
@@ -117,9 +121,18 @@ def open_raw(path: str | Path) -> RawFile:
         if not has_ledger(content):
             header = read_raw_header(content, path)
             datasets = tuple(hdf5_reading.plain_dataset(content, name) for name in RAW.datasets)
-            return RawFile(path, header, ForeignRecordings(path, datasets, stack.pop_all()))
+            leak_db = _leak_db(content, header.positions)
+            return RawFile(path, header, ForeignRecordings(path, datasets, stack.pop_all()), leak_db)
         layout = read_raw_layout(content, path)
-    return RawFile(path, layout.header, RawRows(path, layout))
+        leak_db = _leak_db(content, layout.positions)
+    return RawFile(path, layout.header, RawRows(path, layout), leak_db)
+
+
+def _leak_db(file: h5py.File, positions: int) -> Float32Array:
+    if not hdf5_reading.has(file, LEAK):
+        return np.full(positions, np.nan, np.float32)
+    with np.errstate(invalid="ignore", over="ignore"):  # a damaged file may hold any number
+        return hdf5_reading.read_floats(file, LEAK, (positions,)).astype(np.float32)
 
 
 class RawRows(LedgerReader):
@@ -164,12 +177,15 @@ class RawWriter(LedgerWriter):
         """Which positions (P,) are kept; a row that is damaged is not."""
         return self._measured.copy()
 
-    def commit(self, position: int, reference_v: Float32Array, response_v: Float32Array) -> None:
+    def commit(
+        self, position: int, reference_v: Float32Array, response_v: Float32Array, leak_db: float = float("nan")
+    ) -> None:
         """Keep the recordings of one position for good; when this returns, no crash loses them.
 
         position: Row of the file, 0 to P - 1.
         reference_v, response_v, float32 (records, samples): The two DAQ channels in volts, a record per row; whole
             multiples of the header's volts per count, within the range of 16 bits.
+        leak_db: Level of the loopback's leak at the look before, in dB re the loopback; NaN where unknown.
 
         Raises InputError, FileLostError, WavefocusError: as `wavefocus.storage.bank.writer.BankWriter.commit`.
         """
@@ -180,7 +196,16 @@ class RawWriter(LedgerWriter):
             self._counts("response", response_v, steps[1]),
         ]
         row = bytearray(self._shape.row_head(position).ljust(self._shape.row_bytes, b"\0"))
-        struct.pack_into("<2I", row, ROW_HEAD.size, *map(zlib.crc32, chunks))
+        struct.pack_into("<2If", row, ROW_HEAD.size, *map(zlib.crc32, chunks), _known(leak_db))
+        self._commit(position, chunks, sealed(row))
+
+    def note_leak(self, position: int, leak_db: float) -> None:
+        """Change the level of the leak of a position that is kept; errors as of `commit`."""
+        self._require_position(position)
+        row = bytearray(self._row(position))
+        struct.pack_into("<f", row, _LEAK_AT, _known(leak_db))
+        size = self._shape.data_bytes
+        chunks = [bytes(self._file.read(int(offsets[position]), size)) for offsets in self._layout.chunk_offset]
         self._commit(position, chunks, sealed(row))
 
     def _counts(self, name: str, volts: Float32Array, step_v: float) -> bytes:
@@ -195,6 +220,28 @@ class RawWriter(LedgerWriter):
             )
         return rounded.astype("<i2").tobytes()
 
+    def _noted(self, position: int) -> None:
+        if LEAK in self._layout.figures:
+            offset, size = self._layout.figures[LEAK]
+            self._file.write(offset + position * size, _levels(self._row(position)).tobytes())
+
     def _recover(self) -> NDArray[np.bool_]:
         layout, shape = self._layout, self._shape
-        return shape.decode(self._file.read(layout.ledger_offset, layout.positions * shape.row_bytes)).holds
+        ledger = shape.decode(self._file.read(layout.ledger_offset, layout.positions * shape.row_bytes))
+        if LEAK in layout.figures:
+            levels = np.where(ledger.holds, _levels(ledger.rows, shape.row_bytes), np.float32(np.nan)).tobytes()
+            if self._file.read(layout.figures[LEAK][0], len(levels)) != levels:
+                self._file.write(layout.figures[LEAK][0], levels)
+        return ledger.holds
+
+
+def _known(leak_db: float) -> float:
+    """A level as the ledger has it: 0 stands for none, as in rows of earlier versions."""
+    return 0.0 if np.isnan(leak_db) else leak_db
+
+
+def _levels(rows: Any, row_bytes: int = 0) -> Float32Array:
+    """Levels of the leak in ledger rows, NaN where they have none."""
+    pages = np.frombuffer(rows, np.uint8).reshape(-1, row_bytes or len(rows))
+    found = pages[:, _LEAK_AT : _LEAK_AT + 4].copy().view("<f4")[:, 0]
+    return np.where(found == 0.0, np.float32(np.nan), found).astype("<f4")

@@ -1,0 +1,218 @@
+"""The leak of the loopback into the response input: measured with the loopback alone, judged by the median row."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+
+from wavefocus.acquisition.attempt import AttemptResult, record_play
+from wavefocus.acquisition.defects import Cure, RecordDefect
+from wavefocus.acquisition.engine.recovery import Recovery
+from wavefocus.acquisition.engine.session import Session
+from wavefocus.acquisition.judgement import Judgement
+from wavefocus.acquisition.plan import Plan
+from wavefocus.acquisition.plays import Play
+from wavefocus.acquisition.setup import Setup, point_at
+from wavefocus.calibration.crosstalk import (
+    MAX_DELAY_S,
+    REMEDY,
+    ROW_SHARE,
+    SPARE,
+    UNKNOWN_ROWS_SHARE,
+    Crosstalk,
+    crosstalk_of_record,
+    share_of_median_row,
+)
+from wavefocus.calibration.excitation import PlayedExcitation
+from wavefocus.config.messages.campaign import CrosstalkMeasured
+from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
+from wavefocus.drivers.protocols import Recording, RecordLabel
+from wavefocus.storage.bank.writer import BankWriter
+from wavefocus.storage.point_status import Status, usable
+from wavefocus.storage.raw.writer import RawWriter
+
+SWEEP_S = 0.5
+BAND_HZ = (40.0, 400.0)
+"""Band of the sweep where no campaign says another."""
+DEFECT = "crosstalk"
+TRIES = 3
+"""Records in which the vibrometer loses the surface for a moment are taken again so often in all."""
+ROWS = 100
+"""So many positions, spread over all valid ones, give the median row."""
+
+
+def measure_leak(
+    setup: Setup,
+    place_mm: Sequence[float],
+    amplitude_v: float,
+    sample_rate_hz: float,
+    band_hz: tuple[float, float] = BAND_HZ,
+) -> Crosstalk:
+    """Measure the leak: play a sweep of 0.5 s on the loopback alone, the beam on a place where light comes back.
+
+    Raises InstrumentError: of the instrument that failed; a passing fault only when repeated records did not cure it.
+    """
+    point_at(setup, float(place_mm[0]), float(place_mm[1]))
+    sweep = PlayedExcitation(sample_rate_hz, *band_hz, SWEEP_S, MAX_DELAY_S, amplitude_v, averages=1)
+    play = Play(0, setup.signals_v(sweep.signal_v()))
+    for number in range(1, TRIES + 1):
+        label = RecordLabel(0, number, 0, DEFECT)
+        found = leak_of(setup, record_play(setup, play, sample_rate_hz, label), sample_rate_hz, band_hz)
+        if found.resolves(UNKNOWN_ROWS_SHARE):
+            break
+    return found
+
+
+def leak_of(setup: Setup, recording: Recording, sample_rate_hz: float, band_hz: tuple[float, float]) -> Crosstalk:
+    """The leak in a record that no actuator answers."""
+    return crosstalk_of_record(
+        recording.volts[0],
+        recording.volts[1],
+        sample_rate_hz,
+        band_hz,
+        reference_gain=setup.reference_gain,
+        inter_channel_delay_s=setup.inter_channel_delay_s,
+    )
+
+
+class LeakWatch:
+    """Measures the leak in a campaign, and judges what is measured while there is one.
+
+    unvouched: Rows that an earlier session measured after its last look.
+
+    found: The leak of the latest look, where it makes 1 % of the median row; else None.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        setup: Setup,
+        bank: BankWriter,
+        session: Session,
+        recovery: Recovery,
+        unvouched: Sequence[int] = (),
+        raw: RawWriter | None = None,
+    ) -> None:
+        self._plan, self._setup, self._bank, self._raw = plan, setup, bank, raw
+        self._session, self._recovery = session, recovery
+        self._since = list(unvouched)
+        self._unjudged: list[Crosstalk] = []
+        self._latest: Crosstalk | None = None
+        self.found: Crosstalk | None = None
+
+    @property
+    def due(self) -> bool:
+        """Whether positions were committed since the latest look that was clean or marked them."""
+        return bool(self._since)
+
+    @property
+    def level_db(self) -> float:
+        """Level of the leak at the latest look as the bank keeps it; NaN before the first."""
+        return float("nan") if self._latest is None else self._latest.kept_db
+
+    def committed(self, position: int) -> None:
+        """Note a position that was committed: the next look vouches for it, or does not."""
+        self._since.append(position)
+
+    def look(self, worker: ThreadPoolExecutor) -> tuple[int, ...]:
+        """Play the loopback alone, the beam on the first position of the plan; mark what a leak has spoilt.
+
+        worker: Where marks are written.
+
+        Returns the positions that were marked. Raises InstrumentError: an instrument failed for good; a passing fault
+        that stays only leaves the leak unmeasured.
+        """
+        plan = self._plan
+        place_mm, sweep = plan.position_mm[plan.order[0]].tolist(), plan.excitation
+        level = sweep.amplitude_v, sweep.sample_rate_hz, sweep.band_hz
+        try:
+            leak = self._recovery.retry_after_reconnect(lambda: measure_leak(self._setup, place_mm, *level))
+        except InstrumentError as fault:
+            self._session.fault(fault, None, retried=False)
+            if isinstance(fault, TransientInstrumentError):
+                return ()
+            raise
+        limit, marked = worker.submit(self._judge, leak).result()
+        level_db = leak.level_db if leak.is_seen else leak.visible_db
+        figures = level_db, leak.delay_s, leak.share, min(abs(leak.share) / max(leak.error, 1e-300), 1e6)
+        reason = "" if self.found is None else sentence(self.found, limit)
+        self._session.publish(CrosstalkMeasured, *figures, self.found is not None, (), marked, reason)
+        return marked
+
+    def _judge(self, leak: Crosstalk) -> tuple[float | None, tuple[int, ...]]:
+        """Judge a look by the median row, and mark what was measured since the last clean one if there is a leak.
+
+        Before the bank has rows nothing is judged: the next look judges both.
+
+        Returns the share of the loopback that counts, and the positions that were marked.
+        """
+        self._latest = leak
+        limit = limit_of(self._bank, self._setup.response_per_volt)
+        if limit is None:
+            self._unjudged.append(leak)
+            return None, ()
+        worst = max((*self._unjudged, leak), key=lambda look: look.is_seen * abs(look.share))
+        self._unjudged.clear()
+        self.found = leak if leak.reaches(limit) else None
+        marked = self._mark(worst) if worst.reaches(limit) else ()
+        if worst.reaches(limit) or leak.resolves(limit):
+            self._since.clear()
+        return limit, marked
+
+    def judged(self, result: AttemptResult) -> AttemptResult:
+        """A good attempt is poor while there is a leak."""
+        if self.found is None or not result.judgement.good:
+            return result
+        return replace(result, judgement=judgement_of(self.found, result.judgement.score))
+
+    def _mark(self, leak: Crosstalk) -> tuple[int, ...]:
+        marked = tuple(row for row in dict.fromkeys(self._since) if self._bank.status[row] == Status.VALID)
+        for position in marked:
+            if self._raw is not None and self._raw.recorded[position]:
+                self._raw.note_leak(position, leak.level_db)
+            self._bank.amend(position, status=int(Status.POOR_SIGNAL), leak_db=leak.level_db)
+        return marked
+
+
+def limit_of(bank: BankWriter, response_per_volt: float) -> float | None:
+    """Share of the loopback that makes 1 % of the median row of a bank; None while it has no rows."""
+    rows = np.flatnonzero(usable(bank.status))
+    rows = rows[:: max(1, len(rows) // ROWS)]
+    if not len(rows):
+        return None
+    rms = np.stack([np.sqrt(np.square(bank.green(row), dtype=np.float64).mean(axis=1)) for row in rows.tolist()])
+    header = bank.header
+    whole = share_of_median_row(rms, header.taps, header.sample_rate_hz, header.band_hz, response_per_volt)
+    return None if whole is None else ROW_SHARE * whole
+
+
+def mark_leaks(bank: BankWriter, response_per_volt: float) -> list[str]:
+    """Mark as poor what was measured with a leak of 1 % of the median row, by ``/quality/leak_db``; sentences."""
+    limit = limit_of(bank, response_per_volt)
+    if limit is None:
+        return []
+    sentences = []
+    for position in np.flatnonzero(bank.status == Status.VALID).tolist():
+        share = 10 ** (bank.record(position).leak_db / 20)
+        if share >= SPARE * limit:
+            bank.amend(position, status=int(Status.POOR_SIGNAL))
+            part = 100 * ROW_SHARE * share / limit
+            sentences.append(
+                f"position {position}: crosstalk: the leak of the loopback is {part:.2g} % of the median row"
+            )
+    return sentences
+
+
+def sentence(found: Crosstalk, limit: float | None) -> str:
+    """A leak that must be named, with what it makes of a row."""
+    part = "" if limit is None else f", {100 * ROW_SHARE * abs(found.share) / limit:.2g} % of the median row"
+    return f"crosstalk: the loopback leaks into the response input: {found}{part}: {REMEDY}"
+
+
+def judgement_of(found: Crosstalk | None, score: float = 0.0) -> Judgement:
+    """Poor, because of a leak; None stands for one that is over."""
+    words = sentence(found, None) if found else "crosstalk: the loopback leaked into the response input"
+    return Judgement(Status.POOR_SIGNAL, words, score, (RecordDefect(DEFECT, (), words, Cure.NOTHING),))
