@@ -16,7 +16,8 @@ from sphinx.highlighting import lexers
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from tools import key_tables, python_reference
-from wavefocus.cli import COMMANDS, Argument, Command
+from wavefocus.command_line import Argument, Command
+from wavefocus.commands.table import COMMANDS
 
 project = "wavefocus"
 version = release = version_of("wavefocus")

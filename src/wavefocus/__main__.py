@@ -99,21 +99,18 @@ def run(arguments: Sequence[str]) -> int:
     as_traceback = len(rest) < len(arguments) or bool(os.environ.get("WAVEFOCUS_TRACEBACK"))
     try:
         from wavefocus import cli
+        from wavefocus.command_line import UsageError
 
         try:
             return cli.run_command(rest or ["--help"])
-        except cli.UsageError as wrong:
+        except UsageError as wrong:
             print(f"wavefocus: {one_line(str(wrong))}", file=sys.stderr)
             return Exit.WRONG_INPUT
         except SystemExit:  # the help was shown
             return Exit.DONE
-    except BrokenPipeError:
-        return Exit.NOT_GOOD_ENOUGH
     except BaseException as failure:
         # An import that Ctrl-C breaks off may fail in other words than KeyboardInterrupt.
         code = Exit.STOPPED if interrupts else exit_code(failure)
-        if code is None:
-            raise
         # A terminal that is gone, or a pipe nobody reads any more, must not change the exit code.
         with suppress(OSError, ValueError):
             if as_traceback and code is not Exit.STOPPED:
@@ -131,11 +128,13 @@ def main() -> None:
     import warnings
 
     import wavefocus.cli  # noqa: F401  (all that is slow to load before a command is chosen)
+    from wavefocus.console import Listener
     from wavefocus.exits import Exit
 
     warnings.showwarning = show_warning
     try:
         raise_at_interrupt()
+        sys.stdout = Listener.in_place_of(sys.stdout)
         code = run(sys.argv[1:])
     except KeyboardInterrupt:
         code = Exit.STOPPED

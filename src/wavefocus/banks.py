@@ -25,7 +25,7 @@ LOG = logging.getLogger("wavefocus")
 
 @dataclass(frozen=True, slots=True)
 class Export:
-    """An export: what was written, or would be, about how many bytes, and what was left out or is NaN."""
+    """An export: what was written, about how many bytes, and what was left out or is NaN."""
 
     out: Path
     format: str
@@ -49,7 +49,7 @@ def import_bank(
     *,
     places: str | Path | None = None,
     unit: str = "",
-    length_unit: str = "",
+    length_unit: Literal["", "m", "cm", "mm", "um", "in", "ft"] = "",
     to_velocity: bool = False,
     band_hz: Sequence[float] | None = None,
     taps: int | None = None,
@@ -137,7 +137,7 @@ def import_bank(
     (2, 400) m/s/V
     """
     from wavefocus.calibration.imports import bank as imports
-    from wavefocus.storage.exchange.measured import ImportOptions
+    from wavefocus.options import ImportOptions
 
     options = ImportOptions(
         places=None if places is None else Path(places),
@@ -174,7 +174,6 @@ def export_bank(
     binary: bool = False,
     convention: Literal["GeneralFIR-E", "SingleRoomMIMOSRIR"] = "GeneralFIR-E",
     publication: str | Path | None = None,
-    only_list: bool = False,
     force: bool = False,
     on_progress: OnProgress | None = None,
 ) -> Export:
@@ -200,8 +199,6 @@ def export_bank(
         Convention of a SOFA file; that of a room's many loudspeakers is what room acoustics reads.
     publication
         TOML file whose table ``[publication]`` names title, people and licence; by default the bank's own run.
-    only_list
-        Whether nothing is written: what would be is only returned.
     force
         Whether older files of these names may be replaced; banks never are.
     on_progress
@@ -229,14 +226,14 @@ def export_bank(
     from wavefocus.storage.exchange.exported_rows import choose_rows
     from wavefocus.storage.output_files import require_outputs, require_replaceable_folder
 
-    folder, replaces, missing_as_nan = Path(out), force or only_list, missing == "nan"
+    folder, missing_as_nan = Path(out), missing == "nan"
     form = EXPORTS[to]
     if missing_as_nan and not form.holds_nan:
         raise InputError(f"--missing nan: {to} files hold no NaN; missing positions are left out there")
     if binary and to != "uff":
-        raise InputError(f"--binary: is for --to uff; {to} files are always the same")
+        raise InputError(f"binary: is for uff; {to} files are always the same")
     if convention != "GeneralFIR-E" and to != "sofa":
-        raise InputError(f"--convention: is for --to sofa; {to} files have none")
+        raise InputError(f"convention: is for sofa; {to} files have none")
     if folder.exists() and folder.is_dir() != form.folder:
         raise InputError(f"{out} is a {'folder' if folder.is_dir() else 'file'}; --to {to} writes a "
                          f"{'folder of files' if form.folder else 'file'}")  # fmt: skip
@@ -244,7 +241,7 @@ def export_bank(
         inputs = [view.path, *([Path(publication)] if publication else [])]
         beside = folder.with_name(folder.name + form.notes_ending) if form.notes_ending else None
         if not form.folder:
-            require_outputs((folder, beside), inputs, force=replaces)
+            require_outputs((folder, beside), inputs, force=force)
         view.require_sound(positions)
         texts = publication_of(view, Path(publication) if publication else None).texts
         if view.notes:
@@ -259,9 +256,8 @@ def export_bank(
             names.append(beside.name)
         if form.folder:
             ours = writer.older_files(folder) | set(names)
-            require_replaceable_folder(folder, ours, inputs, by="export", force=replaces)
-        if not only_list:
-            writer.write(folder, rows, on_progress or (lambda done, total: None))
+            require_replaceable_folder(folder, ours, inputs, by="export", force=force)
+        writer.write(folder, rows, on_progress or (lambda done, total: None))
         per_value = 4 if binary else form.value_bytes
         return Export(
             out=folder,

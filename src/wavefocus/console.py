@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import io
+import os
 import sys
 import threading
 import time
@@ -10,12 +12,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from functools import cache
-from typing import IO, TYPE_CHECKING, Protocol, cast
+from typing import IO, TYPE_CHECKING, Protocol, TextIO, cast
 
 from wavefocus.acquisition.wording import finish_time, hours
-from wavefocus.exits import escaped
+from wavefocus.exits import STAND_IN, escaped
 
 if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
     from rich.console import Console
     from rich.progress import Task
 
@@ -58,6 +61,36 @@ class _StandardError(io.TextIOBase):
     def _stream() -> IO[str]:
         # While a progress bar is shown, rich puts a stand-in there that writes to the bar's console, that is, here.
         return cast(IO[str], getattr(sys.stderr, "rich_proxied_file", sys.stderr))
+
+
+class Listener(io.FileIO):
+    """Standard output of a process: a reader that goes away decides nothing of what is carried out."""
+
+    gone = False
+
+    @classmethod
+    def in_place_of(cls, stream: TextIO) -> TextIO:
+        """A stream that takes the place of standard output; a terminal stays as it is."""
+        try:
+            if stream.isatty() or getattr(stream, STAND_IN, False):
+                return stream
+            stream.flush()
+            raw = cls(stream.fileno(), "w", closefd=False)
+        except (OSError, ValueError):  # nothing stands behind it
+            return stream
+        binary = io.BufferedWriter(raw)
+        return io.TextIOWrapper(binary, stream.encoding, stream.errors, line_buffering=bool(stream.line_buffering))
+
+    def write(self, data: ReadableBuffer) -> int:
+        """Write; dropped once nobody reads. Raises OSError, which names standard output: it cannot be written."""
+        try:
+            return 0 if (written := super().write(data)) is None else written
+        except OSError as failure:
+            # EINVAL: a pipe that nobody reads, on Windows.
+            if failure.errno != errno.EPIPE and not (os.name == "nt" and failure.errno == errno.EINVAL):
+                raise OSError(failure.errno, failure.strerror, "standard output") from None
+            self.gone = True
+            return memoryview(data).nbytes
 
 
 @cache

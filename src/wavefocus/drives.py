@@ -5,13 +5,13 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from numpy.typing import DTypeLike
 
 from wavefocus.banks import OnProgress, opened_bank
+from wavefocus.options import RenderOptions
 from wavefocus.storage.argument_types import Positions, checked
 from wavefocus.storage.bank.reading import Bank
 from wavefocus.storage.drive_file import Drive, read_drive
@@ -25,23 +25,6 @@ if TYPE_CHECKING:
     from wavefocus.rendering.greens.source import GreenSource
     from wavefocus.rendering.report.render_report import RenderReport
     from wavefocus.rendering.scene.model import Scene
-
-
-@dataclass(frozen=True, slots=True)
-class RenderOptions:
-    """Options of a render: method of eq. (16) or (9), what may be left out (< 0 dB), largest interpolation error.
-
-    Raises InputError: an option that a GPU does not support.
-    """
-
-    method: Literal["sampled", "exact"] | None = None
-    tolerance_db: float | None = None
-    interpolation_tolerance: float | None = None
-    device: Literal["cpu", "cuda"] = "cpu"
-
-    def __post_init__(self) -> None:
-        if self.device != "cpu" and self.tolerance_db is not None:
-            raise InputError(f"--device {self.device} does not go with --tolerance-db")
 
 
 @checked
@@ -297,6 +280,9 @@ def render_by_options(
     """
     from wavefocus.rendering.device import cuda_device
     from wavefocus.rendering.drive.rendering import render_with_report
+
+    if options.device != "cpu" and options.tolerance_db is not None:
+        raise InputError(f"--device {options.device} does not go with --tolerance-db")
 
     return render_with_report(
         scene,

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import traceback
 import unicodedata
 from collections.abc import Sequence
 from enum import IntEnum
 from pathlib import Path
+from tempfile import NamedTemporaryFile
 
 from wavefocus.drivers.errors import InstrumentError, MissingPackageError
 from wavefocus.storage.errors import BankBusyError, InputError, WavefocusError
@@ -21,12 +23,13 @@ class Exit(IntEnum):
     NOT_GOOD_ENOUGH = 1
     WRONG_INPUT = 2
     INSTRUMENT_FAILED = 3
+    DEFECT = 70
     BANK_BUSY = 75
     STOPPED = 130
 
 
-def exit_code(failure: BaseException) -> Exit | None:
-    """The exit code of an error that people can act on; None for a defect of the program."""
+def exit_code(failure: BaseException) -> Exit:
+    """The exit code of an error, by what it means to a person; what no check foresees is a defect of the program."""
     match failure:
         case KeyboardInterrupt():
             return Exit.STOPPED
@@ -34,20 +37,20 @@ def exit_code(failure: BaseException) -> Exit | None:
             return Exit.BANK_BUSY
         case ModuleNotFoundError() if missing_package(failure):
             return Exit.WRONG_INPUT
-        case InputError() | OSError() | MissingPackageError():
+        # What a file asks for can be beyond the memory.
+        case InputError() | OSError() | MissingPackageError() | MemoryError():
             return Exit.WRONG_INPUT
         case InstrumentError() | WavefocusError():
             return Exit.INSTRUMENT_FAILED
-        # What a file asks for can be beyond memory or arithmetic; NumPy's LinAlgError is a ValueError.
-        case MemoryError() | ArithmeticError() | ValueError() | RuntimeError():
-            return Exit.WRONG_INPUT
-    return None
+    return Exit.DEFECT
 
 
 def sentence(failure: BaseException) -> str:
     """The one line that reports an error."""
     if isinstance(failure, KeyboardInterrupt):
         return "stopped by the user"
+    if isinstance(failure, MemoryError):
+        return one_line(f"not enough memory: {failure}")
     if isinstance(failure, OSError) and failure.filename is not None:
         return one_line(f"{failure.filename}: {failure.strerror}")
     if isinstance(failure, ModuleNotFoundError) and (package := missing_package(failure)):
@@ -56,24 +59,32 @@ def sentence(failure: BaseException) -> str:
     return one_line(str(failure)) or type(failure).__name__
 
 
-def account(failure: BaseException, code: int, arguments: Sequence[str]) -> str:
-    """The one line about an error; where its own text names no file, with the files of the command line."""
+def account(failure: BaseException, code: Exit, arguments: Sequence[str]) -> str:
+    """The one line about an error; with the files of the command line where its own text names none."""
     if code is Exit.STOPPED:
         return sentence(KeyboardInterrupt())
-    if is_foreseen(failure):
+    if code is not Exit.DEFECT and not isinstance(failure, MemoryError):
         return sentence(failure)
     named = [word.partition("=")[2] if word.startswith("--") else word for word in arguments]
     files = "".join(f"{word}: " for word in named if Path(word).is_file())
-    kind = "not enough memory" if isinstance(failure, MemoryError) else type(failure).__name__
-    said = "" if sentence(failure) == type(failure).__name__ else f": {sentence(failure)}"
-    return one_line(f"{files}cannot be computed: {kind}{said} (--traceback shows where)")
+    if code is not Exit.DEFECT:
+        return one_line(f"{files}{sentence(failure)}")
+    kind = type(failure).__name__
+    said = "" if sentence(failure) == kind else f": {sentence(failure)}"
+    return one_line(f"{files}defect of the program: {kind}{said}; {_logged(failure)}")
 
 
-def is_foreseen(failure: BaseException) -> bool:
-    """Whether the error's own text says what is wrong and what to do, so that it stands alone."""
-    if isinstance(failure, ModuleNotFoundError):
-        return bool(missing_package(failure))
-    return isinstance(failure, KeyboardInterrupt | InputError | OSError | InstrumentError | WavefocusError)
+def _logged(failure: BaseException) -> str:
+    """Write the traceback to a new file, and say where it is."""
+    text = "".join(traceback.format_exception(failure))
+    try:
+        with NamedTemporaryFile(
+            "w", prefix="wavefocus-defect-", suffix=".log", delete=False, encoding="utf-8", errors="backslashreplace"
+        ) as file:
+            file.write(text)
+    except OSError:
+        return "--traceback shows where"
+    return f"please report it with {file.name}, which says where"
 
 
 # Packages that only some commands need, by the extra of pyproject.toml that installs them.

@@ -52,7 +52,8 @@ def _nobody_reads() -> bool:
 
     Windows reports the latter only when something is written.
     """
-    if getattr(sys.stdout, STAND_IN, False):
+    binary = getattr(sys.stdout, "buffer", None)
+    if getattr(sys.stdout, STAND_IN, False) or getattr(getattr(binary, "raw", None), "gone", False):
         return True
     if not hasattr(select, "poll"):
         return False

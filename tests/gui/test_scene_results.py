@@ -244,7 +244,7 @@ def test_given_a_play_that_is_watched_then_it_ends_muted_when_its_input_closes(f
     out = finished.with_name("drive.h5")
     none = np.zeros(0, np.int64)
     write_drive(out, Drive(np.full((3, 20_000), 0.1), 10_000.0, 0.0, "exact", 1.0, 0.0, none, none, none))
-    command = [*WAVEFOCUS, "play", str(out), "--rig", str(finished.with_name("rig.toml")), "--watched"]
+    command = [*WAVEFOCUS, "play", str(out), "--rig", str(finished.with_name("rig.toml")), "--lines"]
     ended = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
     assert ended.returncode == 130
     assert "stopped by the user; the outputs are muted" in ended.stderr

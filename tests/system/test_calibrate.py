@@ -22,7 +22,8 @@ from wavefocus.config.calibration import CalibrationRecord, load_calibration
 from wavefocus.config.outline import default_marks_mm
 from wavefocus.configuration import load_rig
 from wavefocus.mocks.virtual.synthesis import output_errors
-from wavefocus.rig.calibration_session import CalibrationSession, Request
+from wavefocus.options import CalibrationOptions
+from wavefocus.rig.calibration_session import CalibrationSession
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.errors import InputError
 
@@ -293,7 +294,7 @@ def test_given_a_second_calibration_on_one_day_then_neither_file_is_lost(rig: Pa
 )
 def test_given_a_wrong_request_then_the_session_is_refused(rig: Path, asked: dict[str, float], told: str) -> None:
     with pytest.raises(InputError, match=re.escape(told)):
-        CalibrationSession(load_rig(rig), Request(**asked))
+        CalibrationSession(load_rig(rig), CalibrationOptions(**asked))
 
 
 @pytest.mark.parametrize(

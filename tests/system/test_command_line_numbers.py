@@ -28,7 +28,7 @@ PLAY = ["play", "scene.toml", "--bank", "bank.h5", "--rig", "virtual"]
 OPTIONS = [
     *((RENDER, option) for option in ("--tolerance-db", "--interpolation-tolerance")),
     (PREDICT, "--rate"),
-    *((MOVIE, option) for option in ("--from-s", "--slow", "--limit", "--frame-rate-hz", "--width-px")),
+    *((MOVIE, option) for option in ("--from-s", "--slow", "--width-px")),
     *((PLAN, option) for option in ("--wave-speed",)),
     *((PLAY, option) for option in ("--gain-db", "--tolerance-db", "--ahead-s")),
     (["pause", "bank.h5"], "--wait-s"),

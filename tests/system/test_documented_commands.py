@@ -28,7 +28,8 @@ from markdown_it import MarkdownIt
 
 from tests.lab_files import RIG, RUN, change_text, write_positions
 from wavefocus.__main__ import run
-from wavefocus.cli import UsageError, parser
+from wavefocus.cli import parser
+from wavefocus.command_line import UsageError
 
 ROOT = Path(__file__).parents[2]
 EVERY = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]

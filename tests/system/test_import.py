@@ -69,25 +69,13 @@ def green_of(bank: Path) -> np.ndarray:
         return np.stack([view.green(row) for row in range(view.positions)])
 
 
-@pytest.mark.parametrize(
-    ("kind", "options"),
-    [
-        ("sofa", []),
-        ("uff", []),
-        ("uff", ["--binary"]),
-        ("wav", []),
-        ("wav", ["--per", "actuator"]),
-        ("mat", []),
-        ("npz", []),
-        ("netcdf", []),
-    ],
-)
+@pytest.mark.parametrize("kind", ["sofa", "uff", "uff-binary", "wav", "wav-actuator", "mat", "npz", "netcdf"])
 def test_given_our_own_export_then_the_bank_comes_back(
-    bank: Path, tmp_path: Path, imported: Any, capsys: pytest.CaptureFixture[str], kind: str, options: list[str]
+    bank: Path, tmp_path: Path, imported: Any, capsys: pytest.CaptureFixture[str], kind: str
 ) -> None:
-    assert run(["export", str(bank), str(tmp_path / "there"), "--to", kind, *options]) == 0
+    assert run(["export", str(bank), str(tmp_path / "there"), "--to", kind]) == 0
     back, told = imported(tmp_path / "there")
-    assert told["format"] == kind
+    assert told["format"] == kind.partition("-")[0]
     assert np.array_equal(green_of(back), GREEN)
     with open_bank(back) as view:
         assert np.abs(view.position_mm - PLACES_MM).max() < 1e-6

@@ -79,35 +79,97 @@ def test_given_ctrl_c_while_modules_are_loaded_then_the_exit_code_is_130_without
 FAILING = """
 from pathlib import Path
 import numpy as np
-from wavefocus import cli
+from wavefocus import cli, command_line
 def fail(file: Path) -> None:
     {act}
-cli.COMMANDS = (cli.Command("fail", fail, "", (cli.file("file"),)),)
+cli.COMMANDS = (command_line.Command("fail", fail, "", (command_line.file("file"),)),)
 """
 
 
 @pytest.mark.parametrize(
     "act",
     [
-        "np.empty(1 << 60)",
+        "raise KeyError('x')",
+        "raise TypeError('x')",
+        "raise ValueError('operands could not be broadcast')",
         "10.0 ** 400",
         "np.linalg.inv(np.zeros((2, 2)))",
-        "raise RuntimeError('no')",
+        "import wavefocus.nothing",
+        "from wavefocus.acquisition.engine.session import IllegalStateError; raise IllegalStateError('paused')",
         "raise RuntimeError('\\x1b[31m' + 9000 * 'x')",
     ],
 )
-def test_given_a_computation_that_cannot_be_then_it_is_one_line_with_the_files_name(tmp_path: Path, act: str) -> None:
+def test_given_a_defect_then_it_is_exit_70_one_line_with_the_files_name_and_a_traceback_in_a_log(
+    tmp_path: Path, act: str
+) -> None:
     (tmp_path / "scene.toml").touch()
-    done = wavefocus(FAILING.format(act=act), "fail", "scene.toml", folder=tmp_path)
-    assert done.returncode == 2
+    done = wavefocus(FAILING.format(act=act), "fail", "scene.toml", folder=tmp_path, TMPDIR=str(tmp_path))
+    assert done.returncode == 70
     (line,) = done.stderr.splitlines()
-    assert "scene.toml" in line
+    assert "scene.toml: defect of the program" in line
     assert len(line) < 1000
     assert not any(one in line for one in ESCAPES)
+    (log,) = tmp_path.glob("wavefocus-defect-*.log")
+    assert str(log) in line
+    assert "Traceback" in log.read_text(encoding="utf-8")
     for arguments, environment in ((["--traceback", "fail"], {}), (["fail"], {"WAVEFOCUS_TRACEBACK": "1"})):
         explained = wavefocus(FAILING.format(act=act), *arguments, "scene.toml", folder=tmp_path, **environment)
-        assert explained.returncode == 2
+        assert explained.returncode == 70
         assert "Traceback" in explained.stderr
+
+
+def test_given_more_than_the_memory_then_it_is_wrong_input_with_the_files_name(tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").touch()
+    done = wavefocus(FAILING.format(act="np.empty(1 << 50)"), "fail", "scene.toml", folder=tmp_path)
+    assert (done.returncode, len(done.stderr.splitlines())) == (2, 1)
+    assert "scene.toml: not enough memory" in done.stderr
+
+
+@pytest.mark.may_skip("a shell with pipes")
+@pytest.mark.skipif(os.name != "posix", reason="a shell with pipes")
+def test_given_a_listener_that_goes_away_then_all_is_carried_out(lab: Path) -> None:
+    words = [sys.executable, "-m", "wavefocus", "capture", "run.toml", "--bank", "plate.h5", "--json"]
+    done = subprocess.run(
+        ["sh", "-c", '{ "$@"; echo $? > code; } | head -n 1', "sh", *words],
+        cwd=lab, capture_output=True, text=True, timeout=100, check=False,
+    )  # fmt: skip
+    assert (len(done.stdout.splitlines()), "Traceback" in done.stderr) == (1, False)
+    assert (lab / "code").read_text(encoding="utf-8").strip() == "0"
+    with open_bank(lab / "plate.h5") as bank:
+        assert bank.status.all()
+
+
+LISTENED = """
+import sys, time
+from pathlib import Path
+from wavefocus import cli, command_line
+from wavefocus.console import answer
+def work() -> int:
+    for number in range(3):
+        answer(number * 9000 * "x")
+        time.sleep(0.1)
+    Path("done").touch()
+    return 1
+cli.COMMANDS = (command_line.Command("work", work, "", ()),)
+"""
+
+
+@pytest.mark.may_skip("a shell with pipes")
+@pytest.mark.skipif(os.name != "posix", reason="a shell with pipes")
+@pytest.mark.parametrize(
+    ("to", "code", "said"), [("| true", "1", ""), ("> /dev/full", "2", "standard output: No space")]
+)
+def test_given_output_that_goes_nowhere_then_a_reader_decides_nothing_and_a_full_disk_is_named(
+    tmp_path: Path, to: str, code: str, said: str
+) -> None:
+    words = [sys.executable, "-c", f"{LISTENED}\nfrom wavefocus.__main__ import main\nmain()", "work"]
+    done = subprocess.run(
+        ["sh", "-c", f'{{ "$@"; echo $? >&3; }} 3> code {to}', "sh", *words],
+        cwd=tmp_path, capture_output=True, text=True, timeout=100, check=False,
+    )  # fmt: skip
+    assert (tmp_path / "code").read_text(encoding="utf-8").strip() == code
+    assert said in done.stderr
+    assert (tmp_path / "done").exists() == (not said)
 
 
 def test_given_a_warning_of_numpy_then_it_is_one_plain_line(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from tests.lab_files import change_text
 from wavefocus.__main__ import run
-from wavefocus.cli import COMMANDS
+from wavefocus.commands.table import COMMANDS
 
 pytestmark = pytest.mark.smoke
 

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from wavefocus.__main__ import run
-from wavefocus.cli import COMMANDS, UsageError, nearest, run_command
+from wavefocus.cli import run_command
+from wavefocus.command_line import UsageError, nearest
+from wavefocus.commands.table import COMMANDS
 from wavefocus.config.calibration import load_calibration
 from wavefocus.config.retired import COMMANDS as GONE
 from wavefocus.config.retired import KEYS, OPTIONS

@@ -18,10 +18,10 @@ from wavefocus.campaign.control import heartbeat_path, orders_path, read_heartbe
 from wavefocus.campaign.sidecar_files import drift_path, last_events, log_path, read_drift
 from wavefocus.config.loading import MAX_KEY_PARTS, parse_toml
 from wavefocus.input_files import input_files
+from wavefocus.options import ImportOptions
 from wavefocus.rendering.verify.record import read_record
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange import wav
-from wavefocus.storage.exchange.measured import ImportOptions
 from wavefocus.storage.ledger.owner import owner_path
 
 posix = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes are POSIX")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from wavefocus.calibration.imports.bank import import_bank
-from wavefocus.storage.exchange.measured import ImportOptions
+from wavefocus.options import ImportOptions
 
 RATE_HZ, POSITIONS, ACTUATORS = 2000.0, 6, 2
 NAMES = ("conjugated", "leading", "aliased")

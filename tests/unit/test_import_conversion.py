@@ -14,10 +14,12 @@ import scipy.io
 
 from wavefocus.calibration.imports.bank import Imported, import_bank
 from wavefocus.calibration.imports.projection import choose_projection
-from wavefocus.cli import UsageError, parser
+from wavefocus.cli import parser
+from wavefocus.command_line import UsageError
+from wavefocus.options import ImportOptions
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.exchange.measured import ImportOptions, from_spherical
+from wavefocus.storage.exchange.measured import from_spherical
 
 RATE_HZ, TAPS, PERIOD = 2000.0, 300, 800
 POSITIONS, ACTUATORS = 6, 2

@@ -17,8 +17,8 @@ import scipy.io
 
 from wavefocus.__main__ import run
 from wavefocus.calibration.imports.bank import import_bank
+from wavefocus.options import ImportOptions
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.exchange.measured import ImportOptions
 from wavefocus.storage.exchange.opening import opened
 
 GREEN = np.random.default_rng(0).standard_normal((6, 2, 40)).astype(np.float32)
@@ -201,7 +201,7 @@ def test_given_a_hostile_file_then_one_sentence_says_why(
     assert sorted(tmp_path.iterdir()) == before
 
 
-FORMATS = {"sofa": [], "uff": [], "mat": [], "npz": [], "netcdf": [], "wav": [], "binary uff": ["--binary"], "npy": []}
+FORMATS = ("sofa", "uff", "mat", "npz", "netcdf", "wav", "uff-binary", "npy")
 
 
 def mutated(content: bytes, source: random.Random) -> bytes:
@@ -228,14 +228,14 @@ def mutated(content: bytes, source: random.Random) -> bytes:
 
 def mutations(tmp_path: Path, kind: str, count: int) -> Iterator[tuple[Path, str, ImportOptions]]:
     """Damaged copies of a small file, with its format and options."""
-    form, options = kind.rsplit(maxsplit=1)[-1], ImportOptions()
+    form, options = kind.partition("-")[0], ImportOptions()
     if kind == "npy":
         np.save(tmp_path / "exported.npy", GREEN)
         whole = tmp_path / "exported.npy"
         (tmp_path / "places.csv").write_text("x_mm,y_mm\n" + "".join(f"{x},{y}\n" for x, y in PLACES_MM.tolist()))
         options = ImportOptions(places=tmp_path / "places.csv", unit="m/s/V", sample_rate_hz=2000.0)
     else:
-        whole = exported(tmp_path, form, *FORMATS[kind])
+        whole = exported(tmp_path, kind)
     source, copy = random.Random(5), tmp_path / "copy"
     for _ in range(count):
         if whole.is_dir():

@@ -10,8 +10,8 @@ import pytest
 import sofar
 
 import wavefocus as wf
+from wavefocus.options import ImportOptions
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.exchange.measured import ImportOptions
 from wavefocus.storage.exchange.places import coordinates, read_places
 
 WANTED_MM = [[0.5, 1.0, 0.0], [4.5, 1.25, 0.0], [-8.5, 1e3, 0.0]]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +44,7 @@ from wavefocus.drivers.errors import InstrumentError
 from wavefocus.ending import stop_on_signals
 from wavefocus.exits import Exit
 from wavefocus.input_files import parse_positions
+from wavefocus.options import SessionOptions
 from wavefocus.rig.alive import AliveSignal
 from wavefocus.rig.awake import kept_awake
 from wavefocus.rig.calibration_validity import refuse_other_devices, with_one_calibration
@@ -55,16 +56,6 @@ from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.point_status import STATUS_WORDS, Status, not_valid
-
-
-@dataclass(frozen=True, slots=True)
-class SessionOptions:
-    """Options of a session: the rig file that was named, events on standard output, and changes that are accepted."""
-
-    rig_file: Path | None = None
-    as_json: bool = False
-    accept_drift: bool = False
-    accept_calibration: bool = False
 
 
 def capture(

@@ -25,10 +25,10 @@ from wavefocus.config.messages.campaign import Logged, Progress, read_event
 from wavefocus.config.run import Virtual
 from wavefocus.configuration import load_run
 from wavefocus.console import people, say
-from wavefocus.drives import RenderOptions
 from wavefocus.exits import Exit
 from wavefocus.input_files import scan_rows
 from wavefocus.mocks.virtual.rig import VirtualRig
+from wavefocus.options import RenderOptions
 from wavefocus.rendering.scene.model import load_scene
 from wavefocus.rig.virtual_bench import virtual_rig
 from wavefocus.storage.bank.reading import Bank, open_bank
@@ -57,15 +57,14 @@ class _Stopwatch:
         self.parts.append((name, time.monotonic() - started_s))
 
 
-def demo(out: Path, *, plate: str | None = None, quick: bool = False, force: bool = False) -> Exit:
+def demo(out: Path, *, quick: bool = False, force: bool = False) -> Exit:
     """Capture, kill half-way, resume, check, render, predict, verify; all files in a folder of its own.
 
-    plate: By default with a rim, and without one where it is to be quick.
-    quick: A hundred positions, to see that everything works; nothing is interpolated.
+    quick: A hundred positions on a plate without a rim, to see that everything works.
     """
-    plate = plate or ("soft" if quick else PLATE)
+    plate = "soft" if quick else PLATE
     if plate == "stadium" and find_spec("skfem") is None:
-        raise InputError("--plate stadium: needs scikit-fem, pip install 'wavefocus[plates]'; or choose --plate soft")
+        raise InputError("demo: needs scikit-fem, pip install 'wavefocus[plates]'; --quick does without")
     _prepare(out, force=force)
     run, bank, scene = out / "run.toml", out / "plate.h5", out / "scene.toml"
     drive, report = out / "drive.h5", out / "verify" / "report.html"

@@ -18,11 +18,12 @@ from wavefocus.console import say
 from wavefocus.ending import ending_at_once
 from wavefocus.exits import Exit
 from wavefocus.json_lines import LinesOut, input_objects
-from wavefocus.live_session.opening import LiveOptions, open_session
+from wavefocus.live_session.opening import open_session
 from wavefocus.live_session.orders import order_of
 from wavefocus.live_session.osc import OscInput, address_of
 from wavefocus.live_session.priority import raise_priority
 from wavefocus.live_session.session import LiveSession
+from wavefocus.options import LiveOptions
 from wavefocus.storage.errors import InputError
 
 MAX_MESSAGES = 1000

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from math import inf
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from wavefocus.campaign.blueprint import bank_configuration
 from wavefocus.console import progress, say
 from wavefocus.input_files import name_unverified
+from wavefocus.options import MovieOptions
 from wavefocus.rendering.report.movie import FramePlan, plan_frames, snapshots, surface_of, write_movie
 from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.drive_file import Drive, read_drive
@@ -22,20 +22,9 @@ from wavefocus.storage.output_files import require_outputs, write_whole
 from wavefocus.storage.units import quantity
 
 OUTLINE_POINTS = 400
+FRAME_RATE_HZ = 25.0
 FRAMES_PER_PERIOD = 2.5
 """Fewer frames in a period of the band's upper end, and the movie strobes."""
-
-
-@dataclass(frozen=True, slots=True)
-class MovieOptions:
-    """What a movie shows, as asked for on the command line; None for what follows from the field."""
-
-    from_s: float | None = None
-    to_s: float | None = None
-    slow: float | None = None
-    frame_rate_hz: float = 25.0
-    width_px: int = 720
-    limit: float | None = None
 
 
 def movie(
@@ -73,13 +62,11 @@ def movie(
                 from_s=options.from_s,
                 to_s=options.to_s,
                 slow=options.slow,
-                frame_rate_hz=options.frame_rate_hz,
+                frame_rate_hz=FRAME_RATE_HZ,
             )
             _warn_of_strobing(plan, view, field)
             with progress("movie", len(plan.sample)) as report:
-                limit = write_movie(
-                    out, field, surface, drive, plan, width_px=options.width_px, limit=options.limit, on_progress=report
-                )
+                limit = write_movie(out, field, surface, drive, plan, width_px=options.width_px, on_progress=report)
             say(
                 f"{out}: {len(plan.sample)} frames, {plan.step_s * 1e3:.3g} ms apart, {plan.slowed:.3g} times slower"
                 f" than life, colours to {quantity(f'{limit:.3g}', field.response_unit)}"

@@ -22,10 +22,11 @@ from wavefocus.configuration import named_rig
 from wavefocus.console import Report, print_line, progress, say, working_on
 from wavefocus.drivers.protocols import Clock
 from wavefocus.drivers.timeouts import BoundedPlayer
-from wavefocus.drives import RenderOptions, naming
+from wavefocus.drives import naming
 from wavefocus.ending import ended_by_input, ending_at_once
 from wavefocus.exits import Exit
 from wavefocus.input_files import name_unverified
+from wavefocus.options import RenderOptions
 from wavefocus.rendering.drive.rendering import SceneRenderer
 from wavefocus.rendering.drive.wav import InterfaceRate
 from wavefocus.rendering.field.quiet_levels import rendered_levels

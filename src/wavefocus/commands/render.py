@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.console import progress, say, working_on
-from wavefocus.drives import RenderOptions, naming, render_by_options
+from wavefocus.drives import naming, render_by_options
 from wavefocus.input_files import input_files
+from wavefocus.options import RenderOptions
 from wavefocus.rendering.drive.coil_limits import dynamic_range_db, peaks
 from wavefocus.rendering.drive.rendering import SceneRenderer
 from wavefocus.rendering.drive.wav import Interface, stream_wav

@@ -257,16 +257,17 @@ def _draw(bank: Path, drift: list[DriftPoint], plot: Path) -> None:
 # The states in which an order is carried out, and those in which it will be, in words.
 CARRIED_OUT = {"pause": ("paused",), "go-on": ("running",), "stop": ("stopped", "finished", "failed")}
 LOOKS_EVERY_S = 0.1
+WAITS_S = 15.0
 
 
-def order(bank: Path, word: Word, wait_s: float, *, as_json: bool) -> Exit:
+def order(bank: Path, word: Word, *, as_json: bool) -> Exit:
     """Give an order and wait until it is carried out, or at least received.
 
     Raises InputError: no process owns the bank.
     """
     owner = _owner(bank, word)
     given = give_order(bank, word)
-    until_s = time.monotonic() + wait_s
+    until_s = time.monotonic() + WAITS_S
     received, carried_out = None, False
     while not carried_out:
         beat = read_heartbeat(bank)
@@ -283,7 +284,7 @@ def order(bank: Path, word: Word, wait_s: float, *, as_json: bool) -> Exit:
             time.sleep(LOOKS_EVERY_S)
     if received is None:
         withdraw(bank, given)
-    line = _line(bank, owner, received, wait_s, carried_out=carried_out)
+    line = _line(bank, owner, received, carried_out=carried_out)
     say(line)
     if as_json:
         state = None if received is None else received.state
@@ -300,12 +301,12 @@ def _owner(bank: Path, word: str) -> Owner:
     return owner
 
 
-def _line(bank: Path, owner: Owner, received: Heartbeat | None, wait_s: float, *, carried_out: bool) -> str:
+def _line(bank: Path, owner: Owner, received: Heartbeat | None, *, carried_out: bool) -> str:
     who = f"process {owner.pid} on {owner.host}"
     if received is None:
         beat = read_heartbeat(bank)
         silent = "" if beat is None else f"; its last sign of life: {beat.age_words()}"
-        return f"{bank}: {who} does not answer within {wait_s:g} s{silent}; the order is withdrawn"
+        return f"{bank}: {who} does not answer within {WAITS_S:g} s{silent}; the order is withdrawn"
     if carried_out:
         return f"{bank}: {who}: {received.state}: {received.reason}"
     return f"{bank}: {who} has received it and is {received.state}: {received.reason}; see wavefocus status"

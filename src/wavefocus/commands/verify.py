@@ -31,10 +31,11 @@ from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import Configuration, named_rig, plan_sha256, with_rig
 from wavefocus.console import Report, progress, say, working_on
 from wavefocus.drivers.errors import TransientInstrumentError
-from wavefocus.drives import RenderOptions, naming, render_by_options
+from wavefocus.drives import naming, render_by_options
 from wavefocus.ending import ended_by_file, ending_at_once
 from wavefocus.exits import Exit, exit_code, sentence
 from wavefocus.input_files import input_files, scan_rows
+from wavefocus.options import RenderOptions
 from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.field.metrics import grid_spacing_mm
 from wavefocus.rendering.field.prediction import predict as predict_field
@@ -465,8 +466,8 @@ class VerifyLog:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if error is not None and (code := exit_code(error)) is not None:
-            self.done(code, sentence(error))
+        if error is not None:
+            self.done(exit_code(error), sentence(error))
         with suppress(OSError):
             self._file.close()
 

@@ -14,13 +14,14 @@ from wavefocus.config.fields import Finite, NonNegative, PointMm, Positive, Tabl
 from wavefocus.config.loading import parse_toml, printable, read_toml, shown, validated
 from wavefocus.config.rig_instruments import Matrix
 from wavefocus.drivers.protocols import DeviceIdentity
+from wavefocus.options import CALIBRATION_PARTS
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import replacement, write_whole
 from wavefocus.storage.text_file import read_text
 
 FORMAT = "wavefocus-calibration"
 FORMAT_VERSION = 1
-PARTS = ("inputs", "outputs", "mirror", "actuators")
+PARTS = CALIBRATION_PARTS
 """What a calibration is made of, in the order of measuring: each uses what those before it have found."""
 
 Polarity = Literal[1, -1]

@@ -21,6 +21,15 @@ OPTIONS = {
     "--stream": "render always writes block by block",
     "--pilot": "choose [grid] spacing_mm, and check_positions to measure the error between positions",
     "--pilot-positions": "choose [grid] spacing_mm, and check_positions to measure the error between positions",
+    "--binary": "give --to uff-binary",
+    "--per": "give --to wav-actuator",
+    "--convention": "give --to sofa-room",
+    "--list": "export prints how much it leaves out, and --json the facts of what it wrote",
+    "--wait-s": "pause, stop and resume wait up to 15 s for the capture",
+    "--plate": "demo --quick has a plate without a rim, bench measures all plates",
+    "--frame-rate-hz": "movies have 25 frames a second, and --slow says how slow they are",
+    "--limit": "colours reach to what is seen at the foci",
+    "--watched": "give --lines",
     "--coarse": "write [grid] spacing_mm = 10 in run.toml for a grid that is measured in minutes",
 }
 KEYS = {

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from wavefocus.config.scene import Output, Regularisation
 from wavefocus.console import progress
 from wavefocus.drives import naming
 from wavefocus.live_session.session import LiveSession, Publish
+from wavefocus.options import LiveOptions
 from wavefocus.rendering.greens.interpolation.base import methods_between
 from wavefocus.rendering.greens.source import is_check, usable
 from wavefocus.rendering.live.engine import LiveEngine
@@ -35,31 +35,6 @@ TOO_COARSE = (
     "the bank's positions are too far apart for interpolation {!r}: between them the drives are wrong; use 'waves' or"
     " 'auto' in the scene's [output]"
 )
-
-
-@dataclass(frozen=True, slots=True)
-class LiveOptions:
-    """Settings of a live session, as of the options of ``wavefocus live``.
-
-    scene_file: Its regularisation, its output and the signal of its first source are used.
-    look_ahead_ms: By how much sources lag what is ordered.
-    block_ms: Time of a block, rounded to whole samples of the bank.
-    ahead_ms: So much waits to be played; None: 40 ms, and twice as much after each underrun.
-    gain_db: On the amplitudes of all orders.
-    duration_s: The session ends by itself after so long.
-    record: Folder in which the session is recorded as a scene.
-    independent: Each source is quiet where the others are, also where the scene does not say so; without a scene on
-        places finer than the bank's, by kernel interpolation, where the bank allows it.
-    """
-
-    scene_file: Path | None = None
-    look_ahead_ms: float = 50.0
-    block_ms: float = 5.0
-    ahead_ms: float | None = None
-    gain_db: float = 0.0
-    duration_s: float | None = None
-    record: Path | None = None
-    independent: bool = False
 
 
 @contextmanager

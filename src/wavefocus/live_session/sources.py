@@ -12,10 +12,11 @@ from pathlib import Path
 from wavefocus.banks import LOG
 from wavefocus.config.messages.codec import Message
 from wavefocus.config.messages.live import EndLive, EndSource, LiveEnded, LiveNotice, LiveReady, LiveState, MoveSource
-from wavefocus.live_session.opening import LiveOptions, open_session
+from wavefocus.live_session.opening import open_session
 from wavefocus.live_session.orders import Order, UseSignal, check_name
 from wavefocus.live_session.priority import raise_priority
 from wavefocus.live_session.session import LiveSession
+from wavefocus.options import LiveOptions
 from wavefocus.rendering.live.emitted import live_samples
 from wavefocus.rendering.scene.signals import Signal
 from wavefocus.storage.argument_types import checked

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -61,36 +60,19 @@ from wavefocus.config.messages.rig_checks import MapView
 from wavefocus.config.outline import default_marks_mm
 from wavefocus.config.rig import RigConfig
 from wavefocus.console import progress
+from wavefocus.options import CalibrationOptions
+from wavefocus.rig.operation import SAMPLE_RATE_HZ
 from wavefocus.storage.errors import InputError
 
 # The listening distance, as a share of the surface's width.
 DISTANCE_SHARE = 0.2
 
 
-@dataclass(frozen=True, slots=True)
-class Request:
-    """Request for a calibration; None leaves the choice.
-
-    `fiducials` is a file of marks, `limit_mm` the largest residual of the mirror map, `summing_box` that all outputs
-    for actuators are in one box of gain `box_gain`, `amplitude_v` the peak played, `distance_mm` the distance from
-    each actuator at which it is recorded.
-    """
-
-    parts: tuple[str, ...] = PARTS
-    fiducials: Path | None = None
-    limit_mm: float = 1.0
-    summing_box: bool = False
-    box_gain: float | None = None
-    amplitude_v: float | None = None
-    distance_mm: float | None = None
-    sample_rate_hz: float = 10_000.0
-
-
 MIN_V = 1e-6
 """No converter puts out less."""
 
 
-def amplitude_v(rig: RigConfig, request: Request) -> float:
+def amplitude_v(rig: RigConfig, request: CalibrationOptions) -> float:
     """Peak of what is played: asked for within the limits, or well below them.
 
     Raises InputError: more than the rig may put out, or next to nothing.
@@ -108,7 +90,7 @@ def amplitude_v(rig: RigConfig, request: Request) -> float:
     return request.amplitude_v
 
 
-def marks(rig: RigConfig, request: Request) -> tuple[tuple[Place, ...], tuple[Place, ...] | None]:
+def marks(rig: RigConfig, request: CalibrationOptions) -> tuple[tuple[Place, ...], tuple[Place, ...] | None]:
     """Places of the marks in millimetres, and their angles in milliradians where they are given.
 
     Raises InputError: A file that cannot be understood, or marks that no map can be fitted through.
@@ -135,7 +117,7 @@ def marks(rig: RigConfig, request: Request) -> tuple[tuple[Place, ...], tuple[Pl
     return places, angles
 
 
-def listening(rig: RigConfig, request: Request) -> tuple[float, NDArray[np.float64]]:
+def listening(rig: RigConfig, request: CalibrationOptions) -> tuple[float, NDArray[np.float64]]:
     """How far from each actuator it is listened to, and where.
 
     Raises InputError: A place off the surface.
@@ -158,7 +140,7 @@ class CalibrationSession:
     Raises InputError: a request that the rig cannot fulfil.
     """
 
-    def __init__(self, rig: RigConfig, request: Request) -> None:
+    def __init__(self, rig: RigConfig, request: CalibrationOptions) -> None:
         self._rig, self._request = rig, request
         self._amplitude_v = amplitude_v(rig, request)
         self._marks, self._angles = marks(rig, request)
@@ -329,12 +311,11 @@ class CalibrationSession:
 
     def _actuators(self, setup: Setup, operator: Operator) -> Setup:
         channels = self._rig.player.channels
-        rate_hz = self._request.sample_rate_hz
-        leak = crosstalk_finding(measure_leak(setup, self._places[0], self._amplitude_v, rate_hz))
+        leak = crosstalk_finding(measure_leak(setup, self._places[0], self._amplitude_v, SAMPLE_RATE_HZ))
         operator.report(f"crosstalk: {leak.what}")
         if leak.verdict != "ok":
             self.problems.append(f"crosstalk: {leak.what}: {leak.remedy}")
-        task = ActuatorsTask(self._places, self._amplitude_v, self._request.sample_rate_hz)
+        task = ActuatorsTask(self._places, self._amplitude_v, SAMPLE_RATE_HZ)
         with progress("actuators", len(channels)) as report:
             found = measure_actuators(task, setup, report)
         for actuator, verdict in enumerate(found.verdict):
@@ -378,7 +359,7 @@ class CalibrationSession:
                 raise NotMeasuredError(problem)
 
     def _probe(self, setup: Setup) -> Probe:
-        return Probe(setup, self._request.sample_rate_hz, self._amplitude_v)
+        return Probe(setup, SAMPLE_RATE_HZ, self._amplitude_v)
 
     def _by(self, role: Role) -> dict[str, Any]:
         """When and by which device a part was measured."""

@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.imports.conversion import Conversion
 from wavefocus.calibration.imports.projection import Projection, choose_projection
+from wavefocus.options import ImportOptions
 from wavefocus.storage.bank.layout import BankHeader
 from wavefocus.storage.bank.ledger import PointRecord
 from wavefocus.storage.bank.writer import write_bank
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.exchange.measured import ImportOptions, Measured
+from wavefocus.storage.exchange.measured import Measured
 from wavefocus.storage.exchange.opening import opened, recognised
 from wavefocus.storage.output_files import require_outputs
 from wavefocus.storage.point_status import Status

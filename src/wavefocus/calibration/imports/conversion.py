@@ -19,8 +19,9 @@ from wavefocus.calibration.imports.causal_response import (
     end_window,
     frequency_axis,
 )
+from wavefocus.options import ImportOptions
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.exchange.measured import ImportOptions, Measured, require_honest
+from wavefocus.storage.exchange.measured import Measured, require_honest
 from wavefocus.storage.units import MOTIONS, split_unit
 
 Float64Array = NDArray[np.float64]

@@ -7,9 +7,7 @@ from pathlib import Path
 
 from wavefocus.calibration.imports import bank as imports
 from wavefocus.console import answer, progress, say
-from wavefocus.storage.exchange.measured import ImportOptions
-
-__all__ = ["ImportOptions", "import_bank"]
+from wavefocus.options import ImportOptions
 
 
 def import_bank(

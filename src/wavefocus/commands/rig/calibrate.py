@@ -11,7 +11,7 @@ from pathlib import Path
 from wavefocus.acquisition.calibrate_mirror import Operator
 from wavefocus.acquisition.manual import ManualMeasurements
 from wavefocus.acquisition.setup import Setup
-from wavefocus.config.calibration import PARTS, CalibrationRecord, name_calibration, write_calibration
+from wavefocus.config.calibration import CalibrationRecord, name_calibration, write_calibration
 from wavefocus.config.messages.codec import to_record
 from wavefocus.config.messages.rig_checks import Begin, CalibrationDone
 from wavefocus.configuration import load_rig
@@ -20,7 +20,8 @@ from wavefocus.drivers.errors import InstrumentError
 from wavefocus.ending import ending_at_once
 from wavefocus.exits import Exit
 from wavefocus.json_lines import LinesIn, LinesOut
-from wavefocus.rig.calibration_session import CalibrationSession, Request, marks
+from wavefocus.options import CalibrationOptions
+from wavefocus.rig.calibration_session import CalibrationSession, marks
 from wavefocus.rig.instruments import openers
 from wavefocus.rig.operation import SAMPLE_RATE_HZ, faulted
 from wavefocus.rig.operators import LinesOperator, TerminalOperator, forget_typed
@@ -29,23 +30,23 @@ from wavefocus.storage.errors import InputError
 
 
 def calibrate(
-    rig_file: Path, request: Request, out: Path | None, *, as_json: bool, as_lines: bool = False, use: bool = False
+    rig_file: Path, options: CalibrationOptions, out: Path | None, *, as_json: bool, operator: str, use: bool
 ) -> Exit:
     """Calibrate a rig with the person at this terminal; exit code 1 when something is not good enough.
 
-    With `as_lines` the person sits before another program, which is asked by JSON lines; with `use` the rig file is
-    made to name what was written.
+    With the operator ``lines`` the person sits before another program, which is asked by JSON lines; with `use` the
+    rig file is made to name what was written.
     """
     rig = load_rig(rig_file)
     file = _file(out, rig_file.parent)
-    session = CalibrationSession(rig, request)
-    lines = LinesOut() if as_lines else None
+    session = CalibrationSession(rig, options)
+    lines = LinesOut() if operator == "lines" else None
     if lines is not None:
-        lines(Begin(request.parts, marks(rig, request)[0]))
+        lines(Begin(options.parts, marks(rig, options)[0]))
     with ending_at_once():
         try:
             ways = openers(rig)
-            with setup_in_use(open_rig(rig, ways), rig, request.sample_rate_hz) as setup:
+            with setup_in_use(open_rig(rig, ways), rig, SAMPLE_RATE_HZ) as setup:
                 session.carry_out(setup, _operator(setup, lines), ways.connect)
         except InstrumentError as failure:
             if lines is not None:
@@ -105,18 +106,6 @@ def _name_from(folder: Path, file: Path) -> str:
         return Path(os.path.relpath(file, folder)).as_posix()
     except ValueError:  # on another drive
         return file.absolute().as_posix()
-
-
-def parts_named(words: str) -> tuple[str, ...]:
-    """Parts from words with commas between; all where there are none.
-
-    Raises InputError: A word that is no part.
-    """
-    parts = tuple(word.strip() for word in words.split(",")) if words else PARTS
-    for part in parts:
-        if part not in PARTS:
-            raise InputError(f"--only: {part!r} is not known; allowed: {', '.join(PARTS)}")
-    return parts
 
 
 def _file(out: Path | None, folder: Path) -> Path:

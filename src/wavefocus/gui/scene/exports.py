@@ -240,7 +240,7 @@ class PlayTask(RigTask):
         if self.busy or not self.prepare(rig, "nothing is played"):
             return
         self._rig, self._lasts_s = rig, loops * lasts_s
-        options = ["--rig", rig, "--loop", str(loops), f"--gain-db={gain_db:g}", "--watched"]
+        options = ["--rig", rig, "--loop", str(loops), f"--gain-db={gain_db:g}", "--lines"]
         play = ["play", str(self._drive_file), *options]
         self._enter(RENDERING)
         self._run([self.render()], lambda code, message: self._rendered(code, message, play))

@@ -211,7 +211,6 @@ def write_movie(
     plan: FramePlan,
     *,
     width_px: int = 720,
-    limit: float | None = None,
     on_progress: OnProgress | None = None,
 ) -> float:
     """Write a GIF of a field on the surface.
@@ -224,7 +223,7 @@ def write_movie(
     from matplotlib import rc_context
 
     frames = read_frames(field, plan.sample)
-    top = limit or colour_limit(frames, None if drive is None else Foci.of(drive).seen(field))
+    top = colour_limit(frames, None if drive is None else Foci.of(drive).seen(field))
     with rc_context(STYLE):
         stage = _Stage(field, surface, drive, plan, top, max(width_px, MIN_WIDTH_PX))
         with replacement(path) as temporary, temporary.open("wb") as file:

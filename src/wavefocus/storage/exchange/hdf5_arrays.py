@@ -11,8 +11,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefocus.options import ImportOptions
 from wavefocus.storage import hdf5_reading
-from wavefocus.storage.exchange.measured import ImportOptions, Measured, require_honest
+from wavefocus.storage.exchange.measured import Measured, require_honest
 from wavefocus.storage.exchange.named_arrays import NamedArrays, measured_arrays
 
 

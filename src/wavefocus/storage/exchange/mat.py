@@ -14,12 +14,13 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefocus.options import ImportOptions
 from wavefocus.storage import hdf5_reading
 from wavefocus.storage.bank.ledger import QUALITY
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress
 from wavefocus.storage.exchange.hdf5_arrays import compound_complex, read_arrays, text_attribute
-from wavefocus.storage.exchange.measured import SPARE_BYTES, UNFOLDS, ImportOptions, Measured, require_honest
+from wavefocus.storage.exchange.measured import SPARE_BYTES, UNFOLDS, Measured, require_honest
 from wavefocus.storage.exchange.named_arrays import NamedArrays, bank_arrays, measured_arrays
 from wavefocus.storage.output_files import replacement
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefocus.options import ImportOptions
 from wavefocus.storage.bank.notes import Note
 from wavefocus.storage.errors import InputError, WavefocusError
 from wavefocus.storage.hdf5_reading import most_bytes
@@ -29,44 +30,6 @@ SPARE_BYTES = 64 << 20
 UNFOLDS = 100
 """A file may declare so many times its size, and `SPARE_BYTES` more, before it counts as hollow."""
 BLOCK_BYTES = 16 << 20
-
-
-@dataclass(frozen=True, slots=True)
-class ImportOptions:
-    """Facts that the user gives about a file, and choices; empty or None where there is none.
-
-    places: CSV table of places.
-    unit: Unit of the responses over that of the drive, as ``"m/s/V"``.
-    length_unit: Unit of places that the file does not say, of `METRES`.
-    direction: The response direction that is imported, of several.
-    axes: Order of an array's axes: position, actuator, direction, sample; commas between.
-    names: Variables of the file by our names, as ``{"green": "H"}``.
-    frequencies: First frequency and step in Hz, or a file with all of them.
-    sample_rate_hz: Rate of the Green's functions.
-    measurements: What the measurements of a SOFA file count: positions, actuators or pairs.
-    swap_roles: Positions are where it was driven, actuators where it was measured.
-    columns: Two of x, y and z, which become x and y of the bank.
-    taps: Length of the Green's functions.
-    band_hz: Lowest and highest frequency that are used.
-    to_velocity: Whether responses become velocities in m/s.
-    end: What becomes of the Green's functions' ends: ``"keep"``, ``"window"`` or ``"damp"``.
-    """
-
-    places: Path | None = None
-    unit: str = ""
-    length_unit: str = ""
-    direction: str = ""
-    axes: str = ""
-    names: Mapping[str, str] = field(default_factory=dict)
-    frequencies: tuple[float, float] | Path | None = None
-    sample_rate_hz: float | None = None
-    measurements: str = ""
-    swap_roles: bool = False
-    columns: str = ""
-    taps: int | None = None
-    band_hz: tuple[float, float] | None = None
-    to_velocity: bool = False
-    end: str = "keep"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

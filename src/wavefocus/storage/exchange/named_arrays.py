@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefocus.options import ImportOptions
 from wavefocus.storage.bank.layout import quality_shape
 from wavefocus.storage.bank.ledger import QUALITY_NAMES
 from wavefocus.storage.errors import InputError
@@ -17,7 +18,6 @@ from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress
 from wavefocus.storage.exchange.measured import (
     METRES,
     Float64Array,
-    ImportOptions,
     Measured,
     blocks,
     chosen_direction,

@@ -12,6 +12,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from wavefocus.options import ImportOptions
 from wavefocus.storage import hdf5_reading
 from wavefocus.storage.bank.layout import describe_status
 from wavefocus.storage.bank.ledger import QUALITY
@@ -19,7 +20,7 @@ from wavefocus.storage.bank.notes import Note, notes_of
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress
 from wavefocus.storage.exchange.hdf5_arrays import compound_complex, read_arrays
-from wavefocus.storage.exchange.measured import ImportOptions, Measured
+from wavefocus.storage.exchange.measured import Measured
 from wavefocus.storage.exchange.named_arrays import NamedArrays, measured_arrays
 from wavefocus.storage.hdf5_writing import attach, created, dimension_scale, filled, reserved, set_long_names
 from wavefocus.storage.output_files import EXPORT_MARK, replacement

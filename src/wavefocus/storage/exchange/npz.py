@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from wavefocus.options import ImportOptions
 from wavefocus.storage.bank.notes import notes_of
 from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress
-from wavefocus.storage.exchange.measured import ImportOptions, Measured, require_honest
+from wavefocus.storage.exchange.measured import Measured, require_honest
 from wavefocus.storage.exchange.named_arrays import NamedArrays, bank_arrays, measured_arrays
 from wavefocus.storage.exchange.npy import MAGIC, array_header, mapped_array
 from wavefocus.storage.output_files import replacement

@@ -8,10 +8,11 @@ from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
+from wavefocus.options import ImportOptions
 from wavefocus.storage import hdf5_reading
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange import IMPORTS, SOME_FORMATS
-from wavefocus.storage.exchange.measured import ImportOptions, Measured, guarded, readable
+from wavefocus.storage.exchange.measured import Measured, guarded, readable
 from wavefocus.storage.text_file import require_regular
 
 _HEAD_BYTES = 16

@@ -14,13 +14,13 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefocus.options import ImportOptions
 from wavefocus.storage import hdf5_reading
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.exported_rows import Convention, ExportedRows, OnProgress
 from wavefocus.storage.exchange.hdf5_arrays import numbers, open_hdf5, text_attribute
 from wavefocus.storage.exchange.measured import (
     Float64Array,
-    ImportOptions,
     Measured,
     blocks,
     chosen_direction,

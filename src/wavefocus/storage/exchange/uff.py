@@ -19,16 +19,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefocus.options import ImportOptions
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress, printable
-from wavefocus.storage.exchange.measured import (
-    METRES,
-    Float64Array,
-    ImportOptions,
-    Measured,
-    chosen_direction,
-    length_unit,
-)
+from wavefocus.storage.exchange.measured import METRES, Float64Array, Measured, chosen_direction, length_unit
 from wavefocus.storage.exchange.places import coordinates, read_places
 from wavefocus.storage.exchange.uff_sets import NOTE_MARK, NOTE_PART, Contents, Function, contents
 from wavefocus.storage.exchange.uff_systems import CARTESIAN, SPHERICAL, aligned, resolve

@@ -16,12 +16,12 @@ import numpy as np
 import soundfile
 from numpy.typing import NDArray
 
+from wavefocus.options import ImportOptions
 from wavefocus.storage.bank.notes import Note, notes_of
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress
 from wavefocus.storage.exchange.measured import (
     Float64Array,
-    ImportOptions,
     Measured,
     distinct,
     require_honest,

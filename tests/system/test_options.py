@@ -1,0 +1,32 @@
+"""The size of the command line: a command or an option more needs a reason, and takes the place of another."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from wavefocus.__main__ import run
+from wavefocus.commands.table import COMMANDS
+
+
+def test_given_all_helps_then_there_are_at_most_29_commands_and_120_options(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    listed = set()
+    for command in ("", *(one.name for one in COMMANDS)):
+        assert run([*command.split(), "--help"]) == 0
+        found = re.findall(r"^  (?:-\w, )?(--[a-z-]+)", capsys.readouterr().out, re.MULTILINE)
+        listed |= {(command, option) for option in found if option not in ("--help", "--json")}
+    assert len(COMMANDS) <= 30
+    assert len(listed) <= 120, sorted(listed)
+
+
+def test_given_the_help_then_each_command_stands_in_one_of_three_groups(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["--help"]) == 0
+    help = capsys.readouterr().out
+    for command in COMMANDS:
+        assert len(re.findall(rf"^  {command.name} ", help, re.MULTILINE)) == 1
+    assert re.findall(r"^commands .*(?=:$)", help, re.MULTILINE) == [
+        "commands that measure", "commands that use a bank", "commands for the rig and for data",
+    ]  # fmt: skip
