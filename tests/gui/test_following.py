@@ -199,6 +199,16 @@ def test_given_any_grid_then_every_position_has_pixels_of_its_own_and_a_click_fi
         assert raster.nearest(1e4, 0.0) == -1
 
 
+def test_given_check_positions_then_they_take_no_pixels_from_their_neighbours_and_a_click_finds_them() -> None:
+    grid = np.stack(np.meshgrid(np.arange(7.0), np.arange(5.0)), axis=-1).reshape(-1, 2) * 4.0
+    with_checks = np.vstack([grid, [[1.0, 1.0], [9.5, 6.5]]])
+    raster, bare = raster_of(with_checks, [35, 36]), raster_of(grid)
+    assert [int((raster.index == row).sum()) for row in range(37)] == [
+        *(int((bare.index == row).sum()) for row in range(35)), 0, 0,
+    ]  # fmt: skip
+    assert raster.nearest(9.5, 6.5) == 36
+
+
 def test_given_a_disk_that_hangs_then_the_follower_ends_without_waiting_for_it(tmp_path: Path) -> None:
     hangs, continues = threading.Event(), threading.Event()
 

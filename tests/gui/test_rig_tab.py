@@ -212,7 +212,6 @@ def test_given_a_run_file_then_the_rig_that_it_names_is_taken(open_window: Opens
     run = write_lab(tmp_path / "lab", 2, 2)
     window = open_window(run)
     tab = shown_tab(window, RigTab)
-    tab.of_run.click()
     assert tab.rig.path == run.parent / "rig.toml"
     assert tab.rig.actuator_mm == [(110.0, 0.0), (0.0, 60.0), (-110.0, 10.0)]
 

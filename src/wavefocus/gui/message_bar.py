@@ -120,6 +120,7 @@ class MessageBar(Themed, QFrame):
         """Ask a question, in place of any other message."""
         self._waiting.clear()
         self._show("question", sentence, answers)
+        self._buttons[0].setFocus()  # Space answers
 
     def dismiss(self) -> None:
         """Show the next waiting message, or none."""

@@ -66,11 +66,12 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
         self._rings: list[QGraphicsPathItem] = []
         self._paths: list[pyqtgraph.PlotCurveItem] = []
         self._cells = pyqtgraph.ImageItem(axisOrder="row-major")
+        self._checks = Spots(symbol="o", size=8, pxMode=True)
         self._outline = pyqtgraph.PlotCurveItem(antialias=True)
         self._actuators = Spots(symbol="t1", size=9, pxMode=True)
         self._cross = self._add_sign(_cross_path(), 90)
-        for depth, item in enumerate((self._cells, self._outline, self._actuators)):
-            self.add_item(item, 10 * depth, bounds=item is not self._actuators)
+        for depth, item in enumerate((self._cells, self._outline, self._actuators, self._checks)):
+            self.add_item(item, 10 * depth, bounds=item in (self._cells, self._outline))
         plot = self.getPlotItem()
         plot.hideButtons()
         plot.setLabel("bottom", "x (mm)")
@@ -98,6 +99,7 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
         """Show another surface, or none; cells are painted by `paint`."""
         self.surface = surface
         self._cells.clear()
+        self._checks.clear()
         self.mark(-1)
         self.show_sources(np.zeros((0, 2)))
         for path in self._paths:
@@ -136,6 +138,12 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
         picture = np.take(numbers, raster.index, mode="clip").view(np.uint8).reshape(*raster.index.shape, 4)
         placed = self._cells.image is not None
         self._cells.setImage(picture, autoLevels=False, levels=None)
+        checks = self.surface.checks
+        if len(checks) or len(self._checks.points()):
+            brushes = [pyqtgraph.mkBrush(*colour) for colour in colours[checks].tolist()]
+            self._checks.setData(
+                pos=self.surface.position_mm[checks], brush=brushes, pen=pyqtgraph.mkPen(self.theme.text)
+            )
         if not placed:
             self._cells.setRect(_rectangle(raster))
 

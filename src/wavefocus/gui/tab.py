@@ -88,10 +88,6 @@ class TabContext:
         elif done:
             self.messages.note(done)
 
-    def run_file(self) -> Path | None:
-        """Run file that is open in a tab."""
-        return next((run for tab in self.tabs if (run := tab.run_file()) is not None), None)
-
     def share(self, opened_in: QWidget, kind: FileKind, path: Path) -> None:
         """Show a run file, rig file or bank that was opened in one tab in all others that are not busy with another."""
         if not path.is_file() or self.shared.get(kind) == path:
@@ -181,10 +177,6 @@ class Tab(QWidget):
 
     def closing_question(self) -> ClosingQuestion | None:
         """Question before the window closes."""
-        return None
-
-    def run_file(self) -> Path | None:
-        """Run file that is open in it."""
         return None
 
     def use_shared(self, kind: FileKind, path: Path) -> None:

@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from PyQt5.QtCore import Qt
 from PyQt5.QtGui import QShowEvent
 from PyQt5.QtWidgets import QAction, QWidget
@@ -278,9 +279,6 @@ class CampaignTab(Tab):
         for part in (self.map_panel, self.position_panel, self.events):
             part.draw()
 
-    def run_file(self) -> Path | None:
-        return self.run_field.path
-
     def use_shared(self, kind: FileKind, path: Path) -> None:
         if kind is FileKind.BANK and self.run.own is None and self.campaign.owner is None:
             self.follow(path)
@@ -413,11 +411,13 @@ def _planned(run: Path, bank: Path | None, accept_calibration: bool) -> tuple[Pl
     """Surface of a run file's campaign, its duration in s, and why a bank is of another one, empty where it is not."""
     from wavefocus.campaign.blueprint import blueprint_from_files  # loads SciPy, and this runs in a thread
     from wavefocus.campaign.session_files import with_bank
+    from wavefocus.configuration import check_rows
 
     blueprint = blueprint_from_files(run)
     rig, plan = blueprint.configuration.rig, blueprint.plan
     outline_mm = rig.surface.outline.line(181)
-    surface = PlotSurface(plan.position_mm, plan.actuator_mm, outline_mm, raster_of(plan.position_mm))
+    at_mm, checks = plan.position_mm, np.array(check_rows(blueprint.configuration), np.intp)
+    surface = PlotSurface(at_mm, plan.actuator_mm, outline_mm, raster_of(at_mm, checks), checks=checks)
     mismatch = ""
     if bank is not None and bank.is_file():
         try:

@@ -16,7 +16,7 @@ from wavefocus.config.messages.operate import Numbers
 from wavefocus.config.messages.rig_checks import Finding, FindingMade
 from wavefocus.config.rig import Surface
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.files import FileKind, PathField, TomlKind, rig_of_run, toml_kind
+from wavefocus.gui.files import FileKind, PathField, TomlKind, toml_kind
 from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess, Message
 from wavefocus.gui.rig.calibration_page import CalibrationPage
 from wavefocus.gui.rig.manual_page import ManualPage
@@ -206,14 +206,12 @@ class RigTab(Tab):
         self.session = ManualSession(context)
         self.calibration = Calibration(context)
         self.rig_field = PathField("Ri&g", ".toml", "rig file", context.settings)
-        tip = "Use the rig file that the Campaign tab's run file names"
-        self.of_run = ui.push_button("From &run file", tip, self._use_rig_of_run)
         self.examination = ExaminationPage(context)
         self.manual_page = ManualPage(self.session)
         self.calibration_page = CalibrationPage(self.calibration, context.settings)
         pages = {"Examination": self.examination, "By hand": self.manual_page, "Calibration": self.calibration_page}
         self.pages = ui.tab_pages("Pages of the rig", pages)
-        ui.column(ui.row((self.rig_field, 1), self.of_run), (self.pages, 1), owner=self, margins=ui.PAGE_MARGINS)
+        ui.column(self.rig_field, (self.pages, 1), owner=self, margins=ui.PAGE_MARGINS)
         self.remember(hand=self.manual_page.splitter, calibration=self.calibration_page.splitter)
         self.rig_field.chosen.connect(self.open_file)
         self.examination.examine.clicked.connect(lambda _checked=False: self.examine())
@@ -321,18 +319,3 @@ class RigTab(Tab):
             return
         release = self.session.release
         self.context.claim_instruments(self, word, lambda: release(lambda: act(rig)), virtual=rig.is_virtual)
-
-    def _use_rig_of_run(self) -> None:
-        run, messages = self.context.run_file(), self.context.messages
-        if run is None:
-            messages.warn("the Campaign tab has no run file")
-            return
-        try:
-            rig = rig_of_run(run)
-        except InputError as wrong:
-            messages.fault(str(wrong))
-            return
-        if rig is None:
-            messages.warn(f'{run}: names no rig file (rig = "virtual" has none)')
-            return
-        self.open_file(rig)

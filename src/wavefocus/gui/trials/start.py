@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
-from PyQt5.QtCore import QTimer
+from PyQt5.QtCore import Qt, QTimer
 from PyQt5.QtWidgets import QDialog, QFormLayout, QLineEdit, QWidget
 
 from wavefocus.gui import widgets as ui
@@ -36,8 +36,9 @@ class TrialsStart(QDialog):
         self.rig = PathField("", ".toml", "rig file", settings, words=(VIRTUAL,))
         self.out = PathField("", "", "folder for the answers", settings)
         for field, kind, name in ((self.bank, FileKind.BANK, "plate.h5"), (self.rig, FileKind.RIG, "rig.toml")):
-            beside = trials.with_name(name)
-            found = beside if beside.is_file() else context.shared.get(kind)
+            beside, found = trials.with_name(name), context.shared.get(kind)
+            if beside.is_file() and (found is None or found.parent != trials.parent):
+                found = beside
             if found is not None:
                 field.show_path(found)
         self.out.show_path(trials.with_name(_FOLDER))
@@ -52,6 +53,7 @@ class TrialsStart(QDialog):
             form.addRow(words, widget)
             if isinstance(widget, PathField):
                 widget.setFocusProxy(widget.line)
+                widget.setFocusPolicy(Qt.FocusPolicy.StrongFocus)  # the label's key leads there
         ui.column(
             ui.label(text=short_path(trials), role="strong"), form, self.standing, ui.row(None, self.start, close),
             owner=self, margins=(12, 12, 12, 12), spacing=8,

@@ -50,6 +50,7 @@ class RequestForm(QWidget):
         tip = "Bank rows to scan: path (along the scene's paths), every:4 (one in four), or rows as 3,5-9; empty: all"
         self.positions = ui.named(QLineEdit(), tip, "Positions to scan")
         self.positions.setPlaceholderText("all; or path, every:4, 3,5-9")
+        self.positions.setMinimumWidth(self.fontMetrics().horizontalAdvance(self.positions.placeholderText()) + 20)
         self.choice = QWidget()
         ui.row(*ui.labelled("&Positions", self.positions), owner=self.choice)
         grid = QGridLayout(self)
