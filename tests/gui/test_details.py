@@ -35,11 +35,13 @@ def tab(qtbot: QtBot, shared_window: Window, measured: Path) -> CampaignTab:
     return tab
 
 
-def test_given_a_click_on_the_map_then_green_s_functions_quality_of_that_position_are_shown(
+def test_given_a_click_on_the_map_then_green_s_functions_and_quality_of_that_position_are_shown(
     qtbot: QtBot, tab: CampaignTab
 ) -> None:
     panel, shown = tab.position_panel, tab.map_panel.map
     click(shown, pixel(shown, 3.0, 1.5))
+    for plot in (panel.green_plot, panel.spectrum_plot):
+        assert "position 6" in plot.getPlotItem().titleLabel.text  # and no more "click a position"
     wait(qtbot, lambda: panel.greens is not None and panel.greens.position == 6)
     with open_bank(tab.campaign.surface.bank) as bank:
         np.testing.assert_array_equal(panel.greens.green, bank.green(6))

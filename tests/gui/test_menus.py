@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from PyQt5.QtCore import Qt
+from PyQt5.QtCore import QObject, Qt, QUrl, pyqtSlot
+from PyQt5.QtGui import QDesktopServices
 from PyQt5.QtTest import QTest
 from PyQt5.QtWidgets import QAction, QApplication, QFileDialog, QMenu
 from pytestqt.qtbot import QtBot
@@ -34,6 +35,18 @@ def close_dialogs(window: Window) -> int:
     for dialog in dialogs:
         dialog.reject()
     return len(dialogs)
+
+
+class Opened(QObject):
+    """Stands for the desktop's program for files."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.files: list[Path] = []
+
+    @pyqtSlot(QUrl)
+    def open(self, url: QUrl) -> None:
+        self.files.append(Path(url.toLocalFile()))
 
 
 def write_scene(folder: Path) -> Path:
@@ -69,6 +82,20 @@ def test_given_every_action_of_every_menu_in_every_tab_then_no_error_is_raised(
         rig.examination.cancel()
         rig.session.release()
         wait(qtbot, lambda: not (rig.session.running or rig.examination.running))
+
+
+def test_given_help_then_the_documentation_beside_the_program_is_opened(open_window: Opens) -> None:
+    window, opened = open_window(), Opened()
+    QDesktopServices.setUrlHandler("file", opened.open)
+    try:
+        (documentation,) = actions(menus(window)["Help"])
+        assert documentation.shortcut().toString() == "F1"
+        documentation.trigger()
+    finally:
+        QDesktopServices.unsetUrlHandler("file")
+    (page,) = opened.files
+    assert page.is_file()
+    assert page.name in ("index.html", "README.md")
 
 
 def test_given_ctrl_o_in_any_tab_then_what_is_chosen_is_opened(

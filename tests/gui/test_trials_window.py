@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from collections.abc import Callable, Generator
 from pathlib import Path
 
@@ -195,7 +197,7 @@ def test_given_a_trials_file_then_the_window_shows_what_is_left_and_starts_the_p
     qtbot.waitUntil(dialog.start.isEnabled, timeout=SOON_MS)
     dialog.start.click()
     assert dialog.process is not None
-    dialog.process.kill()
+    os.kill(dialog.process.pid, signal.SIGTERM if os.name == "nt" else signal.SIGKILL)
     qtbot.waitUntil(lambda: dialog.process is None, timeout=SOON_MS)
     assert "the trials: process ended unexpectedly" in main.messages.sentence
 

@@ -102,12 +102,6 @@ def whole_box(name: str, tip: str, low: int, high: int, prefix: str = "", suffix
 def table(titles: Sequence[str], name: str, stretched: Sequence[int]) -> QTableWidget:
     """Make a table that is only read; `stretched` columns share the width that the others leave."""
     table = QTableWidget(0, len(titles))
-    dress_table(table, titles, name, stretched)
-    return table
-
-
-def dress_table(table: QTableWidget, titles: Sequence[str], name: str, stretched: Sequence[int]) -> None:
-    """Give a table that is only read its columns, as `table`."""
     table.setHorizontalHeaderLabels(list(titles))
     table.setAccessibleName(name)
     table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
@@ -121,6 +115,7 @@ def dress_table(table: QTableWidget, titles: Sequence[str], name: str, stretched
     columns.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
     for column in stretched:
         columns.setSectionResizeMode(column, QHeaderView.ResizeMode.Stretch)
+    return table
 
 
 def fill_row(

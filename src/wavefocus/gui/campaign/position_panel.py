@@ -150,7 +150,7 @@ class DriftPlot(QWidget):
             ]
             item.addItem(pyqtgraph.ScatterPlotItem(spots=marks, pen=None, size=8))
         self.plots[0].title(
-            "circle: steady, triangle: warn, cross: stop; dashed: the limits"
+            "● steady, ▼ warn, ✕ stop; dashed: limits"
             if points else "the sentinel position has not been measured again yet"
         )  # fmt: skip
         if points:

@@ -44,7 +44,9 @@ class VerdictPanel(Themed, QWidget):
         self.findings = ui.label("Findings", wraps=True, selectable=True)
         self.findings.setStyleSheet(f"color: {self.theme.fault};")
         self.changes = ui.label("Changes since an earlier verification", wraps=True)
-        ui.column(ui.row(self.verdict, (self.summary, 1)), self.findings, self.changes, owner=self, spacing=2)
+        ui.column(
+            ui.row(self.verdict, (self.summary, 1), spacing=8), self.findings, self.changes, owner=self, spacing=2
+        )
 
     def show_results(self, results: Results) -> None:
         record, theme = results.record, self.theme
