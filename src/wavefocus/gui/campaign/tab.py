@@ -27,7 +27,7 @@ from wavefocus.gui.campaign.position_panel import PositionPanel
 from wavefocus.gui.campaign.quality import NOT_GOOD
 from wavefocus.gui.files import FileKind, PathField, TomlKind, file_state, rig_of_run, runs_on_virtual_rig, toml_kind
 from wavefocus.gui.process import CommandProcess
-from wavefocus.gui.surface import PlotSurface, raster_of
+from wavefocus.gui.surface import PlotSurface, plan_surface
 from wavefocus.gui.tab import ClosingQuestion, Tab, TabContext
 from wavefocus.rendering.verify.record import FIELD_NAMES, RECORD_NAME
 from wavefocus.storage.errors import InputError
@@ -415,9 +415,9 @@ def _planned(run: Path, bank: Path | None, accept_calibration: bool) -> tuple[Pl
 
     blueprint = blueprint_from_files(run)
     rig, plan = blueprint.configuration.rig, blueprint.plan
-    outline_mm = rig.surface.outline.line(181)
-    at_mm, checks = plan.position_mm, np.array(check_rows(blueprint.configuration), np.intp)
-    surface = PlotSurface(at_mm, plan.actuator_mm, outline_mm, raster_of(at_mm, checks), checks=checks)
+    checks = np.zeros(plan.positions, np.bool_)
+    checks[check_rows(blueprint.configuration)] = True
+    surface = plan_surface(rig, plan.position_mm, checks)
     mismatch = ""
     if bank is not None and bank.is_file():
         try:
