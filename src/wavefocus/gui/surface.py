@@ -67,8 +67,8 @@ class PlotSurface:
     actuator_mm, float64 (actuators, 2): NaN where unknown.
     outline_mm, float64 (points, 2) or None: Rim of the surface, closed; None where unknown.
     raster: Position of each pixel.
-    checks, bool (positions,) or None: Positions off the grid that only judge what is interpolated; shown as rings.
     paths_mm, sequence of float64 (points, 2): Paths of sources, NaN where they jump.
+    checks, intp: Positions off the grid, which have no cell: they are drawn as small rings.
     bank: The bank's file; ``Path()`` without a bank.
     sample_rate_hz, taps, band_hz, unit: Of the Green's functions.
     is_virtual: Whether the bank was measured on a virtual rig.
@@ -80,6 +80,7 @@ class PlotSurface:
     outline_mm: Float64Array | None
     raster: Raster
     paths_mm: Sequence[Float64Array] = ()
+    checks: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
     bank: Path = Path()
     sample_rate_hz: float = 1.0
     taps: int = 0
@@ -87,7 +88,6 @@ class PlotSurface:
     unit: str = ""
     is_virtual: bool = False
     drift_limits: DriftLimits = field(default_factory=DriftLimits)
-    checks: NDArray[np.bool_] | None = None
 
     @property
     def positions(self) -> int:
@@ -99,20 +99,19 @@ class PlotSurface:
 
     def with_rows(self, rows: NDArray[np.int64]) -> PlotSurface:
         """The same surface with some of the positions, their cells without gaps, for fields."""
-        position_mm, checks = self.position_mm[rows], None if self.checks is None else self.checks[rows]
-        raster = raster_of(position_mm, checks, gaps=False)
-        return replace(self, position_mm=position_mm, checks=checks, raster=raster)
+        position_mm, checks = self.position_mm[rows], np.flatnonzero(np.isin(rows, self.checks))
+        return replace(self, position_mm=position_mm, checks=checks, raster=raster_of(position_mm, checks, gaps=False))
 
 
 def surface_of(bank: Bank) -> PlotSurface:
     """Return the surface of an open bank."""
-    position_mm = np.asarray(bank.position_mm, np.float64)
+    position_mm, checks = np.asarray(bank.position_mm, np.float64), np.array(list(bank.check_rows), np.intp)
     return PlotSurface(
         position_mm=position_mm,
         actuator_mm=np.asarray(bank.actuator_mm, np.float64),
         outline_mm=_outline_mm(bank.rig_json),
-        raster=raster_of(position_mm, bank.check),
-        checks=bank.check,
+        raster=raster_of(position_mm, checks),
+        checks=checks,
         bank=bank.path,
         sample_rate_hz=bank.sample_rate_hz,
         taps=bank.taps,
@@ -123,29 +122,29 @@ def surface_of(bank: Bank) -> PlotSurface:
     )
 
 
-def plan_surface(rig: RigConfig, position_mm: Float64Array, checks: NDArray[np.bool_] | None = None) -> PlotSurface:
-    """The surface of a rig with positions that may be measured."""
+def plan_surface(rig: RigConfig, position_mm: Float64Array, checks: Sequence[int] | NDArray[np.intp]) -> PlotSurface:
+    """The surface of a rig with positions to be measured, `checks` of them off the grid."""
     return PlotSurface(
         position_mm=position_mm,
         actuator_mm=rig.actuator_mm,
         outline_mm=rig.surface.outline.line(_OUTLINE_POINTS),
         raster=raster_of(position_mm, checks),
-        checks=checks,
+        checks=np.asarray(checks, np.intp),
     )
 
 
-def raster_of(position_mm: Float64Array, checks: NDArray[np.bool_] | None = None, *, gaps: bool = True) -> Raster:
+def raster_of(position_mm: Float64Array, checks: Sequence[int] | NDArray[np.intp] = (), *, gaps: bool = True) -> Raster:
     """Assign each pixel to the nearest position within about half a spacing; takes tens of milliseconds.
 
-    checks, bool (positions,): Positions that get no pixels: those around them would lose theirs.
+    checks: Positions that get no pixels.
     """
     from scipy.spatial import cKDTree  # the window starts without scipy
 
     pixels_per_spacing, cell = _WITH_GAPS if gaps else _WITHOUT_GAPS
     tree = cKDTree(position_mm)
-    lattice = np.arange(len(position_mm)) if checks is None or checks.all() else np.flatnonzero(~checks)
-    near = cKDTree(position_mm[lattice])
-    spacing_mm = float(np.median(near.query(position_mm[lattice], k=[2])[0])) if len(lattice) > 1 else 1.0
+    on_grid = np.setdiff1d(np.arange(len(position_mm)), np.asarray(checks, np.intp))
+    cells = cKDTree(position_mm[on_grid])
+    spacing_mm = float(np.median(cells.query(position_mm[on_grid], k=[2])[0])) if len(on_grid) > 1 else 1.0
     low, high = position_mm.min(axis=0) - spacing_mm, position_mm.max(axis=0) + spacing_mm
     size_mm = high - low
     pixel_mm = max(spacing_mm / pixels_per_spacing, float(np.sqrt(size_mm[0] * size_mm[1] / _MAX_PIXELS)))
@@ -154,8 +153,8 @@ def raster_of(position_mm: Float64Array, checks: NDArray[np.bool_] | None = None
     y_mm = low[1] + (np.arange(rows) + 0.5) * size_mm[1] / rows
     pixels_mm = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
     # By the larger of both coordinates a cell is a square: right for square grids, and clear enough for others.
-    _, nearest = near.query(pixels_mm, p=np.inf, distance_upper_bound=cell * spacing_mm)
-    index = np.append(lattice, len(position_mm))[nearest]
+    _, found = cells.query(pixels_mm, p=np.inf, distance_upper_bound=cell * spacing_mm)
+    index = np.append(on_grid, len(position_mm))[found]  # beyond the last row: no position
     left_mm, bottom_mm, width_mm, height_mm = (float(one) for one in (*low, *size_mm))
     return Raster(index.reshape(rows, columns), left_mm, bottom_mm, width_mm, height_mm, spacing_mm, tree)
 

@@ -29,7 +29,7 @@ _AXIS_PX = 46
 _PADDING = 0.02
 # Cells that fill less than this share of the view are shown nearer.
 _CLOSER_BELOW = 0.4
-_RING_PX, _CROSS_PX, _CHECK_PX = 6.0, 9.5, 7
+_RING_PX, _CROSS_PX = 6.0, 9.5
 
 
 class Spots(pyqtgraph.ScatterPlotItem):
@@ -66,13 +66,12 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
         self._rings: list[QGraphicsPathItem] = []
         self._paths: list[pyqtgraph.PlotCurveItem] = []
         self._cells = pyqtgraph.ImageItem(axisOrder="row-major")
+        self._checks = Spots(symbol="o", size=8, pxMode=True)
         self._outline = pyqtgraph.PlotCurveItem(antialias=True)
         self._actuators = Spots(symbol="t1", size=9, pxMode=True)
-        self._checks = Spots(symbol="o", size=_CHECK_PX, pxMode=True)
         self._cross = self._add_sign(_cross_path(), 90)
-        for depth, item in enumerate((self._cells, self._outline, self._actuators)):
-            self.add_item(item, 10 * depth, bounds=item is not self._actuators)
-        self.add_item(self._checks, 12)
+        for depth, item in enumerate((self._cells, self._outline, self._actuators, self._checks)):
+            self.add_item(item, 10 * depth, bounds=item in (self._cells, self._outline))
         plot = self.getPlotItem()
         plot.hideButtons()
         plot.setLabel("bottom", "x (mm)")
@@ -100,9 +99,9 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
         """Show another surface, or none; cells are painted by `paint`."""
         self.surface = surface
         self._cells.clear()
+        self._checks.clear()
         self.mark(-1)
         self.show_sources(np.zeros((0, 2)))
-        self._checks.clear()
         for path in self._paths:
             self.box.removeItem(path)
         self._paths = []
@@ -137,12 +136,14 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
         # A pixel's four bytes are moved as one number: a quarter of the time.
         numbers = np.ascontiguousarray(np.concatenate([colours, np.zeros((1, 4), np.uint8)])).view(np.uint32).ravel()
         picture = np.take(numbers, raster.index, mode="clip").view(np.uint8).reshape(*raster.index.shape, 4)
-        checks = self.surface.checks
-        if checks is not None and checks.any():
-            pens = [pyqtgraph.mkPen(*colour, width=2) for colour in colours[checks].tolist()]
-            self._checks.setData(pos=self.surface.position_mm[checks], pen=pens, brush=None)
         placed = self._cells.image is not None
         self._cells.setImage(picture, autoLevels=False, levels=None)
+        checks = self.surface.checks
+        if len(checks) or len(self._checks.points()):
+            brushes = [pyqtgraph.mkBrush(*colour) for colour in colours[checks].tolist()]
+            self._checks.setData(
+                pos=self.surface.position_mm[checks], brush=brushes, pen=pyqtgraph.mkPen(self.theme.text)
+            )
         if not placed:
             self._cells.setRect(_rectangle(raster))
 
@@ -170,15 +171,15 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
         """Whether the view was panned or zoomed by hand."""
         return not self._fits
 
-    def show_everything(self) -> None:
-        """Show the whole surface, at any size of the window."""
-        self._set_fits(True)
-        self.box.autoRange(padding=_PADDING)
-
     def keep_view(self, view: QRectF) -> None:
         """Show a part of the surface that was chosen by hand before."""
         self.box.setRange(view, padding=0)
         self._set_fits(False)
+
+    def show_everything(self) -> None:
+        """Show the whole surface, at any size of the window."""
+        self._set_fits(True)
+        self.box.autoRange(padding=_PADDING)
 
     def fit(self) -> None:
         """Show the whole surface; a small grid on a large surface is shown nearer."""

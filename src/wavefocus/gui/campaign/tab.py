@@ -11,7 +11,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from PyQt5.QtCore import Qt
 from PyQt5.QtGui import QShowEvent
 from PyQt5.QtWidgets import QAction, QWidget
@@ -415,9 +414,7 @@ def _planned(run: Path, bank: Path | None, accept_calibration: bool) -> tuple[Pl
 
     blueprint = blueprint_from_files(run)
     rig, plan = blueprint.configuration.rig, blueprint.plan
-    checks = np.zeros(plan.positions, np.bool_)
-    checks[check_rows(blueprint.configuration)] = True
-    surface = plan_surface(rig, plan.position_mm, checks)
+    surface = plan_surface(rig, plan.position_mm, check_rows(blueprint.configuration))
     mismatch = ""
     if bank is not None and bank.is_file():
         try:
