@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from wavefocus.benchmarks import bank, cluster, commands, interpolation, live, paper, plate
+from wavefocus.benchmarks import bank, commands, interpolation, paper, plate
 
 pytestmark = [pytest.mark.timeout(900), pytest.mark.nightly]
 
@@ -20,16 +20,6 @@ def test_the_paper_s_figures_are_drawn_and_its_numbers_compared_misses_included(
         assert points[what].remark
     assert points["range of n(x) without"].figures["stadium_as_the_paper"] is False
     assert not list(tmp_path.glob("*.h5"))
-
-
-def test_the_cost_of_look_ahead_falls_to_nothing_where_it_is_sufficient(tmp_path):
-    points = live.run(tmp_path, quick=True).points
-    prediction = [one.figures["prediction_error"] for one in points]
-    assert prediction == sorted(prediction, reverse=True)
-    assert points[0].error > points[-1].error > 0.0
-    assert points[-1].marks
-    assert points[-1].met
-    assert (tmp_path / live.PICTURE).read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_interpolation_benchmark_reaches_its_marks():
@@ -62,13 +52,3 @@ def test_the_commands_benchmark_times_whole_commands_and_a_tolerance_s_error():
     found = {one.parameters.get("tolerance_db"): one.error for one in points if one.parameters}
     assert set(found) == {-80.0, -60.0, -40.0}
     assert all(error <= 10 ** (db / 20) for db, error in found.items())
-
-
-def test_the_cluster_s_benchmark_writes_the_same_bytes_within_its_limit(tmp_path):
-    pytest.importorskip("distributed")
-    points = cluster.run(tmp_path, quick=True).points
-    assert {one.work for one in points} == {"predict", "estimate"}
-    for one in points:
-        assert one.figures["same_bytes"] is True
-        assert one.met
-        assert (one.figures["starting_s"] > 0) == (one.method != "here")

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from wavefocus.benchmarks import BENCHMARKS, coarse_grids
+from wavefocus.benchmarks.diagrams import draw_diagrams, pareto
 from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times, measure
 from wavefocus.benchmarks.machine import conditions, load
-from wavefocus.benchmarks.page import draw_diagrams, html_page, pareto
 
 
 def test_every_registered_benchmark_is_a_module() -> None:
@@ -77,19 +77,11 @@ def _precision(method: str, step: float, error: float, wall_s: float) -> Entry:
     return Entry(work="w", method=method, parameters={"step_mm": step}, error=error, timing=Times(wall_s, wall_s))
 
 
-def test_a_work_of_three_errors_is_a_diagram_on_a_page_that_needs_no_other_file(tmp_path: Path) -> None:
+def test_a_work_of_three_errors_is_a_diagram(tmp_path: Path) -> None:
     findings = Findings([_precision("ours", 1.0, 1e-4, 3.0), _precision("ours", 2.0, 1e-3, 1.0),
                          _precision("peer", 1.0, 1e-2, 2.0), Entry(work="too few", method="m", error=0.1)])  # fmt: skip
-    diagrams = draw_diagrams(findings, tmp_path, "some")
-    assert set(diagrams) == {"w"}
-    made = conditions("wavefocus bench some") | {"load_after": None}
-    path = findings.write(tmp_path, "some", {"quick": False, "made": made, "diagrams": diagrams})
-    measured = {"some": json.loads(path.read_text(encoding="utf-8"))}
-    page = html_page(measured, {"some": "a <title>"}, tmp_path)
-    assert page.count("data:image/png;base64,") == 1
-    assert page.count("<table>") == page.count("</table>") == 2
-    assert "&lt;title&gt;" in page
-    assert "src='some" not in page
+    assert draw_diagrams(findings, tmp_path, "some") == {"w": "some-w.png"}
+    assert (tmp_path / "some-w.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_coarse_grids_are_drawn_against_capture_time_and_the_largest_spacing_is_told(tmp_path: Path) -> None:

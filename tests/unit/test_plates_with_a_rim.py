@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import h2vp, hankel2, jv, jvp
 
+from wavefocus.benchmarks.time_stepping import ThinPlate
 from wavefocus.config.outline import Outline
 from wavefocus.config.run import Virtual
 from wavefocus.mocks.plates import PLATES
@@ -20,7 +21,6 @@ from wavefocus.mocks.plates.thin import (
     MASS_KG_M2,
     STRENGTH,
     InfiniteGlass,
-    ThinPlate,
     ThinRectangle,
 )
 from wavefocus.mocks.virtual.rig import VirtualRig

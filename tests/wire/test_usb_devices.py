@@ -1,58 +1,117 @@
-"""What is plugged in, seen by the real pyusb on a virtual bus."""
+"""USB devices that are plugged in, and the reset of one, by the real pyusb on a backend of this file."""
 
 from __future__ import annotations
 
 import errno
 import re
+import time
+from array import array
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import usb.core
+from usb.backend import IBackend
 
-from wavefocus.drivers.errors import InstrumentError
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.serial_line import RULES
-from wavefocus.drivers.usb import UsbDevice, find_device, list_devices, permit
-from wavefocus.mocks.wire.faults import WireFault
-from wavefocus.mocks.wire.usb_backend import VirtualUsb, VirtualUsbDevice
+from wavefocus.drivers.usb import UsbDevice, find_device, list_devices, permit, reset_device
 
-DAQ = VirtualUsbDevice(0x3923, 0x7179, "01A2B3C4", "National Instruments", "USB-6211", port_path=(1, 2))
-ADAPTER = VirtualUsbDevice(0x0403, 0x6001, "A50285BI", "FTDI", "FT232R USB UART", port_path=(1, 3))
-SECOND_ADAPTER = VirtualUsbDevice(0x0403, 0x6001, "A7004IXX", "FTDI", "FT232R USB UART", port_path=(1, 4))
-AUDIO = VirtualUsbDevice(0x07FD, 0x0005, "", "MOTU", "24Ao", interface_classes=(0x01, 0x01, 0x03), bus=2)
-HUB = VirtualUsbDevice(0x05E3, 0x0610, product="Hub", interface_classes=(9,), device_class=9, port_path=())
-
-SWAPPED = VirtualUsbDevice(0x0403, 0x6001, "NEW1", port_path=(1, 3))
-NO_PERMISSION = WireFault("usb", "no_permission", "open", at_call=1, count=1000)
+DESCRIPTOR = {"bLength": 18, "bDescriptorType": 1, "bcdUSB": 0x0200, "bDeviceClass": 0, "bDeviceSubClass": 0,
+              "bDeviceProtocol": 0, "bMaxPacketSize0": 64, "bcdDevice": 0x0100, "bNumConfigurations": 0, "speed": 3,
+              "iManufacturer": 1, "iProduct": 2}  # fmt: skip
 
 
-def find(bus: VirtualUsb, device: VirtualUsbDevice, serial_number: str | None = None) -> UsbDevice:
+@dataclass(frozen=True)
+class Plugged:
+    """A device on the bus, with its three texts."""
+
+    vendor_id: int
+    product_id: int
+    texts: tuple[str, str, str]
+    port: int
+    failure: Exception | None = None
+    """Of every attempt to open it."""
+
+
+class Bus(IBackend):
+    """What pyusb asks of a backend; a reset ends with `reset_failure`, and the device comes back after `away_s`."""
+
+    def __init__(self, *devices: Plugged, reset_failure: Exception | None = None, away_s: float = 0.0):
+        self.devices, self.reset_failure, self.away_s = devices, reset_failure, away_s
+        self.back_s = 0.0
+        self.open_handles = 0
+        self.listing_failure = None
+
+    def enumerate_devices(self):
+        if self.listing_failure is not None:
+            raise self.listing_failure
+        return iter(self.devices if time.monotonic() >= self.back_s else ())
+
+    def get_device_descriptor(self, dev):
+        return SimpleNamespace(
+            **DESCRIPTOR, idVendor=dev.vendor_id, idProduct=dev.product_id, iSerialNumber=3 if dev.texts[2] else 0,
+            bus=1, address=1, port_number=dev.port, port_numbers=(1, dev.port),
+        )  # fmt: skip
+
+    def open_device(self, dev):
+        if dev.failure is not None:
+            raise dev.failure
+        self.open_handles += 1
+        return dev
+
+    def close_device(self, dev_handle):
+        self.open_handles -= 1
+
+    def ctrl_transfer(self, dev_handle, request_type, request, value, index, data, timeout):
+        number = value & 0xFF
+        body = dev_handle.texts[number - 1].encode("utf-16-le") if number else (0x0409).to_bytes(2, "little")
+        answer = (bytes((2 + len(body), 3)) + body)[: len(data)]
+        data[: len(answer)] = array("B", answer)
+        return len(answer)
+
+    def reset_device(self, dev_handle):
+        self.back_s = time.monotonic() + self.away_s
+        if self.reset_failure is not None:
+            raise self.reset_failure
+
+
+DENIED = usb.core.USBError("Access denied (insufficient permissions)", -3, errno.EACCES)
+NOT_FOUND = usb.core.USBError("Entity not found", -5, errno.ENOENT)
+DAQ = Plugged(0x3923, 0x7179, ("National Instruments", "USB-6211", "01A2B3C4"), 2)
+ADAPTER = Plugged(0x0403, 0x6001, ("FTDI", "FT232R USB UART", "A50285BI"), 3)
+SECOND_ADAPTER = replace(ADAPTER, texts=("FTDI", "FT232R USB UART", "A7004IXX"), port=4)
+AUDIO = Plugged(0x07FD, 0x0005, ("MOTU", "24Ao", ""), 5)
+CLOSED_DAQ = replace(DAQ, failure=DENIED)
+RECORDER = ("recorder", 0x3923, 0x7179)
+
+
+def find(bus: Bus, device: Plugged, serial_number: str | None = None) -> UsbDevice:
     return find_device(list_devices(bus), "recorder", device.vendor_id, device.product_id, serial_number)
 
 
 def test_given_a_bus_then_each_device_is_listed_with_its_ids_texts_and_place():
-    bus = VirtualUsb([HUB, DAQ, ADAPTER, AUDIO])
-    hub, daq, adapter, audio = list_devices(bus)
+    bus = Bus(DAQ, ADAPTER, AUDIO)
+    daq, _, audio = list_devices(bus)
     assert bus.open_handles == 0
-    assert (daq.vendor_id, daq.product_id) == (0x3923, 0x7179)
-    assert (daq.manufacturer, daq.product, daq.serial_number) == ("National Instruments", "USB-6211", "01A2B3C4")
-    assert (daq.bus, daq.address, daq.port_path) == (1, 2, (1, 2))
-    assert (audio.bus, audio.serial_number) == (2, None)
-    assert not any(device.problem for device in (hub, daq, adapter, audio))
+    assert (daq.vendor_id, daq.product_id, daq.serial_number) == (0x3923, 0x7179, "01A2B3C4")
+    assert (daq.bus, daq.port_path, audio.serial_number) == (1, (1, 2), "")
     assert str(daq) == "3923:7179 National Instruments USB-6211, serial number 01A2B3C4, bus 1 port 1.2"
 
 
 @pytest.mark.parametrize(
     ("plugged_in", "device", "number", "port_path"),
     [
-        ([HUB, DAQ, ADAPTER], DAQ, None, (1, 2)),
+        ([ADAPTER, DAQ], DAQ, None, (1, 2)),
         ([ADAPTER, SECOND_ADAPTER], ADAPTER, "A7004IXX", (1, 4)),
         ([DAQ], DAQ, "01a2b3c4 ", (1, 2)),
-        ([ADAPTER], ADAPTER, "a50285bi", (1, 3)),
         ([ADAPTER], ADAPTER, "A50285BIA", (1, 3)),  # with the letter of its port, as Windows shows it
+        ([CLOSED_DAQ], DAQ, None, (1, 2)),  # without a serial number the ids are enough
     ],
 )
 def test_given_a_table_of_the_rig_then_its_device_is_found(plugged_in, device, number, port_path):
-    assert find(VirtualUsb(plugged_in), device, number).port_path == port_path
+    assert find(Bus(*plugged_in), device, number).port_path == port_path
 
 
 @pytest.mark.parametrize(
@@ -60,43 +119,28 @@ def test_given_a_table_of_the_rig_then_its_device_is_found(plugged_in, device, n
     [
         ([ADAPTER], DAQ, None, "not plugged in", "cable"),
         ([ADAPTER, SECOND_ADAPTER], ADAPTER, None, "A50285BI.*A7004IXX", "serial_number"),
-        ([SECOND_ADAPTER], ADAPTER, "A50285BI", "A50285BI.*A7004IXX", "serial_number"),
+        ([SECOND_ADAPTER], ADAPTER, "A50285BI", "A7004IXX", "serial_number"),
         ([ADAPTER], ADAPTER, "A50285BIX", "none with serial number", "serial_number"),
         ([DAQ], DAQ, "01A2B3C4A", "none with serial number", "serial_number"),  # only FTDI's have that letter
+        ([CLOSED_DAQ], DAQ, "01A2B3C4", "cannot be opened", permit(0x3923, 0x7179)),
     ],
 )
 def test_given_no_such_device_or_several_then_those_alike_are_named(plugged_in, device, number, cause, remedy):
     with pytest.raises(InstrumentError, match=cause) as caught:
-        find(VirtualUsb(plugged_in), device, number)
+        find(Bus(*plugged_in), device, number)
     assert caught.value.instrument.startswith("recorder (USB ")
     assert remedy in caught.value.remedy
 
 
-def test_given_a_unit_swapped_in_the_same_socket_then_the_list_reads_the_new_texts():
-    bus = VirtualUsb([ADAPTER])
-    assert list_devices(bus)[0].serial_number == "A50285BI"
-    bus.unplug(ADAPTER)
-    bus.plug(SWAPPED)
-    assert list_devices(bus)[0].serial_number == "NEW1"
-
-
-def test_given_no_permission_then_pyusb_says_langid_and_we_say_which_rule_helps():
-    bus = VirtualUsb([DAQ], (NO_PERMISSION,))
-    with pytest.raises(ValueError, match="langid"):
-        _ = usb.core.find(backend=bus).product
-    with pytest.raises(InstrumentError, match="no permission") as caught:
-        find(bus, DAQ, "01A2B3C4")
-    file = Path(re.search(r"sudo cp (\S+) /etc/udev/rules.d/", permit(0x3923, 0x7179, "linux")).group(1))
-    assert 'ATTR{idVendor}=="3923"' in file.read_text(encoding="utf-8")
-    assert caught.value.remedy == permit(0x3923, 0x7179)
-    assert find(bus, DAQ).problem  # without a serial number the ids are enough
-
-
 def test_given_the_file_of_rules_then_it_has_every_device_that_is_known_and_each_rule_is_one_of_udev():
+    assert Path(re.search(r"sudo cp (\S+) /etc/udev/rules.d/", permit(0x3923, 0x7179, "linux")).group(1)) == RULES
+    assert 'ATTR{idProduct}=="5678"' in permit(0x1234, 0x5678, "linux")
+    assert "serial_number" in permit(0x1234, 0x5678, "win32")
     rules = [line for line in RULES.read_text(encoding="utf-8").splitlines() if line and not line.startswith("#")]
     for rule in rules:
         assert re.fullmatch(r'(?:[A-Z]+(?:\{\w+\})?(?:==|\+?=)"[^"]+"(?:, )?)+', rule)
         assert rule.endswith('MODE="0660", TAG+="uaccess"')
+    assert any('ATTR{idVendor}=="3923"' in rule for rule in rules)
     assert int(RULES.name.split("-")[0]) < 73  # where systemd applies the tag
     page = (Path(__file__).parents[2] / "docs" / "reference" / "usb.md").read_text(encoding="utf-8")
     products = set(re.findall(r"0x([0-9A-F]{4})", page.partition("\n\n|")[0])) - {"3923", "0403", "10C4", "0483"}
@@ -107,29 +151,18 @@ def test_given_the_file_of_rules_then_it_has_every_device_that_is_known_and_each
 
 
 @pytest.mark.parametrize(
-    ("platform", "words"), [("linux", 'ATTR{idProduct}=="5678"'), ("win32", "Zadig"), ("darwin", "macOS")]
+    ("failure", "cause"),
+    [
+        (usb.core.NoBackendError("No backend available"), "no libusb was found"),
+        (usb.core.USBError("Input/Output Error", -1, errno.EIO), "Input/Output Error"),
+    ],
 )
-def test_given_a_system_then_permission_is_given_in_its_own_way(platform, words):
-    assert words in permit(0x1234, 0x5678, platform)
-    assert platform == "linux" or "serial_number" in permit(0x1234, 0x5678, platform)
-
-
-def test_given_a_driver_that_keeps_the_device_then_that_is_named():
-    class Kept(VirtualUsb):
-        """As libusb on Windows, where a vendor's driver runs the device."""
-
-        def open_device(self, dev):
-            raise NotImplementedError("Operation not supported or unimplemented on this platform")
-
-    (device,) = list_devices(Kept([DAQ]))
-    assert device.problem == "its own driver keeps it"
-
-
-def test_given_no_libusb_then_it_is_told_what_to_install():
-    bus = VirtualUsb([DAQ], (WireFault("usb", "no_backend", "enumerate", at_call=1),))
-    with pytest.raises(InstrumentError, match="no libusb was found") as caught:
+def test_given_no_libusb_or_a_bus_that_fails_then_it_says_what_to_do(failure, cause):
+    bus = Bus(DAQ)
+    bus.listing_failure = failure
+    with pytest.raises(InstrumentError, match=cause) as caught:
         list_devices(bus)
-    assert "libusb" in caught.value.remedy
+    assert "libusb" in caught.value.remedy or "hubs" in caught.value.remedy
 
 
 def test_given_the_machines_own_libusb_then_the_list_comes_or_says_what_to_install():
@@ -141,28 +174,42 @@ def test_given_the_machines_own_libusb_then_the_list_comes_or_says_what_to_insta
     assert not remedy or "libusb" in remedy
 
 
-@pytest.mark.parametrize("operation", ["open", "text", "descriptor"])
-def test_given_a_device_unplugged_while_it_is_asked_or_listed_then_the_others_are_there(operation):
-    bus = VirtualUsb([DAQ, AUDIO], (WireFault("usb", "unplugged", operation, at_call=1),))
-    assert [device.product for device in list_devices(bus)] == ["24Ao"]
+@pytest.mark.parametrize("failure", [DENIED, NotImplementedError("its own driver runs it")])
+def test_given_a_device_that_cannot_be_opened_then_it_is_listed_without_its_texts(failure):
+    found, other = list_devices(Bus(replace(DAQ, failure=failure), AUDIO))
+    assert found.problem
+    assert not found.serial_number
+    assert other.product == "MOTU 24Ao"
 
 
-def test_given_a_bus_that_fails_again_and_again_then_the_list_is_given_up_with_a_sentence():
-    class Broken(VirtualUsb):
-        def enumerate_devices(self):
-            raise usb.core.USBError("Input/Output Error", -1, errno.EIO)
+@pytest.mark.parametrize(("after", "away_s"), [(None, 0.0), (NOT_FOUND, 0.1)])
+def test_given_a_reset_then_the_device_is_waited_for_under_its_old_or_a_new_address(after, away_s):
+    bus = Bus(DAQ, ADAPTER, reset_failure=after, away_s=away_s)
+    before = find(bus, DAQ)
+    assert reset_device(*RECORDER, backend=bus) == before
+    assert time.monotonic() >= bus.back_s
+    assert bus.open_handles == 0
 
-    with pytest.raises(InstrumentError, match="Input/Output Error") as caught:
-        list_devices(Broken([DAQ]))
-    assert "hubs" in caught.value.remedy
 
-
-def test_given_a_device_that_answers_rubbish_then_its_texts_are_left_out():
-    class Garbled(VirtualUsb):
-        def ctrl_transfer(self, dev_handle, *request_and_buffer):
-            data = request_and_buffer[4]
-            data[:4] = data[:1].__class__("B", b"\x04\x03\x00\xd8")  # half of a surrogate pair
-            return 4
-
-    (device,) = list_devices(Garbled([DAQ]))
-    assert device.problem == "it does not answer properly"
+@pytest.mark.parametrize(
+    ("bus", "kind", "cause", "remedy"),
+    [
+        (Bus(DAQ, reset_failure=NOT_FOUND, away_s=9.0), InstrumentLostError, "not back after 0.2 s", "plug it in"),
+        (
+            Bus(DAQ, reset_failure=usb.core.USBError("Resource busy", -6, errno.EBUSY)),
+            InstrumentError,
+            "busy",
+            "unplug",
+        ),
+        (Bus(DAQ, reset_failure=NotImplementedError("not on this platform")), InstrumentError, "platform", "unplug"),
+        (Bus(CLOSED_DAQ), InstrumentError, "Access denied", permit(0x3923, 0x7179)),
+        (Bus(ADAPTER), InstrumentError, "it is not plugged in", "check its cable"),
+        (Bus(DAQ, replace(DAQ, port=7)), InstrumentError, "2 such devices", "serial_number"),
+    ],
+)
+def test_given_a_reset_that_cannot_be_then_it_says_why_and_what_to_do(bus, kind, cause, remedy):
+    with pytest.raises(kind, match=cause) as caught:
+        reset_device(*RECORDER, backend=bus, within_s=0.2)
+    assert caught.value.remedy
+    assert remedy in caught.value.remedy
+    assert bus.open_handles == 0

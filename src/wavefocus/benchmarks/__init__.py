@@ -36,8 +36,6 @@ BENCHMARKS = {
         on_request=True,
         pictures=tuple(f"{figure}{part}.png" for figure in "34" for part in "ABCD"),
     ),
-    "live": Benchmark("the cost of look-ahead of live sources", on_request=True, pictures=("live-look-ahead.png",)),
     "wires": Benchmark("production drivers on emulated wires, in real time", on_request=True),
     "live_latency": Benchmark("latency of live sources, ten minutes on each player", on_request=True),
-    "cluster": Benchmark("a bank larger than memory, on one, two and no workers", on_request=True),
 }

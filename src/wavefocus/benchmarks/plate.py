@@ -27,18 +27,12 @@ from scipy.signal import fftconvolve, get_window
 
 from wavefocus.benchmarks.harness import Entry, Findings, Mark, measure, relative_error
 from wavefocus.benchmarks.rig_bank import RATE_HZ, TAPS, default_grid, true_bank
+from wavefocus.benchmarks.time_stepping import ExactPlate, ThinPlate, TimeStepper, explicit_limit_s
 from wavefocus.config.outline import Outline
 from wavefocus.mocks.plates.infinite import PlateTable
 from wavefocus.mocks.plates.soft import SOFT_PLATE
 from wavefocus.mocks.plates.stadium import Elements, triangulate
-from wavefocus.mocks.plates.thin import (
-    ExactPlate,
-    ExplicitPlate,
-    ImplicitPlate,
-    ThinPlate,
-    ThinRectangle,
-    explicit_limit_s,
-)
+from wavefocus.mocks.plates.thin import ThinRectangle
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
 from wavefocus.mocks.virtual.settings import rim_places
 from wavefocus.mocks.virtual.synthesis import chain_response
@@ -153,18 +147,18 @@ def _glass_in_time(repeats: int, grids_mm: tuple[float, ...]) -> list[Entry]:
     coarse_mm = max(grids_mm)
     run_s = PERIODS / float(GLASS.mode_hz(*GLASS_MODE))
 
-    def stepped(make: Callable[[float], ExplicitPlate | ImplicitPlate], spacing_mm: float) -> Float64Array:
+    def stepped(make: Callable[[float], TimeStepper], spacing_mm: float) -> Float64Array:
         plate = make(spacing_mm / 1e3)
         steps = round(run_s / plate.step_s)
         last = plate.released(GLASS.shape(*GLASS_MODE, plate.points_m), steps)[-1]
         on_coarse = np.all(np.abs(np.remainder(plate.points_m * 1e3 / coarse_mm + 0.5, 1.0) - 0.5) < 1e-6, axis=1)
         return np.asarray(last[on_coarse])
 
-    def leapfrog(spacing_m: float) -> ExplicitPlate:
-        return ExplicitPlate(GLASS, spacing_m, run_s / np.ceil(run_s / explicit_limit_s(GLASS, spacing_m)))
+    def leapfrog(spacing_m: float) -> TimeStepper:
+        return TimeStepper(GLASS, spacing_m, run_s / np.ceil(run_s / explicit_limit_s(GLASS, spacing_m)), beta=0.0)
 
-    def newmark(step_s: float, spacing_m: float) -> ImplicitPlate:
-        return ImplicitPlate(GLASS, spacing_m, run_s / np.ceil(run_s / step_s))
+    def newmark(step_s: float, spacing_m: float) -> TimeStepper:
+        return TimeStepper(GLASS, spacing_m, run_s / np.ceil(run_s / step_s), beta=0.25)
 
     x, y = (
         np.arange(coarse_mm, 1e3 * side - 0.5 * coarse_mm, coarse_mm) / 1e3 for side in (GLASS.length_m, GLASS.width_m)

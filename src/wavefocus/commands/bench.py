@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import time
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 from wavefocus.benchmarks import BENCHMARKS
 from wavefocus.console import people, say
 from wavefocus.storage.errors import InputError
-from wavefocus.storage.output_files import require_output_folder, write_whole
-from wavefocus.storage.text_file import read_text
-
-PAGE = "index.html"
+from wavefocus.storage.output_files import require_output_folder
 
 
 def bench(
@@ -27,7 +22,7 @@ def bench(
     workers: int | None = None,
     plate: str | None = None,
 ) -> None:
-    """Run one benchmark, or all: print their tables, and write points, diagrams and a page.
+    """Run one benchmark, or all: print their tables, and write points and diagrams.
 
     seconds: For how long each case of a benchmark plays that plays in real time.
     workers: Processes of a benchmark whose cases run side by side.
@@ -42,8 +37,8 @@ def bench(
         belongs = "live_latency" if name == "seconds" else "coarse_grids"
         if what != belongs:
             raise InputError(f"--{name} is {value}; it goes with {belongs}, and {what} was asked for")
+    from wavefocus.benchmarks.diagrams import draw_diagrams
     from wavefocus.benchmarks.machine import conditions, load
-    from wavefocus.benchmarks.page import draw_diagrams, html_page
 
     chosen = [name for name, one in BENCHMARKS.items() if not one.on_request] if what == "all" else [what]
     files = [name for one in chosen for name in (f"{one}.json", f"{one}.csv", *BENCHMARKS[one].pictures)]
@@ -60,12 +55,3 @@ def bench(
         print("\n".join(found.lines(judged=not quick)))
         diagrams = draw_diagrams(found, out, name)
         say(f"wrote {found.write(out, name, {'quick': quick, 'made': made, 'diagrams': diagrams})}")
-    titles = {name: one.title for name, one in BENCHMARKS.items()}
-    write_whole(out / PAGE, html_page(_measured(out), titles, out))
-    say(f"wrote {out / PAGE}")
-
-
-def _measured(folder: Path) -> dict[str, dict[str, Any]]:
-    """Contents of the JSON files in a folder, by benchmark."""
-    paths = {name: folder / f"{name}.json" for name in BENCHMARKS}
-    return {name: json.loads(read_text(path)) for name, path in paths.items() if path.exists()}

@@ -1,7 +1,6 @@
 """A record of every exchange with the instruments of this process, as JSON lines: a laboratory can send it in.
 
-Serial lines note the bytes both ways; mirror, recorder and player note each call. What serial lines carried can be
-replayed by an emulated device (`wavefocus.mocks.wire.replay`).
+Serial lines note the bytes both ways; mirror, recorder and player note each call.
 """
 
 from __future__ import annotations

@@ -30,7 +30,6 @@ KINDS = {
         "exhausted",
     ),
     "player": ("underflow", "lost", "frozen"),
-    "usb": ("no_permission", "no_backend", "unplugged"),
 }
 ANY = "any"
 
