@@ -29,7 +29,7 @@ from wavefocus.rig.virtual_bench import virtual_rig
 from wavefocus.storage.bank.writer import BankWriter, create_bank
 
 
-class TwoMirrors:
+class TwoMirrors(Mirror):
     """The mirror on the wire, and the virtual one that the virtual recorder looks through, moved as one."""
 
     def __init__(self, wired: Mirror, virtual: Mirror) -> None:

@@ -41,7 +41,7 @@ AHEAD_S = 60.0  # so that a busy machine leaves nothing out
 
 
 class ScriptedPlayer:
-    """A `wavefocus.drivers.protocols.PiecewisePlayer`; `script` is called with the number of each piece, from 0."""
+    """A player that takes pieces; `script` is called with the number of each piece, from 0."""
 
     channels, full_scale_v, latency_s = len(CHANNELS), 5.0, 0.0
     identity = DeviceIdentity("", "scripted player")

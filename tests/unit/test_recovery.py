@@ -190,6 +190,9 @@ def test_given_another_device_in_its_place_then_nobody_waits_for_it():
         def reconnect(self) -> None:
             raise InstrumentError("mirror", "connecting", "it says it is a printer", "plug the mirror in")
 
+        def block(self) -> None:
+            pass
+
     setup = setup_of()
     odd = dataclasses.replace(setup, instruments=dataclasses.replace(setup.instruments, mirror=Impostor()))
     watched = Watched(odd)

@@ -126,7 +126,7 @@ def test_given_an_output_that_another_task_has_then_it_is_refused_and_the_other_
 
 def test_given_a_box_without_outputs_then_it_says_so() -> None:
     with ExitStack() as opened, pytest.raises(InstrumentError, match="no output"):
-        Scanner(opened, "USB-6210").mirror()
+        Scanner(opened, "USB-6356").mirror()
 
 
 def rig(tmp_path: Path, scanner: Scanner) -> RigConfig:

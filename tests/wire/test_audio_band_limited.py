@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wavefocus.drivers.audio.resampling import converted, lead_samples, rate_ratio
-from wavefocus.drivers.audio.stream.signals import HALF_STEP, BeyondFullScaleError, SignalShelf
+from wavefocus.drivers.audio.stream.signals import HALF_STEP, BeyondFullScaleError, converted_frames
 
 RATES_HZ = [(10_000, 48_000), (12_500, 44_100), (48_000, 96_000), (44_100, 48_000), (96_000, 48_000), (50_000, 44_100)]
 
@@ -66,64 +66,22 @@ def test_given_rates_without_a_ratio_then_it_says_so(from_hz):
 RATIO = Fraction(24, 5)
 
 
-def test_given_a_signal_again_then_it_is_recognised_and_not_made_again():
-    shelf, signal = SignalShelf(), faded_tone(200, 10_000)
-    first, frames = shelf.find(signal, 2.0, RATIO)
-    again, nothing = shelf.find(signal.copy(), 2.0, RATIO)
-    assert frames is not None
-    assert nothing is None
-    assert again is first
-
-
-@pytest.mark.parametrize("change", [lambda v: v * 0.5, lambda v: np.where(np.arange(v.size) == 700, 0.1, v)])
-def test_given_another_signal_scale_or_rate_then_it_is_made(change):
-    shelf, signal = SignalShelf(), faded_tone(200, 10_000)
-    numbers = {
-        shelf.find(volts, full_scale_v, ratio)[0].number
-        for volts, full_scale_v, ratio in (
-            (signal, 2.0, RATIO),
-            (change(signal), 2.0, RATIO),
-            (signal, 3.0, RATIO),
-            (signal, 2.0, Fraction(1)),
-        )
-    }
-    assert len(numbers) == 4
-
-
-def test_given_a_signal_that_changed_in_few_samples_then_the_old_one_is_given_up():
-    # 64 of its samples are looked at to find it, all of them to be sure.
-    shelf, signal = SignalShelf(), faded_tone(200, 10_000)
-    old = shelf.find(signal, 2.0, RATIO)[0]
-    signal[7] += 1e-3
-    new = shelf.find(signal, 2.0, RATIO)[0]
-    assert shelf.give_up(needed={new.number}) == [old.number]
-
-
-def test_given_a_full_shelf_then_the_longest_unused_goes_and_what_is_needed_stays():
-    shelf = SignalShelf(largest_frames=2500)
-    one, two, three = (shelf.find(np.full(1000, level), 1.0, Fraction(1))[0].number for level in (0.1, 0.2, 0.3))
-    assert shelf.give_up(needed={one, three}) == [two]
-    assert shelf.give_up(needed={one}) == []
-    assert shelf.find(np.full(1000, 0.1), 1.0, Fraction(1))[1] is None
-    assert shelf.find(np.full(1000, 0.2), 1.0, Fraction(1))[1] is not None
-
-
 def test_given_a_faded_signal_then_nothing_audible_begins_before_it():
-    shelved, frames = SignalShelf().find(faded_tone(200, 10_000), 1.0, RATIO)
-    assert shelved.first == 0
+    frames, first = converted_frames(faded_tone(200, 10_000), RATIO)
+    assert first == 0
     assert frames.size == 9600
 
 
 def test_given_a_signal_that_begins_at_once_then_what_rings_before_it_is_played_too():
-    shelved, frames = SignalShelf().find(np.cos(np.arange(1000) / 5), 2.0, RATIO)
-    assert -lead_samples(RATIO) <= shelved.first < -100
-    dropped = converted(np.cos(np.arange(1000) / 5), RATIO)[: lead_samples(RATIO) + shelved.first] / 2.0
+    frames, first = converted_frames(np.cos(np.arange(1000) / 5) / 2.0, RATIO)
+    assert -lead_samples(RATIO) <= first < -100
+    dropped = converted(np.cos(np.arange(1000) / 5), RATIO)[: lead_samples(RATIO) + first] / 2.0
     assert np.abs(dropped).max(initial=0) <= HALF_STEP
-    assert abs(frames[-shelved.first] - 0.5) < 0.2
+    assert abs(frames[-first] - 0.5) < 0.2
 
 
 def test_given_a_jump_at_full_scale_then_its_ringing_is_cut_off_there():
-    _, frames = SignalShelf().find(np.full(10, 3.0), 3.0, RATIO)
+    frames, _ = converted_frames(np.ones(10), RATIO)
     assert np.abs(frames).max() == 1.0
 
 
@@ -131,5 +89,5 @@ def test_given_a_faded_signal_that_overshoots_between_its_samples_then_it_is_ref
     # a quarter of the rate, sampled at 45 degrees: 3 dB between the samples
     signal = np.sign(np.sin(np.pi / 2 * np.arange(1000) + np.pi / 4)) * np.hanning(1000)
     with pytest.raises(BeyondFullScaleError) as caught:
-        SignalShelf().find(signal / np.abs(signal).max(), 1.0, RATIO)
+        converted_frames(signal / np.abs(signal).max(), RATIO)
     assert caught.value.reaches == pytest.approx(np.sqrt(2), rel=0.01)

@@ -10,12 +10,10 @@ from wavefocus.drivers.audio.stream.playback import (
     MUTED,
     PLAYED,
     UNDERFLOW,
-    PieceByPiece,
     Playback,
     PlayEnded,
-    SignalPlay,
+    StreamPlay,
     Taken,
-    Voice,
 )
 from wavefocus.drivers.audio.stream.portaudio import Hold
 
@@ -50,20 +48,26 @@ class Host:
         return [(end.number, end.outcome) for end in ends]
 
 
-def ramp(frames, channel=0, start=0):
-    return Voice(channel, np.linspace(0.1, 0.9, frames, dtype=np.float32), start)
+def ramp(frames):
+    return np.linspace(0.1, 0.9, frames, dtype=np.float32)
+
+
+def signal_play(number, samples, channel=0):
+    """A play of one channel, all of which is there from the start."""
+    play = StreamPlay(number, (channel,), 96, lambda taken: None)
+    play.add(samples[:, None])
+    play.end()
+    return play
 
 
 @pytest.mark.parametrize("frames", [1, PERIOD - 1, PERIOD, PERIOD + 1, 5 * PERIOD + 7])
 def test_given_a_play_then_it_begins_with_the_next_period_and_is_whole(frames):
     host = Host()
     host.periods(2)
-    voices = (ramp(frames), ramp(frames, channel=2, start=5))
-    host.playback.start(SignalPlay(1, voices))
+    host.playback.start(signal_play(1, ramp(frames), channel=2))
     host.periods(10)
     meant = np.zeros_like(host.heard)
-    meant[2 * PERIOD :][:frames, 0] = voices[0].samples
-    meant[2 * PERIOD + 5 :][:frames, 2] = voices[1].samples
+    meant[2 * PERIOD :][:frames, 2] = ramp(frames)
     np.testing.assert_array_equal(host.heard, meant)
     assert host.ends() == [(1, PLAYED)]
 
@@ -73,7 +77,7 @@ def test_given_a_play_then_it_begins_with_the_next_period_and_is_whole(frames):
 def test_given_a_latency_then_a_play_has_not_ended_before_its_last_sample_has_left(latency_s, pieces):
     host = Host(latency_s=latency_s, pieces=pieces)
     host.periods(2)
-    host.playback.start(SignalPlay(1, (ramp(3 * PERIOD),)))
+    host.playback.start(signal_play(1, ramp(3 * PERIOD)))
     host.periods(3)
     passed = 0
     while not host.ends():
@@ -86,7 +90,7 @@ def test_given_a_latency_then_a_play_has_not_ended_before_its_last_sample_has_le
 
 def test_given_a_mute_then_the_next_period_fades_over_two_milliseconds_and_the_rest_is_silent():
     host = Host()
-    host.playback.start(SignalPlay(1, (Voice(1, np.full(9000, 0.5, np.float32), 0),)))
+    host.playback.start(signal_play(1, np.full(9000, 0.5, np.float32), channel=1))
     host.periods(2)
     host.playback.mute()
     host.periods(2)
@@ -102,7 +106,7 @@ def test_given_a_mute_then_the_next_period_fades_over_two_milliseconds_and_the_r
 
 def test_given_a_mute_before_the_first_period_then_nothing_sounds():
     host = Host()
-    host.playback.start(SignalPlay(1, (ramp(100),)))
+    host.playback.start(signal_play(1, ramp(100)))
     host.playback.mute()
     host.periods(3)
     assert not host.heard.any()
@@ -112,9 +116,9 @@ def test_given_a_mute_before_the_first_period_then_nothing_sounds():
 def test_given_a_mute_of_nothing_then_the_next_play_is_whole():
     host = Host()
     host.playback.mute()
-    host.playback.start(SignalPlay(1, (ramp(100),)))
+    host.playback.start(signal_play(1, ramp(100)))
     host.periods(4)
-    np.testing.assert_array_equal(host.heard[:100, 0], ramp(100).samples)
+    np.testing.assert_array_equal(host.heard[:100, 0], ramp(100))
     assert host.ends() == [(1, PLAYED)]
 
 
@@ -122,7 +126,7 @@ def test_given_a_mute_of_nothing_then_the_next_play_is_whole():
 def test_given_an_underflow_flag_from_the_first_period_to_after_the_last_then_the_play_is_void(clean_periods):
     host = Host()
     host.periods(1)
-    host.playback.start(SignalPlay(1, (ramp(3 * PERIOD),)))
+    host.playback.start(signal_play(1, ramp(3 * PERIOD)))
     host.periods(clean_periods)
     host.periods(1, flagged=True)
     host.periods(6)
@@ -132,10 +136,10 @@ def test_given_an_underflow_flag_from_the_first_period_to_after_the_last_then_th
 
 def test_given_an_underflow_between_plays_then_neither_is_void():
     host = Host()
-    host.playback.start(SignalPlay(1, (ramp(PERIOD),)))
+    host.playback.start(signal_play(1, ramp(PERIOD)))
     host.periods(5)
     host.periods(1, flagged=True)
-    host.playback.start(SignalPlay(2, (ramp(PERIOD),)))
+    host.playback.start(signal_play(2, ramp(PERIOD)))
     host.periods(5)
     assert host.ends() == [(1, PLAYED), (2, PLAYED)]
 
@@ -143,7 +147,7 @@ def test_given_an_underflow_between_plays_then_neither_is_void():
 @pytest.mark.parametrize("pieces", [1, 4])
 def test_given_a_host_that_stood_still_and_does_not_say_so_then_the_play_is_void(pieces):
     host = Host(pieces=pieces)
-    host.playback.start(SignalPlay(1, (ramp(20 * PERIOD),)))
+    host.playback.start(signal_play(1, ramp(20 * PERIOD)))
     host.periods(5)
     host.periods(15, late_s=0.1)
     assert host.ends() == [(1, UNDERFLOW)]
@@ -153,7 +157,7 @@ def test_given_a_host_that_stood_still_and_does_not_say_so_then_the_play_is_void
 def test_given_callbacks_that_come_unevenly_but_in_time_then_the_play_is_good(pieces):
     host = Host(pieces=pieces)
     generator = np.random.default_rng(3)
-    host.playback.start(SignalPlay(1, (ramp(100 * PERIOD),)))
+    host.playback.start(signal_play(1, ramp(100 * PERIOD)))
     for late_s in generator.uniform(0, PERIOD / RATE_HZ, 110):
         host.periods(1, late_s=late_s)
         host.now_s -= late_s
@@ -162,7 +166,7 @@ def test_given_callbacks_that_come_unevenly_but_in_time_then_the_play_is_good(pi
 
 def test_given_a_sound_clock_200_ppm_slow_for_ten_minutes_then_the_play_is_good():
     host = Host()
-    host.playback.start(SignalPlay(1, (Voice(0, np.zeros(600 * RATE_HZ, np.float32), 0),)))
+    host.playback.start(signal_play(1, np.zeros(600 * RATE_HZ, np.float32)))
     out = np.zeros((48_000, CHANNELS), dtype=np.float32)
     for _ in range(605):
         host.playback.fill(out, host.now_s, flagged=False)
@@ -172,7 +176,7 @@ def test_given_a_sound_clock_200_ppm_slow_for_ten_minutes_then_the_play_is_good(
 
 def in_pieces(host, sizes, *, reserve=96):
     """A play of two channels and the values of each of its pieces, none handed over yet."""
-    play = PieceByPiece(1, (2, 0), reserve, host.playback.events.put)
+    play = StreamPlay(1, (2, 0), reserve, host.playback.events.put)
     values = np.linspace(0.2, 0.8, 2 * sum(sizes), dtype=np.float32).reshape(-1, 2)
     return play, np.split(values, np.cumsum(sizes)[:-1])
 

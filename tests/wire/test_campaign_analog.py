@@ -1,11 +1,13 @@
-"""A campaign whose mirror and shutter hang on outputs of the box that records, with the box unplugged in between."""
+"""A campaign whose mirror and shutter hang on outputs of the box that records: unplugged, and the program stopped."""
 
 from __future__ import annotations
 
 import json
 import math
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -13,14 +15,16 @@ import pytest
 
 from tests.lab_files import POSITIONS, write_positions
 from tests.wire.analog_bench import analog_rig
+from tests.wire.audio_bench import wait_until
 from tests.wire.emulated import emulated_instruments, free_port
 from tests.wire.test_campaign_through_wires import errors_db, write_run
+from wavefocus.drivers.process import SILENT_S
 
 pytestmark = pytest.mark.long
 
 
 @pytest.mark.timeout(300)
-def test_given_the_box_is_unplugged_in_mid_campaign_then_the_bank_is_good_and_every_position_where_it_should_be(
+def test_given_the_box_unplugged_and_the_program_stopped_then_the_bank_is_good_and_the_beam_was_parked(
     tmp_path: Path,
 ) -> None:
     address = f"localhost:{free_port()}"
@@ -32,21 +36,28 @@ def test_given_the_box_is_unplugged_in_mid_campaign_then_the_bank_is_good_and_ev
     bank = tmp_path / "plate.h5"
     command = [sys.executable, "-m", "wavefocus", "capture", str(tmp_path / "run.toml"), "--bank", str(bank), "--json"]
     with emulated_instruments(tmp_path / "rig.toml") as sides:
-        spots, states = [], []
+        spots, states, reasons = [], [], []
         with subprocess.Popen(command, env=dict(sides.environment), stdout=subprocess.PIPE, text=True) as capture:
             assert capture.stdout is not None
             for line in capture.stdout:
                 event = json.loads(line)
                 states.append(event.get("state"))
+                reasons.append(event.get("reason") or "")
                 if event["event"] == "position_committed" and len(spots) < 3:
                     spots.append(event["position"])
                     if len(spots) == 2:
                         sides.say("unplug recorder")
+                    if len(spots) == 3:
+                        capture.send_signal(signal.SIGSTOP)
+                        wait_until(lambda: sides.say("spot") == "spot: not on the plate", "the beam is parked")
+                        time.sleep(SILENT_S)  # the player's process, too
+                        capture.send_signal(signal.SIGCONT)
                 if event["event"] == "reconnect_tried":
                     sides.say("plug recorder")
             code = capture.wait()
         assert code == 0
-        assert "recovering" in states
+        assert states.count("recovering") >= 2
+        assert any("this program was stopped for more than 5 s" in reason for reason in reasons)
         assert sides.say("spot") == "spot: not on the plate"
     errors = errors_db(bank, tmp_path / "rig.toml")
     assert np.median(errors) < -40.0

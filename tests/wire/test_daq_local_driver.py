@@ -21,7 +21,7 @@ from pathlib import Path
 import pytest
 warnings.simplefilter("error")
 from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
-from wavefocus.drivers.daq.ni.recorder_process import ProcessRecorder
+from wavefocus.drivers.daq.ni.ni_process import ProcessRecorder
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.protocols import RecordRequest, RecordLabel
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -14,6 +15,7 @@ import pytest
 from tests.system.lines import Lines
 from tests.wire.audio_bench import AudioBench, needs_audio_server
 from tests.wire.test_play import RIG
+from wavefocus.drivers.process import SILENT_S
 from wavefocus.mocks.wire.jack_server import JackServer
 from wavefocus.storage.bank.layout import BankHeader
 from wavefocus.storage.bank.ledger import PointRecord
@@ -56,7 +58,7 @@ def move_until(running: Lines, event: str, code: str = "") -> dict:
     raise AssertionError(f"no {event} {code} came")
 
 
-def test_given_a_real_audio_server_then_it_sounds_outlives_its_loss_and_is_silent_in_the_end(
+def test_given_a_real_audio_server_then_it_sounds_outlives_its_loss_and_a_stop_and_is_silent_in_the_end(
     lab: Path, server: JackServer
 ) -> None:
     environment = {**os.environ, **server.environment}
@@ -73,6 +75,14 @@ def test_given_a_real_audio_server_then_it_sounds_outlives_its_loss_and_is_silen
         server.kill()
         move_until(running, "notice", "lost")
         server.restart()
+        move_until(running, "notice", "reconnected")
+        move_until(running, "state")
+        running.process.send_signal(signal.SIGSTOP)
+        time.sleep(SILENT_S + 3.0)
+        now = int(server.played.frame_at(time.monotonic_ns()))
+        assert not server.played.read(now - 48_000, now).any()
+        running.process.send_signal(signal.SIGCONT)
+        assert "was stopped" in move_until(running, "notice", "lost")["sentence"]
         move_until(running, "notice", "reconnected")
         move_until(running, "state")
         running.close_input()

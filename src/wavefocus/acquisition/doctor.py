@@ -29,7 +29,6 @@ from wavefocus.config.messages.rig_checks import Act, Finding, Verdict
 from wavefocus.config.rig import RigConfig
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import (
-    BlocksBeam,
     DeviceIdentity,
     Instruments,
     Mirror,
@@ -37,7 +36,6 @@ from wavefocus.drivers.protocols import (
     Recorder,
     Recording,
     RecordLabel,
-    StatesDelay,
 )
 from wavefocus.drivers.registry import VibrometerReading
 from wavefocus.drivers.timeouts import CallThread, HungError
@@ -212,7 +210,7 @@ class _Examination:
     def _check_delay(self, setup: Setup) -> None:
         """Compare the stated delay between the inputs with the device's conversion clock."""
         recorder, rate_hz, stated_s = self._recorder, SAMPLE_RATE_HZ, setup.inter_channel_delay_s
-        if not isinstance(recorder, StatesDelay):
+        if recorder is None:
             return
         device_s = self._findings.ask("recorder", "input delay", partial(recorder.sampling_delay_s, rate_hz), ANSWER_S)
         if device_s is None:
@@ -265,7 +263,7 @@ class _Examination:
             skip("recorder", "pickup", f"not measured: {why}")
             return
         self._tell("vibrometer", "response", partial(check_response, setup, *level))
-        if isinstance(self._mirror, BlocksBeam) or not self._parks_on_surface(setup):
+        if self._rig.shutter is not None or not self._parks_on_surface(setup):
             self._tell("recorder", "pickup", partial(check_pickup, setup, *level))
         else:
             what = "not measured: the mirror has no shutter, and the beam parked at mirror.park_mrad is on the surface"
@@ -426,8 +424,7 @@ def check_pickup(setup: Setup, amplitude_v: float, sample_rate_hz: float) -> lis
     mirror = setup.instruments.mirror
     with naming_role("mirror"):
         mirror.park()
-        if isinstance(mirror, BlocksBeam):
-            mirror.block()
+        mirror.block()
     setup.instruments.clock.sleep(PARKED_S)
     signal_v = _sweep(amplitude_v, sample_rate_hz).signal_v()
     found: list[Crosstalk] = []

@@ -12,7 +12,6 @@ from wavefocus.calibration import Float64Array
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.protocols import (
-    BlocksBeam,
     Clock,
     DeviceIdentity,
     Instruments,
@@ -205,9 +204,8 @@ def silence(instruments: Instruments) -> list[InstrumentError]:
     steps: list[tuple[Role, Callable[[], None]]] = [
         ("player", instruments.player.mute),
         ("recorder", instruments.recorder.abort),
+        ("mirror", instruments.mirror.block),
     ]
-    if isinstance(instruments.mirror, BlocksBeam):
-        steps.append(("mirror", instruments.mirror.block))
     for role, quieten in steps:
         try:
             with naming_role(role):

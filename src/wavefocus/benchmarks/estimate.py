@@ -30,7 +30,6 @@ OFFSET = 200
 POST_ROLL = 1000
 RESPONSE_SNR_DB = 40.0
 REFERENCE_SNR_DB = 60.0
-RIDGES = (1e-4, 1e-9)
 MARK_SPEED = 6.0
 MARK_ERROR_DB = -65.0
 PYFAR = "pyfar deconvolve, whole records"
@@ -56,17 +55,13 @@ def run(out: Path, *, quick: bool = False) -> Findings:
     estimator = SequentialEstimator(sweep, TAPS)
     methods: dict[str, Method] = {
         "wavefocus": _ours(estimator),
-        **{f"wavefocus, ridge {ridge:g}": _ours(SequentialEstimator(sweep, TAPS, ridge=ridge)) for ridge in RIDGES},
-        "plain H1 in float64": lambda x, y: _plain_h1(sweep)(x.astype(np.float64), y.astype(np.float64)),
         "plain H1, band mask, cut at 0": _plain_h1(sweep),
-        "scipy csd / welch H1": _welch_h1(sweep),
     }
     notes = [f"The noise's own limit is {np.median(_limit_db(work, estimator)):.1f} dB."]
-    for peer in (_pyfar_methods, _pyfrf_method):
-        try:
-            methods |= peer(sweep)
-        except ImportError as error:
-            notes.append(f"{error.name} is not installed; 'pip install wavefocus[bench]' adds the comparison.")
+    try:
+        methods |= _pyfar_methods(sweep)
+    except ImportError as error:
+        notes.append(f"{error.name} is not installed; 'pip install wavefocus[bench]' adds the comparison.")
     actions = {name: partial(method, work.reference, work.response) for name, method in methods.items()}
     found = measure(actions, 3 if quick else 7, warm=True, memory=True)
     points = []
@@ -87,7 +82,7 @@ def run(out: Path, *, quick: bool = False) -> Findings:
             else (),
         )
         points.append(point.against(found[PYFAR]) if PYFAR in found else point)
-    for more in (nights.measuring_times, nights.compare_nights, nights.stream_recordings, nights.estimate_audio):
+    for more in (nights.measuring_times, nights.stream_recordings, nights.estimate_audio):
         points += more(quick=quick)
     return Findings(points, "the plate's true Green's functions, relative L2 in band", notes)
 
@@ -166,22 +161,6 @@ def _plain_h1(excitation: PlayedExcitation) -> Method:
     return method
 
 
-def _welch_h1(excitation: PlayedExcitation) -> Method:
-    period = excitation.period_samples
-    hertz = np.arange(period // 2 + 1) * excitation.sample_rate_hz / period
-    mask = (hertz >= excitation.start_hz) & (hertz <= excitation.stop_hz)
-    length = excitation.averages * period
-
-    def method(reference: NDArray[np.float32], response: NDArray[np.float32]) -> NDArray[Any]:
-        x, y = (channel[:, OFFSET : OFFSET + length] for channel in (reference, response))
-        options: dict[str, Any] = {"window": "boxcar", "nperseg": period, "noverlap": 0, "detrend": False}
-        cross = scipy.signal.csd(x, y, **options)[1]
-        power = scipy.signal.welch(x, **options)[1]
-        return np.asarray(scipy.fft.irfft(mask * cross / power)[:, :TAPS])
-
-    return method
-
-
 def _pyfar_methods(excitation: PlayedExcitation) -> dict[str, Method]:
     import pyfar
 
@@ -198,28 +177,7 @@ def _pyfar_methods(excitation: PlayedExcitation) -> dict[str, Method]:
     wide = (5.0, 550.0)
     return {
         PYFAR: lambda x, y: deconvolve(x, y, band),
-        "pyfar deconvolve, repeats averaged": lambda x, y: deconvolve(averaged(x), averaged(y), band),
         "pyfar, averaged, best settings found": lambda x, y: deconvolve(
             averaged(x), averaged(y), wide, regu_inside=1e-10, regu_outside=1e-4
         ),
     }
-
-
-def _pyfrf_method(excitation: PlayedExcitation) -> dict[str, Method]:
-    import pyFRF
-
-    rate, period = excitation.sample_rate_hz, excitation.period_samples
-    hertz = np.arange(period // 2 + 1) * rate / period
-    mask = (hertz >= excitation.start_hz) & (hertz <= excitation.stop_hz)
-
-    def method(reference: NDArray[np.float32], response: NDArray[np.float32]) -> NDArray[Any]:
-        pairs = zip(_repeats(reference, excitation), _repeats(response, excitation), strict=True)
-        h1 = [
-            np.squeeze(
-                pyFRF.FRF(int(rate), exc=x, resp=y, resp_type="v", fft_len=period).get_FRF("H1", form="mobility")
-            )
-            for x, y in pairs
-        ]
-        return np.asarray(scipy.fft.irfft(np.where(mask, np.stack(h1), 0.0), period)[:, :TAPS])
-
-    return {"pyFRF H1, repeats averaged": method}

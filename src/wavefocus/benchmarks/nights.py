@@ -1,4 +1,4 @@
-"""Nights on the virtual rig: staggered and sequential campaigns, and recordings streamed into a bank.
+"""Nights on the virtual rig: error against hours of measuring, and recordings streamed into a bank.
 
 The campaign is that of the paper: 1500 positions, 20 actuators, 20-500 Hz, responses of 200 ms. Hours are those of the
 rig's own clock over the positions that were measured, the whole way through the engine into a bank, times the
@@ -16,7 +16,6 @@ apart. Error: relative L2 of the spectrum in band. Time and memory are those of 
 from __future__ import annotations
 
 import json
-import math
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -30,7 +29,6 @@ from numpy.typing import NDArray
 from wavefocus.acquisition.plan import Plan
 from wavefocus.acquisition.plays import keep_recordings, measuring_of, raw_header
 from wavefocus.acquisition.setup import point_at, take_record
-from wavefocus.acquisition.trial import check_position, run_trial
 from wavefocus.benchmarks.harness import Entry, Mark, Times, band_error_db
 from wavefocus.benchmarks.machine import run_command
 from wavefocus.benchmarks.rig_bank import BAND_HZ, RATE_HZ, TAPS, default_grid, measure, rig_setup, sweep_plan
@@ -43,15 +41,8 @@ from wavefocus.storage.raw.writer import RawWriter, create_raw
 Float64Array = NDArray[np.float64]
 
 NIGHT = 1500
-MARK_HOURS = 2.2
-MARK_ERROR_DB = -61.0
-SKEW_PPM = 100.0
 # With the converter's rounding this leaves sequential capture at the -60 dB of the comparison.
 NOISE_V = 1.2e-4
-# Rms of a cubic term over that of the response of all actuators together, at the position where the trial is made.
-CUBIC = 0.01
-# Rms of noise that grows with the response, over the response.
-GROWING = 0.01
 
 MARK_PER_S = 800.0
 MARK_MB = 500.0
@@ -59,37 +50,6 @@ MARK_MB = 500.0
 DIFFERENT = 4
 # A campaign is longer than the loading of modules, the sample is not.
 PRELOADED = ("scipy.optimize", "scipy.signal", "wavefocus.estimation", "wavefocus.campaign.blueprint")
-
-
-def compare_nights(*, quick: bool = False) -> list[Entry]:
-    """Hours and errors of campaigns, and the trial before a campaign on three plates."""
-    positions = 6 if quick else 60
-    plain = VirtualSettings(dropout_probability=0.0, noise_v=NOISE_V)
-    cubic = _cubic_per_v2(VirtualRig(plain))
-    still = _night(replace(plain, clock_ppm=0.0), positions, staggered=True)
-    skewed = _night(replace(plain, clock_ppm=SKEW_PPM), positions, staggered=True)
-    beyond_db = abs(float(skewed["median_db"]) - float(still["median_db"]))
-    marks = (Mark("hours", MARK_HOURS, at_most=True), Mark("median_db", MARK_ERROR_DB, at_most=True))
-    night = f"a night of {NIGHT} x 20, {positions} positions of it measured"
-    points = [
-        Entry(work=night, method="sequential 3 x 1 s", figures=_night(plain, positions, staggered=False)),
-        Entry(
-            work=night, method="staggered 240 ms, one period", figures=_night(plain, positions, staggered=True),
-            marks=marks,
-        ),
-        Entry(
-            work=night, method=f"staggered, {SKEW_PPM:g} ppm clock skew",
-            figures={**skewed, "beyond_no_skew_db": beyond_db}, marks=(Mark("beyond_no_skew_db", 1.0, at_most=True),),
-        ),
-        Entry(work=night, method="staggered, no clock skew", figures=still),
-    ]  # fmt: skip
-    for plate, settings in {
-        "additive noise": plain,
-        f"cubic plate, {100 * CUBIC:g} % ({cubic:.3f} u^3 / V^2)": replace(plain, cubic_per_v2=cubic),
-        "noise that grows with the response (1 %)": replace(plain, noise_per_response=GROWING),
-    }.items():
-        points += _trial(plate, settings)
-    return points
 
 
 def measuring_times(*, quick: bool = False) -> list[Entry]:
@@ -144,32 +104,6 @@ def _errors_db(rig: VirtualRig, plan: Plan, green: NDArray[np.generic]) -> Float
         wrong = scipy.fft.rfft(green[row], length)[:, band] - true
         found.append(20 * np.log10(np.linalg.norm(wrong, axis=1) / np.linalg.norm(true, axis=1)))
     return np.stack(found)
-
-
-def _cubic_per_v2(rig: VirtualRig) -> float:
-    """The term that is so much of a staggered record; many sweeps together are like a Gaussian signal."""
-    plan = sweep_plan(default_grid(rig), rig, staggered=True)
-    x_mm, y_mm = plan.position_mm[check_position(plan)]
-    sweep = plan.excitation.base_v()[: plan.excitation.sweep_samples]
-    alone = scipy.signal.fftconvolve(rig.truth(x_mm, y_mm, TAPS), sweep[None], axes=1)[:, : sweep.size]
-    power = float(np.mean(np.square(alone / rig.settings.sensitivity_m_s_per_v), axis=1).sum())
-    return CUBIC / (math.sqrt(15) * power)
-
-
-def _trial(plate: str, settings: VirtualSettings) -> list[Entry]:
-    """Schedules as the trial before a campaign on a plate estimates them, and its choice."""
-    rig = VirtualRig(settings)
-    trial = run_trial(sweep_plan(default_grid(rig), rig, staggered=True), rig_setup(rig), 3.0)
-    chosen = trial.verdict.chosen.name
-    return [
-        Entry(
-            work=f"trial at one position: {plate}",
-            method=one.name,
-            figures={"hours": one.campaign_s / 3600, "error_db": one.error_db, "chosen": one.name == chosen},
-            remark=trial.verdict.reason if one.name == chosen else "",
-        )
-        for one in trial.candidates
-    ]
 
 
 def stream_recordings(*, quick: bool = False) -> list[Entry]:

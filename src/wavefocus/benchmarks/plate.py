@@ -6,9 +6,7 @@
 - Glass released from the shape of a mode, some periods later: leapfrog and Newmark on grids; truth: the closed form.
 - Glass of Q = 1e4, driven for some time: modal exponentials with modes up to a frequency; truth: the closed form with
   modes up to 4 kHz.
-- Glass, a bank in which modes are left out; truth: the bank with all modes.
 - A bank of the default grid on every plate, and the stadium's modes computed and read from the cache: times alone.
-- Exponents of the cost over positions, actuators and frequencies asked for: times alone.
 """
 
 from __future__ import annotations
@@ -26,16 +24,14 @@ from numpy.typing import NDArray
 from scipy.signal import fftconvolve, get_window
 
 from wavefocus.benchmarks.harness import Entry, Findings, Mark, measure, relative_error
-from wavefocus.benchmarks.rig_bank import RATE_HZ, TAPS, default_grid, true_bank
+from wavefocus.benchmarks.rig_bank import TAPS, default_grid, true_bank
 from wavefocus.benchmarks.time_stepping import ExactPlate, ThinPlate, TimeStepper, explicit_limit_s
 from wavefocus.config.outline import Outline
 from wavefocus.mocks.plates.infinite import PlateTable
 from wavefocus.mocks.plates.soft import SOFT_PLATE
 from wavefocus.mocks.plates.stadium import Elements, triangulate
-from wavefocus.mocks.plates.thin import ThinRectangle
 from wavefocus.mocks.virtual.rig import VirtualRig, VirtualSettings
 from wavefocus.mocks.virtual.settings import rim_places
-from wavefocus.mocks.virtual.synthesis import chain_response
 
 Float64Array = NDArray[np.float64]
 Actions = dict[tuple[str, float | None], Callable[[], Any]]
@@ -51,8 +47,6 @@ NEWMARK_STEPS_S = (1e-4, 2e-5)
 BANK_POSITIONS, BANK_BINS, BANK_STEP_HZ = 100, 1000, 1.0
 HIGH_QUALITY, STEP_S, DRIVEN_STEPS = 1e4, 1e-4, 5000
 MODES_HZ = (250.0, 500.0, 1000.0, 2000.0, 4000.0)
-BINS = 192
-TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4)
 GLASS_OUTLINE = Outline.rectangle(225.0, 148.0)
 """Whose default grid has 1500 positions."""
 GLASS_ACTUATORS_MM = tuple((0.8 * x, 0.8 * y) for x, y in rim_places(20))
@@ -73,9 +67,7 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
         *_with_a_rim(repeats, quick=quick),
         *_glass_in_time(repeats, GRIDS_MM[1:] if quick else GRIDS_MM),
         *_driven_glass(repeats),
-        *_fewer_modes(repeats, 20 if quick else BANK_POSITIONS),
         *_banks(1 if quick else 3, 60 if quick else None),
-        *_exponents(repeats, 60 if quick else 600),
     ]
     return Findings(points, "the truth that the module states for each plate")
 
@@ -203,21 +195,6 @@ def _driven_glass(repeats: int) -> list[Entry]:
     return [Entry(work=work, method="closed form, the truth", timing=timing), *points[:-1], exact]
 
 
-def _fewer_modes(repeats: int, positions: int) -> list[Entry]:
-    """A bank on glass with the modes that a tolerance lets go left out."""
-    place_mm = np.random.default_rng(6).uniform(-60.0, 60.0, (positions, 2))
-
-    def bank(tolerance: float) -> NDArray[np.complex128]:
-        plate = ThinRectangle(np.array(GLASS_ACTUATORS_MM), GLASS_OUTLINE, chain_response, mode_tolerance=tolerance)
-        return plate.fir_spectra(place_mm, TAPS, RATE_HZ, 2 * TAPS, slice(8, 201))
-
-    timing = measure({"all": partial(bank, 0.0)}, repeats, memory=True)["all"]
-    work = f"glass, {positions} positions x 20 actuators x {TAPS} taps, modes left out"
-    actions: Actions = {("modes within the tolerance", one): partial(bank, one) for one in TOLERANCES}
-    points = _points(work, actions, timing.result, "mode_tolerance", repeats)
-    return [Entry(work=work, method="all modes, the truth", timing=timing), *points]
-
-
 def _banks(repeats: int, positions: int | None) -> list[Entry]:
     """Green's functions of whole banks on every plate, and the stadium's modes."""
     with TemporaryDirectory() as folder:
@@ -242,34 +219,6 @@ def _banks(repeats: int, positions: int | None) -> list[Entry]:
         work = f"a bank, {positions or 'all'} positions of the default grid x 20 actuators x {TAPS} taps"
         points.append(Entry(work=work, method=name, timing=timing, marks=marks))
     return points
-
-
-def _exponents(repeats: int, most: int) -> list[Entry]:
-    """Fit CPU time ~ size**exponent: each plate costs in proportion to what is asked for."""
-    points = []
-    for name in ("soft", "stadium", "thin", "solid"):
-        rigs = {count: VirtualRig(replace(RIGS[name], actuator_mm=RIGS[name].actuator_mm[:count])) for count in (5, 20)}
-        place_mm = default_grid(rigs[20])
-        asked: dict[str, dict[int, Callable[[], Any]]] = {
-            "positions": {count: partial(_spectra, rigs[20], place_mm[:count], BINS) for count in (most // 4, most)},
-            "actuators": {count: partial(_spectra, rig, place_mm[:most], BINS) for count, rig in rigs.items()},
-            "frequencies": {count: partial(_spectra, rigs[20], place_mm[:most], count) for count in (BINS // 4, BINS)},
-        }
-        for what, sizes in asked.items():
-            found = measure({str(size): action for size, action in sizes.items()}, repeats, warm=True)
-            (few, small), (many, large) = ((size, found[str(size)].cpu_s) for size in sizes)
-            exponent = float(np.log(large / small) / np.log(many / few))
-            points.append(
-                Entry(
-                    work="exponents of the cost", method=f"{name}, {what}",
-                    figures={"from": few, "to": many, "exponent": exponent},
-                )
-            )  # fmt: skip
-    return points
-
-
-def _spectra(rig: VirtualRig, place_mm: Float64Array, bins: int) -> None:
-    rig.truth_spectra(place_mm, TAPS, 2 * TAPS, slice(8, 8 + bins))
 
 
 def _stadium_modes() -> None:

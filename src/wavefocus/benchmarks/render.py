@@ -15,19 +15,16 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import oaconvolve
 
-from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times, measure, peak_mb, relative_error
+from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times, measure, relative_error
 from wavefocus.benchmarks.render_workloads import (
     RATE_HZ,
     RenderWorkload,
     bilinear_runs,
     circle,
     convolve_and_overlap_add,
-    convolve_positions,
     decimated,
     field_drive,
-    floor,
     modal_bank,
     noise,
     predict_merged,
@@ -37,7 +34,7 @@ from wavefocus.benchmarks.render_workloads import (
     sum_directly,
     workloads,
 )
-from wavefocus.config.scene import Output, Regularisation
+from wavefocus.config.scene import Output
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.field.bank_spectra import BankSpectra
 from wavefocus.rendering.field.prediction import Prediction, predict
@@ -54,14 +51,11 @@ DIRECT_SAMPLES = 4000
 MARKS = {("path", EXACT): 1.0, ("path", LOOSE): 1.2, ("random rows", LOOSE): 1.5}
 """Least speed over the merging peer's, by CPU time, by the kind of workload."""
 LOWER_HZ = 1250.0
-FEW = 30
 SOME = 150
-MAX_MB = 600.0
 SPEED_MM_S = 100.0
 STEPS_MM = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 TOLERANCES_DB = (-20.0, -40.0, -60.0, -80.0)
 SAMPLED_TOLERANCE_DB = -60.0
-FIELD_ROWS = 100
 SUMMED = "direct summation of eq. (9), the reference"
 SAMPLED = "sampled path (the paper's)"
 SAMPLED_LOOSE = "sampled path, to -60 dB"
@@ -77,10 +71,8 @@ def run(out: Path, *, quick: bool = False) -> Findings:
     for path_points in (500,) if quick else (500, 5000):
         points += compare_exact(circle(f"path, M = {path_points}, dt = 2 ms", bank, path_points, 0.2), repeats)
     points += compare_fields(bank, repeats, seconds=1.0 if quick else 4.0)
-    points += compare_denormals(repeats)
     points += measure_exponents(bank, repeats, 100 if quick else 1000)
     points += precision_points(quick=quick)
-    points += field_points(bank, quick=quick)
     notes = [
         "`times` is the peer's time, by the wall or the CPU, whichever is less, over ours; `CPU times` the ratio of",
         "the CPU times. The peer comes first: NumPy and SciPy in float64, adjacent segments that use the same row",
@@ -103,8 +95,6 @@ def compare_drives(workload: RenderWorkload, repeats: int) -> list[Entry]:
                 way: partial(render_with_report, scene, bank, method="sampled", tolerance_db=tolerance_db)
                 for way, tolerance_db in WAYS.items()
             },
-            "floor, float64": lambda: floor(workload, np.float64),
-            "floor, float32": lambda: floor(workload, np.float32),
         },
         repeats,
         once=(gpurir,),
@@ -129,13 +119,6 @@ def compare_drives(workload: RenderWorkload, repeats: int) -> list[Entry]:
             point = replace(point, remark=f"error {relative_error(timing.result, reference):.1e}")
         elif method == gpurir:
             point = replace(point, remark="timed once; the truth")
-        elif method.startswith("floor"):
-            # Rows read and transformed, drives transformed back: no method does less.
-            over = found[LOOSE if method.endswith("32") else EXACT].cpu_s / timing.cpu_s
-            marks = (Mark("ours_over_floor", 2.5, at_most=True),) if workload.kind and method.endswith("32") else ()
-            point = Entry(
-                work=workload.name, method=method, timing=timing, figures={"ours_over_floor": over}, marks=marks
-            )
         points.append(point.against(found[MERGED]))
     return points
 
@@ -206,78 +189,41 @@ def compare_exact(workload: RenderWorkload, repeats: int) -> list[Entry]:
 
 
 def compare_fields(bank: GreenArray, repeats: int, seconds: float) -> list[Entry]:
-    """Time the field of a drive at all positions, and at 30 of them: at the full rate, and at 1.25 kHz.
+    """Time the field of a drive at all positions: at the full rate, and at 1.25 kHz.
 
-    Each is held against the merging peer at its own rate, whose rows have been decimated beforehand where ours have.
+    Each is held against the merging peer at its own rate, timed on some positions, whose rows have been decimated
+    beforehand where ours have.
     """
     drive = field_drive(bank, seconds)
     every = list(range(bank.positions))
-    few = np.unique(np.linspace(0, bank.positions - 1, FEW).astype(int)).tolist()
     some = every[:: max(1, bank.positions // SOME)]
     factor = round(RATE_HZ / LOWER_HZ)
     at_full, at_low = "ours, float32, spectra kept", f"ours, at {LOWER_HZ:g} Hz, spectra kept"
     merged_low = f"{MERGED}, at {LOWER_HZ:g} Hz"
-    making = {
-        at_full: partial(BankSpectra, bank, every),
-        at_low: partial(BankSpectra, bank, every, rate_hz=LOWER_HZ),
-    }
-    made = measure(making, 1)
-    kept = {way: timing.result for way, timing in made.items()}
-    points = []
-    for positions, marks in ((every, {at_low: 1.5}), (few, {})):
-        few_positions = len(positions) <= FEW
-        by_peer = positions if few_positions else some
-        lower = [factor * decimated(bank.values[row], factor) for row in by_peer]
-        found = measure(
-            {
-                MERGED: partial(predict_merged, [bank.values[row] for row in by_peer], drive.drive_v),
-                merged_low: partial(_predict_decimated, lower, drive, factor),
-                "ours, float64": partial(_field, drive, bank, positions, dtype=np.float64),
-                "ours, float32": partial(_field, drive, bank, positions, dtype=np.float32),
-                **{way: partial(_field, drive, spectra, positions) for way, spectra in kept.items()},
-            },
-            3 * repeats if few_positions else repeats,
-            once=() if few_positions else ("ours, float64", "ours, float32"),
-        )
-        scale = len(positions) / len(by_peer)
-        peers = {rate: found[rate].times(scale) for rate in (MERGED, merged_low)}
-        reference = found[MERGED].result
-        errors = {
-            "ours, float64": _field(drive, bank, by_peer, dtype=np.float64),
-            "ours, float32": _field(drive, bank, by_peer, dtype=np.float32),
-            at_full: _field(drive, kept[at_full], by_peer),
-        }
-        for way, timing in found.items():
-            remark = "bank's spectra kept" if way in kept else "bank read and transformed each time"
-            if way in peers and not few_positions:
-                remark = f"timed on {len(by_peer)} positions and scaled"
-            if way in (merged_low, at_low):
-                remark += f"; {LOWER_HZ:g} Hz, the others {RATE_HZ:g} Hz"
-            points.append(
-                Entry(
-                    work=f"field of {seconds:g} s at {len(positions)} positions",
-                    method=way,
-                    timing=peers.get(way, timing),
-                    error=relative_error(errors[way], reference) if way in errors else None,
-                    marks=(Mark("cpu_times", marks[way]),) if way in marks else (),
-                    remark=remark,
-                ).against(peers[merged_low if way in (merged_low, at_low) else MERGED])
-            )
-    for way, timing in made.items():
-        size_mb = kept[way].size_bytes / 1e6
-        points.append(Entry(work="the bank's spectra, once per bank", method=way, timing=timing,
-                            figures={"size_mb": size_mb}))  # fmt: skip
-    del made, kept
-    memory_mb = peak_mb(lambda: Prediction(drive, making[at_low](), every).field())
-    points.append(
-        Entry(
-            work="memory of a field beyond the bank: its spectra, the field, and work space",
-            method=at_low,
-            peak_mb=memory_mb,
-            marks=(Mark("peak_mb", MAX_MB, at_most=True),),
-        )
+    kept = {at_full: BankSpectra(bank, every), at_low: BankSpectra(bank, every, rate_hz=LOWER_HZ)}
+    lower = [factor * decimated(bank.values[row], factor) for row in some]
+    found = measure(
+        {
+            MERGED: partial(predict_merged, [bank.values[row] for row in some], drive.drive_v),
+            merged_low: partial(_predict_decimated, lower, drive, factor),
+            "ours, float64": partial(_field, drive, bank, every, dtype=np.float64),
+            **{way: partial(_field, drive, spectra, every) for way, spectra in kept.items()},
+        },
+        repeats,
+        once=("ours, float64",),
     )
-    return points
+    scale = len(every) / len(some)
+    peers = {rate: found[rate].times(scale) for rate in (MERGED, merged_low)}
+    reference = found[MERGED].result
+    errors = {way: relative_error(found[way].result[some], reference) for way in ("ours, float64", at_full)}
+    return [
+        Entry(
+            work=f"field of {seconds:g} s at {len(every)} positions", method=way, timing=peers.get(way, timing),
+            error=errors.get(way), marks=(Mark("cpu_times", 1.5),) if way == at_low else (),
+            remark=f"timed on {len(some)} positions and scaled" if way in peers else "",
+        ).against(peers[merged_low if way in (merged_low, at_low) else MERGED])
+        for way, timing in found.items()
+    ]  # fmt: skip
 
 
 def _predict_decimated(greens: list[NDArray[np.float64]], drive: Drive, factor: int) -> NDArray[np.float64]:
@@ -286,33 +232,6 @@ def _predict_decimated(greens: list[NDArray[np.float64]], drive: Drive, factor: 
 
 def _field(drive: Any, bank: GreenArray | BankSpectra, positions: list[int], **options: Any) -> Any:
     return Prediction(drive, bank, positions, **options).field().field
-
-
-def compare_denormals(repeats: int) -> list[Entry]:
-    """Time a bank of denormal float64 numbers, and one that decays into them, against the same in a sensible unit."""
-    small = modal_bank(20, 20)
-    source = circle("", small, 500, 0.2).source
-    normal = small.values.astype(np.float64)
-    banks = {
-        "normal numbers": normal,
-        "denormals": np.ldexp(normal, -1060),
-        "tails that decay into denormals": normal * np.geomspace(1.0, 1e-320, normal.shape[2]),
-    }
-    # Not normalised: 1 / R(0) of denormal rows does not fit into float64.
-    scene = Scene("denormals", (source,), Regularisation(normalise=False))
-    found = measure({name: partial(_render, scene, values, small) for name, values in banks.items()}, repeats)
-    base = found["normal numbers"]
-    return [
-        Entry(
-            work="denormal bank, path, M = 500, dt = 2 ms", method=name, timing=timing,
-            figures={"over_normal": timing.cpu_s / base.cpu_s}, marks=(Mark("over_normal", 1.5, at_most=True),),
-        )
-        for name, timing in found.items()
-    ]  # fmt: skip
-
-
-def _render(scene: Scene, values: NDArray[np.float64], like: GreenArray) -> None:
-    render_with_report(scene, GreenArray(values, like.position_mm, RATE_HZ))
 
 
 def precision_points(*, quick: bool) -> list[Entry]:
@@ -360,29 +279,3 @@ def precision_points(*, quick: bool) -> list[Entry]:
             )
         )  # fmt: skip
     return points
-
-
-def field_points(bank: GreenArray, *, quick: bool) -> list[Entry]:
-    """Fields of one drive by all ways, against convolution in float64."""
-    seconds, repeats = (0.5, 1) if quick else (4.0, 3)
-    drive = field_drive(bank, seconds)
-    rows = np.linspace(0, bank.positions - 1, FIELD_ROWS).astype(int).tolist()
-    greens = [bank.values[row] for row in rows]
-    truth_by = "fftconvolve per position and actuator, the reference"
-    together = "oaconvolve, all actuators of a position"
-    ways: list[tuple[str, dict[str, float], Callable[[], Any]]] = [
-        (truth_by, {}, lambda: convolve_positions(bank, drive.drive_v, rows)),
-        (together, {}, lambda: np.stack([oaconvolve(drive.drive_v, green, axes=1).sum(0) for green in greens])),
-        ("merging peer: a drive transformed once", {}, partial(predict_merged, greens, drive.drive_v)),
-        ("ours, float64", {}, lambda: predict(drive, bank, rows).field),
-        ("ours, float32", {}, lambda: predict(drive, bank, rows, dtype=np.float32).field),
-    ]  # fmt: skip
-    found = measure({str(number): way for number, (_, _, way) in enumerate(ways)}, repeats, once=("0",), memory=True)
-    work = f"field of {seconds:g} s at {FIELD_ROWS} positions"
-    return [
-        Entry(
-            work=work, method=method, parameters=parameters, timing=timing,
-            error=None if method == truth_by else relative_error(timing.result, found["0"].result),
-        )
-        for (method, parameters, _), timing in zip(ways, found.values(), strict=True)
-    ]  # fmt: skip

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.greens.interpolation.on_grid import Bilinear
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
-from wavefocus.rendering.greens.source import GreenArray, RowReader
+from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.scene.model import Scene, Source
 from wavefocus.rendering.scene.paths import Circle, Polyline
 from wavefocus.rendering.scene.signals import Noise
@@ -149,17 +149,6 @@ def convolve_and_overlap_add(workload: RenderWorkload) -> Float64Array:
     return drive
 
 
-def floor(workload: RenderWorkload, dtype: type[np.float32] | type[np.float64] = np.float64) -> None:
-    """Do what no method can do without: read and transform the rows, transform the drives back."""
-    _, rows, signal = workload.segments()
-    reader = RowReader(workload.bank)
-    for row in np.unique(rows).tolist():
-        scipy.fft.rfft(reader.read(row).astype(dtype, copy=False), 4096, workers=2)
-    spectrum = np.zeros((ACTUATORS, 2049), dtype=np.result_type(dtype, np.complex64))
-    for _ in range(-(-len(signal) // (4096 - TAPS + 1))):
-        scipy.fft.irfft(spectrum, 4096, workers=2)
-
-
 def sum_directly(workload: RenderWorkload, samples: int) -> Float64Array:
     """Evaluate eq. (9) sample by sample."""
     source, bank = workload.source, workload.bank
@@ -173,16 +162,6 @@ def sum_directly(workload: RenderWorkload, samples: int) -> Float64Array:
         gain = known[int(nodes.nearest[s])][1]
         drive[:, s : s + TAPS] += gain * signal[s] * np.asarray(green)[:, ::-1]
     return drive
-
-
-def convolve_positions(bank: GreenArray, drive_v: Float64Array, positions: list[int]) -> Float64Array:
-    """Predict with one call of fftconvolve per position and actuator."""
-    field = np.zeros((len(positions), drive_v.shape[1] + TAPS - 1))
-    for place, position in enumerate(positions):
-        green = bank.values[position].astype(np.float64)
-        for actuator in range(ACTUATORS):
-            field[place] += scipy.signal.fftconvolve(drive_v[actuator], green[actuator])
-    return field
 
 
 def normalised_green(bank: GreenArray, row: int) -> tuple[Float64Array, float]:

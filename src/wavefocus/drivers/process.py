@@ -1,7 +1,9 @@
 """A driver in a process of its own: every wait for it has an end, and a process that hangs is killed.
 
 `wavefocus.drivers.timeouts` bounds each call to an instrument, and can only abandon a thread that hangs. A process is
-asked for a sign of life and killed within seconds, which silences its outputs and frees its device.
+asked for a sign of life and killed within seconds, which silences its outputs and frees its device. It gets a sign of
+life from its parent, too: where the parent is stopped (SIGSTOP, Ctrl-Z, a debugger), the process puts its outputs to
+rest.
 
 Messages are frozen data classes, pickled: both ends are this package, started by one another.
 """
@@ -35,6 +37,17 @@ OPENING_S = 20.0
 CLOSING_S = 6.0
 """Longer than the process allows itself."""
 
+SIGN_S = 1.0
+"""How often a process gets a sign of life from its parent."""
+
+SILENT_S = 5.0
+"""A parent that gives no sign of life for so long is stopped; a busy one is late by a second."""
+
+STOPPED = (
+    f"this program was stopped for more than {SILENT_S:g} s (Ctrl-Z, SIGSTOP or a debugger), and its outputs were put"
+    " to rest meanwhile"
+)
+
 Value = TypeVar("Value")
 
 
@@ -45,7 +58,7 @@ class Ask:
 
 @dataclass(frozen=True, slots=True)
 class Alive:
-    """The answer to `Ask`."""
+    """A sign of life: the process's answer to `Ask`, and the parent's of its own accord."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,18 +68,23 @@ class Close:
 
 @dataclass(frozen=True, slots=True)
 class Lost:
-    """The last message of a process whose device is gone."""
+    """The last message of a process whose device is gone; `at_rest`: its outputs were put to rest before."""
 
     cause: str
+    at_rest: bool = False
 
 
 class MessagePipe:
-    """One end of a pair of pipes; several threads may send, one receives."""
+    """One end of a pair of pipes; several threads may send, one receives.
+
+    received: Number of messages so far.
+    """
 
     def __init__(self, incoming: IO[bytes], outgoing: IO[bytes]) -> None:
         self._incoming = incoming
         self._outgoing = outgoing
         self._lock = threading.Lock()
+        self.received = 0
 
     def send(self, message: object) -> None:
         """Write one message. Raises OSError or ValueError where either end is closed."""
@@ -82,9 +100,11 @@ class MessagePipe:
     def receive(self) -> Any:
         """Wait for the next message; None when the other end is closed, be it in the middle of one."""
         try:
-            return pickle.load(self._incoming)
+            message = pickle.load(self._incoming)
         except (EOFError, pickle.UnpicklingError):
             return None
+        self.received += 1
+        return message
 
 
 def pipe_to_parent() -> MessagePipe:
@@ -95,6 +115,17 @@ def pipe_to_parent() -> MessagePipe:
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     return MessagePipe(sys.stdin.buffer, answers)
+
+
+def wait_for_silence(pipe: MessagePipe) -> None:
+    """In the process, in a thread of its own: return when the parent has given no sign of life for `SILENT_S`."""
+    silent_s, looked_s, received = 0.0, time.monotonic(), pipe.received
+    while silent_s < SILENT_S:
+        time.sleep(LOOK_S)
+        now_s = time.monotonic()
+        # Time in which this process itself was kept waiting, or the computer slept, does not count.
+        silent_s = 0.0 if pipe.received != received else silent_s + min(now_s - looked_s, 2 * LOOK_S)
+        looked_s, received = now_s, pipe.received
 
 
 class ProcessGoneError(Exception):
@@ -113,6 +144,8 @@ class DriverProcess:
     receive: Gets every message, in order, in a thread of its own, and with the lock of `wait_for` held.
     environment: Added to the environment of this process.
     defaults: Added where this process's environment has not the variable.
+
+    at_rest: It is gone, and has put its outputs to rest before.
     """
 
     def __init__(
@@ -127,6 +160,7 @@ class DriverProcess:
         self._receive = receive
         self._news = threading.Condition()
         self._gone = ""
+        self.at_rest = False
         self._answered_s = time.monotonic()
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115  # closed with the process, in close()
         root = str(Path(__file__).parents[2])  # holds wavefocus/
@@ -153,6 +187,9 @@ class DriverProcess:
         self._pipe = MessagePipe(self._process.stdout, self._process.stdin)
         self._reader = threading.Thread(target=self._read, name=f"answers of {module}", daemon=True)
         self._reader.start()
+        self._ending = threading.Event()
+        self._signs = threading.Thread(target=self._give_signs, name=f"signs of life for {module}", daemon=True)
+        self._signs.start()
 
     @property
     def pid(self) -> int:
@@ -236,19 +273,26 @@ class DriverProcess:
             self._process.wait(CLOSING_S)
         except subprocess.TimeoutExpired:
             self.kill("it did not end and was killed")
+        self._ending.set()
         self._reader.join(CLOSING_S)
+        self._signs.join(CLOSING_S)
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         for pipe in (self._process.stdin, self._process.stdout, self._errors):
             with suppress(BrokenPipeError):  # messages that it did not read
                 pipe.close()
 
+    def _give_signs(self) -> None:
+        while not self._ending.wait(SIGN_S) and not self._gone:
+            with suppress(OSError, ValueError):
+                self._pipe.send(Alive())
+
     def _read(self) -> None:
         while (message := self._pipe.receive()) is not None:
             with self._news:
                 self._answered_s = time.monotonic()
                 if isinstance(message, Lost):
-                    self._gone = self._gone or message.cause
+                    self._gone, self.at_rest = self._gone or message.cause, message.at_rest
                 else:
                     self._receive(message)
                 self._news.notify_all()

@@ -1,15 +1,19 @@
-"""The three roles of a rig; the engine uses these and no particular device."""
+"""The roles of a rig as base classes, with a default for what not every device can do."""
 
 from __future__ import annotations
 
 import re
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, runtime_checkable
+from types import MethodType
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from wavefocus.drivers.errors import InstrumentError
 
 Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
@@ -70,7 +74,6 @@ class Recording:
     over_range: tuple[bool, bool]
 
 
-@runtime_checkable
 class Clock(Protocol):
     """The time that the instruments live in: the wall's, or a virtual one."""
 
@@ -83,133 +86,112 @@ class Clock(Protocol):
         ...
 
 
-@runtime_checkable
-class Instrument(Protocol):
+class Instrument(ABC):
     """What every role can do."""
 
     @property
+    @abstractmethod
     def identity(self) -> DeviceIdentity:
         """Who the device is, as it said when it was opened; the device is not asked again."""
-        ...
 
+    @abstractmethod
     def identify(self) -> str:
         """The device and its settings in a sentence for people, asked of the device. Raises InstrumentError."""
-        ...
 
+    @abstractmethod
     def reconnect(self) -> None:
         """Drop the connection and open a fresh one to the same device; from any state but closed.
 
         Raises InstrumentLostError: the device is not there (yet): trying again later can help. InstrumentError: another
         device answers in its place.
         """
-        ...
 
+    @abstractmethod
     def close(self) -> None:
-        """Release the device. Safe to call twice."""
-        ...
+        """Release the device, a player muted. Safe to call twice."""
 
 
-@runtime_checkable
-class Mirror(Instrument, Protocol):
+class Mirror(Instrument):
     """Points the laser. Coordinates are optical angles in milliradians."""
 
+    @abstractmethod
     def move_to(self, x_mrad: float, y_mrad: float) -> None:
         """Start a move and return at once. Raises InstrumentError outside the limits."""
-        ...
 
+    @abstractmethod
     def wait_settled(self, timeout_s: float) -> None:
-        """Return when the beam stands still. Raises InstrumentError after `timeout_s`."""
-        ...
+        """Return when the beam stands still and a shutter is open. Raises InstrumentError after `timeout_s`."""
 
+    @abstractmethod
     def park(self) -> None:
         """Move to the safe direction. Safe to call at any time, from any state."""
-        ...
+
+    def block(self) -> None:  # most mirrors have no shutter
+        """Close the shutter, if any. Safe to call at any time, from any state. Raises InstrumentError."""
 
 
-@runtime_checkable
-class Shutter(Instrument, Protocol):
+class Shutter(Instrument):
     """Blocks the laser beam, or holds an interlock."""
 
+    @abstractmethod
     def open_beam(self) -> None:
         """Let the beam through. Raises InstrumentError."""
-        ...
 
+    @abstractmethod
     def block_beam(self) -> None:
         """Block the beam. Safe to call at any time. Raises InstrumentError: whether it is blocked is unknown."""
-        ...
 
 
-@runtime_checkable
-class BlocksBeam(Protocol):
-    """A mirror that has a shutter, which is opened by `wait_settled` and closed at rest."""
-
-    def block(self) -> None:
-        """Close the shutter. Safe to call at any time, from any state. Raises InstrumentError."""
-        ...
-
-
-@runtime_checkable
-class Recorder(Instrument, Protocol):
+class Recorder(Instrument):
     """Records the reference (loopback of the player) and the response (vibrometer)."""
 
+    @abstractmethod
     def start(self, request: RecordRequest) -> None:
         """Start one finite record and return at once. Raises InstrumentError."""
-        ...
 
+    @abstractmethod
     def read(self, timeout_s: float) -> Recording:
         """Wait for the record to end and fetch it. Raises InstrumentError after `timeout_s`."""
-        ...
 
+    @abstractmethod
     def abort(self) -> None:
         """Drop a record under way. Safe to call at any time."""
-        ...
-
-
-@runtime_checkable
-class OffersRanges(Protocol):
-    """A recorder that says which input ranges it has, so that a record that was over one can be taken with a larger."""
 
     @property
     def input_ranges_v(self) -> tuple[float, ...]:
         """Largest magnitudes of its input ranges in volts, ascending; none where the device does not report them."""
-        ...
-
-
-@runtime_checkable
-class StatesDelay(Protocol):
-    """A recorder that knows the clock of its converter, and so how far apart in time its two inputs are sampled."""
+        return ()
 
     def sampling_delay_s(self, sample_rate_hz: float) -> float | None:
         """How much later the response is sampled than the reference at a sample rate, in s, between two records.
 
         None where the device does not report it; 0 where each input has a converter. Raises InstrumentError.
         """
-        ...
+        return None
+
+    def record_inputs_v(self, names: tuple[str, str], samples: int, sample_rate_hz: float) -> Float64Array:
+        """Volts at two other inputs of its box from now on, such as a mirror's position signals, shape (2, samples).
+
+        Between two records. Raises InstrumentError.
+        """
+        doing = f"recording {names[0]} and {names[1]}"
+        raise InstrumentError("recorder", doing, "its driver records no other inputs", "use another driver")
 
 
-@runtime_checkable
-class RecordsInputs(Protocol):
-    """A recorder that records two other inputs of its box, such as a mirror's position signals."""
-
-    def record_inputs_v(self, names: tuple[str, str], samples: int, sample_rate_hz: float) -> NDArray[np.float64]:
-        """Volts at two inputs from now on, shape (2, samples); between two records. Raises InstrumentError."""
-        ...
-
-
-@runtime_checkable
-class Player(Instrument, Protocol):
+class Player(Instrument):
     """Plays one signal per channel of an audio interface."""
 
     @property
+    @abstractmethod
     def channels(self) -> int:
         """Number of output channels."""
-        ...
 
     @property
+    @abstractmethod
     def full_scale_v(self) -> float:
         """Largest output magnitude in volts."""
-        ...
 
+    @abstractmethod
     def play(self, signals_v: Mapping[int, Float64Array], sample_rate_hz: float) -> None:
         """Start playing and return at once; channels not named stay silent.
 
@@ -219,49 +201,40 @@ class Player(Instrument, Protocol):
 
         Raises InstrumentError: unknown channel, voltage beyond full scale, device failure.
         """
-        ...
 
+    @abstractmethod
     def wait(self, timeout_s: float) -> None:
         """Return when everything has been played.
 
         Raises TransientInstrumentError: the device ran dry (underflow): what was recorded meanwhile is void.
         InstrumentError: the device is lost, or `timeout_s` passed.
         """
-        ...
 
+    @abstractmethod
     def mute(self) -> None:
         """Silence every channel at once. Safe to call at any time, from any state."""
-        ...
-
-    def close(self) -> None:
-        """Release the device, muted. Safe to call twice."""
-        ...
-
-
-@runtime_checkable
-class PiecewisePlayer(Player, Protocol):
-    """A player that also takes a signal in pieces while it plays, so that it may be of any length."""
 
     @property
     def latency_s(self) -> float:
         """How long after it was taken a sample leaves the outputs, as far as the device reports it."""
-        ...
+        raise self._no_pieces()
 
     @property
     def written_s(self) -> float:
         """When the last piece was handed to the interface, of `time.monotonic`; `add_piece` returns later."""
-        ...
+        raise self._no_pieces()
 
     def begin_pieces(self, channels: Sequence[int], sample_rate_hz: float, ahead_s: float) -> None:
-        """Begin a play that comes in pieces, at the interface's own rate; the other channels stay silent.
+        """Begin a play of any length that comes in pieces, at the interface's own rate; other channels stay silent.
 
         channels: In the order of the pieces' rows.
         sample_rate_hz: Rate of the pieces in Hz.
         ahead_s: It sounds when this much is there, or all of it; no more than that waits to be played.
 
-        Raises InstrumentError: unknown channel, wrong rate, still playing, device failure.
+        Raises InstrumentError: unknown channel, wrong rate, still playing, device failure, or the driver takes no
+        pieces.
         """
-        ...
+        raise self._no_pieces()
 
     def add_piece(self, volts: Float64Array) -> float:
         """Hand over the next samples, (channels, any number), and return when there is room for more.
@@ -270,11 +243,27 @@ class PiecewisePlayer(Player, Protocol):
         TransientInstrumentError: it ran dry: the pieces came too late. It has faded out. InstrumentError: voltage
         beyond full scale, nothing begun, device failure.
         """
-        ...
+        raise self._no_pieces()
 
     def end_pieces(self) -> None:
         """Say that no more comes; `wait` returns when all of it was played."""
-        ...
+        raise self._no_pieces()
+
+    def _no_pieces(self) -> InstrumentError:
+        remedy = "render the scene to a drive file and play that"
+        return InstrumentError("player", "playing piece by piece", "its driver takes no signal in pieces", remedy)
+
+
+def with_defaults(device: Any, role: Any) -> Any:
+    """The device, with the role's defaults for what it lacks: other distributions' may derive from nothing."""
+    if not isinstance(device, role):
+        for name, default in vars(role).items():
+            lacks = not hasattr(type(device), name) and name not in vars(device)
+            if callable(default) and lacks and name not in role.__abstractmethods__:
+                setattr(device, name, MethodType(default, device))
+        if role is Recorder and not hasattr(device, "input_ranges_v"):
+            device.input_ranges_v = ()
+    return device
 
 
 @dataclass(frozen=True, slots=True)
@@ -314,7 +303,7 @@ class DeviceIdentity:
 
 
 class WallClock:
-    """Real time; implements `wavefocus.drivers.protocols.Clock`."""
+    """Real time."""
 
     def now_s(self) -> float:
         return time.monotonic()

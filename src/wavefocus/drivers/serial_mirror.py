@@ -9,7 +9,7 @@ from typing import Any
 
 from wavefocus.drivers.dialogue import Dialogue, Marker
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from wavefocus.drivers.protocols import Clock, DeviceIdentity
+from wavefocus.drivers.protocols import Clock, DeviceIdentity, Mirror
 from wavefocus.drivers.registry import MirrorSettings, rig_key
 from wavefocus.drivers.serial_line import NETWORK, LineSettings, SerialLine
 
@@ -105,8 +105,8 @@ def tolerance_key() -> Any:
 POLL_S = 0.001
 
 
-class SerialMirror:
-    """Points the laser over a serial line; implements `wavefocus.drivers.protocols.Mirror`.
+class SerialMirror(Mirror):
+    """Points the laser over a serial line.
 
     The constructor opens the port, checks who answers, and enables the mirror; it does not move it.
 

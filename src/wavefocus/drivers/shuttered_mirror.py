@@ -13,8 +13,8 @@ SHUTTER_CALL_S = 8.0
 """Longest call to a shutter, less than a call to the mirror may take: the mirror is parked all the same."""
 
 
-class ShutteredMirror:
-    """Points the laser and blocks it; implements `wavefocus.drivers.protocols.Mirror` and `BlocksBeam`.
+class ShutteredMirror(Mirror):
+    """Points the laser and blocks it.
 
     A shutter that does not answer is an error of the mirror's calls: nothing is measured without it. The mirror is
     parked and released all the same.
@@ -44,9 +44,10 @@ class ShutteredMirror:
     def wait_settled(self, timeout_s: float) -> None:
         with self._blocked_on_failure():
             self._mirror.wait_settled(timeout_s)
-            if not self._is_open:
-                self._is_open = True  # it may be, whatever comes of the call
-                in_time("shutter", "opening", self._shutter.open_beam, SHUTTER_CALL_S)
+            # Also where it is open as far as is known: its process closes it while this program is stopped.
+            was_open, self._is_open = self._is_open, True
+            in_time("shutter", "opening", self._shutter.open_beam, SHUTTER_CALL_S)
+            if not was_open:
                 self._clock.sleep(self._opens_s)
 
     def block(self) -> None:

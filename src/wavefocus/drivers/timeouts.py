@@ -12,19 +12,15 @@ from typing import Any, Generic, Literal, TypeVar
 
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.protocols import (
-    BlocksBeam,
     DeviceIdentity,
     Float64Array,
     Instrument,
     Instruments,
     Mirror,
-    PiecewisePlayer,
     Player,
     Recorder,
     Recording,
     RecordRequest,
-    RecordsInputs,
-    StatesDelay,
 )
 
 Answer = TypeVar("Answer")
@@ -167,8 +163,8 @@ def bounded(instruments: Instruments, hung_after_s: float) -> Instruments:
     )
 
 
-class _Bounded(Generic[Device]):
-    """An instrument whose every call ends; implements `wavefocus.drivers.protocols.Instrument`."""
+class _Bounded(Instrument, Generic[Device]):
+    """An instrument whose every call ends."""
 
     _role: Role
 
@@ -235,8 +231,8 @@ class _Bounded(Generic[Device]):
         return lost
 
 
-class BoundedMirror(_Bounded[Mirror]):
-    """A mirror whose every call ends; implements `wavefocus.drivers.protocols.Mirror`."""
+class BoundedMirror(_Bounded[Mirror], Mirror):
+    """A mirror whose every call ends."""
 
     _role = "mirror"
 
@@ -251,16 +247,18 @@ class BoundedMirror(_Bounded[Mirror]):
         self._call("parking", self._device.park, needs_thread=False)
 
     def block(self) -> None:
-        """See `wavefocus.drivers.protocols.BlocksBeam`; nothing where there is no shutter."""
-        if isinstance(self._device, BlocksBeam):
-            self._rest("closing the shutter", self._device.block)
+        self._rest("closing the shutter", self._device.block)
 
 
-class BoundedRecorder(_Bounded[Recorder]):
-    """A recorder whose every call ends; implements `wavefocus.drivers.protocols.Recorder`."""
+class BoundedRecorder(_Bounded[Recorder], Recorder):
+    """A recorder whose every call ends."""
 
     _role = "recorder"
     _recording = "reading"
+
+    @property
+    def input_ranges_v(self) -> tuple[float, ...]:
+        return self._device.input_ranges_v
 
     def start(self, request: RecordRequest) -> None:
         self._recording = f"recording {request.label}"
@@ -270,27 +268,19 @@ class BoundedRecorder(_Bounded[Recorder]):
         return self._work(self._recording, lambda: self._device.read(timeout_s), timeout_s)
 
     def sampling_delay_s(self, sample_rate_hz: float) -> float | None:
-        """See `wavefocus.drivers.protocols.StatesDelay`; None from a recorder that cannot say."""
-        device = self._device
-        if not isinstance(device, StatesDelay):
-            return None
-        return self._work("asking for its conversion rate", lambda: device.sampling_delay_s(sample_rate_hz))
+        doing = "asking for its conversion rate"
+        return self._work(doing, lambda: self._device.sampling_delay_s(sample_rate_hz))
 
     def record_inputs_v(self, names: tuple[str, str], samples: int, sample_rate_hz: float) -> Float64Array:
-        """See `wavefocus.drivers.protocols.RecordsInputs`. Raises InstrumentError: its driver does not do that."""
-        device, doing = self._device, f"recording {names[0]} and {names[1]}"
-        if not isinstance(device, RecordsInputs):
-            raise InstrumentError(self._name, doing, "its driver records no other inputs", "use another driver")
-        return self._work(
-            doing, lambda: device.record_inputs_v(names, samples, sample_rate_hz), samples / sample_rate_hz
-        )
+        doing, own_s = f"recording {names[0]} and {names[1]}", samples / sample_rate_hz
+        return self._work(doing, lambda: self._device.record_inputs_v(names, samples, sample_rate_hz), own_s)
 
     def abort(self) -> None:
         self._rest("aborting", self._device.abort)
 
 
-class BoundedPlayer(_Bounded[Player]):
-    """A player whose every call ends; implements `wavefocus.drivers.protocols.PiecewisePlayer`."""
+class BoundedPlayer(_Bounded[Player], Player):
+    """A player whose every call ends, and that can be shut for everybody but one."""
 
     _role = "player"
     _ahead_s = 0.0
@@ -299,7 +289,6 @@ class BoundedPlayer(_Bounded[Player]):
         super().__init__(device, hung_after_s)
         self._gate = threading.Lock()
         self._shut = 0
-        self._in_pieces: PiecewisePlayer | None = None
 
     def shut(self) -> None:
         """Fall silent, and play nothing until `open`; from any thread, whatever call is under way."""
@@ -320,6 +309,14 @@ class BoundedPlayer(_Bounded[Player]):
     def full_scale_v(self) -> float:
         return self._device.full_scale_v
 
+    @property
+    def latency_s(self) -> float:
+        return self._device.latency_s
+
+    @property
+    def written_s(self) -> float:
+        return self._device.written_s
+
     def play(self, signals_v: Mapping[int, Float64Array], sample_rate_hz: float) -> None:
         # Signals may be converted to the interface's rate first, which takes longer the longer they are.
         sounding_s = max((len(signal_v) for signal_v in signals_v.values()), default=0) / max(sample_rate_hz, 1.0)
@@ -333,39 +330,19 @@ class BoundedPlayer(_Bounded[Player]):
             self._device.mute()
         raise ShutError("player", "playing", "it was muted meanwhile", "give the order again")
 
-    @property
-    def latency_s(self) -> float:
-        return self._piecewise("asking for its latency").latency_s
-
-    @property
-    def written_s(self) -> float:
-        return self._piecewise("asking for its last piece").written_s
-
     def begin_pieces(self, channels: Sequence[int], sample_rate_hz: float, ahead_s: float) -> None:
+        self._ahead_s = ahead_s
         doing = "beginning to play piece by piece"
-        player, self._ahead_s = self._piecewise(doing), ahead_s
-        self._work(doing, lambda: player.begin_pieces(channels, sample_rate_hz, ahead_s))
+        self._work(doing, lambda: self._device.begin_pieces(channels, sample_rate_hz, ahead_s))
 
     def add_piece(self, volts: Float64Array) -> float:
-        doing = "playing piece by piece"
-        player = self._piecewise(doing)
-        return self._work(doing, lambda: player.add_piece(volts), 2 * self._ahead_s)
+        return self._work("playing piece by piece", lambda: self._device.add_piece(volts), 2 * self._ahead_s)
 
     def end_pieces(self) -> None:
-        doing = "ending to play piece by piece"
-        self._work(doing, self._piecewise(doing).end_pieces)
+        self._work("ending to play piece by piece", self._device.end_pieces)
 
     def wait(self, timeout_s: float) -> None:
         self._work("waiting for the end of the signal", lambda: self._device.wait(timeout_s), timeout_s)
 
     def mute(self) -> None:
         self._rest("muting", self._device.mute)
-
-    def _piecewise(self, doing: str) -> PiecewisePlayer:
-        if self._in_pieces is None:
-            # Asked once: a look at all that a protocol has takes a good part of a millisecond.
-            if not isinstance(self._device, PiecewisePlayer):
-                cause = "its driver takes no signal in pieces"
-                raise InstrumentError(self._name, doing, cause, "render the scene to a drive file and play that")
-            self._in_pieces = self._device
-        return self._in_pieces

@@ -10,7 +10,7 @@ from wavefocus.acquisition.setup import MAX_DELAY_DIFFERENCE_S, Setup
 from wavefocus.config.rig import RigConfig
 from wavefocus.console import say
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
-from wavefocus.drivers.protocols import Recorder, StatesDelay
+from wavefocus.drivers.protocols import Recorder
 from wavefocus.drivers.timeouts import BoundedRecorder, in_time
 from wavefocus.rig.instruments import openers
 from wavefocus.storage.bank.reading import open_bank
@@ -109,8 +109,6 @@ def _bank_delay_s(rig: RigConfig, recorder: Recorder, bank: BankWriter) -> float
 
 def _device_delay_s(recorder: Recorder, sample_rate_hz: float) -> float | None:
     """What the recorder states; None where it does not."""
-    if not isinstance(recorder, StatesDelay):
-        return None
     try:
         return recorder.sampling_delay_s(sample_rate_hz)
     except InstrumentLostError:

@@ -20,7 +20,16 @@ from wavefocus.config.run import Virtual
 from wavefocus.drivers.daq.nidaqmx import NiDaqmx
 from wavefocus.drivers.errors import InstrumentError, MissingPackageError
 from wavefocus.drivers.mirror.analog import AnalogMirrorDriver
-from wavefocus.drivers.protocols import Clock, Instruments, Mirror, Player, Recorder, Shutter, WallClock
+from wavefocus.drivers.protocols import (
+    Clock,
+    Instruments,
+    Mirror,
+    Player,
+    Recorder,
+    Shutter,
+    WallClock,
+    with_defaults,
+)
 from wavefocus.drivers.registry import (
     MirrorDriver,
     MirrorSettings,
@@ -97,17 +106,17 @@ def _mirror(rig: RigConfig, clock: Clock) -> Mirror:
     mirror = rig.mirror
     driver: MirrorDriver = mirror.make_driver()
     with reporting_missing_packages("mirror", mirror.driver):
-        return driver.open(
-            MirrorSettings(
-                mirror.port or "",
-                mirror.baud,
-                mirror.identity,
-                mirror.settle_s,
-                mirror.limit_mrad,
-                mirror.park_mrad,
-                clock,
-            )
+        settings = MirrorSettings(
+            mirror.port or "",
+            mirror.baud,
+            mirror.identity,
+            mirror.settle_s,
+            mirror.limit_mrad,
+            mirror.park_mrad,
+            clock,
         )
+        opened: Mirror = with_defaults(driver.open(settings), Mirror)
+        return opened
 
 
 def _with_shutter(rig: RigConfig, mirror: Mirror, clock: Clock) -> Mirror:
@@ -138,7 +147,8 @@ def _recorder(rig: RigConfig) -> Recorder:
         if isinstance(driver, NiDaqmx):
             name = _task_name(driver.device, driver.address)
             return driver.open(shared=_outputs_in_use(rig), task_name=name)
-        return driver.open()
+        opened: Recorder = with_defaults(driver.open(), Recorder)
+        return opened
 
 
 # Names that this process holds until it ends.
@@ -171,7 +181,8 @@ def _player(rig: RigConfig, outputs: int) -> Player:
     wired_v = rig.player.output_full_scale_v
     further_v = (rig.player.full_scale_v,) * (outputs - len(wired_v))
     with reporting_missing_packages("player", rig.player.driver):
-        return driver.open(Outputs(wired_v + further_v, rig.player.interface_rate_hz))
+        opened: Player = with_defaults(driver.open(Outputs(wired_v + further_v, rig.player.interface_rate_hz)), Player)
+        return opened
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from wavefocus.config.rig_instruments import VibrometerSection
 from wavefocus.config.run import RunConfig
 from wavefocus.console import say, working_on
 from wavefocus.drivers.errors import InstrumentError
-from wavefocus.drivers.protocols import Clock, OffersRanges, Recorder
+from wavefocus.drivers.protocols import Clock, Recorder
 from wavefocus.drivers.registry import VibrometerReading
 from wavefocus.drivers.timeouts import BoundedPlayer, bounded, in_time
 from wavefocus.rig.calibration_validity import calibration_warnings
@@ -89,7 +89,7 @@ def _response_ranges_v(rig: RigConfig, recorder: Recorder) -> tuple[float, ...]:
     """Ranges that the response may step up to: the rig file's, or all that the recorder says it has."""
     if rig.recorder.response_ranges_v is not None:
         return rig.recorder.response_ranges_v
-    return recorder.input_ranges_v if isinstance(recorder, OffersRanges) else ()
+    return recorder.input_ranges_v
 
 
 @contextmanager

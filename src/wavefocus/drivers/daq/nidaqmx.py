@@ -73,7 +73,7 @@ class NiDaqmx:
             "resets": not shared,
         }
         if self.address is None:
-            from wavefocus.drivers.daq.ni.recorder_process import ProcessRecorder
+            from wavefocus.drivers.daq.ni.ni_process import ProcessRecorder
 
             return ProcessRecorder(self.device, **wiring)
         from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder

@@ -72,8 +72,8 @@ class AnalogMirrorDriver:
         return AnalogMirror(self, settings)
 
 
-class AnalogMirror:
-    """Points the laser by two voltages; implements `wavefocus.drivers.protocols.Mirror`.
+class AnalogMirror(Mirror):
+    """Points the laser by two voltages.
 
     It is left at the voltages of `park_mrad`, also where this program is killed; the outputs keep them as long as the
     device has power.
@@ -88,7 +88,8 @@ class AnalogMirror:
         for angles in ((settings.limit_mrad, settings.limit_mrad), settings.park_mrad):
             self._volts_at(*angles, "preparing")
         # Loaded where such a mirror is opened: whoever reads a rig file reads every driver's keys.
-        from wavefocus.drivers.daq.ni.outputs_process import OutputSettings, ProcessOutputs
+        from wavefocus.drivers.daq.ni.ni_outputs import OutputSettings
+        from wavefocus.drivers.daq.ni.ni_process import ProcessOutputs
 
         names = (driver.x_output, driver.y_output)
         outputs = OutputSettings(

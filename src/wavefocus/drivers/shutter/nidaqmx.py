@@ -33,17 +33,16 @@ class NiShutterDriver:
         return NiShutter(self)
 
 
-class NiShutter:
+class NiShutter(Shutter):
     """Blocks the beam by a digital line, also where this program is killed.
-
-    Implements `wavefocus.drivers.protocols.Shutter`.
 
     Raises InstrumentLostError or InstrumentError; also where the line does not read as it was set.
     """
 
     def __init__(self, driver: NiShutterDriver) -> None:
         # Loaded where such a shutter is opened: whoever reads a rig file reads every driver's keys.
-        from wavefocus.drivers.daq.ni.outputs_process import OutputSettings, ProcessOutputs
+        from wavefocus.drivers.daq.ni.ni_outputs import OutputSettings
+        from wavefocus.drivers.daq.ni.ni_process import ProcessOutputs
 
         self._opens_when_high = driver.opens_when_high
         self._name = f"shutter ({driver.name} at {driver.device}/{driver.line})"

@@ -95,9 +95,5 @@ class Plate(ABC):
         bins: Which bins, start and stop given.
         """
 
-    @abstractmethod
-    def loudness(self, frequency_hz: Float64Array) -> Float64Array:
-        """How strongly it responds to each frequency > 0, at no place in particular; the chain left out."""
-
 
 PLATES: Registry[type[Plate]] = Registry("wavefocus.mocks.plates")

@@ -72,9 +72,6 @@ class TouchedPlate(Plate):
             spectra.append(scipy.fft.rfft(cut.reshape(len(whole), folds, length).sum(axis=1))[:, bins])
         return np.stack(spectra)
 
-    def loudness(self, frequency_hz: Float64Array) -> Float64Array:
-        return self._plate.loudness(frequency_hz)
-
     def _find_pushed_back(self, step_hz: float, bins: int) -> Complex128Array:
         """Force of the finger for unit forces of the actuators, (actuators, bins); 0 at 0 Hz."""
         mass_kg, damping, stiffness = self._finger

@@ -299,13 +299,6 @@ class InfinitePlate(Plate):
         """Weights of the kernels at gaps (n, 2) from an actuator to a place, (n, kernels); None for 1."""
         return None
 
-    def loudness(self, frequency_hz: Float64Array) -> Float64Array:
-        """That of a gel at a distance: its first wave, from a disk."""
-        wavenumber = self._waves[0].wavenumber(frequency_hz)
-        argument = wavenumber * MAGNET_RADIUS_MM / 1e3
-        disk = np.abs(2 * scipy.special.jv(1, argument) / argument)
-        return np.asarray(disk * frequency_hz / np.sqrt(np.abs(wavenumber)))
-
     def response(
         self, place_mm: tuple[float, float], step_hz: float, bins: int, *, single: bool
     ) -> Complex64Array | Complex128Array:

@@ -140,12 +140,6 @@ class ModalPlate(Plate):
             spectra[some] = _product(self.coefficients(place[some], table.modes), table.spectra)
         return spectra
 
-    def loudness(self, frequency_hz: Float64Array) -> Float64Array:
-        weight = self._mean_power()
-        parts = np.array_split(frequency_hz, max(1, frequency_hz.size // FREQUENCIES_AT_ONCE))
-        power = [weight @ np.square(np.abs(self.mode_velocities(part))) for part in parts]
-        return np.asarray(np.sqrt(np.concatenate(power)))
-
     def _make_table(self, step_hz: float, bins: int, single: bool) -> ModeTable:
         frequency_hz = step_hz * np.arange(bins, dtype=np.float64)
         if single and self.smoothness is not None:

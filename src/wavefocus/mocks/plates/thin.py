@@ -166,7 +166,3 @@ class InfiniteGlass(InfinitePlate):
         facts = quality / max(change.loss, 1e-12), KAPPA_M2_S * change.speed**2
         waves = [FlexuralWave(facts[0], travels, facts[1]) for travels in (True, False)]
         super().__init__(actuator_mm, outline, chain, tuple(waves))
-
-    def loudness(self, frequency_hz: Float64Array) -> Float64Array:
-        argument = np.sqrt(2 * np.pi * frequency_hz / KAPPA_M2_S) * MAGNET_RADIUS_MM / 1e3
-        return np.asarray(np.abs(scipy.special.jv(1, argument)) / argument**1.5)

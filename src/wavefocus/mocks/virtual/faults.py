@@ -7,7 +7,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from wavefocus.drivers.protocols import DeviceIdentity, RecordLabel
+from wavefocus.drivers.protocols import DeviceIdentity, Instrument, RecordLabel
 
 OPERATIONS = {
     "mirror": ("identify", "move_to", "wait_settled", "park", "reconnect"),
@@ -177,8 +177,8 @@ _EXPLANATIONS = {
 }
 
 
-class VirtualDevice:
-    """A virtual instrument: name, faults, and whether it is open; implements `wavefocus.drivers.protocols.Instrument`.
+class VirtualDevice(Instrument):
+    """A virtual instrument: name, faults, and whether it is open.
 
     role: ``"mirror"``, ``"recorder"`` or ``"player"``.
     faults: The plan of the whole rig.

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.drivers.errors import TransientInstrumentError
+from wavefocus.drivers.protocols import Mirror
 from wavefocus.mocks.virtual.faults import VirtualDevice
 from wavefocus.mocks.virtual.laboratory import NANOSECONDS, VirtualClock
 from wavefocus.mocks.virtual.settings import VirtualSettings
@@ -120,8 +121,8 @@ class MirrorMotion:
         return changes[::-1]
 
 
-class VirtualMirror(VirtualDevice):
-    """Points the virtual laser; implements `wavefocus.drivers.protocols.Mirror`."""
+class VirtualMirror(VirtualDevice, Mirror):
+    """Points the virtual laser."""
 
     def __init__(self, settings: VirtualSettings, clock: VirtualClock) -> None:
         super().__init__("mirror", settings.fault_plan, f"within +-{settings.limit_mrad:g} mrad")

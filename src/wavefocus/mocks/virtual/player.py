@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wavefocus.drivers.errors import TransientInstrumentError
-from wavefocus.drivers.protocols import Float64Array, RecordLabel
+from wavefocus.drivers.protocols import Float64Array, Player, RecordLabel
 from wavefocus.mocks.virtual.faults import VirtualDevice
 from wavefocus.mocks.virtual.laboratory import NANOSECONDS, VirtualClock, label_share
 from wavefocus.mocks.virtual.settings import VirtualSettings
@@ -29,8 +29,8 @@ class _Pieces:
     ahead_s: float
 
 
-class VirtualPlayer(VirtualDevice):
-    """Plays one signal per channel; implements `wavefocus.drivers.protocols.Player`."""
+class VirtualPlayer(VirtualDevice, Player):
+    """Plays one signal per channel."""
 
     def __init__(self, settings: VirtualSettings, clock: VirtualClock) -> None:
         limits = f"{settings.player_channels} channels, full scale {settings.full_scale_v:g} V, 16 bit"
@@ -40,7 +40,7 @@ class VirtualPlayer(VirtualDevice):
         self._store = SignalStore(settings.full_scale_v)
         self._plays: deque[VirtualPlay] = deque(maxlen=8)
         self._pieces: _Pieces | None = None
-        self.written_s = -math.inf
+        self._written_s = -math.inf
         self._lock = threading.RLock()
         self._label_under_way: Callable[[], RecordLabel | None] = lambda: None
 
@@ -70,6 +70,10 @@ class VirtualPlayer(VirtualDevice):
             play = VirtualPlay(now_ns, float(sample_rate_hz), signals, lengths.pop())
             play.latency_s = None if label is None else self._latency_s(label)
             self._plays.append(play)
+
+    @property
+    def written_s(self) -> float:
+        return self._written_s
 
     @property
     def latency_s(self) -> float:
@@ -112,7 +116,7 @@ class VirtualPlayer(VirtualDevice):
             remedy = "have more of it ready beforehand, leave out more, close other programs"
             raise TransientInstrumentError(self._name, "playing piece by piece", cause, remedy)
         play.samples += volts.shape[1]
-        self.written_s = time.monotonic()
+        self._written_s = time.monotonic()
         self._clock.advance_to_ns(play.requested_ns + round((play.duration_s - pieces.ahead_s) * NANOSECONDS))
         return before_s
 

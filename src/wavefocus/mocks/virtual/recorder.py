@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from wavefocus.drivers.errors import TransientInstrumentError
-from wavefocus.drivers.protocols import Float32Array, Recording, RecordLabel, RecordRequest
+from wavefocus.drivers.protocols import Float32Array, Recorder, Recording, RecordLabel, RecordRequest
 from wavefocus.mocks.virtual.faults import RigFault, VirtualDevice
 from wavefocus.mocks.virtual.laboratory import (
     DROPOUT,
@@ -39,8 +39,8 @@ class _Speckle:
     place: float
 
 
-class VirtualRecorder(VirtualDevice):
-    """Records reference and response; implements `wavefocus.drivers.protocols.Recorder`.
+class VirtualRecorder(VirtualDevice, Recorder):
+    """Records reference and response.
 
     mirror, player: Where the laser is, and what is played.
     synthesis: The plate and the signal chain between them.

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from wavefocus.drivers.protocols import Shutter
 from wavefocus.mocks.virtual.faults import VirtualDevice
 
 
-class VirtualShutter(VirtualDevice):
-    """Blocks the virtual beam; implements `wavefocus.drivers.protocols.Shutter`.
+class VirtualShutter(VirtualDevice, Shutter):
+    """Blocks the virtual beam.
 
     is_open: Whether it lets the beam through.
     """

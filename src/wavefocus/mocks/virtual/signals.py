@@ -12,11 +12,9 @@ from numpy.typing import NDArray
 
 from wavefocus.drivers.protocols import Float32Array, Float64Array
 from wavefocus.mocks.plates import Complex64Array
+from wavefocus.mocks.plates.infinite import phase_ramp
 
-# Delays within a sample at which a waveform is kept, with its first derivatives; a Taylor series leads from the
-# nearest to any other, with an error of -108 dB at half the sample rate and none to speak of below.
-DELAYS = 16
-ORDER = 3
+LEFT_OUT = 1e-12  # share of a signal's energy above the bins that are kept: -120 dB
 
 
 class PlayedSignal:
@@ -32,7 +30,6 @@ class PlayedSignal:
         self.peak_v = float(np.abs(volts).max()) if volts.size else 0.0
         self._step_v = full_scale_v / 32768
         self._spectra = lru_cache(3)(self._transform)
-        self._waves = lru_cache(2 * DELAYS)(self._taylor)
 
     def spectrum(self, length: int, scale: float, samples: int) -> Complex64Array:
         """Spectrum of the first samples, on the clock of the recorder.
@@ -44,7 +41,7 @@ class PlayedSignal:
         scale: Recorder samples per player sample.
         samples: How many samples were played.
 
-        Returns complex64 (bins,): up to half the player's or half the recorder's rate, whichever is lower.
+        Returns complex64 (bins,): up to where it has energy, at most half the player's or half the recorder's rate.
         """
         return self._spectra(length, scale, samples)
 
@@ -57,28 +54,9 @@ class PlayedSignal:
 
         Returns float32 (wanted,).
         """
-        steps = round(delay * DELAYS)
-        step = steps % DELAYS
-        pieces = self._waves(length, scale, samples, step / DELAYS)
-        rest = np.float32(delay - steps / DELAYS)
-        wave = pieces[ORDER] * rest
-        for piece in pieces[ORDER - 1 : 0 : -1]:
-            wave += piece
-            wave *= rest
-        wave += pieces[0]
-        begin = -(steps // DELAYS) % length
-        return np.concatenate([wave[begin:], wave[:begin]])[:wanted]
-
-    def _taylor(self, length: int, scale: float, samples: int, delay: float) -> Float32Array:
-        """Waveform and derivatives by the delay over their factorials: float32 (ORDER + 1, length)."""
-        spectrum = self.spectrum(length, scale, samples).astype(np.complex128)
-        turn = -2j * np.pi * np.arange(spectrum.size) / length
-        term = spectrum * np.exp(turn * delay)
-        pieces = np.zeros((ORDER + 1, length), dtype=np.float32)
-        for order in range(ORDER + 1):
-            pieces[order] = scipy.fft.irfft(term, length)
-            term *= turn / (order + 1)
-        return pieces
+        spectrum = self.spectrum(length, scale, samples)
+        turned = spectrum * delay_factor(delay, spectrum.size, length)
+        return np.asarray(scipy.fft.irfft(turned, length)[:wanted], dtype=np.float32)
 
     def _transform(self, length: int, scale: float, samples: int) -> Complex64Array:
         bins = min(length // 2, int(length / (2 * scale))) + 1
@@ -86,7 +64,9 @@ class PlayedSignal:
         if counts.size == 0:
             return np.zeros(bins, dtype=np.complex64)
         spectrum = fourier_sum(counts, 2 * np.pi * scale / length, 0, bins)
-        return np.asarray(scale * self._step_v * spectrum, dtype=np.complex64)
+        energy_above = np.cumsum(np.abs(spectrum[::-1]) ** 2)[::-1]
+        kept = int(np.count_nonzero(energy_above > LEFT_OUT * energy_above[0]))
+        return np.asarray(scale * self._step_v * spectrum[:kept], dtype=np.complex64)
 
 
 class SignalStore:
@@ -132,3 +112,8 @@ def fourier_sum(signal: Float64Array, turn: float, first: int, bins: int) -> NDA
     up = np.exp(0.5j * turn * between**2)
     product = scipy.fft.ifft(scipy.fft.fft(down, length) * scipy.fft.fft(up, length))[signal.size - 1 : between.size]
     return np.asarray(product * np.exp(-0.5j * turn * bin_index**2), dtype=np.complex128)
+
+
+def delay_factor(samples: float, bins: int, length: int) -> Complex64Array:
+    """The factor that delays a spectrum of a transform of some length."""
+    return np.asarray(phase_ramp(np.array([-2 * np.pi * samples / length]), bins, np.complex64)[0])

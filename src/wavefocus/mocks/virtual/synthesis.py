@@ -12,10 +12,10 @@ import scipy
 
 from wavefocus.drivers.protocols import Float32Array, Float64Array
 from wavefocus.mocks.plates import REFERENCE_C, Complex64Array, Complex128Array, Plate
-from wavefocus.mocks.plates.infinite import MAX_RINGING_S, impulse_length, phase_ramp
+from wavefocus.mocks.plates.infinite import MAX_RINGING_S, impulse_length
 from wavefocus.mocks.plates.making import make_plate
 from wavefocus.mocks.virtual.settings import VirtualSettings
-from wavefocus.mocks.virtual.signals import PlayedSignal
+from wavefocus.mocks.virtual.signals import PlayedSignal, delay_factor
 
 AMPLIFIER_CORNER_HZ = 20.0  # the paper, section IV.A: amplified voltage signals from 20 Hz
 # Butterworth of two orders rather than one: the plate's slow diffusion would leave a long tail at the lowest
@@ -77,8 +77,7 @@ def output_errors(
 
 
 TAIL_S = 0.3  # what a response may ring on before a transform may wrap
-LEFT_OUT = 1e-10  # share of a response's energy above the bins that are kept: -100 dB
-CUT_STEP_HZ = 500.0  # the kept bins end at a multiple of this, so that few tables are made
+TABLE_BINS = 1000  # tables end at a multiple of this, so that few are made
 
 
 @dataclass(slots=True)
@@ -123,11 +122,8 @@ class Synthesis:
         self._plate_at = lru_cache(4)(self._make_plate)
         self._plate = self._plate_at(self._warmer_k(0))
         self._transfer = lru_cache(4)(self._make_transfer)
-        self._shift = lru_cache(4)(_quarter_shifts)
-        self._bins = lru_cache(64)(self._count_bins)
         # All records of a position find the mirror as it was.
         self._place_mm = lru_cache(64)(self._find_place_mm)
-        self._loudness = lru_cache(4)(self._find_loudness)
 
     def voltages(
         self,
@@ -180,20 +176,21 @@ class Synthesis:
             }
             if not driven or not responses:
                 continue
-            bins = max(self._bins(signal, length, scale, rate_hz, play.samples) for signal in driven.values())
-            delay = _delay(offset, bins, length)
+            spectra = {actuator: signal.spectrum(length, scale, play.samples) for actuator, signal in driven.items()}
+            bins = max(spectrum.size for spectrum in spectra.values())
+            delay = delay_factor(offset, bins, length)
+            table_bins = min(length // 2 + 1, TABLE_BINS * ceil(bins / TABLE_BINS))
             for place_mm, before in responses.items():
-                transfer = self._transfer(place_mm, rate_hz / length, bins, warmer_k)
+                transfer = self._transfer(place_mm, rate_hz / length, table_bins, warmer_k)
                 total = np.zeros(max(bins, before.size), dtype=np.complex64)
-                for actuator, signal in driven.items():
-                    spectrum = signal.spectrum(length, scale, play.samples)[:bins]
-                    if self._uneven:
-                        spectrum = spectrum * self._output_factor(actuator, spectrum.size, rate_hz / length)
-                    total[: spectrum.size] += spectrum * transfer[actuator, : spectrum.size]
+                for actuator, spectrum in spectra.items():
+                    size = spectrum.size
+                    uneven = self._output_factor(actuator, size, rate_hz / length) if self._uneven else 1
+                    total[:size] += spectrum * uneven * transfer[actuator, :size]
                 total[:bins] *= delay
                 total[: before.size] += before
                 responses[place_mm] = total
-        response_of = {place: self._wave(spectrum, length) for place, spectrum in responses.items()}
+        response_of = {place: scipy.fft.irfft(spectrum, length) for place, spectrum in responses.items()}
         for spot in spots:
             if spot.place_mm is not None and patched is None:
                 response_v[spot.first : spot.stop] = response_of[spot.place_mm][spot.first : spot.stop]
@@ -270,7 +267,7 @@ class Synthesis:
     def _output_factor(self, actuator: int, bins: int, step_hz: float) -> Complex64Array:
         """Gain and delay of an actuator's output, as a factor on its spectrum."""
         channel = self._settings.channel_of_actuator[actuator]
-        return _delay(self._output_late_s[channel] * step_hz, bins, 1) * np.float32(self._output_gain[channel])
+        return delay_factor(self._output_late_s[channel] * step_hz, bins, 1) * np.float32(self._output_gain[channel])
 
     def _warmer_k(self, instant_ns: int) -> float:
         """Kelvin by which a plate that follows the room is warmer than its keys say, in steps of 0.05."""
@@ -292,32 +289,8 @@ class Synthesis:
         response *= gains.astype(np.float32)[:, None]
         # The response is sampled later, so the same wave appears earlier in it; the vibrometer makes it late.
         earlier = (self._settings.vibrometer_latency_s - self._settings.inter_channel_delay_s) * step_hz
-        response *= _delay(earlier, bins, 1)
+        response *= delay_factor(earlier, bins, 1)
         return response.astype(np.complex64, copy=False)
-
-    def _wave(self, spectrum: Complex64Array, length: int) -> Float32Array:
-        """The inverse transform of a spectrum that is 0 above its bins.
-
-        Where there is room, as four interleaved transforms of a quarter of the length: they stay in the cache.
-        """
-        quarter, bins = length // 4, spectrum.size
-        if length % 8 or bins > quarter // 2:
-            return np.asarray(scipy.fft.irfft(spectrum, length), dtype=np.float32)
-        return np.asarray(scipy.fft.irfft(spectrum * self._shift(length, bins), quarter).T, order="C").reshape(-1)
-
-    def _count_bins(self, signal: PlayedSignal, length: int, scale: float, rate_hz: float, samples: int) -> int:
-        """Bins outside which the response has no energy to speak of."""
-        spectrum = signal.spectrum(length, scale, samples)
-        step_hz = rate_hz / length
-        energy = np.abs(spectrum * self._loudness(step_hz, spectrum.size)) ** 2
-        above = np.cumsum(energy[::-1])[::-1]
-        needed = int(np.count_nonzero(above > LEFT_OUT * above[0]))
-        return min(spectrum.size, ceil(ceil(needed * step_hz / CUT_STEP_HZ) * CUT_STEP_HZ / step_hz))
-
-    def _find_loudness(self, step_hz: float, bins: int) -> Float64Array:
-        """How much of a signal chain and plate let through at each bin."""
-        frequency_hz = step_hz * np.arange(bins, dtype=np.float64)
-        return np.abs(chain_response(frequency_hz)) * self._plate.loudness(np.maximum(frequency_hz, step_hz))
 
     def _length(self, samples: int, rate_hz: float, start_ns: int, plays: Sequence[VirtualPlay]) -> int:
         """A transform long enough that neither end of anything wraps; the same for every latency."""
@@ -330,13 +303,3 @@ class Synthesis:
             last = max(last, ends_s * rate_hz)
         # Rounded up so that records of nearly one length share their tables.
         return int(scipy.fft.next_fast_len(2000 * ceil((last - first + 100) / 2000), real=True))
-
-
-def _delay(samples: float, bins: int, length: int) -> Complex64Array:
-    """The factor that delays a spectrum of a transform of some length."""
-    return np.asarray(phase_ramp(np.array([-2 * np.pi * samples / length]), bins, np.complex64)[0])
-
-
-def _quarter_shifts(length: int, bins: int) -> Complex64Array:
-    """Factors on a spectrum for the four transforms of a quarter of its length."""
-    return np.stack([_delay(-place, bins, length) for place in range(4)]) / np.float32(4)

@@ -1,14 +1,14 @@
-"""Low-cost NI boxes: what each can do, by its data sheet, and how it turns volts into counts.
+"""NI boxes: what each can do, by its data sheet, and how it turns volts into counts.
 
-Sources: NI USB-6001/6002/6003, USB-6008/6009 and USB-621x user guides and specifications. All of them have one
-converter behind a multiplexer. NI 6356 specifications: a converter for each input, 1.25 MS/s per channel.
+Sources: NI USB-621x user manual and specifications (one converter behind a multiplexer); NI 6356 specifications (a
+converter for each input, 1.25 MS/s per channel).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -122,80 +122,43 @@ class Product:
         return max(fastest_s, min(fastest_s + SETTLING_S, share_s))
 
 
-def _pfi(numbers: Iterable[int]) -> tuple[str, ...]:
-    return tuple(f"PFI{number}" for number in numbers)
-
-
 def _lines(port: int, count: int) -> tuple[str, ...]:
     return tuple(f"port{port}/line{number}" for number in range(count))
 
 
-TEN_V = (10.0,)
 RANGES_621X_V = (0.2, 1.0, 5.0, 10.0)
-_600X = Product(
-    name="",
-    inputs=8,
-    pair=4,
-    bits={DIFFERENTIAL: 16, RSE: 16},
-    ranges_v={DIFFERENTIAL: TEN_V, RSE: TEN_V},
-    aggregate_hz=0.0,
-    timebase_hz=80e6,
-    triggers=("PFI0", "PFI1"),
-    lines=_lines(0, 8),
-)
-# Single-ended signals use the upper half of the codes only.
-_6009 = Product(
-    name="USB-6009",
-    inputs=8,
-    pair=4,
-    bits={DIFFERENTIAL: 14, RSE: 13},
-    ranges_v={DIFFERENTIAL: (1.0, 1.25, 2.0, 2.5, 4.0, 5.0, 10.0, 20.0), RSE: TEN_V},
-    aggregate_hz=48e3,
-    timebase_hz=24e6,
-    triggers=("PFI0",),
-    output_range_v=(0.0, 5.0),
-    lines=_lines(0, 8),
-)
-_621X = Product(
-    name="",
-    inputs=16,
-    pair=8,
-    bits={DIFFERENTIAL: 16, RSE: 16, NRSE: 16},
-    ranges_v={DIFFERENTIAL: RANGES_621X_V, RSE: RANGES_621X_V, NRSE: RANGES_621X_V},
-    aggregate_hz=250e3,
-    timebase_hz=20e6,
-    triggers=_pfi(range(4)),
-    spare_codes=SPARE_CODES_621X,
-    lines=_lines(1, 4),
-)
-_6356 = Product(
-    name="USB-6356",
-    inputs=8,
-    pair=8,
-    bits={DIFFERENTIAL: 16},
-    ranges_v={DIFFERENTIAL: (1.0, 2.0, 5.0, 10.0)},
-    aggregate_hz=1.25e6,
-    timebase_hz=100e6,
-    triggers=_pfi(range(16)),
-    simultaneous=True,
-    lines=_lines(0, 8),
-)
 
 PRODUCTS = {
     product.name: product
     for product in (
-        replace(_600X, name="USB-6001", bits={DIFFERENTIAL: 14, RSE: 14}, aggregate_hz=20e3),
-        replace(_600X, name="USB-6002", aggregate_hz=50e3),
-        replace(_600X, name="USB-6003", aggregate_hz=100e3),
-        replace(_6009, name="USB-6008", bits={DIFFERENTIAL: 12, RSE: 11}, aggregate_hz=10e3),
-        _6009,
-        replace(_621X, name="USB-6210", outputs=0),
-        replace(_621X, name="USB-6211"),
-        replace(_621X, name="USB-6212", aggregate_hz=400e3, triggers=_pfi(range(16))),
-        replace(_621X, name="USB-6215"),
-        replace(_621X, name="USB-6216", aggregate_hz=400e3, triggers=_pfi(range(16))),
-        replace(_621X, name="USB-6218", inputs=32, triggers=_pfi((0, 1, 2, 3, 8, 9, 10, 11))),
-        _6356,
+        Product(
+            name="USB-6211",
+            inputs=16,
+            pair=8,
+            bits={DIFFERENTIAL: 16, RSE: 16, NRSE: 16},
+            ranges_v={DIFFERENTIAL: RANGES_621X_V, RSE: RANGES_621X_V, NRSE: RANGES_621X_V},
+            aggregate_hz=250e3,
+            timebase_hz=20e6,
+            triggers=tuple(f"PFI{number}" for number in range(4)),
+            spare_codes=SPARE_CODES_621X,
+            lines=_lines(1, 4),
+        ),
+        Product(
+            name="USB-6356",
+            inputs=8,
+            pair=8,
+            bits={DIFFERENTIAL: 16},
+            ranges_v={DIFFERENTIAL: (1.0, 2.0, 5.0, 10.0)},
+            aggregate_hz=1.25e6,
+            timebase_hz=100e6,
+            triggers=tuple(f"PFI{number}" for number in range(16)),
+            simultaneous=True,
+            outputs=0,
+            lines=_lines(0, 8),
+        ),
     )
 }
-"""Models by name."""
+"""Models by name: one with a converter behind a multiplexer, and one with a converter for each input.
+
+The USB-6356 that is emulated has no analog outputs, so that a rig without them is met.
+"""

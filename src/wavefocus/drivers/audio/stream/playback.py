@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import queue
 import sys
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -47,60 +46,10 @@ class PlayEnded:
     notice: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Voice:
-    """One channel's signal in a play.
+class StreamPlay:
+    """Frames that are handed over in pieces by one thread, while the stream's puts them into periods.
 
-    channel: Output, from 0.
-    samples, float32 (frames,): Parts of full scale.
-    start: Frame of the play at which it begins, >= 0.
-    """
-
-    channel: int
-    samples: Float32Array
-    start: int
-
-
-class StreamPlay(ABC):
-    """Frames that are put into periods one after another, and how far they have come.
-
-    frames: Length of it all.
-    """
-
-    def __init__(self, number: int, frames: int) -> None:
-        self.number = number
-        self.frames = frames
-        self.done = 0
-        self.periods_after = 0
-        self.silent_frames = 0
-        self.ending: tuple[str, str] | None = None
-
-    @abstractmethod
-    def put(self, out: Float32Array) -> str:
-        """Put the next frames into a silent period; returns what is missing, or an empty text."""
-
-
-class SignalPlay(StreamPlay):
-    """Signals that start together; all of it is there from the start."""
-
-    def __init__(self, number: int, voices: tuple[Voice, ...]) -> None:
-        super().__init__(number, max((voice.start + voice.samples.size for voice in voices), default=0))
-        self._voices = voices
-
-    def put(self, out: Float32Array) -> str:
-        """Put the next frames into a silent period; nothing is ever missing."""
-        for voice in self._voices:
-            first = max(voice.start, self.done)
-            stop = min(voice.start + voice.samples.size, self.done + len(out))
-            if first < stop:
-                piece = voice.samples[first - voice.start : stop - voice.start]
-                out[first - self.done : stop - self.done, voice.channel] = piece
-        return ""
-
-
-class PieceByPiece(StreamPlay):
-    """A play whose frames are handed over in pieces by one thread, while the stream's puts them into periods.
-
+    frames: Length of it all; unbounded until the end is announced.
     channels: Outputs, in the order of the pieces' columns.
     reserve_frames: Fewer than these left before the end is announced: it has run dry, with enough left to fade out
         over.
@@ -110,7 +59,12 @@ class PieceByPiece(StreamPlay):
     def __init__(
         self, number: int, channels: Sequence[int], reserve_frames: int, report: Callable[[Taken], None]
     ) -> None:
-        super().__init__(number, sys.maxsize)  # until the end is announced
+        self.number = number
+        self.frames = sys.maxsize
+        self.done = 0
+        self.periods_after = 0
+        self.silent_frames = 0
+        self.ending: tuple[str, str] | None = None
         self.received = 0
         self._channels = list(channels)
         self._reserve_frames = reserve_frames

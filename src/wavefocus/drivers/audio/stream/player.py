@@ -18,13 +18,12 @@ from wavefocus.drivers.audio.stream.player_process import (
     Opened,
     OpeningRefused,
     Piece,
-    Start,
 )
 from wavefocus.drivers.audio.stream.portaudio import StreamRequest
-from wavefocus.drivers.audio.stream.signals import PlayOrders
+from wavefocus.drivers.audio.stream.signals import PlayFrames
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.process import ANSWER_S, OPENING_S, Alive, Ask, DriverProcess, ProcessGoneError
-from wavefocus.drivers.protocols import DeviceIdentity, Float64Array
+from wavefocus.drivers.protocols import DeviceIdentity, Float64Array, Player
 
 OVERDUE_S = 5.0
 """A play that has not ended this long after it should have, plus a tenth of its length, has failed."""
@@ -32,8 +31,8 @@ OVERDUE_S = 5.0
 LOST_REMEDY = "check its power, its cable and its driver or server, then reconnect"
 
 
-class StreamPlayer:
-    """Plays one signal per channel of an audio interface; implements `wavefocus.drivers.protocols.PiecewisePlayer`.
+class StreamPlayer(Player):
+    """Plays one signal per channel of an audio interface.
 
     One stream over all channels runs from the moment of opening to that of closing, silent between plays, in a
     process of its own: if it hangs, it is killed. Raises InstrumentError.
@@ -70,11 +69,11 @@ class StreamPlayer:
             raise InstrumentError(self._name, "opening", cause, remedy)
         self._request = StreamRequest(host_api, device, channels, interface_rate_hz, block_frames)
         self._environment = dict(environment or {})
-        self._orders = PlayOrders(self._name, self._full_scale_v, interface_rate_hz)
+        self._frames = PlayFrames(self._name, self._full_scale_v, interface_rate_hz)
         self._ordering = threading.Lock()
         self._closed = False
         self._plays = 0
-        self.written_s = -math.inf
+        self._written_s = -math.inf
         self._opened = self._open("opening", InstrumentError)
 
     @property
@@ -95,6 +94,10 @@ class StreamPlayer:
     def latency_s(self) -> float:
         """How long after its callback a sample leaves the outputs, as the host reports."""
         return self._opened.latency_s
+
+    @property
+    def written_s(self) -> float:
+        return self._written_s
 
     @property
     def process_id(self) -> int:
@@ -128,16 +131,12 @@ class StreamPlayer:
         self._check_open(doing)
         with self._ordering:
             self._check_silent(doing)
-            order = self._orders.order(doing, signals_v, sample_rate_hz)
+            frames = self._frames.frames(doing, signals_v, sample_rate_hz)
             self._plays += 1
-            self._stream.play = _Play(self._plays, doing, order.frames / self._request.rate_hz)
-            self._send(doing, *order.before, Start(self._plays, order.voices))
+            self._stream.play = _Play(self._plays, doing, len(frames) / self._request.rate_hz)
+            self._send(doing, BeginPieces(self._plays, tuple(signals_v), len(frames) + 1), Piece(frames), EndPieces())
 
     def begin_pieces(self, channels: Sequence[int], sample_rate_hz: float, ahead_s: float) -> None:
-        """Begin a play that comes in pieces at the interface's rate; it sounds when `ahead_s` of it is there, or all.
-
-        Arguments: see `wavefocus.drivers.protocols.PiecewisePlayer.begin_pieces`.
-        """
         doing = f"playing piece by piece on {len(channels)} channels"
         self._check_open(doing)
         with self._ordering:
@@ -156,10 +155,6 @@ class StreamPlayer:
             self._send(doing, BeginPieces(self._plays, tuple(channels), ahead_frames))
 
     def add_piece(self, volts: Float64Array) -> float:
-        """Hand over the next samples and wait until no more than `ahead_s` of them are not played yet.
-
-        Arguments and result: see `wavefocus.drivers.protocols.PiecewisePlayer.add_piece`.
-        """
         play, rate_hz, process = self._begun(), self._request.rate_hz, self._stream.process
         full_scale_v = play.full_scale_v
         if volts.ndim != 2 or len(volts) != len(full_scale_v) or not (np.abs(volts) <= full_scale_v).all():
@@ -170,7 +165,7 @@ class StreamPlayer:
         before_s = play.waiting_frames / rate_hz
         play.sent_frames += len(frames)
         self._send(play.doing, Piece(frames))
-        self.written_s = time.monotonic()
+        self._written_s = time.monotonic()
 
         def there_is_room() -> bool | None:
             return True if play.outcome or play.waiting_frames <= play.ahead_frames else None
@@ -235,7 +230,6 @@ class StreamPlayer:
         self._check_open("reconnecting")
         with self._ordering:
             self._stream.process.close()
-            self._orders.forget()
             self._opened = self._open("reconnecting", InstrumentLostError)
 
     def close(self) -> None:
@@ -273,7 +267,8 @@ class StreamPlayer:
             raise self._lost(doing, gone) from None
 
     def _lost(self, doing: str, gone: ProcessGoneError) -> InstrumentLostError:
-        return InstrumentLostError(self._name, doing, gone.cause, LOST_REMEDY)
+        remedy = "connect again" if self._stream.process.at_rest else LOST_REMEDY
+        return InstrumentLostError(self._name, doing, gone.cause, remedy)
 
     def _ran_dry(self, play: _Play) -> TransientInstrumentError:
         cause, remedy = f"underflow: {play.notice}", "have more of it ready beforehand (--ahead-s)"

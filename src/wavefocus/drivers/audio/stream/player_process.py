@@ -6,10 +6,11 @@ import gc
 import os
 import sys
 import threading
+import time
 import traceback
 from dataclasses import dataclass
 
-from wavefocus.drivers.audio.stream.playback import FADE_S, PieceByPiece, SignalPlay, Voice
+from wavefocus.drivers.audio.stream.playback import FADE_S, StreamPlay
 from wavefocus.drivers.audio.stream.portaudio import (
     DeviceChoiceError,
     OutputDevice,
@@ -17,7 +18,16 @@ from wavefocus.drivers.audio.stream.portaudio import (
     WatchedStream,
     load_sounddevice,
 )
-from wavefocus.drivers.process import Alive, Ask, Close, Lost, MessagePipe, pipe_to_parent
+from wavefocus.drivers.process import (
+    STOPPED,
+    Alive,
+    Ask,
+    Close,
+    Lost,
+    MessagePipe,
+    pipe_to_parent,
+    wait_for_silence,
+)
 from wavefocus.drivers.protocols import Float32Array
 
 CLOSING_S = 3.0
@@ -50,31 +60,8 @@ class OpeningRefused:
 
 
 @dataclass(frozen=True, slots=True)
-class Store:
-    """Keep a signal, float32 (frames,) as parts of full scale, under a number."""
-
-    signal: int
-    frames: Float32Array
-
-
-@dataclass(frozen=True, slots=True)
-class Forget:
-    """Drop a signal."""
-
-    signal: int
-
-
-@dataclass(frozen=True, slots=True)
-class Start:
-    """Play stored signals: for each channel its signal and the frame at which that begins."""
-
-    number: int
-    voices: tuple[tuple[int, int, int], ...]
-
-
-@dataclass(frozen=True, slots=True)
 class BeginPieces:
-    """Begin a play that comes in pieces; it sounds when `ahead_frames` of it are there, or all."""
+    """Begin a play; it sounds when `ahead_frames` of it are there, or all."""
 
     number: int
     channels: tuple[int, ...]
@@ -125,9 +112,10 @@ def _serve(pipe: MessagePipe) -> int:
     gc.disable()  # a collection would keep the callback waiting; nothing here makes cycles
     sys.setswitchinterval(0.001)
     pipe.send(Opened(stream.device, stream.latency_s, str(sounddevice.get_portaudio_version()[1])))
-    ending = threading.Event()
-    threading.Thread(target=_forward_events, args=(pipe, stream), daemon=True).start()
+    ending, resting = threading.Event(), threading.Event()
+    threading.Thread(target=_forward_events, args=(pipe, stream, resting), daemon=True).start()
     threading.Thread(target=_report_loss, args=(pipe, stream, ending), daemon=True).start()
+    threading.Thread(target=_rest_when_silent, args=(pipe, stream, resting), daemon=True).start()
     _obey(pipe, stream)
     ending.set()
     # On this thread, which opened the stream: ASIO drivers want it so.
@@ -140,17 +128,9 @@ def _serve(pipe: MessagePipe) -> int:
 
 def _obey(pipe: MessagePipe, stream: WatchedStream) -> None:
     """Carry out orders until one says to close or the parent is gone."""
-    signals: dict[int, Float32Array] = {}
     pieces = _Pieces(stream)
     while (order := pipe.receive()) is not None:
         match order:
-            case Start(number, voices):
-                play = SignalPlay(number, tuple(Voice(at, signals[signal], start) for at, signal, start in voices))
-                stream.playback.start(play)
-            case Store(signal, frames):
-                signals[signal] = frames
-            case Forget(signal):
-                del signals[signal]
             case BeginPieces():
                 pieces.begin(order)
             case Piece(frames):
@@ -173,12 +153,12 @@ class _Pieces:
     def __init__(self, stream: WatchedStream) -> None:
         self._playback = stream.playback
         self._reserve_frames = round(FADE_S * stream.rate_hz)
-        self._play: PieceByPiece | None = None
+        self._play: StreamPlay | None = None
         self._waiting = False
         self._ahead_frames = 0
 
     def begin(self, order: BeginPieces) -> None:
-        self._play = PieceByPiece(order.number, order.channels, self._reserve_frames, self._playback.events.put)
+        self._play = StreamPlay(order.number, order.channels, self._reserve_frames, self._playback.events.put)
         self._ahead_frames, self._waiting = order.ahead_frames, True
 
     def add(self, frames: Float32Array) -> None:
@@ -198,9 +178,11 @@ class _Pieces:
             self._playback.start(self._play)
 
 
-def _forward_events(pipe: MessagePipe, stream: WatchedStream) -> None:
+def _forward_events(pipe: MessagePipe, stream: WatchedStream, resting: threading.Event) -> None:
     while True:
-        pipe.try_send(stream.playback.events.get())
+        event = stream.playback.events.get()
+        if not resting.is_set():
+            pipe.try_send(event)
 
 
 def _report_loss(pipe: MessagePipe, stream: WatchedStream, ending: threading.Event) -> None:
@@ -208,3 +190,13 @@ def _report_loss(pipe: MessagePipe, stream: WatchedStream, ending: threading.Eve
     if cause:
         pipe.try_send(Lost(cause))
         os._exit(3)
+
+
+def _rest_when_silent(pipe: MessagePipe, stream: WatchedStream, resting: threading.Event) -> None:
+    """Mute when the parent is stopped, and end: it opens the stream again when it goes on."""
+    wait_for_silence(pipe)
+    resting.set()  # a play that is muted so has not ended well
+    stream.silence()
+    time.sleep(stream.latency_s)
+    pipe.try_send(Lost(STOPPED, at_rest=True))
+    os._exit(3)

@@ -243,13 +243,17 @@ class WatchedStream:
                 return f"its driver is frozen: it asked for nothing more for {silent_s:.1f} s"
         return ""
 
-    def close(self) -> None:
-        """Silence it, then stop and release it; with a host that is gone this never returns."""
+    def silence(self) -> None:
+        """Mute, and return when the fade has been put into a period."""
         self.playback.mute()
         enough = self.playback.callbacks + 2
         latest_s = time.monotonic() + max(SILENT_LIMIT_S, SILENT_LIMIT_PERIODS * self._period_s)
         while self.playback.callbacks < enough and time.monotonic() < latest_s:
             time.sleep(self._period_s / 4 + 1e-3)
+
+    def close(self) -> None:
+        """Silence it, then stop and release it; with a host that is gone this never returns."""
+        self.silence()
         self._stream.abort()
         self._stream.close()
         # The package would do so at exit; an audio server is glad to see its clients leave in good order.

@@ -8,13 +8,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 
 from wavefocus.drivers.daq.ni.ni_session import NiSession
 from wavefocus.drivers.errors import InstrumentError
-from wavefocus.drivers.protocols import Clock
+from wavefocus.drivers.protocols import Clock, DeviceIdentity, WallClock
 
 RAMP_STEP_S = 1e-3
 """Time between two steps of a ramp; a write over USB takes about as long."""
@@ -119,6 +120,75 @@ class DigitalLine(OutputTask):
 
     def _configure(self) -> None:
         self._task.do_channels.add_do_chan(self._physical())
+
+
+@dataclass(frozen=True, slots=True)
+class OutputSettings:
+    """Outputs of one device.
+
+    role: Table of the rig file that names them.
+    key: Its keys that name the outputs.
+    kind: Analog outputs, or one digital line.
+    names: ``("ao0", "ao1")`` or ``("port1/line0",)``.
+    rest: Volts, or 0 and 1, to leave them at.
+    limit_v, slew_v_per_s: Largest voltage to either side, and its fastest change; of analog outputs.
+    """
+
+    role: Literal["mirror", "shutter"]
+    key: str
+    kind: Literal["analog", "digital"]
+    device: str
+    address: str | None
+    names: tuple[str, ...]
+    rest: tuple[float, ...]
+    limit_v: float = 10.0
+    slew_v_per_s: float = 1e6
+
+
+ANSWER_S = 5.0
+
+
+class NiOutputs:
+    """Outputs of one device, here; see `OutputSettings`. Raises InstrumentError.
+
+    level: What they are at, as far as that is known.
+    known: Whether the device has answered before.
+    """
+
+    ends_within_s = 10.0
+
+    def __init__(self, settings: OutputSettings, level: tuple[float, ...], known: bool) -> None:
+        self._settings = settings
+        self._session = session = NiSession(
+            settings.device, settings.address, ANSWER_S, role=settings.role, known=known
+        )
+        self._outputs: AnalogOutputs | DigitalLine
+        if settings.kind == "analog":
+            self._outputs = AnalogOutputs(session, settings.names, settings.key, settings.limit_v, level)
+        else:
+            self._outputs = DigitalLine(session, settings.names, settings.key)
+
+    def identify(self) -> DeviceIdentity:
+        """Ask the device who it is."""
+        with self._session.explaining("identifying"):
+            return self._session.ask_identity()
+
+    def write(self, level: tuple[float, ...], doing: str) -> None:
+        """Put outputs at voltages, no faster than their slew rate, or a line at 0 or 1; return when they are there."""
+        if isinstance(self._outputs, AnalogOutputs):
+            self._outputs.ramp_to(level, self._settings.slew_v_per_s, WallClock(), doing)
+        else:
+            self._outputs.write(bool(level[0]), doing)
+
+    def come_to_rest(self) -> None:
+        """Write what the settings say for the end."""
+        self.write(self._settings.rest, "coming to rest")
+
+    def close(self) -> None:
+        """Release the outputs; each keeps its level."""
+        with suppress(InstrumentError):
+            self._outputs.close()
+        self._session.close()
 
 
 def ramp_steps(start_v: Sequence[float], stop_v: Sequence[float], slew_v_per_s: float) -> list[tuple[float, ...]]:

@@ -19,7 +19,7 @@ from wavefocus.drivers.daq.ni.ni_task import (
     conversion_delay_s,
 )
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
-from wavefocus.drivers.protocols import DeviceIdentity, Recording, RecordRequest
+from wavefocus.drivers.protocols import DeviceIdentity, Recorder, Recording, RecordRequest
 
 ANSWER_S = 5.0
 """How long a server may take to answer beyond what a call asks for, in s."""
@@ -29,8 +29,8 @@ INPUT_TIMING = TaskTiming(5000.0, 100, (10.0, 10.0))
 READ_INPUT_S = 2.0
 
 
-class NiRecorder:
-    """Records reference and response; implements `wavefocus.drivers.protocols.Recorder`.
+class NiRecorder(Recorder):
+    """Records reference and response.
 
     The low-cost devices cannot start on an audio signal: without a trigger a record starts at once, and where the
     sound lies in it is found from the reference. The task is kept committed between records of one kind, so that a
@@ -50,6 +50,8 @@ class NiRecorder:
     task_name: A name that only this recorder uses on its server: what a killed process of this name has left reserved
         is taken back. Empty: it stays reserved.
     """
+
+    ends_within_s = 3.0
 
     def __init__(
         self,
@@ -205,7 +207,7 @@ class NiRecorder:
         return volts
 
     def sampling_delay_s(self, sample_rate_hz: float) -> float | None:
-        """See `wavefocus.drivers.protocols.StatesDelay`, by the rate of the device's conversion clock."""
+        """By the rate of the device's conversion clock."""
         doing = "asking for its conversion rate"
         with self._lock:
             session = self._connected(doing)

@@ -1,0 +1,294 @@
+"""NI-DAQmx in a process of its own: its recorder and its outputs, called as if they were here.
+
+NI-DAQmx can stay broken after a replug until the process that has loaded it ends (an open issue of nidaqmx-python).
+So every connection starts a fresh one, and a call that hangs in the library is ended with it.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import count
+from queue import SimpleQueue
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavefocus.drivers.daq.ni.ni_outputs import NiOutputs, OutputSettings
+from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
+from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
+from wavefocus.drivers.process import (
+    OPENING_S,
+    STOPPED,
+    Alive,
+    Ask,
+    Close,
+    DriverProcess,
+    Lost,
+    ProcessGoneError,
+    pipe_to_parent,
+    wait_for_silence,
+)
+from wavefocus.drivers.protocols import DeviceIdentity, Recorder, Recording, RecordRequest
+
+CALL_S = 15.0
+"""A call to a device that is well takes milliseconds; a ramp up to a second, a first task or a reset seconds."""
+
+REMEDY = "check its USB cable and its power, then connect again, which starts NI-DAQmx afresh"
+
+
+@dataclass(frozen=True, slots=True)
+class _Call:
+    number: int
+    method: str
+    arguments: tuple[Any, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Answer:
+    """The result of a call, or how it failed; `owned`: the device may be reserved, which a recorder says."""
+
+    number: int
+    result: Any
+    failure: InstrumentError | None
+    owned: bool
+
+
+class _InProcess:
+    """A device that is opened and called in a process of its own; safe to use from several threads.
+
+    Its calls raise InstrumentLostError or InstrumentError.
+
+    name: What the process is, for messages.
+    """
+
+    def __init__(self, instrument: str, name: str) -> None:
+        self._instrument, self._name = instrument, name
+        self._identity: DeviceIdentity | None = None
+        self._owned = self.closed = False
+        self._process: DriverProcess | None = None
+        self._connecting = threading.Lock()
+        self._numbers = count(1)
+        self._answers: dict[int, _Answer] = {}
+
+    @property
+    def identity(self) -> DeviceIdentity:
+        """Who it is; known since it was opened for the first time."""
+        assert self._identity is not None
+        return self._identity
+
+    @property
+    def process_id(self) -> int | None:
+        """The process that runs NI-DAQmx; None where there is none."""
+        return None if self._process is None else self._process.pid
+
+    def require_open(self, doing: str) -> None:
+        """Raise InstrumentError once it is closed."""
+        if self.closed:
+            raise InstrumentError(self._instrument, doing, "it is closed", "open the rig again")
+
+    def close(self) -> None:
+        """Release the device for good; twice does no harm."""
+        self.closed = True
+        with self._connecting:
+            self._end()
+
+    def _open(self, doing: str, kind: str, *arguments: Any) -> Any:
+        """End the process, start a fresh one, and make a `kind` there; returns who it is, as its `opened` says."""
+        self.require_open(doing)
+        with self._connecting:
+            self._end()
+            self._process = DriverProcess(__name__, self._name, self._note)
+            try:
+                return self._call(doing, "open", kind, *arguments, limit_s=OPENING_S)
+            except BaseException:
+                self._end()
+                raise
+
+    def _end(self) -> None:
+        process, self._process = self._process, None
+        if process is not None:
+            process.close()
+
+    def _call(self, doing: str, method: str, *arguments: Any, limit_s: float = CALL_S) -> Any:
+        """Have a method called there and wait for its end; a process that does not answer in time is killed."""
+        self.require_open(doing)
+        process, number = self._process, next(self._numbers)
+        if process is None:
+            raise InstrumentLostError(self._instrument, doing, "it is not connected", "reconnect first")
+        try:
+            process.send(_Call(number, method, arguments))
+            answer = process.wait_for(lambda: self._answers.get(number), time.monotonic() + limit_s)
+            if answer is None:
+                process.kill(f"NI-DAQmx did not answer within {limit_s:g} s")
+                raise ProcessGoneError(process.gone)
+        except ProcessGoneError as gone:
+            remedy = "connect again" if process.at_rest else REMEDY
+            raise InstrumentLostError(self._instrument, doing, gone.cause, remedy) from None
+        del self._answers[number]
+        # A device that could not be opened may still be reserved by what was before.
+        self._owned = self._owned or answer.owned
+        if answer.failure is not None:
+            raise answer.failure
+        return answer.result
+
+    def _note(self, message: object) -> None:
+        if isinstance(message, _Answer):
+            self._answers[message.number] = message
+
+
+class ProcessRecorder(_InProcess, Recorder):
+    """Records reference and response in a process of its own.
+
+    device: Name in NI MAX: ``"Dev1"``.
+    wiring: As for `wavefocus.drivers.daq.ni.ni_recorder.NiRecorder`.
+    """
+
+    def __init__(self, device: str, **wiring: Any) -> None:
+        super().__init__(f"recorder {device}", "the process that runs NI-DAQmx")
+        self._wiring = {"device": device, "address": None, **wiring}
+        self._ranges_v: tuple[float, ...] = ()
+        self._connect("opening")
+
+    @property
+    def input_ranges_v(self) -> tuple[float, ...]:
+        return self._ranges_v
+
+    def identify(self) -> str:
+        return str(self._call("identifying", "identify"))
+
+    def start(self, request: RecordRequest) -> None:
+        self._call(f"starting {request.label}", "start", request)
+
+    def read(self, timeout_s: float) -> Recording:
+        recording: Recording = self._call("reading", "read", timeout_s, limit_s=CALL_S + timeout_s)
+        return recording
+
+    def read_input_v(self, name: str) -> float:
+        """Volts at another input, see `wavefocus.drivers.daq.ni.ni_recorder.NiRecorder.read_input_v`."""
+        return float(self._call(f"reading {name}", "read_input_v", name))
+
+    def record_inputs_v(self, names: tuple[str, str], samples: int, sample_rate_hz: float) -> NDArray[np.float64]:
+        limit_s, doing = CALL_S + samples / sample_rate_hz, f"recording {names[0]} and {names[1]}"
+        volts = self._call(doing, "record_inputs_v", names, samples, sample_rate_hz, limit_s=limit_s)
+        return np.asarray(volts, dtype=np.float64)
+
+    def sampling_delay_s(self, sample_rate_hz: float) -> float | None:
+        delay_s: float | None = self._call("asking for its conversion rate", "sampling_delay_s", sample_rate_hz)
+        return delay_s
+
+    def abort(self) -> None:
+        if self._process is not None and not self.closed:
+            with suppress(InstrumentLostError):  # with the process, its record has ended too
+                self._call("aborting", "abort")
+
+    def reconnect(self) -> None:
+        """Open the same device in a fresh process. Raises InstrumentLostError or InstrumentError."""
+        self._connect("reconnecting")
+
+    def _connect(self, doing: str) -> None:
+        arguments = self._wiring | {"identity": self._identity, "owned": self._owned}
+        self._identity, self._ranges_v = self._open(doing, "recorder", arguments)
+
+
+class ProcessOutputs(_InProcess):
+    """Outputs that are written together, in a process that `open` starts.
+
+    label: What the outputs are called behind the device's product in `identity`: ``"line port1/line0"``.
+    level: What the outputs are at, where that is known: a ramp begins there.
+    """
+
+    def __init__(self, instrument: str, settings: OutputSettings, label: str, level: Sequence[float] = ()) -> None:
+        super().__init__(instrument, "the process that has it")
+        self._settings, self._label, self._level = settings, label, tuple(level)
+
+    def open(self, doing: str) -> None:
+        """Open the outputs, also afresh; the device is not reset, for the recorder may have it, too.
+
+        Raises InstrumentLostError: it does not answer. InstrumentError: it is misspelt, refuses, is another device than
+        before, or the outputs were closed.
+        """
+        known = self._identity
+        if self._process is not None and self._process.at_rest:
+            self._level = self._settings.rest
+        device = self._open(doing, "outputs", self._settings, self._level, known is not None)
+        identity = DeviceIdentity(device.maker, f"{device.product} {self._label}", device.serial)
+        if known is not None and identity != known:
+            self._end()
+            remedy = "plug the right one in, or start a new campaign with this one"
+            raise InstrumentError(self._instrument, doing, f"{identity} answers instead of {known}", remedy)
+        self._identity = identity
+
+    def identify(self) -> DeviceIdentity:
+        """Ask the device who it is."""
+        identity: DeviceIdentity = self._call("identifying", "identify")
+        return identity
+
+    def write(self, level: Sequence[float], doing: str) -> None:
+        """Put outputs at voltages, no faster than their slew rate, or a line at 0 or 1; return when they are there."""
+        self._call(doing, "write", tuple(level), doing)
+        self._level = tuple(level)
+
+
+def main() -> None:
+    """Carry out calls until the parent says close, or is gone or stopped: then outputs come to rest first."""
+    pipe, waiting = pipe_to_parent(), SimpleQueue[Any]()
+    device: NiRecorder | NiOutputs | None = None
+
+    def carry_out(call: _Call) -> None:
+        nonlocal device
+        result, failure = None, None
+        try:
+            if call.method != "open":
+                result = getattr(device, call.method)(*call.arguments)
+            elif call.arguments[0] == "recorder":
+                device = NiRecorder(**call.arguments[1])
+                result = device.identity, device.input_ranges_v
+            else:
+                device = NiOutputs(*call.arguments[1:])
+                result = device.identify()
+        except InstrumentError as refused:
+            failure = refused
+        except Exception:  # a defect: the parent keeps standard error
+            traceback.print_exc()
+            sys.stderr.flush()
+            os._exit(4)
+        pipe.try_send(_Answer(call.number, result, failure, isinstance(device, NiRecorder) and device.owned))
+
+    def work() -> None:
+        while isinstance(message := waiting.get(), _Call):
+            carry_out(message)
+        if device is not None:
+            with suppress(InstrumentError):
+                if isinstance(device, NiOutputs) and not isinstance(message, Close):  # it is gone without a word
+                    device.come_to_rest()
+            device.close()
+        if isinstance(message, Lost):
+            pipe.try_send(message)
+        os._exit(0)
+
+    def watch() -> None:
+        wait_for_silence(pipe)
+        if not isinstance(device, NiRecorder):  # has nothing to put to rest
+            waiting.put(Lost(STOPPED, at_rest=True))
+
+    for part in (work, watch):
+        threading.Thread(target=part, daemon=True).start()
+    while (message := pipe.receive()) is not None and not isinstance(message, Close):
+        if isinstance(message, Ask):
+            pipe.try_send(Alive())
+        elif isinstance(message, _Call) and message.method == "read":  # others come meanwhile
+            threading.Thread(target=carry_out, args=(message,), daemon=True).start()
+        elif isinstance(message, _Call):
+            waiting.put(message)
+    waiting.put(message)
+    # What hangs in the library does not return; then the process just ends.
+    threading.Event().wait(0.0 if device is None else device.ends_within_s)
+    os._exit(0)
