@@ -2,56 +2,43 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from pathlib import Path
-from types import ModuleType
-from typing import Any
 
 import pytest
 
-TOOL = Path(__file__).parents[2] / "tools" / "fault_classes.py"
+from tests.system.fault_plate import CoarsePlate, FaultCase
+from wavefocus.__main__ import run
+
 SCHEDULES = ["sequential", "staggered"]
 
 
 @pytest.fixture(scope="module")
-def tool() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("fault_classes", TOOL)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
-
-
-@pytest.fixture(scope="module")
-def small_plate(tool: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Any:
+def small_plate(tmp_path_factory: pytest.TempPathFactory) -> CoarsePlate:
     """Six positions, whose truth and undisturbed measurements are made once."""
-    return tool.CoarsePlate(tmp_path_factory.mktemp("plate"), columns=3, rows=2, faulty=3)
+    return CoarsePlate(tmp_path_factory.mktemp("plate"), columns=3, rows=2, faulty=3)
 
 
 @pytest.mark.parametrize("schedule", SCHEDULES)
 @pytest.mark.parametrize(("kind", "level_db"), [("faint_reference", -0.3), ("faint_reference", 6.0), ("dark", 0.0)])
 def test_given_a_fault_in_one_record_of_half_the_positions_then_none_ends_wrong_and_valid(
-    tool: ModuleType, small_plate: Any, schedule: str, kind: str, level_db: float
+    small_plate: CoarsePlate, schedule: str, kind: str, level_db: float
 ) -> None:
     for always in (False, True):
-        found = small_plate.outcome(tool.FaultCase(kind, level_db, schedule, always))
+        found = small_plate.outcome(FaultCase(kind, level_db, schedule, always))
         assert (found.faulty, found.wrong, found.alarms) == (3, 0, 0)
         assert found.valid == (0 if always else 3)
 
 
 def test_given_another_level_in_one_record_of_some_positions_then_neighbours_show_it_and_a_repeat_or_the_status_says_so(
-    tool: ModuleType, tmp_path: Path
+    tmp_path: Path,
 ) -> None:
-    plate = tool.CoarsePlate(tmp_path, columns=5, rows=5, faulty=4)
-    once = plate.outcome(tool.FaultCase("drift", -3.0, "sequential", always=False))
+    plate = CoarsePlate(tmp_path, columns=5, rows=5, faulty=4)
+    once = plate.outcome(FaultCase("drift", -3.0, "sequential", always=False))
     assert (once.faulty, once.valid, once.wrong, once.alarms) == (4, 4, 0, 0)
     bank = tmp_path / "plate.h5"
     before = bank.read_bytes()
-    assert tool.run(["resume", str(bank)]) == 0
+    assert run(["resume", str(bank)]) == 0
     assert bank.read_bytes() == before
-    assert tool.run(["check", str(bank)]) == 0
-    always = plate.outcome(tool.FaultCase("drift", -3.0, "sequential", always=True))
+    assert run(["check", str(bank)]) == 0
+    always = plate.outcome(FaultCase("drift", -3.0, "sequential", always=True))
     assert (always.valid, always.wrong, always.alarms) == (0, 0, 0)

@@ -1,22 +1,15 @@
-"""Count how many positions end wrong and valid, for each class of fault at each level, on the virtual rig.
+"""A small plate measured with a fault in one record of some positions: which of them end wrong and valid.
 
-Run as ``python -m tools.fault_classes`` from the project's folder; ``--help`` lists the options. For each class and
-level a small plate is measured with the fault in one record of each of ten positions, once (in the first attempt) and
-always (in every attempt). A position is wrong where a Green's function has 2 % more or less gain than one measured
-without noise, or is 2 % farther from it than twice an undisturbed measurement; rows that say that they were measured
-aside are counted apart.
+A position is wrong where a Green's function has 2 % more or less gain than one measured without noise, or is 2 %
+farther from it than twice an undisturbed measurement.
 """
 
 from __future__ import annotations
 
-import argparse
 import io
-import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
-from itertools import product
 from pathlib import Path
 
 import h5py
@@ -28,26 +21,12 @@ from wavefocus.acquisition.judgement import in_band
 
 # Error of gain, and of the whole Green's function beyond its noise, that counts as wrong.
 WRONG = 0.02
-LEVELS_DB = (-0.3, -1.0, -3.0, -20.0, 6.0)
-CLASSES: dict[str, tuple[float, ...]] = {
-    "faint_reference": LEVELS_DB,
-    "drift": LEVELS_DB[:-1],
-    "clipped": (-0.45, -6.0),
-    "lost_sample": (0.0,),
-    "hum": (-40.0, -10.0),
-    "dropout": (0.0,),
-    "dark": (0.0,),
-    "over_range": (0.0,),
-    "dead_response": (0.0,),
-    "missing_reference": (0.0,),
-}
-"""Levels in dB of each kind of fault, as of `wavefocus.mocks.virtual.faults.RigFault`; 0 where the kind has none."""
 
 ACTUATOR_MM = ((110.0, 0.0), (60.0, 60.0), (-60.0, 60.0), (-110.0, 10.0), (-60.0, -60.0), (60.0, -60.0))
 TAPS = 1000
 RATE_HZ = 10_000.0
 BAND_HZ = (20.0, 500.0)
-SPACING_MM, COARSE_MM = 4.0, 25.0
+SPACING_MM = 4.0
 SEED = 3
 ALWAYS = 99
 
@@ -66,36 +45,25 @@ class FaultCase:
 class Outcome:
     """How the positions of a case ended.
 
-    Parameters
-    ----------
-    faulty, valid, wrong : int
-        Positions with the fault; those of them that ended valid; those of the valid ones that are wrong.
-    aside : int
-        Of the valid ones, how many were measured next to their position and say so.
-    worst : float
-        Largest relative error of a Green's function of a valid position with the fault; NaN where none is.
-    alarms : int
-        Positions without the fault that did not end valid.
+    faulty, valid, wrong: Positions with the fault; those of them that ended valid; those of the valid ones that are
+        wrong.
+    alarms: Positions without the fault that did not end valid.
     """
 
     faulty: int
     valid: int
     wrong: int
-    aside: int
-    worst: float
     alarms: int
 
 
 class CoarsePlate:
     """A small plate that is measured again and again, with `faulty` positions anywhere that show the fault."""
 
-    def __init__(
-        self, folder: Path, columns: int = 12, rows: int = 9, faulty: int = 10, spacing_mm: float = SPACING_MM
-    ) -> None:
+    def __init__(self, folder: Path, columns: int, rows: int, faulty: int) -> None:
         self._folder = folder
         x, y = np.meshgrid(np.arange(columns), np.arange(rows))
         middle = [(columns - 1) // 2, (rows - 1) // 2]
-        self.position_mm = (np.stack([x.ravel(), y.ravel()], axis=1) - middle) * spacing_mm
+        self.position_mm = (np.stack([x.ravel(), y.ravel()], axis=1) - middle) * SPACING_MM
         self.faulty = np.sort(np.random.default_rng(SEED).choice(len(self.position_mm), faulty, replace=False))
         self._truth = _green(self._measured("sequential", "noise_v = 0.0\n"))
         self._quiet: dict[str, NDArray[np.float64]] = {}
@@ -114,13 +82,10 @@ class CoarsePlate:
         wrong = np.any(beyond, axis=1)
         mask = np.zeros(len(valid), dtype=bool)
         mask[self.faulty] = True
-        held = error[mask & valid]
         return Outcome(
             faulty=int(mask.sum()),
             valid=int((mask & valid).sum()),
             wrong=int((mask & valid & wrong & ~aside).sum()),
-            aside=int((mask & valid & aside).sum()),
-            worst=float(held.max()) if held.size else float("nan"),
             alarms=int((~mask & ~valid).sum()),
         )
 
@@ -172,36 +137,3 @@ def _green(bank: Path) -> NDArray[np.complex128]:
     """Green's functions in band, shape (positions, actuators, bins)."""
     with h5py.File(bank, "r") as file:
         return np.stack([in_band(row, RATE_HZ, BAND_HZ) for row in file["green"][...]])
-
-
-def main() -> int:
-    """Print a line per case; 1 if a position ended wrong and valid, or a clean one not valid."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("kinds", nargs="*", metavar="KIND", help=f"of {', '.join(CLASSES)}; all, if absent")
-    parser.add_argument("--schedule", choices=("sequential", "staggered"), help="both, if absent")
-    parser.add_argument("--coarse", action="store_true", help="7 x 4 positions 25 mm apart, which no neighbour judges")
-    asked = parser.parse_args()
-    if unknown := set(asked.kinds) - set(CLASSES):
-        parser.error(f"{', '.join(sorted(unknown))}: no such kind; allowed: {', '.join(CLASSES)}")
-    schedules = (asked.schedule,) if asked.schedule else ("sequential", "staggered")
-    bad = False
-    print("fault                level  schedule   attempts     valid wrong aside   worst alarms")
-    with tempfile.TemporaryDirectory() as folder:
-        plate = CoarsePlate(Path(folder), 7, 4, spacing_mm=COARSE_MM) if asked.coarse else CoarsePlate(Path(folder))
-        kinds = asked.kinds or list(CLASSES)
-        levels = [(kind, level_db) for kind in kinds for level_db in CLASSES[kind]]
-        for (kind, level_db), schedule, always in product(levels, schedules, (False, True)):
-            case = FaultCase(kind, level_db, schedule, always)
-            found = plate.outcome(case)
-            bad |= bool(found.wrong or found.alarms)
-            print(
-                f"{case.kind:<18}{case.level_db:>5.1f} dB  {case.schedule:<11}{'all' if case.always else 'first':<9}"
-                f"{found.valid:>4} of {found.faulty}{found.wrong:>6}{found.aside:>6}{100 * found.worst:>6.1f} %"
-                f"{found.alarms:>7}",
-                flush=True,
-            )
-    return int(bad)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
