@@ -22,8 +22,6 @@ RULES = Path(__file__).with_name("70-wavefocus.rules")
 RULES_FOLDER = "/etc/udev/rules.d/"
 # Windows shows an FTDI adapter's serial number with the letter of its port behind it.
 LETTERS = ("A", "B", "C", "D")
-# The interface behind a serial number: ":1", ":B", ":Enhanced", or "-if01-port0" as in Linux' /dev/serial/by-id.
-SUFFIX = re.compile(r"(.+?)(?:-if(?=\d)|:)(\d{1,2}|[^:]+?)(?:-port\d+)?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +64,7 @@ def find_port(port: str, instrument: str, present: Iterable[SerialPort] | None =
     Raises InstrumentLostError or InstrumentError.
 
     port: A device path (``"/dev/ttyUSB0"``, ``"COM3"``), ``"socket://host:port"``, or ``"serial-number:ABC123"``, of
-        an adapter with several ports ``"serial-number:ABC123:1"``, ``"...:B"`` or a word of the port's description.
+        an adapter with several ports ``"serial-number:ABC123:1"``, counted from 0.
     instrument: Who asks, for the message.
     present: The ports to choose from; by default those of this computer, now.
 
@@ -101,21 +99,11 @@ def find_port(port: str, instrument: str, present: Iterable[SerialPort] | None =
 def _with_serial_number(listed: Sequence[SerialPort], wanted: str) -> list[SerialPort]:
     """Ports that have a serial number, or, of an adapter with several ports, the one of an interface."""
     found = _of_number(listed, wanted)
-    if found:
+    number, _, interface = wanted.rpartition(":")
+    if found or not interface.isdecimal():
         return found
-    parts = SUFFIX.fullmatch(wanted)
-    number, interface = (wanted, "") if parts is None else (parts.group(1), parts.group(2))
     several = _of_number(listed, number)
-    if interface.isdecimal() or interface.upper() in LETTERS:
-        index = int(interface) if interface.isdecimal() else LETTERS.index(interface.upper())
-        chosen = [port for port in several if _interface_of(several, port) == index]
-    else:
-        chosen = [port for port in several if interface and interface.casefold() in port.description.casefold()]
-    if chosen or len(wanted) < 2 or wanted[-1].upper() not in LETTERS:
-        return chosen
-    # FTDI's letter, as Windows shows it, where a system has the adapter's number and its interfaces.
-    several = _of_number(listed, wanted[:-1])
-    return [port for port in several if _interface_of(several, port) == LETTERS.index(wanted[-1].upper())]
+    return [port for port in several if _interface_of(several, port) == int(interface)]
 
 
 def _of_number(listed: Sequence[SerialPort], wanted: str) -> list[SerialPort]:
