@@ -19,9 +19,9 @@ from wavefocus.drivers.serial_line import LineSettings, SerialLine, SerialPort, 
 
 PACKAGES = Path(wavefocus.__file__).parents[1]
 PRESENT = (
-    SerialPort("/dev/ttyUSB0", "A1", "adapter"),
-    SerialPort("/dev/ttyUSB1", "B2", "adapter"),
-    SerialPort("/dev/ttyUSB2", "B2", "adapter"),
+    SerialPort("/dev/ttyUSB0", "A1"),
+    SerialPort("/dev/ttyUSB1", "B2"),
+    SerialPort("/dev/ttyUSB2", "B2"),
     SerialPort("/dev/ttyS0"),
 )
 
@@ -41,8 +41,8 @@ def test_given_a_serial_number_then_its_port_is_found():
 
 FTDI_PAIR = (SerialPort("COM10", "FT3BNM1OB"), SerialPort("COM9", "FT3BNM1OA"))
 CP2105 = (
-    SerialPort("/dev/ttyUSB0", "00AB12", "CP2105 - Enhanced Com Port", 0),
-    SerialPort("/dev/ttyUSB1", "00AB12", "CP2105 - Standard Com Port", 1),
+    SerialPort("/dev/ttyUSB0", "00AB12", 0),
+    SerialPort("/dev/ttyUSB1", "00AB12", 1),
 )
 UNNUMBERED = (SerialPort("/dev/ttyUSB9", "00AB12"), SerialPort("/dev/ttyUSB10", "00AB12"))
 
@@ -88,7 +88,7 @@ def test_given_an_adapter_with_several_ports_then_the_remedy_names_what_finds_ea
         ("C3", (), "none with a serial number"),
         ("", PRESENT, "no port has it"),
         ("00AB12:7", CP2105, "no port has it"),
-        ("FT3BNM1OD", (SerialPort("/dev/ttyUSB4", "FT3BNM1O", "", 0),), "no port has it"),
+        ("FT3BNM1OD", (SerialPort("/dev/ttyUSB4", "FT3BNM1O", 0),), "no port has it"),
         ("B2", PRESENT, "/dev/ttyUSB1 and /dev/ttyUSB2 have it"),
     ],
 )

@@ -30,13 +30,11 @@ class SerialPort:
 
     device: What it is opened by: ``"/dev/ttyUSB0"``, ``"COM3"``.
     serial_number: Of its USB interface; empty where it has none.
-    description: What the operating system calls it.
     interface: Number of its interface in an adapter with several ports, from 0; None where that is not known.
     """
 
     device: str
     serial_number: str = ""
-    description: str = ""
     interface: int | None = None
 
 
@@ -50,7 +48,6 @@ def serial_ports(instrument: str = "serial ports") -> tuple[SerialPort, ...]:
         SerialPort(
             str(port.device),
             str(port.serial_number or ""),
-            str(port.description or ""),
             # "1-1.4:1.0" on Linux, "1-4:x.0" on Windows: configuration and interface behind the colon.
             None if (found := re.search(r":\w+\.(\d+)$", str(port.location or ""))) is None else int(found.group(1)),
         )
