@@ -84,46 +84,25 @@ def _commit() -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class CommandRun:
-    """Standard output of a command, seconds, and peak memory of its largest process.
-
-    `starting_s` is the time until a cluster was ready, 0 without one.
-    """
+    """Standard output of a command, seconds, and peak memory of its largest process."""
 
     stdout: str
     wall_s: float
-    starting_s: float
     processor_s: float
     peak_bytes: float
 
 
-def run_command(*arguments: object, limit_bytes: int = 0, preload: Sequence[str] = ()) -> CommandRun:
-    """Run ``wavefocus`` with arguments, in processes that may allocate so many bytes each (0: any number).
-
-    Loading the modules of `preload` does not count as processor time.
-    """
-    child = [
-        sys.executable,
-        "-m",
-        "wavefocus.benchmarks.machine",
-        str(limit_bytes),
-        ",".join(preload),
-        *map(str, arguments),
-    ]
-    began = ready = time.monotonic()
-    errors: list[str] = []
-    with subprocess.Popen(child, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None  # pipes, as asked for
-        assert process.stderr is not None
-        for line in process.stderr:
-            errors.append(line)
-            if line.startswith("cluster "):
-                ready = time.monotonic()
-        *lines, figures = process.stdout.read().splitlines() or [""]
+def run_command(*arguments: object, preload: Sequence[str] = ()) -> CommandRun:
+    """Run ``wavefocus`` with arguments; loading the modules of `preload` does not count as processor time."""
+    child = [sys.executable, "-m", "wavefocus.benchmarks.machine", ",".join(preload), *map(str, arguments)]
+    began = time.monotonic()
+    done = subprocess.run(child, capture_output=True, text=True, check=False)
     wall_s = time.monotonic() - began
-    if process.returncode:
-        raise RuntimeError(f"wavefocus {' '.join(map(str, arguments))}: {''.join(errors).strip()}")
+    if done.returncode:
+        raise RuntimeError(f"wavefocus {' '.join(map(str, arguments))}: {done.stderr.strip()}")
+    *lines, figures = done.stdout.splitlines()
     processor_s, peak = map(float, figures.split())
-    return CommandRun("\n".join(lines), wall_s, ready - began, processor_s, peak)
+    return CommandRun("\n".join(lines), wall_s, processor_s, peak)
 
 
 def _peak_bytes() -> int:
@@ -151,11 +130,7 @@ def _usage(*, children: bool = False) -> tuple[float, int]:
     return used.ru_utime + used.ru_stime, used.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
-def _main(limit_bytes: int, preload: str, arguments: list[str]) -> int:
-    if limit_bytes:
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_DATA, (limit_bytes, limit_bytes))
+def _main(preload: str, arguments: list[str]) -> int:
     for module in filter(None, preload.split(",")):
         import_module(module)
     from_s = _usage()[0] if preload else 0.0
@@ -166,4 +141,4 @@ def _main(limit_bytes: int, preload: str, arguments: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(_main(int(sys.argv[1]), sys.argv[2], sys.argv[3:]))
+    sys.exit(_main(sys.argv[1], sys.argv[2:]))
