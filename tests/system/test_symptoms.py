@@ -106,20 +106,20 @@ def other_bank(sound: Bank, folder: Path, change: Callable[[dict[str, np.ndarray
         ("output_delays_s = [0, 0, 0, 2e-4]", "delay", (3,), 0.2),
         ("output_delays_s = [2e-4, 2e-4, 2e-4, 2e-4]", "delay", (), 0.2),
         ("room_c = 22", "speed", (), 2.0),
-        ("mirror_map = [[1e-3, 0, 4e-3], [0, 1e-3, 0], [0, 0, 1]]", "shifted", (), 4.0),
+        ("mirror_map = [[1e-3, 0, 4e-3], [0, 1e-3, 0], [0, 0, 1]]", "mirror", (), (4.0, 0.0, 0.0)),
     ],
     ids=["polarity", "silent", "swapped", "louder", "all quieter", "later", "all later", "faster", "mirror"],
 )
 def test_given_a_changed_rig_then_its_symptom_is_named(
-    sound: Bank, emulation: str, code: str, actuators: tuple[int, ...], value: float | None
+    sound: Bank, emulation: str, code: str, actuators: tuple[int, ...], value: object
 ) -> None:
     found = verified(sound, emulation)
     (symptom,) = found.symptoms
     assert (symptom.code, symptom.actuators) == (code, actuators)
-    assert value is None or symptom.value == pytest.approx(value, rel=0.1, abs=0.05)
+    assert value is None or symptom.value == pytest.approx(value, rel=0.1, abs=0.1)
     assert not found.passed
     assert symptom.certain
-    assert 0.8 <= symptom.explained <= 1.0
+    assert 0.95 <= symptom.explained <= 1.0
     assert found.summary.startswith(sentence(symptom))
 
 
@@ -128,22 +128,21 @@ def test_given_some_positions_then_the_symptom_is_named_from_them(sound: Bank) -
     assert (symptom.code, symptom.actuators) == ("level", (0,))
 
 
-def test_given_a_grid_row_at_other_places_than_when_measured_then_the_row_is_named(sound: Bank, tmp_path: Path) -> None:
-    def move(held: dict[str, np.ndarray]) -> None:
-        held["position_mm"][5:10, 0] += 4.0
-
-    with other_bank(sound, tmp_path, move) as moved:
-        (symptom,) = verified(moved, "").symptoms
-    assert (symptom.code, symptom.positions, symptom.shift_mm) == ("shifted", (5, 6, 7, 8, 9), (4.0, 0.0))
-
-
-def test_given_a_bank_of_other_levels_then_the_actuators_are_named_together(sound: Bank, tmp_path: Path) -> None:
-    def change(held: dict[str, np.ndarray]) -> None:
-        held["green"] *= np.array([1.3, 0.75, 1.4, 0.8], np.float32)[:, None]
-
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        (lambda held: held["position_mm"][5:10, 0].__iadd__(4.0), "a grid row at other places"),
+        (lambda held: held["green"].__imul__(np.array([1.3, 0.75, 1.4, 0.8], np.float32)[:, None]), "four levels"),
+    ],
+    ids=["a row at other places", "four different levels"],
+)
+def test_given_more_than_three_causes_then_none_is_named(
+    sound: Bank, tmp_path: Path, change: Callable[[dict[str, np.ndarray]], object], what: str
+) -> None:
     with other_bank(sound, tmp_path, change) as wrong:
-        (symptom,) = verified(wrong, "").symptoms
-    assert (symptom.code, symptom.actuators, symptom.certain) == ("level", (0, 1, 2, 3), True)
+        found = verified(wrong, "")
+    assert not found.passed, what
+    assert [(symptom.code, symptom.certain) for symptom in found.symptoms] == [("unexplained", False)]
 
 
 @pytest.mark.filterwarnings("ignore:the last tenth of the Green")  # the render of a bank that is made wrong
@@ -154,7 +153,7 @@ def test_given_the_bank_of_another_plate_then_the_bank_is_called_wrong(sound: Ba
     with other_bank(sound, tmp_path, change) as wrong:
         (symptom,) = verified(wrong, "").symptoms
     assert (symptom.code, symptom.certain) == ("wrong_bank", False)
-    assert symptom.explained >= 0.8
+    assert symptom.explained >= 0.7
 
 
 @pytest.mark.parametrize(("rows", "again"), [(None, True), ([0, 4, 12, 13, 20], True), ([6, 7, 11, 12], False)])

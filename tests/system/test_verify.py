@@ -91,6 +91,16 @@ def test_given_a_finger_on_the_plate_then_the_drive_is_corrected_by_scans(
     assert "Correction of the drive" in (lab / "verify" / "report.html").read_text(encoding="utf-8")
 
 
+def test_given_a_silent_scene_then_it_is_refused_before_anything_plays(
+    lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    change_text(lab / "scene.toml", "step_mm", "amplitude = 0.0\nstep_mm")
+    capsys.readouterr()
+    assert _verify(lab, bank, "--correct", "1") == 2
+    assert "is silent" in capsys.readouterr().err
+    assert "sentinel" not in (lab / "verify" / "verify.events.jsonl").read_text(encoding="utf-8")
+
+
 def test_given_nothing_to_correct_then_one_scan_says_so(
     lab: Path, bank: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -165,6 +175,8 @@ def test_given_a_verification_killed_in_its_scan_then_the_same_command_goes_on_t
     torn = journal.read_bytes()
     journal.write_bytes(torn + torn[4096:5000])  # as a power cut may leave its end
     assert not (out / "verify.json").exists()
+    for published in ("drive.h5", "report.html"):  # as a kill leaves them that comes while results are moved in
+        (out / published).write_bytes(b"of a verification without a record")
     capsys.readouterr()
     assert run(command) == 0
     assert "the interrupted scan goes on" in capsys.readouterr().err

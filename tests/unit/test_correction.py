@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tests.unit.plate_banks import RATE_HZ, TAPS, plate_bank
 from wavefocus.rendering.drive.coil_limits import DriveLimits
-from wavefocus.rendering.verify.correction import correct_drive
+from wavefocus.rendering.verify.correction import correct_drive, correction_lines, held_out
 from wavefocus.rendering.verify.scan import Scan
 from wavefocus.storage.drive_file import Drive
 from wavefocus.storage.errors import InputError
@@ -58,8 +60,8 @@ class _Rig:
         field[list(self.lost)] = 0
         ones = np.ones(len(field))
         return Scan(
-            field.astype(np.float32), ROWS, RATE_HZ, drive.start_s, "m/s", status, ones.astype(np.int64),
-            self.noise_rms * ones, ones, ones,
+            field.astype(np.float32), np.arange(len(field)), RATE_HZ, drive.start_s, "m/s", status,
+            ones.astype(np.int64), self.noise_rms * ones, ones, ones,
         )  # fmt: skip
 
 
@@ -132,6 +134,48 @@ def test_dropouts_are_left_out_and_too_many_end_it() -> None:
     drive, found = correct_drive(first, bank, ROWS, _Rig(_finger(bank), lost=(0, 2, 3)), 2, limits=ANY)
     assert drive is first
     assert (found.rounds, found.best, found.stopped) == ((), None, "dropouts")
+
+
+MANY_MM = [[6.0 * x, 6.0 * y] for y in (-1, 0, 1) for x in (-2, -1, 0, 1, 2)]
+
+
+def test_a_fifth_of_the_places_is_held_out_and_what_does_not_better_them_is_not_kept() -> None:
+    bank = plate_bank(MANY_MM)
+    rows = np.arange(len(MANY_MM))
+    seen = np.setdiff1d(rows, held_out(rows))
+    assert held_out(rows).tolist() == [2, 7, 12]
+    greens = np.stack([bank.green(row) for row in rows])
+    first = _focused(bank)
+
+    weaker = greens * np.where(np.arange(greens.shape[1]) == 0, 0.5, 1.0)[None, :, None]  # one coil: true everywhere
+    drive, found = correct_drive(first, bank, rows, _Rig(weaker), 3, limits=ANY)
+    assert found.rounds[found.best].held_out < found.rounds[0].held_out / 2
+
+    # What the control places show is of other places: to follow it makes the true field worse.
+    false = greens.copy()
+    false[seen] = greens[np.roll(seen, 1)]
+    drive, found = correct_drive(first, bank, rows, _Rig(false), 3, limits=ANY)
+    assert drive is first
+    assert (found.best, found.stopped) == (0, "held out")
+    assert len(found.rounds) == 2
+    assert found.rounds[1].error < found.rounds[0].error
+    assert "held out" in correction_lines(found)[-1]
+
+
+def test_with_few_places_none_is_held_out_and_one_correction_is_made() -> None:
+    bank = plate_bank(PLACES_MM)
+    rig = _Rig(_finger(bank, 0.8), noise_rms=1e-6)
+    _, found = correct_drive(_focused(bank), bank, ROWS, rig, 3, limits=ANY)
+    assert (len(rig.played), found.stopped) == (2, "few")
+    assert all(one.held_out is None for one in found.rounds)
+
+
+def test_a_silent_scene_is_refused_before_anything_plays() -> None:
+    bank = plate_bank(PLACES_MM)
+    rig, silent = _Rig(_finger(bank)), replace(_focused(bank), drive_v=np.zeros_like(_focused(bank).drive_v))
+    with pytest.raises(InputError, match="silent"):
+        correct_drive(silent, bank, ROWS, rig, 1, limits=ANY)
+    assert rig.played == []
 
 
 def test_a_scene_too_long_for_its_places_is_refused() -> None:

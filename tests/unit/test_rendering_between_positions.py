@@ -12,10 +12,11 @@ from tests.unit.test_drive import emitted
 from wavefocus.config.scene import Output, Regularisation
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.greens.source import GreenArray
-from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.model import QuietPlace, Scene, Source
 from wavefocus.rendering.scene.paths import Circle, Line, Point, Polyline
 from wavefocus.rendering.scene.signals import Impulse, Noise, Sine
 from wavefocus.storage.errors import InputError
+from wavefocus.storage.ledger.reader import DamagedError
 
 SIGNAL = Noise((80.0, 420.0), 0.4, 3)
 MOVING = Source(Circle((1.3, -0.7), 13.0, 0.9, 20.0), SIGNAL, 0.01, 180.0, 3.0, 2.0)
@@ -186,3 +187,32 @@ def test_the_estimate_does_not_saturate_and_advises_no_kernel_that_is_as_wrong(k
 def test_the_kernel_is_advised_where_it_is_better():
     _, report = error_of(MOVING, "bilinear", "exact")
     assert report.interpolation_errors.kernel_is_better
+
+
+class WithDamage:
+    """A bank of which one row does not match its checksum."""
+
+    def __init__(self, row):
+        self._row = row
+
+    def __getattr__(self, name):
+        return getattr(bank(), name)
+
+    def green(self, position):
+        if position == self._row:
+            raise DamagedError(f"position {position} is damaged")
+        return bank().green(position)
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        Scene("quiet", (STANDING,), PLAIN, quiet=(QuietPlace(Point((8.9, 6.1)), level_db=-10.0),)),
+        Scene("auto", (REPEATING,), PLAIN, Output(interpolation="auto")),
+    ],
+    ids=["a quiet place between positions", "auto"],
+)
+def test_given_a_damaged_row_that_is_needed_then_no_other_method_takes_its_place(scene):
+    near = int(np.argmin(np.hypot(*(bank().position_mm - (9.0, 6.0)).T)))
+    with pytest.raises(DamagedError, match=f"position {near} is damaged"):
+        render_with_report(scene, WithDamage(near))

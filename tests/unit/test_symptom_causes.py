@@ -1,78 +1,82 @@
-"""One cause at a time on a simulated plate: it is named, or nothing is; never another."""
+"""Causes on plates by their own equations: each is named, or nothing is; never another."""
 
 from __future__ import annotations
-
-import dataclasses
 
 import numpy as np
 import pytest
 
+from tests.unit import analytic_plates as plates
+from tests.unit.analytic_plates import ACTUATORS, Case, Medium, green, outcome, verified
 from tests.unit.line_verification import rendered, scan_of
-from wavefocus.benchmarks import symptoms as simulated
-from wavefocus.benchmarks.symptoms import SymptomCase, lab, outcome
 from wavefocus.rendering.verify.linearity import QUIETER_DB, nonlinear_share
 from wavefocus.rendering.verify.scan import Scan
-
-ACTUATORS = simulated.ACTUATORS
+from wavefocus.rendering.verify.verdict import Verification
 
 
 def chance(number: int = 1) -> np.random.Generator:
     return np.random.default_rng([7, number])
 
 
+def certain(found: Verification) -> set[tuple[str, tuple[int, ...]]]:
+    return {(symptom.code, symptom.actuators) for symptom in found.symptoms if symptom.certain}
+
+
 @pytest.mark.parametrize(
-    "cause",
-    [simulated.delay_of_all, simulated.rotated, simulated.damping, simulated.cubic_drive],
+    ("plate", "kind"), [("gel", 0), ("bending", 1), ("disk", 3), ("mirrors", 6), ("gel", 7), ("disk", 8)]
 )
-def test_given_a_cause_then_it_is_named_with_certainty(cause) -> None:
-    case = cause(lab("soft"), chance())
-    found = lab("soft").verified(case, chance())
-    (symptom,) = found.symptoms
-    assert (symptom.code, symptom.certain) == (case.code, True)
-    assert 0.8 <= symptom.explained <= 1.0
+def test_given_an_electric_cause_then_just_its_actuators_are_named(plate: str, kind: int) -> None:
+    case = plates.electric(plate, chance(kind), kind, green(plate))
+    found = verified(plate, case, chance())
+    assert outcome(case, found) == "named"
+    assert not found.passed
+    assert all(0.95 <= symptom.explained <= 1.0 for symptom in found.symptoms)
 
 
-@pytest.mark.parametrize("count", [4, 5, 6])
-def test_given_some_actuators_3_db_quieter_then_just_they_are_named(count: int) -> None:
-    chosen = tuple(sorted(chance(count).permutation(ACTUATORS)[:count].tolist()))
-    factor = np.ones(ACTUATORS)
-    factor[list(chosen)] = 10 ** (-3.0 / 20.0)
-    case = SymptomCase("level", "level", chosen, lab("soft").truth * factor[:, None])
-    (symptom,) = lab("soft").verified(case, chance()).symptoms
-    assert (symptom.code, symptom.actuators, symptom.certain) == ("level", chosen, True)
-    assert symptom.value == pytest.approx(-3.0, abs=0.1)
+@pytest.mark.parametrize(("plate", "kind"), [("disk", 0), ("mirrors", 1), ("gel", 3)])
+def test_given_a_mirror_that_is_off_then_one_affine_error_is_named_with_its_size(plate: str, kind: int) -> None:
+    case = plates.mirrored(plate, chance(kind), kind)
+    matrix, offset_mm = plates.affine(plate, chance(kind), kind)
+    (symptom,) = verified(plate, case, chance()).symptoms
+    assert (symptom.code, symptom.certain) == ("mirror", True)
+    np.testing.assert_allclose(np.array(symptom.affine)[:, :2], matrix - np.eye(2), atol=0.01)
+    np.testing.assert_allclose(np.array(symptom.affine)[:, 2], offset_mm, atol=0.1)
+    assert symptom.value[0] == pytest.approx(float(np.hypot(*offset_mm)), abs=0.1)
 
 
-def test_given_reversed_silent_and_late_actuators_then_each_kind_is_named() -> None:
-    factor = np.ones(ACTUATORS)
-    factor[[1, 4]], factor[7] = -1.0, 0.0
-    case = SymptomCase("several", None, None, lab("soft").truth * factor[:, None])
-    found = lab("soft").verified(case, chance()).symptoms
-    assert {(one.code, one.actuators, one.certain) for one in found} == {
-        ("polarity", (1, 4), True),
-        ("silent", (7,), True),
-    }
+def test_given_a_dead_actuator_and_faster_waves_then_these_two_are_named() -> None:
+    values = green("gel", Medium(speed=1.02)) * (np.arange(ACTUATORS) != 5)[:, None]
+    found = verified("gel", Case("two", frozenset(), values), chance())
+    assert certain(found) == {("silent", (5,)), ("speed", ())}
+    (speed,) = (symptom.value for symptom in found.symptoms if symptom.code == "speed")
+    assert speed == pytest.approx(2.0, abs=0.2)
 
 
-def test_given_a_finger_then_the_error_is_unexplained_and_a_guess_is_no_more_than_a_guess() -> None:
-    case = simulated.finger(lab("soft"), chance())
-    found = lab("soft").verified(case, chance())
-    assert found.symptoms[0].code == "unexplained"
+@pytest.mark.parametrize("number", [0, 1, 2])
+@pytest.mark.parametrize("plate", ["mirrors", "bending"])
+def test_given_damping_a_cubic_or_a_finger_then_nothing_is_named_and_no_guess_made(plate: str, number: int) -> None:
+    case, rng = list(plates.unlisted(plate, number + 1, 3))[number]
+    found = verified(plate, case, rng)
     assert not any(symptom.certain for symptom in found.symptoms)
-    assert outcome(case, found) == "unexplained"
+    assert [symptom.code for symptom in found.symptoms] in ([], ["unexplained"])
 
 
-def test_given_a_cubic_of_half_per_square_volt_then_it_is_no_level() -> None:
-    case = simulated.cubic_response(lab("soft"), chance())
-    case = dataclasses.replace(case, respond=lambda response: response + 0.5 * response**3)
-    (symptom,) = lab("soft").verified(case, chance(), again=False).symptoms
-    assert symptom.code == "nonlinear"
+def test_given_a_scene_played_quieter_then_distortion_is_named_by_it_alone() -> None:
+    case = Case("cubic", frozenset(), green("gel"), lambda response: response + 0.6 * response**3)
+    assert certain(verified("gel", case, chance(), quiet_db=QUIETER_DB)) == {("nonlinear", ())}
 
 
-def test_given_a_sound_rig_then_nothing_is_named() -> None:
-    found = lab("soft").verified(SymptomCase("none", None, None, lab("soft").truth), chance())
+def test_given_the_bank_of_another_plate_then_it_is_called_wrong() -> None:
+    other = green("disk") * np.linalg.norm(green("gel")) / np.linalg.norm(green("disk"))
+    (symptom,) = verified("gel", Case("other", frozenset(), other), chance()).symptoms
+    assert (symptom.code, symptom.certain) == ("wrong_bank", False)  # a heavy finger on a stiff plate looks the same
+
+
+@pytest.mark.parametrize("plate", list(plates.PLATES))
+def test_given_a_sound_rig_then_nothing_is_named(plate: str) -> None:
+    found = verified(plate, Case("none", frozenset(), green(plate)), chance())
     assert found.symptoms == ()
-    assert found.passed
+    assert found.fields.error < 0.01
+    assert all(abs(one.level_db) < 0.1 and abs(one.delay_us) < 10.0 for one in found.actuators)
 
 
 @pytest.mark.parametrize(("exponent", "share"), [(3, 1.0), (1, 0.0)])

@@ -13,11 +13,16 @@ import numpy as np
 import pytest
 
 from tests.unit.line_verification import GRID_MM, RATE_HZ, bank, rendered, scene_of
+from wavefocus.config.scene import Output
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.field.prediction import predict
 from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.scene.paths import Line
 from wavefocus.rendering.verify.changes import change_lines, changes_since
 from wavefocus.rendering.verify.field_pair import CancelledError, read_pair
 from wavefocus.rendering.verify.record import RECORD_NAME, RecordedSource, read_record, write_record
 from wavefocus.rendering.verify.results import Symptom
+from wavefocus.rendering.verify.symptom_words import remedy, sentence
 from wavefocus.rendering.verify.verdict import Verification, compare
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import Field, write_field
@@ -84,6 +89,43 @@ def test_given_a_record_then_it_says_what_the_comparison_found(record_file: Path
     assert np.isnan(record.actuator_places_mm[2]).all()
     assert len(record.focus_s) == len(verification.fields.instant)
     assert (record.scene, record.scene_file, record.rig) == ("line", "line.toml", "virtual")
+
+
+def test_given_causes_of_this_and_of_earlier_versions_then_they_are_read(record_file: Path) -> None:
+    content = json.loads(record_file.read_text(encoding="utf-8"))
+    mirror = {"code": "mirror", "value": [0.4, 1.0, 0.05], "explained": 0.99, "affine": [[0.05, 0, 0.4], [0, 0, 0]]}
+    earlier = {"code": "shifted", "value": 4.0, "positions": [5, 6], "shift_mm": [4.0, 0.0], "certain": False}
+    content["symptoms"] = [mirror, earlier, {"code": "damping", "value": 3.0}]
+    record_file.write_text(json.dumps(content), encoding="utf-8")
+    read = read_record(record_file).symptoms
+    assert [symptom.code for symptom in read] == ["mirror", "shifted", "damping"]
+    assert read[0].value == (0.4, 1.0, 0.05)
+    assert all("nan" not in sentence(symptom) and remedy(symptom) for symptom in read)
+
+
+def test_given_a_path_between_positions_then_the_record_has_the_point_asked_for_and_the_position_used(
+    tmp_path: Path,
+) -> None:
+    source = dataclasses.replace(scene_of().sources[0], path=Line((-12.0, 1.5), (12.0, 1.5)))
+    scene = dataclasses.replace(scene_of(), sources=(source,), output=Output(interpolation="nearest"))
+    drive, report = render_with_report(scene, bank())
+    prediction = predict(drive, bank())
+    verification = compare(
+        prediction, prediction, drive, bank(), interpolation_error=report.interpolation_errors.overall
+    )
+    names = {"scene_file": "line.toml", "bank": "plate.h5", "rig": "virtual"}
+    write_record(tmp_path, verification=verification, scene=scene, prediction=prediction, bank=bank(), names=names)
+    record = read_record(tmp_path / RECORD_NAME)
+    assert [focus.at_mm[1] for focus in record.foci] == pytest.approx([1.5] * len(record.foci))
+    assert all(GRID_MM[focus.position, 1] == 0.0 for focus in record.foci)
+    by_name = {figure.name: figure for figure in record.figures}
+    assert by_name["focus to path point"].scanned == pytest.approx(1.5, abs=0.5)
+    expected = by_name["interpolation error expected"]
+    assert (expected.relation, expected.limit) == ("at most", 5.0)
+    assert expected.value == pytest.approx(100.0 * report.interpolation_errors.overall)
+    assert expected.value > 5.0
+    assert not record.passed
+    assert "interpolation error expected" in record.summary
 
 
 def test_given_a_moving_source_then_it_is_where_its_speed_takes_it(record_file: Path) -> None:

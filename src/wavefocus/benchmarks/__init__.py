@@ -30,7 +30,6 @@ BENCHMARKS = {
     "coarse_grids": Benchmark("grids coarser than half a wavelength, on all plates", on_request=True),
     "quiet": Benchmark("quiet places: level, drive energy, run time", on_request=True),
     "commands": Benchmark("commands from the shell"),
-    "symptoms": Benchmark("causes of a failed verification, one by one on four plates", on_request=True),
     "paper": Benchmark(
         "the paper's figures on the virtual rig",
         on_request=True,

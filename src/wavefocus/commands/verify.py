@@ -8,7 +8,7 @@ import os
 import socket
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -36,7 +36,7 @@ from wavefocus.ending import ended_by_file, ending_at_once
 from wavefocus.exits import Exit, exit_code, sentence
 from wavefocus.input_files import input_files, scan_rows
 from wavefocus.options import RenderOptions
-from wavefocus.rendering.arrays import Float64Array
+from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.rendering.field.metrics import grid_spacing_mm
 from wavefocus.rendering.field.prediction import predict as predict_field
 from wavefocus.rendering.number_text import percent
@@ -44,8 +44,15 @@ from wavefocus.rendering.report.page import build_report
 from wavefocus.rendering.scene.model import Scene, load_scene
 from wavefocus.rendering.verify import symptom_words
 from wavefocus.rendering.verify.changes import change_lines, changes_since
-from wavefocus.rendering.verify.correction import control_rows, correct_drive, correction_lines
+from wavefocus.rendering.verify.correction import (
+    MIN_CONTROLS,
+    control_rows,
+    correct_drive,
+    correction_lines,
+    require_correctable,
+)
 from wavefocus.rendering.verify.linearity import linearity_rows, quieter
+from wavefocus.rendering.verify.mirror_error import sentinel_shift_mm
 from wavefocus.rendering.verify.record import (
     CORRECTED_NAME,
     DRIVE_NAME,
@@ -117,7 +124,12 @@ def verify(
     inputs = input_files(scene_file, bank, rig_file, against)
     before = None if against is None else read_record(against)
     journals = JOURNAL_NAME, QUIET_JOURNAL_NAME
-    require_output_folder(out, results, inputs, force=force, may_exist=(LOG_NAME, STOP_NAME, *journals))
+    working_files = (LOG_NAME, STOP_NAME, *journals)
+    # Without a record, results beside a journal are of a verification that ended while it published them.
+    if (out / JOURNAL_NAME).exists() and not (out / RECORD_NAME).exists():
+        require_output_folder(out, (), inputs, force=force, may_exist=(*working_files, *results))
+    else:
+        require_output_folder(out, results, inputs, force=force, may_exist=working_files)
     scene = load_scene(scene_file, allow_large=allow_large)
     with open_bank(bank) as view:
         working_on("verifying the rows of the bank")
@@ -191,18 +203,19 @@ class _Work:
         """
         out, bank = self.out, self.bank
         with self._step("render", 1) as report, naming(self.scene_file, bank):
-            drive, facts = render_by_options(self.scene, bank, RenderOptions())
+            drive, facts = render_by_options(self.scene, bank, RenderOptions(), report)
             report(1, 1)
         for warning in facts.warnings:
             say(f"warning: {warning}")
         check_drive(
             drive, self.rig.player, str(self.scene_file), "set output.limit_v or output.limit_rms_v in the scene"
         )
+        control = self._control(drive, rows)
         write_drive(out / DRIVE_NAME, drive)
         with self._step("predict", bank.positions if rows is None else len(rows)) as report:
             prediction = predict_field(drive, bank, rows, dtype=np.float32, on_progress=report)
         write_field(out / PREDICTION_NAME, prediction)
-        measured, quiet, sentinel, leak, marker, scan_s, correction = self._scanned(drive, prediction)
+        measured, quiet, sentinel, leak, marker, scan_s, correction = self._scanned(drive, prediction, control)
         write_field(out / SCAN_NAME, measured.as_field())
         outline_mm = self.rig.surface.outline.line(OUTLINE_POINTS)
         with self._step("compare and report", 3) as report:
@@ -218,6 +231,7 @@ class _Work:
                 drift_limits=drift_limits,
                 leak=leak,
                 marker_v=marker,
+                interpolation_error=None if facts.interpolation_errors is None else facts.interpolation_errors.overall,
             )
             verification = replace(verification, correction=correction)
             names = {"scene_file": str(self.scene_file), "bank": str(bank.path), "rig": rig_name}
@@ -253,34 +267,63 @@ class _Work:
             report(3, 3)
         return verification, record
 
+    def _control(self, drive: Drive, rows: list[int] | None) -> Int64Array:
+        """Bank rows of the control places of a correction, none without one.
+
+        Raises InputError: nothing that is scanned could be compared or corrected; so far nothing has played.
+        """
+        bank, sound = self.bank, usable(self.bank.status)
+        scanned = np.flatnonzero(np.asarray(bank.status)) if rows is None else np.asarray(rows, np.int64)
+        if not np.any(sound[scanned]):
+            raise InputError(f"{bank.path}: none of the positions to scan is valid, so none could be compared")
+        if not self.corrections:
+            return scanned[:0]
+        control = scanned
+        if self.control == "scene":
+            control = control_rows(drive, np.asarray(bank.position_mm, np.float64))
+        control = control[sound[control]]
+        with naming(self.scene_file, bank):
+            require_correctable(drive, bank, control)
+        if control.size < MIN_CONTROLS:
+            say(f"{control.size} control places: none is held out, so one correction is made at most")
+        return control
+
     def _scanned(
-        self, drive: Drive, prediction: Field
+        self, drive: Drive, prediction: Field, control: Int64Array
     ) -> tuple[Scan, Scan | None, Sentinel | None, Crosstalk | None, Float64Array | None, float, Correction | None]:
-        with open_setup(self.rig, self.configuration.run) as setup:
+        softer = quieter(drive)
+        with (
+            self._journal(drive, self.journals / JOURNAL_NAME) as kept,
+            self._journal(softer, self.journals / QUIET_JOURNAL_NAME)
+            if self.linearity
+            else nullcontext() as softer_kept,
+            open_setup(self.rig, self.configuration.run) as setup,
+        ):
             sentinel = self._sentinel(setup) if self.sentinel else None
             started_s = setup.instruments.clock.now_s()
             plan = ScanPlan(tuple(int(row) for row in prediction.position_index))
-            measured = self._scan(plan, setup, drive, self.journals / JOURNAL_NAME)
+            measured = self._scan(plan, setup, drive, kept)
             quiet = None
             if self.linearity:
                 rows = linearity_rows(drive, measured.position_index)
                 some = ScanPlan(rows, purpose="linearity")
-                quiet = self._scan(some, setup, quieter(drive), self.journals / QUIET_JOURNAL_NAME)
-            correction = self._corrected(setup, drive, measured) if self.corrections else None
+                quiet = self._scan(some, setup, softer, softer_kept)
+            correction = self._corrected(setup, drive, measured, control, sentinel) if self.corrections else None
             took_s = setup.instruments.clock.now_s() - started_s
             leak = self._leak(setup, prediction)
             marker: Float64Array | None = marker_v(setup, measured.field.shape[1], drive.sample_rate_hz)
         return measured, quiet, sentinel, leak, marker, took_s, correction
 
-    def _corrected(self, setup: Setup, drive: Drive, measured: Scan) -> Correction:
-        """Correct the drive by scans of the control places, and keep the best; raises InputError: there is none."""
+    def _corrected(
+        self, setup: Setup, drive: Drive, measured: Scan, rows: Int64Array, sentinel: Sentinel | None
+    ) -> Correction:
+        """Correct the drive by scans of the control places, and keep the best; not where the mirror is off."""
         bank = self.bank
-        rows = measured.position_index
-        if self.control == "scene":
-            rows = control_rows(drive, np.asarray(bank.position_mm, np.float64))
-        rows = rows[usable(bank.status)[rows]]
-        if not rows.size:
-            raise InputError(f"{self.scene_file}: no position at its foci is valid in {bank.path}")
+        shift_mm = None if sentinel is None else sentinel_shift_mm(sentinel, bank)
+        if shift_mm is not None:
+            say("warning: the sentinel position shows the field ({:+.2g}, {:+.2g}) mm further".format(*shift_mm))
+            write_drive(self.out / CORRECTED_NAME, drive)
+            return Correction((), None, "mirror")
         plan = ScanPlan(tuple(rows.tolist()), purpose="correction")
 
         def measure(played: Drive) -> Scan:
@@ -311,8 +354,8 @@ class _Work:
         whole = share_of_median_row(rms, self.bank.taps, rate_hz, band[0] if band else BAND_HZ, per_volt)
         return found if found.reaches(UNKNOWN_ROWS_SHARE if whole is None else ROW_SHARE * whole) else None
 
-    def _scan(self, plan: ScanPlan, setup: Setup, drive: Drive, journal: Path) -> Scan:
-        with self._journal(drive, journal) as kept, self._step(plan.purpose, len(plan.position)) as report:
+    def _scan(self, plan: ScanPlan, setup: Setup, drive: Drive, kept: ScanJournal | None) -> Scan:
+        with self._step(plan.purpose, len(plan.position)) as report:
             publish = self._publisher(report)
             return scan(plan, setup, drive, self.bank, on_progress=report, publish=publish, journal=kept)
 

@@ -9,7 +9,13 @@ import numpy as np
 
 from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.arrays import Float64Array, Int64Array
-from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusInstant, emission_windows, focus_instants
+from wavefocus.rendering.field.focus_figures import (
+    FOCUS_RADIUS_MM,
+    FocusInstant,
+    emission_windows,
+    focus_instants,
+    intended_mm,
+)
 from wavefocus.rendering.field.metrics import focus_spot, grid_spacing_mm
 from wavefocus.rendering.field.prediction import Prediction, chosen_positions
 from wavefocus.rendering.greens.source import GreenSource
@@ -60,7 +66,7 @@ class FocusResults:
 
     source, position, int64 (K,): Index of the scene's source, bank row of the path point.
     time_s, float64 (K,): Scene time at which the predicted response at the path point is largest.
-    intended_mm, float64 (K, 2): The path point on the grid.
+    intended_mm, float64 (K, 2): The path point that was asked for.
     at_mm, float64 (K, 2): Place of the largest magnitude within 15 mm of it, between grid points.
     peak, float64 (K,): The field there, with its sign, in its response unit.
     off_mm, float64 (K,): Distance of that place from the path point.
@@ -110,12 +116,13 @@ def focus_figures(
         within = (column >= 0) & (column < field.field.shape[1])
         values = np.where(within, field.field[:, np.where(within, column, 0)], np.nan).T.astype(np.float64)
     position_mm = np.asarray(bank.position_mm, np.float64)
+    intended = intended_mm(drive, instants, position_mm)
     there, count = position_mm[rows], len(instants)
     spacing_mm = grid_spacing_mm(there) if len(there) > 1 else None
     at_mm, (peak, off_mm, width_mm, artefact_db) = np.full((count, 2), np.nan), np.full((4, count), np.nan)
-    for index, instant in enumerate(instants):
+    for index in range(count):
         if np.isfinite(values[index]).all() and (
-            spot := focus_spot(there, values[index], position_mm[instant.row], FOCUS_RADIUS_MM, spacing_mm)
+            spot := focus_spot(there, values[index], intended[index], FOCUS_RADIUS_MM, spacing_mm)
         ):
             at_mm[index], peak[index], off_mm[index] = spot.at_mm, spot.value, spot.off_mm
             width_mm[index], artefact_db[index] = spot.width_mm, spot.artefact_db
@@ -123,9 +130,7 @@ def focus_figures(
             on_progress(index + 1, count)
     position = np.array([instant.row for instant in instants], np.int64)
     source = np.array([instant.source for instant in instants], np.int64)
-    return FocusResults(
-        source, position, sample / rate_hz, position_mm[position], at_mm, peak, off_mm, width_mm, artefact_db
-    )
+    return FocusResults(source, position, sample / rate_hz, intended, at_mm, peak, off_mm, width_mm, artefact_db)
 
 
 def predicted_at(drive: Drive, bank: GreenSource, rows: Int64Array, sample: Int64Array) -> Float64Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -48,7 +49,7 @@ class FocusInstant:
 class FocusTable:
     """Figures of each focus; NaN where the positions around it were not compared.
 
-    intended_mm, float64 (K, 2): The path point on the grid.
+    intended_mm, float64 (K, 2): The path point that was asked for.
     predicted_mm, scanned_mm, float64 (K, 2): Place of the largest magnitude within 15 mm of it, between grid points.
     predicted_width_mm, scanned_width_mm, float64 (K,): Full width at half maximum: diameter of the disk of equal area.
     scanned_artefact_db, float64 (K,): Largest magnitude beyond 15 mm over the largest within.
@@ -118,8 +119,15 @@ def focus_instants(
     return tuple(instant for instant, loud in zip(moved, level, strict=True) if not loud < quietest)
 
 
+def intended_mm(drive: Drive, instants: Sequence[FocusInstant], position_mm: Float64Array) -> Float64Array:
+    """Path points (K, 2) that were asked for; the grid positions used where a drive does not say."""
+    if drive.focus_mm is not None:
+        return np.asarray(drive.focus_mm[[instant.focus for instant in instants]], np.float64).reshape(-1, 2)
+    return position_mm[[instant.row for instant in instants]].reshape(-1, 2)
+
+
 def focus_table(
-    instants: tuple[FocusInstant, ...],
+    intended: Float64Array,
     predicted: Float32Array,
     scanned: Float32Array,
     rows: Int64Array,
@@ -128,13 +136,13 @@ def focus_table(
 ) -> FocusTable:
     """Find places and widths of the foci.
 
-    predicted, scanned, float32 (len(instants), compared positions): The fields at the focus instants.
+    intended, float64 (K, 2): Path points.
+    predicted, scanned, float32 (K, compared positions): The fields at the focus instants.
     rows, int64 (compared positions,): Their bank rows.
     position_mm, float64 (positions, 2): The bank's grid.
     spacing_mm: Its spacing; None when it has but one position.
     """
-    count = len(instants)
-    intended = np.array([position_mm[instant.row] for instant in instants]).reshape(count, 2)
+    count = len(intended)
     places, widths, artefacts = np.full((2, count, 2), np.nan), np.full((2, count), np.nan), np.full((2, count), np.nan)
     there = position_mm[rows]
     for index, point in enumerate(intended):

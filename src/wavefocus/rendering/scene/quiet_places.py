@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +28,7 @@ from wavefocus.rendering.scene.sampling import SampledScene
 from wavefocus.rendering.scene.signals import Impulse
 from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
 from wavefocus.storage.errors import InputError
+from wavefocus.storage.ledger.reader import DamagedError
 
 SEGMENT_S = 0.01
 """Filters follow places that move in steps of this, and fade from step to step."""
@@ -134,8 +134,12 @@ class PlaceRows:
         between = (distance_mm > ON_GRID * self._grid.spacing_mm) | ~usable(self._bank)[rows]
         for name in self._names if between.any() else ():
             if self._method is None:
-                with suppress(InputError):  # of none that the bank allows: the nearest positions are taken
+                try:
                     self._method, self.name = interpolation_method(name).over(self._bank, points_mm[between]), name
+                except DamagedError:
+                    raise
+                except InputError:
+                    continue  # of none that the bank allows: the nearest positions are taken
         if between.any() and self._method is not None:
             rows = rows.copy()
             rows[between] = self._method.nodes(points_mm[between]).rows[:, 0]

@@ -236,10 +236,8 @@ class SampledScene:
         )
 
     @property
-    def focus_mm(self) -> Float64Array | None:
-        """Places of the foci (K, 2); None where they are those of their rows."""
-        if self.interpolation.name == "nearest":
-            return None
+    def focus_mm(self) -> Float64Array:
+        """Path points that were asked for, (K, 2), also where the drive is that of the nearest position."""
         return np.concatenate([source.points_mm for source in self.sources])
 
     def naming(self, row: int, at_mm: Float64Array) -> str:

@@ -40,8 +40,6 @@ class FieldSpectra:
 
     drive, complex128 (actuators, K); predicted, scanned, complex64 (P, K): Sums over samples from the first on.
     noise, float64 (P,): Energy of the scan's noise at these frequencies; NaN where unknown.
-    drive_powers, complex128 (2, actuators, K); predicted_powers, complex64 (2, P, K): Squares and cubes of the drive's
-        and of the predicted signals, for distortion; both relative to the loudest signal.
     """
 
     frequency_hz: Float64Array
@@ -49,8 +47,6 @@ class FieldSpectra:
     predicted: NDArray[np.complex64]
     scanned: NDArray[np.complex64]
     noise: Float64Array
-    drive_powers: Complex128Array
-    predicted_powers: NDArray[np.complex64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,10 +136,8 @@ def compare_fields(prediction: Field, scan: Field | Scan, drive: Drive, bank: Gr
     snapshots = np.zeros((2, len(instants), rows.size), np.float32)
     waveforms = np.zeros((2, waveform_index.size, samples), np.float32)
     cross = np.zeros(band.bins, np.complex128)
-    chosen, drive_spectra, drive_powers = _loudest(drive, band)
+    chosen, drive_spectra = _loudest(drive, band)
     at_chosen = np.zeros((2, rows.size, chosen.size), np.complex64)
-    predicted_powers = np.zeros((2, rows.size, chosen.size), np.complex64)
-    loudest = max(float(np.abs(prediction.field).max(initial=0.0)), float(np.finfo(np.float32).tiny))
     for first in range(0, rows.size, CHUNK_POSITIONS):
         part = slice(first, first + CHUNK_POSITIONS)
         predicted = prediction.field[in_prediction[part]]
@@ -153,7 +147,6 @@ def compare_fields(prediction: Field, scan: Field | Scan, drive: Drive, bank: Gr
         spectra = band.spectrum(predicted), band.spectrum(scanned)
         cross += np.sum(spectra[0].conj() * spectra[1], axis=0)
         at_chosen[:, part] = spectra[0][:, chosen], spectra[1][:, chosen]
-        predicted_powers[:, part] = _powers(predicted / loudest, band, chosen)
         predicted, scanned = band.signals(spectra[0]), band.signals(spectra[1])
         scanned_energy[part], predicted_energy[part] = _energy(scanned), _energy(predicted)
         product[part] = np.einsum("ps,ps->p", scanned, predicted, dtype=np.float64)
@@ -196,37 +189,18 @@ def compare_fields(prediction: Field, scan: Field | Scan, drive: Drive, bank: Gr
             predicted=at_chosen[0],
             scanned=at_chosen[1],
             noise=np.asarray(noise_rms**2 * samples * band.power_of_white(chosen), np.float64),
-            drive_powers=drive_powers,
-            predicted_powers=predicted_powers,
         ),
     )
 
 
-def _loudest(drive: Drive, band: BandLimit) -> tuple[Int64Array, Complex128Array, Complex128Array]:
-    """Frequency bins at which the drive or its harmonics are loudest within the band.
-
-    And the drive's spectra there, (actuators, bins), with those of its squares and cubes, (2, actuators, bins).
-    """
-    largest_v = max(float(np.abs(drive.drive_v).max(initial=0.0)), float(np.finfo(np.float32).tiny))
-    power = np.zeros((3, band.bins))
-    for signal in drive.drive_v:
-        for number in range(3):
-            power[number] += np.square(np.abs(band.spectrum((signal / largest_v) ** (number + 1))))
-    chosen = np.zeros(0, np.int64)
-    for of_power, most in zip(power, (MAX_FREQUENCIES, MAX_HARMONICS, MAX_HARMONICS), strict=True):
-        of_power[chosen] = 0.0
-        loudest = np.argsort(of_power)[::-1][:most]
-        chosen = np.union1d(chosen, loudest[of_power[loudest] > MIN_POWER * of_power.max()])
+def _loudest(drive: Drive, band: BandLimit) -> tuple[Int64Array, Complex128Array]:
+    """Frequency bins at which the drive is loudest within the band, and its spectra there, (actuators, bins)."""
+    spectra = np.stack([band.spectrum(signal) for signal in drive.drive_v]).astype(np.complex128)
+    power = np.square(np.abs(spectra)).sum(axis=0)
+    loudest = np.sort(np.argsort(power)[::-1][:MAX_FREQUENCIES])
+    chosen = loudest[power[loudest] > MIN_POWER * power.max()]
     chosen = chosen if chosen.size else np.zeros(1, np.int64)
-    spectra = np.stack([band.spectrum(signal)[chosen] for signal in drive.drive_v]).astype(np.complex128)
-    return chosen, spectra, _powers(drive.drive_v / largest_v, band, chosen).astype(np.complex128)
-
-
-def _powers(signals: RealArray, band: BandLimit, chosen: Int64Array) -> NDArray[np.complex64]:
-    """Spectra at some bins of the squares and the cubes of signals (n, samples): (2, n, bins)."""
-    squares = np.square(signals)
-    # `signals**3` would take ten times as long.
-    return np.stack([band.spectrum(squares)[:, chosen], band.spectrum(squares * signals)[:, chosen]])
+    return chosen, spectra[:, chosen]
 
 
 def _check_grids(prediction: Field, scan: Field | Scan) -> None:

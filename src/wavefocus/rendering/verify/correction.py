@@ -10,6 +10,9 @@ W = max(0, 1 - |e|^2 / |z - B F|^2), e the scan's noise. A step without the upda
 plate: not at all beneath a finger whose mass makes its place 20 dB harder to move; with it T = alpha B takes one round.
 lambda is the least with which the energy of the drives stays within its cap. Source: Broyden, Mathematics of
 Computation 19, 577 (1965).
+
+A fifth of the control places is held out: the model never sees them, and a round counts only if they improve, too. What
+fits the control places alone, as with a mirror that is off, does not.
 """
 
 from __future__ import annotations
@@ -40,6 +43,8 @@ RIDGES = 10.0 ** np.arange(-3.0, 2.25, 0.25)
 """lambda over the mean power of a row, from the most to the least thorough step."""
 NO_BETTER = 0.95
 """A round that leaves more than this of the error is the last."""
+HELD_OUT, MIN_CONTROLS = 5, 10
+"""Of so many control places one is held out, from so many on: two are the least that say anything."""
 MAX_ENERGY = 5.0
 """Energy of corrected drives over that of the uncorrected one, by default."""
 MAX_MATRIX_BYTES = 2 << 30
@@ -65,24 +70,32 @@ def correct_drive(
     max_energy: Largest energy of the drives over that of `drive`, > 1.
     first: A scan of `drive` that is there already.
 
-    Returns the best drive, `drive` itself where no other is better, and what was found. Raises InputError: the scene is
-    too long for so many control places.
+    Returns the best drive, `drive` itself where no other is better, and what was found. Raises InputError: as
+    `require_correctable`.
     """
-    model = _Model(drive, bank, rows)
-    played, best, found = drive, drive, []
+    require_correctable(drive, bank, rows)
+    few = rows.size < MIN_CONTROLS
+    model = _Model(drive, bank, rows, held_out(rows))
+    played, best, best_index, found = drive, drive, None, list[CorrectionRound]()
     scan = measure(drive) if first is None else first
-    stopped: StopReason = "rounds"
+    stopped: StopReason = "few" if few and rounds > 1 else "rounds"
+    rounds = 1 if few else rounds
     for number in range(rounds + 1):
         state = model.learn(played, scan)
         if state is None:
             stopped = "dropouts"
             break
         found.append(state)
-        if number and state.error > NO_BETTER * min(earlier.error for earlier in found[:-1]):
-            best = played if state.error < min(earlier.error for earlier in found[:-1]) else best
-            stopped = "no better"
+        if best_index is None or _is_better(state, found[best_index], 1.0):
+            better = best_index is None or _is_better(state, found[best_index], NO_BETTER)
+            best, best_index = played, number
+        else:
+            better = False
+        if not better:
+            earlier = found[:-1]
+            fits = state.error <= NO_BETTER * min(one.error for one in earlier)
+            stopped = "held out" if fits and state.held_out is not None else "no better"
             break
-        best = played
         if state.error**2 <= 2.0 * state.noise**2:
             stopped = "noise"
             break
@@ -94,14 +107,52 @@ def correct_drive(
             break
         played = corrected
         scan = measure(played)
-    errors = [state.error for state in found]
-    return best, Correction(tuple(found), int(np.argmin(errors)) if errors else None, stopped)
+    return best, Correction(tuple(found), best_index, stopped)
+
+
+def _is_better(state: CorrectionRound, than: CorrectionRound, share: float) -> bool:
+    """Whether less is left than a share of the error, at the places held out, too."""
+    held = state.held_out is None or than.held_out is None or state.held_out < share * than.held_out
+    return state.error < share * than.error and held
+
+
+def held_out(rows: Int64Array) -> Int64Array:
+    """The control places that a correction does not see: every fifth, none of fewer than ten."""
+    return rows[HELD_OUT // 2 :: HELD_OUT] if rows.size >= MIN_CONTROLS else rows[:0]
+
+
+def require_correctable(drive: Drive, bank: GreenSource, rows: Int64Array) -> None:
+    """Raise InputError where a drive cannot be corrected at these control places: no sound row, silence, too long."""
+    if not rows.size:
+        raise InputError("no control place of the scene is valid in the bank; measure them, or use --control all")
+    if not np.any(drive.drive_v):
+        raise InputError("the scene is silent, so there is nothing to correct; give a source an amplitude above 0")
+    bins = _bins(drive, bank)[1].size
+    needed = 16 * bins * rows.size * len(drive.drive_v)
+    if needed > MAX_MATRIX_BYTES:
+        raise InputError(
+            f"a correction at {rows.size} control places takes {needed / 2**30:.1f} GiB for a scene of this "
+            f"length, more than {MAX_MATRIX_BYTES / 2**30:g}; shorten the scene"
+        )
+
+
+def _bins(drive: Drive, bank: GreenSource) -> tuple[int, Int64Array]:
+    """Length of the transforms, and the bins within the band in which the drive has power."""
+    length = scipy.fft.next_fast_len(drive.drive_v.shape[1] + bank.taps - 1, real=True)
+    frequency_hz = np.fft.rfftfreq(length, 1.0 / drive.sample_rate_hz)
+    low_hz, high_hz = bank.band_hz or (0.0, drive.sample_rate_hz / 2)
+    power = np.square(np.abs(scipy.fft.rfft(drive.drive_v, length))).sum(axis=0)
+    power[(frequency_hz < low_hz) | (frequency_hz > high_hz)] = 0.0
+    return length, np.flatnonzero(power > MIN_POWER * power.max())
 
 
 STOPPED_WORDS = {
     "rounds": "all corrections that were asked for are made",
     "noise": "what is left is the scan's noise",
     "no better": "the last correction made it no better",
+    "held out": "the last correction made it no better at the control places held out",
+    "few": f"with fewer than {MIN_CONTROLS} control places none is held out, so one correction is made and no more",
+    "mirror": "the sentinel position shows the field of another place: calibrate the mirror, then correct the drive",
     "limit": "limits or energy leave no room for a correction: lower the amplitude of the scene",
     "dropouts": "fewer than half of the control places had a usable record",
 }
@@ -111,12 +162,16 @@ def correction_lines(correction: Correction) -> list[str]:
     """A line for each scan, and one for the end."""
     lines = [
         f"{'uncorrected' if not number else f'correction {number}'}: error {percent(state.error)} at "
-        f"{state.positions} control places (noise {percent(state.noise)}), energy {state.energy:.3g} times, "
-        f"peak {state.peak_v:.3g} V"
+        f"{state.positions} control places (noise {percent(state.noise)}){_held_out_words(state)}, "
+        f"energy {state.energy:.3g} times, peak {state.peak_v:.3g} V"
         for number, state in enumerate(correction.rounds)
     ]
     kept = "the uncorrected drive is kept" if not correction.best else f"correction {correction.best} is kept"
     return [*lines, f"{STOPPED_WORDS[correction.stopped]}; {kept}"]
+
+
+def _held_out_words(state: CorrectionRound) -> str:
+    return "" if state.held_out is None else f", {percent(state.held_out)} at those held out"
 
 
 def control_rows(drive: Drive, position_mm: Float64Array) -> Int64Array:
@@ -128,27 +183,21 @@ def control_rows(drive: Drive, position_mm: Float64Array) -> Int64Array:
 class _Model:
     """What is known of the plate at the control places, per frequency."""
 
-    def __init__(self, drive: Drive, bank: GreenSource, rows: Int64Array) -> None:
-        self._rows, self._drive = rows, drive
-        samples = drive.drive_v.shape[1]
-        self._length = scipy.fft.next_fast_len(samples + bank.taps - 1, real=True)
-        frequency_hz = np.fft.rfftfreq(self._length, 1.0 / drive.sample_rate_hz)
-        low_hz, high_hz = bank.band_hz or (0.0, drive.sample_rate_hz / 2)
-        power = np.square(np.abs(scipy.fft.rfft(drive.drive_v, self._length))).sum(axis=0)
-        power[(frequency_hz < low_hz) | (frequency_hz > high_hz)] = 0.0
-        self._bins = np.flatnonzero(power > MIN_POWER * power.max())
-        needed = 16 * self._bins.size * rows.size * len(drive.drive_v)
-        if needed > MAX_MATRIX_BYTES:
-            raise InputError(
-                f"a correction at {rows.size} control places takes {needed / 2**30:.1f} GiB for a scene of this "
-                f"length, more than {MAX_MATRIX_BYTES / 2**30:g}; shorten the scene"
-            )
-        self._green = np.empty((self._bins.size, rows.size, len(drive.drive_v)), np.complex128)
-        for index, row in enumerate(rows.tolist()):
-            self._green[:, index] = self._spectra(np.asarray(bank.green(row), np.float64)).T
-        self._wanted = self._respond(self._spectra(drive.drive_v).T)
+    def __init__(self, drive: Drive, bank: GreenSource, rows: Int64Array, held_out: Int64Array) -> None:
+        self._rows, self._held_rows, self._drive = np.setdiff1d(rows, held_out), held_out, drive
+        self._length, self._bins = _bins(drive, bank)
+        self._green = self._transforms(bank, self._rows)
+        drives = self._spectra(drive.drive_v).T
+        self._wanted = self._respond(drives)
+        self._held_wanted = (self._transforms(bank, held_out) @ drives[:, :, None])[:, :, 0]
         self._error = np.zeros_like(self._wanted)
         self._energy = float(np.square(drive.drive_v).sum())
+
+    def _transforms(self, bank: GreenSource, rows: Int64Array) -> Complex128Array:
+        green = np.empty((self._bins.size, rows.size, len(self._drive.drive_v)), np.complex128)
+        for index, row in enumerate(rows.tolist()):
+            green[:, index] = self._spectra(np.asarray(bank.green(row), np.float64)).T
+        return green
 
     def learn(self, played: Drive, scan: Scan) -> CorrectionRound | None:
         """Update what is known by a scan of a drive; None where too few places have a usable record."""
@@ -172,7 +221,18 @@ class _Model:
             energy=float(np.square(played.drive_v).sum()) / self._energy,
             peak_v=float(np.abs(played.drive_v).max()),
             positions=int(np.count_nonzero(usable)),
+            held_out=self._held_out_error(scan),
         )
+
+    def _held_out_error(self, scan: Scan) -> float | None:
+        """As `CorrectionRound.error`, at the places that are held out; None where none has a usable record."""
+        at = np.searchsorted(scan.position_index, self._held_rows)
+        usable = scan.status[at] == Status.VALID
+        if not usable.any():
+            return None
+        wanted = self._held_wanted[:, usable]
+        missed = self._spectra(scan.field[at[usable]].astype(np.float64)).T - wanted
+        return float(np.linalg.norm(missed) / np.linalg.norm(wanted))
 
     def next_drive(self, played: Drive, limits: DriveLimits, max_energy: float) -> Drive | None:
         """The corrected drive of the least error within energy and limits; None where they leave no room."""

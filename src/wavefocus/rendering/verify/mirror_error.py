@@ -1,8 +1,8 @@
-"""An error of the mirror as a cause: every position shows the field of a place that is shifted, rotated or scaled."""
+"""An affine error of the mirror as a cause: every position x shows the field of ``x + shift + (M - 1) x``."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -10,18 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wavefocus.calibration.numerics import evenly_spread
-from wavefocus.calibration.wave_model import (
-    DISK_RADIUS,
-    MAX_GROWTH,
-    MIN_DIRECTIONS,
-    Patch,
-    PatchKernel,
-    WaveModel,
-    disk_kernel,
-    fit_waves,
-)
-from wavefocus.rendering.arrays import Complex128Array, Float64Array, Int64Array
-from wavefocus.rendering.verify.superposition import Block, energy, transforms
+from wavefocus.calibration.wave_model import Patch, PatchKernel, WaveModel, fit_waves
+from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
+from wavefocus.rendering.verify.results import CERTAIN_SHARE, Sentinel
+from wavefocus.rendering.verify.superposition import Block, energy, sentinel_block, transforms
 from wavefocus.storage.point_status import Status
 
 if TYPE_CHECKING:
@@ -30,71 +22,75 @@ if TYPE_CHECKING:
 PATCH = 21
 """Positions that a place is interpolated from: a lattice's, within two and a half steps."""
 MIN_POSITIONS = 9
-WAVE_PATCHES, WAVE_FREQUENCIES = 6, 9
-FIT_FREQUENCIES = 32
+WAVE_PATCHES, WAVE_FREQUENCIES, FIT_FREQUENCIES = 6, 9, 32
 MAX_OUTSIDE = 0.75
 """Grid spacings from the nearest measured position beyond which a field is not known."""
 MIN_INSIDE = 0.5
 """Share of the positions that must show a known field."""
-COARSE_STEPS = (-1.0, -0.5, 0.0, 0.5, 1.0)
-COARSE_TURNS_DEG = (-20.0, -10.0, -5.0, 5.0, 10.0, 20.0)
-COARSE_SCALES = (-0.2, -0.1, -0.05, 0.05, 0.1, 0.2)
-ITERATIONS = 6
+START_STEPS = (-1.0, -0.5, 0.5, 1.0)
+"""Shifts in grid spacings that the search starts from; turned or scaled, the rim moves as far."""
+MIN_SPACINGS = 1 / 16
+"""Smaller displacements are not named: at four positions a wavelength they make errors below 10 %."""
+ITERATIONS = 8
 STEP_MM = 0.05
+BENDING_SLOPE = 0.75
+"""Exponent of the wave number over the frequency, midway between a bending plate's, 1/2, and a gel's, 1."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class MirrorError:
-    """A place x on the surface is shown as ``shift_mm + M x``.
+    """Each place x is shown as ``x + shift_mm + stretch x``; stretch is (2, 2), 0 of a sound mirror."""
 
-    M is a rotation by `rotation_rad`, times `scale`, after a stretch of y against x (`stretch`, `shear`).
-    """
-
-    shift_mm: tuple[float, float] = (0.0, 0.0)
-    rotation_rad: float = 0.0
-    scale: float = 1.0
-    stretch: float = 0.0
-    shear: float = 0.0
+    shift_mm: Float64Array
+    stretch: Float64Array
 
     @classmethod
     def of(cls, numbers: Float64Array) -> MirrorError:
-        """From shift x, shift y, rotation, logarithm of the scale, stretch and shear."""
-        x_mm, y_mm, turn, size, stretch, shear = (float(number) for number in numbers)
-        return cls((x_mm, y_mm), turn, float(np.exp(size)), stretch, shear)
+        """From six numbers: the shift, and the stretch row by row."""
+        return cls(numbers[:2], numbers[2:].reshape(2, 2))
 
     def displacement_mm(self, place_mm: Float64Array) -> Float64Array:
         """From places (n, 2) to the places that they show."""
-        cos, sin = np.cos(self.rotation_rad), np.sin(self.rotation_rad)
-        uneven = np.array([[1.0 - self.stretch, self.shear], [self.shear, 1.0 + self.stretch]])
-        matrix = self.scale * np.array([[cos, -sin], [sin, cos]]) @ uneven
-        return np.asarray(place_mm @ (matrix - np.eye(2)).T + self.shift_mm)
+        return np.asarray(self.shift_mm + place_mm @ self.stretch.T)
+
+    @property
+    def value(self) -> tuple[float, float, float]:
+        """Shift in mm, rotation in degrees, counter-clockwise, and change of scale, 0.01 for 1 %."""
+        (along, across), (turned, up) = np.eye(2) + self.stretch
+        rotation_deg = float(np.degrees(np.arctan2(turned - across, along + up)))
+        scale = float(np.sqrt(abs(along * up - across * turned)))
+        return float(np.hypot(*self.shift_mm)), rotation_deg, scale - 1.0
 
 
-SHIFT, ROTATION, SCALE = (0, 1), (2,), (3,)
-ALL = (0, 1, 2, 3, 4, 5)
-
-
-class InterpolatedBank:
-    """A bank as a field between its positions: damped waves, fitted to it, and a kernel regression from neighbours."""
+class BankAsField:
+    """A bank's valid positions, their neighbours, and the waves that the bank shows."""
 
     def __init__(self, bank: GreenSource) -> None:
         from scipy.spatial import cKDTree  # slow to load
 
         self.bank = bank
-        self.rows = np.flatnonzero(np.asarray(bank.status) == Status.VALID).astype(np.int64)
         self.place_mm = np.asarray(bank.position_mm, np.float64)
-        self.tree = cKDTree(self.place_mm[self.rows])
-        there_mm = self.place_mm[self.rows]
-        two_ways = len(self.rows) >= MIN_POSITIONS and np.linalg.matrix_rank(there_mm - there_mm[0], 1e-3) == 2
-        self.spacing_mm = float(np.median(np.asarray(self.tree.query(there_mm, 2)[0])[:, 1])) if two_ways else 0.0
-        self.usable = self.spacing_mm > 0.0
+        self._rows = np.flatnonzero(np.asarray(bank.status) == Status.VALID).astype(np.int64)
+        there_mm = self.place_mm[self._rows]
+        self._tree = cKDTree(there_mm)
+        two_ways = len(self._rows) >= MIN_POSITIONS and np.linalg.matrix_rank(there_mm - there_mm[0], 1e-3) == 2
+        self.spacing_mm = float(np.median(np.asarray(self._tree.query(there_mm, 2)[0])[:, 1])) if two_ways else 0.0
+
+    @property
+    def usable(self) -> bool:
+        """Whether there are positions enough, and not on one line."""
+        return self.spacing_mm > 0.0
 
     def patch(self, row: int) -> Patch:
         """A row and its nearest neighbours."""
-        near = self.rows[np.asarray(self.tree.query(self.place_mm[row], min(PATCH, len(self.rows)))[1])]
+        near = self._rows[np.asarray(self._tree.query(self.place_mm[row], min(PATCH, len(self._rows)))[1])]
         offset_mm = (self.place_mm[near] - self.place_mm[row]).round(6)
         order = np.lexsort((offset_mm[:, 1], offset_mm[:, 0], np.hypot(*offset_mm.T).round(6)))
         return Patch(near[order], offset_mm[order], offset_mm[order].tobytes())
+
+    def is_known(self, place_mm: Float64Array) -> BoolArray:
+        """Places (n, 2) that lie near enough to a measured position."""
+        return np.asarray(self._tree.query(place_mm)[0] <= MAX_OUTSIDE * self.spacing_mm)
 
     @cached_property
     def waves(self) -> WaveModel:
@@ -102,197 +98,164 @@ class InterpolatedBank:
         bank = self.bank
         low_hz, high_hz = bank.band_hz or (0.0, bank.sample_rate_hz / 4.0)
         frequency_hz = np.geomspace(max(low_hz, high_hz / 20.0), high_hz, WAVE_FREQUENCIES)
-        patches = [self.patch(int(self.rows[index])) for index in evenly_spread(len(self.rows), WAVE_PATCHES)]
-        return fit_waves(patches, frequency_hz, self._values(frequency_hz), self.spacing_mm)
+        patches = [self.patch(int(self._rows[index])) for index in evenly_spread(len(self._rows), WAVE_PATCHES)]
+        return fit_waves(patches, frequency_hz, lambda rows: self.green(rows, frequency_hz), self.spacing_mm)
+
+    def green(self, rows: Int64Array, frequency_hz: Float64Array) -> Complex128Array:
+        """Transforms of the Green's functions of rows, (K, rows, A)."""
+        found = [transforms(self.bank.green(int(row)), frequency_hz, self.bank.sample_rate_hz) for row in rows]
+        return np.moveaxis(np.stack(found), -1, 0)
 
     @property
     def dispersion(self) -> float:
         """Exponent of the wave number over the frequency: 1 of a gel's waves, 1/2 of a plate's that bends."""
         waves = self.waves
         slope = np.polyfit(np.log(waves.frequency_hz), np.log(waves.wavenumber_rad_mm.real), 1)[0]
-        return 0.5 if slope < 0.75 else 1.0
-
-    def _values(self, frequency_hz: Float64Array) -> Callable[[Int64Array], Complex128Array]:
-        def values(rows: Int64Array) -> Complex128Array:
-            green = np.stack([np.asarray(self.bank.green(int(row)), np.float32) for row in rows])
-            return np.moveaxis(transforms(green, frequency_hz, self.bank.sample_rate_hz), -1, 0)
-
-        return values
-
-    def outside(self, place_mm: Float64Array) -> Float64Array:
-        """Distance of places (n, 2) from the nearest measured position, in grid spacings."""
-        return np.asarray(self.tree.query(place_mm)[0] / self.spacing_mm)
+        return 0.5 if slope < BENDING_SLOPE else 1.0
 
 
-class DisplacedBlock:
-    """Green's functions and responses of a block at places beside its positions.
+class DisplacedField:
+    """Fields at displaced places of some rows, by regression from the positions around each.
 
-    rows: Bank rows of the block's own rows.
+    used, int64 (used rows,): Rows of all patches, whose values are needed.
     """
 
-    def __init__(self, surface: InterpolatedBank, block: Block, rows: Int64Array) -> None:
-        self.block, self._surface = block, surface
-        self.place_mm = surface.place_mm[rows]
-        self.patches = [surface.patch(int(row)) for row in rows]
-        used = np.unique(np.concatenate([patch.rows for patch in self.patches]))
-        green = [np.asarray(surface.bank.green(int(row)), np.float32) for row in used]
-        self._green = np.stack([transforms(row, block.frequency_hz, block.rate_hz) for row in green])
-        self._at = np.stack([np.searchsorted(used, patch.rows) for patch in self.patches])
+    def __init__(self, surface: BankAsField, rows: Int64Array, frequency_hz: Float64Array) -> None:
+        patches = [surface.patch(int(row)) for row in rows]
+        self.used = np.unique(np.concatenate([patch.rows for patch in patches]))
+        waves, alike = surface.waves.at(frequency_hz), [patch.key for patch in patches]
+        self._groups = []
+        for key in dict.fromkeys(alike):
+            members = np.array([index for index, other in enumerate(alike) if other == key])
+            at = np.stack([np.searchsorted(self.used, patches[index].rows) for index in members])
+            self._groups.append((members, at, PatchKernel(waves, patches[members[0]].offset_mm)))
 
-    def green(self) -> Expansion:
-        """Expansion of the Green's functions, (r, A, K)."""
-        waves = self._surface.waves.at(self.block.frequency_hz)
-        return Expansion(waves, self.patches, np.moveaxis(self._green, 1, -1), self._at)
-
-    def responses(self, frequencies: Int64Array) -> Expansion:
-        """Expansion of the responses (r, 1, K) to the block's drives at some of the frequencies."""
-        waves = self._surface.waves.at(self.block.frequency_hz[frequencies])
-        drive = self.block.drive[0][:, frequencies]
-        values = np.einsum("uak,ak->uk", self._green[..., frequencies], drive)
-        return Expansion(waves, self.patches, values[..., None], self._at)
-
-
-class Expansion:
-    """Fields around some positions as waves from all directions, and the rest of the kernel's regression.
-
-    waves: At the frequencies (K,).
-    patches: Of the positions.
-    values, complex128 (used rows, K, columns): Values of the patches' rows; `at` (patches, n) says where.
-    """
-
-    def __init__(self, waves: WaveModel, patches: Sequence[Patch], values: Complex128Array, at: Int64Array) -> None:
-        inverse: dict[bytes, Complex128Array] = {}
-        for patch in patches:
-            if patch.key not in inverse:
-                inverse[patch.key] = PatchKernel(waves, patch.offset_mm).inverse
-        self._offset_mm = np.stack([patch.offset_mm for patch in patches])
-        around = np.moveaxis(values[at], 2, 1)
-        self._regression = np.stack([
-            inverse[patch.key] @ part for patch, part in zip(patches, around, strict=True)
-        ])  # fmt: skip
-        reach_mm = float(np.hypot(*np.moveaxis(self._offset_mm, -1, 0)).max())
-        growth = np.maximum(waves.wavenumber_rad_mm.imag, -MAX_GROWTH / max(reach_mm, 1e-9))
-        self._wavenumber, self._share = waves.wavenumber_rad_mm.real + 1j * growth, waves.disk_share
-        count = 2 * int(np.ceil(np.abs(self._wavenumber).max() * 1.5 * reach_mm)) + MIN_DIRECTIONS
-        angle = 2.0 * np.pi * (np.arange(count) + 0.5) / count
-        self._directions = np.stack([np.cos(angle), np.sin(angle)])
-        waves_there = self._waves(self._offset_mm)
-        self._by_direction = np.einsum("pknd,pknc->pkdc", waves_there.conj(), self._regression, optimize=True)
-        self._by_direction *= (1.0 - self._share[:, None, None]) / count
-
-    def _waves(self, offset_mm: Float64Array) -> Complex128Array:
-        """Waves (patches, K, n, directions) at offsets (patches, n, 2)."""
-        along_mm = offset_mm @ self._directions
-        return np.asarray(np.exp(-1j * self._wavenumber[:, None, None] * along_mm[:, None]))
-
-    def at(self, displacement_mm: Float64Array) -> Complex128Array:
-        """Values (patches, columns, K) at a displaced place of each patch, float64 (patches, 2)."""
-        waves = self._waves(displacement_mm[:, None])[:, :, 0]
-        apart_mm = np.hypot(*np.moveaxis(displacement_mm[:, None] - self._offset_mm, -1, 0))
-        disk = disk_kernel(DISK_RADIUS * np.abs(self._wavenumber)[:, None] * apart_mm[:, None])
-        found = np.einsum("pkd,pkdc->pck", waves, self._by_direction, optimize=True)
-        return np.asarray(
-            found + np.einsum("pkn,pknc->pck", self._share[:, None] * disk, self._regression, optimize=True)
-        )
+    def at(self, displacement_mm: Float64Array, values: Complex128Array) -> Complex128Array:
+        """Values (K, rows, columns) at a displaced place of each row, float64 (rows, 2), from those of `used`."""
+        found = np.empty((len(values), len(displacement_mm), values.shape[2]), np.complex128)
+        for members, at, kernel in self._groups:
+            weights = kernel.weights(displacement_mm[members])
+            found[:, members] = np.einsum("kpn,kpnc->kpc", weights, values[:, at])
+        return found
 
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """Expected responses at some of the frequencies."""
+    """Predicted responses around a block's positions, at some of its frequencies."""
 
-    responses: Expansion
+    field: DisplacedField
+    values: Complex128Array
     frequencies: Int64Array
 
 
 class MirrorFit:
-    """The search for the mirror's error that leaves least of the differences of some blocks."""
+    """The search for the mirror's error that leaves least of the differences of a block.
 
-    def __init__(self, surface: InterpolatedBank, scan: Block, rows: Int64Array) -> None:
-        self._surface, self._displaced, self._scan = surface, DisplacedBlock(surface, scan, rows), scan
-        chosen = evenly_spread(len(scan.frequency_hz), FIT_FREQUENCIES)
-        low = chosen[scan.frequency_hz[chosen] <= np.median(scan.frequency_hz[chosen])][::2]
-        self._fine, self._coarse = self._part(chosen), self._part(low)
+    rows: Bank rows of the block's own rows.
+    change: Share by which waves are faster than in the bank.
+    """
 
-    def _part(self, frequencies: Int64Array) -> _Part:
-        return _Part(self._displaced.responses(frequencies), frequencies)
+    def __init__(self, surface: BankAsField, block: Block, rows: Int64Array, change: float = 0.0) -> None:
+        self._surface, self._block, self._rows = surface, block, rows
+        self._place_mm = surface.place_mm[rows]
+        chosen = evenly_spread(len(block.frequency_hz), FIT_FREQUENCIES)
+        low = chosen[: (len(chosen) + 1) // 2 : 2]  # long waves lead from afar
+        self._parts = [self._part(frequencies, change) for frequencies in (low, chosen)]
 
-    def best(self, free: tuple[int, ...]) -> tuple[MirrorError, float]:
-        """The error in which some numbers of `MirrorError.of` are free, and the share of the squares it leaves."""
-        starts = [np.zeros(6)]
-        if free in (SHIFT, ALL):
-            pitch_mm = self._surface.spacing_mm
-            starts += [pitch_mm * np.array([x, y, 0, 0, 0, 0]) for x in COARSE_STEPS for y in COARSE_STEPS if x or y]
-        if free in (ROTATION, ALL):
-            starts += [np.radians(turn) * np.eye(6)[2] for turn in COARSE_TURNS_DEG]
-        if free in (SCALE, ALL):
-            starts += [np.log1p(size) * np.eye(6)[3] for size in COARSE_SCALES]
-        numbers = min(starts, key=lambda start: self._left(self._coarse, start))
-        for part in (self._coarse, self._fine):
-            numbers = self._refined(part, numbers, free)
-        return MirrorError.of(numbers), self._left(self._fine, numbers)
+    def _part(self, frequencies: Int64Array, change: float) -> _Part:
+        frequency_hz = self._block.frequency_hz[frequencies] / (1.0 + change)
+        field = DisplacedField(self._surface, self._rows, frequency_hz)
+        green = self._surface.green(field.used, frequency_hz)
+        values = np.einsum("kua,ak->ku", green, self._block.drive[0][:, frequencies])
+        return _Part(field, values[..., None], frequencies)
 
-    def left(self, error: MirrorError) -> float:
-        """Share of the squares that such an error leaves at the places where the field is known."""
-        return self._left_of(self._fine, error)
+    def best(self) -> tuple[MirrorError, float]:
+        """The error, and the share of the squares that it leaves where the field is known."""
+        numbers = min(self._starts(), key=lambda start: self._left(start, self._parts[0]))
+        for part in self._parts:
+            numbers = self._refined(numbers, part)
+        return MirrorError.of(numbers), self._left(numbers, self._parts[1])
 
-    def applied(self, error: MirrorError, block: Block, rows: Int64Array) -> Block:
-        """A block with the Green's functions of displaced places; those beyond the measured ones stay."""
-        displaced = self._displaced if block is self._scan else DisplacedBlock(self._surface, block, rows)
-        by_mm = error.displacement_mm(displaced.place_mm)
-        return block.with_green(displaced.green().at(by_mm))
+    def _starts(self) -> Iterator[Float64Array]:
+        yield np.zeros(6)
+        spacing_mm, steps = self._surface.spacing_mm, (0.0, *START_STEPS)
+        yield from (spacing_mm * np.array([x, y, 0, 0, 0, 0]) for x in steps for y in steps if x or y)
+        share = spacing_mm / float(np.hypot(*self._place_mm.T).max(initial=spacing_mm))
+        for step in START_STEPS:
+            for shape in ((0, -1, 1, 0), (1, 0, 0, 1), (1, 0, 0, 0), (0, 0, 0, 1)):
+                yield step * share * np.array([0, 0, *shape])
 
-    def _left(self, part: _Part, numbers: Float64Array) -> float:
-        return self._left_of(part, MirrorError.of(numbers))
-
-    def _left_of(self, part: _Part, error: MirrorError) -> float:
-        place_mm = self._displaced.place_mm
-        by_mm = error.displacement_mm(place_mm)
-        inside = self._inside(place_mm + by_mm)
-        if np.mean(inside) < MIN_INSIDE:
+    def _left(self, numbers: Float64Array, part: _Part) -> float:
+        by_mm = MirrorError.of(numbers).displacement_mm(self._place_mm)
+        known = self._surface.is_known(self._place_mm + by_mm)
+        if np.mean(known) < MIN_INSIDE:
             return np.inf
-        own = self._scan.difference[:, part.frequencies][inside]
-        left = self._difference(part, by_mm)[inside]
-        return energy(left) / max(energy(own), 1e-300)
+        own = energy(self._block.difference[known][:, part.frequencies])
+        return energy(self._difference(by_mm, part)[known]) / max(own, 1e-300)
 
-    def _inside(self, place_mm: Float64Array) -> Float64Array:
-        return np.asarray(self._surface.outside(place_mm) <= MAX_OUTSIDE)
+    def _difference(self, by_mm: Float64Array, part: _Part) -> Complex128Array:
+        predicted = part.field.at(by_mm, part.values)[..., 0].T
+        return np.asarray(self._block.response[:, part.frequencies] - predicted * self._block.weight[:, None])
 
-    def _difference(self, part: _Part, by_mm: Float64Array) -> Complex128Array:
-        predicted = part.responses.at(by_mm)[:, 0]
-        return np.asarray(self._scan.response[:, part.frequencies] - predicted * self._scan.weight[:, None])
-
-    def _refined(self, part: _Part, numbers: Float64Array, free: tuple[int, ...]) -> Float64Array:
+    def _refined(self, numbers: Float64Array, part: _Part) -> Float64Array:
         """Gauss-Newton steps, halved where they do not help."""
-        place_mm = self._displaced.place_mm
-        reach_mm = float(np.hypot(*place_mm.T).max()) + self._surface.spacing_mm
-        unit = np.array([1.0, 1.0, *(4 * [1.0 / reach_mm])])
-        left = self._left(part, numbers)
+        left = self._left(numbers, part)
         for _ in range(ITERATIONS):
-            by_mm = MirrorError.of(numbers).displacement_mm(place_mm)
-            at = self._difference(part, by_mm)
-            slope = np.stack([
-                (self._difference(part, by_mm + STEP_MM * axis) - at) / STEP_MM for axis in np.eye(2)
-            ])  # fmt: skip
-            inside = self._inside(place_mm + by_mm)
-            columns = []
-            for number in free:
-                moved = MirrorError.of(numbers + STEP_MM * unit * np.eye(6)[number]).displacement_mm(place_mm)
-                columns.append(np.einsum("rd,drk->rk", (moved - by_mm) / STEP_MM, slope)[inside].ravel())
-            matrix = np.stack(columns, axis=1)
-            step = np.zeros(6)
-            step[list(free)] = np.linalg.lstsq(
-                np.concatenate([matrix.real, matrix.imag]),
-                -np.concatenate([at[inside].real.ravel(), at[inside].imag.ravel()]),
-                rcond=1e-6,
+            by_mm = MirrorError.of(numbers).displacement_mm(self._place_mm)
+            known = self._surface.is_known(self._place_mm + by_mm)
+            at = self._difference(by_mm, part)
+            shift = [(self._difference(by_mm + STEP_MM * axis, part) - at) / STEP_MM for axis in np.eye(2)]
+            stretch = [slope * along_mm[:, None] for slope in shift for along_mm in self._place_mm.T]
+            matrix = np.stack([column[known].ravel() for column in (*shift, *stretch)], axis=1)
+            wrong = at[known].ravel()
+            step = np.linalg.lstsq(
+                np.concatenate([matrix.real, matrix.imag]), -np.concatenate([wrong.real, wrong.imag]), rcond=1e-8
             )[0]
             for _half in range(4):
-                tried = self._left(part, numbers + step * unit)
+                tried = self._left(numbers + step, part)
                 if tried < left:
                     break
                 step = 0.5 * step
             else:
                 break
-            gained, left, numbers = left - tried, tried, numbers + step * unit
+            gained, left, numbers = left - tried, tried, numbers + step
             if gained < 1e-3 * left:
                 break
         return numbers
+
+
+def displaced(surface: BankAsField, error: MirrorError, block: Block, rows: Int64Array, change: float) -> Block:
+    """A block with the Green's functions of displaced places, without the responses at which these are not known."""
+    frequency_hz = block.frequency_hz / (1.0 + change)
+    field = DisplacedField(surface, rows, frequency_hz)
+    by_mm = error.displacement_mm(surface.place_mm[rows])
+    green = field.at(by_mm, surface.green(field.used, frequency_hz))
+    known = surface.is_known(surface.place_mm[rows] + by_mm)[block.row_of]
+    moved = block.with_green(np.moveaxis(green, 0, -1))
+    return moved.of(np.flatnonzero(known)) if known.any() else moved
+
+
+def sentinel_shift_mm(sentinel: Sentinel, bank: GreenSource) -> Float64Array | None:
+    """The way (2,) to the place whose Green's functions the sentinel position shows now.
+
+    None where that does not explain how it has changed, or is less than a sixteenth of the spacing.
+    """
+    from scipy.optimize import minimize  # slow to load
+
+    surface, block = BankAsField(bank), sentinel_block(sentinel, bank)
+    excess = energy(block.difference) - block.noise
+    if not surface.usable or excess <= len(block.response):
+        return None
+    field = DisplacedField(surface, np.array([sentinel.position]), block.frequency_hz)
+    values = surface.green(field.used, block.frequency_hz)
+
+    def left(by_mm: Float64Array) -> float:
+        green = field.at(np.asarray(by_mm)[None], values)[:, 0].T
+        return energy(block.response - green * block.weight[:, None])
+
+    steps = surface.spacing_mm * np.array([0.0, *START_STEPS])
+    start = min((np.array([x, y]) for x in steps for y in steps), key=left)
+    found = minimize(left, start, method="Nelder-Mead", options={"xatol": 0.01, "fatol": 1e-3 * excess})
+    explains = found.fun - block.noise <= (1.0 - CERTAIN_SHARE) * excess
+    far = float(np.hypot(*found.x)) >= MIN_SPACINGS * surface.spacing_mm
+    return np.asarray(found.x) if explains and far else None

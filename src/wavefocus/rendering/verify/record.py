@@ -61,7 +61,7 @@ PATH_POINTS = 401
 
 @dataclass(frozen=True)
 class RecordedFocus:
-    """A focus instant that was compared, on a bank row."""
+    """A focus instant that was compared: the grid position used, and the path point that was asked for."""
 
     source: int
     position: int
@@ -220,9 +220,9 @@ def write_record(
                 instant.source,
                 instant.row,
                 instant.sample / compared.sample_rate_hz,
-                _points(position_mm[[instant.row]])[0],
+                (float(place_mm[0]), float(place_mm[1])),
             )
-            for instant in compared.instant
+            for instant, place_mm in zip(compared.instant, verification.focus.intended_mm, strict=True)
         ),
         sources=tuple(_recorded(source) for source in scene.sources),
         outline_mm=None if outline_mm is None else _points(np.round(outline_mm, 3)),

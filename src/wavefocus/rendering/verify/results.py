@@ -36,12 +36,14 @@ class Figure:
 
 
 SymptomCode = Literal[
-    "polarity", "swapped", "level", "delay", "silent", "shifted", "rotated", "scaled", "speed", "damping",
-    "nonlinear", "crosstalk", "wrong_bank", "unexplained",
+    "polarity", "swapped", "level", "delay", "silent", "mirror", "speed", "nonlinear", "crosstalk", "wrong_bank",
+    "unexplained",
+    "shifted", "rotated", "scaled", "damping",
 ]  # fmt: skip
+"""The last four stand in records of earlier versions only."""
 
-CERTAIN_SHARE = 0.8
-"""A cause is certain only if it explains at least this share of the excess."""
+CERTAIN_SHARE = 0.95
+"""A cause is certain only if it explains at least this share of the excess (contract, section 6)."""
 
 
 @dataclass(frozen=True)
@@ -49,20 +51,23 @@ class Symptom:
     """A cause of a difference between scan and prediction; `symptom_words` makes sentences of it.
 
     actuators: Those concerned; none where the cause concerns all responses alike.
-    value: Its size, in the unit of `symptom_words.UNITS`; None where it has none.
+    value: Its size, in the unit of `symptom_words.UNITS`; None where it has none. Of the mirror: shift in mm, rotation
+        in degrees, change of scale as a share.
     explained: Share, 0 to 1, of the excess (the squared difference that noise does not explain) that it takes off, of
         what the other symptoms leave; None in records of earlier versions.
-    certain: Whether it is the cause; false for a best guess.
+    certain: Whether it is the cause; false where nothing is named, and of guesses in records of earlier versions.
     delay_s: Of crosstalk: its delay against the loopback.
-    positions, shift_mm: Of shifted positions: bank rows, and the way to the place that they show.
+    affine: Of the mirror: the displacement of each place by it, rows (x, y) of columns (x, y, 1), in mm.
+    positions, shift_mm: Of shifted positions in records of earlier versions.
     """
 
     code: SymptomCode
     actuators: tuple[int, ...] = ()
-    value: float | None = None
+    value: float | tuple[float, float, float] | None = None
     explained: float | None = None
     certain: bool = True
     delay_s: float | None = None
+    affine: tuple[tuple[float, float, float], ...] | None = None
     positions: tuple[int, ...] = ()
     shift_mm: PointMm | None = None
 
@@ -148,7 +153,7 @@ class SourceFigures:
     focus_mm: float | None
 
 
-StopReason = Literal["rounds", "noise", "no better", "limit", "dropouts"]
+StopReason = Literal["rounds", "noise", "no better", "held out", "few", "limit", "dropouts", "mirror"]
 
 
 @dataclass(frozen=True)
@@ -160,6 +165,7 @@ class CorrectionRound:
     energy: Of the drives played, over that of the uncorrected ones.
     peak_v: Largest voltage played.
     positions: Usable control places.
+    held_out: The error at the control places that the correction does not see; None where none is held out.
     """
 
     error: Number
@@ -167,6 +173,7 @@ class CorrectionRound:
     energy: Number
     peak_v: Number
     positions: int
+    held_out: float | None = None
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.calibration.neighbour_judge import RowsAtFrequencies
 from wavefocus.calibration.numerics import evenly_spread, transform_at
 from wavefocus.rendering.arrays import Complex128Array, Float32Array, Float64Array, Int64Array
 from wavefocus.rendering.verify.results import Sentinel
@@ -16,17 +15,20 @@ from wavefocus.rendering.verify.results import Sentinel
 if TYPE_CHECKING:
     from wavefocus.rendering.greens.source import GreenSource
 
-LOUD = 3.0
-"""Power over that of the noise from which a Green's function is more than noise."""
 ALLOWED = 0.01
-"""Error of a sound bank, relative to the response."""
+"""Error of a sound bank, relative to the response: rows with a signal-to-noise ratio of 40 dB, the least of a valid one
+by default (`quality.min_snr_db`)."""
+SENTINEL_FREQUENCIES = 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
-    """Responses (rows, K) and what they are made of, each row over what is allowed of it: ``sum_i green_i drive_i``.
+    """Responses (R, K) and what they are made of, each in units of what is allowed of it: ``sum_i green_i drive_i``.
 
-    rows, float32 (r, A, L): Green's functions; `row_of` (rows,) says which of them belongs to a response.
+    rows, float32 (r, A, L): Green's functions; `row_of` (R,) says which of them belongs to a response.
+    weight, float64 (R,): One over what is allowed of each response.
+    green, complex128 (R, A, K): Transforms of the rows, weighted.
+    drive, complex128 (R or 1, A, K): Drives.
     noise: Sum of squares that the noise makes, in units of what is allowed.
     """
 
@@ -38,38 +40,21 @@ class Block:
     green: Complex128Array
     drive: Complex128Array
     response: Complex128Array
-    noise: float = 0.0
+    noise: float
 
-    def at(self, frequency_hz: Float64Array | Complex128Array) -> Block:
-        """The same with Green's functions at other frequencies (K,), complex ones too: there, vibrations decay faster.
-
-        Waves that are faster by a factor c have the Green's functions of ``frequency_hz / c``; vibrations that decay
-        by ``exp(-d t)`` more have those of ``frequency_hz - j d / (2 pi)``.
-        """
-        # Where vibrations are made to decay less, the noise behind them must not grow.
-        rows = self.rows[..., : self._loud_taps] if np.any(np.imag(frequency_hz) > 0.0) else self.rows
-        return self.with_green(transforms(rows, frequency_hz, self.rate_hz))
-
-    @property
-    def _loud_taps(self) -> int:
-        """Taps until the Green's functions end in their noise, as the last tenth of the taps shows it."""
-        power = np.einsum("rat,rat->t", self.rows, self.rows, dtype=np.float64)
-        length = max(power.size // 50, 1)
-        smooth = np.convolve(power, np.full(length, 1.0 / length), mode="same")
-        loud = np.flatnonzero(smooth > LOUD * np.mean(power[-max(power.size // 10, 1) :]))
-        return int(loud[-1]) + 1 if loud.size else power.size
+    def faster(self, change: float) -> Block:
+        """The same where waves are faster by this share: the Green's functions of ``frequency / (1 + change)``."""
+        return self.with_green(transforms(self.rows, self.frequency_hz / (1.0 + change), self.rate_hz))
 
     def with_green(self, green: Complex128Array) -> Block:
         """The same with other Green's functions (r, A, K)."""
         return replace(self, green=green[self.row_of] * self.weight[:, None, None])
 
-    def with_response(self, response: Complex128Array) -> Block:
-        """The same with other responses."""
-        return replace(self, response=response)
-
-    def driven(self, factor: Complex128Array | Float64Array) -> Block:
-        """The same with drives multiplied by (A,) or (A, K)."""
-        return replace(self, drive=self.drive * factor)
+    def driven(self, factor: Float64Array, late_s: Float64Array) -> Block:
+        """The same with drives changed by a factor (A,), and later by a time (A,)."""
+        return replace(
+            self, drive=self.drive * (factor[:, None] * np.exp(-2j * np.pi * np.outer(late_s, self.frequency_hz)))
+        )
 
     def exchanged(self, one: int, other: int) -> Block:
         """The same with the drives of two actuators exchanged."""
@@ -77,39 +62,48 @@ class Block:
         order[[one, other]] = other, one
         return replace(self, drive=self.drive[:, order])
 
-    def some(self, most: int, frequencies: int | None = None) -> Block:
+    def some(self, most: int, frequencies: int) -> Block:
         """The same with some of the responses, or all where they share their rows, at some of the frequencies."""
-        block = self
-        if frequencies is not None:
-            at = evenly_spread(len(self.frequency_hz), frequencies)
-            block = replace(
-                self, frequency_hz=self.frequency_hz[at], green=self.green[..., at], drive=self.drive[..., at],
-                response=self.response[..., at],
-            )  # fmt: skip
-        if len(self.rows) <= most:
-            return block
-        chosen = evenly_spread(len(self.rows), most)
-        drive = block.drive if len(block.drive) == 1 else block.drive[chosen]
+        at = evenly_spread(len(self.frequency_hz), frequencies)
+        chosen = np.arange(len(self.response))
+        rows, row_of, drive = self.rows, self.row_of, self.drive
+        if len(rows) > most:
+            chosen = evenly_spread(len(rows), most)
+            rows, row_of = rows[chosen], np.arange(len(chosen))
+            drive = drive if len(drive) == 1 else drive[chosen]
+        return Block(
+            self.frequency_hz[at], self.rate_hz, rows, row_of, self.weight[chosen], self.green[chosen][..., at],
+            drive[..., at], self.response[chosen][:, at], self.noise,
+        )  # fmt: skip
+
+    def of(self, chosen: Int64Array) -> Block:
+        """The same with some of the responses."""
+        drive = self.drive if len(self.drive) == 1 else self.drive[chosen]
         return replace(
-            block, rows=block.rows[chosen], row_of=np.arange(len(chosen)), weight=block.weight[chosen],
-            green=block.green[chosen], drive=drive, response=block.response[chosen],
+            self, row_of=self.row_of[chosen], weight=self.weight[chosen], green=self.green[chosen], drive=drive,
+            response=self.response[chosen],
         )  # fmt: skip
 
     @property
     def parts(self) -> Complex128Array:
-        """What each actuator contributes, (rows, A, K)."""
+        """What each actuator contributes, (R, A, K)."""
         return np.asarray(self.green * self.drive)
 
     @property
     def difference(self) -> Complex128Array:
-        """Response minus prediction, (rows, K)."""
+        """Response minus prediction, (R, K)."""
         return np.asarray(self.response - np.einsum("rak,rak->rk", self.green, self.drive))
 
 
 Blocks = tuple[Block, ...]
 
 
-def transforms(rows: NDArray[Any], frequency_hz: Float64Array | Complex128Array, rate_hz: float) -> Complex128Array:
+def squares_left(blocks: Blocks) -> float:
+    """Sum of squares of the differences, in units of what is allowed."""
+    return sum(energy(block.difference) for block in blocks)
+
+
+def transforms(rows: NDArray[Any], frequency_hz: Float64Array, rate_hz: float) -> Complex128Array:
     """Fourier transforms (..., K) of rows (..., taps) as of `transform_at`, made in single precision."""
     return transform_at(np.asarray(rows, np.float32), frequency_hz, rate_hz).astype(np.complex128)
 
@@ -123,10 +117,10 @@ def block_of(
     response: Complex128Array,
     noise: Float64Array,
 ) -> Block:
-    """Put together responses (rows, K), drives (rows or 1, A, K) and Green's functions, each row in its own unit.
+    """Put together responses (R, K), drives (R or 1, A, K) and Green's functions, each response in its own unit.
 
     rows, row_of, frequency_hz, rate_hz: As of `Block`.
-    noise, float64 (rows,): Energy of the noise in each response, at these frequencies; NaN where unknown.
+    noise, float64 (R,): Energy of the noise in each response, at these frequencies; NaN where unknown.
     """
     green = transforms(rows, frequency_hz, rate_hz)[row_of]
     predicted = np.einsum("rak,rak->rk", green, np.broadcast_to(drive, (len(row_of), *drive.shape[1:])))
@@ -139,20 +133,15 @@ def block_of(
     )  # fmt: skip
 
 
-def sentinel_block(sentinel: Sentinel, green: Float32Array, bank: GreenSource) -> Block:
+def sentinel_block(sentinel: Sentinel, bank: GreenSource) -> Block:
     """One response for each actuator, which alone is driven, with 1 V at all frequencies."""
-    actuators, taps = green.shape
-    frequency_hz = RowsAtFrequencies(1, actuators, taps, bank.sample_rate_hz, bank.band_hz).frequency_hz
-    alone = np.repeat(np.eye(actuators)[:, :, None], len(frequency_hz), axis=2).astype(np.complex128)
-    response = transforms(sentinel.green, frequency_hz, bank.sample_rate_hz)
+    rate_hz, rows = bank.sample_rate_hz, np.asarray(bank.green(sentinel.position), np.float32)[None]
+    low_hz, high_hz = bank.band_hz or (0.0, 0.45 * rate_hz)
+    frequency_hz = np.linspace(max(low_hz, rate_hz / bank.taps), min(high_hz, 0.48 * rate_hz), SENTINEL_FREQUENCIES)
+    alone = np.repeat(np.eye(bank.actuators)[:, :, None], len(frequency_hz), axis=2).astype(np.complex128)
+    response = transforms(sentinel.green, frequency_hz, rate_hz)
     noise = 2.0 * energies(response) * 10.0 ** (-np.asarray(sentinel.snr_db, np.float64) / 10.0)  # of both measurements
-    row_of = np.zeros(actuators, np.int64)
-    return block_of(green[None], row_of, frequency_hz, bank.sample_rate_hz, alone, response, noise)
-
-
-def with_total(parts: Complex128Array) -> Complex128Array:
-    """Contributions (rows, A, K) and behind them their sum, (rows, A + 1, K)."""
-    return np.concatenate([parts, parts.sum(axis=1, keepdims=True)], axis=1)
+    return block_of(rows, np.zeros(bank.actuators, np.int64), frequency_hz, rate_hz, alone, response, noise)
 
 
 def energies(values: NDArray[Any]) -> Float64Array:

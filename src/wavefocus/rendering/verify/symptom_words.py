@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from wavefocus.calibration.crosstalk import REMEDY
 from wavefocus.rendering.number_text import number
 from wavefocus.rendering.verify.results import Symptom, SymptomCode
 
 UNITS: Mapping[SymptomCode, str] = {
-    "polarity": "dB", "level": "dB", "silent": "dB", "crosstalk": "dB", "delay": "ms", "speed": "%", "damping": "%",
-    "nonlinear": "%", "shifted": "mm", "rotated": "°", "scaled": "%",
+    "polarity": "dB", "level": "dB", "silent": "dB", "crosstalk": "dB", "delay": "ms", "speed": "%", "nonlinear": "%",
+    "mirror": "mm, °, share", "shifted": "mm", "rotated": "°", "scaled": "%", "damping": "1/s",
 }  # fmt: skip
 """Unit of a symptom's value; the others have none, or a plain number."""
 NOTED_DB = 0.5
@@ -19,9 +21,11 @@ NOTED_DB = 0.5
 
 
 def sentence(symptom: Symptom) -> str:
-    """What is wrong; of a best guess, that it is one and how much it explains."""
+    """What is wrong; of a guess in a record of an earlier version, that it is one and how much it explains."""
     text = _cause(symptom)
-    if symptom.certain or symptom.code in ("unexplained", "wrong_bank"):
+    if symptom.code == "crosstalk" and not symptom.certain and symptom.explained is not None:
+        return f"{text} It makes {100.0 * symptom.explained:.0f} % of the excess."
+    if symptom.certain or symptom.code in ("unexplained", "wrong_bank", "crosstalk"):
         return text
     share = "" if symptom.explained is None else f", which explains {100.0 * symptom.explained:.0f} % of the excess"
     return f"Best guess{share}: {text[0].lower()}{text[1:]}"
@@ -41,11 +45,6 @@ def remedy(symptom: Symptom) -> str:
             return f"Check the output latency of {who}: filters, sample rate conversion, another interface or channel."
         case "swapped":
             return f"Exchange the cables of {who}, or their entries in player.channels of the rig file."
-        case "shifted" if symptom.positions:
-            return (
-                "Compare their places in the position list with those of their neighbours; measure them anew with"
-                " wavefocus remeasure."
-            )
         case "unexplained":
             return (
                 "Look at the error map: errors in one area point to the surface or something that touches it. Measure"
@@ -63,9 +62,7 @@ _REMEDIES: Mapping[SymptomCode, str] = {
         "Check inter_channel_delay_s and latency_s in the rig file, the vibrometer's filter, and that the recorder's"
         " rate is that of the bank."
     ),
-    "shifted": _MIRROR,
-    "rotated": _MIRROR,
-    "scaled": _MIRROR,
+    **dict.fromkeys(("mirror", "shifted", "rotated", "scaled"), _MIRROR),
     "speed": (
         "The surface is warmer, colder or drier than it was: bring it back to that state, or measure a new bank."
     ),
@@ -84,13 +81,14 @@ _REMEDIES: Mapping[SymptomCode, str] = {
 
 def with_words(record: Mapping[str, Any]) -> dict[str, Any]:
     """A symptom's JSON object with its unit and its sentences, for those who read the file."""
-    symptom = Symptom(**{**record, **{key: tuple(record[key]) for key in ("actuators", "positions")}})
+    lists = {key: tuple(value) for key, value in record.items() if isinstance(value, list)}
+    symptom = Symptom(**{**record, **lists})
     words = {"unit": UNITS.get(symptom.code, ""), "sentence": sentence(symptom), "remedy": remedy(symptom)}
     return {**record, **words}
 
 
 def _cause(symptom: Symptom) -> str:
-    who, value = _listed(symptom.actuators), symptom.value if symptom.value is not None else float("nan")
+    who, value = _listed(symptom.actuators), symptom.value if isinstance(symptom.value, int | float) else float("nan")
     subject = f"{who[0].upper()}{who[1:]}" if who else "All responses"
     several, one = len(symptom.actuators) != 1, len(symptom.actuators) == 1
     match symptom.code:
@@ -107,21 +105,15 @@ def _cause(symptom: Symptom) -> str:
             return f"{subject} {'move' if several else 'moves'} {late} than in the bank."
         case "swapped":
             return f"{subject} are swapped: each plays the drive of the other."
-        case "shifted":
-            where = "({:+.3g}, {:+.3g}) mm".format(*symptom.shift_mm or (float("nan"), float("nan")))
-            if symptom.positions:
-                rows = f"positions {symptom.positions[0]} to {symptom.positions[-1]}"
-                return f"The grid row of {rows} is shifted: it shows the field {where} further."
-            return f"The whole scan is shifted: every position shows the field {where} further."
-        case "rotated":
-            way = "counter-clockwise" if value > 0.0 else "clockwise"
-            return f"The scan is rotated about the centre of the surface by {number(abs(value), '°')} {way}."
-        case "scaled":
-            return f"The scan is {number(abs(value), '%')} {'larger' if value > 0.0 else 'smaller'} than the surface."
+        case "mirror":
+            return f"The mirror is off: {_displacement(symptom)}."
+        case "shifted" | "rotated" | "scaled":
+            by = number(value, UNITS[symptom.code]) if symptom.value is not None else "some way"
+            return f"The scan is {symptom.code} by {by}."
         case "speed":
             return f"Waves are {number(abs(value), '%')} {'faster' if value > 0.0 else 'slower'} than in the bank."
         case "damping":
-            return f"Waves are damped {number(abs(value), '%')} {'more' if value > 0.0 else 'less'} than in the bank."
+            return f"Vibrations decay {'faster' if value > 0.0 else 'slower'} than in the bank."
         case "nonlinear":
             return f"The responses are not in proportion to the drive: {number(value, '%')} of them is distortion."
         case "crosstalk":
@@ -129,9 +121,23 @@ def _cause(symptom: Symptom) -> str:
             return f"The loopback voltage leaks into the response input at {number(value, 'dB')} of its level{late}."
         case "wrong_bank":
             alike = "" if symptom.value is None else f" (median correlation {number(value)})"
-            return f"The scan does not resemble the prediction{alike}; best guess: wrong bank."
+            other = "the bank is of another plate, or the surface has changed altogether"
+            return f"The scan does not resemble the prediction{alike}: {other}."
         case "unexplained":
             return "The error is unexplained: not by noise, nor by one of the causes that are looked for."
+
+
+def _displacement(symptom: Symptom) -> str:
+    """The affine error of the mirror: shift, rotation, and the scale of each axis."""
+    if not isinstance(symptom.value, tuple) or symptom.affine is None:
+        return "by an unknown way"
+    (_, turn_deg, _), affine = symptom.value, np.array(symptom.affine)
+    along, up = np.linalg.norm(np.eye(2) + affine[:, :2], axis=0) - 1.0
+    return (
+        f"each position shows the field shifted by ({affine[0, 2]:+.2g}, {affine[1, 2]:+.2g}) mm, rotated by"
+        f" {turn_deg:+.2g}° about the centre (counter-clockwise is positive) and scaled by {100.0 * along:+.2g} % in x"
+        f" and {100.0 * up:+.2g} % in y"
+    )
 
 
 def _louder(level_db: float) -> str:

@@ -12,7 +12,13 @@ from wavefocus.calibration.crosstalk import Crosstalk
 from wavefocus.config.limits import DriftLimits
 from wavefocus.rendering.arrays import BoolArray, Float64Array
 from wavefocus.rendering.field import metrics
-from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM, FocusTable, focus_table, median_or_none
+from wavefocus.rendering.field.focus_figures import (
+    FOCUS_RADIUS_MM,
+    FocusTable,
+    focus_table,
+    intended_mm,
+    median_or_none,
+)
 from wavefocus.rendering.field.quiet_levels import field_levels
 from wavefocus.rendering.number_text import finite, number, precise
 from wavefocus.rendering.verify.comparison import FieldComparison, compare_fields
@@ -186,6 +192,7 @@ def compare(
     drift_limits: DriftLimits | None = None,
     leak: Crosstalk | None = None,
     marker_v: Float64Array | None = None,
+    interpolation_error: float | None = None,
 ) -> Verification:
     """Compare a predicted with a measured field.
 
@@ -197,6 +204,8 @@ def compare(
     sentinel: The bank's sentinel position, measured again at the time of the scan; `drift_limits` judge it.
     leak: Crosstalk that was measured by itself; `marker_v` (samples,) is what the loopback played in the scan, None
         where only the bank has the leak.
+    interpolation_error: Expected relative error of the Green's functions along the paths, from the render; None where
+        the paths keep to the bank's positions, or nothing says how large it is.
 
     Raises InputError: the fields do not belong together, or no position can be compared.
     """
@@ -204,7 +213,7 @@ def compare(
     position_mm = np.asarray(bank.position_mm, np.float64)
     spacing_mm = metrics.grid_spacing_mm(position_mm) if len(position_mm) > 1 else None
     focus = focus_table(
-        fields.instant,
+        intended_mm(drive, fields.instant, position_mm),
         fields.predicted_snapshot,
         fields.scanned_snapshot,
         fields.position_index,
@@ -213,7 +222,7 @@ def compare(
     )
     noise_error, limits = _noise_error(fields), tolerances or Tolerances()
     model_error = _model_error(fields.error, noise_error)
-    checks = _checks(fields, focus, spacing_mm, limits)
+    checks = _checks(fields, focus, spacing_mm, limits, interpolation_error)
     linear: tuple[Figure, ...] = ()
     share = None
     if quiet is not None and isinstance(scan, Scan):
@@ -276,7 +285,11 @@ def _noise_error(fields: FieldComparison) -> float | None:
 
 
 def _checks(
-    fields: FieldComparison, focus: FocusTable, spacing_mm: float | None, tolerances: Tolerances
+    fields: FieldComparison,
+    focus: FocusTable,
+    spacing_mm: float | None,
+    tolerances: Tolerances,
+    interpolation_error: float | None,
 ) -> tuple[Figure, ...]:
     spacing = math.nan if spacing_mm is None else spacing_mm
     compared = len(fields.position_index)
@@ -286,6 +299,16 @@ def _checks(
     scanned_mm = median_or_none(focus.from_intended_mm)
     apart_mm = median_or_none(focus.from_prediction_mm)
     wider_mm = median_or_none(np.abs(focus.width_difference_mm))
+    expected: tuple[Figure, ...] = ()
+    if interpolation_error is not None:
+        expected = (
+            _judged(
+                "interpolation error expected", "%",
+                "how wrong the bank's Green's functions are expected to be at the path points, which lie between its"
+                " positions: the prediction is of the positions used, and does not show it",
+                100.0 * interpolation_error, "at most", 100.0 * tolerances.normalised_error,
+            ),
+        )  # fmt: skip
     return (
         _judged(
             "normalised error", "%",
@@ -321,6 +344,7 @@ def _checks(
             "usable positions", "%", "scanned positions with a sound record and a valid row in the bank",
             100.0 * compared / (compared + len(fields.excluded)), "at least", 100.0 * tolerances.usable_share,
         ),
+        *expected,
     )  # fmt: skip
 
 

@@ -26,6 +26,7 @@ from wavefocus.rendering.greens.interpolation.waves import WavesInterpolation
 from wavefocus.rendering.greens.source import GreenSource, usable_checks
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.storage.errors import InputError
+from wavefocus.storage.ledger.reader import DamagedError
 
 MIN_CHECKS = 3
 
@@ -105,6 +106,8 @@ def _usable_methods(bank: GreenSource, points_mm: Float64Array) -> tuple[dict[st
             method.nodes(points_mm)
         except OffGridError as error:
             unsuited[name], last = f"a point of a path {error}", error
+        except DamagedError:
+            raise
         except InputError as error:
             unsuited[name], last = str(error), error
         else:

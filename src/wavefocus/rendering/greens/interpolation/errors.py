@@ -16,6 +16,7 @@ from wavefocus.rendering.greens.interpolation.error_estimates import expected_er
 from wavefocus.rendering.greens.source import GreenSource
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.storage.errors import InputError
+from wavefocus.storage.ledger.reader import DamagedError
 
 WORTH_SAYING = 0.05
 """Error from which a render says something where no tolerance is given."""
@@ -214,8 +215,8 @@ def _thorough(
             count = len(values.frequency_hz)
             values = RowValues(bank, spectrum.bands_hz(bank_band_hz(bank), count))
         return left_out_errors(kernel, points_mm, nodes, values)
-    except InputError:
-        if nodes is None:
+    except InputError as error:
+        if nodes is None or isinstance(error, DamagedError):
             raise
         return None  # too few positions to leave one out
 

@@ -1,0 +1,394 @@
+"""Plates by their own equations, independent of the product's, with faults: for causes that `verify` names.
+
+`gel`: Hankel waves of an unbounded gel, and two echoes. `mirrors`: a rectangle of gel by mirror images. `disk`: a
+clamped disk by Bessel series. `bending`: a simply supported rectangle of glass by its modes. Banks are the plates'
+Green's functions with noise at -55 dB, scans are responses of the changed rig with noise at -40 dB.
+
+``python -m tests.unit.analytic_plates`` prints the table of docs/reference/verify.md.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+
+import numpy as np
+import scipy.fft
+import scipy.special
+
+from wavefocus.rendering.drive.rendering import render_with_report
+from wavefocus.rendering.field.prediction import predict
+from wavefocus.rendering.greens.source import GreenArray
+from wavefocus.rendering.scene.model import Scene, Source
+from wavefocus.rendering.scene.paths import Line
+from wavefocus.rendering.scene.signals import Noise
+from wavefocus.rendering.verify.results import Sentinel, Symptom
+from wavefocus.rendering.verify.scan import Scan
+from wavefocus.rendering.verify.verdict import Verification, compare
+from wavefocus.storage.drive_file import Drive
+
+RATE_HZ, TAPS, BAND_HZ = 4000.0, 800, (40.0, 500.0)
+BANK_ERROR, SCAN_NOISE = 10 ** (-55 / 20), 10 ** (-40 / 20)
+ACTUATORS = 12
+LENGTH = 2 * TAPS
+FREQUENCY_HZ = np.fft.rfftfreq(LENGTH, 1.0 / RATE_HZ)
+USED = np.flatnonzero((FREQUENCY_HZ >= 25.0) & (FREQUENCY_HZ <= 575.0))
+OMEGA = 2.0 * np.pi * FREQUENCY_HZ[USED]
+FADE = (
+    np.sin(0.5 * np.pi * np.clip((FREQUENCY_HZ[USED] - 25) / 15, 0, 1) * np.clip((575 - FREQUENCY_HZ[USED]) / 75, 0, 1))
+    ** 2
+)
+
+
+@dataclass(frozen=True)
+class Medium:
+    """What of a plate changes: speed and loss as factors, a mass in kg at a place in mm."""
+
+    speed: float = 1.0
+    loss: float = 1.0
+    mass: float = 0.0
+    mass_mm: tuple[float, float] = (9.0, -7.0)
+
+
+Transfer = Callable[[np.ndarray, np.ndarray, Medium], np.ndarray]
+"""Spectra (places, sources, K) between places and sources in mm."""
+
+
+def _apart_m(place_mm: np.ndarray, source_mm: np.ndarray) -> np.ndarray:
+    return np.maximum(np.hypot(*(place_mm[:, None] - source_mm).transpose(2, 0, 1)), 1.0) * 1e-3
+
+
+def _wavenumber(medium: Medium, speed_m_s: float) -> np.ndarray:
+    return OMEGA / (medium.speed * speed_m_s * (OMEGA / 1257.0) ** 0.06) * (1.0 - 0.04j * medium.loss)
+
+
+def gel(place_mm: np.ndarray, source_mm: np.ndarray, medium: Medium) -> np.ndarray:
+    wavenumber = _wavenumber(medium, 5.2)
+    total = 0.0
+    for scale, gain in ((1.0, 1.0), (1.3, 0.3), (-1.45, 0.2)):
+        total = total + gain * scipy.special.hankel2(0, wavenumber * _apart_m(place_mm, scale * source_mm)[..., None])
+    return 1e-2 * OMEGA * total
+
+
+def mirrors(place_mm: np.ndarray, source_mm: np.ndarray, medium: Medium) -> np.ndarray:
+    wavenumber, (width, height) = _wavenumber(medium, 6.5), (210.0, 140.0)
+    total = 0.0
+    for m in (-1, 0, 1):
+        for n in (-1, 0, 1):
+            image = source_mm * np.array([(-1.0) ** m, (-1.0) ** n]) + np.array([m * width, n * height])
+            total = total + (-0.85) ** (abs(m) + abs(n)) * scipy.special.hankel2(
+                0, wavenumber * _apart_m(place_mm, image)[..., None]
+            )
+    return 1e-2 * OMEGA * total
+
+
+def disk(place_mm: np.ndarray, source_mm: np.ndarray, medium: Medium) -> np.ndarray:
+    """A membrane, clamped at a radius of 125 mm: sum over Bessel modes."""
+    radius_m, speed = 0.125, medium.speed * 7.5
+    total = 0.0
+    for order in range(40):
+        roots = scipy.special.jn_zeros(order, 24)
+        omega = speed * roots / radius_m
+        norm = (1.0 if order == 0 else 0.5) * np.pi * (radius_m * scipy.special.jvp(order, roots)) ** 2
+        shape = []
+        for points in (place_mm, source_mm):
+            r, angle = np.hypot(*points.T) * 1e-3 / radius_m, np.arctan2(points[:, 1], points[:, 0])
+            shape.append((scipy.special.jv(order, roots * r[:, None]), angle))
+        turn = np.cos(order * (shape[0][1][:, None] - shape[1][1]))
+        mode = omega[:, None] ** 2 * (1.0 + 0.07j * medium.loss) - OMEGA**2
+        total = total + turn[..., None] * np.einsum("pm,sm,mk->psk", shape[0][0], shape[1][0] / norm, 1j * OMEGA / mode)
+    return total
+
+
+def bending(place_mm: np.ndarray, source_mm: np.ndarray, medium: Medium) -> np.ndarray:
+    """A simply supported plate of glass, 300 x 200 x 0.5 mm."""
+    width, height, stiffness, mass = 0.30, 0.20, 70e9 * 0.0005**3 / 12 / 0.94, 2500 * 0.0005
+    total = 0.0
+    p, s = (points * 1e-3 + np.array([width, height]) / 2 for points in (place_mm, source_mm))
+    for m in range(1, 22):
+        for n in range(1, 16):
+            omega = np.sqrt(stiffness / mass) * medium.speed**2 * np.pi**2 * ((m / width) ** 2 + (n / height) ** 2)
+            if omega > 2 * np.pi * 2500:
+                continue
+            here, there = (
+                np.sin(m * np.pi * points[:, 0] / width) * np.sin(n * np.pi * points[:, 1] / height)
+                for points in (p, s)
+            )
+            mode = omega**2 * (1.0 + 0.12j * medium.loss) - OMEGA**2
+            total = total + (here[:, None] * there)[..., None] * (4j * OMEGA / (mass * width * height) / mode)
+    return total
+
+
+PLATES: dict[str, Transfer] = {"gel": gel, "mirrors": mirrors, "disk": disk, "bending": bending}
+PITCH_MM = {"bending": 10.0}
+SHAPE = {"bending": (85.0, 60.0)}
+GEL_KG = {"gel": 40.0, "mirrors": 40.0, "disk": 1.0, "bending": 1.0}
+
+
+def places_mm(plate: str) -> np.ndarray:
+    pitch = PITCH_MM.get(plate, 4.0)
+    x, y = np.meshgrid(pitch * (np.arange(9) - 4), pitch * (np.arange(7) - 3))
+    return np.c_[x.ravel(), y.ravel()].astype(float)
+
+
+def actuators_mm(plate: str) -> np.ndarray:
+    angle = 2 * np.pi * (np.arange(ACTUATORS) + 0.3) / ACTUATORS
+    return np.stack(
+        [SHAPE.get(plate, (85.0, 58.0))[0] * np.cos(angle), SHAPE.get(plate, (85.0, 58.0))[1] * np.sin(angle)], 1
+    )
+
+
+@cache
+def _green(plate: str, medium: Medium, places: bytes) -> np.ndarray:
+    place_mm, source_mm = np.frombuffer(places).reshape(-1, 2), actuators_mm(plate)
+    transfer = PLATES[plate]
+    spectra = np.asarray(transfer(place_mm, source_mm, medium))
+    if medium.mass > 0.0:
+        at = np.array([medium.mass_mm])
+        own, to, come = transfer(at + 1.5, at, medium), transfer(place_mm, at, medium), transfer(at, source_mm, medium)
+        # Velocity at the mass pulls it with a force of -j omega m v.
+        pull = -1j * OMEGA * medium.mass / (1.0 + 1j * OMEGA * medium.mass * own)
+        spectra = spectra + to * pull * come
+    whole = np.zeros((*spectra.shape[:2], len(FREQUENCY_HZ)), complex)
+    whole[..., USED] = spectra * FADE
+    return scipy.fft.irfft(whole, LENGTH)[..., :TAPS]
+
+
+def green(plate: str, medium: Medium = Medium(), place_mm: np.ndarray | None = None) -> np.ndarray:
+    place = places_mm(plate) if place_mm is None else place_mm
+    return _green(plate, medium, np.ascontiguousarray(place, float).tobytes())
+
+
+@dataclass(frozen=True)
+class Case:
+    """What a scan shows under one or two causes, the names that are right, and the actuators' factors and delays."""
+
+    cause: str
+    right: frozenset[tuple[str, tuple[int, ...]]]
+    green: np.ndarray
+    respond: Callable[[np.ndarray], np.ndarray] = field(default=lambda response: response)
+    size: str = ""
+    factor: np.ndarray = field(default_factory=lambda: np.ones(ACTUATORS))
+    late_s: np.ndarray = field(default_factory=lambda: np.zeros(ACTUATORS))
+
+    def holds(self, symptom: Symptom) -> bool:
+        """Whether a symptom is true: a level, a polarity, a silence or a delay of each of its actuators."""
+        of = list(symptom.actuators) or list(range(ACTUATORS))
+        db = 20 * np.log10(np.maximum(np.abs(self.factor[of]), 1e-9))
+        match symptom.code:
+            case "silent":
+                return bool(np.all(self.factor[of] == 0.0))
+            case "polarity":
+                return bool(np.all(self.factor[of] < 0.0))
+            case "level":
+                return bool(np.all(np.abs(db - symptom.value) < 0.5))
+            case "delay":
+                return bool(np.all(np.abs(1e3 * self.late_s[of] - symptom.value) < 0.05))
+        return (symptom.code, symptom.actuators) in self.right
+
+
+@cache
+def lab(plate: str) -> tuple[GreenArray, Drive]:
+    rng = np.random.default_rng([5, len(plate)])
+    bank = GreenArray(
+        noisy(green(plate), rng), places_mm(plate), RATE_HZ, actuator_mm=actuators_mm(plate), band_hz=BAND_HZ
+    )
+    pitch = PITCH_MM.get(plate, 4.0)
+    path = Line((-2 * pitch, -pitch), (2 * pitch, pitch))
+    source = Source(path, Noise(BAND_HZ, 0.04, 1), speed_mm_s=25 * pitch, step_mm=pitch, emission="per_point")
+    return bank, render_with_report(Scene("stroke", (source,)), bank)[0]
+
+
+def noisy(values: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    level = BANK_ERROR * np.linalg.norm(values, axis=2, keepdims=True) / np.sqrt(values.shape[2])
+    return (values + level * rng.standard_normal(values.shape)).astype(np.float32)
+
+
+def verified(
+    plate: str, case: Case, rng: np.random.Generator, *, again: bool = True, quiet_db: float | None = None
+) -> Verification:
+    bank, drive = lab(plate)
+
+    def scan(factor: float) -> Scan:
+        field_ = np.asarray(predict(drive, replace(bank, values=case.green)).field, float)
+        loudest = np.abs(field_).max()
+        field_ = loudest * case.respond(factor * field_ / loudest)
+        noise = SCAN_NOISE * np.sqrt(np.mean(field_**2)) / factor
+        field_ = field_ + noise * factor * rng.standard_normal(field_.shape)
+        count = len(field_)
+        return Scan(
+            field_.astype(np.float32), np.arange(count), RATE_HZ, drive.start_s, "m/s", np.ones(count, np.uint8),
+            np.ones(count, int), np.full(count, noise * factor), np.ones(count), np.ones(count),
+        )  # fmt: skip
+
+    row = len(bank.position_mm) // 2 + 3
+    sentinel = Sentinel(row, noisy(case.green[[row]], rng)[0], np.full(ACTUATORS, 55.0, np.float32))
+    return compare(
+        predict(drive, bank), scan(1.0), drive, bank, sentinel=sentinel,
+        quiet=None if quiet_db is None else scan(10 ** (-quiet_db / 20)),
+    )  # fmt: skip
+
+
+def _some(rng: np.random.Generator, least: int, most: int) -> list[int]:
+    return sorted(rng.permutation(ACTUATORS)[: rng.integers(least, most + 1)].tolist())
+
+
+def _sign(rng: np.random.Generator) -> float:
+    return float(rng.choice([-1.0, 1.0]))
+
+
+def _names(code: str, chosen: Sequence[int] = ()) -> frozenset[tuple[str, tuple[int, ...]]]:
+    return frozenset({(code, () if len(chosen) == ACTUATORS else tuple(chosen))})
+
+
+def electric(plate: str, rng: np.random.Generator, kind: int, values: np.ndarray) -> Case:
+    """Level, delay, polarity, silence, exchange."""
+    factor, late_s, size = np.ones(ACTUATORS), np.zeros(ACTUATORS), ""
+    if kind == 8:
+        chosen = _some(rng, 2, 2)
+        order = np.arange(ACTUATORS)
+        order[chosen] = order[chosen[::-1]]
+        return Case("two exchanged cables", _names("swapped", chosen), values[:, order])
+    if kind < 2:
+        cause, code = ("polarity of 1 to 4", "polarity") if kind == 0 else ("silence of 1 to 3", "silent")
+        chosen = _some(rng, 1, 4 - kind)
+        factor[chosen] = -1.0 if kind == 0 else 0.0
+    else:
+        chosen = [_some(rng, 1, 1), _some(rng, 2, ACTUATORS - 1), list(range(ACTUATORS))][(kind - 2) % 3]
+        if kind < 5:
+            cause, code, db = "level of one, some, all", "level", _sign(rng) * rng.uniform(1.0, 6.0)
+            factor[chosen], size = 10 ** (db / 20), f"{db:.1f} dB"
+        else:
+            # Waves of glass have no front: earlier ones would begin before the first tap.
+            cause, code, sign = "delay of one, some, all", "delay", _sign(rng) if plate != "bending" else 1.0
+            late_s[chosen] = sign * rng.uniform(1e-4, 2e-3)
+            size = f"{1e3 * late_s[chosen[0]]:.2f} ms"
+    turn = np.exp(-2j * np.pi * late_s[:, None] * FREQUENCY_HZ) * factor[:, None]
+    changed = np.fft.irfft(np.fft.rfft(values, LENGTH) * turn, LENGTH)[..., :TAPS]
+    return Case(cause, _names(code, chosen), changed, size=size, factor=factor, late_s=late_s)
+
+
+def affine(plate: str, rng: np.random.Generator, kind: int) -> tuple[np.ndarray, np.ndarray]:
+    """Matrix and offset of a mirror's error: shift, rotation, scale, one axis."""
+    pitch, matrix, offset = PITCH_MM.get(plate, 4.0), np.eye(2), np.zeros(2)
+    if kind == 0:
+        angle = rng.uniform(0, 2 * np.pi)
+        offset = rng.uniform(0.15, 1.2) * pitch * np.array([np.cos(angle), np.sin(angle)])
+    elif kind == 1:
+        turn = np.radians(_sign(rng) * rng.uniform(3.0, 15.0))
+        matrix = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    else:
+        size = 1.0 + _sign(rng) * rng.uniform(0.05, 0.2)
+        matrix = np.diag([size, size if kind == 2 else 1.0])
+    return matrix, offset
+
+
+def mirrored(plate: str, rng: np.random.Generator, kind: int, medium: Medium = Medium()) -> Case:
+    matrix, offset = affine(plate, rng, kind)
+    return Case(
+        "mirror shifted, turned, scaled", _names("mirror"), green(plate, medium, places_mm(plate) @ matrix.T + offset),
+        size=f"{matrix.round(3).tolist()} {offset.round(2).tolist()}",
+    )  # fmt: skip
+
+
+def faster(plate: str, rng: np.random.Generator) -> Case:
+    speed = 1.0 + _sign(rng) * rng.uniform(0.008, 0.04)
+    return Case(
+        "waves faster or slower", _names("speed"), green(plate, Medium(speed=speed)), size=f"{100 * speed - 100:.1f} %"
+    )
+
+
+def singles(plate: str, count: int, seed: int) -> Iterator[tuple[Case, np.random.Generator]]:
+    """36 cases: each actuator kind, the mirror's four, speed."""
+    for number in range(count):
+        rng = np.random.default_rng([seed, list(PLATES).index(plate), number])
+        kind = number % 14
+        if kind < 9:
+            yield electric(plate, rng, kind, green(plate)), rng
+        elif kind < 13:
+            yield mirrored(plate, rng, kind - 9), rng
+        else:
+            yield faster(plate, rng), rng
+
+
+def pairs(plate: str, count: int, seed: int) -> Iterator[tuple[Case, np.random.Generator]]:
+    """Two causes at once."""
+    for number in range(count):
+        rng = np.random.default_rng([seed, 10 + list(PLATES).index(plate), number])
+        if number % 5 >= 3:
+            first = electric(plate, rng, int(rng.integers(9)), green(plate))
+        else:
+            first = faster(plate, rng) if number % 2 else mirrored(plate, rng, int(rng.integers(4)))
+        second = electric(plate, rng, int(rng.integers(9)), first.green)
+        if number % 5 == 0:
+            speed = 1.0 + _sign(rng) * rng.uniform(0.008, 0.04)
+            first = Case("", _names("speed"), first.green)
+            second = mirrored(plate, rng, int(rng.integers(4)), Medium(speed=speed))
+        size, factor, late_s = f"{first.size} {second.size}", first.factor * second.factor, first.late_s + second.late_s
+        right = first.right | second.right
+        yield Case("two at once", right, second.green, size=size, factor=factor, late_s=late_s), rng
+
+
+def unlisted(plate: str, count: int, seed: int) -> Iterator[tuple[Case, np.random.Generator]]:
+    """Damping, a cubic, a finger, a mirror whose error is not affine."""
+    for number in range(count):
+        rng = np.random.default_rng([seed, 20 + list(PLATES).index(plate), number])
+        kind = number % 4
+        if kind == 0:
+            loss = float(rng.choice([0.5, 0.7, 1.4, 2.0, 3.0]))
+            yield Case("damping", frozenset(), green(plate, Medium(loss=loss)), size=f"{loss}"), rng
+        elif kind == 1:
+            share = _sign(rng) * rng.uniform(0.3, 1.0)
+            yield Case("cubic", frozenset(), green(plate), lambda y, share=share: y + share * y**3, f"{share:.2f}"), rng
+        elif kind == 2:
+            mass = float(rng.choice([2e-4, 1e-3, 2e-3, 1e-2])) * GEL_KG[plate]
+            where = tuple(rng.uniform((-30, -20), (30, 20)).round().tolist())
+            yield (
+                Case("finger", frozenset(), green(plate, Medium(mass=mass, mass_mm=where)), size=f"{mass} {where}"),
+                rng,
+            )
+        else:
+            place, share = places_mm(plate), _sign(rng) * rng.uniform(0.05, 0.2)
+            moved = place + share * np.c_[place[:, 0] * place[:, 1], place[:, 1] ** 2] / np.abs(place).max()
+            right = _names("mirror")
+            yield Case("mirror, not affine", right, green(plate, Medium(), moved), size=f"{share:.2f}"), rng
+
+
+def outcome(case: Case, found: Verification) -> str:
+    """``named``, ``part`` of two, ``unexplained``, ``passed`` or ``wrong``: a name with certainty that is not right."""
+    certain = [symptom for symptom in found.symptoms if symptom.certain]
+    if not all(case.holds(symptom) for symptom in certain):
+        return "wrong"
+    if certain and len(case.right) == 1 and {(one.code, one.actuators) for one in certain} != case.right:
+        return "wrong"
+    if certain:
+        return "named" if {code for code, _ in case.right} <= {symptom.code for symptom in certain} else "part"
+    return "unexplained" if found.symptoms else "passed" if found.passed else "unnamed"
+
+
+KINDS = ((singles, 36), (pairs, 10), (unlisted, 15))
+"""And how many of each on each plate."""
+
+
+def main(seed: int = 1) -> None:
+    """Print a line for each case, then the counts by cause and plate."""
+    table: dict[tuple[str, str], Counter[str]] = {}
+    for plate in PLATES:
+        for cases, count in KINDS:
+            for case, rng in cases(plate, count, seed):
+                found = verified(plate, case, rng)
+                word = outcome(case, found)
+                table.setdefault((case.cause, plate), Counter())[word] += 1
+                named = [(one.code, one.actuators, one.value, one.explained) for one in found.symptoms]
+                sys.stdout.write(f"{plate} | {case.cause} {case.size} | {sorted(case.right)} | {word} | {named}\n")
+                sys.stdout.flush()
+    for cause in dict.fromkeys(cause for cause, _ in table):
+        counts = {plate: dict(table[cause, plate]) for plate in PLATES if (cause, plate) in table}
+        sys.stdout.write(f"{cause}: {counts}\n")
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 1)
