@@ -60,7 +60,6 @@ COMMANDS = {
     "render": RENDER,
     "wav": [*RENDER, "new.h5", "--wav"],
     "picture": [*RENDER, "new.h5", "--picture"],
-    "stream": ["render", "scene.toml", "--bank", "bank.h5", "--stream", "--out"],
     "predict": ["predict", "drive.h5", "--bank", "bank.h5", "--out"],
     "movie": ["movie", "field.h5", "--bank", "bank.h5", "--drive", "drive.h5", "--to-s", "0.01", "--out"],
     "snapshots": ["movie", "field.h5", "--bank", "bank.h5", "--drive", "drive.h5", "--snapshots"],

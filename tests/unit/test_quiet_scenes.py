@@ -132,13 +132,13 @@ def test_drives_agree_with_the_equations_solved_densely_at_each_frequency(bank, 
     assert np.linalg.norm(drive.drive_v - expected) < 1e-9 * np.linalg.norm(expected)
 
 
-def test_blocks_and_single_precision_give_the_same_drive(bank):
+def test_a_file_and_single_precision_give_the_same_drive(bank, tmp_path):
     scene = scene_of((16.0, 8.0))
     whole, _ = render_with_report(scene, bank)
-    renderer = SceneRenderer(scene, bank)
-    renderer.prepare()
-    blocks = np.concatenate(list(renderer.blocks()), axis=1)
-    np.testing.assert_allclose(blocks, whole.drive_v, rtol=0, atol=1e-12 * np.abs(whole.drive_v).max())
+    report = SceneRenderer(scene, bank).write(tmp_path / "drive.h5")
+    written = read_drive(tmp_path / "drive.h5")
+    assert [track.rendered_db for track in written.quiet] == [track.rendered_db for track in report.quiet_tracks]
+    np.testing.assert_allclose(written.drive_v, whole.drive_v, rtol=0, atol=1e-12 * np.abs(whole.drive_v).max())
     single, _ = render_with_report(scene, bank, tolerance_db=-60.0)
     off = np.linalg.norm(single.drive_v - whole.drive_v) / np.linalg.norm(whole.drive_v)
     assert 0 < off <= single.omitted_bound < 1e-3

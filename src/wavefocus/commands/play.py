@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+import tempfile
 import threading
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +35,7 @@ from wavefocus.rendering.scene.model import Scene, load_scene
 from wavefocus.rig.limits import check_drive, interface_of, limited_words, rig_of, within
 from wavefocus.rig.setup import open_player
 from wavefocus.storage.bank.reading import Bank, open_bank
-from wavefocus.storage.drive_file import Drive, read_drive
+from wavefocus.storage.drive_file import Drive, drive_pieces, read_drive
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.units import PLAYED_UNITS
 
@@ -134,33 +135,9 @@ def _progress_shown(report: Report, clock: Clock, seconds: float) -> Iterator[No
 
 
 AHEAD_S = 2.0
-"""So much is rendered before it sounds: many times what a render takes, short enough to wait for."""
+"""So much is handed over before it sounds."""
 PIECES_AHEAD = 8
 MAX_PIECE_SAMPLES = 4096
-
-
-@dataclass(frozen=True, slots=True)
-class Latency:
-    """Time before a sample of a source sounds at which it must be given.
-
-    `lookahead_s` is the length of the Green's functions, which time reversal needs, with the renderer's blocks and the
-    conversion to the interface's rate; `ahead_s` is rendered and waits; `interface_s` is the interface's own.
-    """
-
-    lookahead_s: float
-    ahead_s: float
-    interface_s: float
-
-    @property
-    def whole_s(self) -> float:
-        """All of it."""
-        return self.lookahead_s + self.ahead_s + self.interface_s
-
-    def __str__(self) -> str:
-        return (
-            f"latency {1e3 * self.whole_s:.0f} ms: {1e3 * self.lookahead_s:.0f} ms of looking ahead in the scene,"
-            f" {1e3 * self.ahead_s:.0f} ms rendered ahead, {1e3 * self.interface_s:.0f} ms in the interface"
-        )
 
 
 def refuse_for_drives(what: Path, **given: object) -> None:
@@ -198,7 +175,7 @@ def play_scene(
     watched: bool = False,
     allow_large: bool = False,
 ) -> Exit:
-    """Render a scene once to find its scale, then once more while it is played.
+    """Render a scene into a temporary drive file, and play that.
 
     Where it is `watched`, it ends when standard input closes, muted.
 
@@ -215,8 +192,12 @@ def play_scene(
         rig = rig_of(rig_file, view)
         assert rig is not None  # one that is named is there
         try:
-            with naming(scene_file, view), ending_at_once(), ended_by_input() if watched else nullcontext():
-                figures = _play(within(scene, rig), view, rig, rig_file, options, gain_db, ahead_s, watched=watched)
+            with (
+                naming(scene_file, view), ending_at_once(), ended_by_input() if watched else nullcontext(),
+                tempfile.TemporaryDirectory(prefix="wavefocus-") as folder,
+            ):  # fmt: skip
+                drive_file, limited = Path(folder) / "drive.h5", within(scene, rig)
+                figures = _play(limited, view, rig, rig_file, drive_file, options, gain_db, ahead_s, watched=watched)
         except KeyboardInterrupt:
             say("stopped by the user; the outputs are muted")
             return Exit.STOPPED
@@ -231,6 +212,7 @@ def _play(
     bank: Bank,
     rig: RigConfig,
     rig_file: Path,
+    drive_file: Path,
     options: RenderOptions,
     gain_db: float,
     ahead_s: float,
@@ -250,8 +232,8 @@ def _play(
     )
     actuators, samples = renderer.shape
     begun_s = time.monotonic()
-    with progress("first pass", samples) as report:
-        facts = renderer.prepare(report)
+    with progress("render", samples) as report:
+        facts = renderer.write(drive_file, report)
     prepared_s = time.monotonic() - begun_s
     for warning in facts.warnings:
         say(f"warning: {warning}")
@@ -261,18 +243,16 @@ def _play(
     if facts.limiting.decided_by is not None:
         say(limited_words(facts.limiting, rig_file))
     rate = InterfaceRate(rate_hz, rig.player.interface_rate_hz)
-    looked_ahead = renderer.latency_samples + 2 * block_samples + rate.around_samples
-    with open_player(rig) as (player, _):
-        latency = Latency(looked_ahead / rate_hz, ahead_s, player.latency_s)
+    with drive_pieces(drive_file) as rendered, open_player(rig) as (player, _):
         seconds = samples / rate_hz
         say(f"{player.identify()}: {hours(seconds)} on {actuators} actuators, at most {renderer.peak_v:.3g} V")
         if watched:
             print_line(to_line(DrivePlaying(seconds)))
-        say(f"found the scale in {prepared_s:.1f} s; {latency}")
-        pieces = rate.pieces(renderer.blocks(), actuators, samples, block_samples)
+        say(f"rendered in {prepared_s:.1f} s")
+        pieces = rate.pieces(rendered, actuators, samples, block_samples)
         least_s = _sounding(player, rig, pieces, ahead_s, seconds)
     if least_s is not None:
-        say(f"rendering was never less than {1e3 * least_s:.0f} ms ahead of the sound")
+        say(f"reading was never less than {1e3 * least_s:.0f} ms ahead of the sound")
     return {
         **({"quiet": [level.plain for level in quiet]} if quiet else {}),
         "seconds": seconds,
@@ -280,10 +260,7 @@ def _play(
         "scale": facts.scale,
         "limited_by": facts.limiting.decided_by,
         "prepared_s": round(prepared_s, 3),
-        "latency_ms": round(1e3 * latency.whole_s, 1),
-        "lookahead_ms": round(1e3 * latency.lookahead_s, 1),
-        "ahead_ms": round(1e3 * latency.ahead_s, 1),
-        "interface_ms": round(1e3 * latency.interface_s, 1),
+        "ahead_ms": round(1e3 * ahead_s, 1),
         "least_ahead_ms": None if least_s is None else round(1e3 * least_s, 1),
     }
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,18 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.console import progress, say, working_on
-from wavefocus.drives import naming, render_by_options
+from wavefocus.drives import naming
 from wavefocus.input_files import input_files
 from wavefocus.options import RenderOptions
-from wavefocus.rendering.drive.coil_limits import dynamic_range_db, peaks
-from wavefocus.rendering.drive.rendering import SceneRenderer
+from wavefocus.rendering.device import cuda_device
+from wavefocus.rendering.drive.coil_limits import dynamic_range_db
+from wavefocus.rendering.drive.rendering import MAX_WHOLE_BYTES, SceneRenderer
 from wavefocus.rendering.drive.wav import Interface, stream_wav
 from wavefocus.rendering.field.at_foci import predicted_focus_peak
 from wavefocus.rendering.field.prediction import field_unit
 from wavefocus.rendering.field.quiet_levels import QuietLevel, levels_json, quiet_levels, rendered_levels
 from wavefocus.rendering.report.render_report import RenderReport
 from wavefocus.rendering.scene.model import Scene, load_scene
-from wavefocus.rendering.scene.size import check_scene_size, size_words
 from wavefocus.rig.limits import (
     DEFAULT_FULL_SCALE_V,
     DEFAULT_INTERFACE_RATE_HZ,
@@ -34,7 +33,7 @@ from wavefocus.rig.limits import (
     within,
 )
 from wavefocus.storage.bank.reading import Bank, open_bank
-from wavefocus.storage.drive_file import drive_in_blocks
+from wavefocus.storage.drive_file import drive_pieces, read_drive
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import require_outputs, write_whole
 from wavefocus.storage.units import PLAYED_UNITS, quantity
@@ -46,8 +45,6 @@ Float64Array = NDArray[np.float64]
 
 
 OUTLINE_POINTS = 400
-MAX_WHOLE_BYTES = 2 * 2**30
-"""Drives that take more are streamed without being asked: 22 minutes on 20 actuators at 10 kHz."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,20 +69,22 @@ class _Job:
 
 @dataclass(frozen=True, slots=True)
 class _Rendered:
-    """Drives within their limits, to be written block by block.
+    """Drives that were written.
 
-    about: Start, method, bound and foci, as `drive_in_blocks` takes them.
+    method, foci: How they were rendered, and the number of foci.
     focus_peak, unsaturated: Predicted response, and relative rms without saturation; None where not computed.
-    quiet: Levels at the quiet places, none where they were not computed.
+    quiet: Levels at the quiet places.
     """
 
     shape: tuple[int, int]
-    blocks: Iterator[Float64Array]
-    about: dict[str, Any]
+    method: str
+    start_s: float
+    foci: int
+    peak_v: float
     facts: RenderReport
-    focus_peak: float | None = None
-    unsaturated: Float64Array | None = None
-    quiet: tuple[QuietLevel, ...] = ()
+    focus_peak: float | None
+    unsaturated: Float64Array | None
+    quiet: tuple[QuietLevel, ...]
 
 
 def render(
@@ -97,7 +96,6 @@ def render(
     picture: Path | None,
     rig_file: Path | None,
     options: RenderOptions,
-    stream: bool = False,
     allow_large: bool = False,
     force: bool = False,
     as_json: bool,
@@ -116,116 +114,88 @@ def render(
         rig = None if (rig_file, wav, picture) == (None, None, None) else rig_of(rig_file, view)
         if rig_file is not None and rig is not None:
             scene = within(scene, rig)
-        if stream and options.device != "cpu":
-            raise InputError("--stream goes with --device cpu alone")
         limited = rig is not None and (wav is not None or rig_file is not None)
         job = _Job(scene_file, scene, view, rig, interface_of(rig) if rig is not None and limited else None, options)
-        whole = options.device != "cpu"
         with naming(scene_file, view):
-            streamed = not whole and (stream or _too_large(job))
-            rendered = _in_two_passes(job) if streamed else _in_memory(job)
-        peak_v = _write(job, rendered, out, wav, force=force)
+            rendered = _render(job, out, force=force)
+        if wav is not None:
+            _write_wav(job, rendered.shape, out, wav)
         if picture is not None:
             _write_picture(job, rendered.facts, picture)
-        figures = _report(job, rendered, out, peak_v, rig_file)
+        figures = _report(job, rendered, out, rig_file)
         if as_json:
-            print(json.dumps(figures | ({"streamed": True} if streamed else {})))
+            print(json.dumps(figures))
 
 
-def _in_memory(job: _Job) -> _Rendered:
-    with progress("render", 1) as report:
-        drive, facts = render_by_options(job.scene, job.bank, job.options, report, job.interface)
-    unsaturated = None
-    regularisation = job.scene.regularisation
-    if regularisation.saturation or regularisation.saturation_absolute:
-        output = job.scene.output.model_copy(update={"limit_v": None, "limit_rms_v": None})  # limits change no ratio
-        if facts.interpolation_errors is not None:
-            output = output.model_copy(update={"interpolation": facts.interpolation_errors.kind})  # chosen once
-        plain = replace(
-            job.scene,
-            regularisation=regularisation.model_copy(update={"saturation": 0.0, "saturation_absolute": 0.0}),
-            output=output,
-        )
-        with progress("render", 1) as report:
-            unsaturated = render_by_options(plain, job.bank, job.options, report)[1].relative_rms_drive
-    foci = drive.focus_sample, drive.focus_position, drive.focus_source
-    about = {"start_s": drive.start_s, "method": drive.method, "omitted_bound": drive.omitted_bound, "foci": foci}
-    about["quiet"], about["focus_mm"] = drive.quiet, drive.focus_mm
-    actuators, samples = drive.drive_v.shape
-    return _Rendered(
-        (actuators, samples), iter([drive.drive_v]), about, facts, predicted_focus_peak(drive, job.bank), unsaturated,
-        quiet_levels(drive, job.bank),
-    )  # fmt: skip
-
-
-def _in_two_passes(job: _Job) -> _Rendered:
-    """Render in constant memory; the predicted response would need the drives once more."""
-    options, rate_hz = job.options, float(job.bank.sample_rate_hz)
-    renderer = SceneRenderer(
-        job.scene, job.bank, interface=job.interface, method=options.method, tolerance_db=options.tolerance_db,
-        interpolation_tolerance=options.interpolation_tolerance,
-    )  # fmt: skip
+def _render(job: _Job, out: Path, *, force: bool) -> _Rendered:
+    """Write the drive file, and find what is said of it; a long drive is not predicted."""
+    renderer = _renderer(job, job.scene, job.interface)
     actuators, samples = renderer.shape
-    size = size_words(8.0 * actuators * samples)
-    say(f"{samples / rate_hz:.4g} s of drives, {size}, in two passes: the first finds the scale, the second writes")
-    with progress("first pass", samples) as report:
-        facts = renderer.prepare(report)
+    with progress("render", samples) as report:
+        facts = renderer.write(out, report, force=force)
+    focus_peak, quiet = None, rendered_levels(facts.quiet_tracks)
+    if 8 * actuators * samples <= MAX_WHOLE_BYTES:
+        working_on("predicting the response at the foci")
+        drive = read_drive(out)
+        focus_peak, quiet = predicted_focus_peak(drive, job.bank), quiet_levels(drive, job.bank)
+        working_on("")
     sampled = renderer.sampled
-    about = {
-        "start_s": sampled.start_s, "method": sampled.method, "foci": sampled.foci,
-        "omitted_bound": facts.omitted_bound, "quiet": facts.quiet_tracks, "focus_mm": sampled.focus_mm,
-    }  # fmt: skip
-    return _Rendered(renderer.shape, renderer.blocks(), about, facts, quiet=rendered_levels(facts.quiet_tracks))
+    return _Rendered(
+        renderer.shape, sampled.method, sampled.start_s, len(sampled.foci[0]), renderer.peak_v, facts, focus_peak,
+        _unsaturated(job, facts), quiet,
+    )  # fmt: skip
 
 
-def _write(job: _Job, rendered: _Rendered, out: Path, wav: Path | None, *, force: bool) -> float:
-    """Write the drive file, and a WAV file where one is asked for; returns the largest magnitude."""
-    samples, peak_v = rendered.shape[1], 0.0
+def _renderer(job: _Job, scene: Scene, interface: Interface | None) -> SceneRenderer:
+    options = job.options
+    return SceneRenderer(
+        scene, job.bank, interface=interface, method=options.method, tolerance_db=options.tolerance_db,
+        interpolation_tolerance=options.interpolation_tolerance,
+        device=None if options.device == "cpu" else cuda_device(),
+    )  # fmt: skip
+
+
+def _unsaturated(job: _Job, facts: RenderReport) -> Float64Array | None:
+    """Relative rms of the drives without saturation; None where the scene has none."""
+    regularisation = job.scene.regularisation
+    if not (regularisation.saturation or regularisation.saturation_absolute):
+        return None
+    output = job.scene.output.model_copy(update={"limit_v": None, "limit_rms_v": None})  # limits change no ratio
+    if facts.interpolation_errors is not None:
+        output = output.model_copy(update={"interpolation": facts.interpolation_errors.kind})  # chosen once
+    plain = regularisation.model_copy(update={"saturation": 0.0, "saturation_absolute": 0.0})
+    with progress("render without saturation", 1) as report:
+        scene = replace(job.scene, regularisation=plain, output=output)
+        return _renderer(job, scene, None).prepare(report).relative_rms_drive
+
+
+def _write_wav(job: _Job, shape: tuple[int, int], drive_file: Path, wav: Path) -> None:
+    """Write the WAV file of a drive file."""
     bank_hz, (rate_hz, full_scale_v, each) = float(job.bank.sample_rate_hz), job.wav_scale
-    with (
-        drive_in_blocks(
-            out, rendered.shape, sample_rate_hz=bank_hz, drive_unit=job.bank.drive_unit, scale=rendered.facts.scale,
-            force=force, **rendered.about,
-        ) as append,
-        progress("write", samples) as report,
-    ):  # fmt: skip
+    with drive_pieces(drive_file) as pieces, progress("write WAV", shape[1]) as report:
 
-        def written() -> Iterator[Float64Array]:
-            nonlocal peak_v
+        def shown() -> Iterator[Float64Array]:
             done = 0
-            for block in rendered.blocks:
-                append(block)
-                peak_v = max(peak_v, float(peaks(block).max()))
-                done += block.shape[1]
-                yield block
-                report(done, samples)
+            for piece in pieces:
+                yield piece * each[:, np.newaxis]
+                done += piece.shape[1]
+                report(done, shape[1])
 
-        if wav is None:
-            deque(written(), maxlen=0)
-        else:
-            stream_wav(
-                wav, (block * each[:, np.newaxis] for block in written()), rendered.shape, bank_hz,
-                interface_rate_hz=rate_hz, full_scale_v=full_scale_v,
-            )  # fmt: skip
-            say(f"{wav}: {rate_hz} Hz, full scale {full_scale_v:g} V")
-    return peak_v
+        stream_wav(wav, shown(), shape, bank_hz, interface_rate_hz=rate_hz, full_scale_v=full_scale_v)
+    say(f"{wav}: {rate_hz} Hz, full scale {full_scale_v:g} V")
 
 
-def _report(job: _Job, rendered: _Rendered, out: Path, peak_v: float, rig_file: Path | None) -> dict[str, Any]:
+def _report(job: _Job, rendered: _Rendered, out: Path, rig_file: Path | None) -> dict[str, Any]:
     """Say what was rendered; returns the same figures for JSON."""
-    facts, limiting, about, (actuators, samples) = (
-        rendered.facts,
-        rendered.facts.limiting,
-        rendered.about,
-        rendered.shape,
-    )
+    facts, limiting, (actuators, samples) = rendered.facts, rendered.facts.limiting, rendered.shape
+    method, foci, peak_v = rendered.method, rendered.foci, rendered.peak_v
     unit, relative = field_unit(job.bank), facts.relative_rms_drive
-    range_db, unsaturated, foci = dynamic_range_db(relative), rendered.unsaturated, len(about["foci"][0])
+    range_db, unsaturated = dynamic_range_db(relative), rendered.unsaturated
     figures = {
         "drive": str(out),
-        "method": about["method"],
+        "method": method,
         "samples": samples,
-        "start_s": about["start_s"],
+        "start_s": rendered.start_s,
         "focus_points": foci,
         "peak_v": peak_v,
         "scale": facts.scale,
@@ -233,7 +203,7 @@ def _report(job: _Job, rendered: _Rendered, out: Path, peak_v: float, rig_file: 
         "response_unit": unit,
         "limited_by": limiting.decided_by,
         "limiting_actuator": limiting.actuator,
-        "omitted_bound": about["omitted_bound"],
+        "omitted_bound": facts.omitted_bound,
         "relative_rms": relative.round(6).tolist(),
         "relative_rms_unsaturated": None if unsaturated is None else unsaturated.round(6).tolist(),
         "dynamic_range_db": round(range_db, 3),
@@ -242,7 +212,7 @@ def _report(job: _Job, rendered: _Rendered, out: Path, peak_v: float, rig_file: 
     for warning in facts.warnings:
         say(f"warning: {warning}")
     say(
-        f"{out}: {about['method']}, {actuators} actuators, {samples / job.bank.sample_rate_hz:.3f} s, "
+        f"{out}: {method}, {actuators} actuators, {samples / job.bank.sample_rate_hz:.3f} s, "
         f"{foci} focus points, largest drive {quantity(f'{peak_v:.3g}', job.bank.drive_unit)}"
     )
     if rendered.focus_peak is not None:
@@ -273,12 +243,3 @@ def _write_picture(job: _Job, facts: RenderReport, path: Path) -> None:
     with naming(job.scene_file, job.bank):
         write_whole(path, scene_picture(job.scene, job.bank, outline_mm=outline_mm, sampled=facts.sources).png)
     say(f"{path}: the scene before and after snapping to the bank's positions")
-
-
-def _too_large(job: _Job) -> bool:
-    """Whether the drives are not to be held in memory whole; InputError: they are larger than allowed."""
-    bank = job.bank
-    size = check_scene_size(
-        job.scene, sample_rate_hz=float(bank.sample_rate_hz), taps=bank.taps, actuators=bank.actuators
-    )
-    return size.drive_bytes > MAX_WHOLE_BYTES

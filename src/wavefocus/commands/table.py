@@ -205,7 +205,6 @@ USE = (
             file("--rig", dest="rig_file", metavar="RIG.toml",
                  help="Keep to this rig's limits too: volts, coil power."),
             file("--picture", metavar="FILE.png", help="Draw the scene before and after snapping."),
-            switch("--stream", help="In constant memory, in two passes; drives above 2 GiB are streamed anyway."),
             LARGE, FORCE, JSON,
         ),
         RenderOptions,

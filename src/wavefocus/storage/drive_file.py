@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import InitVar, dataclass, replace
 from pathlib import Path
@@ -38,6 +38,7 @@ Int64Array = NDArray[np.int64]
 FORMAT = "wavefocus-drive"
 _FOCUS_AXES = ("x_mm", "y_mm")
 _NUMBERS = ("sample_rate_hz", "start_s", "scale", "omitted_bound")
+_PIECE_BYTES = 2**24
 LONG_NAMES = {
     "drive": "voltage at each actuator",
     "actuator": "index of the actuator",
@@ -199,11 +200,48 @@ def write_drive(path: str | Path, drive: Drive, *, force: bool = False) -> None:
     >>> wf.write_drive("copy.h5", wf.read_drive("drive.h5"))
     """
     foci = (drive.focus_sample, drive.focus_position, drive.focus_source)
-    about = {name: getattr(drive, name) for name in (*_NUMBERS, "method", "drive_unit")}
+    about = {name: getattr(drive, name) for name in ("sample_rate_hz", "start_s", "method", "drive_unit")}
     with drive_in_blocks(
-        path, drive.drive_v.shape, foci=foci, quiet=drive.quiet, focus_mm=drive.focus_mm, force=force, **about
-    ) as append:
-        append(drive.drive_v)
+        path, drive.drive_v.shape, foci=foci, focus_mm=drive.focus_mm, force=force, **about
+    ) as written:
+        written.put(0, drive.drive_v)
+        written.finish(1.0, scale=drive.scale, omitted_bound=drive.omitted_bound, quiet=drive.quiet)
+
+
+class DriveWriter:
+    """The volts of a drive file that is being written."""
+
+    def __init__(self, volts: h5py.Dataset) -> None:
+        self._volts, self._digest = volts, ""
+
+    def put(self, first: int, block: Float64Array) -> None:
+        """Write volts, (actuators, some samples), from the sample `first` on; a later block replaces an earlier one."""
+        whole = block.shape == self._volts.shape
+        self._digest = hdf5_digest.values_sha256(block) if whole else ""
+        self._volts[:, first : first + block.shape[1]] = block
+
+    def whole(self) -> Float64Array:
+        """All volts as they are now, in memory."""
+        return np.asarray(self._volts[:], np.float64)
+
+    def finish(self, factor: float, *, scale: float, omitted_bound: float, quiet: tuple[QuietTrack, ...] = ()) -> None:
+        """Multiply all volts by a factor, and say how they came about: see `Drive`."""
+        if factor != 1.0:
+            self._digest = ""
+            for pieces in _pieces(self._volts):
+                self._volts[:, pieces] = factor * self._volts[:, pieces]
+        if self._digest:
+            self._volts.attrs[hdf5_digest.VALUES] = self._digest
+        self._volts.file.attrs["scale"] = float(scale)
+        self._volts.file.attrs["omitted_bound"] = float(omitted_bound)
+        if quiet:
+            self._volts.file.attrs["quiet"] = json.dumps([track.plain() for track in quiet])
+
+
+def _pieces(volts: h5py.Dataset) -> Iterator[slice]:
+    """Samples that take little memory together."""
+    step = max(1, _PIECE_BYTES // (8 * volts.shape[0]))
+    return (slice(first, first + step) for first in range(0, volts.shape[1], step))
 
 
 @contextmanager
@@ -214,21 +252,17 @@ def drive_in_blocks(
     sample_rate_hz: float,
     start_s: float,
     method: str,
-    scale: float,
-    omitted_bound: float,
     foci: tuple[Int64Array, Int64Array, Int64Array],
     drive_unit: str = "V",
-    quiet: tuple[QuietTrack, ...] = (),
     focus_mm: Float64Array | None = None,
     force: bool = False,
-) -> Iterator[Callable[[Float64Array], None]]:
-    """Write a drive file block by block, as `write_drive`.
+) -> Iterator[DriveWriter]:
+    """Write a drive file block by block, as `write_drive`; it appears under its name when the block ends well.
 
     shape: Actuators and samples of the whole drive.
-    sample_rate_hz, start_s, method, scale, omitted_bound, drive_unit, quiet, focus_mm: See `Drive`.
+    sample_rate_hz, start_s, method, drive_unit, focus_mm: See `Drive`.
     foci: Sample, position and source of each focus.
 
-    Yields a callable that writes the next block, volts as float64 (actuators, any number of samples).
     Raises InputError: the file exists and may not be replaced, or cannot be written.
     """
     path = Path(path)
@@ -237,12 +271,10 @@ def drive_in_blocks(
     with replacement(path) as temporary, created(temporary, data_bytes) as file:
         file.attrs["format"] = FORMAT
         file.attrs["format_version"] = 1
-        for name, number in zip(_NUMBERS, (sample_rate_hz, start_s, scale, omitted_bound), strict=True):
+        for name, number in zip(_NUMBERS, (sample_rate_hz, start_s, 1.0, 0.0), strict=True):
             file.attrs[name] = float(number)
         file.attrs["method"] = method
         file.attrs["drive_unit"] = drive_unit
-        if quiet:
-            file.attrs["quiet"] = json.dumps([track.plain() for track in quiet])
         volts = reserved(file, "/drive", shape, "<f8", drive_unit)
         focus = dimension_scale(file, "focus/focus", np.arange(len(foci[0])))
         for name, values in zip(("sample", "position", "source"), foci, strict=True):
@@ -252,19 +284,19 @@ def drive_in_blocks(
         actuator = dimension_scale(file, "actuator", np.arange(shape[0]))
         attach(volts, actuator, dimension_scale(file, "time_s", sample_times(shape[1], sample_rate_hz, start_s), "s"))
         set_long_names(file, LONG_NAMES)
-        done = 0
-
-        def append(block: Float64Array) -> None:
-            nonlocal done
-            if block.shape == shape:
-                volts.attrs[hdf5_digest.VALUES] = hdf5_digest.values_sha256(block)
-            volts[:, done : done + block.shape[1]] = block
-            done += block.shape[1]
-
-        yield append
-        if done != shape[1]:
-            raise ValueError(f"{done} of {shape[1]} samples were written")
+        yield DriveWriter(volts)
         hdf5_digest.seal(file)
+
+
+@contextmanager
+def drive_pieces(path: str | Path) -> Iterator[Iterator[Float64Array]]:
+    """Give the volts of a drive file piece by piece, (actuators, some samples), however long it is.
+
+    Raises InputError: as `read_drive`, but for the checksums.
+    """
+    with hdf5_reading.opened_as(Path(path), FORMAT) as file:
+        volts = hdf5_reading.plain_dataset(file, "/drive")
+        yield (np.asarray(volts[:, piece], np.float64) for piece in _pieces(volts))
 
 
 @checked

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,16 +29,19 @@ from wavefocus.rendering.greens.source import GreenSource, apply_exponent, drive
 from wavefocus.rendering.report.render_report import RenderReport, report_render
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.rendering.scene.sampling import Method, SampledScene, sample_scene
-from wavefocus.storage.drive_file import Drive
+from wavefocus.storage.drive_file import Drive, drive_in_blocks
 from wavefocus.storage.errors import InputError
 
 if TYPE_CHECKING:
     from wavefocus.rendering.drive.quiet_scene import QuietRows
 
 OnProgress = Callable[[int, int], None]
+Put = Callable[[int, Float64Array], None]
+"""Takes the first sample of a block, and the block."""
 
-ROUNDING = 1e-9
-"""Drives that are made anew may come so far beyond a limit, relatively."""
+MAX_WHOLE_BYTES = 2 * 2**30
+"""Drives that take more are never held in memory whole: 22 minutes on 20 actuators at 10 kHz."""
+
 PIECE_SAMPLES = 4096
 LEVELS_BYTES = 2**31
 """Drives with quiet places are kept while they are made, up to this size, for the levels are those of the drive."""
@@ -48,9 +52,8 @@ class SceneRenderer:
 
     By how much a drive has to be scaled is found when all of it was made. A limiter that acts while it plays would
     change the waveforms, and with them the focus; a bound that is proved before is far from what is reached. So all
-    drives are made once to find the factor: `collect` keeps them in memory; `prepare` keeps only levels, and `blocks`
-    makes them once more. Beside the drives, memory holds some blocks, the spectra of rows, and the sources' own signals
-    and path points.
+    drives are made unscaled and multiplied then: `collect` in memory, `write` in the file. Beside the drives, memory
+    holds some blocks, the spectra of rows, and the sources' own signals and path points.
 
     The drive starts at -(L - 1) samples of scene time, L the taps of the bank, even if all sources start later, and
     ends with the last emitted sample; with quiet places, 0.05 to 0.2 s later. A continuous emission lasts until n_M,
@@ -73,8 +76,6 @@ class SceneRenderer:
     sampled: SampledScene
     shape: tuple[int, int]
     """Actuators and samples of the whole drive."""
-    latency_samples: int
-    """How much later than a drive sample the source samples may be that it is made of, lead-in included."""
 
     def __init__(
         self,
@@ -107,7 +108,6 @@ class SceneRenderer:
         self.shape = bank.actuators, self.sampled.samples
         self._single = self._tolerance > 0
         self._accumulator = self._new_accumulator()
-        self.latency_samples = 2 * self._accumulator.block_samples
         self._report: RenderReport | None = None
 
     @property
@@ -126,7 +126,11 @@ class SceneRenderer:
         """Make all drives in memory. Raises InputError: as `prepare`, or they do not fit into memory."""
         try:
             drive_v = np.empty(self.shape)
-            report = self.prepare(on_progress, drive_v)
+
+            def put(first: int, block: Float64Array) -> None:
+                drive_v[:, first : first + block.shape[1]] = block
+
+            report = self._prepared(on_progress, put, lambda: drive_v)
         except MemoryError as error:
             size = 8 * self.shape[0] * self.shape[1] / 2**30
             raise InputError(
@@ -141,46 +145,50 @@ class SceneRenderer:
             focus_mm=sampled.focus_mm, known_finite=finite,
         )  # fmt: skip
 
-    def prepare(self, on_progress: OnProgress | None = None, keep_v: Float64Array | None = None) -> RenderReport:
-        """Make all drives once and find by how much they have to be scaled.
+    def write(self, path: Path, on_progress: OnProgress | None = None, *, force: bool = False) -> RenderReport:
+        """Make all drives in a drive file, in constant memory. Raises InputError: as `prepare` and `write_drive`."""
+        sampled = self.sampled
+        with drive_in_blocks(
+            path, self.shape, sample_rate_hz=self._rate_hz, start_s=sampled.start_s, method=sampled.method,
+            foci=sampled.foci, drive_unit=drive_unit(self._bank), focus_mm=sampled.focus_mm, force=force,
+        ) as written:  # fmt: skip
+            small = 8 * self.shape[0] * self.shape[1] <= MAX_WHOLE_BYTES
+            report = self._prepared(on_progress, written.put, written.whole if small else None)
+            written.finish(
+                self._gain * report.scale, scale=report.scale, omitted_bound=report.omitted_bound,
+                quiet=report.quiet_tracks,
+            )  # fmt: skip
+        return report
+
+    def prepare(self, on_progress: OnProgress | None = None) -> RenderReport:
+        """Make all drives, keep none, and find by how much they have to be scaled.
 
         on_progress: Called with samples done and samples in all.
-        keep_v: Takes the drives without gain and limits, of `shape`.
 
         Raises InputError: a row on a path cannot be used, a drive does not fit into float64, or an interpolation is
         beyond its tolerance.
         """
-        if self._quiet is not None and keep_v is None and 8 * math.prod(self.shape) <= LEVELS_BYTES:
-            keep_v = np.empty(self.shape)
+        return self._prepared(on_progress, None, None)
+
+    def _prepared(
+        self, on_progress: OnProgress | None, put: Put | None, whole: Callable[[], Float64Array] | None
+    ) -> RenderReport:
+        """As `prepare`; `put` takes the drives without gain and limits, and `whole` gives them back."""
         signals = [source.signal for source in self.sampled.sources]
         errors, remarks = judged_errors(
             self._scene, self._bank, self.sampled.interpolation, signals, self._interpolation_tolerance
         )
-        between = self._first_pass(on_progress, keep_v)
+        between = self._made(on_progress, put)
         if self._bound() > self._tolerance:
             self._single = False
             self._accumulator = self._new_accumulator()
-            between = self._first_pass(on_progress, keep_v)
+            between = self._made(on_progress, put)
         self._report = report_render(
             self._scene, self._rows, self.sampled.sources, self._accumulator.statistics, self._levels.norms,
             limiting=self._limiting(between), omitted_bound=self._bound(), errors=errors, remarks=remarks,
-            quiet=None if self._quiet is None else self._quiet.figures(self._drive_of(keep_v)),
+            quiet=None if self._quiet is None else self._quiet.figures(None if whole is None else self._drive(whole())),
         )  # fmt: skip
         return self._report
-
-    def blocks(self) -> Iterator[Float64Array]:
-        """Yield the drives within their limits, (actuators, some samples); `prepare` comes first.
-
-        Raises InputError: the bank changed, so that a drive exceeds a limit.
-        """
-        factor, first, levels = self._gain * self.report.scale, 0, self._new_levels()
-        for made in self.unlimited_blocks():
-            block = made * factor
-            levels.add(block)
-            if (limiting := strictest(levels.against(self._limits))).scale < 1.0 - ROUNDING:
-                raise InputError(f"from sample {first} on, the drive would have to be {limiting}")
-            yield block
-            first += block.shape[1]
 
     def unlimited_blocks(self, ahead: int = 1) -> Iterator[Float64Array]:
         """Yield the drives without gain and limits, in single precision where a tolerance is given.
@@ -190,10 +198,8 @@ class SceneRenderer:
         for block in self._accumulator.blocks(ahead):
             yield apply_exponent(block, self._rows.drive_exponent)
 
-    def _drive_of(self, drive_v: Float64Array | None) -> Drive | None:
+    def _drive(self, drive_v: Float64Array) -> Drive:
         """The drive that was made, for the levels at its quiet places."""
-        if drive_v is None:
-            return None
         sampled, finite = self.sampled, bool(np.isfinite(self._levels.norms).all())
         return Drive(
             drive_v, self._rate_hz, sampled.start_s, sampled.method, 1.0, 0.0, *sampled.foci,
@@ -208,25 +214,25 @@ class SceneRenderer:
         return RunningLevels(actuators, None if self._limits.rms_v is None else rms_window(samples, self._rate_hz))
 
     @np.errstate(over="ignore", invalid="ignore")
-    def _first_pass(self, on_progress: OnProgress | None, keep_v: Float64Array | None) -> Float64Array | None:
+    def _made(self, on_progress: OnProgress | None, put: Put | None) -> Float64Array | None:
         """Make all drives, and find their levels; returns the largest magnitudes at the interface's rate."""
         self._levels = self._new_levels()
-        blocks = self._watched(on_progress, keep_v)
+        blocks = self._watched(on_progress, put)
         if self._rate is not None:
             return largest_of(self._rate.pieces(blocks, *self.shape, PIECE_SAMPLES), self.shape[0])
         for _ in blocks:
             pass
         return None
 
-    def _watched(self, on_progress: OnProgress | None, keep_v: Float64Array | None) -> Iterator[Float64Array]:
+    def _watched(self, on_progress: OnProgress | None, put: Put | None) -> Iterator[Float64Array]:
         done, samples = 0, self.shape[1]
-        for block in self.unlimited_blocks(1 if keep_v is None else BLOCKS_AHEAD):
+        for block in self.unlimited_blocks(BLOCKS_AHEAD):
             self._levels.add(block)
             # Where single precision overflows, all is made again.
             if not (self._single or np.isfinite(self._levels.norms).all()):
                 require_finite(block)
-            if keep_v is not None:
-                keep_v[:, done : done + block.shape[1]] = block
+            if put is not None:
+                put(done, block)
             done += block.shape[1]
             yield block
             if on_progress is not None:
