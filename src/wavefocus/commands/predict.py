@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 from wavefocus.console import Report, progress, say
 from wavefocus.input_files import name_unverified, parse_positions
 from wavefocus.rendering.device import cuda_device
-from wavefocus.rendering.field.prediction import Prediction, chosen_positions, field_unit
-from wavefocus.rendering.field.response_spectra import predict_spectra, share_above
+from wavefocus.rendering.field.prediction import Prediction, chosen_positions, field_unit, share_above
 from wavefocus.storage.bank.reading import Bank, open_bank
 from wavefocus.storage.drive_file import Drive, read_drive
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.field_file import field_in_rows
-from wavefocus.storage.output_files import replacement, require_outputs
+from wavefocus.storage.output_files import require_outputs
 from wavefocus.storage.units import quantity
 
 if TYPE_CHECKING:
@@ -132,36 +131,3 @@ def _parts(
         for part, field in zip(parts, fields, strict=True):
             yield part.start, field
             report(part.stop, len(index))
-
-
-def predict_energy(
-    drive_file: Path,
-    bank: Path,
-    out: Path,
-    positions: str,
-    *,
-    rate_hz: float | None,
-    force: bool = False,
-    as_json: bool,
-) -> None:
-    """Write the energy spectra of the responses as an .npz file.
-
-    Raises InputError: the file is not called so, or a rate is asked for too.
-    """
-    if out.suffix != ".npz":
-        raise InputError(f"--out is {out}; --spectra writes an .npz file")
-    if rate_hz is not None:
-        raise InputError("--spectra does not go with --rate; leave it out")
-    with _opened(drive_file, bank, out, positions, force=force) as (drive, view, index):
-        found = predict_spectra(drive, view, index)
-    with replacement(out) as temporary, temporary.open("wb") as file:
-        np.savez(
-            file,
-            frequency_hz=found.frequency_hz,
-            energy_density=found.energy_density,
-            position_index=found.position_index,
-        )
-    unit = f"({found.response_unit})^2 s/Hz"
-    say(f"{out}: {len(index)} positions, {len(found.frequency_hz)} frequencies, energy density in {unit}")
-    if as_json:
-        print(json.dumps({"spectra": str(out), "positions": len(index), "frequencies": len(found.frequency_hz)}))

@@ -83,11 +83,8 @@ def _export(to: str, **rest: Any) -> None:
     found("bank.export:export")(to=kind, **settings, **rest)
 
 
-def _predict(spectra: bool, cluster: str, device: str, **rest: Any) -> None:
-    if spectra:
-        found("predict:predict_energy")(**rest)
-    else:
-        found("predict:predict")(cluster=cluster, device=device, **rest)
+def _predict(**rest: Any) -> None:
+    found("predict:predict")(**rest)
 
 
 def _play(
@@ -218,7 +215,6 @@ USE = (
             POSITIONS,
             number("--rate", 1e-3, 1e9, dest="rate_hz", metavar="HZ",
                    help="Of the field: the bank's over a whole number."),
-            switch("--spectra", help="Energy spectra alone, into an .npz file: far faster than the field."),
             CLUSTER, *options_of(RenderOptions, "device"), FORCE, JSON,
         ),
     ),

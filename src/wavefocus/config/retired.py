@@ -18,6 +18,7 @@ OPTIONS = {
     "--documents": "BANK.events.jsonl next to the bank has every event of a session",
     "--focusing": "quiet places keep the response low where a scene asks for it",
     "--regularisation-db": "quiet places keep the response low where a scene asks for it",
+    "--spectra": "predict a field of a few positions, and transform it",
     "--stream": "render always writes block by block",
     "--pilot": "choose [grid] spacing_mm, and check_positions to measure the error between positions",
     "--pilot-positions": "choose [grid] spacing_mm, and check_positions to measure the error between positions",

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
 from wavefocus.rendering.device import WORKERS, Device, host_device, threaded_map
 from wavefocus.rendering.field.bank_spectra import BankSpectra, Decimation
@@ -24,6 +25,7 @@ RealArray = Float32Array | Float64Array
 OnProgress = Callable[[int, int], None]
 
 LISTED = 8
+LOOKED_AT_ROWS = 4
 MIN_ROWS = 8
 """Fewer rows are not worth a thread of their own."""
 
@@ -150,6 +152,15 @@ def predict(
     index = chosen_positions(drive, bank, positions)
     prediction = Prediction(drive, bank, index, dtype=dtype, rate_hz=rate_hz, device=device)
     return prediction.field(on_progress)
+
+
+def share_above(drive: Drive, bank: GreenSource, positions: Int64Array, highest_hz: float) -> float:
+    """Share of the response's energy above a frequency: the largest of a few of the positions, evenly chosen."""
+    some = positions[evenly_spread(len(positions), LOOKED_AT_ROWS)]
+    power = np.square(np.abs(np.fft.rfft(predict(drive, bank, some, dtype=np.float32).field)), dtype=np.float64)
+    above = np.fft.rfftfreq(drive.drive_v.shape[1] + bank.taps - 1, 1.0 / drive.sample_rate_hz) > highest_hz
+    whole = power.sum(axis=1)
+    return float(np.divide(power[:, above].sum(axis=1), whole, out=np.zeros_like(whole), where=whole > 0).max())
 
 
 def measured_positions(bank: GreenSource) -> tuple[Int64Array, Int64Array]:

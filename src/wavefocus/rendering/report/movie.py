@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
@@ -36,11 +34,11 @@ from wavefocus.storage.field_file import FieldRowReader
 from wavefocus.storage.output_files import replacement
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+    from PIL.Image import Image
 
 
 DEFAULT_FRAMES = 240
-MAX_FRAMES = 5000
+MAX_FRAMES = 2000
 AROUND_S = 0.02
 """Time shown before the first focus and after the last."""
 TOP_SHARE = 0.999
@@ -216,20 +214,34 @@ def write_movie(
     """Write a GIF of a field on the surface.
 
     Positive and negative responses have opposite colours; the scale is symmetric, goes to the largest response at a
-    focus, and is the same for all frames. Memory holds the field at the frames' instants and one drawn frame.
+    focus, and is the same for all frames. Memory holds the field at the frames' instants, and all pictures, a byte a
+    pixel.
 
     Returns end of the colour scale in response units.
     """
     from matplotlib import rc_context
+    from PIL.Image import Dither
 
     frames = read_frames(field, plan.sample)
     top = colour_limit(frames, None if drive is None else Foci.of(drive).seen(field))
     with rc_context(STYLE):
         stage = _Stage(field, surface, drive, plan, top, max(width_px, MIN_WIDTH_PX))
+        # The first frame has half the colours at best; the palette is that of the loudest one.
+        loudest = int(np.argmax(np.einsum("ij,ij->i", frames, frames)))
+        palette = stage.draw(frames, loudest).quantize(256)
+
+        def drawn() -> Iterator[Image]:
+            for frame in range(len(frames)):
+                yield stage.draw(frames, frame).quantize(palette=palette, dither=Dither.NONE)
+                if on_progress is not None:
+                    on_progress(frame + 1, len(frames))
+
+        pictures = drawn()
+        milliseconds = 10 * max(2, round(100 / plan.frame_rate_hz))  # GIF counts in hundredths of a second, at least 2
         with replacement(path) as temporary, temporary.open("wb") as file:
-            # The first frame has half the colours at best; the palette is that of the loudest one.
-            loudest = int(np.argmax(np.einsum("ij,ij->i", frames, frames)))
-            _write_gif(file, stage.frames(frames, on_progress), stage.draw(frames, loudest), plan.frame_rate_hz)
+            next(pictures).save(
+                file, "GIF", save_all=True, append_images=pictures, duration=milliseconds, loop=0, disposal=1
+            )
     return top
 
 
@@ -251,7 +263,6 @@ class _Stage:
         map_px = width_px - LEFT_PX - BAR_PX
         height = surface.height_px(map_px)
         height_px = round(TOP_PX + height + BOTTOM_PX)
-        self._size_px = (width_px, height_px)
         canvas = Canvas("movie", width_px, height_px, density=1)
         figure, self._canvas = canvas.figure, canvas.agg
         axes = canvas.axes(LEFT_PX, TOP_PX, map_px, height)
@@ -267,46 +278,18 @@ class _Stage:
         self._time = figure.text(LEFT_PX / width_px, 1 - 20 / height_px, "", color=INK, fontsize=10)
         speed = _speed(plan.slowed)
         figure.text((LEFT_PX + map_px) / width_px, 1 - 20 / height_px, speed, color=FAINT, ha="right", fontsize=9)
-        self._axes: Axes = axes
-        self._figure: Any = figure
-        moving = (self._cells, self._foci, self._time)
-        for artist in moving:
-            artist.set_animated(True)
-        self._canvas.draw()
-        self._background = self._canvas.copy_from_bbox(figure.bbox)
-        # The axes' ticks and labels lie outside of the cells.
-        below = (*moving, axes.patch, axes.xaxis, axes.yaxis)
-        self._still = [artist for artist in axes.get_children() if artist not in below]
 
-    def draw(self, frames: Float32Array, frame: int) -> NDArray[np.uint8]:
-        """Draw one frame; uint8 (height, width, 3)."""
+    def draw(self, frames: Float32Array, frame: int) -> Image:
+        """Draw one frame."""
+        from PIL import Image
+
         time_s = self._field.start_s + int(self._plan.sample[frame]) / self._field.sample_rate_hz
         self._cells.set_array(self._factor * frames[frame])
         rows = np.empty(0, np.int64) if self._drive_foci is None else self._drive_foci.at(time_s)
         self._foci.set_data(*self._surface.position_mm[rows].T)
         self._time.set_text(f"t = {1e3 * time_s:.1f} ms")
-        self._canvas.restore_region(self._background)
-        # Outline, actuators and paths lie above the cells, so that they are drawn anew with them.
-        self._axes.draw_artist(self._cells)
-        for artist in sorted(self._still, key=lambda child: child.get_zorder()):
-            self._axes.draw_artist(artist)
-        self._axes.draw_artist(self._foci)
-        self._figure.draw_artist(self._time)
-        return np.array(self._canvas.buffer_rgba())[:, :, :3]
-
-    def frames(
-        self, frames: Float32Array, on_progress: OnProgress | None
-    ) -> Iterator[tuple[NDArray[np.uint8], int, int]]:
-        """Draw all frames: the first one whole, of the others the part that may differ, and its left upper corner."""
-        width, height = self._size_px
-        for frame in range(len(frames)):
-            left = LEFT_PX - 4 if frame else 0
-            pixels = self.draw(frames, frame)
-            if frame:
-                pixels = np.ascontiguousarray(pixels[: height - BOTTOM_PX + 4, left : width - BAR_PX + 4])
-            yield pixels, left, 0
-            if on_progress is not None:
-                on_progress(frame + 1, len(frames))
+        self._canvas.draw()
+        return Image.fromarray(np.array(self._canvas.buffer_rgba())[:, :, :3])
 
 
 @drawn_in_style
@@ -346,29 +329,3 @@ def _speed(slowed: float) -> str:
     if abs(slowed - 1) < 0.005:
         return "at its own speed"
     return f"{slowed:.3g} times slower" if slowed > 1 else f"{1 / slowed:.3g} times faster"
-
-
-def _write_gif(
-    file: BinaryIO,
-    frames: Iterator[tuple[NDArray[np.uint8], int, int]],
-    palette_of: NDArray[np.uint8],
-    frame_rate_hz: float,
-) -> None:
-    """Write an endless GIF frame by frame (Pillow would hold all of them).
-
-    Each frame is its pixels and their left and upper corner; it replaces that part of the picture, which has the size
-    and the palette of `palette_of`. GIF counts in hundredths of a second, at least 2.
-    """
-    from PIL import GifImagePlugin, Image
-
-    palette = Image.fromarray(palette_of).quantize(256, method=Image.Quantize.MEDIANCUT)
-    colours = bytes(palette.getpalette() or b"").ljust(3 * 256, b"\0")
-    height, width = palette_of.shape[:2]
-    file.write(b"GIF89a" + struct.pack("<HHBBB", width, height, 0b1111_0111, 0, 0) + colours)
-    file.write(b"\x21\xff\x0bNETSCAPE2.0\x03\x01" + struct.pack("<H", 0) + b"\0")
-    milliseconds = 10 * max(2, round(100 / frame_rate_hz))
-    for pixels, left, top in frames:
-        part = Image.fromarray(pixels).quantize(palette=palette, dither=Image.Dither.NONE)
-        for data in GifImagePlugin.getdata(part, (left, top), duration=milliseconds, disposal=1):
-            file.write(data)
-    file.write(b";")
