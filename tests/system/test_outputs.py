@@ -236,7 +236,7 @@ def test_given_a_disk_without_room_then_exit_2_and_the_older_output_is_intact(la
     [
         (["npz"], "1"),
         (["wav", "predict"], "8"),
-        pytest.param(["render", "picture", "stream", "snapshots", "uff", "mat", "movie"], "4", marks=pytest.mark.long),
+        pytest.param(["render", "picture", "snapshots", "uff", "mat", "movie"], "4", marks=pytest.mark.long),
     ],
 )
 @pytest.mark.timeout(600)

@@ -221,6 +221,7 @@ def _play(
 ) -> dict[str, object]:
     rate_hz = float(bank.sample_rate_hz)
     block_samples = max(1, min(MAX_PIECE_SAMPLES, round(ahead_s * rate_hz / PIECES_AHEAD)))
+    working_on("preparing the scene: its interpolation and quiet places")
     renderer = SceneRenderer(
         scene,
         bank,
@@ -230,6 +231,7 @@ def _play(
         tolerance_db=options.tolerance_db,
         interpolation_tolerance=options.interpolation_tolerance,
     )
+    working_on("")
     actuators, samples = renderer.shape
     begun_s = time.monotonic()
     with progress("render", samples) as report:

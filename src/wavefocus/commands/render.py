@@ -129,7 +129,9 @@ def render(
 
 def _render(job: _Job, out: Path, *, force: bool) -> _Rendered:
     """Write the drive file, and find what is said of it; a long drive is not predicted."""
+    working_on("preparing the scene: its interpolation and quiet places")
     renderer = _renderer(job, job.scene, job.interface)
+    working_on("")
     actuators, samples = renderer.shape
     with progress("render", samples) as report:
         facts = renderer.write(out, report, force=force)

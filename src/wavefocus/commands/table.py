@@ -83,10 +83,6 @@ def _export(to: str, **rest: Any) -> None:
     found("bank.export:export")(to=kind, **settings, **rest)
 
 
-def _predict(**rest: Any) -> None:
-    found("predict:predict")(**rest)
-
-
 def _play(
     what: Path,
     bank: Path | None,
@@ -207,7 +203,7 @@ USE = (
         RenderOptions,
     ),
     Command(
-        "predict", _predict, "Predict the field that a drive makes, from the bank.",
+        "predict", "predict:predict", "Predict the field that a drive makes, from the bank.",
         (
             file("drive_file", metavar="DRIVE.h5", help="The drive file."),
             FROM_BANK,

@@ -203,6 +203,7 @@ class _Work:
         """
         out, bank = self.out, self.bank
         with self._step("render", 1) as report, naming(self.scene_file, bank):
+            report(0, 1, "preparing the scene: its interpolation and quiet places")
             drive, facts = render_by_options(self.scene, bank, RenderOptions(), report)
             report(1, 1)
         for warning in facts.warnings:

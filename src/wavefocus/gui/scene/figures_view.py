@@ -77,8 +77,9 @@ def drive_figures(driven: DriveResult) -> list[SceneMetric]:
     gain_db = range_db(driven.gain)
     figures += [
         SceneMetric(
-            "dynamic range", f"{dynamic_range_db(driven.rms_v):.1f}", "dB",
-            "Largest over smallest rms of all actuators that are driven at all. Saturation makes it smaller.",
+            "dynamic range", f"{dynamic_range_db(np.linalg.norm(driven.drive_v, axis=1)):.1f}", "dB",
+            "Largest over smallest rms, over the whole drive, of all actuators that are driven at all. Saturation"
+            " makes it smaller.",
         ),
         SceneMetric(
             "range of n(x)", "" if math.isnan(gain_db) else f"{gain_db:.1f}", "dB",
