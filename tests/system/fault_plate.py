@@ -112,7 +112,7 @@ class CoarsePlate:
         )
         (folder / "run.toml").write_text(
             'rig = "rig.toml"\n[grid]\npositions_file = "positions.csv"\n[sweep]\nduration_s = 0.3\namplitude_v = 3.0\n'
-            f'[capture]\nexcitation = "{schedule}"\nwhen_staggered_does_not_pay = "keep"\naverages = 2\n'
+            f'[capture]\nexcitation = "{schedule}"\naverages = 2\n'
             f"decay_s = 0.1\ntaps = {TAPS}\n[virtual]\nseed = {SEED}\n{virtual}",
             encoding="utf-8",
         )

@@ -142,7 +142,7 @@ def test_given_check_positions_then_they_stay_such_unless_the_new_grid_has_them(
             assert new.position_mm[new.check].tolist() == checks
 
 
-def test_given_kept_recordings_then_they_are_taken_over_too(lab: Path) -> None:
+def test_given_kept_recordings_then_they_are_taken_over_too(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     change_text(lab / "run.toml", "taps = 1000", "taps = 1000\nkeep_raw = true")
     bank = lab / "plate.h5"
     write_positions(lab, POSITIONS[:3])
@@ -154,5 +154,12 @@ def test_given_kept_recordings_then_they_are_taken_over_too(lab: Path) -> None:
     with open_bank(lab / "new.h5") as new, open_bank(estimated) as again:
         for row in range(4):
             assert np.allclose(again.green(row), new.green(row), atol=1e-6 * np.abs(new.green(row)).max())
+    # Ended between its two files: the recordings are whole, the bank is not there yet.
+    (lab / "new.h5").unlink()
+    assert _extend(lab, bank) == 0
+    assert held(lab / "new.h5") == [1] * 4
+    capsys.readouterr()
+    assert _extend(lab, bank) == 2
+    assert f"wavefocus resume {lab / 'new.h5'}" in capsys.readouterr().err
     (lab / "plate.raw.h5").unlink()
     assert _extend(lab, bank, new="newer.h5") == 2

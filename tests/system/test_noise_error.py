@@ -19,7 +19,7 @@ from wavefocus.rig.virtual_bench import virtual_rig
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter
 
-STAGGERED = 'taps = 1000\nexcitation = "staggered"\nstagger_s = 0.15\nwhen_staggered_does_not_pay = "keep"'
+STAGGERED = 'taps = 1000\nexcitation = "staggered"\nstagger_s = 0.15'
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ def _wavefocus(*arguments: object) -> int:
 def _as(lab: Path, schedule: str) -> None:
     if schedule == "staggered":
         text = (lab / "run.toml").read_text(encoding="utf-8")
-        asked = '[capture]\nexcitation = "staggered"\nwhen_staggered_does_not_pay = "keep"\n'
+        asked = '[capture]\nexcitation = "staggered"\n'
         (lab / "run.toml").write_text(text.replace("[capture]\n", asked), encoding="utf-8")
 
 
@@ -85,3 +85,19 @@ def test_given_a_reference_that_changes_for_good_within_its_calibration_then_it_
     assert {tuple(one["defects"]) for one in _of_kind(events, "position_committed")} == {(), ("reference level",)}  # type: ignore[arg-type]
     with h5py.File(bank, "r") as file:
         assert file["quality/reference_db"][...] == pytest.approx([0.0, 0.0, -0.2, -0.2, -0.2, -0.2], abs=0.01)
+
+
+@pytest.mark.parametrize("schedule", SCHEDULES)
+def test_given_a_reference_that_is_off_in_every_record_then_capture_stops_early_and_says_what_to_do(
+    lab: Path, capsys: pytest.CaptureFixture[str], schedule: str
+) -> None:
+    _as(lab, schedule)
+    with_faults(lab, f'{READ}purpose = "capture"\ncount = 999\nlevel_db = -0.54')
+    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 3
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert "every record" in last
+    assert "0.54 dB below its calibration" in last
+    assert "wavefocus doctor" in last
+    assert list(_rows(lab / "plate.h5")[0]) == ([4] if schedule == "sequential" else [4, 4]) + [0] * (
+        5 if schedule == "sequential" else 4
+    )

@@ -22,7 +22,7 @@ def _wavefocus(*arguments: object) -> int:
 
 def _captured(lab: Path, *faults: str, schedule: str = "sequential") -> Path:
     text = (lab / "run.toml").read_text(encoding="utf-8")
-    asked = f'[capture]\nexcitation = "{schedule}"\nwhen_staggered_does_not_pay = "keep"\n'
+    asked = f'[capture]\nexcitation = "{schedule}"\n'
     (lab / "run.toml").write_text(text.replace("[capture]\n", asked), encoding="utf-8")
     with_faults(lab, *faults)
     assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0

@@ -39,7 +39,6 @@ averages = 2
 decay_s = 0.1
 taps = 1000
 excitation = "{schedule}"
-when_staggered_does_not_pay = "keep"
 [quality]
 {quality}
 [virtual]
@@ -54,7 +53,7 @@ def captured(
 ) -> tuple[np.ndarray, np.ndarray]:
     folder.mkdir()
     (folder / "rig.toml").write_text(RIG, encoding="utf-8")
-    text = RUN.format(schedule=schedule, quality="" if look else 'second_look = "never"', noise_v=noise_v)
+    text = RUN.format(schedule=schedule, quality='second_look = "twice"' if look else "", noise_v=noise_v)
     for position, record in records.items():
         text += (
             f'[[virtual.fault_plan]]\nrole = "recorder"\noperation = "read"\nkind = "drift"\nlevel_db = {level_db}\n'
@@ -144,7 +143,6 @@ averages = 2
 decay_s = 0.1
 taps = 1000
 excitation = "staggered"
-when_staggered_does_not_pay = "keep"
 [virtual]
 seed = 5
 noise_v = 5e-5

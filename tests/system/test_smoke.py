@@ -42,7 +42,7 @@ STEPS: dict[str, tuple[list[list[str]], list[str], list[str]]] = {
 }  # fmt: skip
 # Commands whose smoke test is elsewhere: they need standard input, another process, or minutes.
 ELSEWHERE = {
-    "operate", "emulate", "pause", "go-on", "stop", "estimate", "live", "trials", "analyse", "bench", "gui", "demo",
+    "operate", "emulate", "pause", "stop", "estimate", "live", "trials", "analyse", "bench", "gui", "demo",
 }  # fmt: skip
 
 
@@ -62,7 +62,7 @@ def test_every_command_has_a_smoke_test_here_or_elsewhere() -> None:
     assert {command.name for command in COMMANDS} == set(STEPS) | ELSEWHERE
 
 
-@pytest.mark.parametrize("order", ["pause", "go-on", "stop"])
+@pytest.mark.parametrize("order", ["pause", "stop"])
 def test_given_no_campaign_is_running_then_an_order_is_refused(order: str, bank: Path) -> None:
     assert run([order, str(bank)]) == 2
 

@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -17,12 +18,13 @@ import pytest
 from tests.lab_files import change_text
 from tests.system.conftest import with_faults, write_lab
 from wavefocus.__main__ import run
-from wavefocus.campaign.blueprint import blueprint_from_bank
+from wavefocus.campaign.blueprint import blueprint_from_bank, blueprint_from_files, blueprint_of
 from wavefocus.commands.demo import compare_with_truth
 from wavefocus.rig.virtual_bench import virtual_rig
 from wavefocus.storage.bank.reading import open_bank
+from wavefocus.storage.bank.writer import create_bank
 
-KEEP = 'excitation = "staggered"\nwhen_staggered_does_not_pay = "keep"'
+KEEP = 'excitation = "staggered"'
 
 
 def _wavefocus(*arguments: object) -> int:
@@ -34,11 +36,6 @@ def _with_capture(lab: Path, *lines: str) -> Path:
     path = lab / "run.toml"
     change_text(path, "[capture]\n", "[capture]\n" + "\n".join(lines) + "\n")
     return path
-
-
-def _with_emulation(lab: Path, line: str) -> None:
-    path = lab / "rig.toml"
-    path.write_text(path.read_text(encoding="utf-8") + f"\n[emulation]\n{line}\n", encoding="utf-8")
 
 
 def _median_error_db(bank: Path) -> float:
@@ -69,7 +66,8 @@ def test_given_a_staggered_run_then_its_records_take_the_time_that_was_planned(
     _with_capture(lab, KEEP, "groups = 2", "periods = 2")
     assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5", "--json") == 0
     events = _events(capsys.readouterr().out)
-    assert events[-1]["time_s"] == pytest.approx(events[0]["planned_s"], rel=0.1)
+    (started,) = [one for one in events if one["event"] == "session_started"]
+    assert events[-1]["time_s"] == pytest.approx(started["planned_s"], rel=0.1)
     committed = [one for one in events if one["event"] == "position_committed"]
     assert [one["clock_ppm"] for one in committed] == pytest.approx([30.0] * 6, abs=0.5)
 
@@ -96,70 +94,44 @@ def test_given_sigkill_then_staggered_bank_and_recordings_end_byte_identical(lab
     assert bank.with_suffix(".raw.h5").read_bytes() == (lab / "reference.raw.h5").read_bytes()
 
 
-def test_given_a_plate_that_takes_it_then_the_trial_keeps_staggered_capture_and_says_why(
+def test_given_a_new_staggered_bank_then_one_position_is_measured_both_ways_and_the_difference_is_stated(
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     _with_capture(lab, 'excitation = "staggered"')
-    bank = lab / "plate.h5"
-    assert _wavefocus("capture", lab / "run.toml", "--bank", bank, "--json") == 0
-    output = capsys.readouterr()
-    settled = _events(output.out)[0]
-    assert settled["event"] == "schedule_settled"
-    assert settled["chosen"] == "staggered capture"
-    assert str(settled["reason"]) in output.err
-    assert {one["groups"] for one in settled["candidates"]} == {0, 1}
-    # The bank remembers it: nothing is tried again.
-    assert _wavefocus("capture", lab / "run.toml", "--bank", bank, "--json") == 0
-    assert "schedule_settled" not in capsys.readouterr().out
-    assert _wavefocus("resume", bank) == 0
-
-
-def test_given_passing_faults_in_the_trial_then_it_repeats_as_a_campaign_does(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    _with_capture(lab, 'excitation = "staggered"')
-    trial = 'role = "recorder"\noperation = "read"\npurpose = "trial"'
+    bank, trial = lab / "plate.h5", 'role = "recorder"\noperation = "read"\npurpose = "trial"'
     with_faults(
         lab,
         'role = "mirror"\noperation = "wait_settled"\nkind = "timeout"\nat_call = 1',
         f'{trial}\nattempt = 2\nrecord = 1\nkind = "missing_reference"',
         f'{trial}\nattempt = 3\nrecord = 0\nkind = "unplugged"',
-        f'{trial}\nattempt = 4\nrecord = 2\nkind = "over_range"',
     )
-    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5", "--json") == 0
-    settled = _events(capsys.readouterr().out)[0]
-    assert str(settled["chosen"]).startswith("staggered capture")
-    errors_db = [float(str(one["error_db"])) for one in settled["candidates"]]
-    assert np.isfinite(errors_db).all()
-
-
-def test_given_a_plate_that_distorts_then_the_trial_goes_back_to_sequential_capture(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    _with_emulation(lab, "cubic_per_v2 = 2.0")
-    _with_capture(lab, 'excitation = "staggered"')
-    bank = lab / "plate.h5"
     assert _wavefocus("capture", lab / "run.toml", "--bank", bank, "--json") == 0
-    settled = _events(capsys.readouterr().out)[0]
-    assert str(settled["chosen"]).startswith("sequential capture")
-    assert "the plate distorts" in str(settled["reason"])
-    held = blueprint_from_bank(bank)
-    assert held.plan.staggered is None
-    assert held.configuration.run.settled is not None
-    assert held.configuration.run.settled.asked.excitation == "staggered"
-    assert _wavefocus("capture", lab / "run.toml", "--bank", bank) == 0
+    output = capsys.readouterr()
+    compared = _events(output.out)[0]
+    assert compared["event"] == "schedule_settled"
+    assert str(compared["reason"]) in output.err
+    staggered, sequential = compared["candidates"]
+    assert staggered["name"] == compared["chosen"]
+    assert -70.0 < sequential["error_db"] < staggered["error_db"] < -25.0
+    assert staggered["campaign_s"] < sequential["campaign_s"]
+    # The bank is there: nothing is compared again.
+    assert _wavefocus("capture", lab / "run.toml", "--bank", bank, "--json") == 0
+    assert "schedule_settled" not in capsys.readouterr().out
+    assert _wavefocus("resume", bank) == 0
 
 
-def test_given_noise_that_grows_and_a_run_that_says_refuse_then_nothing_is_measured(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    _with_emulation(lab, "noise_per_response = 0.05")
-    _with_capture(lab, 'excitation = "staggered"', 'when_staggered_does_not_pay = "refuse"', "allowed_loss_db = 0.0")
-    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 2
-    last = capsys.readouterr().err.splitlines()[-1]
-    assert "its noise grows with the signal" in last
-    assert "nothing was measured" in last
-    assert not (lab / "plate.h5").exists()
+def test_given_a_bank_whose_trial_has_settled_sequential_capture_then_it_goes_on_so(lab: Path) -> None:
+    _with_capture(lab, 'excitation = "staggered"')
+    blueprint = blueprint_from_files(lab / "run.toml")
+    run = blueprint.configuration.run
+    capture = run.capture.model_copy(update={"excitation": "sequential", "level_db": -6.0})
+    settled = blueprint_of(replace(blueprint.configuration, run=run.with_schedule(capture, "it distorts")))
+    header = settled.bank_header()
+    held = json.loads(header.run_json)
+    held["settled"]["asked"] |= {"when_staggered_does_not_pay": "choose", "allowed_loss_db": 3.0}
+    create_bank(lab / "plate.h5", replace(header, run_json=json.dumps(held)))
+    assert _wavefocus("capture", lab / "run.toml", "--bank", lab / "plate.h5") == 0
+    assert blueprint_from_bank(lab / "plate.h5").plan.staggered is None
 
 
 @pytest.fixture(scope="module")

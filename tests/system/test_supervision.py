@@ -55,7 +55,7 @@ class _Orders:
     def give(self, word: str) -> None:
         """Give an order, and return when the capture has heard it."""
         before = read_heartbeat(self._bank)
-        command = [*WAVEFOCUS, word, str(self._bank), "--json", "--wait-s", "60"]
+        command = [*WAVEFOCUS, word, str(self._bank), "--json"]
         self._given.append(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True))
         until_s = time.monotonic() + 60.0
         while time.monotonic() < until_s:
@@ -78,7 +78,7 @@ def test_given_a_pause_from_another_process_then_the_position_is_finished_and_go
     orders = _Orders(bank)
     listener = Listener(
         ('"event": "position_started"', lambda: orders.give("pause")),
-        ('"state": "paused"', lambda: orders.give("go-on")),
+        ('"state": "paused"', lambda: orders.give("resume")),
     )
     with contextlib.redirect_stdout(listener):
         assert capture(lab, bank) == 0
@@ -126,7 +126,7 @@ def test_given_ctrl_c_or_stop_while_paused_then_it_ends_at_once(lab: Path, asked
     orders.answers()
 
 
-@pytest.mark.parametrize("word", ["pause", "go-on", "stop"])
+@pytest.mark.parametrize("word", ["pause", "stop"])
 def test_given_an_order_to_a_bank_that_nobody_owns_then_it_says_so(
     lab: Path, word: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -450,7 +450,7 @@ def test_given_a_pause_while_suspended_then_it_is_paused_and_looks_again_when_it
     bank = lab / "plate.h5"
     orders = _Orders(bank)
     listener = Listener(
-        ('"state": "suspended"', lambda: orders.give("pause")), ('"state": "paused"', lambda: orders.give("go-on"))
+        ('"state": "suspended"', lambda: orders.give("pause")), ('"state": "paused"', lambda: orders.give("resume"))
     )
     with contextlib.redirect_stdout(listener):
         assert capture(lab, bank) == 0

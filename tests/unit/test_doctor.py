@@ -160,7 +160,7 @@ def test_given_a_passing_fault_then_the_second_try_counts_and_the_first_is_told(
         ({"latency_s": (0.09, 0.09)}, {}, ("player", "latency"), "warn"),
         ({"latency_s": (0.3, 0.3)}, {}, ("player", "loopback level"), "fail"),
         ({"reference_noise_v": 0.05}, {}, ("player", "loopback purity"), "warn"),
-        ({"output_gain": (*[1.0] * 20, 0.8)}, {}, ("player", "loopback level"), "warn"),
+        ({"output_gain": (*[1.0] * 20, 10 ** (-0.54 / 20))}, {}, ("player", "loopback level"), "fail"),
         ({"output_gain": (*[1.0] * 20, -1.0)}, {}, ("player", "loopback level"), "warn"),
         ({"output_gain": (*[1.0] * 20, 0.1)}, {}, ("player", "loopback level"), "fail"),
         ({"output_gain": (*[1.0] * 20, 0.0)}, {}, ("player", "loopback level"), "fail"),
@@ -194,6 +194,21 @@ def test_given_a_leak_of_the_loopback_then_the_response_is_measured_all_the_same
     found = verdicts(examined(VirtualRig(replace(SOUND, crosstalk=1e-3))))
     assert (found["recorder", "crosstalk"], found["player", "loopback level"]) == ("fail", "ok")
     assert found["vibrometer", "response"] == "ok"
+
+
+def test_given_outputs_that_are_picked_up_then_the_worst_is_named_apart_from_the_leak_of_the_loopback() -> None:
+    picked_up = replace(SOUND, lost_signal_v=1e-3, crosstalk=5e-4, pickup=((3, 1e-3), (7, -4e-3)))
+    findings = {(one.instrument, one.check): one for one in examined(VirtualRig(picked_up))}
+    assert findings["recorder", "pickup"].verdict == "fail"
+    assert "output 7: -4" in findings["recorder", "pickup"].what
+    assert verdicts(examined(VirtualRig(replace(SOUND, lost_signal_v=1e-3))))["recorder", "pickup"] == "ok"
+
+
+def test_given_a_beam_that_parks_on_the_surface_then_pickup_is_not_measured() -> None:
+    found = examined(VirtualRig(SOUND), {"mirror": {"park_mrad": [0, 0]}})
+    (pickup,) = [one for one in found if one.check == "pickup"]
+    assert pickup.verdict == "skipped"
+    assert "not measured" in pickup.what
 
 
 class ReadingMirror:

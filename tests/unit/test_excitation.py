@@ -113,7 +113,7 @@ def test_given_a_waveform_then_it_fills_its_band_at_its_peak_and_the_response_is
 def test_given_a_multisine_in_the_run_then_a_campaign_ends_with_valid_rows(tmp_path: Path, schedule: str) -> None:
     run = {
         "sweep": {"waveform": "multisine", "duration_s": 0.3},
-        "capture": {"averages": 1, "excitation": schedule, "when_staggered_does_not_pay": "keep"},
+        "capture": {"averages": 1, "excitation": schedule},
     }
     rig = wf.virtual_rig(actuators=2, position_mm=[[0, 0], [5, 0]], run=run)
     with rig.measure(tmp_path / "bank.h5") as bank:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import signal
 import subprocess
 import sys
@@ -62,25 +61,3 @@ def test_given_the_box_unplugged_and_the_program_stopped_then_the_bank_is_good_a
     errors = errors_db(bank, tmp_path / "rig.toml")
     assert np.median(errors) < -40.0
     assert errors.max() < -30.0
-
-
-@pytest.mark.timeout(180)
-# On a busy machine a move takes some tens of milliseconds more.
-@pytest.mark.parametrize(("settle_s", "code"), [(0.5, 0), (1e-4, 1)])
-def test_given_position_signals_then_calibrate_states_how_the_mirror_settles(
-    tmp_path: Path, settle_s: float, code: int
-) -> None:
-    analog_rig(tmp_path, f"localhost:{free_port()}")
-    text = (tmp_path / "rig.toml").read_text(encoding="utf-8")
-    keys = f'[mirror]\nsettle_s = {settle_s}\nx_position = "ai4"\ny_position = "ai5"\n'
-    (tmp_path / "rig.toml").write_text(text.replace("[mirror]\n", keys), encoding="utf-8")
-    marks = [(-60, -40), (60, -40), (60, 40), (-60, 40), (0, 0)]
-    lines = "".join(f"{x},{y},{1000 * math.atan(x / 1000)},{1000 * math.atan(y / 1000)}\n" for x, y in marks)
-    (tmp_path / "marks.csv").write_text("x_mm,y_mm,x_mrad,y_mrad\n" + lines, encoding="utf-8")
-    command = [sys.executable, "-m", "wavefocus", "calibrate", str(tmp_path / "rig.toml"), "--only", "mirror"]
-    command += ["--fiducials", str(tmp_path / "marks.csv")]
-    with emulated_instruments(tmp_path / "rig.toml") as sides:
-        environment = dict(sides.environment)
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == code, done.stderr
-    assert "settles within" in done.stderr

@@ -122,7 +122,7 @@ def test_given_emulated_wires_before_another_plate_then_the_bank_is_as_good_as_t
 
 
 def test_given_emulated_wires_and_staggered_capture_then_all_actuators_sound_at_once_and_the_bank_is_as_good(lab):
-    staggered = 'excitation = "staggered"\nperiods = 2\nwhen_staggered_does_not_pay = "keep"\nkeep_raw = true\n'
+    staggered = 'excitation = "staggered"\nperiods = 2\nkeep_raw = true\n'
     add_to(lab, ("run.toml", "virtual-run.toml"), staggered)
     through_wires = check_as_good(lab)
     wavefocus("estimate", lab / "wires.raw.h5", "--bank", lab / "again.h5")

@@ -13,10 +13,8 @@ from wavefocus.config.rig import RigConfig
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
 from wavefocus.drivers.protocols import DeviceIdentity, RecordRequest
 from wavefocus.mocks.wire.ni_products import PRODUCTS
-from wavefocus.rig.input_delay import note_delay_in_new_bank
+from wavefocus.rig.input_delay import with_stated_delay
 from wavefocus.storage.bank.layout import BankHeader
-from wavefocus.storage.bank.reading import open_bank
-from wavefocus.storage.bank.writer import BankWriter, create_bank
 
 
 @pytest.fixture
@@ -184,7 +182,7 @@ def test_given_a_product_then_its_own_conversion_clock_says_how_late_the_respons
 @pytest.mark.parametrize(
     ("stated_s", "delay_s"), [(5e-6, pytest.approx(14e-6, abs=1e-9)), (14.1e-6, 14.1e-6)], ids=["wrong", "close"]
 )
-def test_given_a_new_bank_then_it_notes_the_delay_that_the_recorder_states(bench, stated_s, delay_s, tmp_path):
+def test_given_a_new_bank_then_it_notes_the_delay_that_the_recorder_states(bench, stated_s, delay_s):
     recorder = {"driver": "nidaqmx", "device": "Dev1", "address": bench.server.address}
     rig = RigConfig.model_validate(
         {
@@ -196,17 +194,7 @@ def test_given_a_new_bank_then_it_notes_the_delay_that_the_recorder_states(bench
     )
     places = (np.zeros((2, 2)), np.zeros((1, 2)))
     header = BankHeader(10_000.0, 8, (20.0, 500.0), *places, rig.model_dump_json(), "{}", "0" * 64, "")
-    create_bank(tmp_path / "new.h5", header)
-    note_delay_in_new_bank(tmp_path / "new.h5", rig)
-    with open_bank(tmp_path / "new.h5", contents=True) as bank:
-        assert bank.inter_channel_delay_s == delay_s
-        assert bank.rig_json == header.rig_json
-    create_bank(tmp_path / "begun.h5", header)
-    with BankWriter.open(tmp_path / "begun.h5") as writer:
-        writer.disable(0)
-    before = (tmp_path / "begun.h5").read_bytes()
-    note_delay_in_new_bank(tmp_path / "begun.h5", rig)
-    assert (tmp_path / "begun.h5").read_bytes() == before
+    assert with_stated_delay(header, rig).inter_channel_delay_s == delay_s
 
 
 def test_given_a_signal_beyond_one_range_then_that_flag_alone_is_up(bench):

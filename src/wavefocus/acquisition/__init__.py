@@ -2,7 +2,7 @@
 
 =====================  ==================================================================
 `plan`                 `Plan`: everything a campaign does, as data; `grid` has its positions
-`trial`                `run_trial`: which schedule suits the plate
+`trial`                `compare_schedules`: one position measured by both schedules
 `setup`                `Openers`, `Setup`: instruments, how they are wired and calibrated; one record
 `plays`, `attempt`     records of a position, their estimate, attempts, commits
 `engine.campaign`      `Campaign`: carries a plan out into a bank

@@ -10,6 +10,7 @@ from typing import Protocol, TypeVar, cast, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefocus.acquisition.judgement import CALIBRATION_SPARE
 from wavefocus.acquisition.leak import leak_of
 from wavefocus.acquisition.setup import (
     MAX_DELAY_DIFFERENCE_S,
@@ -25,6 +26,7 @@ from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.clock.timing import fit_clock
 from wavefocus.calibration.crosstalk import REMEDY, UNKNOWN_ROWS_SHARE, Crosstalk
 from wavefocus.calibration.excitation import PlayedExcitation
+from wavefocus.config.limits import QualityLimits
 from wavefocus.config.messages.rig_checks import Act, Finding, Verdict
 from wavefocus.config.rig import RigConfig
 from wavefocus.drivers.errors import InstrumentError, TransientInstrumentError
@@ -323,8 +325,8 @@ SWEEP_S, DECAY_S = 0.5, 0.2
 BAND_HZ = (40.0, 400.0)
 # Quiet enough: a campaign's records want 40 dB and more between signal and silence.
 GOOD_SNR_DB, MIN_SNR_DB = 40.0, 20.0
-# The level of the loopback: calibrated outputs are within 1 %, those of one model within some.
-GOOD_LEVEL, MIN_LEVEL = 0.05, 0.5
+# From this deviation of the loopback's level on, a campaign with default limits finds every position poor.
+BAD_LEVEL = 10 ** (CALIBRATION_SPARE * QualityLimits().reference_db / 20) - 1
 # Converters of one decade are within 100 ppm of each other; the estimator looks for 500.
 GOOD_PPM = 100.0
 GOOD_RESIDUAL_DB = -40.0
@@ -491,11 +493,10 @@ def _level(gain: float, amplitude_v: float, channel: int) -> Finding:
     if gain < 0:
         return _figure("loopback level", f"{what}, upside down", False, f"swap the wires of output {channel}")
     off = abs(gain - 1)
-    if off <= GOOD_LEVEL:
+    if off <= BAD_LEVEL:
         return Finding("player", "loopback level", "ok", what)
     remedy = "run wavefocus calibrate --only outputs, or correct player.full_scale_v and recorder.reference_gain"
-    verdict: Verdict = "warn" if off <= MIN_LEVEL else "fail"
-    return Finding("player", "loopback level", verdict, what, remedy, Act("calibrate", "outputs"))
+    return Finding("player", "loopback level", "fail", what, remedy, Act("calibrate", "outputs"))
 
 
 def _heard(snr_db: dict[int, float], amplitude_v: float) -> list[Finding]:

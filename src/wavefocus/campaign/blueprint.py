@@ -212,12 +212,16 @@ def needed_by(
     """
     from wavefocus.rendering.scene.model import load_scene  # most campaigns are for no scene
     from wavefocus.rendering.scene.scene_rows import scene_rows
+    from wavefocus.rendering.scene.size import check_scene_size
 
-    position_mm, coarse = blueprint.plan.position_mm, bool(len(check_rows(blueprint.configuration)))
+    plan = blueprint.plan
+    position_mm, coarse = plan.position_mm, bool(len(check_rows(blueprint.configuration)))
     needed: set[int] = set()
     for file in scene_files:
         scene = load_scene(file, allow_large=allow_large)
         try:
+            rate_hz = plan.excitation.sample_rate_hz
+            check_scene_size(scene, sample_rate_hz=rate_hz, taps=plan.taps, actuators=plan.actuators)
             rows = scene_rows(scene, position_mm, coarse=coarse)
         except InputError as wrong:
             raise InputError(f"{file}: {wrong}") from None

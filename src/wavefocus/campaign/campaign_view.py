@@ -91,7 +91,7 @@ class CampaignView:
         elif former in _WAITING and event.state is State.RUNNING:
             self._show_bar(self._left)
         if event.state in _TOLD or (event.state is State.RUNNING and former in _TOLD):
-            say(sentence(event) + ("; wavefocus go-on, or stop" if event.state is State.PAUSED else ""))
+            say(sentence(event) + ("; wavefocus resume, or stop" if event.state is State.PAUSED else ""))
 
 
 def remaining(event: Progress) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -31,7 +31,7 @@ from wavefocus.storage.bank.writer import write_bank
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import replacement, require_outputs
 from wavefocus.storage.point_status import Status
-from wavefocus.storage.raw.writer import RawWriter, create_raw, open_raw
+from wavefocus.storage.raw.writer import RawFile, RawWriter, create_raw, open_raw
 
 STEP_MM = 1e-6
 """Positions are the same where they agree to this: they are written as whole numbers of it."""
@@ -56,7 +56,6 @@ def extend(banks: Sequence[Path], out: Path, run_file: Path | None = None) -> Bl
     Returns the new bank's campaign. Raises InputError: the plans or the rows do not fit together, a checksum does not
     hold, or an output is there; nothing is left behind.
     """
-    require_outputs((out,), banks, force=False)
     with ExitStack() as stack:
         views = [stack.enter_context(open_bank(bank)) for bank in banks]
         for view in views:
@@ -70,11 +69,29 @@ def extend(banks: Sequence[Path], out: Path, run_file: Path | None = None) -> Bl
         grid_mm = wanted.position_mm if run_file is not None else np.zeros((0, 2))
         taken, position_mm, checks = _taken(views, grid_mm)
         blueprint = blueprint_of(replace(wanted, position_mm=position_mm))
+        if out not in banks and _is_of(out, open_bank, blueprint):
+            raise InputError(f"{out} was made by this command before; go on with: wavefocus resume {out}")
+        require_outputs((out,), banks, force=False)
         if blueprint.configuration.run.capture.keep_raw:
-            require_outputs((raw_path(out),), [raw_path(view.path) for view in views], force=False)
-            _extend_raw(views, taken, blueprint, raw_path(out))
+            recordings = raw_path(out)
+            # Recordings of this plan without their bank: the command was ended between the two, which are each whole.
+            if not _is_of(recordings, open_raw, blueprint):
+                require_outputs((recordings,), [raw_path(view.path) for view in views], force=False)
+                _extend_raw(views, taken, blueprint, recordings)
         _write(out, views, taken, blueprint, checks)
     return blueprint
+
+
+def _is_of(path: Path, opened: Callable[[Path], Bank | RawFile], blueprint: Blueprint) -> bool:
+    """Whether a file is there and belongs to a plan."""
+    if not path.is_file():
+        return False
+    try:
+        with opened(path) as file:
+            held = file.header.plan_sha256 if isinstance(file, RawFile) else file.plan_sha256
+    except InputError:
+        return False
+    return held == blueprint.plan.sha256
 
 
 def _write(out: Path, views: Sequence[Bank], taken: Taken, blueprint: Blueprint, checks: Sequence[int]) -> None:
@@ -208,4 +225,4 @@ def _extend_raw(views: Sequence[Bank], taken: Taken, blueprint: Blueprint, path:
         with RawWriter.open(temporary, plan_sha256=plan.sha256) as writer:
             for row, (index, own) in taken.items():
                 if (kept := raws[index].read(own)) is not None:
-                    writer.commit(row, kept.reference_v, kept.response_v)
+                    writer.commit(row, kept.reference_v, kept.response_v, float(raws[index].leak_db[own]))

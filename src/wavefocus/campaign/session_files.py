@@ -17,12 +17,13 @@ from wavefocus.campaign.blueprint import (
     require_same_plan,
     ringing_of,
 )
-from wavefocus.campaign.schedule_choice import choose_schedule, with_chosen_schedule
+from wavefocus.campaign.schedule_choice import compared_schedules, with_chosen_schedule
 from wavefocus.campaign.sidecar_files import raw_path
 from wavefocus.config.messages.campaign import Event
 from wavefocus.configuration import DEFAULT_CHECKS, check_rows
 from wavefocus.console import say
 from wavefocus.rig.calibration_validity import with_one_calibration
+from wavefocus.rig.input_delay import with_stated_delay
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter, create_bank
 from wavefocus.storage.durable import is_network_mount
@@ -35,14 +36,14 @@ def with_bank(
 ) -> tuple[Blueprint, tuple[Event, ...]]:
     """Make the bank unless it is there; return the campaign as the bank has it, and what happened on the way."""
     if not bank.exists():
-        settled, earlier = choose_schedule(blueprint, str(run_file))
+        earlier = compared_schedules(blueprint, str(run_file))
         if is_network_mount(bank.absolute().parent):
             say(f"{bank} is on a network drive, where locks and syncs are unreliable: measure to a local disk")
-        if (rings := ringing_of(settled)) is not None and rings.advice:
+        if (rings := ringing_of(blueprint)) is not None and rings.advice:
             say(f"warning: {rings.advice}")
         with suppress(ExistsError):  # another capture was quicker: go on as one that came later
-            create_bank(bank, settled.bank_header())
-            return settled, earlier
+            create_bank(bank, with_stated_delay(blueprint.bank_header(), blueprint.configuration.rig))
+            return blueprint, earlier
     blueprint = with_chosen_schedule(_without_later_checks(blueprint, bank), bank)
     blueprint = with_one_calibration(blueprint, bank, run_file, accept=accept_calibration)
     require_same_plan(bank, blueprint.configuration, blueprint.plan.sha256)

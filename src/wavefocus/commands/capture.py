@@ -32,6 +32,7 @@ from wavefocus.campaign.sidecar_files import (
     read_drift,
     unvouched_rows,
 )
+from wavefocus.commands.status import is_paused, order
 from wavefocus.config.messages.campaign import (
     CrosstalkMeasured,
     Drift,
@@ -48,7 +49,6 @@ from wavefocus.options import SessionOptions
 from wavefocus.rig.alive import AliveSignal
 from wavefocus.rig.awake import kept_awake
 from wavefocus.rig.calibration_validity import refuse_other_devices, with_one_calibration
-from wavefocus.rig.input_delay import note_delay_in_new_bank
 from wavefocus.rig.notifications import messenger_for
 from wavefocus.rig.setup import open_setup
 from wavefocus.storage.bank.origins import origins_of
@@ -56,6 +56,9 @@ from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.point_status import STATUS_WORDS, Status, not_valid
+
+RESUME_WAIT_S = 60.0
+"""Longest wait for a paused capture to go on: the sentinel is measured first, but the order is received before."""
 
 
 def capture(
@@ -69,16 +72,18 @@ def capture(
 ) -> Exit:
     """Start a campaign in a new bank, or go on with it in the bank that is there; only for some scenes if named."""
     blueprint = blueprint_from_files(run_file)
-    needed = None
+    asked = blueprint
     if scene_files:
         from wavefocus.campaign.blueprint import needed_by  # with it comes what renders
 
-        needed = needed_by(scene_files, blueprint, checks=checks, allow_large=allow_large)
-    blueprint, earlier = with_bank(blueprint, bank, run_file, accept_calibration=options.accept_calibration)
+        needed = needed_by(scene_files, asked, checks=checks, allow_large=allow_large)
+    blueprint, earlier = with_bank(asked, bank, run_file, accept_calibration=options.accept_calibration)
     rig_file = blueprint.configuration.run.rig_file(run_file)
     options = replace(options, rig_file=rig_file)
-    if needed is None:
+    if not scene_files:
         return _session(blueprint, bank, None, options, earlier)
+    if blueprint.plan.positions != asked.plan.positions:  # a bank of an earlier version, without check positions
+        needed = needed_by(scene_files, blueprint, checks=checks, allow_large=allow_large)
     with open_bank(bank) as view:
         left = blueprint.plan.to_do(view.status)
     rows = [int(row) for row in left if row in needed]
@@ -91,7 +96,12 @@ def capture(
 
 
 def resume(bank: Path, *, options: SessionOptions) -> Exit:
-    """Go on with a campaign from the configuration that its bank holds, or with a corrected rig file."""
+    """Go on with a campaign from the configuration that its bank holds, or with a corrected rig file.
+
+    A capture that is paused is let go on; one that measures is left alone, and BankBusyError says who.
+    """
+    if is_paused(bank):
+        return order(bank, "go-on", as_json=options.as_json)
     return _session(_from_bank(bank, options), bank, None, options)
 
 
@@ -176,7 +186,6 @@ def _session(
     stop, rig_file = StopRequest(), options.rig_file
     plan = blueprint.plan
     working_on("opening the bank")
-    note_delay_in_new_bank(bank, blueprint.configuration.rig)
     with (
         _naming_resume_command(bank, rig_file),
         messenger_for(bank, blueprint.configuration.rig.messages, resume_line(bank, rig_file)) as messenger,

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -30,28 +31,21 @@ def plan(
     speed_m_s: float = GEL_SPEED_M_S,
     checks: bool = True,
     allow_large: bool = False,
+    details: bool = False,
     as_json: bool,
 ) -> None:
     """Walk the plan without playing anything and report time, size and limits; for some scenes alone if named."""
     blueprint = blueprint_from_files(run_file)
-    the_plan = blueprint.plan
-    rig = blueprint.configuration.rig
+    the_plan, rig = blueprint.plan, blueprint.configuration.rig
+    rows = np.array(sorted(_needed_by_scenes(scene_files, blueprint, checks=checks, allow_large=allow_large)), np.int64)
     position_s = the_plan.position_s(rig.recorder)
-    needed = _needed_by_scenes(scene_files, blueprint, checks=checks, allow_large=allow_large)
-    rows = np.array(sorted(needed), dtype=np.int64)
-    checks_off_grid = check_rows(blueprint.configuration)
     second_looks = the_plan.second_looks(rows, speed_m_s)
-    sentinel_passes = the_plan.drift.passes(len(needed) + second_looks, position_s)
-    duration_s = (len(needed) + second_looks + sentinel_passes) * position_s
-    instruments = _instruments(rig, blueprint.configuration.run)
-    size = blueprint.bank_header().file_bytes
-    schedules = compared(blueprint)
-    free = shutil.disk_usage(run_file.resolve().parent).free
-    finish = finish_time(duration_s, datetime.now(UTC))
-    facts = {
+    duration_s = the_plan.campaign_s(rows, rig.recorder, speed_m_s)
+    schedules, rings = compared(blueprint), ringing_of(blueprint)
+    facts: dict[str, Any] = {
         "positions": the_plan.positions,
-        "positions_needed": len(needed),
-        "check_positions": len(checks_off_grid),
+        "positions_needed": len(rows),
+        "check_positions": len(check_rows(blueprint.configuration)),
         "actuators": the_plan.actuators,
         "schedule": schedule_name(the_plan),
         "records": the_plan.positions * the_plan.records,
@@ -59,61 +53,65 @@ def plan(
         "band_hz": list(the_plan.excitation.band_hz),
         "averages": the_plan.excitation.averages,
         "second_looks": second_looks,
-        "sentinel_passes": sentinel_passes,
+        "sentinel_passes": the_plan.drift.passes(len(rows) + second_looks, position_s),
         "duration_s": duration_s,
         "hours": duration_s / 3600.0,
-        "finish_at": finish.isoformat(timespec="minutes"),
-        "bank_bytes": size,
-        "disk_free_bytes": free,
+        "finish_at": finish_time(duration_s, datetime.now(UTC)).isoformat(timespec="minutes"),
+        "bank_bytes": blueprint.bank_header().file_bytes,
+        "disk_free_bytes": shutil.disk_usage(run_file.resolve().parent).free,
         "snr_db": ASSUMED_SNR_DB,
         "schedules": [asdict(one) for one in schedules],
-        "awaits_trial": blueprint.configuration.run.awaits_trial,
-        "instruments": instruments,
+        "instruments": _instruments(rig, blueprint.configuration.run),
         "plan_sha256": the_plan.sha256,
     }
-    lines: list[str] = []
-    if (rings := ringing_of(blueprint)) is not None:
+    if rings is not None:
         facts["ringing"] = {"seconds": rings.seconds, "taps": rings.taps, "enough": not rings.advice}
-    start, stop = the_plan.excitation.band_hz
-    lines.append(f"positions   {the_plan.positions}, {the_plan.actuators} actuators, {facts['records']} records")
-    if len(checks_off_grid):
-        lines.append(
-            f"checks      {len(checks_off_grid)} of the positions lie off the grid and only judge what is interpolated"
-        )
-    lines.append(f"sweeps      {schedule_name(the_plan)}, {start:g}-{stop:g} Hz, {the_plan.excitation.amplitude_v:g} V")
+    lines = _lines(facts)
     if scene_files:
         all_s = the_plan.campaign_s(the_plan.order, rig.recorder, speed_m_s)
-        lines.append(f"scenes      need {len(needed)} of {the_plan.positions} positions; all of them: {hours(all_s)}")
-    lines.append(f"duration    {hours(duration_s)}; started now it finishes {finish:%a %d %b %H:%M}")
-    if second_looks:
+        lines.insert(1, f"scenes      need {len(rows)} of {the_plan.positions} positions; all of them: {hours(all_s)}")
+    if rings is not None and rings.advice:
+        lines.insert(-1, f"warning     {rings.advice}")
+    more = _details(facts, position_s, the_plan.excitation.amplitude_v)
+    if as_json:
+        print(json.dumps({**facts, "lines": [*lines[:-1], *more, lines[-1]]}))
+        return
+    for line in [*lines[:-1], *(more if details else ()), lines[-1]]:
+        answer(line)
+
+
+def _lines(facts: Mapping[str, Any]) -> list[str]:
+    """Hours, bytes, end and limits."""
+    finish = datetime.fromisoformat(facts["finish_at"])
+    return [
+        f"positions   {facts['positions']}, {facts['actuators']} actuators, {facts['records']} records",
+        f"duration    {hours(facts['duration_s'])}; started now it finishes {finish:%a %d %b %H:%M}",
+        f"bank        {facts['bank_bytes'] / 1e6:.0f} MB; {facts['disk_free_bytes'] / 1e9:.1f} GB free here",
+        f"plan        {facts['plan_sha256'][:16]}; within all limits",
+    ]
+
+
+def _details(facts: Mapping[str, Any], position_s: float, amplitude_v: float) -> list[str]:
+    start_hz, stop_hz = facts["band_hz"]
+    lines = [f"sweeps      {facts['schedule']}, {start_hz:g}-{stop_hz:g} Hz, {amplitude_v:g} V"]
+    if count := facts["check_positions"]:
+        lines.append(f"checks      {count} of the positions lie off the grid and only judge what is interpolated")
+    if count := facts["second_looks"]:
         lines.append(
-            f"second look {second_looks} positions that the others cannot judge are measured twice, "
-            f"{hours(second_looks * position_s)} of that"
+            f"second look {count} positions that the others cannot judge are measured twice, "
+            f"{hours(count * position_s)} of that"
         )
-    if sentinel_passes:
-        lines.append(
-            f"sentinel    measured again {sentinel_passes} times, {hours(sentinel_passes * position_s)} of that"
-        )
-    if blueprint.configuration.run.awaits_trial:
-        lines.append("trial       a check position is measured by every schedule first, and decides between them")
-    for one in schedules:
-        lines.append(
-            f"schedule    {one.name}: {hours(one.seconds)}; expected error {one.additive_db:.1f} dB, "
-            f"{one.proportional_db:.1f} dB where noise grows with the signal"
-        )
+    if count := facts["sentinel_passes"]:
+        lines.append(f"sentinel    measured again {count} times, {hours(count * position_s)} of that")
+    lines += [
+        f"schedule    {one['name']}: {hours(one['seconds'])}; expected error {one['additive_db']:.1f} dB, "
+        f"{one['proportional_db']:.1f} dB where noise grows with the signal"
+        for one in facts["schedules"]
+    ]
     lines.append(
         f"            at {ASSUMED_SNR_DB:g} dB signal-to-noise ratio of one actuator; another one moves all alike"
     )
-    lines.append(f"bank        {size / 1e6:.0f} MB; {free / 1e9:.1f} GB free here")
-    lines += [f"instrument  {instrument}" for instrument in instruments]
-    if rings is not None and rings.advice:
-        lines.append(f"warning     {rings.advice}")
-    lines.append(f"plan        {the_plan.sha256[:16]}; within all limits")
-    if as_json:
-        print(json.dumps({**facts, "lines": lines}))
-        return
-    for line in lines:
-        answer(line)
+    return lines + [f"instrument  {instrument}" for instrument in facts["instruments"]]
 
 
 def _needed_by_scenes(
@@ -123,17 +121,8 @@ def _needed_by_scenes(
     plan = blueprint.plan
     if not files:
         return range(plan.positions)
-    from wavefocus.campaign.blueprint import needed_by
-    from wavefocus.rendering.scene.model import load_scene  # with them comes what renders
-    from wavefocus.rendering.scene.size import check_scene_size
+    from wavefocus.campaign.blueprint import needed_by  # with it comes what renders
 
-    for file in files:
-        scene = load_scene(file, allow_large=allow_large)
-        try:
-            rate_hz = plan.excitation.sample_rate_hz
-            check_scene_size(scene, sample_rate_hz=rate_hz, taps=plan.taps, actuators=plan.actuators)
-        except InputError as wrong:
-            raise InputError(f"{file}: {wrong}") from None
     return needed_by(files, blueprint, checks=checks, allow_large=allow_large)
 
 

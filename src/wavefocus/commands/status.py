@@ -1,4 +1,4 @@
-"""``wavefocus status``, ``pause``, ``go-on`` and ``stop``: how a campaign stands, and orders to it."""
+"""``wavefocus status``, ``pause`` and ``stop``: how a campaign stands, and orders to it."""
 
 from __future__ import annotations
 
@@ -260,6 +260,13 @@ LOOKS_EVERY_S = 0.1
 WAITS_S = 15.0
 
 
+def is_paused(bank: Path) -> bool:
+    """Whether a process measures into a bank and is paused, or about to be."""
+    owner = bank_owner(bank)
+    beat = None if owner is None else read_heartbeat(bank)
+    return owner is not None and campaign_status(bank, owner, beat).state in (State.PAUSED, State.PAUSING)
+
+
 def order(bank: Path, word: Word, *, as_json: bool) -> Exit:
     """Give an order and wait until it is carried out, or at least received.
 
@@ -295,9 +302,7 @@ def order(bank: Path, word: Word, *, as_json: bool) -> Exit:
 def _owner(bank: Path, word: str) -> Owner:
     owner = bank_owner(bank)
     if owner is None:
-        raise InputError(
-            f"{bank}: no process owns the bank, so there is nothing to {word.replace('go-on', 'go on with')}"
-        )
+        raise InputError(f"{bank}: no process owns the bank, so there is nothing to {word}")
     return owner
 
 

@@ -122,6 +122,7 @@ MEASURE = (
         "plan", "plan:plan", "Dry run: positions, hours, bytes, limits, finish time.",
         (
             RUN, SCENES, NO_CHECKS, LARGE,
+            switch("--details", help="Also schedules with their expected errors, sentinel, instruments."),
             number("--wave-speed", 1e-3, dest="speed_m_s", default=4.8,
                    help="Of the plate, in m/s; a gel's by default."),
             JSON,
@@ -135,7 +136,8 @@ MEASURE = (
     ),
     Command(
         "resume", "capture:resume",
-        "Go on with a campaign from its bank alone.\n\nA corrected rig file may replace the one that the bank holds.",
+        "Go on with a campaign from its bank alone, or let a paused capture go on.\n\n"
+        "A corrected rig file may replace the one that the bank holds.",
         (BANK, *options_of(SessionOptions)),
         SessionOptions,
     ),
@@ -175,7 +177,6 @@ MEASURE = (
         ),
     ),
     Command("pause", _order("pause"), "Pause a running capture after its position.", (BANK, JSON)),
-    Command("go-on", _order("go-on"), "Let a paused capture go on.", (BANK, JSON)),
     Command("stop", _order("stop"), "End a running capture after its position.", (BANK, JSON)),
     Command(
         "check", "bank.check:check", "Verify checksums and, of banks, every row's plausibility.",

@@ -43,9 +43,10 @@ class QualityLimits(Table):
     remeasure_pass: Annotated[Whole, Field(ge=0, le=10)] = Field(
         default=1, description="Rounds at the end over all positions that are not valid"
     )
-    second_look: Annotated[Literal["auto", "never"], BeforeValidator(_second_look)] = Field(
+    second_look: Annotated[Literal["twice", "auto", "never"], BeforeValidator(_second_look)] = Field(
         default="auto",
-        description="Measure twice the positions that the others cannot judge (too few, too far), or leave them valid",
+        description='"twice": measure twice the positions that the others cannot judge (too few, too far); else they '
+        'stay valid. "auto" and "never" are of earlier versions and mean the same',
     )
     reference_db: Annotated[Positive, Field(le=20)] = Field(
         default=0.1,
@@ -55,7 +56,7 @@ class QualityLimits(Table):
     @property
     def confirms(self) -> bool:
         """Whether positions that neighbours cannot judge are measured twice."""
-        return self.second_look != "never" and self.remeasure_pass > 0
+        return self.second_look == "twice" and self.remeasure_pass > 0
 
 
 class DriftLimits(Table):

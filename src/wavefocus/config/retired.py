@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 _SHELL = "a shell carries out commands one after the other, see docs/how-to/several-runs.md"
-_CHOSEN = "choose the schedule in [capture]; wavefocus bench states error and time of both"
+_CHOSEN = "choose the schedule in [capture]; capture measures one position both ways and states the difference"
 
 COMMANDS = {
     "publish": "wavefocus export writes a bank for others; docs/how-to/publish.md lists what to upload",
     "queue": _SHELL,
+    "go-on": "wavefocus resume lets a paused capture go on",
     "service": "the system's own scheduler starts wavefocus resume, see docs/how-to/several-runs.md",
     "bench choose": "wavefocus bench render and bench estimate show error against run time",
     "bench symptoms": "wavefocus verify names the causes that it measures",
@@ -39,6 +40,8 @@ KEYS = {
     "response_error": "the response at the focus is that of time reversal",
     "when_staggered_does_not_pay": _CHOSEN,
     "allowed_loss_db": _CHOSEN,
+    "x_position": "take settle_s from the mirror's data sheet",
+    "y_position": "take settle_s from the mirror's data sheet",
 }
 
 

@@ -121,13 +121,6 @@ class Capture(Table):
         default=1, description="Staggered: periods of a record"
     )
     level_db: Annotated[Finite, Field(ge=-40, le=0)] = Field(default=0.0, description="Drive relative to amplitude_v")
-    when_staggered_does_not_pay: Annotated[Literal["choose", "refuse", "keep"], FREE] = Field(
-        default="choose",
-        description="After the trial at one position: choose the schedule that pays, refuse, or keep it (no trial)",
-    )
-    allowed_loss_db: Annotated[NonNegative, FREE] = Field(
-        default=3.0, description="Error that staggered capture may have beyond that of sequential capture and still pay"
-    )
     keep_raw: Annotated[Switch, FREE] = Field(
         default=False, description="Keep the recordings in BANK.raw.h5, for wavefocus estimate"
     )
@@ -174,7 +167,7 @@ class Capture(Table):
 
 
 class Settled(Table):
-    """What the trial before a staggered campaign has settled; only a bank says it, never a run file."""
+    """What a trial of earlier versions has settled before a staggered campaign; only a bank says it."""
 
     asked: Capture
     reason: Text
@@ -328,14 +321,6 @@ class RunConfig(Table):
     def rig_file(self, run_file: Path) -> Path | None:
         """The rig file that this run, of that file, names; None for the built-in virtual rig."""
         return None if self.rig == "virtual" else run_file.parent / self.rig
-
-    @property
-    def awaits_trial(self) -> bool:
-        """Whether a trial has still to say if staggered capture pays."""
-        capture = self.capture
-        return (
-            self.settled is None and capture.excitation == "staggered" and capture.when_staggered_does_not_pay != "keep"
-        )
 
     def with_schedule(self, capture: Capture, reason: str) -> RunConfig:
         """Make it the run with the capture that a trial has settled, and why."""

@@ -169,14 +169,6 @@ class Recorder(Instrument):
         """
         return None
 
-    def record_inputs_v(self, names: tuple[str, str], samples: int, sample_rate_hz: float) -> Float64Array:
-        """Volts at two other inputs of its box from now on, such as a mirror's position signals, shape (2, samples).
-
-        Between two records. Raises InstrumentError.
-        """
-        doing = f"recording {names[0]} and {names[1]}"
-        raise InstrumentError("recorder", doing, "its driver records no other inputs", "use another driver")
-
 
 class Player(Instrument):
     """Plays one signal per channel of an audio interface."""

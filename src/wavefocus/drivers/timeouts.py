@@ -271,10 +271,6 @@ class BoundedRecorder(_Bounded[Recorder], Recorder):
         doing = "asking for its conversion rate"
         return self._work(doing, lambda: self._device.sampling_delay_s(sample_rate_hz))
 
-    def record_inputs_v(self, names: tuple[str, str], samples: int, sample_rate_hz: float) -> Float64Array:
-        doing, own_s = f"recording {names[0]} and {names[1]}", samples / sample_rate_hz
-        return self._work(doing, lambda: self._device.record_inputs_v(names, samples, sample_rate_hz), own_s)
-
     def abort(self) -> None:
         self._rest("aborting", self._device.abort)
 

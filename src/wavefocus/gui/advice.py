@@ -32,8 +32,7 @@ _PHRASES: tuple[tuple[re.Pattern[str], str], ...] = tuple(
         (r"(?:then )?(?:run )?wavefocus doctor(?: again)?", "Examine in the Rig tab"),
         (r"or use --gain-db", "or the gain"),
         (r"lower --amplitude-v", "lower sweep.amplitude_v"),
-        (r"wavefocus go-on, or stop", "press Continue, or Stop after this position"),
-        (r"wavefocus go-on", "Continue in the Campaign tab"),
+        (r"wavefocus resume, or stop", "press Continue, or Stop after this position"),
         (r"; --force replaces (?:it|them)", ""),
     )
 )

@@ -37,9 +37,7 @@ from wavefocus.acquisition.calibrate_mirror import (
 )
 from wavefocus.acquisition.doctor import crosstalk_finding
 from wavefocus.acquisition.leak import measure_leak
-from wavefocus.acquisition.mirror_settling import farthest_apart, measure_settling
 from wavefocus.acquisition.setup import Setup, identities_of, names_of
-from wavefocus.calibration import Float64Array
 from wavefocus.calibration.mirror_map import MIN_MARKS, MirrorMap
 from wavefocus.config.calibration import (
     FORMAT,
@@ -275,7 +273,6 @@ class CalibrationSession:
         else:
             found = fitted_marks(self._marks, self._angles)
         operator.report(f"mirror: residual {found.fit.rms_mm:.3f} mm rms, worst {found.worst_mm:.3f} mm")
-        self._settling(setup, operator, found.angles_mrad)
         if found.worst_mm > self._request.limit_mm:
             raise NotMeasuredError(
                 f"the map misses a mark by {found.worst_mm:.2f} mm, more than --limit-mm {self._request.limit_mm:g}: "
@@ -296,18 +293,6 @@ class CalibrationSession:
             ),
         )
         return replace(setup, mirror_map=MirrorMap(found.fit.mirror_map.matrix))
-
-    def _settling(self, setup: Setup, operator: Operator, angles_mrad: Float64Array) -> None:
-        """How long the mirror takes between the two marks that are farthest apart, where its position is wired."""
-        section = self._rig.mirror
-        if section.x_position is None or section.y_position is None:
-            return
-        names = section.x_position, section.y_position
-        settle_s = measure_settling(setup, names, farthest_apart(angles_mrad))
-        what = f"mirror: it settles within {1e3 * settle_s:.2f} ms after a move from mark to mark"
-        operator.report(f"{what}; settle_s = {section.settle_s:g}")
-        if settle_s > section.settle_s:
-            self.problems.append(f"{what}, and settle_s is {section.settle_s:g}: set it to {settle_s:.2g} or more")
 
     def _actuators(self, setup: Setup, operator: Operator) -> Setup:
         channels = self._rig.player.channels

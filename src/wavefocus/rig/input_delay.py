@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 
 from wavefocus.acquisition.setup import MAX_DELAY_DIFFERENCE_S, Setup
 from wavefocus.config.rig import RigConfig
@@ -13,8 +11,8 @@ from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.protocols import Recorder
 from wavefocus.drivers.timeouts import BoundedRecorder, in_time
 from wavefocus.rig.instruments import openers
-from wavefocus.storage.bank.reading import open_bank
-from wavefocus.storage.bank.writer import BankWriter, create_bank
+from wavefocus.storage.bank.layout import BankHeader
+from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.errors import InputError
 
 
@@ -31,31 +29,14 @@ def with_input_delay(setup: Setup, rig: RigConfig, sample_rate_hz: float, bank: 
     return replace(setup, inter_channel_delay_s=delay_s)
 
 
-def note_delay_in_new_bank(bank: Path, rig: RigConfig) -> None:
-    """Write the delay that the recorder states into a bank that holds no rows yet; else leave the bank as it is.
+def with_stated_delay(header: BankHeader, rig: RigConfig) -> BankHeader:
+    """The header of a new bank with the delay that the recorder states; it is asked before the bank is made.
 
-    A recorder that does not answer now is reported when the rig is opened.
-
-    Raises InputError: the bank is not one that can be measured into. Raises BankBusyError: it has another owner.
+    A calibrated delay is the rig file's. Raises InstrumentError: the recorder does not answer; no bank is made then.
     """
     if rig.is_virtual or _is_calibrated(rig):
-        return
-    with open_bank(bank) as view:
-        if view.rig_json is None or view.inter_channel_delay_s is not None or view.status.any():
-            return
-        if view.notes or view.unknown_attributes:  # what people have added stays
-            return
-        rate_hz = view.sample_rate_hz
-    delay_s = None
-    with suppress(InstrumentError):
-        delay_s = _ask_recorder(rig, rate_hz)
-    if delay_s is None:
-        return
-    with BankWriter.open(bank) as writer:
-        header, is_begun = writer.header, writer.status.any()
-    if not is_begun:
-        bank.unlink()  # made anew, not beside it: the disk may have room for one
-        create_bank(bank, replace(header, inter_channel_delay_s=delay_s))
+        return header
+    return replace(header, inter_channel_delay_s=_ask_recorder(rig, header.sample_rate_hz))
 
 
 def _ask_recorder(rig: RigConfig, sample_rate_hz: float) -> float | None:

@@ -25,6 +25,7 @@ from wavefocus.acquisition.attempt import (
     next_attempt,
 )
 from wavefocus.acquisition.conditions import Conditions
+from wavefocus.acquisition.defects import Cure
 from wavefocus.acquisition.drift_watch import DriftError, DriftWatch
 from wavefocus.acquisition.engine.recovery import Suspension
 from wavefocus.acquisition.engine.report import CampaignReport
@@ -100,6 +101,7 @@ class Campaign:
         self._replaceable: frozenset[int] = frozenset()
         self._failed_in_a_row = 0
         self._last_fault: InstrumentError | None = None
+        self._common: frozenset[str] | None = None
 
     def run(
         self, positions: Sequence[int] | None = None, *, accept_drift: bool = False, replaceable: Collection[int] = ()
@@ -345,7 +347,29 @@ class Campaign:
             self._drift.committed(result.attempt.position)
             self._leak.committed(result.attempt.position)
         self._report.position_done(result, len(self._queue), recording=self._recording)
+        self._require_a_sound_rig(result)
         self._count_failures(result)
+
+    def _require_a_sound_rig(self, result: AttemptResult) -> None:
+        """Stop after a first position whose every record has one and the same cause that is not the spot's.
+
+        Where a position is one record, the next one must have it, too.
+        """
+        if self._in_pass or result.estimate is None or np.any(self._bank.status == Status.VALID):
+            return
+        common = {
+            defect.name: defect.sentence
+            for defect in result.judgement.defects
+            if defect.cure is not Cure.MOVE and len(set(defect.actuators)) == self._plan.actuators
+        }
+        names = common.keys() if self._common is None else common.keys() & self._common
+        again = self._common is not None or self._plan.records > 1
+        self._common = frozenset(names)
+        if names and again:
+            sentence = common[min(names)]
+            cause = f"every record of position {result.attempt.position} has one and the same defect: {sentence}"
+            remedy = "put it right before more is measured; wavefocus doctor examines the rig"
+            raise InstrumentError("the rig", "measuring the first position", cause, remedy)
 
     def _count_failures(self, result: AttemptResult) -> None:
         """Stop when position after position yields nothing: that is an instrument, not the plate."""

@@ -98,7 +98,6 @@ def wiring_of(rig: RigConfig, rig_file: Path) -> Wiring:
         vibrometer_driver=rig.vibrometer.driver,
         mirror_outputs=(mirror.x_output or "", mirror.y_output or ""),
         mirror_volts_per_degree=mirror.volts_per_degree or 0.0,
-        position_inputs=tuple(name for name in (mirror.x_position, mirror.y_position) if name is not None),
     )
 
 

@@ -13,7 +13,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import ClassVar
 
-from wavefocus.drivers.daq.nidaqmx import ANALOG_INPUT
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError, TransientInstrumentError
 from wavefocus.drivers.protocols import DeviceIdentity, Mirror
 from wavefocus.drivers.registry import MIRRORS, KeyMistakeError, MirrorSettings, rig_key
@@ -46,14 +45,6 @@ class AnalogMirrorDriver:
     slew_v_per_s: float = rig_key(
         "Slew rate", "Fastest change of a voltage, in V/s", default=500.0, in_plan="free", gt=0, le=1e6
     )
-    x_position: str | None = rig_key(
-        "Position of x", "Input of the recorder's box that the x mirror's position signal is wired to", default=None,
-        in_plan="free", pattern=ANALOG_INPUT,
-    )  # fmt: skip
-    y_position: str | None = rig_key(
-        "Position of y", "Input of the recorder's box that the y mirror's position signal is wired to", default=None,
-        in_plan="free", pattern=ANALOG_INPUT,
-    )  # fmt: skip
 
     name = "analog"
     without_keys = ("port", "baud", "identity")
@@ -62,10 +53,6 @@ class AnalogMirrorDriver:
     def __post_init__(self) -> None:
         if self.x_output == self.y_output:
             raise KeyMistakeError("y_output", self.y_output, "is already the x_output")
-        if (self.x_position is None) != (self.y_position is None):
-            raise KeyMistakeError("y_position", self.y_position, "goes with x_position: both or neither")
-        if self.x_position is not None and self.x_position == self.y_position:
-            raise KeyMistakeError("y_position", self.y_position, "is already the x_position")
 
     def open(self, settings: MirrorSettings) -> Mirror:
         """Open the outputs; the mirror does not move yet."""

@@ -391,7 +391,7 @@ class CampaignTab(Tab):
         self.context.claim_instruments(self, word, start, virtual=virtual)
 
     def _pause_or_continue(self) -> None:
-        self.run.order("go-on" if self._paused else "pause", self.bank_field.path)
+        self.run.order("resume" if self._paused else "pause", self.bank_field.path)
 
     def _show_trouble(self, sentence: str, details: str = "") -> None:
         self.context.messages.withdraw(self._trouble)

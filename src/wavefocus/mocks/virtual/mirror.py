@@ -8,9 +8,6 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from wavefocus.drivers.errors import TransientInstrumentError
 from wavefocus.drivers.protocols import Mirror
 from wavefocus.mocks.virtual.faults import VirtualDevice
@@ -91,14 +88,6 @@ class MirrorMotion:
         """Where it looks now."""
         with self._lock:
             return self._moves[-1].at(self._now_ns())
-
-    def angles_mrad(self, instants_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Where it looks at some instants, float64 (2, instants); the swinging at the end of moves is left out."""
-        with self._lock:
-            moves = list(self._moves)
-        number = np.searchsorted([move.start_ns for move in moves], instants_ns, side="right") - 1
-        pairs = zip(number.tolist(), instants_ns.tolist(), strict=True)
-        return np.array([moves[max(0, one)].at(instant_ns) for one, instant_ns in pairs]).T
 
     def aims(self, start_ns: int, stop_ns: int) -> list[tuple[int, tuple[float, float] | None]]:
         """Where it looked between two instants.

@@ -81,6 +81,7 @@ class VirtualSettings:
     cubic_per_v2: A response of u volts comes out as u + cubic_per_v2 * u**3, in 1/V^2.
     crosstalk: Share of the loopback voltage that leaks into the response input, within +-1.
     crosstalk_delay_s: How much later it comes there than at the reference input, in s, 0 to 0.01.
+    pickup: Channels of single outputs, and the share of their voltage that the response input picks up.
     clock_ppm: How much faster the recorder's clock is than the player's, in parts per million, within +-1000.
     inter_channel_delay_s: How much later the response is sampled than the reference, in s, within +-0.001; negative
         where the response input is converted first.
@@ -124,6 +125,7 @@ class VirtualSettings:
     cubic_per_v2: float = 0.0
     crosstalk: float = 0.0
     crosstalk_delay_s: float = 0.0
+    pickup: tuple[tuple[int, float], ...] = ()
     clock_ppm: float = 30.0
     inter_channel_delay_s: float = 5e-6
     vibrometer_latency_s: float = 0.0

@@ -199,23 +199,27 @@ class Synthesis:
     def crosstalk_v(
         self, samples: int, sample_rate_hz: float, start_ns: int, plays: Sequence[VirtualPlay]
     ) -> Float32Array | None:
-        """Volts that the loopback leaks into the response input, float32 (samples,); None where nothing leaks.
+        """Volts of outputs that leak into the response input, float32 (samples,); None where nothing leaks.
 
         The leak is electrical: it is there whatever the laser meets. Arguments: see `voltages`.
         """
-        settings, looped = self._settings, self._settings.channel_of_loopback
-        if not settings.crosstalk:
+        settings = self._settings
+        leaks = [(settings.channel_of_loopback, settings.crosstalk, settings.crosstalk_delay_s)]
+        leaks += [(channel, share, 0.0) for channel, share in settings.pickup]
+        if not any(share for _, share, _ in leaks):
             return None
         rate_hz = sample_rate_hz * settings.clock_ratio
         length = self._length(samples, rate_hz, start_ns, plays)
-        late = (settings.crosstalk_delay_s - settings.inter_channel_delay_s) * rate_hz
         leaked_v = np.zeros(samples, dtype=np.float32)
         for play in plays:
-            if looped in play.signals:
-                offset = ((play.requested_ns - start_ns) * 1e-9 + (play.latency_s or 0.0)) * rate_hz
-                scale = rate_hz / play.sample_rate_hz
-                leaked_v += self._output(play, looped, length, scale, offset + late, rate_hz, samples)
-        return leaked_v * np.float32(settings.crosstalk)
+            offset = ((play.requested_ns - start_ns) * 1e-9 + (play.latency_s or 0.0)) * rate_hz
+            scale = rate_hz / play.sample_rate_hz
+            for channel, share, delay_s in leaks:
+                if share and channel in play.signals:
+                    late = (delay_s - settings.inter_channel_delay_s) * rate_hz
+                    volts = self._output(play, channel, length, scale, offset + late, rate_hz, samples)
+                    leaked_v += volts * np.float32(share)
+        return leaked_v
 
     def spots(
         self, aims: Sequence[tuple[int, tuple[float, float] | None]], start_ns: int, samples: int, rate_hz: float

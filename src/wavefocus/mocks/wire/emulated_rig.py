@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections import deque
@@ -46,8 +45,6 @@ class WireBench:
     full_scale_v: Volts that each output is believed to put out at full scale; what it does put out is this times its
         gain in `settings`.
     reference_input, response_input: Physical inputs that the loopback and the patch bay are wired to.
-    position_inputs, position_v_per_mrad: Inputs of the mirror's position signals of x and y; others are open and read
-        noise.
 
     patch_bay: What is plugged into the response input; the vibrometer, until somebody plugs in something else.
     onsets: Of the latest records, oldest first: the sample, on the recorder's clock, at which the first sound that
@@ -64,11 +61,7 @@ class WireBench:
         full_scale_v: tuple[float, ...],
         reference_input: str = "ai0",
         response_input: str = "ai1",
-        position_inputs: tuple[str, ...] = (),
-        position_v_per_mrad: float = 0.0,
     ) -> None:
-        self._positions = dict(zip(position_inputs, (0, 1), strict=False))
-        self._position_v_per_mrad = position_v_per_mrad
         self._settings = settings
         self._played = played
         self._aimed = aimed
@@ -125,10 +118,6 @@ class WireBench:
             elif name == self._inputs[1]:
                 heard_v = self._settings.noise_v if patched is None else self._settings.reference_noise_v
                 volts[row] = noise_v[row] * heard_v + response_v
-            elif name in self._positions:
-                instants_ns = start_ns + np.rint(np.arange(samples) / true_rate_hz * NANOSECONDS).astype(np.int64)
-                angles_mrad = self._aimed.angles_mrad(instants_ns)[self._positions[name]]
-                volts[row] += self._position_v_per_mrad * angles_mrad
         return np.asarray(volts)
 
     def spot_mm(self) -> tuple[float, float] | None:
@@ -194,7 +183,6 @@ class Wiring:
     vibrometer_driver: The driver that reaches it, see `vibrometer_device`.
     mirror_outputs, mirror_volts_per_degree: Analog outputs of the NI box that the mirror of dialect ``"analog"``
         follows, and how far.
-    position_inputs: Inputs of the NI box that its position signals are wired to.
     """
 
     mirror_dialect: str
@@ -212,7 +200,6 @@ class Wiring:
     vibrometer_driver: str = "polytec-ofv5000"
     mirror_outputs: tuple[str, str] = ("ao0", "ao1")
     mirror_volts_per_degree: float = 0.8
-    position_inputs: tuple[str, ...] = ()
 
 
 class EmulatedRig(ExitStack):
@@ -254,8 +241,6 @@ class EmulatedRig(ExitStack):
             full_scale_v=wiring.full_scale_v,
             reference_input=wiring.reference_input,
             response_input=wiring.response_input,
-            position_inputs=wiring.position_inputs,
-            position_v_per_mrad=wiring.mirror_volts_per_degree * math.degrees(1e-3) / 2,
         )
         self.recorder = NiServer(self.bench, wiring.ni_product, wiring.ni_device, wiring.ni_address, faults)
         self.recorder.start()

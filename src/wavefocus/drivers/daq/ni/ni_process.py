@@ -18,9 +18,6 @@ from itertools import count
 from queue import SimpleQueue
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from wavefocus.drivers.daq.ni.ni_outputs import NiOutputs, OutputSettings
 from wavefocus.drivers.daq.ni.ni_recorder import NiRecorder
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
@@ -174,11 +171,6 @@ class ProcessRecorder(_InProcess, Recorder):
     def read_input_v(self, name: str) -> float:
         """Volts at another input, see `wavefocus.drivers.daq.ni.ni_recorder.NiRecorder.read_input_v`."""
         return float(self._call(f"reading {name}", "read_input_v", name))
-
-    def record_inputs_v(self, names: tuple[str, str], samples: int, sample_rate_hz: float) -> NDArray[np.float64]:
-        limit_s, doing = CALL_S + samples / sample_rate_hz, f"recording {names[0]} and {names[1]}"
-        volts = self._call(doing, "record_inputs_v", names, samples, sample_rate_hz, limit_s=limit_s)
-        return np.asarray(volts, dtype=np.float64)
 
     def sampling_delay_s(self, sample_rate_hz: float) -> float | None:
         delay_s: float | None = self._call("asking for its conversion rate", "sampling_delay_s", sample_rate_hz)

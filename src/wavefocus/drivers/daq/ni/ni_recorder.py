@@ -178,11 +178,6 @@ class NiRecorder(Recorder):
         volts = self._record_once((name, self._wiring.inputs[1]), INPUT_TIMING, f"reading {name}")
         return float(volts[0].mean())
 
-    def record_inputs_v(self, names: tuple[str, str], samples: int, sample_rate_hz: float) -> NDArray[np.float64]:
-        """Volts at two other inputs from now on, shape (2, samples); between two records. Raises InstrumentError."""
-        timing = TaskTiming(sample_rate_hz, samples, INPUT_TIMING.range_v)
-        return self._record_once(names, timing, f"recording {names[0]} and {names[1]}")
-
     def _record_once(self, names: tuple[str, str], timing: TaskTiming, doing: str) -> NDArray[np.float64]:
         """One record of other inputs, by a task of its own."""
         limit_s = timing.samples / timing.rate_hz + READ_INPUT_S
