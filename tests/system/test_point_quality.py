@@ -41,11 +41,11 @@ def _status(bank: Path) -> list[int]:
     ("fault", "name", "remedy", "bit"),
     [
         ('kind = "clipped"\nlevel_db = -0.45', "clipping", "amplitude", 2),
-        ('kind = "lost_sample"', "lost sample", "USB", 4),
-        ('kind = "dropout"', "dropout", "focus the laser", 4),
+        ('kind = "lost_sample"', "unsteady", "lost samples", 4),
+        ('kind = "dropout"', "unexplained", "focus the laser", 4),
         ('kind = "hum"\nlevel_db = -40.0', "hum", "ground loop", 4),
         ('kind = "dead_response"', "dead channel", "cable", 4),
-        ('kind = "dark"', "lost record", "light", 4),
+        ('kind = "dark"', "dropout", "light", 4),
     ],
 )
 def test_given_a_defect_in_one_record_then_it_is_named_with_its_remedy_and_not_valid(

@@ -48,8 +48,8 @@ def _kinds(events: list[dict[str, Any]]) -> list[str]:
     [
         ("sequential", "faint_reference", -0.3, "reference level"),
         ("staggered", "faint_reference", 6.0, "reference level"),
-        ("staggered", "drift", -0.3, "differs"),
-        ("sequential", "drift", -20.0, "differs"),
+        ("staggered", "drift", -0.3, "neighbours"),
+        ("sequential", "drift", -20.0, "neighbours"),
     ],
 )
 def test_given_a_fault_that_stays_then_the_valid_row_is_kept_and_named(

@@ -12,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from wavefocus.acquisition.defects import Cure
 from wavefocus.acquisition.judgement import judge
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.estimator.estimate import Channels, Estimate
@@ -168,15 +167,14 @@ def test_start_and_clock_ratio_are_found(offset: float, ppm: float, seed: int) -
     assert 1e6 * (estimate.clock_ratio - 1) == pytest.approx(np.full(2, ppm), abs=1.0)
 
 
-def test_a_repeat_that_starts_late_costs_nothing() -> None:
-    truth = damped_modes(4, TAPS, SMALL)
-    records = records_of(truth, ppm=50.0)
-    even = error_db(records.estimate().green, truth)
+def test_sweeps_that_one_clock_did_not_play_are_refused_and_lost_samples_are_named() -> None:
+    records = records_of(damped_modes(4, TAPS, SMALL), ppm=50.0)
     gap = int(100.4) + 2 * SMALL.period_samples - 5
     for channel in (records.reference, records.response):
         channel[:, gap + 7 :] = channel[:, gap:-7].copy()
         channel[:, gap : gap + 7] = 0
-    assert np.median(error_db(records.estimate().green, truth)) < np.median(even) + 0.5
+    with pytest.raises(ReferenceMissingError, match=r"record 0.*lost samples"):
+        records.estimate()
 
 
 @pytest.mark.parametrize("averages", [1, 3])
@@ -367,11 +365,11 @@ def test_a_square_term_is_a_distortion_and_leaves_no_range(square: float) -> Non
     records.response += square * records.response**2 / np.abs(records.response).max(axis=1, keepdims=True)
     judgement = judge(records.estimate(), False, QualityLimits())
     assert judgement.status == Status.POOR_SIGNAL
-    assert "distortion" in {defect.name for defect in judgement.defects}
+    assert {defect.name for defect in judgement.defects} == {"unexplained"}
 
 
 @pytest.mark.parametrize("cut", [False, True], ids=["square term", "cut before the noise"])
-def test_what_bends_where_no_third_harmonic_can_be_measured_may_be_either(cut: bool) -> None:
+def test_what_bends_where_no_third_harmonic_can_be_measured_is_unexplained(cut: bool) -> None:
     time_s = np.arange(TAPS) / SMALL.sample_rate_hz
     low = np.exp(-120 * time_s) * np.sin(2 * np.pi * np.array([[62.0], [75.0], [88.0]]) * time_s)
     records = records_of(low, snr_db=None)
@@ -384,10 +382,9 @@ def test_what_bends_where_no_third_harmonic_can_be_measured_may_be_either(cut: b
     estimate = records.estimate()
     assert np.isnan(estimate.defects["harmonic_db"]).all()
     judgement = judge(estimate, False, QualityLimits())
-    assert {defect.name for defect in judgement.defects} == {"clipping or distortion"}
-    assert (judgement.status, judgement.cure) == (Status.POOR_SIGNAL, Cure.RANGE)
-    for remedy in ("wider range", "sweep.amplitude_v"):
-        assert remedy in judgement.reason
+    assert {defect.name for defect in judgement.defects} == {"unexplained"}
+    assert judgement.status == Status.POOR_SIGNAL
+    assert "sweep.amplitude_v" in judgement.reason
 
 
 @pytest.mark.parametrize("options", [{"taps": 0}, {"taps": 601}, {"ridge": 0.0}])

@@ -12,11 +12,13 @@ from wavefocus.calibration import BoolArray, Float64Array
 from wavefocus.calibration.estimator.estimate import Estimate
 from wavefocus.config.limits import QualityLimits
 
+SLIP_DB = -30.0
+"""One sample lost of 10,000 a second leaves -22 dB of a reference of 250 Hz; audio interfaces distort below -90 dB."""
+FAINT_SHARE = 0.1
+"""Of a converter of 16 bits a tenth of the range still has 3,000 steps: rounding is at -80 dB."""
 MAINS_HZ = (50.0, 60.0)
 # A line belongs to the mains where it is this close to a multiple; their frequency itself strays by 0.2 Hz.
 MAINS_TOLERANCE_HZ = 0.7
-# The fit bends to what every sweep leaves alike, so that its error is this much above what is left.
-BENT_DB = 15.0
 # A record is silent when it has less than this while several farther actuators have this much.
 SILENT_SNR_DB = 6.0
 STRONG_SNR_DB = 20.0
@@ -43,7 +45,7 @@ class Cure(IntEnum):
 class RecordDefect:
     """One thing that is wrong with an attempt at a position.
 
-    name: Its name, the same in events, log and documentation: ``"hum"``, ``"lost sample"``.
+    name: Its name, the same in events, log and documentation: ``"hum"``, ``"dropout"``.
     actuators: Whose records show it, the worst first.
     sentence: What was seen and what to do about it.
     cure: What the engine can try by itself.
@@ -67,7 +69,7 @@ def named_defects(
 ) -> tuple[RecordDefect, ...]:
     """Name what the figures of an attempt's records show.
 
-    Of one record only the defect that explains the others is named: a lost sample also leaves a burst.
+    Of one record only the defect that explains the others is named: what hums also differs from sweep to sweep.
 
     estimate: Figures of all records of the attempt.
     limits: From where on they count.
@@ -80,22 +82,18 @@ def named_defects(
     unnamed = ~dead
     found = [_DEAD.of(estimate, np.flatnonzero(dead))] if np.any(dead) else []
     for figure, kind in _KINDS.items():
-        limit_db = limits.poor_harmonic_db if figure == "harmonic_db" else limits.poor_residual_db
-        beyond = np.flatnonzero(unnamed & (figures[figure] > limit_db + kind.above_limit_db))
+        limit_db = {"harmonic_db": limits.poor_harmonic_db, "slip_db": SLIP_DB}.get(figure, limits.poor_residual_db)
+        beyond = np.flatnonzero(unnamed & (figures[figure] > limit_db))
+        if figure == "misfit_db":
+            # Faint records have few steps of a range that is right for the loudest.
+            beyond = beyond[estimate.peak_v[beyond] > FAINT_SHARE * estimate.peak_v.max()]
         if beyond.size:
             worst = beyond[np.argsort(-figures[figure][beyond])]
             if figure == "line_db":
                 found.append(_line(estimate, worst))
-            elif kind.over_range:
-                found += _clipped(estimate, worst, kind)
             else:
                 found.append(kind.of(estimate, worst))
             unnamed[beyond] = False
-    # Far actuators may be faint; where the loudest record has few steps the range is too wide for all of them.
-    coarse = np.flatnonzero(unnamed & (figures["steps"] > 0) & (estimate.residual_db > limits.poor_residual_db))
-    if coarse.size and int(np.argmax(estimate.peak_v)) in coarse:
-        found.append(_COARSE.of(estimate, coarse[np.argsort(figures["steps"][coarse])]))
-        unnamed[coarse] = False
     silent = np.flatnonzero(unnamed & _silent(estimate, distance_mm))
     if silent.size:
         found.append(_SILENT.of(estimate, silent))
@@ -110,7 +108,6 @@ class _Kind:
     sentence: str
     cure: Cure
     over_range: bool = False
-    above_limit_db: float = 0.0
 
     def of(self, estimate: Estimate, worst: NDArray[np.intp], **more: object) -> RecordDefect:
         """The defect of some records, the worst first."""
@@ -145,32 +142,11 @@ _HUM = _Kind(
     "vibrometer's output cable",
     Cure.NOTHING,
 )
-_COARSE = _Kind(
-    "coarse steps",
-    "the response reaches only {steps:.0f} steps of the converter in {records}: choose a narrower input range or a "
-    "narrower range at the vibrometer, or raise sweep.amplitude_v",
-    Cure.NOTHING,
-)
-_EVEN = _Kind(
-    "distortion",
-    "distorted, but not cut: every sweep leaves the same {cut_db:.0f} dB at {cut_s:.3f} s in {records}, and hardly any "
-    "third harmonic: lower sweep.amplitude_v; where that changes nothing, look for an offset or a defect in amplifier, "
-    "coil or vibrometer",
-    Cure.NOTHING,
-)
-_EITHER = _Kind(
-    "clipping or distortion",
-    "clipped or distorted: every sweep leaves the same {cut_db:.0f} dB at {cut_s:.3f} s in {records}, where no "
-    "third harmonic can be measured: choose a wider range at the vibrometer or of the input; where that changes "
-    "nothing, lower sweep.amplitude_v, then look for an offset or a defect in amplifier, coil or vibrometer",
-    Cure.RANGE,
-)
-_DISTORTED = "lower sweep.amplitude_v or choose a wider range at the vibrometer"
 _KINDS = {
     "slip_db": _Kind(
-        "lost sample",
-        "the response jumps by {slip_samples:+.1f} samples against the reference within {records}: one channel lost or "
-        "doubled a sample; if it stays, use another USB port, without a hub, or a lower rate",
+        "dropout",
+        "the reference of {records} differs from what was played by {slip_db:.0f} dB: samples were lost in both "
+        "channels, or the player slipped; if it stays, use another USB port, without a hub, or a lower rate",
         Cure.REPEAT,
     ),
     "tail_db": _Kind(
@@ -181,61 +157,33 @@ _KINDS = {
     ),
     "burst_db": _Kind(
         "dropout",
-        "a burst of {burst_db:.0f} dB at {burst_s:.3f} s in {records}: speckle took the light away or "
-        "something knocked; if it stays, focus the laser or treat the surface",
+        "a burst of {burst_db:.0f} dB at {burst_s:.3f} s in {records}: speckle took the light away, something knocked, "
+        "or a channel lost samples; if it stays, focus the laser or treat the surface",
         Cure.REPEAT,
     ),
     "line_db": _TONE,
     "harmonic_db": _Kind(
         "clipping",
-        "clipped or distorted: third harmonic at {harmonic_db:.0f} dB at the loudest moment of {records}: "
-        + _DISTORTED,
+        "clipped or distorted: third harmonic at {harmonic_db:.0f} dB at the loudest moment of {records}: lower "
+        "sweep.amplitude_v or choose a wider range at the vibrometer",
         Cure.RANGE,
         over_range=True,
-    ),
-    "cut_db": _Kind(
-        "clipping",
-        "clipped or distorted: every sweep leaves the same {cut_db:.0f} dB at {cut_s:.3f} s in {records}: "
-        + _DISTORTED,
-        Cure.RANGE,
-        over_range=True,
-        above_limit_db=-BENT_DB,
-    ),
-    "step_db": _Kind(
-        "level step",
-        "one sweep of {records} is {step_level_db:+.2f} dB from the others: the vibrometer's range or focus, "
-        "or a contact changed meanwhile",
-        Cure.REPEAT,
     ),
     "unsteady_db": _Kind(
         "unsteady",
         "the sweeps of {records} differ by {unsteady_db:.0f} dB of the response, more than noise explains: gain, "
-        "temperature or a contact changed meanwhile; where it is so in every record, lower sweep.amplitude_v (coils "
-        "heat) or let the rig warm up",
+        "temperature or a contact changed meanwhile, or a channel lost samples; where it is so in every record, lower "
+        "sweep.amplitude_v (coils heat) or let the rig warm up",
         Cure.REPEAT,
+    ),
+    "misfit_db": _Kind(
+        "unexplained",
+        "all sweeps of {records} leave the same {misfit_db:.0f} dB that no linear response explains: lower "
+        "sweep.amplitude_v; where that changes nothing, look at offset and range of amplifier, coil and vibrometer",
+        Cure.NOTHING,
     ),
 }
 """Defects by the figure that shows them; of one record the first is named."""
-
-
-def _clipped(estimate: Estimate, worst: NDArray[np.intp], kind: _Kind) -> list[RecordDefect]:
-    """What looks like clipping, by its cause: too few steps, a curved characteristic, or a cut one.
-
-    What is cut has a third harmonic at its loudest moment that is stronger than the same residual of all sweeps; a
-    square term has none. Where no record's loudest moment lies high enough to measure it, it may be either.
-    """
-    figures = estimate.defects[worst]
-    coarse = figures["steps"] > 0
-    # The worst record that can tell shows it best.
-    telling = np.flatnonzero(~np.isnan(figures["harmonic_db"]))
-    open_to_doubt = ~coarse & (estimate.clip_count[worst] == 0)
-    even = either = np.zeros_like(coarse)
-    if not telling.size:
-        either = open_to_doubt
-    elif figures["harmonic_db"][telling[0]] <= figures["cut_db"][telling[0]]:
-        even = open_to_doubt
-    parts = ((_COARSE, coarse), (_EVEN, even), (_EITHER, either), (kind, ~coarse & ~even & ~either))
-    return [wording.of(estimate, worst[which]) for wording, which in parts if np.any(which)]
 
 
 def _line(estimate: Estimate, worst: NDArray[np.intp]) -> RecordDefect:

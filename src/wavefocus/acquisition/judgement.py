@@ -192,7 +192,7 @@ def differing(apart: RepeatDifference, score: float) -> Judgement:
         "position to wavefocus remeasure with --replace"
     )
     return Judgement(
-        Status.POOR_SIGNAL, sentence, score, (RecordDefect("differs", apart.actuators, sentence, Cure.AGAIN),)
+        Status.POOR_SIGNAL, sentence, score, (RecordDefect("neighbours", apart.actuators, sentence, Cure.AGAIN),)
     )
 
 
@@ -239,10 +239,11 @@ def _unexplained(
             f"actuator {worst}'s record is only noise, {excess_db[worst]:.1f} dB above the position's quietest "
             "record: no light came back to the vibrometer, or its cable is loose"
         )
-        return [RecordDefect("lost record", tuple(which.tolist()), sentence, Cure.MOVE)]
+        return [RecordDefect("dropout", tuple(which.tolist()), sentence, Cure.MOVE)]
     sentence = (
         f"actuator {worst} leaves {estimate.residual_db[worst]:.1f} dB unexplained, "
-        f"{excess_db[worst]:.1f} dB above the position's quietest record"
+        f"{excess_db[worst]:.1f} dB above the position's quietest record: if it stays, focus the laser, "
+        "treat the surface, and check contacts and the USB port"
     )
     return [RecordDefect("unexplained", tuple(which.tolist()), sentence, Cure.MOVE if which.size > 1 else Cure.REPEAT)]
 

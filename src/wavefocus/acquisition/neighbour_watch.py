@@ -16,8 +16,7 @@ from wavefocus.acquisition.plan import Plan
 from wavefocus.acquisition.plays import MEASURED
 from wavefocus.calibration import BoolArray, Float32Array, Int64Array
 from wavefocus.calibration.coarse_grid.left_out_rows import waves_of_rows
-from wavefocus.calibration.neighbour_difference import NeighbourDifference
-from wavefocus.calibration.neighbour_judge import NeighbourJudge, RowsAtFrequencies
+from wavefocus.calibration.neighbour_judge import NeighbourDifference, RowsAtFrequencies, judge_rows
 from wavefocus.storage.bank.layout import rows_off_grid
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.point_status import Status
@@ -27,8 +26,6 @@ if TYPE_CHECKING:
 
 STRONG_DB, AROUND = 6.0, 13
 """Rows of less signal-to-noise ratio, where those around have no more either, are noise and need no judging."""
-TRUSTED = 0.7
-"""Neighbours that can judge fewer rows than this share judge none: the grid is too coarse for them."""
 NEIGHBOURHOOD = 250
 """So many nearest positions are enough to judge one."""
 SAME = 0.25
@@ -36,7 +33,7 @@ SAME = 0.25
 
 
 _SENTENCE = "the other positions cannot judge it: a second measurement must agree with it"
-UNCONFIRMED = Judgement(Status.POOR_SIGNAL, _SENTENCE, 0.0, (RecordDefect("unconfirmed", (), _SENTENCE, Cure.AGAIN),))
+UNCONFIRMED = Judgement(Status.POOR_SIGNAL, _SENTENCE, 0.0, (RecordDefect("neighbours", (), _SENTENCE, Cure.AGAIN),))
 
 
 class NeighbourWatch:
@@ -194,18 +191,15 @@ class NeighbourWatch:
         header, all_rows = self._bank.header, np.ones(len(rows), dtype=bool)
         on_grid = ~rows_off_grid(header.positions, header.check_rows, header.run_json)[rows]
         places = self._plan.position_mm[rows], self._plan.actuator_mm
-        judge = NeighbourJudge(*places, self._spectra(rows, instead), on_grid, all_rows, waves)
-        strong = self._strong(rows)
+        verdict = judge_rows(*places, self._spectra(rows, instead), on_grid, all_rows, waves)
         found: dict[int, tuple[NeighbourDifference, ...]] = {}
-        if np.count_nonzero(judge.judged & strong) < TRUSTED * np.count_nonzero(
-            strong[all_rows if judge.by_waves else on_grid]
-        ):
-            return found, frozenset()
-        verdict = judge.find()
         for contradiction in verdict.differences:
             row = int(rows[contradiction.position])
             found[row] = (*found.get(row, ()), contradiction)
-        return found, frozenset(rows[(verdict.judged | ~strong).all(axis=1)].tolist())
+        judged = (verdict.judged | ~self._strong(rows)).all(axis=1)
+        # Rows near their own actuator are not judged singly; the others of a position stand for them.
+        judged |= 2 * verdict.judged.sum(axis=1) > self._plan.actuators
+        return found, frozenset(rows[judged].tolist())
 
     def _spectra(self, rows: Int64Array, instead: dict[int, Float32Array]) -> RowsAtFrequencies:
         header = self._bank.header
@@ -263,8 +257,7 @@ def mark_suspects(bank: BankWriter, positions: Sequence[int], reason: str) -> It
 def _judgement(differences: tuple[NeighbourDifference, ...]) -> Judgement:
     """Poor, naming what differs."""
     defects = tuple(
-        RecordDefect(f"neighbour {difference.kind}", difference.actuators, difference.sentence, Cure.REPEAT)
-        for difference in differences
+        RecordDefect("neighbours", difference.actuators, difference.sentence, Cure.REPEAT) for difference in differences
     )
     score = max(difference.relative for difference in differences)
     return Judgement(Status.POOR_SIGNAL, "; ".join(defect.sentence for defect in defects), score, defects)

@@ -7,7 +7,7 @@
 `estimator.sequential`         `SequentialEstimator`; `estimator.staggered` has `StaggeredEstimator`
 `estimator.raw_estimation`     `estimate_positions`: kept recordings of any program into responses
 `estimator.defect_finder`      `DefectFinder`: what a fit leaves unexplained
-`neighbour_judge`              `NeighbourJudge`: a position against its neighbours
+`neighbour_judge`              `judge_rows`: positions against all others
 `mirror_map`                   `MirrorMap`, `fit_mirror_map`
 `check`                        `check_bank`
 =============================  ==================================================================

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from wavefocus.calibration import BoolArray, Float64Array
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.crosstalk import REMEDY, ROW_SHARE, SPARE, response_per_volt, share_of_median_row
 from wavefocus.calibration.estimator.noise_error import bank_noise_error_db
-from wavefocus.calibration.neighbour_judge import NeighbourJudge, RowsAtFrequencies
+from wavefocus.calibration.neighbour_judge import RowsAtFrequencies, judge_rows
 from wavefocus.storage.bank.layout import rows_off_grid
 from wavefocus.storage.bank.ledger import VALID
 from wavefocus.storage.bank.reading import Bank, CopiedRows, VerifiedRows, open_bank
@@ -37,6 +38,10 @@ _DEAD_ACTUATOR = 0.01
 # The last tenth of the taps against the strongest tenth, in energy: -40 dB.
 _TAIL_DB = -40.0
 _TENTHS = 10
+ONE_AVERAGE = (
+    "one sweep per record: a gain that changes, lost samples and a response longer than its taps cannot be told from"
+    " noise; with capture.averages of 2 or more they can"
+)
 # Fewer positions are not a grid.
 _NEIGHBOURHOOD = 9
 
@@ -76,6 +81,7 @@ def check_bank(path: str | Path) -> list[BankProblem]:
         findings += _check_rows(bank)
         findings += _check_leak(bank)
         findings += _note_noise(bank)
+        findings += _check_averages(bank)
     return sorted(findings, key=lambda finding: -1 if finding.position is None else finding.position)
 
 
@@ -113,6 +119,8 @@ def check_ledger(rows: LedgerReader, path: Path) -> Iterator[BankProblem]:
 
 
 def _check_file(bank: Bank) -> Iterator[BankProblem]:
+    if not isinstance(bank.rows, VerifiedRows | CopiedRows):
+        yield _unverified("its rows are unverified")
     if isinstance(bank.rows, CopiedRows):
         message = (
             "the bank was copied object by object, or repacked: header and rows are verified, all else is not; it can "
@@ -277,26 +285,29 @@ def _check_levels(rms: Float64Array, *, certain: bool) -> Iterator[BankProblem]:
 def _check_neighbours(bank: Bank, spectra: RowsAtFrequencies, measured: BoolArray) -> Iterator[BankProblem]:
     """Check each row against what its neighbours predict of it, or, on coarse grids, waves from all other rows."""
     on_grid = measured & ~rows_off_grid(bank.positions, bank.check_rows, bank.run_json)
-    judge = NeighbourJudge(bank.position_mm, bank.actuator_mm, spectra, on_grid, measured)
-    verdict = judge.find()
-    measured = measured if judge.by_waves else on_grid
+    verdict = judge_rows(bank.position_mm, bank.actuator_mm, spectra, on_grid, measured)
+    measured = measured if verdict.by_waves else on_grid
     for difference in verdict.differences:
         actuator = difference.actuators[0] if len(difference.actuators) == 1 else None
         yield BankProblem(difference.position, actuator, f"position {difference.position}: {difference.sentence}")
-    if verdict.incoherent:
-        message = (
-            "so many Green's functions contradict those of their neighbours that none can be judged by them: the"
-            " positions are not in the order of the rows, or most rows are wrong"
-        )
-        yield BankProblem(None, None, message, "warning")
-        return
     there, judged = int(measured.sum()) * bank.actuators, int(verdict.judged.sum())
     if measured.sum() >= _NEIGHBOURHOOD and judged < there:
         message = (
-            f"{there - judged} of {there} Green's functions were not judged against their neighbours: too noisy, or the"
-            " positions are too far apart"
+            f"{there - judged} of {there} Green's functions were not judged by the other positions, which do not"
+            " predict them: too few, too far apart, too noisy, near their actuator, or not in the order of the rows"
         )
         yield BankProblem(None, None, message, "note")
+
+
+def _check_averages(bank: Bank) -> Iterator[BankProblem]:
+    """What a single sweep cannot show."""
+    try:
+        capture = json.loads(bank.run_json or "")["capture"]
+        single = capture["excitation"] != "staggered" and capture["averages"] == 1
+    except (ValueError, TypeError, KeyError, RecursionError):
+        return
+    if single:
+        yield BankProblem(None, None, ONE_AVERAGE, "note")
 
 
 def check_file(path: str | Path) -> list[BankProblem]:
@@ -327,6 +338,8 @@ def _check_raw(path: Path, *, sealed: bool) -> Iterator[BankProblem]:
             if not sealed:
                 yield _unverified("what it says about itself is unverified")
             yield from check_ledger(raw.rows, path)
+        else:
+            yield _unverified("its recordings are unverified")
         for position in range(raw.header.positions):
             try:
                 raw.read(position)

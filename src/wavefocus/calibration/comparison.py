@@ -139,9 +139,9 @@ class ChannelComparer:
         """
         reference = self._fitter.fit(reference_v)
         try:
-            response = self._fitter.fit(response_v, diagnose=diagnose)
+            response = self._fitter.fit(response_v, diagnose=diagnose, name="the response channel")
         except ReferenceMissingError as missing:
-            words = str(missing).replace("reference channel", "response channel")
+            words = str(missing)
             raise ResponseMissingError(words.replace("reference input", "response input"), advised=True) from None
         late = (response.offset_samples + response.ratio * self._centre) - (
             reference.offset_samples + reference.ratio * self._centre

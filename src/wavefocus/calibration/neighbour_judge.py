@@ -1,80 +1,90 @@
-"""Rows of a bank judged against their neighbours: which differ, and in what.
+"""Rows of a bank against their predictions from the other positions: which differ, and in what.
 
-Every row is predicted from its neighbours (`wavefocus.calibration.neighbour_prediction`), or, where the grid is too
-coarse for that, from all other rows by waves (`wavefocus.calibration.coarse_grid.left_out_rows`). By how much
-predictions miss is learned from the neighbourhood itself, frequency by frequency: noise, a coarse grid, the rim and the
-field of a near actuator then raise the limit, and where a prediction explains too little nothing is judged.
+Every position is predicted with its own rows left out: from its neighbours (`neighbour_prediction`) or, on coarse
+grids, from all others by waves (`coarse_grid.left_out_rows`). A prediction's usual error is that of the positions
+around. What is farther off is left out of all other predictions, the worst first, and then compared again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.calibration import BoolArray, Complex128Array, Float64Array, Int64Array
+from wavefocus.calibration import BoolArray, Complex128Array, Float64Array
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.coarse_grid.left_out_rows import RowsByWaves, waves_of_rows
-from wavefocus.calibration.neighbour_difference import (
-    EXPLAINED,
-    NeighbourDifference,
-    cause_of,
-    relative_norm,
-    swapped,
-    together,
-)
-from wavefocus.calibration.neighbour_prediction import Gains, RowsPredicted, common_gains
+from wavefocus.calibration.neighbour_prediction import RowsPredicted
 from wavefocus.calibration.numerics import transform_at
 
 if TYPE_CHECKING:
     from wavefocus.calibration.coarse_grid.rim_waves import WavesFound
 
 LINEAR_FREQUENCIES, OCTAVE_FREQUENCIES = 16, 16
-LEARNED_FROM = 12
-"""Nearest neighbours from whose errors the expected error of a prediction is taken."""
-NEAREST, RANK = 8, 3
-"""A row that differs does so far more than the third worst of its eight nearest neighbours."""
-MIN_DIFFERENCE = 0.02
-"""Relative to the row; smaller differences are not looked for."""
-LENIENCY_OF_WAVES, MIN_DIFFERENCE_BY_WAVES = 2.5, 0.04
-"""Waves miss more at the far edge than what is learned nearer to the actuator: up to 12 times the mean square there."""
-MIN_SHARE_BY_WAVES = 0.01
-"""Smaller differences, relative to the median level of the actuator's rows, are not looked for: faint rows are mostly
-what the waves leave of loud ones."""
-MIN_PREDICTION_ERROR = 0.002
-"""No prediction is taken to be better than this."""
-MISSES, FACTOR = 6.0, 30.0
-"""Limits of the mean square of the errors and of the common factor's square over their expectations; on clean banks
-of the virtual rig they are 1.6 and 8 at most."""
-SOURCE_SPACINGS, SOURCE_SPACINGS_OF_WAVES = 4.0, 2.0
-"""Nearer to an actuator than so many grid spacings, the field is not that of waves from elsewhere, nor quite that of
-the actuator's own wave."""
-UNSURE = 0.06
-"""Rows whose level is not predicted within this are not judged."""
-MAX_ROUNDS = 40
-SEARCHES = 3
-MAX_RENEWED, MAX_RENEWED_SHARE = 30_000, 0.25
-"""Predictions that are renewed at most (half a minute), and so many more per row. One differing row needs 30, a
-position that was measured elsewhere some thousands; rows that do not belong together need a hundred each."""
-RENEWED_BY_WAVES = 30
-"""All of an actuator's rows are renewed at once by waves, which takes as long as so many."""
-MIN_COARSE_MM, COARSE, COARSE_QUANTILE = 5.0, 0.3, 0.1
-"""On grids coarser than this, a nominal gel's half wavelength at 480 Hz, waves predict where nine tenths of the rows
-miss so much of the band's upper quarter when neighbours predict them."""
-MAX_OUT = 0.5
-"""Where more than this share of the rows differ, none is judged: it is not the rows that are wrong."""
+POSITION_DIFFERS, ROW_DIFFERS = 0.1, 0.4
+"""Error over prediction from which on all rows of a position, or one, differ: -3 dB leave 0.29, half a spacing of a
+fine grid some 0.2, -6 dB leave 0.5 of a row."""
+USUAL = 4.0
+"""And it is so many times the usual error: the maximum of a thousand normal errors is 3.3 standard deviations."""
+PREDICTED = 0.25
+"""Rows that are usually missed by more are not judged."""
+AROUND = 12
+"""The usual error is the median of so many nearest positions."""
+EXPLAINED = 0.8
+"""A cause is named when it explains this share of the difference."""
+NEAR_SPACINGS, NEAR_SPACINGS_OF_WAVES = 4.0, 2.0
+"""Nearer to its actuator than so many grid spacings, a row is not judged: the field there is not of passing waves."""
 MIN_ROWS = 3
-"""So many rows of a position make a whole that can differ by one cause."""
-GAIN_SIGMAS = 8.0
-"""A common factor on a position's rows is one that differs from 1 by so many of its standard deviations."""
-PLACES = tuple((radius, 12) for radius in (0.125, 0.25, 0.5, 0.75, 1.0, 1.5))
-"""Circles in grid spacings, and directions, on which a mirror that points elsewhere is looked for."""
-PLACES_BY_WAVES = tuple((number / 8, 6 * number) for number in range(1, 13))
-"""The same where the grid is coarse: an eighth of a wavelength apart."""
+MAX_OUT = 0.5
+"""Where more than this share of the positions differ, none is judged."""
+MIN_COARSE_MM, TRUSTED = 5.0, 0.7
+"""On grids coarser than this, a nominal gel's half wavelength at 480 Hz, waves predict where neighbours can judge a
+smaller share of the rows."""
+ROUNDS = 60
+
+Kind = Literal["level", "polarity", "swapped", "elsewhere", "other"]
+
+
+@dataclass(frozen=True, slots=True)
+class NeighbourDifference:
+    """Rows that are not what the other positions say.
+
+    position: The position.
+    actuators: The actuators whose rows differ.
+    kind: ``"level"``, ``"polarity"``, ``"swapped"`` (the rows are each other's), ``"elsewhere"`` (all rows differ, by
+        no common factor), or ``"other"``.
+    relative: Difference over prediction, L2 norms within the band.
+    level_db: Of the rows relative to their predictions, where the kind has it.
+    whole: Whether all of the position's rows differ.
+    """
+
+    position: int
+    actuators: tuple[int, ...]
+    kind: Kind
+    relative: float
+    level_db: float = 0.0
+    whole: bool = False
+
+    @property
+    def sentence(self) -> str:
+        """The difference in words, without the position's number."""
+        single = not self.whole and len(self.actuators) == 1
+        rows = "all responses" if self.whole else f"the responses of actuators {', '.join(map(str, self.actuators))}"
+        if single:
+            rows = f"the response of actuator {self.actuators[0]}"
+        verb, its = ("differs", "its prediction") if single else ("differ", "their predictions")
+        if self.kind == "swapped":
+            return f"{rows} are swapped" if len(self.actuators) > 1 else f"{rows} is that of another actuator"
+        if self.kind == "elsewhere":
+            return f"{rows} are those of another place: {100 * self.relative:.0f} % from {its}"
+        what = {"level": f" by {self.level_db:+.1f} dB", "polarity": " in polarity"}
+        return (
+            f"{rows} {verb}{what.get(self.kind, f' by {100 * self.relative:.0f} %')} from {its} by the other positions"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,13 +93,12 @@ class NeighbourResult:
 
     differences: By position.
     judged, bool (positions, actuators): Rows that could be judged.
-    incoherent: Whether so many rows contradict their neighbours that the search for the wrong ones was given up; then
-        none is judged.
+    by_waves: Whether waves from all other positions predicted them, not the neighbours.
     """
 
     differences: tuple[NeighbourDifference, ...]
     judged: BoolArray
-    incoherent: bool = False
+    by_waves: bool = False
 
 
 class RowsAtFrequencies:
@@ -125,409 +134,175 @@ class RowsAtFrequencies:
         self.values[position] = transform_at((green / peak).astype(np.float32), self.frequency_hz, self._rate_hz) * peak
 
 
-class NeighbourJudge:
-    """Judges rows of a bank against their neighbours.
+def judge_rows(
+    position_mm: Float64Array,
+    actuator_mm: Float64Array,
+    spectra: RowsAtFrequencies,
+    usable: BoolArray,
+    modelled: BoolArray | None = None,
+    waves: Callable[[], WavesFound | None] | None = None,
+) -> NeighbourResult:
+    """Judge the rows of a bank by all others.
 
     position_mm, float64 (positions, 2): Grid in millimetres.
     actuator_mm, float64 (actuators, 2): Actuators in millimetres, NaN where unknown.
     spectra: The rows.
-    usable, bool (positions,): Rows that are predicted from and judged.
+    usable, bool (positions,): Rows that neighbours predict and judge.
     modelled, bool (positions,): Rows that waves predict and judge where the grid is too coarse for neighbours and the
-        actuators' places are known; those off the grid, too. That takes 5 to 10 s of processor time more. By default
-        only neighbours judge.
-    waves: Gives the waves of rows that are right, in a third of that time if they were found before; None for none. By
-        default they are found from the rows that are judged.
-
-    judged, bool (positions, actuators): Rows that can be judged.
+        actuators' places are known; those off the grid, too. By default only neighbours judge.
+    waves: Gives the waves of rows that are right; None for none. By default they are found from the rows that count.
     """
+    there = (np.abs(spectra.values).max(axis=(1, 2), initial=0.0) > 0) & np.isfinite(position_mm).all(axis=1)
+    largest = np.abs(spectra.values[there]).max(initial=0.0)
+    values = spectra.values / largest if largest > 0 else spectra.values
+    measured = position_mm, actuator_mm, values, spectra.frequency_hz
+    with one_blas_thread():
+        neighbours = RowsPredicted(position_mm, values, spectra.frequency_hz, usable & there)
+        judge = _Judge(*measured, neighbours)
+        wanted = there & (np.zeros_like(there) if modelled is None else modelled)
+        coarse = neighbours.spacing_mm > MIN_COARSE_MM or not neighbours.patches
+        if not (wanted.any() and coarse and judge.judged[usable & there].mean() < TRUSTED):
+            return judge.find()
+        verdict = _by_waves(measured, wanted, waves() if waves else waves_of_rows(*measured, wanted))
+        if verdict is not None and verdict.differences and waves is None:
+            # Wrong rows had a part in the waves that were found.
+            sound = wanted & ~np.isin(np.arange(len(wanted)), [one.position for one in verdict.differences])
+            verdict = _by_waves(measured, wanted, waves_of_rows(*measured, sound)) or verdict
+        return verdict or judge.find()
+
+
+_Measured = tuple[Float64Array, Float64Array, Complex128Array, Float64Array]
+
+
+def _by_waves(measured: _Measured, rows: BoolArray, found: WavesFound | None) -> NeighbourResult | None:
+    """Judge by waves; None where none fit."""
+    with suppress(np.linalg.LinAlgError):
+        if found is not None:
+            return _Judge(*measured, RowsByWaves(*measured, rows, found)).find()
+    return None
+
+
+class _Judge:
+    """Errors of all rows, with what differs left out, and what of them is usual."""
 
     def __init__(
         self,
         position_mm: Float64Array,
         actuator_mm: Float64Array,
-        spectra: RowsAtFrequencies,
-        usable: BoolArray,
-        modelled: BoolArray | None = None,
-        waves: Callable[[], WavesFound | None] | None = None,
+        values: Complex128Array,
+        frequency_hz: Float64Array,
+        rows: RowsPredicted | RowsByWaves,
     ) -> None:
-        values, self._frequency_hz = spectra.values, spectra.frequency_hz
-        there = (np.abs(values).max(axis=(1, 2), initial=0.0) > 0) & np.isfinite(position_mm).all(axis=1)
-        usable, modelled = usable & there, there & (False if modelled is None else modelled)
-        # In the largest value's unit, so that a bank in any unit fits.
-        whole = np.abs(values[usable | modelled]).max(initial=0.0)
-        self._values = values / whole if whole > 0 else values
-        self._position_mm = position_mm
-        self._actuator_mm = actuator_mm
-        self._predict_by(RowsPredicted(position_mm, self._values, self._frequency_hz, usable))
-        self._modelled, self._finds_waves = modelled, waves is None
-        if modelled.any() and self._too_coarse():
-            self._predict_by_waves(waves() if waves else self._waves_of(modelled))
+        self._values, self._rows = values, rows
+        self.by_waves = isinstance(rows, RowsByWaves)
+        self._positions = np.array(sorted(rows.neighbours), dtype=np.int64)
+        self._around = {row: near[1 : 1 + AROUND] for row, near in rows.neighbours.items()}
+        self._out: BoolArray = np.zeros(len(values), dtype=bool)
+        source_mm = np.where(np.isfinite(actuator_mm), actuator_mm, self._loudest_mm(position_mm))
+        spacings = NEAR_SPACINGS_OF_WAVES if self.by_waves else NEAR_SPACINGS
+        apart_mm = np.hypot(*(position_mm[:, None] - source_mm).transpose(2, 0, 1))
+        self._far: BoolArray = np.asarray(apart_mm > spacings * rows.spacing_mm)
+        self.judged: BoolArray = np.zeros(values.shape[:2], dtype=bool)
+        if self._positions.size:
+            self._predict()
 
-    def _predict_by(self, rows: RowsPredicted | RowsByWaves) -> None:
-        """Begin anew with predictions of all rows."""
-        self._rows = rows
-        self._neighbours = rows.neighbours
-        self._all = np.array(sorted(self._neighbours), dtype=np.int64)
-        shape = self._values.shape
-        self._out: BoolArray = np.zeros(shape[:2], dtype=bool)
-        self.judged: BoolArray = np.zeros(shape[:2], dtype=bool)
-        self._suspect: BoolArray = np.zeros(shape[:2], dtype=bool)
-        self._tried: BoolArray = np.zeros(shape[:2], dtype=bool)
-        self._renewed, self._most_renewed = 0, MAX_RENEWED + MAX_RENEWED_SHARE * shape[0] * shape[1]
-        self._gain: dict[int, float] = {}
-        self._left_out: dict[int, BoolArray] = {}
-        if not len(self._all):
-            return
-        self._near_field = self._near_field_of(self._actuator_mm)
-        level = np.linalg.norm(self._values, axis=2)
-        usual_level = np.median(level[self._all], axis=0)
-        self._faintness: Float64Array = usual_level / np.maximum(level, 1e-9 * usual_level + np.finfo(np.float64).tiny)
-        self._users: dict[int, list[int]] = {}
-        for position, around in self._neighbours.items():
-            for row in around[1:].tolist():
-                self._users.setdefault(row, []).append(position)
-        near = [np.resize(self._neighbours[position][1:], LEARNED_FROM) for position in self._all.tolist()]
-        self._near: Int64Array = np.zeros((shape[0], LEARNED_FROM), dtype=np.int64)
-        self._near[self._all] = near
-        self._errors, variance = rows.errors()
-        self._variance_of_all, self._variance = variance, variance.copy()
-        self._typical: Float64Array = np.zeros(shape)
-        self._misses: Float64Array = np.full(shape[:2], np.nan)
-        self._weight: Float64Array = np.full(shape[:2], np.nan)
-        self._factor: Complex128Array = np.full(shape[:2], np.nan + 0j)
-        strength = np.abs(self._errors) ** 2 / self._variance
-        # Where neighbours lie on one side only, errors are as uncertain as predictions are.
-        one_sided = np.log(variance[self._all] / np.median(variance[self._all], axis=0)).mean(axis=(1, 2))
-        self._one_sided: Float64Array = np.ones((shape[0], 1))
-        self._one_sided[self._all, 0] = np.exp(0.5 * np.maximum(one_sided, 0.0))
-        self._common = np.maximum(np.nanmedian(strength[self._all], axis=0), np.finfo(np.float64).tiny)
-        self._learn(self._all)
+    def _loudest_mm(self, position_mm: Float64Array) -> Float64Array:
+        power = np.square(np.abs(self._values)).sum(axis=2)
+        return np.asarray(np.median(position_mm[np.argsort(-power, axis=0)[:3]], axis=0))
 
-    def _waves_of(self, rows: BoolArray) -> WavesFound | None:
-        return waves_of_rows(self._position_mm, self._actuator_mm, self._values, self._frequency_hz, rows)
+    def _predict(self) -> None:
+        """Errors without what is left out, over the prediction, and over the usual ones."""
+        if isinstance(self._rows, RowsByWaves):
+            out = np.flatnonzero(self._out)
+            parts = [self._rows.errors_without(one, out) for one in range(self._values.shape[1])]
+            errors, variance = (np.stack(part, axis=1) for part in zip(*parts, strict=True))
+        else:
+            errors, variance = self._rows.errors_without(self._out)
+        self.errors: Complex128Array = errors
+        predicted = np.linalg.norm(self._values - errors, axis=2)
+        self._relative: Float64Array = np.linalg.norm(errors, axis=2) / np.maximum(predicted, 1e-300)
+        own = np.sqrt((np.square(np.abs(errors)) / np.maximum(variance, 1e-300)).mean(axis=2))
+        usual = np.full_like(own, np.nan)
+        for row, near in self._around.items():
+            known = near[~self._out[near]]
+            usual[row] = np.median(own[known], axis=0) if known.size else np.nan
+        self._times: Float64Array = own / np.maximum(usual, 1e-300)
+        # What is wrong spoils the predictions of all around it, so that they show it less than the rest of the surface.
+        everywhere = np.median(own[self._positions], axis=0)
+        self._at_most: Float64Array = own / np.maximum(np.fmin(usual, everywhere), 1e-300)
+        self.judged = self._far & (self._relative < PREDICTED * self._times) & np.isfinite(self._times)
 
-    def _predict_by_waves(self, found: WavesFound | None) -> bool:
-        """Begin anew with predictions by waves; False, and nothing changes, where none fit."""
-        rows = self._position_mm, self._actuator_mm, self._values, self._frequency_hz, self._modelled
-        with suppress(np.linalg.LinAlgError):
-            if found is not None:
-                self._predict_by(RowsByWaves(*rows, found))
-                return True
-        return False
-
-    @property
-    def by_waves(self) -> bool:
-        """Whether rows are predicted by waves from the actuators and the rim, from all other positions."""
-        return isinstance(self._rows, RowsByWaves)
+    def _scores(self, *, strict: bool) -> tuple[Float64Array, BoolArray, BoolArray]:
+        """By how many usual errors each position differs, 0 where it does not; whether all of it; and which rows."""
+        judged, times = (self.judged, self._times) if strict else (self._far, self._at_most)
+        relative, times = (np.where(judged, figure, np.nan) for figure in (self._relative, times))
+        enough = np.isfinite(relative).sum(axis=1) >= MIN_ROWS
+        middle, middle_times = np.zeros((2, len(relative)))
+        middle[enough], middle_times[enough] = (np.nanmedian(f[enough], axis=1) for f in (relative, times))
+        whole = (middle > POSITION_DIFFERS) & (middle_times > USUAL)
+        rows = (np.nan_to_num(relative) > ROW_DIFFERS) & (np.nan_to_num(times) > USUAL)
+        worst_row = np.where(rows, np.nan_to_num(times), 0.0).max(axis=1, initial=0.0)
+        return np.maximum(np.where(whole, middle_times, 0.0), worst_row), whole, rows
 
     def find(self) -> NeighbourResult:
-        """Find all rows that differ, the worst of each neighbourhood first, so that no row is blamed for another.
-
-        What a wrong row makes of its neighbours' predictions hides it among them. So whatever is suspect is left out
-        of all predictions first, and judged when no suspect is left among its neighbours.
-        """
-        if len(self._all):
-            with one_blas_thread():
-                self._search()
-                sound: BoolArray = np.asarray(~self._out.any(axis=1))
-                # Wrong rows had a part in the waves that were found.
-                spoiled = self.by_waves and self._finds_waves and not sound.all()
-                if spoiled and self._predict_by_waves(self._waves_of(self._modelled & sound)):
-                    self._search()
-        if self._renewed > self._most_renewed or self._out.sum() > MAX_OUT * len(self._all) * self._out.shape[1]:
-            return NeighbourResult((), np.zeros_like(self.judged), incoherent=True)
-        rows = {
-            int(position): np.flatnonzero(self._out[position]) for position in np.flatnonzero(self._out.any(axis=1))
-        }
-        differences = [difference for position, out in rows.items() for difference in self._named(position, out)]
-        return NeighbourResult(tuple(differences), self.judged)
-
-    def _search(self) -> None:
-        self._suspect[self._all] = self._differing(self._all, strict=False)
-        if self._suspect.any():
-            self._leave_out_by_gain()
-        sure = self._out.copy()
-        for _ in range(SEARCHES):
-            for _ in range(MAX_ROUNDS):
-                tried = self._worst()
-                if self._renewed > self._most_renewed:
-                    return
-                if not tried.any():
-                    break
-                self._tried |= tried
-                self._leave_out(tried)
-                self._let_back(self._out & ~sure & ~self._next_to_suspects())
-            self._let_back(self._out & ~sure)
-            # A row that was let back while another wrong one was in use is tried once more.
-            self._tried = self._out.copy()
-            sure = self._out.copy()
-
-    def _leave_out_by_gain(self) -> None:
-        """Leave out positions whose rows all have one wrong factor, found together however near each other they are."""
-        if isinstance(self._rows, RowsByWaves):
-            return
-        for _ in range(SEARCHES):
-            # The wrong ones found so far no longer count in what predictions usually miss.
-            gains = common_gains(self._rows.patches, self._rows.coefficients, self._values, self._typical, self.judged)
-            wrong = self._wrong_by_gain(gains)
-            found = set(wrong) - set(self._gain)
-            self._gain |= {position: float(gains.value[position]) for position in wrong}
-            if not found:
+        """Leave out the worst of each neighbourhood until none may be wrong, then take back what agrees without it."""
+        for _ in range(ROUNDS if self._positions.size else 0):
+            score = np.where(self._out, 0.0, self._scores(strict=False)[0])
+            suspect = np.flatnonzero(score).tolist()
+            worst = [row for row in suspect if score[row] >= score[self._around[row]].max(initial=0.0)]
+            if not worst:
                 break
-            new = np.isin(np.arange(len(self._out)), sorted(found))
-            self._leave_out(new[:, None] & self.judged)
-        self._tried |= self._out
-
-    def _wrong_by_gain(self, gains: Gains) -> list[int]:
-        """Positions whose factors explain their errors; next to one that is wrong otherwise, factors mean nothing."""
-        enough = (np.abs(gains.value - 1.0) > MIN_DIFFERENCE) & (gains.sigmas > GAIN_SIGMAS)
-        enough &= self.judged.sum(axis=1) >= MIN_ROWS
-        wrong: list[int] = []
-        spoiled: set[int] = set()
-        for position in sorted(np.flatnonzero(enough).tolist(), key=lambda row: -gains.sigmas[row]):
-            if position in spoiled:
-                continue
-            if gains.explained[position] > EXPLAINED:
-                wrong.append(position)
-            else:
-                spoiled.update(self._users.get(position, ()))
-        return wrong
-
-    # -- how much predictions miss --------------------------------------------------------------
-
-    def _too_coarse(self) -> bool:
-        """Whether positions are far apart and neighbours predict next to nothing of the band's upper quarter."""
-        if not len(self._all) or self._rows.spacing_mm <= MIN_COARSE_MM:
-            return not len(self._all)
-        upper = slice(3 * len(self._frequency_hz) // 4, None)
-        there = np.linalg.norm(self._values[self._all, :, upper], axis=2)
-        relative = np.linalg.norm(self._errors[self._all, :, upper], axis=2) / np.maximum(
-            there, np.finfo(np.float64).tiny
+            self._out[worst] = True
+            if self._out.sum() > MAX_OUT * self._positions.size:
+                return NeighbourResult((), np.zeros_like(self.judged), self.by_waves)
+            self._predict()
+        for _ in range(2 if self._out.any() else 0):
+            if isinstance(self._rows, RowsPredicted):
+                self._rows.fit(~self._out)
+                self._predict()
+            unjudged = (self._far & ~self.judged).any(axis=1) & (self._scores(strict=False)[0] > 0)
+            self._out &= unjudged | (self._scores(strict=True)[0] > 0)
+            self._predict()
+        score, whole, rows = (
+            self._scores(strict=True) if self._out.any() else (np.zeros(len(self._out)), *2 * (self._out,))
         )
-        # Few wrong rows spoil many predictions, of which only the best are looked at.
-        return bool(np.quantile(relative, COARSE_QUANTILE) > COARSE)
+        wrong = np.flatnonzero(self._out & (score > 0)).tolist()
+        found = [one for row in wrong for one in self._named(row, rows[row], whole=bool(whole[row]))]
+        return NeighbourResult(tuple(found), self.judged, self.by_waves)
 
-    def _near_field_of(self, actuator_mm: Float64Array) -> Float64Array:
-        """Part of a row that is not of waves from elsewhere, on an arbitrary scale, (positions, actuators)."""
-        power = np.square(np.abs(self._values)).sum(axis=2)
-        loudest = self._position_mm[np.argsort(-power, axis=0)[:3]]  # (3, actuators, 2)
-        guess = np.median(loudest, axis=0)
-        source_mm = np.where(np.isfinite(actuator_mm), actuator_mm, guess)
-        far = np.hypot(*(self._position_mm[:, None] - source_mm).transpose(2, 0, 1))
-        # Waves hold the actuators' own.
-        reach = (
-            (SOURCE_SPACINGS_OF_WAVES if self.by_waves else SOURCE_SPACINGS)
-            * self._rows.spacing_mm
-            / np.maximum(far, 1e-3 * self._rows.spacing_mm)
-        )
-        return np.asarray(np.square(reach))
-
-    def _learn(self, positions: Int64Array) -> None:
-        """From the errors of their neighbourhoods: how much each prediction should miss, and how much it does."""
-        for first in range(0, len(positions), 256):
-            some = positions[first : first + 256]
-            near = self._near[some]
-            strength = np.abs(self._errors[near]) ** 2 / self._variance[near]
-            strength[self._out[near]] = np.nan
-            known = np.isfinite(strength).all()
-            typical = (np.median if known else _nanmedian)(strength, axis=1) / np.log(2.0)
-            typical = np.where(np.isfinite(typical), typical, self._common)
-            smooth = typical.copy()
-            smooth[..., 1:-1] = 0.25 * (typical[..., :-2] + typical[..., 2:]) + 0.5 * typical[..., 1:-1]
-            errors, values = self._errors[some], self._values[some]
-            typical = np.maximum(smooth * self._variance[some], np.square(MIN_PREDICTION_ERROR * np.abs(values)))
-            typical = np.maximum(typical, np.finfo(np.float64).tiny)
-            predicted = values - errors
-            weight = (np.square(np.abs(predicted)) / typical).sum(axis=2)
-            self._typical[some] = typical
-            self._misses[some] = (np.square(np.abs(errors)) / typical).mean(axis=2)
-            self._weight[some] = weight
-            self._factor[some] = (predicted.conj() * values / typical).sum(axis=2) / np.maximum(weight, 1e-300)
-            self.judged[some] = weight > 0.5 / UNSURE**2
-
-    def _differing(self, positions: Int64Array, *, strict: bool) -> BoolArray:
-        """Which rows differ, or, less strictly, may differ, (positions, actuators)."""
-        nearest = self._near[positions][:, :NEAREST]
-        misses, weight = self._misses[positions], self._weight[positions]
-        # With neighbours left out, what no model of waves covers grows faster than what the kernel expects.
-        fewer = np.maximum((self._variance[positions] / self._variance_of_all[positions]).mean(axis=2), 1.0)
-        leniency, share = (LENIENCY_OF_WAVES, MIN_SHARE_BY_WAVES) if self.by_waves else (1.0, 0.0)
-        least = (MIN_DIFFERENCE_BY_WAVES if self.by_waves else MIN_DIFFERENCE) + share * self._faintness[positions]
-        least = least * fewer * (1.0 + self._near_field[positions] * fewer**3)
-        factor = self._factor[positions] - 1.0
-        # A wrong row may hide that its neighbours can be judged.
-        judged = self.judged[positions] if strict else np.isfinite(misses)
-        off = np.abs(factor)
-        by_factor = np.square(np.abs(self._factor - 1.0)) * self._weight
-        usual = self._usual(self._misses, nearest) if strict else np.ones_like(misses)
-        usual_factor = self._usual(by_factor, nearest) if strict else np.ones_like(misses)
-        usual, usual_factor = usual * self._one_sided[positions], usual_factor * self._one_sided[positions]
-        usual, usual_factor = np.maximum(usual, leniency), np.maximum(usual_factor, leniency)
-        found = (misses > MISSES * usual) & (misses * len(self._frequency_hz) > np.square(least) * weight)
-        found |= (by_factor[positions] > FACTOR * usual_factor) & (off > least)
-        # All of a position by one factor: the median over its rows shows less than each of them could.
-        sure = self.judged[positions]
-        factor = np.where(sure, factor, np.nan)
-        middle = np.abs(_nanmedian(factor.real, axis=1) + 1j * _nanmedian(factor.imag, axis=1))
-        count = np.maximum(sure.sum(axis=1), 1)
-        spread = _nanmedian(np.where(sure, np.sqrt(usual_factor / weight), np.nan), axis=1)
-        whole = (count >= MIN_ROWS) & (middle > _nanmedian(np.where(sure, least, np.nan), axis=1))
-        whole &= middle * np.sqrt(count) > np.sqrt(FACTOR) * spread
-        found = (found | whole[:, None]) & judged
-        mostly = (count >= MIN_ROWS) & (2 * found.sum(axis=1) > count)
-        return np.asarray(found | (mostly[:, None] & judged))
-
-    def _usual(self, figure: Float64Array, nearest: Int64Array) -> Float64Array:
-        """The third largest of the neighbours' figures, 1 at least."""
-        around = np.where(self._out[nearest], 0.0, np.nan_to_num(figure[nearest]))
-        return np.asarray(np.maximum(np.sort(around, axis=1)[:, -RANK], 1.0))
-
-    # -- the worst first ----------------------------------------------------------------------------
-
-    def _worst(self) -> BoolArray:
-        """Of the suspect rows, those that miss most in their neighbourhood, (positions, actuators)."""
-        suspect = self._suspect & ~self._tried & ~self._out
-        some = np.flatnonzero(suspect.any(axis=1))
-        energy = np.zeros(suspect.shape)
-        strength = np.abs(self._errors[some]) ** 2 / self._variance[some] / self._common
-        energy[some] = strength.sum(axis=2)
-        whole = suspect.sum(axis=1) > 0.5 * max(suspect.shape[1], 2 * MIN_ROWS)
-        total = np.where(whole, np.log1p(energy).sum(axis=1), -np.inf)
-        energy[~suspect] = 0.0
-        chosen = np.zeros_like(suspect)
-        for position in some.tolist():
-            around = self._neighbours[position][1:]
-            if whole[position]:
-                largest = bool(total[position] >= total[around].max())
-                chosen[position] = ~self._tried[position] & largest
-            elif not whole[around].any():
-                chosen[position] = suspect[position] & (energy[position] >= energy[around].max(axis=0))
-        return chosen
-
-    def _next_to_suspects(self) -> BoolArray:
-        """Rows that are left out and still have a suspect among the neighbours that predict them."""
-        suspect = self._suspect & ~self._tried
-        spoiled = np.zeros_like(suspect)
-        for position in np.flatnonzero(self._out.any(axis=1)).tolist():
-            spoiled[position] = suspect[self._neighbours[position][1:]].any(axis=0)
-        return spoiled
-
-    def _leave_out(self, tried: BoolArray) -> None:
-        self._out |= tried
-        self._renew(np.flatnonzero(tried.any(axis=1)))
-
-    def _let_back(self, tried: BoolArray) -> None:
-        """Use those rows again that agree, now that they and other suspects are left out of the predictions."""
-        positions = np.flatnonzero(tried.any(axis=1))
-        if not len(positions):
-            return
-        back = np.zeros_like(self._out)
-        back[positions] = self._out[positions] & tried[positions] & ~self._differing(positions, strict=True)
-        if back.any():
-            self._out &= ~back
-            self._renew(np.flatnonzero(back.any(axis=1)))
-
-    def _renew(self, changed: Int64Array) -> None:
-        """Predict again what was predicted from some positions' rows, without those that are left out."""
-        if isinstance(self._rows, RowsByWaves):
-            self._renew_by_waves(self._rows)
-            return
-        predicted = {user for position in changed.tolist() for user in self._users.get(position, ())}
-        predicted.update(changed.tolist())
-        for position in sorted(predicted):
-            rows = self._neighbours[position]
-            out = self._out[rows]
-            out[0] = False
-            changed_for = (out != self._left_out.get(position, np.zeros_like(out))).any(axis=0)
-            self._left_out[position] = out
-            for pattern in {column.tobytes() for column in out.T[changed_for]}:
-                left_out = np.frombuffer(pattern, dtype=bool)
-                actuators = np.flatnonzero(changed_for & (out == left_out[:, None]).all(axis=0))
-                self._renewed += 1
-                errors, variance = self._rows.error_without(position, rows[left_out], actuators)
-                self._errors[position, actuators], self._variance[position, actuators] = errors, variance
-        learned = set(predicted)
-        for position in predicted:
-            learned.update(self._users.get(position, ()))
-        again = np.array(sorted(learned), dtype=np.int64)
-        self._learn(again)
-        self._suspect[again] = self._differing(again, strict=False)
-
-    def _renew_by_waves(self, rows: RowsByWaves) -> None:
-        for actuator, out in enumerate(self._out.T):
-            before = self._left_out.get(actuator, np.zeros_like(out))
-            if (out != before).any():
-                self._left_out[actuator] = out.copy()
-                self._renewed += RENEWED_BY_WAVES
-                found = rows.errors_without(actuator, np.flatnonzero(out))
-                self._errors[:, actuator], self._variance[:, actuator] = found
-        self._learn(self._all)
-        self._suspect[self._all] = self._differing(self._all, strict=False)
-
-    # -- what differs ---------------------------------------------------------------------------------
-
-    def _named(self, position: int, out: Int64Array) -> Iterable[NeighbourDifference]:
-        values, errors = self._values[position], self._errors[position]
-        predicted, typical = values - errors, self._typical[position]
-        judged = np.flatnonzero(self.judged[position] | self._out[position])
-        if len(out) > 1 and 2 * len(out) > len(judged):
-            cause = cause_of(values[judged], predicted[judged], typical[judged], self._frequency_hz)
-            if cause is None:
-                cause = self._place(position, judged)
-            if cause is None and position in self._gain:
-                gain = self._gain[position]
-                level_db = 20.0 * float(np.log10(max(abs(gain), 1e-10)))
-                cause = {"kind": "level" if gain > 0 else "polarity", "level_db": level_db}
-            if cause is not None:
-                relative = relative_norm(errors[judged], predicted[judged])
-                whole = len(out) == len(judged)
-                return [NeighbourDifference(position, tuple(judged.tolist()), relative=relative, whole=whole, **cause)]  # type: ignore[arg-type]
+    def _named(self, position: int, rows: BoolArray, *, whole: bool) -> list[NeighbourDifference]:
+        values, predicted = self._values[position], self._values[position] - self.errors[position]
+        judged = np.flatnonzero(self.judged[position])
+        if whole or (rows.sum() >= MIN_ROWS and 2 * rows.sum() > judged.size):
+            size = np.linalg.norm(predicted[judged], axis=1, keepdims=True)
+            kind, level_db, _ = _factor(values[judged] / size, predicted[judged] / size)
+            relative = float(np.median(self._relative[position, judged]))
+            which = tuple(judged.tolist())
+            return [NeighbourDifference(position, which, kind or "elsewhere", relative, level_db, whole=True)]
         found: list[NeighbourDifference] = []
-        for actuator in out.tolist():
-            other = swapped(actuator, values, predicted, typical)
-            row = values[actuator], predicted[actuator], typical[actuator]
-            cause = cause_of(*row, self._frequency_hz, [other])
-            cause = cause or {"kind": "other"}
-            relative = relative_norm(errors[actuator], predicted[actuator])
-            found.append(NeighbourDifference(position, (actuator,), relative=relative, **cause))  # type: ignore[arg-type]
-        return together(found, whole=len(out) == len(judged))
-
-    def _place(self, position: int, actuators: Int64Array) -> dict[str, object] | None:
-        """The place whose rows a position has instead of its own."""
-        values, typical = self._values[position, actuators], self._typical[position, actuators]
-        differs = float((np.square(np.abs(self._errors[position, actuators])) / typical).sum())
-        others = np.array([other for other in self._all.tolist() if other != position and not self._out[other].any()])
-        best, place = np.inf, None
-        for first in range(0, len(others), 256):
-            some = others[first : first + 256]
-            missed = np.square(np.abs(self._values[some][:, actuators] - values)) / typical
-            left = missed.sum(axis=(1, 2))
-            if left.min() < best:
-                best, place = float(left.min()), self._position_mm[some[int(left.argmin())]]
-        offset_mm = self._rows.spacing_mm * _places_around(PLACES_BY_WAVES if self.by_waves else PLACES)
-        wrong = self._out.copy()
-        wrong[position] = True
-        right = np.where(wrong[..., None], self._values - self._errors, self._values)
-        around = self._rows.at(position, offset_mm, right)[:, actuators]
-        left = (np.square(np.abs(around - values)) / typical).sum(axis=(1, 2))
-        if left.min() < best:
-            best, place = float(left.min()), self._position_mm[position] + offset_mm[int(left.argmin())]
-        if place is None or best > (1.0 - EXPLAINED) * differs:
-            return None
-        return {"kind": "elsewhere", "place_mm": (float(place[0]), float(place[1]))}
+        other: dict[int, int] = {}
+        for actuator in np.flatnonzero(rows).tolist():
+            kind, level_db, share = _factor(values[actuator], predicted[actuator])
+            left = np.square(np.abs(values[actuator] - predicted)).sum(axis=1)
+            left = np.nan_to_num(left / left[actuator], nan=np.inf)
+            nearest = int(np.argmin(left))
+            if left[nearest] < min(share, 1 - EXPLAINED):
+                kind, level_db, other[actuator] = "swapped", 0.0, nearest
+            relative = float(self._relative[position, actuator])
+            found.append(NeighbourDifference(position, (actuator,), kind or "other", relative, level_db))
+        pairs = {(min(a, b), max(a, b)) for a, b in other.items() if other.get(b) == a}
+        kept = [one for one in found if not any(one.actuators[0] in pair for pair in pairs)]
+        return kept + [
+            NeighbourDifference(position, pair, "swapped", float(self._relative[position, list(pair)].max()))
+            for pair in sorted(pairs)
+        ]
 
 
-def _places_around(rings: Iterable[tuple[float, int]]) -> Float64Array:
-    """Places (n, 2) on circles, each of a radius and a number of directions."""
-    turns = [radius * np.exp(2j * np.pi * np.arange(count) / count) for radius, count in rings]
-    places = np.concatenate(turns)
-    return np.stack([places.real, places.imag], axis=1)
-
-
-def _nanmedian(values: Float64Array, axis: int) -> Float64Array:
-    """As numpy's, without a warning where there is nothing but NaN."""
-    ordered = np.sort(values, axis=axis)
-    count = np.isfinite(ordered).sum(axis=axis, keepdims=True)
-    middle = [np.clip(index, 0, None) for index in ((count - 1) // 2, count // 2)]
-    found = 0.5 * sum(np.take_along_axis(ordered, index, axis) for index in middle)
-    return np.asarray(np.squeeze(found, axis))
+def _factor(values: Complex128Array, predicted: Complex128Array) -> tuple[Kind | None, float, float]:
+    """A level or a polarity that explains a difference, the level in dB, and the share of it that is left."""
+    factor = float(np.vdot(predicted, values).real) / max(float(np.vdot(predicted, predicted).real), 1e-300)
+    differs, left = (float(np.square(np.abs(values - share * predicted)).sum()) for share in (1.0, factor))
+    share = left / max(differs, 1e-300)
+    if share > 1 - EXPLAINED:
+        return None, 0.0, share
+    return "level" if factor > 0 else "polarity", 20 * float(np.log10(max(abs(factor), 1e-10))), share

@@ -1,120 +1,17 @@
-"""Rows of a bank predicted from their neighbours, each row left out in turn, up to one factor per position.
-
-Each row's prediction from its neighbours leaves an error that is linear in the factors by which the rows would have to
-be multiplied. Few positions are wrong, so the factors are those of least squares with an L1 penalty on their difference
-from 1, by reweighted least squares (Daubechies, DeVore, Fornasier and Gunturk 2010), and then without the penalty.
-"""
+"""Rows of a bank predicted from their neighbours by the bank's own waves, each position left out in turn."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.linalg import splu
 from scipy.spatial import KDTree
 
 from wavefocus.calibration import BoolArray, Complex128Array, Float64Array, Int64Array
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.numerics import evenly_spread, on_a_line
-from wavefocus.calibration.wave_model import Patch, PatchKernel, WaveModel, fit_waves
-
-PENALTY = 4.0
-"""In standard deviations of a factor that is fitted by itself."""
-SUPPORT = 0.015
-"""Factors nearer to 1 than this are 1."""
-ROUNDS = 12
-FLOOR = 0.3
-"""A factor so many standard deviations from 1 is penalised like one at 1."""
-
-
-@dataclass(frozen=True, slots=True)
-class Gains:
-    """Common factors of the rows of positions.
-
-    value, float64 (positions,): The rows over what their neighbours say; 1 where nothing is known.
-    sigmas, float64 (positions,): How many standard deviations of what other positions show it is from 1.
-    explained, float64 (positions,): Which part of the unexpected error of the position's own rows the factors take
-        away.
-    """
-
-    value: Float64Array
-    sigmas: Float64Array
-    explained: Float64Array
-
-
-def common_gains(
-    patches: Mapping[int, Patch],
-    coefficients: Callable[[Patch], Complex128Array],
-    values: Complex128Array,
-    typical: Float64Array,
-    judged: BoolArray,
-) -> Gains:
-    """Find the positions whose rows all have one factor that is not 1.
-
-    patches: The positions that can be predicted.
-    coefficients: What each row of a patch counts in the error of its first, (frequencies, rows).
-    values, complex128 (positions, actuators, frequencies): The rows.
-    typical, float64 (positions, actuators, frequencies): Expected square of each row's error, > 0 where judged.
-    judged, bool (positions, actuators): Rows whose errors count.
-    """
-    count = len(values)
-
-    def parts_of(position: int) -> Complex128Array:
-        """What each row of a patch adds to the errors of its first, in units of what is expected: (rows, errors)."""
-        patch, actuators = patches[position], np.flatnonzero(judged[position])
-        parts = values[patch.rows][:, actuators] * coefficients(patch).T[:, None, :]
-        return np.asarray((parts / np.sqrt(typical[position, actuators])).reshape(len(patch.rows), -1))
-
-    looked_at = {position: patch for position, patch in patches.items() if judged[position].any()}
-    normal = _normal_matrix(looked_at, parts_of, count)
-    stiffness = np.maximum(normal.diagonal(), np.finfo(np.float64).tiny)
-    pull = -np.asarray(normal @ np.ones(count))
-    deviation = 1.0 / np.sqrt(stiffness)
-    known = np.flatnonzero(normal.diagonal() > 0)
-    unknown = sparse.diags_array((normal.diagonal() <= 0).astype(np.float64))
-    change, weight = np.zeros(count), PENALTY / deviation
-    for _ in range(ROUNDS):
-        change = splu((normal + sparse.diags_array(weight) + unknown).tocsc()).solve(pull)
-        weight = PENALTY / deviation / (np.abs(change) + FLOOR * deviation)
-    support = known[np.abs(change[known]) > SUPPORT]
-    value, sigmas, explained = np.ones(count), np.zeros(count), np.zeros(count)
-    if len(support):
-        inner = normal.tocsr()[support][:, support].toarray()
-        inverse = np.linalg.pinv(inner, hermitian=True)
-        change = np.zeros(count)
-        change[support] = inverse @ pull[support]
-        others = np.setdiff1d(known, support)
-        left = np.abs((pull - normal @ change)[others]) * deviation[others]
-        usual = max(1.0, 1.4826 * float(np.median(left))) if len(others) else 1.0
-        sigmas[support] = np.abs(change[support]) / np.sqrt(np.maximum(np.diag(inverse), 1e-300)) / usual
-        correction = 1.0 + change[support]
-        value[support] = 1.0 / np.where(np.abs(correction) > 1e-6, correction, 1e-6)
-        for position in looked_at.keys() & set(support.tolist()):
-            parts = parts_of(position)
-            before = float(np.square(np.abs(parts.sum(axis=0))).sum())
-            after = float(np.square(np.abs((1.0 + change[patches[position].rows]) @ parts)).sum())
-            explained[position] = (before - after) / max(before - parts.shape[1], 1e-9 * before, 1e-300)
-    return Gains(value, sigmas, explained)
-
-
-def _normal_matrix(
-    patches: Mapping[int, Patch], parts_of: Callable[[int], Complex128Array], count: int
-) -> sparse.csc_array:
-    """Normal equations of all errors, each in units of what is expected of it, in the factors on the rows."""
-    row, column, entry = [], [], []
-    for position, patch in patches.items():
-        parts = parts_of(position)
-        row.append(np.repeat(patch.rows, len(patch.rows)))
-        column.append(np.tile(patch.rows, len(patch.rows)))
-        entry.append((parts @ parts.conj().T).real.ravel())
-    if not entry:
-        return sparse.csc_array((count, count))
-    indices = (np.concatenate(row), np.concatenate(column))
-    return sparse.coo_array((np.concatenate(entry), indices), shape=(count, count)).tocsc()
-
+from wavefocus.calibration.wave_model import Patch, PatchKernel, fit_waves
 
 REACH_SPACINGS = 2.6
 """Neighbours are this near, in grid spacings: 20 on a square grid, 18 on a hexagonal one."""
@@ -149,10 +46,8 @@ class RowsPredicted:
         self.frequency_hz = frequency_hz
         self._position_mm = position_mm
         self.patches, self.spacing_mm = _patches(position_mm, usable)
-        self._kernels: dict[bytes, PatchKernel] = {}
         if self.patches:
-            with one_blas_thread():
-                self.waves = self._fit()
+            self.fit(usable)
 
     @property
     def neighbours(self) -> dict[int, Int64Array]:
@@ -173,7 +68,7 @@ class RowsPredicted:
         with one_blas_thread():
             for positions in by_shape.values():
                 patch = self.patches[positions[0]]
-                weights = self.coefficients(patch)
+                weights = self._kernel(patch).left_out
                 rows = np.stack([self.patches[position].rows for position in positions])
                 missed = np.zeros((len(positions), *self.values.shape[1:]), dtype=np.complex128)
                 for place in range(rows.shape[1]):
@@ -182,48 +77,34 @@ class RowsPredicted:
                 variance[positions] = self._kernel(patch).left_out_variance
         return errors, np.repeat(variance[:, None], self.values.shape[1], axis=1)
 
-    def error_without(
-        self, position: int, others: Int64Array, actuators: Int64Array
-    ) -> tuple[Complex128Array, Float64Array]:
-        """Error of some of a position's rows with some neighbours left out as well, and its expected square.
+    def errors_without(self, out: BoolArray) -> tuple[Complex128Array, Float64Array]:
+        """As `errors`, with all rows of some positions left out of all predictions as well.
 
-        With T the position and those others, C the covariance and M = (C^-1)_TT^-1: the first entry of
+        With T a position and those of its neighbours, C the covariance and M = (C^-1)_TT^-1: the first entry of
         M (C^-1 g)_T, and M's first.
-
-        Returns errors : complex128 (actuators, frequencies); variance : float64 (frequencies,).
         """
-        patch = self.patches[position]
-        among = (patch.rows[:, None] == others).any(axis=1)
-        among[0] = True
-        out = among.nonzero()[0]
-        inverse = self._kernel(patch).inverse
-        known = inverse[:, out] @ self.values[patch.rows[:, None], actuators].transpose(2, 0, 1)
-        left = np.linalg.inv(inverse[:, out[:, None], out])[:, :1]
-        return np.asarray((left @ known)[:, 0].T), np.asarray(left[:, 0, 0].real)
-
-    def at(self, position: int, offset_mm: Float64Array, values: Complex128Array) -> Complex128Array:
-        """Rows at places near a position, from its neighbours only, (places, actuators, frequencies).
-
-        values, complex128 (positions, actuators, frequencies): The rows to use, wrong ones replaced.
-        """
-        patch = self.patches[position]
-        kernel = PatchKernel(self.waves, patch.offset_mm[1:])
-        weights = kernel.weights(offset_mm)
-        return np.asarray(np.einsum("fpn,naf->paf", weights, values[patch.rows[1:]]))
-
-    def coefficients(self, patch: Patch) -> Complex128Array:
-        """What each row of a patch counts in the error of its first, (frequencies, rows): 1 for the first."""
-        return self._kernel(patch).left_out
+        errors, variance = self.errors()
+        for position, patch in self.patches.items():
+            among = out[patch.rows]
+            among[0] = True
+            if among[1:].any():
+                left_out = np.flatnonzero(among)
+                inverse = self._kernel(patch).inverse
+                known = inverse[:, left_out] @ self.values[patch.rows].transpose(2, 0, 1)
+                weights = np.linalg.inv(inverse[:, left_out[:, None], left_out])[:, :1]
+                errors[position], variance[position] = (weights @ known)[:, 0].T, weights[:, 0, 0].real
+        return errors, variance
 
     def _kernel(self, patch: Patch) -> PatchKernel:
         if patch.key not in self._kernels:
             self._kernels[patch.key] = PatchKernel(self.waves, patch.offset_mm)
         return self._kernels[patch.key]
 
-    def _fit(self) -> WaveModel:
-        """Fit the waves to patches of the commonest shapes, spread over the surface."""
+    def fit(self, sound: BoolArray) -> None:
+        """Fit the waves to patches of the commonest shapes, spread over the surface, all of whose rows are sound."""
         common = {key for key, _ in Counter(patch.key for patch in self.patches.values()).most_common(FIT_SHAPES)}
         patches = [patch for patch in self.patches.values() if patch.key in common]
+        patches = [patch for patch in patches if sound[patch.rows].all()] or patches
         spread = evenly_spread(len(patches), FIT_PATCHES)
         some = evenly_spread(len(self.frequency_hz), FIT_FREQUENCIES)
 
@@ -231,7 +112,9 @@ class RowsPredicted:
             return np.asarray(self.values[rows][..., some].transpose(2, 0, 1))
 
         chosen = [patches[index] for index in spread]
-        return fit_waves(chosen, self.frequency_hz[some], values, self.spacing_mm).at(self.frequency_hz)
+        with one_blas_thread():
+            self.waves = fit_waves(chosen, self.frequency_hz[some], values, self.spacing_mm).at(self.frequency_hz)
+        self._kernels: dict[bytes, PatchKernel] = {}
 
 
 def have_neighbours(position_mm: Float64Array, furthest_spacing_mm: float) -> BoolArray:

@@ -145,9 +145,11 @@ def packing(attributes: Mapping[str, Any], dtype: np.dtype[Any], what: str, defa
     fills, _ = numbers("_FillValue")
     if not fills and default_fill is not None:
         fills = [default_fill]
-    absent += [("==", number, True) for number in fills if not np.isnan(number)]
+    # An attribute of fewer digits than the stored numbers means the same number: 1e20 in float32 is 1.00000002e20.
+    alike: Literal["==", "~"] = "~" if counted.kind == "f" else "=="
+    absent += [(alike, number, True) for number in fills if not np.isnan(number)]
     missing, of_stored = numbers("missing_value")
-    absent += [("==" if of_stored else "~", number, of_stored) for number in missing if not np.isnan(number)]
+    absent += [(alike if of_stored else "~", number, of_stored) for number in missing if not np.isnan(number)]
     for key, at, comparison in (
         ("valid_range", 0, "<"),
         ("valid_range", 1, ">"),

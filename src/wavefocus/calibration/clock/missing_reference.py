@@ -30,7 +30,7 @@ UPSAMPLED = 4
 REMEDIES: dict[Cause, str] = {
     "rate": "set the audio interface and player.interface_rate_hz to one rate, and its clock source to internal",
     "silence": "check the cable from the loopback output to the reference input",
-    "noise": "check the loopback's level, its cable and the reference's input range",
+    "noise": "check level, cable and input range of the loopback, and recorder and player for lost samples",
     "other": "check which output is wired to the reference input, and recorder and player for lost samples",
     "cut": "make pre-roll and post-roll longer",
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.fft
 
-from wavefocus.calibration import Complex64Array, Complex128Array, Float32Array, Float64Array, Int64Array
+from wavefocus.calibration import Complex128Array, Float64Array, Int64Array
 from wavefocus.calibration.numerics import fourier_sum
 from wavefocus.storage.errors import InputError
 
@@ -111,91 +111,3 @@ def _dirichlet(turn: float, samples: int, differences: Int64Array) -> Complex128
     whole = np.abs(sine) < 1e-12
     ratio = np.where(whole, samples, np.sin(samples * half) / np.where(whole, 1.0, sine))
     return np.asarray(ratio * np.exp(-1j * (samples - 1) * half))
-
-
-# What lies above the kept band is folded onto it at most this strongly.
-ALIAS_DB = 70.0
-# Blocks of this many samples or fewer keep the matrix product cheaper than the transform it saves.
-MAX_BLOCK = 160
-
-
-class BandSpectrum:
-    """Discrete Fourier transform of segments of one period, in only some low bins.
-
-    The segment, taken as periodic, is low-pass filtered and decimated in one matrix product, then transformed.
-    A response and its reference go through the same filter; the spectra are corrected for it all the same.
-
-    period: Samples of a segment.
-    bins: Bins wanted, of the period // 2 + 1 there are.
-    """
-
-    def __init__(self, period: int, bins: slice) -> None:
-        self.period = period
-        self.bins = bins
-        self._decimation, self._block = _cheapest(period, bins.stop / period)
-        self._matrix = np.zeros((0, 0), dtype=np.float32)
-        self._correction = np.ones(bins.stop - bins.start, dtype=np.complex64)
-        if self._decimation > 1:
-            self._design()
-
-    def _design(self) -> None:
-        decimation, block = self._decimation, self._block
-        shift, half = _reach(decimation, block)
-        around = np.arange(-half, half + 1)
-        transition = 2 * np.pi * (1 / decimation - 2 * self.bins.stop / self.period)
-        attenuation = 8 + 2.285 * transition * 2 * half
-        filter_ = np.sinc(around / decimation) * np.kaiser(around.size, 0.1102 * (attenuation - 8.7))
-        both = np.zeros((2 * block, block // decimation))
-        for output in range(block // decimation):
-            both[output * decimation + shift + around, output] = filter_
-        self._matrix = np.concatenate([both[:block], both[block:]], axis=1).astype(np.float32)
-        omega = 2 * np.pi * np.arange(self.bins.start, self.bins.stop) / self.period
-        passed = np.cos(omega[:, None] * around) @ filter_
-        self._correction = (decimation * np.exp(-1j * omega * shift) / passed).astype(np.complex64)
-
-    def __call__(self, recording: Float32Array, starts: Int64Array) -> Complex64Array:
-        """Spectra of segments of recordings.
-
-        recording, float32 (records, samples): Recordings, contiguous.
-        starts, int64 (records, segments): First samples; each segment lies inside its recording.
-
-        Returns complex64 (records, segments, bins).
-        """
-        if self._decimation == 1:
-            segments = np.empty((*starts.shape, self.period), dtype=np.float32)
-            for record, row in enumerate(starts):
-                for segment, start in enumerate(row):
-                    segments[record, segment] = recording[record, start : start + self.period]
-            return np.ascontiguousarray(scipy.fft.rfft(segments, overwrite_x=True)[..., self.bins])
-        blocks, width = self.period // self._block, self._block // self._decimation
-        product = np.empty((*starts.shape, blocks, 2 * width), dtype=np.float32)
-        for record, row in enumerate(starts):
-            for segment, start in enumerate(row):
-                piece = recording[record, start : start + self.period].reshape(blocks, self._block)
-                np.matmul(piece, self._matrix, out=product[record, segment])
-        thin = np.empty((*starts.shape, blocks, width), dtype=np.float32)
-        np.add(product[..., :-1, :width], product[..., 1:, width:], out=thin[..., :-1, :])
-        np.add(product[..., -1, :width], product[..., 0, width:], out=thin[..., -1, :])
-        spectra = scipy.fft.rfft(thin.reshape(*starts.shape, -1), overwrite_x=True)
-        return np.asarray(spectra[..., self.bins] * self._correction)
-
-
-def _reach(decimation: int, block: int) -> tuple[int, int]:
-    """Where the first output of a block lies, and how far its filter reaches inside two blocks."""
-    shift = (block + decimation) // 2
-    return shift, min(shift, block + decimation - 1 - shift)
-
-
-def _cheapest(period: int, highest: float) -> tuple[int, int]:
-    """Thinning and block length that divide the period and cost least; (1, period) if none will do."""
-    best, least = (1, period), np.inf
-    for decimation in range(2, 33):
-        transition = 2 * np.pi * (1 / decimation - 2 * highest)
-        if period % (2 * decimation) or transition <= 0:
-            continue
-        for block in range(2 * decimation, MAX_BLOCK + 1, decimation):
-            enough = 8 + 2.285 * transition * 2 * _reach(decimation, block)[1] >= ALIAS_DB
-            # Products cost in proportion to the block; 50 is what the transform costs on that scale.
-            if period % block == 0 and enough and (block + 50) / decimation < least:
-                best, least = (decimation, block), (block + 50) / decimation
-    return best

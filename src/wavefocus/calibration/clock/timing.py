@@ -78,7 +78,10 @@ class BlockSearch:
         energy = np.array([np.square(known[low:high]).sum() for low, high in spans])
         loud = energy > MIN_ENERGY * energy.max()
         self._spans = [span for span, is_loud in zip(spans, loud, strict=True) if is_loud]
-        self._energy = energy[loud]
+        # The place of a block is the less sure the narrower its band is (Cramer-Rao: energy times squared width); where
+        # one sweep ends in it and another begins, its band is not as wide as that seems.
+        widths = np.array([_squared_width(known[low:high]) for low, high in self._spans])
+        self._worth = energy[loud] * np.minimum(widths, np.median(widths))
         # Records of one campaign are equally long.
         self._blocks = lru_cache(maxsize=1)(self._transformed)
         self._moves = np.zeros(len(self._spans))
@@ -97,7 +100,7 @@ class BlockSearch:
         recorded, float (samples,): The recording; the signal may lie anywhere in it, or stick out at either end.
         """
         lags = self._lags(recorded)
-        share = self._energy / self._energy.sum()
+        share = self._worth / self._worth.sum()
         moves = self._moves - share @ self._moves
         spread = float(share @ moves**2)
         # Blocks that all move alike do not show the stretch.
@@ -128,6 +131,14 @@ class BlockSearch:
             row[low:high] = self._known[low:high]
         spectra = scipy.fft.rfft(alone)[:, bins].conj().astype(np.complex64)
         return _Blocks(length, bins, scipy.fft.next_fast_len(math.ceil(OVERSAMPLING * spectra.shape[1])), spectra)
+
+
+def _squared_width(block: Float64Array) -> float:
+    """Mean square distance of a signal's frequencies from their mean, in squared thousandths of the rate."""
+    power = np.square(np.abs(scipy.fft.rfft(block * np.hanning(block.size)))) + 1e-300
+    bins = np.arange(power.size) * (1e3 / block.size)
+    mean = np.average(bins, weights=power)
+    return float(np.average(np.square(bins - mean), weights=power)) + 1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,10 +187,11 @@ class ClockFitter:
         self._clock = KnownSignalClock(spectrum[:bins], period, max_ppm, below_share=BAND_SHARE)
         self._search = BlockSearch(known, (first / period, bins / period), max_ppm)
 
-    def fit(self, recorded_v: ArrayLike, *, diagnose: bool = True) -> ClockFit:
+    def fit(self, recorded_v: ArrayLike, *, diagnose: bool = True, name: str = "the reference channel") -> ClockFit:
         """Find the known signal in one recording.
 
         recorded_v, (samples,): Reference channel in volts, on the DAQ clock.
+        name: Of the recording, for messages.
         diagnose: Whether to find out why the signal is absent, which takes a hundred times as long as a fit.
 
         Raises InputError: an array of a wrong shape or values that are not finite. ReferenceMissingError: the signal is
@@ -187,14 +199,14 @@ class ClockFitter:
         """
         recorded = np.asarray(recorded_v)
         if recorded.ndim != 1:
-            raise InputError(f"the reference has the shape {recorded.shape}; allowed is one axis")
+            raise InputError(f"{name} has the shape {recorded.shape}; allowed is one axis")
         if not np.isfinite(recorded).all():
-            raise InputError("the reference holds values that are not finite; allowed are volts")
+            raise InputError(f"{name} holds values that are not finite; allowed are volts")
         if not recorded.any():
-            raise ReferenceMissingError("the reference channel is silent", "silence")
+            raise ReferenceMissingError(f"{name} is silent", "silence")
         shortest = math.floor((1 - 1e-6 * self._max_ppm) * self._known.size) - 1
         if recorded.size < shortest:
-            raise ReferenceMissingError(f"the reference has {recorded.size} samples of {self._known.size}", "cut")
+            raise ReferenceMissingError(f"{name} has {recorded.size} samples of {self._known.size}", "cut")
         offset, ratio = self._search.first_guess(recorded)
         cut, first = self._cut(recorded, offset)
         decimated = decimate(cut[None].astype(np.float32), self._clock.highest)
@@ -208,12 +220,11 @@ class ClockFitter:
         residual_db = 10 * math.log10((max(left, 0.0) + 1e-300) / (explained + 1e-300))
         if not residual_db <= REFERENCE_LIMIT_DB or abs(fit.ratio - 1) > 1.01e-6 * self._max_ppm:
             found = f"unexplained {residual_db:.1f} dB, allowed {REFERENCE_LIMIT_DB:g} dB"
-            name = "the reference channel"
             if not diagnose:
                 raise ReferenceMissingError(f"{name} does not carry what was played ({found})")
             raise missing_reference(recorded, self._known, name, found, self._max_ppm)
         offset = first + fit.offset_samples
-        check_inside(offset, fit.ratio, self._known.size, recorded.size, "the reference")
+        check_inside(offset, fit.ratio, self._known.size, recorded.size, name)
         return ClockFit(offset, fit.ratio, fit.gain, residual_db)
 
     def _cut(self, recorded: NDArray[np.floating], offset: float) -> tuple[Float64Array, int]:

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.fft
 
 from wavefocus.calibration import Float32Array
-from wavefocus.calibration.clock.foreign_excitation import find_sweeps, learn_base, learn_sweeps, shape_of, whole_record
+from wavefocus.calibration.clock.foreign_excitation import find_sweeps, learn_base, learn_sweeps, whole_record
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
 from wavefocus.calibration.estimator.estimate import Channels, Estimate, PositionEstimator, Records
 from wavefocus.calibration.estimator.multichannel_fir_fit import MAX_JOINT_BYTES, joint_bytes
@@ -195,25 +195,26 @@ def _with_silence(
         report("same_clock: whole records, each with its own reference")
         return WholeRecordEstimator(records)
     reference, rate, taps = first.reference_v[0], header.sample_rate_hz, header.taps
-    given = shape_of(header) is not None
     found = find_sweeps(reference, header)
     shape, law = found.shape, f", {header.law}" if found.by_law else ""
     report(
         f"{shape.averages} sweeps of {shape.sweep_samples / rate:g} s{law}; "
         f"clocks differ by {1e6 * (found.ratio - 1):.2f} ppm"
     )
-    is_whole = given or shape.averages * shape.period_samples <= header.samples
+    is_whole = header.averages is not None or shape.period_samples <= header.samples
     if header.schedule.is_sequential and taps <= shape.period_samples - shape.sweep_samples and is_whole:
         sweeps = learn_sweeps(found, reference, header)
-        return SequentialEstimator(sweeps, taps, records.channels, schedule=header.schedule, comparable=given)
+        comparable = header.averages is not None
+        return SequentialEstimator(sweeps, taps, records.channels, schedule=header.schedule, comparable=comparable)
     latest = round(header.schedule.delay_s[header.schedule.actuator >= 0].max() * rate)
     ring = scipy.fft.next_fast_len(2 * header.samples + latest + taps, real=True)
     if joint_bytes(ring, (header.band_hz[1] - header.band_hz[0]) / rate, taps) <= MAX_JOINT_BYTES:
-        return StaggeredEstimator(whole_record(found, reference, ring), records, expected_ratio=found.ratio)
+        base_v = whole_record(found, reference, header, ring)
+        return StaggeredEstimator(base_v, records, expected_ratio=found.ratio)
 
     def clock(reference_v: Float32Array) -> tuple[float, float]:
         try:
-            here = find_sweeps(reference_v, header, shape.sweep_samples)
+            here = find_sweeps(reference_v, header)
         except InputError as error:
             raise ReferenceMissingError(str(error), advised=True) from error
         return here.ratio, here.offset

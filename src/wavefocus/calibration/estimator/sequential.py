@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from wavefocus.calibration import Float32Array, Float64Array
-from wavefocus.calibration.clock.repeats import RepeatFinder
+from wavefocus.calibration.clock.repeats import SweepCutter
 from wavefocus.calibration.estimator.causal_fit import CausalFit, ToeplitzFit
 from wavefocus.calibration.estimator.clipping import measure_levels
-from wavefocus.calibration.estimator.defect_finder import DefectFinder, Residuals, energy, few_steps
+from wavefocus.calibration.estimator.defect_finder import DefectFinder, Residuals, energy
 from wavefocus.calibration.estimator.estimate import DIRECT, EDGE, FLOOR, MAX_PPM, Channels, Estimate, decibel
 from wavefocus.calibration.excitation import Excitation
 from wavefocus.storage.errors import InputError
@@ -61,9 +61,9 @@ class SequentialEstimator:
             raise InputError(f"ridge is {ridge:g}; allowed is a number between 0 and 1")
         self.excitation, self.taps = excitation, taps
         self._schedule, self._comparable = schedule, comparable
-        self._finder = RepeatFinder(excitation, excitation.decay_samples - taps, MAX_PPM)
-        omega, period = self._finder.omega, self._finder.period
-        relative = self._finder.power / self._finder.median_power
+        self._cutter = SweepCutter(excitation, excitation.decay_samples - taps, MAX_PPM)
+        omega, period = self._cutter.omega, self._cutter.period
+        relative = self._cutter.power / self._cutter.median_power
         self._fit = (
             CausalFit(omega, relative, period, taps, ridge, MAX_PPM)
             if 2 * omega.size * taps <= DENSE_ELEMENTS
@@ -77,15 +77,14 @@ class SequentialEstimator:
         self._share = (self._in_band.stop - self._in_band.start) / hertz.size
         self._weight = np.sqrt(2 * relative / period).astype(np.float32)[self._in_band]
         self._defects = DefectFinder(
-            omega[self._in_band],
-            self._finder.bins.start + self._in_band.start,
+            self._in_band,
+            self._cutter.bins.start,
             period,
             excitation.averages,
             excitation.sample_rate_hz,
             taps,
             freedom=1 - self._fit.rank / self._fit.elements,
-            delay_rises=self._finder.delay_rises,
-            is_swept=self._finder.is_swept,
+            is_swept=self._cutter.is_swept,
         )
         late = channels.inter_channel_delay_s * excitation.sample_rate_hz
         self._in_time = np.exp(-1j * omega * late).astype(np.complex64)
@@ -126,47 +125,27 @@ class SequentialEstimator:
         self, reference: Float32Array, response: Float32Array, range_v: tuple[float, float], first: int
     ) -> Estimate:
         levels = measure_levels(reference, response, range_v)
-        repeats = self._finder.find(reference, first)
+        repeats = self._cutter.cut(reference, first)
         x = repeats.spectra
-        y = self._finder.segment_spectra(response, repeats.starts)
+        y = self._cutter.spectra(response, repeats.starts)
         reference_power = energy(x).sum(axis=1)
         transfer = (x.conj() * y).sum(axis=1) / np.maximum(reference_power, np.float32(FLOOR))
         found = self._fit.solve(transfer * self._in_time, repeats.ratio - 1)
         here = self._in_band
         answered = energy(y[..., here]).sum(axis=(1, 2), dtype=np.float64)
         # What one relation to the reference leaves of each sweep.
-        differing = y - transfer[:, None] * x if x.shape[1] > 1 else None
-        differing_power = None if differing is None else energy(differing).sum(axis=1)
-        missed = found.missed * self._in_time.conj()
-        outside = energy(missed) * reference_power + (0 if differing_power is None else differing_power)
-        outside[:, here] = 0
-        if differing is not None and differing_power is not None:
-            differing, differing_power = differing[..., here], differing_power[:, here]
-        coherence, repeat_db = self._repeatability(answered, differing_power)
+        differing = y - transfer[:, None] * x
+        coherence, repeat_db = self._repeatability(answered, energy(differing[..., here]))
         whole = energy(transfer[:, here] * self._weight).sum(axis=1, dtype=np.float64)
         left = energy(found.whitened[:, here]).sum(axis=1, dtype=np.float64)
         variance = left / max(self._share * (self._fit.elements - self._fit.rank), 1.0)
         noise = variance * self._share * self._fit.elements
-        gain = reference_power.sum(axis=1, dtype=np.float64) / self._finder.power.sum()
+        gain = reference_power.sum(axis=1, dtype=np.float64) / self._cutter.power.sum()
         residual_db = decibel(left, whole)
-        noise_v = np.sqrt(variance * gain * self._finder.median_power)
-        defects = self._defects.find(
-            Residuals(
-                response_v=response,
-                levels=levels,
-                reference=x[..., here],
-                reference_power=reference_power[:, here],
-                answered_energy=answered,
-                differing=differing,
-                differing_power=differing_power,
-                transfer=transfer[:, here],
-                missed=missed[:, here],
-                whitened=found.whitened[:, here],
-                outside=outside,
-                first_outside=self._finder.bins.start,
-            )
-        )
-        defects["steps"] = few_steps(response, levels, noise_v, residual_db, self.excitation.averages)
+        noise_v = np.sqrt(variance * gain * self._cutter.median_power)
+        missed = found.missed * self._in_time.conj()
+        defects = self._defects.find(Residuals(response, levels, answered, x, differing, missed))
+        defects["slip_db"] = repeats.residual_db
         return Estimate(
             green=found.green * np.float32(self._scale),
             snr_db=decibel(np.maximum(whole - noise, 0), noise),
@@ -182,13 +161,11 @@ class SequentialEstimator:
             reference_db=decibel(gain, self._reference_power),
         )
 
-    def _repeatability(
-        self, whole: Float64Array, differing_power: Float32Array | None
-    ) -> tuple[Float32Array, Float32Array]:
-        if differing_power is None:
+    def _repeatability(self, whole: Float64Array, differing: Float32Array) -> tuple[Float32Array, Float32Array]:
+        averages = self.excitation.averages
+        if averages == 1:
             unknown = np.full(whole.shape, np.nan, dtype=np.float32)
             return unknown, unknown.copy()
-        averages = self.excitation.averages
-        differing = differing_power.sum(axis=1, dtype=np.float64)
-        coherence = 1 - (differing + FLOOR) / (whole + FLOOR)
-        return coherence.astype(np.float32), decibel(differing * averages / (averages - 1), whole)
+        apart = differing.sum(axis=(1, 2), dtype=np.float64)
+        coherence = 1 - (apart + FLOOR) / (whole + FLOOR)
+        return coherence.astype(np.float32), decibel(apart * averages / (averages - 1), whole)

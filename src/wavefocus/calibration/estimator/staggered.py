@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import scipy.fft
 
-from wavefocus.calibration import Complex64Array, Complex128Array, Float32Array, Float64Array
+from wavefocus.calibration import Complex128Array, Float32Array, Float64Array
 from wavefocus.calibration.clock.known_signal import filled_bins, require_found
 from wavefocus.calibration.clock.known_signal_clock import KnownSignalClock, KnownSignalFit
 from wavefocus.calibration.clock.period_spectrum import period_spectrum, periodic_signal, require_coverage
 from wavefocus.calibration.clock.resampling import Decimated, decimate
 from wavefocus.calibration.estimator.clipping import measure_levels
-from wavefocus.calibration.estimator.defect_finder import LEAKS, not_looked_at
+from wavefocus.calibration.estimator.defect_finder import energy, find_moment, find_tone, not_looked_at
 from wavefocus.calibration.estimator.estimate import EDGE, FLOOR, MAX_PPM, Estimate, Records, decibel
 from wavefocus.calibration.estimator.multichannel_fir_fit import JointFit
 from wavefocus.storage.errors import InputError
@@ -22,11 +24,9 @@ RIDGE = 1e-6
 MIN_POWER = 1e-4
 # The way from player to reference input rings for less than the inverse of this, so its factor is smooth.
 SMOOTH_HZ = 10.0
-# The residual is looked at in moments of this length; chance makes the loudest of thousands six times the median.
-BURST_S = 0.005
-BURST_OVER_MEDIAN = 12.0
-# Chance makes the loudest of 1e12 bins 40 times the median; twice that is a tone.
-LINE_OVER_MEDIAN = 80.0
+# The fit smears what it cannot explain. Chance makes the loudest of thousands of moments six times their median, the
+# loudest of 1e12 bins 40 times.
+BURST_OVER_MEDIAN, TONE_OVER_MEDIAN = 12.0, 80.0
 # Repeats can be compared from so many periods on.
 MIN_PERIODS = 1.9
 
@@ -134,12 +134,14 @@ class StaggeredEstimator:
         # Noise is recorded during silence too; over more than a period it is averaged.
         averaged = periods if self._runs_on else 1 / periods
         defects = not_looked_at(solution.energy.size)
+        defects["slip_db"] = decibel(1 - clock.explained, 1.0)
         if self._runs_on:
-            turned = np.zeros(solution.left.size, dtype=np.complex128)
-            turned[here] = (solution.left * np.exp(1j * np.angle(base)))[here]
+            turned = solution.left * np.exp(1j * np.angle(base))
             # The fit hides its share of what is there.
-            defects["burst_db"], defects["burst_s"] = self._burst(turned, whole, fit.left_share)
-            defects["line_db"], defects["line_hz"] = self._line(solution.left, whole, fit.left_share)
+            visible_db = decibel(unexplained / fit.left_share, whole)
+            for name, is_there, where in self._concentrated(turned):
+                defects[f"{name}_db"] = visible_db if is_there else -np.inf
+                defects["burst_s" if name == "burst" else "line_hz"] = where
         return Estimate.of_slots(
             solution.green * scale[:, None],
             decibel(solution.energy, variance * fit.elements),
@@ -155,40 +157,16 @@ class StaggeredEstimator:
             reference_db=float(decibel(level, self._records.channels.reference_gain**2)),
         )
 
-    def _burst(self, left: Complex128Array, whole: float, visible: float) -> tuple[float, float]:
-        """Energy of the residual within a moment over all energy, in dB, and when that is in seconds of the period.
-
-        -inf where no moment stands out of the others.
-        """
+    def _concentrated(self, left: Complex128Array) -> Iterator[tuple[str, bool, float]]:
+        """Whether most of the residual is a tone, and its frequency in Hz; or a burst, and its time in s."""
+        _, (over,), (highest,) = find_tone(energy(left)[None], self._in_band)
+        is_tone = bool(over > TONE_OVER_MEDIAN)
+        yield "line", is_tone, (self._bins.start + highest) * self._rate_hz / self._period
         spectrum = np.zeros(self._period // 2 + 1, dtype=np.complex128)
-        spectrum[self._bins] = left
-        residual = scipy.fft.irfft(spectrum, self._period) * np.sqrt(2 * self._period)
-        step = max(round(BURST_S * self._rate_hz) // 2, 1)
-        moments = np.add.reduceat(np.square(residual), np.arange(0, self._period, step))[: self._period // step]
-        moments = moments + np.roll(moments, -1)
-        loudest = int(np.argmax(moments))
-        if moments[loudest] < BURST_OVER_MEDIAN * np.median(moments):
-            return -np.inf, np.nan
-        return float(decibel(float(moments[loudest]) / visible, whole)), loudest * step / self._rate_hz
-
-    def _line(self, left: Complex64Array, whole: float, visible: float) -> tuple[float, float]:
-        """Energy of a steady tone in the residual over all energy, in dB, and its frequency in Hz.
-
-        -inf where none stands out of the others. Of a tone beyond the band that which leaks into it counts.
-        """
-        power = np.square(np.abs(left)).astype(np.float64)
-        inside, outside = power[self._in_band], power.copy()
-        outside[self._in_band] = 0.0
-        highest = int(np.argmax(outside))
-        energy = float(inside.sum())
-        if not outside[highest] > LEAKS * energy:
-            highest = self._in_band.start + int(np.argmax(inside))
-            # A tone between two bins shows in both.
-            energy = float(power[max(highest - 1, 0) : highest + 2].sum())
-            if energy < LINE_OVER_MEDIAN * np.median(inside):
-                return -np.inf, np.nan
-        hertz = (self._bins.start + highest) * self._rate_hz / self._period
-        return float(decibel(energy / visible, whole)), hertz
+        spectrum[self._bins][self._in_band] = left[self._in_band]
+        residual = scipy.fft.irfft(spectrum, self._period)
+        _, (over,), (when_s,) = find_moment(np.square(residual)[None], 1 / self._rate_hz)
+        yield "burst", bool(over > BURST_OVER_MEDIAN and not is_tone), float(when_s)
 
     def _cleaned(self, reference: Complex128Array, clock: KnownSignalFit) -> Complex128Array:
         """Amplitudes of the base signal as the reference channel carries it, all but free of its noise."""

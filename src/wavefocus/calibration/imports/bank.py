@@ -31,6 +31,8 @@ from wavefocus.storage.point_status import Status
 Float64Array = NDArray[np.float64]
 OnProgress = Callable[[int, int], None]
 
+SENSELESS_DB = 200.0
+"""Levels of positions are nearer to each other than this: converters of 24 bits span 144 dB."""
 NOT_A_SURFACE = "the places are a projection of places in space, so distances on the surface are not those of the waves"
 NOT_A_PLATE = "the responses are no motion of a surface, and its model is of waves in a plate"
 
@@ -83,15 +85,18 @@ def import_bank(
         conversion = Conversion(measured, options, source)
         with _written(bank), tempfile.TemporaryFile(dir=bank.absolute().parent) as spool:
             records: list[tuple[int, PointRecord]] = []
+            peaks: list[float] = []
             for position, green, residual_db in conversion.rows():
                 if green is not None:
                     spool.write(green.tobytes())
                     records.append((position, _record(measured, position, residual_db)))
+                    peaks.append(float(np.abs(green).max()))
                 if on_progress is not None:
                     on_progress(position + 1, measured.shape[0])
             if not records:
                 raise InputError(f"{source}: no position holds a response; there is nothing to import")
-            facts = _facts(source, kind, measured, conversion, projection, len(records), options)
+            senseless = _require_levels(records, peaks)
+            facts = _facts(source, kind, measured, conversion, projection, len(records), options, senseless)
             report = json.dumps(facts)
             taps = conversion.taps
             header = BankHeader(
@@ -124,6 +129,16 @@ def import_bank(
                 measured.notes,
             )
     return Imported(facts, (*measured.shape[:2], taps), len(records))
+
+
+def _require_levels(records: list[tuple[int, PointRecord]], peaks: list[float]) -> list[int]:
+    """Mark as poor, and return, the positions whose largest value no instrument measures beside the others'."""
+    level_db = 20 * np.log10(np.maximum(peaks, 1e-300))
+    senseless = np.flatnonzero(np.abs(level_db - np.median(level_db)) > SENSELESS_DB).tolist()
+    for number in senseless:
+        position, record = records[number]
+        records[number] = position, replace(record, status=int(Status.POOR_SIGNAL))
+    return [records[number][0] for number in senseless]
 
 
 @contextmanager
@@ -187,6 +202,7 @@ def _facts(
     projection: Projection,
     rows: int,
     options: ImportOptions,
+    senseless: list[int],
 ) -> dict[str, Any]:
     """The report of an import."""
     count, actuators, _ = measured.shape
@@ -212,6 +228,11 @@ def _facts(
     if unknown:
         left_out.append(f"places of {unknown} actuators, which are not known")
     warnings = [*conversion.warnings]
+    if senseless:
+        warnings.append(
+            f"{len(senseless)} positions (the first is {senseless[0]}) lie more than {SENSELESS_DB:g} dB from the"
+            " median of all: fill values, or another unit; they are marked poor"
+        )
     if far := np.flatnonzero(~projection.near_surface(measured.actuator_m, measured.position_m)).tolist():
         warnings.append(
             f"{len(far)} actuators lie off the surface of the positions (the first is {far[0]}); a bank holds places on"
@@ -228,7 +249,7 @@ def _facts(
         caution = (
             f"{NOT_A_SURFACE}: snapping to a position may miss it by up to {projection.off_plane_m * 2e3:.3g} mm across"
         )
-    paragraph = f"Imported from {source.name} ({kind}). Read: {'; '.join(read)}."
+    paragraph = f"Imported from {source.resolve().name} ({kind}). Read: {'; '.join(read)}."
     if assumed:
         paragraph += f" Assumed: {'; '.join(assumed)}."
     if left_out:
@@ -239,7 +260,7 @@ def _facts(
         paragraph += f" Interpolation {', '.join(unsuited)} is refused: {next(iter(unsuited.values()))}."
     return {
         "paragraph": paragraph[:8000],
-        "source": source.name,
+        "source": source.resolve().name,
         "format": kind,
         "read": read,
         "assumed": assumed,

@@ -26,6 +26,11 @@ from wavefocus.storage.units import MOTIONS, split_unit
 
 Float64Array = NDArray[np.float64]
 
+NOTICED_DB = -40.0
+"""What is left out and holds more of the energy than this is a warning: it moves a response by 1 %."""
+RATES_HZ = (10.0, 1e9)
+"""Rates of responses, from a seismometer's to a fast digitiser's; what lies outside is a unit that was mistaken."""
+
 
 class Conversion:
     """Rows of a file as Green's functions, float32 (N, L), at the bank's rate and in its unit."""
@@ -45,12 +50,17 @@ class Conversion:
         self._rows = itertools.chain([first], rows)
         self._converter: CausalConverter | None = None
         self._take: Callable[[NDArray[Any]], NDArray[Any]] = np.asarray
-        self._cut = self._whole = self._ends = self._kept = 0.0
+        self._cut = self._whole = self._ends = self._kept = self._all_lines = self._lines_out = 0.0
         self._shift = 0
         if measured.frequency_hz is not None:
             self._from_spectra(measured, np.asarray(first), motion)
         else:
             self._from_samples(measured, motion)
+        if not RATES_HZ[0] <= self.rate_hz <= RATES_HZ[1]:
+            raise InputError(
+                f"{source}: the sample rate is {self.rate_hz:.6g} Hz; {RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz are"
+                " allowed: times are in s and frequencies in Hz"
+            )
         self._window = end_window(self.taps, options.end)
 
     def _motion(self, measured: Measured) -> Motion:
@@ -112,12 +122,12 @@ class Conversion:
             self.assumed.append("the rate is twice the highest frequency; --sample-rate-hz names another")
         if used.sum() < 2:
             raise InputError(f"{self._source}: fewer than two frequencies lie in the band; name another with --band")
-        self._take = lambda row: axis.one_sided(row)[:, used]
+        self._take = lambda row: self._lines(axis.one_sided(row), used)
         bins = bins[used]
         self._energy = TimeOfEnergy(bins, period)
         self.band_hz = (float(bins[0] * step), min(float(bins[-1] * step), self.rate_hz / 2))
         complete = len(bins) == period // 2 + 1
-        self._fit(bins, period, period if complete else period // 2, motion)
+        self._fit(bins, period, period, motion)
         side = "two-sided" if axis.period else "one-sided"
         missing = "" if complete else "; the rest up to half the rate is left to the fit of a causal response"
         self.said.append(
@@ -170,7 +180,7 @@ class Conversion:
         bins = bins[
             (bins * self.rate_hz >= self.band_hz[0] * period) & (bins * self.rate_hz <= self.band_hz[1] * period)
         ]
-        self._take = lambda row: scipy.fft.rfft(self._shifted(row, length), period)[:, bins]
+        self._take = lambda row: self._lines(scipy.fft.rfft(self._shifted(row, length), period), bins)
         self._fit(bins, period, length, motion)
         self.said.append(f"between {self.band_hz[0]:g} and {self.band_hz[1]:g} Hz, by a fit of causal FIRs")
 
@@ -179,6 +189,13 @@ class Conversion:
         if self.taps > period:
             raise InputError(f"{self._source}: --taps {self.taps}: at most the {period} samples of a period are there")
         self._converter = CausalConverter(bins, period, self.rate_hz, self.taps, motion)
+
+    def _lines(self, values: NDArray[Any], used: NDArray[Any]) -> NDArray[Any]:
+        """Values at the lines that are used; what the others hold is counted."""
+        kept, whole = values[:, used], np.nan_to_num(values)
+        self._all_lines += _energy(np.abs(whole))
+        self._lines_out += max(_energy(np.abs(whole)) - _energy(np.abs(kept)), 0.0)
+        return kept
 
     def _tidy(self, rate_hz: float) -> float:
         """A whole rate where the file's digits allow it."""
@@ -252,8 +269,23 @@ class Conversion:
 
     @property
     def warnings(self) -> list[str]:
-        """Warnings about frequency responses that are not causal, once all rows are converted."""
-        return [] if self._energy is None else self._energy.words()[1]
+        """What is left out and holds more than `NOTICED_DB`, and frequency responses that are not causal."""
+        found = [] if self._energy is None else self._energy.words()[1]
+        residual_db, lines_db = self.residual_db, self._lines_db
+        if lines_db is not None and lines_db > NOTICED_DB:
+            found.append(
+                f"frequencies left out hold {lines_db:.1f} dB of the energy; a wider --band, or none, keeps those that"
+                " the file holds"
+            )
+        if residual_db is not None and residual_db > NOTICED_DB:
+            what = "samples left out hold" if self._converter is None else f"FIRs of {self.taps} taps do not hold"
+            found.append(f"{what} {residual_db:.1f} dB of the energy; a larger --taps, or none, keeps it")
+        return found
+
+    @property
+    def _lines_db(self) -> float | None:
+        """Energy at the frequencies that are left out, in dB; None where none is."""
+        return 10 * math.log10(max(self._lines_out / self._all_lines, 1e-30)) if self._lines_out > 0 else None
 
     def ending(self) -> list[str]:
         """Sentences about what the FIRs leave out, once all rows are converted."""
@@ -266,6 +298,8 @@ class Conversion:
             said.append(f"the causal FIRs leave {level} of the energy in the band unexplained")
         elif residual_db is not None:
             said.append(f"samples left out hold {residual_db:.1f} dB of the energy")
+        if self._lines_db is not None:
+            said.append(f"frequencies left out hold {self._lines_db:.1f} dB of the energy")
         if self._ends > 0:
             level_db = 10 * math.log10(self._ends / self._kept)
             said.append(f"--end {self._options.end} changes the responses by {level_db:.1f} dB of their energy")

@@ -111,6 +111,12 @@ class GreenArray:
         if status.shape != (positions,) or ((status < 0) | (status > 255)).any():
             raise InputError(f"status has shape {status.shape}; status bits of {positions} positions are needed")
         object.__setattr__(self, "status", status.astype(np.uint8))
+        broken = (self.status & Status.VALID > 0) & ~np.isfinite(self.values).all(axis=(1, 2))
+        if broken.any():
+            where = int(np.argmax(broken))
+            raise InputError(
+                f"green holds NaN or infinity at position {where}, which is valid; finite values are needed"
+            )
         if self.check is not None:
             object.__setattr__(self, "check", truths("check", self.check))
             if self.check.shape != (positions,):
@@ -128,6 +134,10 @@ class GreenArray:
             object.__setattr__(self, "band_hz", (float(low_hz), float(high_hz)))
         if not (np.isfinite(self.sample_rate_hz) and self.sample_rate_hz > 0):
             raise InputError(f"sample_rate_hz is {self.sample_rate_hz}; it must be a finite number above 0")
+        if self.band_hz is not None and self.band_hz[1] > 0.5 * self.sample_rate_hz * (1 + 1e-9):
+            raise InputError(
+                f"band_hz ends at {self.band_hz[1]:g} Hz; half the rate is {0.5 * self.sample_rate_hz:g} Hz"
+            )
 
     def __repr__(self) -> str:
         size = f"{self.positions} positions, {self.actuators} actuators, {self.taps} taps"

@@ -78,7 +78,11 @@ def read_arrays(
             return np.array(hdf5_reading.numbers(file, name, 1 if name == "sample_rate_hz" else 2))
         return None
 
-    return measured_arrays(NamedArrays(path, get, listed), options)
+    def units(name: str) -> str:
+        place = name if "/" in name else group + name
+        return text_attribute(file[place], "units") if hdf5_reading.has(file, place) else ""
+
+    return measured_arrays(NamedArrays(path, get, listed, units), options)
 
 
 def _members(file: h5py.File, name: str) -> list[str]:

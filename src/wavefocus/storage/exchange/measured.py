@@ -23,7 +23,7 @@ Float64Array = NDArray[np.float64]
 
 METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 """Units of places, in metres."""
-_LENGTH_WORDS = {
+LENGTH_WORDS = {
     "metre": "m", "meter": "m", "metres": "m", "meters": "m", "millimetre": "mm", "millimeter": "mm", "µm": "um",
 }  # fmt: skip
 SPARE_BYTES = 64 << 20
@@ -163,7 +163,7 @@ def with_z(places: Float64Array) -> Float64Array:
 
 def length_unit(options: ImportOptions, path: Path, found: str = "") -> float:
     """Metres of one unit of length: of the file's own, or of --length-unit; raises InputError where neither is."""
-    name = _LENGTH_WORDS.get(found.strip().lower(), found.strip()) or options.length_unit
+    name = LENGTH_WORDS.get(found.strip().lower(), found.strip()) or options.length_unit
     if name not in METRES:
         said = f"gives places in {found!r}" if found else "does not say the unit of its places"
         raise InputError(f"{path} {said}; name it with --length-unit {'|'.join(METRES)}")

@@ -16,6 +16,7 @@ from wavefocus.storage.bank.ledger import QUALITY_NAMES
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.exchange.exported_rows import ExportedRows, OnProgress
 from wavefocus.storage.exchange.measured import (
+    LENGTH_WORDS,
     METRES,
     Float64Array,
     Measured,
@@ -63,11 +64,13 @@ class NamedArrays:
     path: The file.
     get: Returns the array or dataset of a name, None where there is none; a text as ``str``.
     names: Names that are there, for messages.
+    units: Returns the units that the file states of an array; empty where it states none.
     """
 
     path: Path
     get: Callable[[str], Any]
     names: Iterable[str]
+    units: Callable[[str], str] = lambda name: ""
 
 
 def measured_arrays(file: NamedArrays, options: ImportOptions) -> Measured:
@@ -87,7 +90,10 @@ def measured_arrays(file: NamedArrays, options: ImportOptions) -> Measured:
 
     def numbers(name: str) -> Float64Array | None:
         found = find(name)
-        return None if found is None else real(found, path, name)
+        if found is None:
+            return None
+        require_unit(path, name, file.units(theirs.get(name, name)))
+        return real(found, path, name)
 
     whole, imaginary = find("green"), find("green_imag")
     if whole is None and imaginary is not None and (given := find("green_real")) is not None:
@@ -133,6 +139,18 @@ def measured_arrays(file: NamedArrays, options: ImportOptions) -> Measured:
         quality=_quality(numbers, count, actuators),
         left_out=_left_out(file.names, theirs),
     )
+
+
+def require_unit(path: Path, name: str, stated: str) -> None:
+    """Refuse units that are not those of an array's name: ``time_s`` in ms, ``position_mm`` in m."""
+    wanted = name.rsplit("_", 1)[-1]
+    words: dict[str, tuple[str, ...]] = {"s": ("s", "sec", "second", "seconds"), "hz": ("hz", "hertz", "1/s", "s-1")}
+    words |= {unit: (unit, *(word for word, one in LENGTH_WORDS.items() if one == unit)) for unit in METRES}
+    if stated and wanted in words and stated.strip().lower() not in words[wanted]:
+        raise InputError(
+            f"{path}: {name} states the units {stated[:40]!r}; its name says {wanted}: convert the values, or correct"
+            " the attribute"
+        )
 
 
 def ordered(values: Any, path: Path, options: ImportOptions) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -132,6 +133,9 @@ def read(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
 def _read_classic(path: Path, options: ImportOptions, stack: ExitStack) -> Measured:
     from scipy.io import netcdf_file
 
+    stack.enter_context(warnings.catch_warnings())
+    # Rows refer to the file's memory until the import is over.
+    warnings.filterwarnings("ignore", message="Cannot close a netcdf_file")
     file = stack.enter_context(netcdf_file(path, "r", mmap=True, maskandscale=False))
 
     def get(name: str) -> Any:
@@ -150,4 +154,8 @@ def _read_classic(path: Path, options: ImportOptions, stack: ExitStack) -> Measu
             value.decode("utf-8", "replace") if isinstance(value, bytes) else None if value is None else np.array(value)
         )
 
-    return measured_arrays(NamedArrays(path, get, file.variables), options)
+    def units(name: str) -> str:
+        value = getattr(file.variables.get(name), "units", b"")
+        return value.decode("utf-8", "replace") if isinstance(value, bytes) else ""
+
+    return measured_arrays(NamedArrays(path, get, file.variables, units), options)

@@ -1,0 +1,115 @@
+"""Plates that are none of the product's, and that no constant was chosen on: responses by formula or finite elements.
+
+Each gives mobilities (places, actuators, frequencies) at any frequencies, and with them FIRs.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import scipy.special
+
+MIRRORED_MM = np.array([120.0, 90.0])
+DISK_MM = 55.0
+
+
+def mirror_images(places_mm, actuator_mm, hertz, *, speed_m_s=6.0, loss=0.1, orders=1):
+    """A membrane in a rectangle whose edges reflect: Hankel functions of the source and its images."""
+    wave = 2 * np.pi * np.asarray(hertz) / speed_m_s / np.sqrt(1 + 1j * loss)
+    size, half = MIRRORED_MM / 1e3, MIRRORED_MM / 2e3
+    found = np.zeros((len(places_mm), len(actuator_mm), len(hertz)), complex)
+    places_m, sources_m = np.asarray(places_mm) / 1e3 + half, np.asarray(actuator_mm) / 1e3 + half
+    for m in range(-orders, orders + 1):
+        for n in range(-orders, orders + 1):
+            for sx in (1, -1):
+                for sy in (1, -1):
+                    image = sources_m * [sx, sy] + 2 * size * [m, n]
+                    apart = np.hypot(*(places_m[:, None] - image).transpose(2, 0, 1)) + 1e-3
+                    found += sx * sy * scipy.special.hankel2(0, wave * apart[..., None])
+    return found * np.asarray(hertz)
+
+
+@cache
+def _bessel_zeros():
+    return [(order, zero) for order in range(18) for zero in scipy.special.jn_zeros(order, 9)]
+
+
+def disk(places_mm, actuator_mm, hertz, *, speed_m_s=7.0, loss=0.05):
+    """A membrane in a fixed ring: its modes are Bessel functions."""
+    omega = 2 * np.pi * np.asarray(hertz)
+    found = np.zeros((len(places_mm), len(actuator_mm), len(hertz)), complex)
+    (r, angle), (r0, angle0) = (
+        (np.hypot(*np.transpose(some)) / DISK_MM, np.arctan2(some[:, 1], some[:, 0]))
+        for some in (np.asarray(places_mm), np.asarray(actuator_mm))
+    )
+    for order, zero in _bessel_zeros():
+        shape, source = scipy.special.jv(order, zero * r), scipy.special.jv(order, zero * np.minimum(r0, 0.98))
+        around = np.cos(order * (angle[:, None] - angle0)) * (2 if order else 1)
+        norm = scipy.special.jv(order + 1, zero) ** 2
+        natural = zero * speed_m_s / (DISK_MM / 1e3)
+        resonance = 1j * omega / (natural**2 * (1 + 1j * loss) - omega**2)
+        found += (shape[:, None] * source * around / norm)[..., None] * resonance
+    return found
+
+
+@cache
+def _elements(refine):
+    import skfem
+    from skfem.models.poisson import laplace, mass
+
+    # A quadrilateral without symmetry, in metres.
+    mesh = skfem.MeshTri.init_sqsymmetric().refined(refine)
+    x, y = mesh.p
+    bent = np.stack([0.17 * x * (1 - 0.2 * y) - 0.08, 0.13 * y * (1 + 0.15 * x) - 0.07])
+    mesh = skfem.MeshTri(bent, mesh.t)
+    basis = skfem.Basis(mesh, skfem.ElementTriP2())
+    return basis, skfem.asm(laplace, basis).tocsc(), skfem.asm(mass, basis).tocsc()
+
+
+def elements(places_mm, actuator_mm, hertz, *, speed_m_s=6.5, loss=0.06, refine=3, modes=90):
+    """A free membrane of another shape by finite elements (scikit-fem), its lowest modes."""
+    basis, values, vectors = (*_modes(refine, modes),)
+    omega = 2 * np.pi * np.asarray(hertz)
+    shapes = basis.probes(np.asarray(places_mm).T / 1e3) @ vectors
+    sources = basis.probes(np.asarray(actuator_mm).T / 1e3) @ vectors
+    resonance = 1j * omega / (speed_m_s**2 * values[:, None] * (1 + 1j * loss) - omega**2)
+    return np.einsum("pm,am,mf->paf", shapes, sources, resonance)
+
+
+@cache
+def _modes(refine, modes):
+    import scipy.sparse.linalg
+
+    basis, stiffness, mass = _elements(refine)
+    values, vectors = scipy.sparse.linalg.eigsh(stiffness, modes, mass, sigma=-1.0)
+    return basis, np.maximum(values, 1e-9), vectors
+
+
+def places(kind, spacing_mm):
+    """A grid that fits into the plate of this kind, and ten actuators near its edge."""
+    reach_mm = {"images": MIRRORED_MM / 2 - 12, "disk": np.full(2, DISK_MM - 10), "elements": np.array([54.0, 42.0])}
+    across, up = (spacing_mm * np.arange(-(reach // spacing_mm), reach // spacing_mm + 1) for reach in reach_mm[kind])
+    grid = np.stack(np.meshgrid(across, up), axis=-1).reshape(-1, 2)
+    turns = 2 * np.pi * (np.arange(10) + 0.3) / 10
+    rim = {"images": MIRRORED_MM / 2 - 6, "disk": np.full(2, DISK_MM - 5), "elements": np.array([60.0, 47.0])}[kind]
+    actuator_mm = np.stack([np.cos(turns), np.sin(turns)], axis=1) * rim
+    if kind == "disk":
+        grid = grid[np.hypot(*grid.T) < DISK_MM - 10]
+    return grid, actuator_mm
+
+
+MAKERS = {"images": mirror_images, "disk": disk, "elements": elements}
+
+
+def responses(kind, places_mm, actuator_mm, rate_hz, taps, band_hz):
+    """FIRs (places, actuators, taps) of a band, with a little room before the wave for what the band rings ahead."""
+    hertz = np.fft.rfftfreq(taps, 1 / rate_hz)
+    octaves = np.log2(np.maximum(hertz, 1.0) / np.array(band_hz)[:, None])
+    window = 0.5 + 0.5 * np.cos(np.pi * np.clip(np.maximum(-octaves[0], octaves[1]) / 0.3, 0, 1))
+    used = window > 0
+    spectra = np.zeros((len(places_mm), len(actuator_mm), len(hertz)), complex)
+    spectra[..., used] = MAKERS[kind](places_mm, actuator_mm, hertz[used]) * window[used]
+    spectra[..., used] *= np.exp(-2j * np.pi * hertz[used] * 0.1 * taps / rate_hz)
+    green = np.fft.irfft(spectra, taps)
+    return green / np.sqrt(np.mean(np.square(green)))
