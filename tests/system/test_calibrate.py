@@ -284,6 +284,28 @@ def test_given_a_second_calibration_on_one_day_then_neither_file_is_lost(rig: Pa
     assert str(second["file"]).endswith("-2.toml")
 
 
+class SomebodyWhoTakesTheName(io.StringIO):
+    """A person at the keyboard; meanwhile another program writes a file under the name that was asked for."""
+
+    def __init__(self, taken: Path) -> None:
+        super().__init__("\n")
+        self.taken = taken
+
+    def readline(self, size: int | None = -1) -> str:
+        self.taken.write_text("of somebody else", encoding="utf-8")
+        return super().readline()
+
+
+def test_given_a_name_that_is_taken_meanwhile_then_what_was_measured_has_the_next_one(
+    rig: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = rig.with_name("c.toml")
+    monkeypatch.setattr(sys, "stdin", SomebodyWhoTakesTheName(out))
+    assert run(["calibrate", str(rig), "--only", "inputs", "--out", str(out)]) == 0
+    assert out.read_text(encoding="utf-8") == "of somebody else"
+    assert load_calibration(rig.with_name("c-2.toml")).inputs is not None
+
+
 @pytest.mark.parametrize(
     ("asked", "told"),
     [

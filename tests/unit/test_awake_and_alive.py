@@ -35,7 +35,7 @@ class Watch:
                 watch.asked.append(self.path)
                 if watch.hangs.is_set():
                     time.sleep(30)
-                self.send_response(watch.status)
+                self.send_response(watch.status, f"nothing wanted {self.path}")
                 self.end_headers()
 
             def log_message(self, *_: object) -> None:

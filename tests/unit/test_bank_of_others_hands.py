@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
@@ -23,6 +24,7 @@ from wavefocus.storage.bank.ledger import PointRecord
 from wavefocus.storage.bank.notes import add_note
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter, create_bank
+from wavefocus.storage.claims import claimed
 from wavefocus.storage.errors import BankBusyError, InputError
 
 
@@ -233,3 +235,25 @@ def test_given_objects_with_arrays_then_their_text_is_three_lines_at_most(bank: 
         for made in (view, green, drive, wf.predict(drive, green)):
             assert len(repr(made).splitlines()) <= 3
             assert len(repr(made)) < 400
+
+
+def test_given_a_bank_that_a_notebook_has_open_in_h5py_then_both_read_it(bank: Path) -> None:
+    with h5py.File(bank) as notebook, open_bank(bank) as view:
+        assert np.array_equal(view.green(2), notebook["green"][2])
+    with open_bank(bank) as view, h5py.File(bank) as notebook:
+        assert np.array_equal(view.green(2), notebook["green"][2])
+
+
+@pytest.mark.may_skip("permissions of POSIX")
+@pytest.mark.skipif(os.name != "posix", reason="permissions of POSIX")
+def test_given_a_closed_umask_then_the_lock_of_a_name_stays_open_to_other_users(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    former = os.umask(0o077)
+    try:
+        with claimed("tasks of Dev1"):
+            (lock,) = tmp_path.glob("*.lock")
+            assert lock.stat().st_mode & 0o666 == 0o666
+    finally:
+        os.umask(former)

@@ -26,6 +26,13 @@ def test_given_a_virtual_rig_then_it_says_that_nothing_is_to_be_emulated(tmp_pat
     assert "--rig emulated" in told(capsys)
 
 
+def test_given_the_template_of_a_real_rig_then_it_names_the_rig_that_can_be_emulated(tmp_path, capsys):
+    assert run(["init", "--rig", "template", str(tmp_path / "lab")]) == 0
+    capsys.readouterr()
+    assert run(["emulate", str(tmp_path / "lab" / "rig.toml")]) == 2
+    assert "wavefocus init DIR --rig emulated" in told(capsys)
+
+
 def test_given_a_port_where_something_is_then_it_is_left_alone(tmp_path, capsys):
     (tmp_path / "mirror").write_text("precious", encoding="utf-8")
     (tmp_path / "rig.toml").write_text(rig_text(tmp_path, "localhost:0"), encoding="utf-8")

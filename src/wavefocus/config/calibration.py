@@ -15,7 +15,7 @@ from wavefocus.config.loading import parse_toml, printable, read_toml, shown, va
 from wavefocus.config.rig_instruments import Matrix
 from wavefocus.drivers.protocols import DeviceIdentity
 from wavefocus.options import CALIBRATION_PARTS
-from wavefocus.storage.errors import InputError
+from wavefocus.storage.errors import ExistsError, InputError
 from wavefocus.storage.output_files import replacement, write_whole
 from wavefocus.storage.text_file import read_text
 
@@ -252,14 +252,14 @@ NOTES = {
 def write_calibration(path: Path, record: CalibrationRecord) -> None:
     """Write a calibration file; one that is there is never overwritten.
 
-    Raises InputError: the file is there already, or cannot be written.
+    Raises ExistsError: the file is there already. Raises InputError: it cannot be written.
     """
     text = HEAD + "\n".join(_lines(record))
     try:
         with replacement(path, new=True) as temporary:
             temporary.write_bytes((text + "\n").encode())
     except FileExistsError:
-        raise InputError(printable(f"{path}: is there already and is not overwritten; name another file")) from None
+        raise ExistsError(printable(f"{path}: is there already and is not overwritten; name another file")) from None
     except OSError as error:
         raise InputError(printable(f"{path}: cannot be written: {error.strerror or error}")) from None
 

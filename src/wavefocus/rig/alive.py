@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from http.client import HTTPException
 from pathlib import Path
 from types import TracebackType
+from urllib.error import HTTPError
 
 from wavefocus.config.messages.rig_checks import Act, Finding
 from wavefocus.config.rig import MessagesSection
@@ -82,6 +83,8 @@ def failure_of(signal: Callable[[], None]) -> str:
     """Why a sign of life was not given, without its address; empty where it was."""
     try:
         signal()
+    except HTTPError as failure:
+        return f"the server answered {failure.code}"  # its phrase may repeat the address
     except (OSError, ValueError, HTTPException) as failure:
         return str(getattr(failure, "reason", None) or getattr(failure, "strerror", None) or type(failure).__name__)
     return ""

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from wavefocus.storage import durable
-from wavefocus.storage.errors import BankBusyError
+from wavefocus.storage.errors import BankBusyError, InputError
 from wavefocus.storage.ledger import owner
 from wavefocus.storage.sidecar_files import create
 
@@ -31,7 +31,15 @@ def claimed(name: str, *, wait_s: float = 0.0) -> Iterator[None]:
     path = _lock_file(name)
     with suppress(FileExistsError):
         create(path).close()
-    with durable.open_file(path) as file:
+        path.chmod(0o666)  # other users of this computer hold the same name, whatever the umask
+    try:
+        lock = durable.open_file(path)
+    except PermissionError:
+        raise InputError(
+            f"{name}: its lock {path} belongs to user {_maker(path)}, who lets no one else open it; ask that user to"
+            f" remove the file, or to type chmod 666 {path}"
+        ) from None
+    with lock as file:
         given_up_s = time.monotonic() + max(wait_s, _MIN_WAIT_S)
         while not file.try_lock():
             if time.monotonic() >= given_up_s:
@@ -52,6 +60,13 @@ def claim_holder(name: str) -> owner.Owner | None:
     """The process that holds a name now; None where none does."""
     path = _lock_file(name)
     return owner.bank_owner(path) if path.is_file() else None
+
+
+def _maker(path: Path) -> str:
+    try:
+        return path.owner()
+    except (OSError, KeyError, NotImplementedError):
+        return "unknown"
 
 
 def _lock_file(name: str) -> Path:

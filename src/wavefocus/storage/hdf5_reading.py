@@ -68,7 +68,7 @@ def opened(path: Path, *, cache_bytes: int = 1 << 20) -> Iterator[h5py.File]:
     """
     require_regular(path)
     try:
-        with h5py.File(path, "r", locking=False, rdcc_nbytes=cache_bytes) as file:
+        with _opened(path, cache_bytes) as file:
             yield file
     except PermissionError as error:
         raise InputError(f"{path} may not be read: {error.strerror}") from error
@@ -77,6 +77,16 @@ def opened(path: Path, *, cache_bytes: int = 1 << 20) -> Iterator[h5py.File]:
         if path.suffix.lower() == ".toml":
             complaint = "is a TOML file; an HDF5 file, such as a bank, is needed"
         raise InputError(f"{path} {complaint}") from error
+
+
+def _opened(path: Path, cache_bytes: int) -> h5py.File:
+    try:
+        return h5py.File(path, "r", locking=False, rdcc_nbytes=cache_bytes)
+    except OSError as error:
+        if "locking flag" not in str(error):
+            raise
+        # This process has it open with locks. To another driver of HDF5 it is another file, which needs none.
+        return h5py.File(path, "r", driver="stdio", locking=False, rdcc_nbytes=cache_bytes)
 
 
 @contextlib.contextmanager

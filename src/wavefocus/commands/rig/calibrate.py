@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+from contextlib import suppress
 from datetime import date
 from pathlib import Path
 
@@ -26,7 +27,7 @@ from wavefocus.rig.instruments import openers
 from wavefocus.rig.operation import SAMPLE_RATE_HZ, faulted
 from wavefocus.rig.operators import LinesOperator, TerminalOperator, forget_typed
 from wavefocus.rig.setup import open_rig, setup_in_use
-from wavefocus.storage.errors import InputError
+from wavefocus.storage.errors import ExistsError, InputError
 
 
 def calibrate(
@@ -38,7 +39,9 @@ def calibrate(
     rig file is made to name what was written.
     """
     rig = load_rig(rig_file)
-    file = _file(out, rig_file.parent)
+    if out is not None and os.path.lexists(out):
+        raise InputError(f"--out {out}: is there already and is not overwritten; name another file")
+    file: Path | None = None
     session = CalibrationSession(rig, options)
     lines = LinesOut() if operator == "lines" else None
     if lines is not None:
@@ -56,12 +59,13 @@ def calibrate(
             # Whatever ends a calibration, the cables plugged so far were not plugged for nothing.
             record = session.record()
             if session.measured:
-                _keep(file, record, session.measured, rig_file, use=use)
+                file = _kept(out, record, rig_file.parent)
+                _report(file, session.measured, rig_file, use=use)
     for problem in session.problems:
         say(f"not good enough: {problem}")
     if as_json or lines is not None:
         done = CalibrationDone(
-            file=str(file) if session.measured else None,
+            file=None if file is None else str(file),
             measured=tuple(session.measured),
             problems=tuple(session.problems),
             calibration=record.model_dump(mode="json"),
@@ -89,8 +93,17 @@ def _operator(setup: Setup, lines: LinesOut | None) -> Operator:
     return LinesOperator(answers, lines, ManualMeasurements(setup, SAMPLE_RATE_HZ).level, place_mm)
 
 
-def _keep(file: Path, record: CalibrationRecord, measured: list[str], rig_file: Path, *, use: bool) -> None:
-    write_calibration(file, record)
+def _kept(out: Path | None, record: CalibrationRecord, folder: Path) -> Path:
+    """Write to the file asked for, or one of today's next to the rig file; where a name is taken, to the next one."""
+    first = out or folder / f"calibration-{date.today().isoformat()}.toml"
+    for file in (first, *(first.with_stem(f"{first.stem}-{number}") for number in range(2, 1000))):
+        with suppress(ExistsError):
+            write_calibration(file, record)
+            return file
+    raise ExistsError(f"{first}: this name and 998 like it are taken; move some of these files away")
+
+
+def _report(file: Path, measured: list[str], rig_file: Path, *, use: bool) -> None:
     say(f"{file}: {', '.join(measured)}")
     name = _name_from(rig_file.parent, file)
     if not use:
@@ -106,14 +119,3 @@ def _name_from(folder: Path, file: Path) -> str:
         return Path(os.path.relpath(file, folder)).as_posix()
     except ValueError:  # on another drive
         return file.absolute().as_posix()
-
-
-def _file(out: Path | None, folder: Path) -> Path:
-    """Where to write: the file asked for, or one of today's next to the rig file; none is overwritten."""
-    if out is not None:
-        if os.path.lexists(out):
-            raise InputError(f"--out {out}: is there already and is not overwritten; name another file")
-        return out
-    name = f"calibration-{date.today().isoformat()}"
-    candidates = [folder / f"{name}.toml", *(folder / f"{name}-{number}.toml" for number in range(2, 1000))]
-    return next(file for file in candidates if not os.path.lexists(file))

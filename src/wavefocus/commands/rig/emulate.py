@@ -53,6 +53,8 @@ def emulate(rig_file: Path, *, as_json: bool) -> Exit:
     with stop_on_signals(stop):
         try:
             emulated = EmulatedRig(virtual_settings(rig), wiring_of(rig, rig_file), faults)
+        except InputError as wrong:
+            raise InputError(f"{wrong}; wavefocus init DIR --rig emulated writes a rig that can be emulated") from None
         except (JackServerError, RuntimeError, ValueError) as refused:
             raise InputError(f"{rig_file}: {refused}") from None
         with emulated:
