@@ -14,25 +14,48 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from wavefocus.banks import export_bank, import_bank
-    from wavefocus.calibration.estimator.raw_estimation import estimate_positions
-    from wavefocus.calibration.estimator.raw_estimation import estimator_of as estimator
-    from wavefocus.drives import focus_figures, predict, quiet_levels, render
-    from wavefocus.estimation import estimate
-    from wavefocus.live_session.sources import LiveSources, live
-    from wavefocus.rendering.field.foci import FocusResults
-    from wavefocus.rendering.greens.source import GreenArray
-    from wavefocus.rendering.scene.model import QuietPlace, Scene, Source, load_scene
-    from wavefocus.rendering.scene.paths import Circle, Line, Point, Polyline
-    from wavefocus.rendering.scene.signals import Impulse, Noise, Sine, SoundFile
-    from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
-    from wavefocus.storage.bank.notes import add_note
-    from wavefocus.storage.bank.reading import Bank, open_bank
-    from wavefocus.storage.drive_file import Drive, read_drive, write_drive
-    from wavefocus.storage.errors import InputError
-    from wavefocus.storage.field_file import Field, read_field, write_field
-    from wavefocus.storage.raw.writer import RawFile, open_raw
-    from wavefocus.virtual import VirtualBench, virtual_rig
+    from wavefocus.banks import export_bank as export_bank
+    from wavefocus.banks import import_bank as import_bank
+    from wavefocus.calibration.estimator.raw_estimation import estimate_positions as estimate_positions
+    from wavefocus.calibration.estimator.raw_estimation import estimator_of
+    from wavefocus.drives import focus_figures as focus_figures
+    from wavefocus.drives import predict as predict
+    from wavefocus.drives import quiet_levels as quiet_levels
+    from wavefocus.drives import render as render
+    from wavefocus.estimation import estimate as estimate
+    from wavefocus.live_session.sources import LiveSources as LiveSources
+    from wavefocus.live_session.sources import live as live
+    from wavefocus.rendering.field.foci import FocusResults as FocusResults
+    from wavefocus.rendering.greens.source import GreenArray as GreenArray
+    from wavefocus.rendering.scene.model import QuietPlace as QuietPlace
+    from wavefocus.rendering.scene.model import Scene as Scene
+    from wavefocus.rendering.scene.model import Source as Source
+    from wavefocus.rendering.scene.model import load_scene as load_scene
+    from wavefocus.rendering.scene.paths import Circle as Circle
+    from wavefocus.rendering.scene.paths import Line as Line
+    from wavefocus.rendering.scene.paths import Point as Point
+    from wavefocus.rendering.scene.paths import Polyline as Polyline
+    from wavefocus.rendering.scene.signals import Impulse as Impulse
+    from wavefocus.rendering.scene.signals import Noise as Noise
+    from wavefocus.rendering.scene.signals import Sine as Sine
+    from wavefocus.rendering.scene.signals import SoundFile as SoundFile
+    from wavefocus.rendering.scene.trajectory_path import TrajectoryPath as TrajectoryPath
+    from wavefocus.storage.bank.notes import add_note as add_note
+    from wavefocus.storage.bank.reading import Bank as Bank
+    from wavefocus.storage.bank.reading import open_bank as open_bank
+    from wavefocus.storage.drive_file import Drive as Drive
+    from wavefocus.storage.drive_file import read_drive as read_drive
+    from wavefocus.storage.drive_file import write_drive as write_drive
+    from wavefocus.storage.errors import InputError as InputError
+    from wavefocus.storage.field_file import Field as Field
+    from wavefocus.storage.field_file import read_field as read_field
+    from wavefocus.storage.field_file import write_field as write_field
+    from wavefocus.storage.raw.writer import RawFile as RawFile
+    from wavefocus.storage.raw.writer import open_raw as open_raw
+    from wavefocus.virtual import VirtualBench as VirtualBench
+    from wavefocus.virtual import virtual_rig as virtual_rig
+
+    estimator = estimator_of
 
 _MODULES = {
     "Bank": "wavefocus.storage.bank.reading",
@@ -77,48 +100,7 @@ _MODULES = {
     "write_field": "wavefocus.storage.field_file",
 }
 
-__all__ = [
-    "Bank",
-    "Circle",
-    "Drive",
-    "Field",
-    "FocusResults",
-    "GreenArray",
-    "Impulse",
-    "InputError",
-    "Line",
-    "LiveSources",
-    "Noise",
-    "Point",
-    "Polyline",
-    "QuietPlace",
-    "RawFile",
-    "Scene",
-    "Sine",
-    "SoundFile",
-    "Source",
-    "TrajectoryPath",
-    "VirtualBench",
-    "add_note",
-    "estimate",
-    "estimate_positions",
-    "estimator",
-    "export_bank",
-    "focus_figures",
-    "import_bank",
-    "live",
-    "load_scene",
-    "open_bank",
-    "open_raw",
-    "predict",
-    "quiet_levels",
-    "read_drive",
-    "read_field",
-    "render",
-    "virtual_rig",
-    "write_drive",
-    "write_field",
-]
+__all__ = list(_MODULES)
 
 
 def __getattr__(name: str) -> Any:

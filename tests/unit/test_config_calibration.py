@@ -117,7 +117,7 @@ def test_given_a_file_without_identities_then_it_is_read_and_has_none(tmp_path: 
 def test_given_an_identity_with_a_key_that_is_not_known_then_the_file_is_refused_by_that_key(tmp_path: Path) -> None:
     write_calibration(tmp_path / "cal.toml", measured())
     text = (tmp_path / "cal.toml").read_text()
-    (tmp_path / "cal.toml").write_text(text.replace('product = "r"', 'product = "r", colour = "r"'))
+    (tmp_path / "cal.toml").write_text(text.replace('product = "r"', 'product = "r"\ncolour = "r"'))
     with pytest.raises(InputError, match=r"inputs\.identity\.colour"):
         load_calibration(tmp_path / "cal.toml")
 

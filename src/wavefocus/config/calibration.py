@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator, Mapping
-from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -254,50 +252,36 @@ def write_calibration(path: Path, record: CalibrationRecord) -> None:
 
     Raises ExistsError: the file is there already. Raises InputError: it cannot be written.
     """
-    text = HEAD + "\n".join(_lines(record))
+    text = HEAD + _toml(record)
     try:
         with replacement(path, new=True) as temporary:
-            temporary.write_bytes((text + "\n").encode())
+            temporary.write_bytes(text.encode())
     except FileExistsError:
         raise ExistsError(printable(f"{path}: is there already and is not overwritten; name another file")) from None
     except OSError as error:
         raise InputError(printable(f"{path}: cannot be written: {error.strerror or error}")) from None
 
 
-def _lines(record: CalibrationRecord) -> Iterator[str]:
-    data = record.model_dump(exclude_none=True)
-    tables = {name: data.pop(name) for name in NOTES if name in data}
-    yield from (f"{key} = {_toml(value)}" for key, value in data.items())
-    for name, table in tables.items():
-        yield ""
-        yield f"[{name}]  # {NOTES[name]}"
-        rows = [(key, value) for key, value in table.items() if _is_tables(value)]
-        yield from (f"{key} = {_toml(value)}" for key, value in table.items() if not _is_tables(value))
-        for key, entries in rows:
-            yield f"{key} = ["
-            yield from (f"    {_toml(entry)}," for entry in entries)
-            yield "]"
+def _toml(record: CalibrationRecord) -> str:
+    import tomlkit  # only commands that write a file
+
+    data, document = record.model_dump(exclude_none=True), tomlkit.document()
+    for name in [*(key for key in data if key not in NOTES), *(key for key in NOTES if key in data)]:
+        if name not in NOTES:
+            document[name] = data[name]
+            continue
+        table: Any = tomlkit.table().comment(NOTES[name])
+        for key, value in data[name].items():
+            table[key] = _lines(value) if value and isinstance(value, tuple) and isinstance(value[0], dict) else value
+        document[name] = table
+    return tomlkit.dumps(document)
 
 
-def _is_tables(value: object) -> bool:
-    return isinstance(value, list | tuple) and len(value) > 0 and isinstance(value[0], Mapping)
+def _lines(rows: tuple[dict[str, Any], ...]) -> Any:
+    """Tables with a line each."""
+    import tomlkit
 
-
-def _toml(value: object) -> str:
-    if isinstance(value, datetime):
-        return value.isoformat(timespec="seconds")
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{key} = {_toml(entry)}" for key, entry in value.items()) + " }"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(_toml(entry) for entry in value) + "]"
-    if isinstance(value, str):
-        return _quoted(value)
-    return repr(value)
-
-
-def _quoted(text: str) -> str:
-    escaped = "".join(
-        {'"': '\\"', "\\": "\\\\"}.get(letter, letter if letter.isprintable() else f"\\U{ord(letter):08X}")
-        for letter in text
-    )
-    return f'"{escaped}"'
+    array = tomlkit.array().multiline(True)
+    for row in rows:
+        array.append(tomlkit.item(row, array))
+    return array

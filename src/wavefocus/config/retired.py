@@ -31,6 +31,8 @@ OPTIONS = {
     "--plate": "demo --quick has a plate without a rim, bench measures all plates",
     "--frame-rate-hz": "movies have 25 frames a second, and --slow says how slow they are",
     "--limit": "colours reach to what is seen at the foci",
+    "--sample-rate-hz": "calibrate records at 10 kHz",
+    "--workers": "bench uses all processors",
     "--watched": "give --lines",
     "--coarse": "write [grid] spacing_mm = 10 in run.toml for a grid that is measured in minutes",
 }
