@@ -35,7 +35,7 @@ AnyTab = TypeVar("AnyTab", bound=Tab)
 Opens = Callable[..., Window]
 LEFT, NO_KEY = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
 # What a busy machine may take; nothing is judged by it.
-SOON_MS = 100_000
+SOON_MS = 90_000
 
 
 def write_lab(folder: Path, columns: int, rows: int, *, raw: bool = False) -> Path:

@@ -232,19 +232,6 @@ def test_given_a_colour_bar_then_its_caption_is_inside_it(qtbot: QtBot, open_win
         assert inside <= bar.height()
 
 
-def test_given_a_new_source_then_it_begins_at_a_hundredth_in_the_unit_of_the_bank(
-    qtbot: QtBot, open_window: Opens, finished: Path
-) -> None:
-    window = open_window(finished)
-    tab = draw(window)
-    shown_tab(window, SceneTab)
-    wait(qtbot, lambda: tab.live.backdrop.surface is not None)
-    source = tab.document.source
-    assert source is not None
-    assert source.amplitude == 0.01
-    assert tab.source_form.motion.fields["amplitude"].text() == "0.01 m/s"
-
-
 def test_given_a_gain_then_live_sources_are_so_much_louder(qtbot: QtBot, open_window: Opens) -> None:
     window = open_window()
     tab = draw(window)

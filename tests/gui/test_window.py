@@ -223,5 +223,4 @@ def test_opening_a_window_loads_nothing_that_only_calculations_need(tmp_path: Pa
         "wavefocus.rendering.field.prediction",
         "wavefocus.rendering.drive.rendering",
         "wavefocus.rendering.scene.model",
-        "wavefocus.gui.scene.worker",
     }

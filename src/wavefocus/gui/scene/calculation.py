@@ -1,190 +1,286 @@
-"""Messages between the window and the process that calculates scenes, and a field between its samples."""
+"""Drives, field and foci of the present scene, by the functions of the commands, in a process that keeps a bank."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cache
+import math
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
+from PyQt5.QtCore import QObject, pyqtSignal
 
-from wavefocus.rendering.arrays import Float32Array, Float64Array, Int64Array
+from wavefocus.acquisition.wording import hours
+from wavefocus.gui.files import FileState, file_state
+from wavefocus.gui.scene.document import SceneDocument
+from wavefocus.gui.surface import PlotSurface, surface_of
+from wavefocus.storage.errors import InputError, WavefocusError
 
 if TYPE_CHECKING:
     from wavefocus.config.scene import SceneConfig
-    from wavefocus.gui.surface import PlotSurface
-    from wavefocus.rendering.drive.coil_limits import DriveLimits, Limiting
+    from wavefocus.rendering.arrays import Int64Array
+    from wavefocus.rendering.field.bank_spectra import BankSpectra
+    from wavefocus.rendering.field.foci import FocusResults
+    from wavefocus.rendering.report.movie import Foci
+    from wavefocus.storage.drive_file import Drive
+    from wavefocus.storage.field_file import Field
+
+LOST = "the calculation's process ended, perhaps for lack of memory; it starts again with the next edit"
+# Samples of a field that is looked at, over the two that the highest frequency of the band needs.
+_FINER = 4
+# Larger ones are made by commands.
+_MAX_S = 600.0
+_MAX_FIELD_BYTES = 2**30
+# A step that does not look for newer edits is waited for no longer than this.
+_STOP_WAIT_S = 3.0
 
 
-@dataclass(frozen=True, slots=True)
-class SceneRequest:
-    """A scene to be calculated, in place of all earlier ones; `place` is its file, which need not exist."""
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneResults:
+    """Drives of a scene with their figures; later its field and the figures of its foci.
 
-    number: int
-    draft: SceneConfig
-    place: Path
-    bank: Path
-    rig: Path | None
-    allow_large: bool = False
+    surface: The measured positions, in the order of the field.
+    """
 
-
-@dataclass(frozen=True, slots=True)
-class Stop:
-    """Calculate nothing more until the next request; answered with `Finished`."""
-
-    number: int
+    drive: Drive
+    foci: Foci
+    facts: dict[str, Any]
+    surface: PlotSurface
+    field: Field | None = None
+    figures: FocusResults | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class CalculationProgress:
-    """Progress of a stage, 0 to 1."""
+class Calculation(QObject):
+    """Calculates the latest scene that was asked for, one stage after the other."""
 
-    number: int
-    stage: str
-    share: float
+    #: What is being done.
+    stage = pyqtSignal(str)
+    #: `SceneResults`: drives, then with the field, then with the figures of the foci.
+    made = pyqtSignal(object)
+    #: Why the stage cannot be calculated.
+    refused = pyqtSignal(str)
+    _ended = pyqtSignal(object)
 
-
-@dataclass(frozen=True, slots=True)
-class ReachedLevel:
-    """A quiet place, or the place of an independent source, by its name: the level asked for and the one reached."""
-
-    name: str
-    asked_db: float
-    reached_db: float
+    def __init__(self, document: SceneDocument, parent: QObject) -> None:
+        super().__init__(parent)
+        self._document = document
+        self._pool: ProcessPoolExecutor | None = None
+        self._future: Future[SceneResults] | None = None
+        self._newest = multiprocessing.get_context("spawn").Value("q", 0)
+        self._cancelled_s = 0.0
+        self._ended.connect(self._take)  # emitted in another thread, and so queued for this one
+        self.rate_hz: float | None = None
+        """Rate of the field that is looked at, and of a movie of it."""
 
     @property
-    def text(self) -> str:
-        return f"{self.reached_db:.1f}"
+    def busy(self) -> bool:
+        return self._future is not None
+
+    @property
+    def process_id(self) -> int | None:
+        """None before the first scene and after the process has ended."""
+        return None if self._pool is None else next(iter(self._pool._processes), None)
+
+    def start(self, rig: str) -> None:
+        """Calculate the present scene within the limits of a rig; empty for none. Nothing may be running."""
+        document = self._document
+        assert document.bank is not None
+        if self._pool is None:
+            context = multiprocessing.get_context("spawn")
+            self._pool = ProcessPoolExecutor(1, context, _begin_process, (self._newest,))
+        self._submit("drives", _drives, document.draft, document.place, document.bank, rig, document.allow_large)
+
+    def cancel(self) -> None:
+        """Stop calculating; a step that goes on for too long ends with its process. May be called again and again."""
+        if self.busy and not self._cancelled_s:
+            self._newest.value += 1
+            self._cancelled_s = time.monotonic()
+        elif self.busy and time.monotonic() > self._cancelled_s + _STOP_WAIT_S:
+            self.close()
+
+    def close(self) -> None:
+        """End the process at once: it only calculates, and nothing is lost."""
+        if self._pool is not None:
+            for process in list(self._pool._processes.values()):
+                process.kill()
+            self._pool.shutdown(wait=False, cancel_futures=True)
+        self._pool = self._future = None
+
+    def _submit(self, stage: str, work: Callable[..., SceneResults], *arguments: object) -> None:
+        assert self._pool is not None
+        self._cancelled_s = 0.0
+        try:
+            self._future = self._pool.submit(work, self._newest.value, *arguments)
+        except (BrokenProcessPool, OSError):
+            self.close()
+            self.refused.emit(LOST)
+            return
+        self._future.add_done_callback(self._report)
+        self.stage.emit(stage)
+
+    def _report(self, future: Future[SceneResults]) -> None:
+        with suppress(RuntimeError):  # the window is gone
+            self._ended.emit(future)
+
+    def _take(self, future: Future[SceneResults]) -> None:
+        if future is not self._future:
+            return
+        self._future, failure = None, future.exception()
+        if isinstance(failure, BrokenProcessPool):
+            self.close()
+            self.refused.emit(LOST)
+        elif self._cancelled_s or isinstance(failure, SupersededError):
+            return
+        elif isinstance(failure, WavefocusError | OSError | MemoryError):
+            self.refused.emit(str(failure) or "there is not enough memory for this scene")
+        elif failure is not None:
+            raise failure
+        else:
+            self._go_on(future.result())
+
+    def _go_on(self, results: SceneResults) -> None:
+        if results.field is None:
+            self.rate_hz = _field_rate_hz(results.surface)
+            self._submit("field", _field, results, self.rate_hz)
+        elif results.figures is None:
+            self._submit("figures", _figures, results)
+        self.made.emit(results)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DriveResult:
-    """The drives within the limits of scene and rig; `lasts_s` is the duration of the whole scene.
-
-    peak_v, rms_v, float64 (actuators,): Largest magnitude, and largest rms over a second, after limiting.
-    omitted_bound: Proved bound on the relative L2 error; NaN where unknown.
-    gain_s, gain, float64 (points,): n(x) of eq. (15) at focus instants, at most some hundred.
-    focus_s, focus_stop_s, focus_mm, float64 arrays (foci,), (foci,), (foci, 2): Each focus counts from its instant to
-        the next one of its source.
-    paths_mm, list of float64 (n, 2): The sources' paths, NaN where they jump.
-    snap_mm: Largest distance of a path point from its position.
-    levels: At the quiet places.
-    """
-
-    number: int
-    drive_v: Float32Array
-    sample_rate_hz: float
-    start_s: float
-    lasts_s: float
-    method: str
-    limiting: Limiting
-    limits: DriveLimits
-    resistance_ohm: float | None
-    peak_v: Float64Array
-    rms_v: Float64Array
-    omitted_bound: float
-    gain_s: Float64Array
-    gain: Float64Array
-    focus_s: Float64Array
-    focus_stop_s: Float64Array
-    focus_mm: Float64Array
-    paths_mm: list[Float64Array]
-    snap_mm: float
-    warnings: tuple[str, ...]
-    unit: str = "V"
-    levels: tuple[ReachedLevel, ...] = ()
+class SupersededError(Exception):
+    """A newer scene is asked for."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PredictedField:
-    """The predicted field of the measured positions; `lasts_s` is the duration of the whole response.
-
-    surface, rows, PlotSurface, int64 (positions,): The measured positions and their bank rows.
-    field, float32 (samples, positions): Low-passed below half its rate.
-    finer: Instants that can be interpolated per sample.
-    limit: Largest response at a focus.
-    marks_s: Instants at which foci are looked at.
-    """
-
-    number: int
-    surface: PlotSurface
-    rows: Int64Array
-    field: Float32Array
-    sample_rate_hz: float
-    start_s: float
-    finer: int
-    unit: str
-    limit: float
-    marks_s: tuple[float, ...]
-    lasts_s: float
+def _field_rate_hz(surface: PlotSurface) -> float:
+    """The rate at which the surface's band is seen well; that of the bank where it has no band."""
+    rate_hz, band_hz = surface.sample_rate_hz, surface.band_hz or (0.0, math.inf)
+    return rate_hz / max(1, int(rate_hz / (2 * _FINER * band_hz[1])))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FocusFigures:
-    """Figures of the foci that were looked at; NaN where unknown.
+# The rest runs in the process.
 
-    off_mm, width_mm, artefact_db, float64 (foci,): Distance of the largest response from the path point; full width at
-        half maximum; level of the largest response further away.
-    crosstalk: Amplitude of the response at a focus to all other foci of its path, over that to itself.
-    """
-
-    number: int
-    time_s: Float64Array
-    peak: Float64Array
-    off_mm: Float64Array
-    width_mm: Float64Array
-    artefact_db: Float64Array
-    crosstalk: tuple[tuple[int, float], ...]
+_NEWEST: list[Any] = []  # the number of the newest scene, shared with the window
 
 
-@dataclass(frozen=True, slots=True)
-class Finished:
-    """The end of a calculation: `problem` says why there is no more; `defect` is a traceback."""
+def _begin_process(newest: Any) -> None:
+    """Keep out of the way of a capture, and end with the window."""
+    _NEWEST.append(newest)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(os, "nice"):
+        with suppress(OSError):
+            os.nice(3)
+    window = multiprocessing.parent_process()
+    assert window is not None
 
-    number: int
-    problem: str = ""
-    defect: str = ""
+    def end_with_window() -> None:
+        window.join()
+        os._exit(1)
 
-
-Order = SceneRequest | Stop
-Answer = CalculationProgress | DriveResult | PredictedField | FocusFigures | Finished
-
-
-def interpolate_frame(field: Float32Array, place: float) -> Float32Array:
-    """The field at an instant.
-
-    field, float32 array (samples, positions): With nothing above `wavefocus.rendering.field.bank_spectra.PASSED` of
-        half its rate.
-    place: In samples, from 0; need not be whole.
-
-    Returns float32 array, shape (positions,): At whole samples what is there; elsewhere to 80 dB of the largest.
-    """
-    nearest = int(np.floor(place))
-    share = place - nearest
-    if share < 1e-9:
-        return np.asarray(field[min(max(nearest, 0), len(field) - 1)])
-    half, beta = _window()
-    offset = np.arange(1 - half, half + 1)
-    rows = nearest + offset
-    weights = _weights(share - offset, half, beta)
-    there = (rows >= 0) & (rows < len(field))
-    low, high = rows[there][[0, -1]]
-    return np.asarray(weights[there] @ field[low : high + 1])
+    threading.Thread(target=end_with_window, daemon=True).start()
 
 
-def _weights(away: NDArray[np.floating[Any]], half: int, beta: float) -> Float32Array:
-    window = np.i0(beta * np.sqrt(np.maximum(1.0 - np.square(away / half), 0.0))) / np.i0(beta)
-    weights: Float32Array = (np.sinc(away) * window).astype(np.float32)
-    return weights
+def _checks(number: int) -> Callable[[int, int], None]:
+    """A report of progress that raises SupersededError once a newer scene is asked for."""
+
+    def check(_done: int, _total: int) -> None:
+        if any(newest.value != number for newest in _NEWEST):
+            raise SupersededError
+
+    return check
 
 
-@cache
-def _window() -> tuple[int, float]:
-    """Half the length and the shape of a Kaiser window whose transition ends where the images begin."""
-    from wavefocus.rendering.field.bank_spectra import PASSED, STOPBAND_DB  # the window starts without scipy
+def _drives(number: int, draft: SceneConfig, place: Path, path: Path, rig: str, allow_large: bool) -> SceneResults:
+    """The drives, as ``wavefocus render --tolerance-db=-60``."""
+    from wavefocus.gui.scene.draft import build_draft
+    from wavefocus.rendering.drive.coil_limits import dynamic_range_db, peaks
+    from wavefocus.rendering.drive.rendering import render_with_report
+    from wavefocus.rendering.field.prediction import field_unit
+    from wavefocus.rendering.field.quiet_levels import quiet_levels
+    from wavefocus.rendering.report.movie import Foci
+    from wavefocus.rendering.scene.size import scene_size
+    from wavefocus.rig.limits import rig_of, within
+    from wavefocus.storage.bank.reading import open_bank
 
-    width = 1.0 - PASSED  # as a part of the rate
-    half = int(np.ceil((STOPBAND_DB - 8.0) / (2.285 * 2.0 * np.pi * width) / 2.0))
-    return half, 0.1102 * (STOPBAND_DB - 8.7)
+    scene = build_draft(draft, place, allow_large=allow_large)
+    _, surface = _measured(path, _state_of(path))
+    with open_bank(path) as bank:
+        lasts_s = scene_size(scene, sample_rate_hz=float(bank.sample_rate_hz), taps=1, actuators=1).seconds
+        if lasts_s > _MAX_S:
+            raise InputError(
+                f"the scene lasts {hours(min(lasts_s, 1e12))}; while it is edited, scenes of up to {hours(_MAX_S)} are"
+                " calculated. Shorten it, or save the drive, which may last longer"
+            )
+        found = rig_of(Path(rig), bank) if rig else None
+        limited = scene if found is None else within(scene, found)
+        drive, report = render_with_report(limited, bank, tolerance_db=-60.0, on_progress=_checks(number))
+        facts = {
+            "scale": drive.scale, "limited_by": report.limiting.decided_by, "warnings": report.warnings,
+            "peak_v": float(peaks(drive.drive_v).max()), "response_unit": field_unit(bank),
+            "dynamic_range_db": dynamic_range_db(report.relative_rms_drive),
+            "quiet": [level.plain for level in quiet_levels(drive, bank)],
+        }  # fmt: skip
+    return SceneResults(drive, Foci.of(drive), facts, surface)
+
+
+def _state_of(path: Path) -> FileState:
+    if (state := file_state(path)) is None:
+        raise InputError(f"{path} is missing (deleted or moved): put it back, or open another bank")
+    return state
+
+
+@lru_cache(2)
+def _measured(path: Path, _state: FileState) -> tuple[Int64Array, PlotSurface]:
+    """A bank's measured positions, whose rows are sound."""
+    from wavefocus.rendering.field.prediction import measured_positions
+    from wavefocus.storage.bank.reading import open_bank
+
+    with open_bank(path) as bank:
+        bank.require_sound()
+        rows = measured_positions(bank)[0]
+        if not len(rows):
+            raise InputError(f"{path} has no measured position yet; results are shown when it has")
+        return rows, surface_of(bank).with_rows(rows)
+
+
+@lru_cache(1)
+def _spectra(path: Path, state: FileState, rate_hz: float) -> BankSpectra:
+    """Spectra of a bank's measured positions, kept from edit to edit."""
+    from wavefocus.rendering.field.bank_spectra import BankSpectra
+    from wavefocus.storage.bank.reading import open_bank
+
+    with open_bank(path) as bank:
+        return BankSpectra(bank, _measured(path, state)[0], rate_hz=rate_hz)
+
+
+def _field(number: int, results: SceneResults, rate_hz: float) -> SceneResults:
+    """The field, as ``wavefocus predict``."""
+    from wavefocus.rendering.field.prediction import Prediction
+
+    path, check = results.surface.bank, _checks(number)
+    size = 4 * results.surface.positions * results.drive.drive_v.shape[1] * rate_hz / results.drive.sample_rate_hz
+    if size > _MAX_FIELD_BYTES:
+        raise InputError(
+            f"the field would take {size / 2**30:.1f} GiB: shorten the scene, or save the drive and predict some"
+            " positions with wavefocus predict --positions"
+        )
+    check(0, 1)
+    state = _state_of(path)
+    spectra = _spectra(path, state, rate_hz)
+    return replace(results, field=Prediction(results.drive, spectra, _measured(path, state)[0]).field(check))
+
+
+def _figures(number: int, results: SceneResults) -> SceneResults:
+    from wavefocus.rendering.field.foci import focus_figures
+    from wavefocus.storage.bank.reading import open_bank
+
+    with open_bank(results.surface.bank) as bank:
+        return replace(results, figures=focus_figures(results.drive, bank, on_progress=_checks(number)))

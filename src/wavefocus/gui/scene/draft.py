@@ -1,25 +1,25 @@
-"""Drafts of scenes: perhaps incomplete, changed key by key, written as TOML, and built into the scene of commands."""
+"""Scenes between text and the scene of commands: read from TOML, written as TOML, built."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from wavefocus.config.fields import Table, toml_table
 from wavefocus.config.loading import parse_toml, validated
 from wavefocus.config.scene import (
+    WITHOUT_SPEED,
     FileTable,
+    NoiseTable,
     Output,
     PathTable,
     QuietTable,
     SceneConfig,
-    SignalTable,
     SourceTable,
     SvgTable,
     TrajectoryTable,
     regularisation_toml,
-    tables_by_kind,
 )
 from wavefocus.storage.errors import InputError
 
@@ -32,20 +32,10 @@ AnyTable = TypeVar("AnyTable", bound=Table)
 FilesTable = TypeVar("FilesTable", SourceTable, QuietTable)
 
 
-def _new(table: Any) -> Any:
-    """A table with the examples of its fields; they are not checked, for a file's name is still to be chosen."""
-    return table.model_construct(
-        **{key: field.examples[0] for key, field in table.model_fields.items() if field.examples}
-    )
-
-
-#: What a new path or signal is until it is edited, by kind.
-NEW_PATHS: dict[str, PathTable] = {kind: _new(table) for kind, table in tables_by_kind(PathTable).items()}
-NEW_SIGNALS: dict[str, SignalTable] = {kind: _new(table) for kind, table in tables_by_kind(SignalTable).items()}
 _SPEED_MM_S, _STEP_MM = 80.0, 4.0
 NEW_AMPLITUDE = 0.01
 """Amplitude of a new source, in the bank's response unit: 10 mm/s is felt, and a rig of this kind can play it."""
-EMPTY = "the scene has no source yet: choose a tool and draw one on the surface"
+EMPTY = "the scene has no source yet: draw one on the surface, or write one"
 # A drive that no actuator could play is of no use: new scenes keep to the limit of the scenes of `init`.
 NEW_SCENE = SceneConfig.model_construct(source=(), output=Output(limit_v=1.0))
 
@@ -55,27 +45,17 @@ def changed(table: AnyTable, **changes: object) -> AnyTable:
     return table.model_copy(update=changes)
 
 
-def with_source(scene: SceneConfig, index: int, source: SourceTable) -> SceneConfig:
-    """Return the scene with another source in one place."""
-    return changed(scene, source=(*scene.source[:index], source, *scene.source[index + 1 :]))
-
-
-def new_source(path: PathTable, model: SourceTable | None = None) -> SourceTable:
-    """Return a source on a path; all else is as in `model`."""
-    if model is None:
-        source = SourceTable.model_construct(
-            path=path, signal=NEW_SIGNALS["noise"], emission="per_point", amplitude=NEW_AMPLITUDE
-        )
-    else:
-        source = changed(model, path=path)
-    if path.kind == "point":
-        return changed(source, repeat=False)
-    return changed(source, emission="continuous") if path.kind == "trajectory" else moving(source)
-
-
-def moving(source: SourceTable) -> SourceTable:
-    """Return the source with speed and step, where it has none."""
-    return changed(source, speed_mm_s=source.speed_mm_s or _SPEED_MM_S, step_mm=source.step_mm or _STEP_MM)
+def new_source(path: PathTable) -> SourceTable:
+    """A source on a path, to be edited."""
+    moves = path.kind not in WITHOUT_SPEED
+    return SourceTable(
+        path=path,
+        signal=NoiseTable(band_hz=(50.0, 450.0), duration_s=0.015, seed=1),
+        emission="continuous" if path.kind == "trajectory" else "per_point",
+        amplitude=NEW_AMPLITUDE,
+        speed_mm_s=_SPEED_MM_S if moves else None,
+        step_mm=_STEP_MM if moves else None,
+    )
 
 
 def scene_toml(scene: SceneConfig, folder: Path | None = None) -> str:

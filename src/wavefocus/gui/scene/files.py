@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
 import os
-import shutil
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -17,7 +15,6 @@ from wavefocus.gui.files import choose_file, choose_place
 from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.tab import Act, ClosingQuestion, TabContext
 from wavefocus.storage.errors import WavefocusError
-from wavefocus.storage.output_files import replacement
 
 _KEPT_AFTER_MS = 1000
 _TEXT, _PLACE, _OWNER = "scene/unsaved", "scene/unsaved_file", "scene/unsaved_by"
@@ -34,7 +31,6 @@ class SceneFiles(QObject):
         super().__init__(owner)
         self._context, self._document, self._owner = context, document, owner
         self._seen_ns = 0
-        self._written_elsewhere = False
         self._soon = QTimer(self)
         self._soon.setSingleShot(True)
         self._soon.setInterval(_KEPT_AFTER_MS)
@@ -141,33 +137,22 @@ class SceneFiles(QObject):
             self._context.report_failure(failure)
             return
         self._context.settings.opened(path)
-        self._seen_ns, self._written_elsewhere = _written_ns(path), True
+        self._seen_ns = _written_ns(path)
         self.save_settings()
         self.opened.emit()
 
     def _save(self, path: Path, then: Then | None) -> None:
         try:
-            copied = self._keep_copy(path) if path == self._document.path else ""
             self._document.save(path)
         except (WavefocusError, OSError) as failure:
             self._context.report_failure(failure)
             return
-        self._seen_ns, self._written_elsewhere = _written_ns(path), False
+        self._seen_ns = _written_ns(path)
         self._context.settings.opened(path)
         self.save_settings()
-        self._context.messages.note(f"{path} is saved{copied}")
+        self._context.messages.note(f"{path} is saved")
         if then is not None:
             then()
-
-    def _keep_copy(self, path: Path) -> str:
-        """Copy a file with comments before it is saved for the first time: comments are not kept."""
-        if not self._written_elsewhere or not path.is_file() or b"#" not in path.read_bytes():
-            return ""
-        names = (path.with_name(f"{path.name}~{count or ''}") for count in itertools.count())
-        aside = next(name for name in names if not os.path.lexists(name))
-        with replacement(aside, new=True) as temporary:
-            shutil.copy2(path, temporary)
-        return f"; the earlier file with its comments is {aside.name}"
 
     def _keep(self, close: Then) -> None:
         """Keep the changes for the next window, and close only when they are on the disk."""

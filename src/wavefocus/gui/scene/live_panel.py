@@ -189,7 +189,7 @@ class LivePanel(Themed, QWidget):
         run.changed.connect(self.show_run)
         run.figures_changed.connect(self._show_figures)
         run.noticed.connect(self.note)
-        for changed in (document.bank_changed, document.edited, document.chosen_changed, self.records.toggled):
+        for changed in (document.bank_changed, document.changed, document.chosen_changed, self.records.toggled):
             changed.connect(self.show_run)
         self.redraw()
 

@@ -65,7 +65,7 @@ class LiveRun(RigTask):
         self._signal: SignalTable | None = None
         self._heard_s = 0.0
         self._ended: LiveEnded | None = None
-        document.edited.connect(self._set_signals)
+        document.changed.connect(self._set_signals)
         document.chosen_changed.connect(self._set_signals)
 
     def start(self, rig: str, look_ahead_ms: int, record: Path | None, *, independent: bool = False) -> None:

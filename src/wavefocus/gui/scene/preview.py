@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,7 @@ from PyQt5.QtCore import QObject, pyqtSignal
 
 from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.config.loading import read_toml
-from wavefocus.config.scene import FileTable, PolylineTable, SceneConfig, SourceTable, TextTable
+from wavefocus.config.scene import SceneConfig, SourceTable
 from wavefocus.gui.process import Background
 from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.scene.draft import build_draft, changed
@@ -28,7 +28,6 @@ from wavefocus.storage.errors import InputError, WavefocusError
 if TYPE_CHECKING:
     from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
     from wavefocus.rendering.scene.model import Source
-    from wavefocus.rendering.scene.signals import Signal
 
 
 # The surface of the virtual rig, and the rate of its banks, while there is no bank.
@@ -37,13 +36,6 @@ _USUAL_RATE_HZ = 10_000.0
 MAX_DRAWN = 2000
 _MAX_LINE_POINTS = 6000
 _LINE_POINTS_PER_MM = 8.0
-# Longer signals are not drawn: making them would delay editing.
-_MAX_DRAWN_S = 30.0
-_MAX_FILE = 64 * 2**20
-
-
-# Of a signal, or why it is not drawn.
-Samples = Float64Array | str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +63,6 @@ class Trace:
         that each is snapped to; thinned where there are many; no rows without a bank.
     off, bool (k,): Points further than one grid spacing from every position, or nearest to one without a measurement.
     far: How many of them are too far from the grid.
-    length_mm, period_s, lasts_s: Of the path, between path points (d / v; 0 of a trajectory), and of the emission.
     points: Number M of path points.
     problem: Why it cannot be drawn; empty where it is.
     """
@@ -82,16 +73,13 @@ class Trace:
     rows: Int64Array
     off: NDArray[np.bool_]
     far: int = 0
-    length_mm: float = 0.0
-    period_s: float = 0.0
-    lasts_s: float = 0.0
     points: int = 0
     problem: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Preview:
-    """A scene as it is drawn: a trace per source, and the signal of the chosen one, or why it is not drawn.
+    """A scene as it is drawn: a trace per source.
 
     `problem` says why commands would refuse the scene, or what cannot be drawn of it; empty where nothing is wrong.
     """
@@ -99,7 +87,6 @@ class Preview:
     draft: SceneConfig
     backdrop: Backdrop
     traces: list[Trace]
-    signal: Samples
     problem: str
 
 
@@ -117,11 +104,11 @@ class LivePreview(QObject):
         self._context, self._document = context, document
         self._background = Background(self)
         self.backdrop = _bare_backdrop()
-        self.preview = Preview(document.draft, self.backdrop, [], "", "")
+        self.preview = Preview(document.draft, self.backdrop, [], "")
         self._busy = self._stale = self._ended = False
         self._lost: Path | None = None
         self._rig: Path | None = None
-        for signal in (document.changed, document.chosen_changed, document.file_changed):
+        for signal in (document.changed, document.file_changed):
             signal.connect(self._ask)
         document.bank_changed.connect(self.read_bank)
 
@@ -163,7 +150,7 @@ class LivePreview(QObject):
             return
         self._busy, self._stale = True, False
         document = self._document
-        work = partial(preview_of, document.draft, document.chosen, self.backdrop, document.place, document.allow_large)
+        work = partial(preview_of, document.draft, self.backdrop, document.place, document.allow_large)
         self._background.ask("scene", work, self._show, self._fail)
 
     def _show(self, preview: Preview) -> None:
@@ -194,33 +181,6 @@ class LivePreview(QObject):
         self._ask()
 
 
-def title_of(source: SourceTable, trace: Trace | None) -> str:
-    """Return a source's line in the list."""
-    path = source.path
-    words: list[str] = [path.kind, source.signal.kind]
-    if isinstance(path, TextTable):
-        words[0] = f"text “{path.string}”"
-    elif isinstance(path, PolylineTable):
-        words[0] = f"{'closed ' if path.closed else ''}polyline of {len(path.points_mm)}"
-    if trace is not None and trace.length_mm > 0:
-        words.insert(1, f"{trace.length_mm:.0f} mm")
-    if source.start_s:
-        words.append(f"from {source.start_s:g} s")
-    return ", ".join(words)
-
-
-def trace_text(trace: Trace) -> str:
-    """Return a source's figures in a sentence."""
-    if trace.problem or not trace.points:
-        return ""
-    emits = f"emits for {_duration(trace.lasts_s)}"
-    if trace.points == 1 and not trace.length_mm:
-        return f"At rest, {emits}"
-    points = f"{trace.points} point{'s' if trace.points > 1 else ''}"
-    points += f", one every {_duration(trace.period_s)}" if trace.period_s else ""
-    return f"{trace.length_mm:.4g} mm, {points}; {emits}"
-
-
 def problem_of(preview: Preview) -> str:
     """Return what is wrong with a scene; empty where nothing is."""
     if not preview.draft.source or preview.problem:
@@ -236,12 +196,6 @@ def problem_of(preview: Preview) -> str:
             where = reach if trace.far else "without a measurement"
             problems.append(f"source {index}: {share} points (crosses) are {where}: move the path, or measure there")
     return "; ".join(problems[:2]) + (f"; and {len(problems) - 2} more" if len(problems) > 2 else "")
-
-
-def _duration(seconds: float) -> str:
-    if 0 < seconds < 1e-3:
-        return f"{seconds * 1e6:.3g} µs"
-    return f"{seconds * 1e3:.4g} ms" if 0 < seconds < 1 else f"{seconds:.4g} s"
 
 
 def _bare_backdrop(rig: Path | None = None) -> Backdrop:
@@ -267,10 +221,9 @@ def _backdrop_of(path: Path) -> Backdrop:
     return Backdrop(outline_mm, surface.sample_rate_hz, surface, PositionGrid(surface.position_mm), allowed)
 
 
-def preview_of(draft: SceneConfig, chosen: int, backdrop: Backdrop, place: Path, allow_large: bool) -> Preview:
+def preview_of(draft: SceneConfig, backdrop: Backdrop, place: Path, allow_large: bool) -> Preview:
     """Build the scene as commands do, and sample its sources as far as they are drawn.
 
-    chosen: Index of the source whose signal is wanted; -1 for none.
     place: The scene file, for messages and for the files that the scene names.
     """
     try:
@@ -279,22 +232,13 @@ def preview_of(draft: SceneConfig, chosen: int, backdrop: Backdrop, place: Path,
     except WavefocusError as error:
         sources, problem = [_alone(draft, source, place, allow_large) for source in draft.source], str(error)
     traces: list[Trace] = []
-    signal: Samples = ""
-    for index, (table, source) in enumerate(zip(draft.source, sources, strict=True)):
-        if source is None:
-            traces.append(_not_drawn(problem))
-            signal = problem if index == chosen else signal
-            continue
-        samples = _samples(source.signal, _file_time(table), backdrop.sample_rate_hz)  # type: ignore[arg-type]  # is frozen
-        if index == chosen:
-            signal = samples if isinstance(samples, str) else table.amplitude * samples
-        signal_s = 0.0 if isinstance(samples, str) else len(samples) / backdrop.sample_rate_hz
+    for index, source in enumerate(sources):
         try:
-            traces.append(_drawn(source, index, backdrop, float(getattr(source.signal, "duration_s", signal_s))))
+            traces.append(_not_drawn(problem) if source is None else _drawn(source, index, backdrop))
         except WavefocusError as error:
             traces.append(_not_drawn(str(error)))
     problem = problem or next((trace.problem for trace in traces if trace.problem), "")
-    return Preview(draft, backdrop, traces, signal, problem)
+    return Preview(draft, backdrop, traces, problem)
 
 
 def _alone(draft: SceneConfig, source: SourceTable, place: Path, allow_large: bool) -> Source | None:
@@ -309,20 +253,7 @@ def _not_drawn(problem: str) -> Trace:
     return Trace(nowhere, nowhere, np.zeros(0), np.zeros(0, np.int64), off, problem=problem)
 
 
-@lru_cache(maxsize=32)
-def _samples(signal: Signal, _file_time_ns: int, rate_hz: float) -> Samples:
-    """The samples of a signal at the bank's rate, or why they are not drawn."""
-    file = getattr(signal, "path", None)
-    try:
-        too_large = file is not None and file.stat().st_size > _MAX_FILE
-        if too_large or getattr(signal, "duration_s", 0.0) > _MAX_DRAWN_S:
-            return "too long to be drawn here; it can be rendered"
-        return signal.samples(rate_hz)
-    except (WavefocusError, OSError) as error:
-        return " ".join(str(error).split())
-
-
-def _drawn(source: Source, index: int, backdrop: Backdrop, signal_s: float) -> Trace:
+def _drawn(source: Source, index: int, backdrop: Backdrop) -> Trace:
     from wavefocus.rendering.scene.sampling import point_count
     from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
 
@@ -331,15 +262,12 @@ def _drawn(source: Source, index: int, backdrop: Backdrop, signal_s: float) -> T
     number = evenly_spread(points, MAX_DRAWN)
     if isinstance(source.path, TrajectoryPath):
         instant_s, points_mm = (part[number] for part in source.path.foci(source.start_s))
-        period_s, lasts_s = 0.0, source.travel_s
     else:
         period_s = source.step_mm / source.speed_mm_s if moves else 0.0
         if not math.isfinite(source.start_s + points * period_s):
             raise InputError(f"source {index}: its last focus is later than numbers reach; raise speed_mm_s")
         instant_s = np.asarray(source.start_s + number * period_s, np.float64)
         points_mm = source.path.point_at(number * (source.step_mm if points > 1 else 0.0))
-        runs_on = source.emission == "continuous" and moves
-        lasts_s = points * period_s if runs_on else (points - 1) * period_s + signal_s
     if not np.isfinite(points_mm).all():
         raise InputError(f"source {index}: a path point is further away than numbers reach")
     rows, off, far = np.zeros(0, np.int64), np.zeros(len(points_mm), np.bool_), 0
@@ -354,16 +282,5 @@ def _drawn(source: Source, index: int, backdrop: Backdrop, signal_s: float) -> T
         rows=rows,
         off=off,
         far=far,
-        length_mm=source.path.length_mm,
-        period_s=period_s,
-        lasts_s=lasts_s,
         points=points,
     )
-
-
-def _file_time(table: SourceTable) -> int:
-    """When the file of a signal was last written, 0 without one: after a change it is read again."""
-    try:
-        return Path(table.signal.path).stat().st_mtime_ns if isinstance(table.signal, FileTable) else 0
-    except (OSError, ValueError):
-        return 0

@@ -1,29 +1,31 @@
-"""Drives and predicted field of a scene: traces, levels, n(x), and the field as a movie with a position's response."""
+"""Drives and predicted field of a scene: traces, levels, and the field as a movie with a position's response."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyqtgraph
-from numpy.typing import NDArray
-from PyQt5.QtCore import QSize, Qt
+from PyQt5.QtCore import QSize
 from PyQt5.QtWidgets import QWidget
 
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.field_map import FieldMap, Plot, Real, decimating_curve, whole_ticks
-from wavefocus.gui.scene.calculation import DriveResult, PredictedField, interpolate_frame
+from wavefocus.gui.scene.calculation import SceneResults
 from wavefocus.gui.theme import Themed
 from wavefocus.gui.time_slider import TimeSlider
 from wavefocus.storage.units import quantity
+
+if TYPE_CHECKING:
+    from wavefocus.storage.drive_file import Drive
+    from wavefocus.storage.field_file import Field
 
 _ALL = "all actuators"
 _STEP = 0.45  # the loudest trace fills so much of the distance to its neighbours, up and down
 _BAR = 0.36
 _ROOM = 1.15
-_FAR = 3.0
-_AXIS_PX, _NARROW_PX = 58, 44
+_AXIS_PX = 58
 
 
 class DrivesView(Themed, QWidget):
@@ -31,18 +33,13 @@ class DrivesView(Themed, QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self.driven: DriveResult | None = None
-        tip = "All drives, or the drive of one actuator with its limit (V)"
-        self.actuator = ui.choice("Actuator shown", tip, [_ALL])
+        self.results: SceneResults | None = None
+        self.actuator = ui.choice("Actuator shown", "All drives, or the drive of one actuator", [_ALL])
         tip = "Draw each actuator's drive to its own peak, so that weak ones are seen, too"
         self.own_scale = ui.check("own scale", tip, "Each drive to its own peak")
-        self.note = ui.label(role="faint", any_width=True)
-        self.traces = TracePlot()
-        self.levels = LevelPlot()
-        self.gains = GainPlot()
-        lower = ui.side_by_side((self.levels, 280), (self.gains, 200))
-        both = ui.stacked((self.traces, 330), (lower, 180), growing=[0])
-        choices = ui.row(self.actuator, self.own_scale, (self.note, 1), margins=(4, 4, 4, 2))
+        self.traces, self.levels = TracePlot(), LevelPlot()
+        both = ui.stacked((self.traces, 330), (self.levels, 180), growing=[0])
+        choices = ui.row(self.actuator, self.own_scale, None, margins=(4, 4, 4, 2))
         ui.column(choices, (both, 1), owner=self, spacing=2)
         for changed in (self.actuator.currentIndexChanged, self.own_scale.toggled):
             changed.connect(lambda _choice: self.redraw())
@@ -50,32 +47,24 @@ class DrivesView(Themed, QWidget):
     def sizeHint(self) -> QSize:  # noqa: N802
         return QSize(480, 300)
 
-    def show_driven(self, driven: DriveResult | None) -> None:
+    def show_results(self, results: SceneResults | None) -> None:
         """Show drives, or none."""
-        self.driven = driven
-        if driven is not None and self.actuator.count() != len(driven.drive_v) + 1:
-            ui.fill_choice(self.actuator, [_ALL, *(f"actuator {number}" for number in range(len(driven.drive_v)))])
+        self.results = results
+        if results is not None and self.actuator.count() != len(results.drive.drive_v) + 1:
+            names = (f"actuator {number}" for number in range(len(results.drive.drive_v)))
+            ui.fill_choice(self.actuator, [_ALL, *names])
         self.redraw()
 
     def redraw(self) -> None:
-        chosen = self.actuator.currentIndex() - 1
-        for plot in (self.traces, self.levels, self.gains):
+        chosen, drive = self.actuator.currentIndex() - 1, None if self.results is None else self.results.drive
+        for plot in (self.traces, self.levels):
             for side in ("left", "bottom"):
-                plot.getPlotItem().showAxis(side, self.driven is not None)
+                plot.getPlotItem().showAxis(side, drive is not None)
         self.own_scale.setEnabled(chosen < 0)
-        self.traces.show_driven(self.driven, chosen, own_scale=self.own_scale.isChecked())
-        for plot in (self.levels, self.gains):
-            plot.getPlotItem().clear()
-        if self.driven is None:
-            self.note.setText("")
-            self.note.setToolTip("")
-            return
-        limiting = self.driven.limiting
-        scaled = f"scaled by {limiting.scale:.3g} for {limiting.decided_by}"
-        self.note.setText("within all limits" if limiting.decided_by is None else scaled)
-        self.note.setToolTip(str(limiting))
-        self.levels.show_driven(self.driven, chosen)
-        self.gains.show_driven(self.driven)
+        self.traces.show_drive(drive, chosen, own_scale=self.own_scale.isChecked())
+        self.levels.getPlotItem().clear()
+        if drive is not None:
+            self.levels.show_drive(drive, chosen)
 
 
 class TracePlot(Plot):
@@ -85,46 +74,31 @@ class TracePlot(Plot):
         super().__init__("Drives of all actuators", "time (s)", "actuator", axis_px=_AXIS_PX)
         self._ends = 0.0, 0.0
         self._curves: list[pyqtgraph.PlotDataItem] = []
-        self._limits = [pyqtgraph.InfiniteLine(angle=0), pyqtgraph.InfiniteLine(angle=0)]
-        self._zero = pyqtgraph.InfiniteLine(0.0)
-        self._zero.setZValue(-1)
-        for line in (*self._limits, self._zero):
-            line.hide()
-            self.getPlotItem().addItem(line)
 
-    def show_driven(self, driven: DriveResult | None, chosen: int, *, own_scale: bool = False) -> None:
-        plot, theme = self.getPlotItem(), self.theme
-        self._zero.setPen(pyqtgraph.mkPen(theme.faint, style=Qt.PenStyle.DotLine))
-        self._zero.setVisible(driven is not None)
-        if driven is None:
+    def show_drive(self, drive: Drive | None, chosen: int, *, own_scale: bool = False) -> None:
+        plot = self.getPlotItem()
+        if drive is None:
             self._show_curves(np.zeros(0), [], 1.0)
-            self._show_limit(None)
             self.title("no drives to show", faint=True, size="9pt")
             return
-        volts = driven.drive_v if chosen < 0 else driven.drive_v[chosen : chosen + 1]
-        time_s = driven.start_s + np.arange(volts.shape[1]) / driven.sample_rate_hz
-        largest, limit_v = float(np.abs(volts).max(initial=0.0)), driven.limits.peak_v
+        volts = drive.drive_v if chosen < 0 else drive.drive_v[chosen : chosen + 1]
+        time_s = drive.start_s + np.arange(volts.shape[1]) / drive.sample_rate_hz
+        largest = float(np.abs(volts).max(initial=0.0))
         if chosen >= 0:
             self._show_curves(time_s, [volts[0]], 1.4)
-            self._show_limit(limit_v)
-            plot.setLabel("left", f"actuator {chosen} ({driven.unit})")
+            plot.setLabel("left", f"actuator {chosen} ({drive.drive_unit})")
             plot.getAxis("left").setTicks(None)
-            reach = _ROOM * max(largest, limit_v or 0.0, 1e-12)
-            plot.setYRange(-reach, reach, padding=0.0)
-            title = f"largest {quantity(f'{largest:.3g}', driven.unit)}"
-            if limit_v is not None:
-                title += f" of {quantity(f'{limit_v:.3g}', driven.unit)} (dashed)"
+            plot.setYRange(-_ROOM * (largest or 1.0), _ROOM * (largest or 1.0), padding=0.0)
+            title = f"largest {quantity(f'{largest:.3g}', drive.drive_unit)}"
         else:
             peaks = np.abs(volts).max(axis=1, initial=0.0) if own_scale else np.full(len(volts), largest)
-            scales = np.float32(_STEP) / np.where(peaks > 0, peaks, 1.0).astype(np.float32)
+            scales = _STEP / np.where(peaks > 0, peaks, 1.0)
             self._show_curves(time_s, [one + scales[one] * trace for one, trace in enumerate(volts)], 1.0)
-            self._show_limit(None)
             plot.setLabel("left", "actuator")
             plot.getAxis("left").setTicks([whole_ticks(len(volts)), []])
             plot.setYRange(-1.0, len(volts), padding=0.0)
-            title = (
-                "each to its own peak" if own_scale else f"a step is {quantity(f'{largest / _STEP:.3g}', driven.unit)}"
-            )
+            step = quantity(f"{largest / _STEP:.3g}", drive.drive_unit)
+            title = "each to its own peak" if own_scale else f"a step is {step}"
         self.title(title, size="9pt")
         # A zoomed view stays while the scene is edited.
         ends = float(time_s[0]), float(time_s[-1])
@@ -139,18 +113,7 @@ class TracePlot(Plot):
             self._curves.append(decimating_curve())
             self.getPlotItem().addItem(self._curves[-1])
         for number, curve in enumerate(self._curves):
-            shown = number < len(curves)
-            curve.setVisible(shown)
-            if shown:
-                curve.setData(x, curves[number], pen=pen)
-            else:
-                curve.setData([], [])
-
-    def _show_limit(self, limit_v: float | None) -> None:
-        for side, line in zip((-1.0, 1.0), self._limits, strict=True):
-            line.setVisible(limit_v is not None)
-            line.setPen(pyqtgraph.mkPen(self.theme.fault, width=1.5, style=Qt.PenStyle.DashLine))
-            line.setValue(side * (limit_v or 0.0))
+            curve.setData(*((x, curves[number]) if number < len(curves) else ([], [])), pen=pen)
 
 
 class LevelPlot(Plot):
@@ -158,57 +121,24 @@ class LevelPlot(Plot):
 
     def __init__(self) -> None:
         super().__init__("Peak and rms of each actuator", "actuator", "level (V)", axis_px=_AXIS_PX)
-        self.setToolTip(
-            "Level of each actuator's drive (V): outlined the peak, filled the rms over 1 s;"
-            " dashed the limit of the peak, dotted that of the rms"
-        )
+        self.setToolTip("Level of each actuator's drive: outlined the peak, filled the rms over 1 s")
 
-    def show_driven(self, driven: DriveResult, chosen: int) -> None:
-        plot, theme = self.getPlotItem(), self.theme
-        count = len(driven.peak_v)
-        plot.setLabel("left", f"level ({driven.unit})")
+    def show_drive(self, drive: Drive, chosen: int) -> None:
+        from wavefocus.rendering.drive.coil_limits import levels_of, peaks  # loaded by then, by another thread
+
+        plot, theme, count = self.getPlotItem(), self.theme, len(drive.drive_v)
+        plot.setLabel("left", f"level ({drive.drive_unit})")
         colours = [theme.traces[1] if one == chosen else theme.traces[0] for one in range(count)]
-        for values, filled in ((driven.peak_v, False), (driven.rms_v, True)):
-            bars = pyqtgraph.BarGraphItem(
+        peak_v = peaks(drive.drive_v)
+        for values, filled in ((peak_v, False), (levels_of(drive.drive_v, drive.sample_rate_hz).rms_v, True)):
+            plot.addItem(pyqtgraph.BarGraphItem(
                 x=np.arange(count), y0=0.0, height=values, width=2 * _BAR * (0.6 if filled else 1.0),
                 pens=[pyqtgraph.mkPen(colour) for colour in colours],
                 brushes=[pyqtgraph.mkBrush(colour if filled else theme.base) for colour in colours],
-            )  # fmt: skip
-            plot.addItem(bars)
-        top = largest = max(float(driven.peak_v.max(initial=0.0)), 1e-12)
-        for limit_v, style in (
-            (driven.limits.peak_v, Qt.PenStyle.DashLine), (driven.limits.rms_v, Qt.PenStyle.DotLine)
-        ):  # fmt: skip
-            # A limit that is far away would make all bars small.
-            if limit_v is not None and limit_v <= _FAR * largest:
-                pen = pyqtgraph.mkPen(theme.fault, width=1.5, style=style)
-                plot.addItem(pyqtgraph.InfiniteLine(limit_v, angle=0, pen=pen))
-                top = max(top, limit_v)
+            ))  # fmt: skip
         plot.getAxis("bottom").setTicks([whole_ticks(count, 7), []])
         plot.setXRange(-0.7, count - 0.3, padding=0.0)
-        plot.setYRange(0.0, _ROOM * top, padding=0.0)
-
-
-class GainPlot(Plot):
-    """n(x) along the paths."""
-
-    def __init__(self) -> None:
-        super().__init__("n(x) along the paths", "time (s)", "n(x) (dB)", axis_px=_NARROW_PX)
-        self.setToolTip("n(x) of eq. (15) relative to its largest: low where the surface is focused on easily")
-
-    def show_driven(self, driven: DriveResult) -> None:
-        plot, theme = self.getPlotItem(), self.theme
-        known = np.isfinite(driven.gain) & (driven.gain > 0)
-        if not known.any():
-            return
-        level_db = 20 * np.log10(driven.gain[known] / driven.gain[known].max())
-        plot.plot(
-            driven.gain_s[known], level_db, pen=None, symbol="o", symbolSize=4, symbolPen=None,
-            symbolBrush=pyqtgraph.mkBrush(theme.traces[2]),
-        )  # fmt: skip
-        first, last = float(driven.gain_s[known][0]), float(driven.gain_s[known][-1])
-        plot.setXRange(first, max(last, first + 1e-3), padding=0.03)
-        plot.setYRange(min(-3.0, float(level_db.min()) - 1.0), 1.0, padding=0.0)
+        plot.setYRange(0.0, _ROOM * max(float(peak_v.max(initial=0.0)), 1e-12), padding=0.0)
 
 
 _SIGNED, _MAGNITUDE = "response", "magnitude"
@@ -219,18 +149,17 @@ class FieldView(Themed, QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self.driven: DriveResult | None = None
-        self.predicted: PredictedField | None = None
+        self.results: SceneResults | None = None
+        self._marked = False  # whether the instants of a scene's foci have been shown
         self.map = FieldMap("response")
         self.slider = TimeSlider()
         tip = "Signed responses in two colours, or magnitudes in one"
         self.colours = ui.choice("Colours", tip, [_SIGNED, _MAGNITUDE])
         tip = "End of the colour scale, as a part of the largest response at a focus (%)"
         self.span = ui.number_box("End of the colour scale", tip, " %", 0, 1.0, 1000.0, value=100.0, prefix="to ")
-        self.note = ui.label(role="faint", any_width=True)
         self.waveform = ResponsePlot()
         # The slider's own row is as wide as the panel without the speed.
-        choices = ui.row(self.colours, self.span, self.slider.slower, (self.note, 1), margins=(4, 4, 4, 0))
+        choices = ui.row(self.colours, self.span, self.slider.slower, None, margins=(4, 4, 4, 0))
         upper = QWidget()
         ui.column(choices, (self.map, 1), self.map.bar, self.slider, owner=upper, spacing=3)
         ui.column(ui.stacked((upper, 420), (self.waveform, 130), growing=[0]), owner=self)
@@ -239,78 +168,66 @@ class FieldView(Themed, QWidget):
         self.colours.currentIndexChanged.connect(self._rescale)
         self.span.valueChanged.connect(self._rescale)
 
-    def show_field(self, driven: DriveResult, predicted: PredictedField) -> None:
-        """Show another field, at the same instant, position and part of the surface as far as it has them."""
-        former, view, marked = self.predicted, self.map.box.viewRect(), self.map.marked
-        at_s = None if former is None else self.slider.time_s
-        row = former.rows[marked] if former is not None and 0 <= marked < len(former.rows) else -1
-        self.driven, self.predicted = driven, predicted
-        same_bank = self.map.surface is not None and self.map.surface.bank == predicted.surface.bank
-        self.map.show_surface(replace(predicted.surface, paths_mm=driven.paths_mm))
+    def show_results(self, results: SceneResults | None) -> None:
+        """Show another field, at the same instant, position and part of the surface; None shows none."""
+        view, marked, at_s = self.map.box.viewRect(), self.map.marked, self.slider.time_s
+        self.results = results
+        if results is None or results.field is None:
+            self._marked = False
+            self.slider.show_samples(0.0, 1.0, 0)
+            self.map.show_values(np.full(0 if self.map.surface is None else self.map.surface.positions, np.nan))
+            self.map.show_sources(np.zeros((0, 2)))
+            self.waveform.clear_response()
+            return
+        field, figures = results.field, results.figures
+        same_bank = self.map.surface is not None and self.map.surface.bank == results.surface.bank
+        self.map.show_surface(results.surface)
+        marks_s = np.zeros(0) if figures is None else figures.time_s
+        marks = np.rint((marks_s - field.start_s) * field.sample_rate_hz).astype(int)
+        self.slider.show_samples(field.start_s, field.sample_rate_hz, field.field.shape[1], marks)
         if same_bank:
             self.map.box.setRange(view, padding=0)
-        finer_hz, samples = predicted.sample_rate_hz * predicted.finer, len(predicted.field)
-        marks = [round((time_s - predicted.start_s) * finer_hz) for time_s in predicted.marks_s]
-        self.slider.show_samples(predicted.start_s, finer_hz, (samples - 1) * predicted.finer + 1, marks)
-        if at_s is not None and predicted.start_s <= at_s:
-            self.slider.go_to(round((at_s - predicted.start_s) * finer_hz))
-        shown_s = samples / predicted.sample_rate_hz
-        part = f"first {shown_s:.0f} s of {predicted.lasts_s:.0f} s" if predicted.lasts_s > shown_s + 1e-9 else ""
-        self.note.setText(part)
-        self.note.setToolTip(f"Predicted at {len(predicted.rows)} positions; {part or 'the whole response'}")
+        if self._marked and at_s >= field.start_s:
+            self.slider.go_to(round((at_s - field.start_s) * field.sample_rate_hz))
+        self._marked |= figures is not None
         self._rescale()
-        (place,) = np.flatnonzero(predicted.rows == row)[:1].tolist() or (-1,)
-        self.show_position(place)
-
-    def clear(self) -> None:
-        self.predicted = None
-        self.slider.show_samples(0.0, 1.0, 0)
-        self.map.show_values(np.full(0 if self.map.surface is None else self.map.surface.positions, np.nan))
-        self.map.show_sources(np.zeros((0, 2)))
-        self.note.setText("")
-        self.waveform.clear_response()
+        self.show_position(marked if same_bank else -1)
 
     def show_position(self, place: int) -> None:
         """Mark a position, by its place in the field, and show its response; -1 for none."""
         self.map.mark(place)
-        predicted = self.predicted
-        if predicted is None or not 0 <= place < len(predicted.rows):
+        results = self.results
+        if results is None or results.field is None or not 0 <= place < len(results.field.field):
             self.waveform.clear_response()
             return
-        x_mm, y_mm = predicted.surface.position_mm[place]
-        title = f"position {predicted.rows[place]} at ({x_mm:.1f}, {y_mm:.1f}) mm"
-        self.waveform.show_response(title, predicted.field[:, place], predicted)
+        x_mm, y_mm = results.surface.position_mm[place]
+        title = f"position {results.field.position_index[place]} at ({x_mm:.1f}, {y_mm:.1f}) mm"
+        self.waveform.show_response(title, results.field, place)
         self.waveform.show_time(self.slider.time_s)
 
     def redraw(self) -> None:
         self._rescale()
         self.show_position(self.map.marked)
 
-    def sources_mm(self, time_s: float) -> NDArray[np.float64]:
-        """Positions of the foci at an instant, (foci, 2)."""
-        driven = self.driven
-        if driven is None:
-            return np.zeros((0, 2))
-        return driven.focus_mm[(driven.focus_s <= time_s) & (time_s < driven.focus_stop_s)]
-
     def _rescale(self) -> None:
-        predicted, signed = self.predicted, self.colours.currentText() == _SIGNED
-        top = 0.0 if predicted is None else predicted.limit
-        if predicted is not None and not top > 0.0:
-            top = float(np.abs(predicted.field[:: max(1, len(predicted.field) // 200)]).max(initial=0.0))
-        top = (top or 1.0) * self.span.value() / 100.0
-        unit = "" if predicted is None else predicted.unit
+        results, signed = self.results, self.colours.currentText() == _SIGNED
+        if results is None or results.field is None:
+            return
+        peak: Any = results.facts.get("focus_peak") or np.abs(results.field.field).max()
+        top = (float(peak) or 1.0) * self.span.value() / 100.0
         levels = (-top if signed else 0.0, top)
+        unit = results.field.response_unit
         self.map.show_scale(self.colours.currentText(), levels, unit, (signed, True), signed=signed)
         self._show_instant(self.slider.sample)
 
     def _show_instant(self, sample: int) -> None:
-        predicted = self.predicted
-        if predicted is None:
+        results = self.results
+        if results is None or results.field is None:
             return
-        values = interpolate_frame(predicted.field, sample / predicted.finer)
+        values = results.field.field[:, sample]
         self.map.show_values(values if self.map.signed else np.abs(values))
-        self.map.show_sources(self.sources_mm(self.slider.time_s))
+        rows = results.foci.at(self.slider.time_s)
+        self.map.show_sources(results.surface.position_mm[np.isin(results.field.position_index, rows)])
         self.waveform.show_time(self.slider.time_s)
 
 
@@ -329,15 +246,15 @@ class ResponsePlot(Plot):
         self._now.hide()
         self.title("click a position on the map for its response", faint=True, size="9pt")
 
-    def show_response(self, title: str, response: NDArray[np.float32], predicted: PredictedField) -> None:
-        plot, theme = self.getPlotItem(), self.theme
-        time_s = predicted.start_s + np.arange(len(response)) / predicted.sample_rate_hz
-        self.curve.setData(time_s, np.ascontiguousarray(response), pen=pyqtgraph.mkPen(theme.traces[0]))
+    def show_response(self, title: str, field: Field, place: int) -> None:
+        plot, theme, response = self.getPlotItem(), self.theme, field.field[place]
+        time_s = field.start_s + np.arange(len(response)) / field.sample_rate_hz
+        self.curve.setData(time_s, response, pen=pyqtgraph.mkPen(theme.traces[0]))
         self._now.setPen(pyqtgraph.mkPen(theme.fault, width=1.2))
         self._now.show()
-        plot.setLabel("left", predicted.unit)
+        plot.setLabel("left", field.response_unit)
         largest = float(np.abs(response).max(initial=0.0))
-        self.title(f"{title}: largest {quantity(f'{largest:.3g}', predicted.unit)}", size="9pt")
+        self.title(f"{title}: largest {quantity(f'{largest:.3g}', field.response_unit)}", size="9pt")
         plot.setXRange(float(time_s[0]), float(time_s[-1]), padding=0.01)
         plot.setYRange(-1.1 * (largest or 1.0), 1.1 * (largest or 1.0), padding=0.0)
 

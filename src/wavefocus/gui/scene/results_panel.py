@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -11,20 +12,12 @@ from PyQt5.QtWidgets import QAction, QToolButton, QWidget
 
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.advice import in_window
-from wavefocus.gui.files import PathField, choose_place, names_virtual_rig
-from wavefocus.gui.scene.calculation import (
-    Answer,
-    CalculationProgress,
-    DriveResult,
-    Finished,
-    FocusFigures,
-    PredictedField,
-)
-from wavefocus.gui.scene.calculation_process import Calculation
+from wavefocus.gui.files import PathField, choose_place, file_state, names_virtual_rig
+from wavefocus.gui.scene.calculation import Calculation, SceneResults
 from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.scene.draft import EMPTY
 from wavefocus.gui.scene.exports import DRIVE, ENDINGS, IDLE, MOVIE, STOPPING, WAV, PlayTask, Saving
-from wavefocus.gui.scene.figures_view import FiguresView, drive_figures, field_figures
+from wavefocus.gui.scene.figures_view import FiguresView
 from wavefocus.gui.scene.result_views import DrivesView, FieldView
 from wavefocus.gui.surface import VIRTUAL
 from wavefocus.gui.tab import TabContext
@@ -133,32 +126,25 @@ class ActionsBar(Themed, QWidget):
         choose_place(self, f"Save {kind}", suggested, _KINDS[kind], ENDINGS[kind], save)
 
 
-_ANSWERS_PER_TICK = 8
-# A movie needs more frames than the field has samples while it is edited.
-_MOVIE_FINER = 4
-# Where each stage begins and ends on the progress bar.
-_STAGES = {"scene": (0.0, 0.02), "drives": (0.02, 0.25), "field": (0.25, 0.85), "figures": (0.85, 1.0)}
+# A calculation starts so long after the last edit.
+_QUIET_S = 0.3
+_BANK_LOOK_EVERY_S = 1.0
 NO_BANK = "choose a bank: drives and field are computed from its measurements"
-
-
-class CalculationError(RuntimeError):
-    """A defect in the process that calculates; its traceback is the message."""
 
 
 class ResultsPanel(QWidget):
     """Results of the present scene."""
 
-    #: Levels at the quiet places of the latest drives.
-    levels_changed = pyqtSignal(object)
-
     def __init__(self, context: TabContext, document: SceneDocument) -> None:
         super().__init__()
         self.setAccessibleName("Results of the scene")
         self._context, self._document = context, document
-        self.calculation = Calculation()
-        self._wanted = self._stopped = False
-        self.driven: DriveResult | None = None
-        self.predicted: PredictedField | None = None
+        self.calculation = Calculation(document, self)
+        self._due_s = self._look_due_s = 0.0
+        self._wanted = False
+        self._stage = ""
+        self._bank_state: object = None
+        self.results: SceneResults | None = None
         self.complete = False
         self.drives, self.field, self.figures = DrivesView(), FieldView(), FiguresView()
         self.saving, self.playing = Saving(context, document, self), PlayTask(context, document, self)
@@ -166,23 +152,15 @@ class ResultsPanel(QWidget):
         self.stage = ui.label("Stage of the calculation", any_width=True)
         self.problem = ui.label("Problem of the calculation", wraps=True)
         self.problem.setMinimumWidth(1)
-        self.problem.setContentsMargins(4, 0, 4, 0)
-        self.problem.hide()
-        self.progress = ui.progress_bar("Progress of the calculation")
-        self.progress.setRange(0, 1000)
-        self.progress.setFixedWidth(120)
         self.cancel = ui.tool_button("Stop", "Stop calculating until the next edit", self._stop, "Stop calculating")
         self.pages = ui.tab_pages("Results", {"Drives": self.drives, "Field": self.field, "Figures": self.figures})
-        for part in (self.progress, self.cancel):
-            policy = part.sizePolicy()
-            policy.setRetainSizeWhenHidden(True)  # widgets below stay in place while they come and go
-            part.setSizePolicy(policy)
-        head = ui.row((self.stage, 1), self.progress, self.cancel, margins=(4, 0, 4, 0))
+        head = ui.row((self.stage, 1), self.cancel, margins=(4, 0, 4, 0))
         ui.column(head, self.problem, (self.pages, 1), self.bar, owner=self, spacing=3)
-        document.changed.connect(self._edited)
-        for act in (self._clear, self._edited):
-            document.bank_changed.connect(act)
-        self.bar.rig_changed.connect(self._edited)
+        for changed in (document.changed, document.bank_changed, self.bar.rig_changed):
+            changed.connect(self._edited)
+        self.calculation.stage.connect(self._begin)
+        self.calculation.made.connect(self._show)
+        self.calculation.refused.connect(self._refuse)
         self._edited()
 
     def menu_actions(self) -> list[QAction | None]:
@@ -190,120 +168,79 @@ class ResultsPanel(QWidget):
         return [*self.bar.saves.values(), None, self.bar.play, self.bar.stop]
 
     def poll(self) -> None:
-        """Ask for the latest scene, and show answers."""
-        if self._wanted and self.isVisible():
+        """Calculate the latest scene once it is not edited any more, and again when the bank has changed."""
+        now_s, document = time.monotonic(), self._document
+        if now_s >= self._look_due_s and not self.complete and document.bank is not None:
+            self._look_due_s = now_s + _BANK_LOOK_EVERY_S
+            if (state := file_state(document.bank)) != self._bank_state:
+                self._bank_state, self._wanted = state, True
+        if not (self._wanted and self.isVisible() and now_s >= self._due_s):
+            return
+        if self.calculation.busy:
+            self.calculation.cancel()  # the newest edit wins
+        elif document.bank is None or document.problem or not document.draft.source:
             self._wanted = False
-            self._ask()
-        for answer in self.calculation.take(_ANSWERS_PER_TICK):
-            self._show_answer(answer)
+            self._show(None, NO_BANK if document.bank is None else document.problem or EMPTY)
+        else:
+            self._wanted = False
+            self._bank_state = file_state(document.bank)
+            self.calculation.start(self.bar.rig)
 
     def pause(self) -> None:
         """Calculate nothing until the panel is shown again."""
         if not self.complete:
-            self._halt()
+            self.calculation.cancel()
             self._wanted = True
 
     def shut_down(self) -> None:
         """End all processes; what plays is muted."""
         self._wanted = False
-        self.saving.close()
-        self.calculation.close()
-        self.playing.close()
+        for task in (self.saving, self.calculation, self.playing):
+            task.close()
 
     def save(self, kind: str, path: Path) -> None:
         """Save the present scene; see `Saving.save`."""
-        rate_hz = None
-        if self.driven is not None and self.predicted is not None:
-            factor = round(self.driven.sample_rate_hz / self.predicted.sample_rate_hz)
-            rate_hz = self.driven.sample_rate_hz / max(1, factor // _MOVIE_FINER)
-        self.saving.save(kind, path, self.bar.rig, rate_hz)
+        self.saving.save(kind, path, self.bar.rig, self.calculation.rate_hz)
 
     def play(self) -> None:
         """Play the present scene on the rig."""
-        lasts_s = 0.0 if self.driven is None else self.driven.lasts_s
+        drive = None if self.results is None else self.results.drive
+        lasts_s = 0.0 if drive is None else drive.drive_v.shape[1] / drive.sample_rate_hz
         rig, gain_db, loops = self.bar.rig, self.bar.gain.value(), self.bar.loops.whole()
         self._context.claim_instruments(
             self, "Play", lambda: self.playing.play(rig, gain_db, loops, lasts_s), virtual=names_virtual_rig(rig)
         )
 
     def _edited(self) -> None:
-        self._wanted = True
-        self.complete = False
-
-    def _ask(self) -> None:
-        document, rig = self._document, self.bar.rig
-        if document.bank is None or not document.draft.source:
-            self._halt()
-            self._clear()
-            self._show_state(NO_BANK if document.bank is None else EMPTY)
-            return
-        draft, place, bank = document.draft, document.place, document.bank
-        try:
-            self.calculation.ask(draft, place, bank, Path(rig) if rig else None, allow_large=document.allow_large)
-        except OSError as failure:
-            self._context.report_failure(failure)
-            return
-        self.complete = self._stopped = False
-        self._show_progress("scene", 0.0)
+        self._wanted, self.complete = True, False
+        self._due_s = time.monotonic() + _QUIET_S
 
     def _stop(self) -> None:
-        self._halt()
-        self._show_state("the results may be of an earlier scene: edit the scene to go on", "stopped")
+        self.calculation.cancel()
+        self._wanted = False
+        self._say("stopped: the results may be of an earlier scene")
 
-    def _halt(self) -> None:
-        self._stopped = True
-        if self.calculation.process_id is not None:
-            self.calculation.stop()
+    def _show(self, results: SceneResults | None, problem: str = "") -> None:
+        self.results = results
+        self.drives.show_results(results)
+        self.figures.show_results(results)
+        if results is None or results.field is not None:
+            self.field.show_results(results)
+            self.complete = results is not None and results.figures is not None
+            if not self.calculation.busy:
+                self._say("up to date with the scene" if self.complete else "not calculated")
+        self.bar.show_ready(results is not None)
+        ui.put(self.problem, in_window(problem))
+        self.problem.setVisible(bool(problem))
 
-    def _show_answer(self, answer: Answer) -> None:
-        match answer:
-            case CalculationProgress():
-                self._show_progress(answer.stage, answer.share)
-            case DriveResult():
-                self.driven = answer
-                self.drives.show_driven(answer)
-                self.figures.show_figures(drive_figures(answer), answer.warnings)
-                self.levels_changed.emit(answer.levels)
-                self.bar.show_ready(True)
-            case PredictedField():
-                assert self.driven is not None
-                self.predicted = answer
-                self.field.show_field(self.driven, answer)
-            case FocusFigures():
-                assert self.driven is not None
-                assert self.predicted is not None
-                figures = [*drive_figures(self.driven), *field_figures(answer, self.predicted)]
-                self.figures.show_figures(figures, self.driven.warnings)
-            case Finished():
-                if answer.problem:
-                    self._clear()
-                    self._show_state(answer.problem, "not calculated")
-                elif not self._stopped:
-                    self.complete = True
-                    self._show_state("", "up to date with the scene")
-                if answer.defect:
-                    raise CalculationError(answer.defect)
+    def _refuse(self, problem: str) -> None:
+        """Say why a stage cannot be calculated; drives stay where only their field cannot."""
+        self._show(self.results if self._stage == "field" else None, problem)
 
-    def _clear(self) -> None:
-        self.driven = self.predicted = None
-        self.complete = False
-        self.drives.show_driven(None)
-        self.field.clear()
-        self.figures.show_figures([], [])
-        self.levels_changed.emit(())
-        self.bar.show_ready(False)
+    def _begin(self, stage: str) -> None:
+        self._stage = stage
+        self._say(f"calculating: {stage}")
 
-    def _show_progress(self, stage: str, share: float) -> None:
-        first, last = _STAGES[stage]
-        self.progress.setValue(round(1000 * (first + share * (last - first))))
-        self._show_state("", f"calculating: {stage}", busy=True)
-
-    def _show_state(self, problem: str, stage: str = "nothing to calculate", *, busy: bool = False) -> None:
-        self.progress.setVisible(busy)
-        self.cancel.setVisible(busy)
-        self.stage.setText(stage)
-        problem = in_window(problem)
-        if problem != self.problem.text():
-            self.problem.setText(problem)
-            self.problem.setToolTip(problem)
-            self.problem.setVisible(bool(problem))
+    def _say(self, stage: str) -> None:
+        ui.put(self.stage, stage)
+        self.cancel.setEnabled(self.calculation.busy and stage.startswith("calculating"))

@@ -1,4 +1,4 @@
-"""The Scene tab: sources and their forms, the surface they are drawn on, and the results."""
+"""The Scene tab: the scene file's text, the surface with its paths, and the results."""
 
 from __future__ import annotations
 
@@ -8,25 +8,22 @@ from PyQt5.QtCore import Qt
 from PyQt5.QtGui import QShowEvent
 from PyQt5.QtWidgets import QAction, QStackedWidget, QWidget
 
-from wavefocus.config.scene import SourceTable, TextTable, TrajectoryTable
+from wavefocus.config.scene import PathTable, PointTable, QuietTable, SvgTable, TrajectoryTable
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.files import FileKind, PathField, TomlKind, toml_kind
+from wavefocus.gui.scene.canvas import QUIET
 from wavefocus.gui.scene.document import SceneDocument
-from wavefocus.gui.scene.draft import scene_toml
+from wavefocus.gui.scene.draft import new_source, quiet_toml, scene_toml, source_toml
+from wavefocus.gui.scene.editor import SceneEditor
 from wavefocus.gui.scene.exports import IDLE
 from wavefocus.gui.scene.files import SceneFiles
-from wavefocus.gui.scene.forms import SceneForm, SourceForm
 from wavefocus.gui.scene.live_panel import LivePanel
 from wavefocus.gui.scene.live_run import LiveRun
 from wavefocus.gui.scene.live_surface import LiveSurface
 from wavefocus.gui.scene.preview import LivePreview
-from wavefocus.gui.scene.quiet_panel import QuietPanel
 from wavefocus.gui.scene.results_panel import ResultsPanel
-from wavefocus.gui.scene.sources import SourceActions, SourceList
 from wavefocus.gui.scene.surface_panel import SurfacePanel
-from wavefocus.gui.scene.tools import QUIET
 from wavefocus.gui.tab import ClosingQuestion, Drawing, Tab, TabContext
-from wavefocus.storage.units import response_unit
 
 # Modes of the tab: key of its page, button, tooltip.
 DRAW, LIVE = "draw", "live"
@@ -40,26 +37,18 @@ class SceneTab(Tab):
     """Draw a scene, see its drives and field, save, render and play it."""
 
     title = "Scene"
-    opens = (".toml", ".svg", ".csv", ".wav")
+    opens = (".toml", ".svg", ".csv")
 
     def __init__(self, context: TabContext) -> None:
         super().__init__(context)
         self.document = SceneDocument(self)
         self.live = LivePreview(context, self.document)
         self.files = SceneFiles(context, self.document, self)
-        self.acts = SourceActions(context, self.document, self.live, self)
         self.actions_by_name = self._make_actions()
         self.bank_field = PathField("&Bank", ".h5", "bank file", context.settings)
-        self.sources = SourceList(
-            self.document, [self.actions_by_name[name] for name in ("duplicate", "delete", "up", "down")]
-        )
-        self.source_form = SourceForm(context, self.document)
-        self.scene_form = SceneForm(self.document)
-        self.surface = SurfacePanel(self.document, self.live, self.acts)
+        self.editor = SceneEditor(self.document)
+        self.surface = SurfacePanel(self.document, self.live)
         self.results = ResultsPanel(context, self.document)
-        self.quiet = QuietPanel(self.document)
-        self.quiet.add_wanted.connect(lambda: self.surface.use_tool(QUIET))
-        self.results.levels_changed.connect(self.quiet.show_levels)
         self.live_run = LiveRun(context, self.document, self)
         self.live_surface = LiveSurface(self.live_run, self.live)
         bar, playing = self.results.bar, self.results.playing
@@ -72,11 +61,8 @@ class SceneTab(Tab):
         self._lay_out()
         self.bank_field.chosen.connect(self._bank_chosen)
         bar.rig_field.chosen.connect(lambda path: context.share(self, FileKind.RIG, path))
-        self.acts.added.connect(self._added)
-        self.live.updated.connect(self._show_preview)
-        self.live.backdrop_changed.connect(self._show_unit)
-        self.document.edited.connect(self._show_possible)
-        self.document.chosen_changed.connect(self._show_possible)
+        self.surface.canvas.drawn.connect(self._drawn)
+        self.surface.canvas.chosen.connect(self.editor.show_source)
         self.document.file_changed.connect(self._show_possible)
         self._show_possible()
         bar.rig_changed.connect(self.live_panel.show_run)
@@ -86,28 +72,21 @@ class SceneTab(Tab):
 
     def menu_actions(self) -> list[QAction | None]:
         named = self.actions_by_name
-        return [
-            named["new"], named["open"], named["save"], named["save as"], None, named["undo"], named["redo"], None,
-            *(named[name] for name in ("copy", "paste", "duplicate", "delete", "up", "down")), None,
-            named["drawing"], None, *self.results.menu_actions(), None, self.live_panel.start, self.live_panel.stop,
-        ]  # fmt: skip
+        return [*named.values(), None, *self.results.menu_actions(), None, self.live_panel.start, self.live_panel.stop]
 
     def accepts(self, path: Path) -> bool:
-        """Scenes, drawings, trajectories and sounds."""
+        """Scenes, drawings and trajectories."""
         name = path.name.lower()
-        return name.endswith((".svg", ".csv", ".wav")) or (name.endswith(".toml") and toml_kind(path) is TomlKind.SCENE)
+        return name.endswith((".svg", ".csv")) or (name.endswith(".toml") and toml_kind(path) is TomlKind.SCENE)
 
     def open_file(self, path: Path) -> None:
-        """Open a scene, add a drawing or a trajectory, or let the chosen source emit a sound."""
+        """Open a scene, or add a drawing or a trajectory."""
         ending = path.suffix.lower()
-        if ending == ".svg":
-            self.acts.add_drawing(path)
-        elif ending == ".csv":
-            self.acts.add(TrajectoryTable(file=str(path)))
-        elif ending == ".wav":
-            self.acts.use_sound(path)
-        else:
+        if ending == ".toml":
             self.files.open(path)
+        else:
+            file = str(path)
+            self._drawn(ending, SvgTable(file=file) if ending == ".svg" else TrajectoryTable(file=file))
 
     def poll(self) -> None:
         self.live.poll()
@@ -157,31 +136,17 @@ class SceneTab(Tab):
         surface.setFocus(Qt.FocusReason.OtherFocusReason)
 
     def _make_actions(self) -> dict[str, QAction]:
-        acts, files, steps = self.acts, self.files, self.document.steps
+        files, text = self.files, self.document.text
         made = {
             "new": ui.action(self, "&New", files.new, "Ctrl+N", tip="Begin a new scene"),
             "open": ui.action(self, "&Open…", files.choose, tip="Open a scene file (Ctrl+O opens any file)"),
             "save": ui.action(self, "&Save", files.save, "Ctrl+S", tip="Save the scene to its file"),
             "save as": ui.action(self, "Save &as…", files.save_as, "Ctrl+Shift+S", tip="Save to another file"),
-            "undo": ui.action(self, "&Undo", steps.undo, "Ctrl+Z", tip="Undo the last change"),
-            "redo": ui.action(self, "&Redo", steps.redo, "Ctrl+Shift+Z", "Ctrl+Y", tip="Redo the change"),
-            "copy": ui.action(self, "&Copy", acts.copy, "Ctrl+C", tip="Copy the source as text of a scene file"),
-            "paste": ui.action(self, "&Paste", acts.paste, "Ctrl+V", tip="Add sources that were copied"),
-            "duplicate": ui.action(self, "&Duplicate", acts.duplicate, "Ctrl+Shift+D", tip="Add the source again"),
-            "delete": ui.action(self, "D&elete", acts.delete, tip="Delete the source (Del, on the surface)"),
-            "up": ui.action(self, "Up", lambda: acts.move(-1), tip="Move the source up"),
-            "down": ui.action(self, "Down", lambda: acts.move(1), tip="Move the source down"),
-            "drawing": ui.action(self, "Add a dra&wing…", acts.choose_drawing, tip="Add a path of an SVG file"),
+            "undo": ui.action(self, "&Undo", text.undo, "Ctrl+Z", tip="Undo the last change"),
+            "redo": ui.action(self, "&Redo", text.redo, "Ctrl+Shift+Z", tip="Redo the change"),
         }
-        for name, renamed, possible in (
-            ("undo", steps.undoTextChanged, steps.canUndoChanged),
-            ("redo", steps.redoTextChanged, steps.canRedoChanged),
-        ):
-            title = name.capitalize()
-            made[name].setIconText(title)  # on the button, whatever it would undo
-            made[name].setEnabled(False)
-            possible.connect(made[name].setEnabled)
-            renamed.connect(lambda words, action=made[name], title=title: action.setText(f"&{title} {words}".strip()))
+        text.undoAvailable.connect(made["undo"].setEnabled)
+        text.redoAvailable.connect(made["redo"].setEnabled)
         for action in made.values():
             # Other tabs mean something else by the same keys.
             action.setShortcutContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
@@ -190,23 +155,16 @@ class SceneTab(Tab):
 
     def _lay_out(self) -> None:
         buttons = [ui.button(self.actions_by_name[name]) for name in ("new", "open", "save", "save as", "undo", "redo")]
-        areas = {"Source": ui.scrolling(self.source_form), "Scene": ui.scrolling(self.scene_form)}
-        pages: dict[str, QWidget] = {**areas, "Quiet": self.quiet}
-        for area in areas.values():
-            area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        forms = ui.tab_pages("Forms of the source, the scene and its quiet places", pages)
-        left = ui.stacked((self.sources, 130), (forms, 500), growing=[1])
         surface = QWidget()
         ui.column((self.live_surface, 1), self.live_panel.hint, owner=surface, spacing=4)
         middle, right = self._stacks
         for stack, parts in ((middle, (self.surface, surface)), (right, (self.results, self.live_panel))):
             for part in parts:
                 stack.addWidget(part)
-        columns = ui.side_by_side((left, 300), (middle, 490), (right, 470), growing=[1, 2])
+        columns = ui.side_by_side((self.editor, 330), (middle, 470), (right, 460), growing=[1, 2])
         live = self.live_panel
         self.remember(
-            columns=columns, left=left, snaps=self.surface.snaps,
-            look_ahead=live.look_ahead, records=live.records, recordings=live.folder,
+            columns=columns, look_ahead=live.look_ahead, records=live.records, recordings=live.folder,
         )  # fmt: skip
         fields = (self.bank_field, 3), (self.results.bar.rig_field, 2)
         top = ui.row(*buttons, 6, *self.modes.values(), 6, (self._file, 1), *fields)
@@ -239,31 +197,16 @@ class SceneTab(Tab):
         found = [path for path in ([Path(last)] if last else []) + recent if not path.name.endswith(".raw.h5")]
         return next((path for path in found if path.is_file()), None)
 
-    def _added(self, source: SourceTable) -> None:
-        if isinstance(source.path, TextTable):
-            field = self.source_form.paths["text"].fields["string"]
-            field.setFocus(Qt.FocusReason.OtherFocusReason)
-            field.selectAll()
-
-    def _show_unit(self) -> None:
-        surface = self.live.backdrop.surface
-        self.source_form.show_unit("" if surface is None else response_unit(surface.unit))
-
-    def _show_preview(self) -> None:
-        self.sources.show_traces(self.live.preview.traces)
-        self.source_form.show_preview(self.live.preview)
+    def _drawn(self, kind: str, path: PathTable) -> None:
+        folder = self.document.place.parent
+        if kind == QUIET and isinstance(path, PointTable):
+            self.document.append(quiet_toml(QuietTable(at_mm=path.at_mm, radius_mm=4.0, level_db=-20.0), folder))
+        else:
+            self.document.append(source_toml(new_source(path), folder))
+        self.surface.use_tool("")
 
     def _show_possible(self) -> None:
         document = self.document
-        chosen, count = document.chosen, len(document.draft.source)
-        for name, possible in (
-            ("save", not document.saved or document.path is None),
-            ("copy", chosen >= 0),
-            ("duplicate", chosen >= 0),
-            ("delete", chosen >= 0),
-            ("up", chosen > 0),
-            ("down", 0 <= chosen < count - 1),
-        ):
-            self.actions_by_name[name].setEnabled(possible)
+        self.actions_by_name["save"].setEnabled(not document.saved or document.path is None)
         self._file.setText(f"{self.files.name}{'' if document.saved else ' •'}")
         self._file.setToolTip(f"{document.path or 'not in a file yet'}{'' if document.saved else ', not saved'}")
