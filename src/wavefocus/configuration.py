@@ -18,7 +18,7 @@ from wavefocus.acquisition.plan import GEL_SPEED_M_S
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.config.calibration import load_calibration
 from wavefocus.config.fields import Table
-from wavefocus.config.loading import named_file, printable, read_toml, shown, validated
+from wavefocus.config.loading import named_file, parse_toml, printable, read_toml, shown, validated
 from wavefocus.config.plate import FINGER_MM, PlateKeys, plate_of
 from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.config.run import FaultFile, Publication, PublicationFile, RunConfig, Virtual
@@ -42,12 +42,14 @@ class Configuration:
         return plan_sha256(self.rig, self.run, self.position_mm)
 
 
-def load_run(path: Path) -> Configuration:
+def load_run(path: Path, text: str | None = None) -> Configuration:
     """Read a run file, the rig and the position list that it names.
+
+    text: That of the run file, where it is not saved yet.
 
     Raises InputError: anything in the files is wrong, alone or against each other.
     """
-    data = read_toml(path, "run")
+    data = read_toml(path, "run") if text is None else parse_toml(text, str(path))
     if "settled" in data:
         raise InputError(
             f"{path}: settled: comes from the trial before a staggered campaign and stands in its bank alone"
@@ -124,12 +126,14 @@ def check_rows(configuration: Configuration) -> NDArray[np.int64]:
 DEFAULT_CHECKS = 12
 
 
-def load_rig(path: Path) -> RigConfig:
+def load_rig(path: Path, text: str | None = None) -> RigConfig:
     """Read a rig file.
+
+    text: That of the rig file, where it is not saved yet.
 
     Raises InputError: anything in the file is wrong.
     """
-    data = read_toml(path, "rig")
+    data = read_toml(path, "rig") if text is None else parse_toml(text, str(path))
     care = data.get("calibration")
     if isinstance(care, dict):
         if "measured" in care:

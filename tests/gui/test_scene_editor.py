@@ -36,7 +36,7 @@ from wavefocus.config.scene import (
 )
 from wavefocus.gui.files import Settings
 from wavefocus.gui.scene.canvas import SceneCanvas
-from wavefocus.gui.scene.document import SceneDocument
+from wavefocus.gui.scene.document import NOTHING, SceneDocument
 from wavefocus.gui.scene.draft import NEW_SCENE, changed, new_source, read_draft, scene_toml
 from wavefocus.gui.scene.tab import SceneTab
 from wavefocus.gui.window import Window
@@ -137,10 +137,50 @@ def test_given_each_tool_then_its_table_is_added_to_the_text_and_undone_and_the_
     tab.actions_by_name["undo"].trigger()
     wait(qtbot, lambda: document.draft.quiet == ())
     click(canvas, pixel(canvas, 20, 5))  # the line
-    assert document.chosen == 0
-    assert text.textCursor().selectedText() == "[[source]]"
+    assert document.chosen == ("source", 0)
+    assert text.textCursor().block().text() == "[[source]]"
     text.find("radius_mm")
-    assert document.chosen == 1
+    assert document.chosen == ("source", 1)
+    text.find("[output]", QTextDocument.FindFlag.FindBackward)
+    assert document.chosen == NOTHING
+
+
+COMMENTED = """[[source]]
+amplitude = 0.01
+signal = { kind = "impulse" }
+speed_mm_s = 80.0
+step_mm = 4.0
+[source.path]   # drawn by hand
+kind = "line"
+start_mm = [5.0, 5.0]  # keep me
+end_mm = [35.0, 5.0]
+[[quiet]]
+at_mm = [ -20.0, # x
+  10.0 ]
+"""
+
+
+def test_given_points_that_are_dragged_then_only_their_numbers_in_the_text_change_and_are_undone(
+    qtbot: QtBot, tab: SceneTab
+) -> None:
+    canvas, document = tab.surface.canvas, tab.document
+    document.begin(COMMENTED, None)
+    settled(qtbot, tab)
+    click(canvas, pixel(canvas, 20, 5))
+    drag(qtbot, canvas, [pixel(canvas, 35, 5), pixel(canvas, 30, 40)], NO_KEY)
+    x_mm, y_mm = document.draft.source[0].path.end_mm
+    assert near((x_mm, y_mm), 30, 40)
+    assert document.toml() == COMMENTED.replace("35.0, 5.0", f"{x_mm}, {y_mm}")
+    settled(qtbot, tab)
+    click(canvas, pixel(canvas, -20, 10))
+    assert document.chosen == ("quiet", 0)
+    assert tab.editor.text.textCursor().block().text() == "[[quiet]]"
+    drag(qtbot, canvas, [pixel(canvas, -20, 10), pixel(canvas, -40, 20)], NO_KEY)
+    assert near(document.draft.quiet[0].at_mm, -40, 20)
+    assert "# x\n" in document.toml()
+    for _ in range(2):
+        tab.actions_by_name["undo"].trigger()
+    assert document.toml() == COMMENTED
 
 
 def test_given_typing_then_the_scene_follows_and_what_is_wrong_is_told_while_the_last_scene_is_shown(
@@ -243,18 +283,18 @@ def test_given_a_file_that_another_program_changed_then_saving_asks(
         (SCENE.replace("radius_mm", "radius"), "did you mean radius_mm?"),
     ],
 )
-def test_given_a_wrong_scene_file_then_a_sentence_says_where_and_the_scene_stays(
+def test_given_a_wrong_scene_file_then_it_is_shown_with_its_mistakes_at_their_lines_and_cannot_be_saved(
     qtbot: QtBot, tab: SceneTab, tmp_path: Path, text: str, sentence: str
 ) -> None:
-    draw(qtbot, tab, "point")
-    before = tab.document.draft
-    tab.document.text.setModified(False)
     file = tmp_path / "wrong.toml"
     file.write_text(text, encoding="utf-8")
     tab.open_file(file)
-    assert str(file) in tab.context.messages.sentence
-    assert sentence in tab.context.messages.sentence
-    assert tab.document.draft == before
+    assert tab.document.toml() == text
+    assert any(sentence in mistake.sentence for mistake in tab.document.mistakes)
+    assert f"line {tab.document.mistakes[0].line + 1}" in tab.editor.problem.text()
+    assert tab.document.draft == NEW_SCENE
+    with pytest.raises(InputError, match="not saved"):
+        tab.document.save(file)
 
 
 def test_given_a_scene_that_commands_would_refuse_then_the_window_says_so_and_does_not_write_it(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+import sys
 from collections.abc import Generator
 from pathlib import Path
 
@@ -249,3 +250,37 @@ def test_given_quiet_places_then_the_levels_reached_are_shown_beside_those_asked
     (metric,) = [one for one in bench.panel.figures.figures if one.name == "level at quiet[0]"]
     assert metric.value == f"{level['reached_db']:.1f} dB of -20 dB"
     assert metric.verdict == (GOOD if level["reached_db"] <= -19.5 else MISSED)
+
+
+UNGUARDED = """
+import sys
+from pathlib import Path
+print("started", flush=True)
+from PyQt5.QtWidgets import QApplication
+from tests.gui.conftest import line_scene
+from wavefocus.gui.scene.calculation import Calculation
+from wavefocus.gui.scene.document import SceneDocument
+application = QApplication([])
+document = SceneDocument()
+document.use_bank(Path(sys.argv[1]))
+document.edit("draw", line_scene())
+calculation = Calculation(document, document)
+calculation.made.connect(lambda _results: application.quit())
+calculation.refused.connect(lambda problem: application.exit(3))
+calculation.start("")
+code = application.exec_()
+calculation.close()
+sys.exit(code)
+"""
+
+
+def test_given_a_start_script_without_a_guard_then_the_process_that_calculates_does_not_run_it_again(
+    finished: Path, tmp_path: Path
+) -> None:
+    script = tmp_path / "start.py"
+    script.write_text(UNGUARDED, encoding="utf-8")
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    ran = subprocess.run(
+        [sys.executable, script, finished], capture_output=True, text=True, env=environment, timeout=200, check=False
+    )
+    assert (ran.returncode, ran.stdout.count("started")) == (0, 1), ran.stderr

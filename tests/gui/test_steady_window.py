@@ -89,7 +89,7 @@ def test_given_a_large_scene_then_a_box_allows_it_in_the_window_and_in_its_comma
     document.edit("add", SceneConfig(source=(new_source(text),)))
     with pytest.raises(InputError, match="1200 letters"):
         document.scene()
-    tab.editor.large.setChecked(True)
+    tab.large.setChecked(True)
     assert document.scene().allow_large
     task = SceneTask(window.context, document, window)
     assert task.prepare("", "nothing is rendered")

@@ -44,7 +44,7 @@ application = make_application()
 window = Window(Settings(QSettings(str(Path("memory.ini").absolute()), QSettings.Format.IniFormat)))
 window.show()
 application.processEvents()
-assert len(window.tabs) == 4
+assert len(window.tabs) == 5
 """
 
 

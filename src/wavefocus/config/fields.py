@@ -134,13 +134,18 @@ def explanation(key: str, field: FieldInfo) -> str:
     return (field.description or "") + (f": {choices}" if choices else "") + (f" ({brackets})" if brackets else "")
 
 
-def fields_of(model: type[BaseModel], path: str = "") -> dict[str, FieldInfo]:
-    """The fields of a table of a file, by its heading: ``"watch.noise"``; none where there is no such table."""
+def tables_of(model: type[BaseModel], path: str = "") -> list[type[BaseModel]]:
+    """The tables that may stand under a heading of a file, as ``"watch.noise"``; none where there is no such table."""
     models = [model]
     for name in path.split(".") if path else ():
         fields = {key: field for table in models for key, field in table.model_fields.items()}
         models = list(_models(fields[name].annotation)) if name in fields else []
-    return {key: field for table in models for key, field in table.model_fields.items()}
+    return models
+
+
+def fields_of(model: type[BaseModel], path: str = "") -> dict[str, FieldInfo]:
+    """The fields of a table of a file, by its heading; none where there is no such table."""
+    return {key: field for table in tables_of(model, path) for key, field in table.model_fields.items()}
 
 
 def with_explanations(text: str, model: type[BaseModel]) -> str:
@@ -170,20 +175,21 @@ def with_explanations(text: str, model: type[BaseModel]) -> str:
 def toml_table(heading: str, table: Table, changes: Mapping[str, object] | None = None) -> str:
     """A table as a file holds it, keys of None left out; `changes` are other values of some keys."""
     values = {**dict(table), **(changes or {})}
-    lines = (f"{key} = {_toml_value(value)}" for key, value in values.items() if value is not None)
+    lines = (f"{key} = {toml_value(value)}" for key, value in values.items() if value is not None)
     return "\n".join([heading, *lines]) + "\n"
 
 
-def _toml_value(value: object) -> str:
+def toml_value(value: object) -> str:
+    """A value as a file holds it."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
         # TOML escapes as JSON does, and the delete character too.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, tuple):
-        return f"[{', '.join(_toml_value(entry) for entry in value)}]"
+        return f"[{', '.join(toml_value(entry) for entry in value)}]"
     if isinstance(value, Table):
-        return f"{{ {', '.join(f'{key} = {_toml_value(entry)}' for key, entry in value)} }}"
+        return f"{{ {', '.join(f'{key} = {toml_value(entry)}' for key, entry in value)} }}"
     return repr(value)
 
 
@@ -194,10 +200,25 @@ def _models(annotation: Any) -> Iterator[type[BaseModel]]:
         yield from _models(part)
 
 
+def choices_of(field: FieldInfo) -> list[str]:
+    """The texts that a key may hold, as TOML; none where it may hold any."""
+    found: list[str] = []
+
+    def walk(annotation: Any) -> None:
+        if get_origin(annotation) is Literal:
+            found.extend(json.dumps(choice) for choice in get_args(annotation))
+        elif get_origin(annotation) is not tuple:
+            for part in get_args(annotation):
+                walk(part)
+
+    walk(field.annotation)
+    return found
+
+
 def _allowed(field: FieldInfo) -> tuple[str, str]:
     """Choices and bounds in words; empty where there are none, and of the parts of tuples."""
     bounds: dict[str, float] = {}
-    choices: list[str] = []
+    choices = choices_of(field)
 
     def gather(metadata: Any) -> None:
         for part in metadata:
@@ -205,9 +226,7 @@ def _allowed(field: FieldInfo) -> tuple[str, str]:
             gather(getattr(part, "metadata", ()))
 
     def walk(annotation: Any) -> None:
-        if get_origin(annotation) is Literal:
-            choices.extend(json.dumps(choice) for choice in get_args(annotation))
-        elif get_origin(annotation) is not tuple:
+        if get_origin(annotation) not in (Literal, tuple):
             gather(getattr(annotation, "__metadata__", ()))
             for part in get_args(annotation):
                 walk(part)

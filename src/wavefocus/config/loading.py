@@ -148,12 +148,27 @@ SENTENCES: Mapping[str, str] = {
 
 def one_line(source: str, failure: ValidationError, model: type[BaseModel], data: object) -> str:
     """Return the mistakes in one line, the first few joined by semicolons."""
-    errors = failure.errors(include_url=False)
-    mistakes = [error for error in errors if not _follows(error, errors)]
-    shown = [sentence(error, model, data) for error in mistakes[:SHOWN_AT_ONCE]]
-    if len(mistakes) > len(shown):
-        shown.append(f"and {len(mistakes) - len(shown)} more")
+    errors = _shown_errors(failure)
+    shown = [sentence(error, model, data) for error in errors[:SHOWN_AT_ONCE]]
+    if len(errors) > len(shown):
+        shown.append(f"and {len(errors) - len(shown)} more")
     return printable(f"{source}: {'; '.join(shown)}")
+
+
+def mistakes(model: type[BaseModel], data: object) -> list[tuple[tuple[int | str, ...], str]]:
+    """Location and sentence of each mistake of plain tables; none where the model takes them."""
+    if wrong := other_kind(model.__name__, data):
+        return [((), wrong)]
+    try:
+        model.model_validate(data)
+    except ValidationError as failure:
+        return [(location(error, data), printable(sentence(error, model, data))) for error in _shown_errors(failure)]
+    return []
+
+
+def _shown_errors(failure: ValidationError) -> list[ErrorDetails]:
+    errors = failure.errors(include_url=False)
+    return [error for error in errors if not _follows(error, errors)]
 
 
 def _follows(error: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
@@ -163,9 +178,18 @@ def _follows(error: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
     return error["type"] == "too_short" and any(other[: len(place)] == place for other in beneath)
 
 
+def location(error: ErrorDetails, data: object) -> tuple[int | str, ...]:
+    """Where a mistake is: keys and numbers of list entries, from the file's top."""
+    steps = without_tags(error["loc"], data)
+    if error["type"] == "mistake":
+        return (*steps, *(part for part in str(error["ctx"]["key"]).split(".") if part))
+    tagged = error["type"] == "union_tag_invalid" and isinstance(error["input"], Mapping)
+    return (*steps, "kind") if tagged else steps
+
+
 def sentence(error: ErrorDetails, model: type[BaseModel], data: object) -> str:
     """Return one mistake as text: key, value and what is allowed."""
-    steps = without_tags(error["loc"], data)
+    steps = location(error, data)
     context: dict[str, Any] = error.get("ctx", {})
     kind = error["type"]
     secret = not SECRETS.isdisjoint(steps)
@@ -183,9 +207,8 @@ def sentence(error: ErrorDetails, model: type[BaseModel], data: object) -> str:
     value = error["input"]
     if kind == "mistake":
         value = context["value"]
-        steps = (*steps, *(part for part in str(context["key"]).split(".") if part))
     elif kind == "union_tag_invalid" and isinstance(value, Mapping):
-        value, steps = value["kind"], (*steps, "kind")
+        value = value["kind"]
     elif kind in ("list_type", "tuple_type") and isinstance(value, Mapping) and not secret:
         return f"{dotted(steps)}: must be a list of tables, each under [[{dotted(steps)}]]"
     template = SENTENCES.get(kind)

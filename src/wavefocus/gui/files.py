@@ -10,11 +10,12 @@ from pathlib import Path
 from PyQt5.QtCore import QByteArray, QSettings, Qt, pyqtSignal
 from PyQt5.QtWidgets import QCheckBox, QComboBox, QFileDialog, QLineEdit, QSplitter, QWidget
 
-from wavefocus.config.file_kinds import kind_of_tables
+from wavefocus.config.file_kinds import hdf5_kind, kind_of_tables
 from wavefocus.config.loading import read_toml
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.number_box import NumberBox, typed_number
 from wavefocus.gui.surface import VIRTUAL, is_virtual
+from wavefocus.rendering.verify.record import RECORD_NAME
 from wavefocus.storage.errors import InputError
 
 _MAX_RECENT = 10
@@ -245,6 +246,12 @@ class PathField(QWidget):
         self.chosen.emit(path)
 
 
+def is_field_file(path: Path) -> bool:
+    """Whether a file is a predicted or scanned field; those of a verification are shown with it."""
+    named = path.name.lower().endswith((".h5", ".hdf5")) and not path.with_name(RECORD_NAME).exists()
+    return named and hdf5_kind(path) == "field file"
+
+
 FileState = tuple[int, ...]
 
 
@@ -313,7 +320,7 @@ def misplaced(path: Path, wanted: FileKind) -> str:
     if name.endswith(".raw.h5"):
         kind = "file of recordings"
     elif name.endswith((".h5", ".hdf5")):
-        kind = str(FileKind.BANK)
+        kind = "field file" if is_field_file(path) else str(FileKind.BANK)
     elif name.endswith(".toml"):
         kind = _TOML_WORDS.get(toml_kind(path), str(wanted))
     else:

@@ -21,6 +21,7 @@ from wavefocus.storage.errors import WavefocusError
 TABS = (
     ("wavefocus.gui.campaign.tab", "CampaignTab"),
     ("wavefocus.gui.rig.tab", "RigTab"),
+    ("wavefocus.gui.editor.tab", "FilesTab"),
     ("wavefocus.gui.scene.tab", "SceneTab"),
     ("wavefocus.gui.verification.tab", "VerificationTab"),
 )

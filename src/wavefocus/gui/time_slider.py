@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 from PyQt5.QtCore import Qt, QTimer, pyqtSignal
-from PyQt5.QtGui import QHideEvent, QKeyEvent
-from PyQt5.QtWidgets import QComboBox, QProxyStyle, QSlider, QStyle, QToolButton, QWidget
+from PyQt5.QtGui import QHideEvent, QKeyEvent, QMouseEvent
+from PyQt5.QtWidgets import QComboBox, QSlider, QStyle, QToolButton, QWidget
 
 from wavefocus.gui import widgets as ui
 
@@ -39,11 +39,9 @@ class TimeSlider(QWidget):
         self.slider = _Slider(Qt.Orientation.Horizontal)
         self.slider.setAccessibleName("Instant of the field")
         self.slider.setMinimumWidth(120)
-        self._jumps = _JumpStyle()
-        self.slider.setStyle(self._jumps)
-        self.previous = _button("⏮", "Previous focus instant (Page Down)", lambda: self.to_mark(-1))
-        self.play = _button("⏵", "Play (Space)", self.toggle)
-        self.next = _button("⏭", "Next focus instant (Page Up)", lambda: self.to_mark(1))
+        self.previous = _button("|◀", "Previous focus instant (Page Down)", lambda: self.to_mark(-1))
+        self.play = _button("▶", "Play (Space)", self.toggle)
+        self.next = _button("▶|", "Next focus instant (Page Up)", lambda: self.to_mark(1))
         self.loop = ui.tool_button("⟲", "Loop: start again at the end", None, "Loop", checkable=True)
         self.loop.setChecked(True)
         self.slower = ui.named(QComboBox(), "How many times slower than real time the field is played", "Playing speed")
@@ -113,7 +111,7 @@ class TimeSlider(QWidget):
 
     def pause(self) -> None:
         self._timer.stop()
-        self.play.setText("⏵")
+        self.play.setText("▶")
 
     def toggle(self) -> None:
         """Play, or pause."""
@@ -124,7 +122,7 @@ class TimeSlider(QWidget):
             self.go_to(0)
         self._exact, self._shown_at_s = float(self.sample), self._clock()
         self._timer.start()
-        self.play.setText("⏸")
+        self.play.setText("▮▮")
 
     def advance(self) -> None:
         """Show the sample that is due by the clock."""
@@ -152,24 +150,23 @@ class TimeSlider(QWidget):
 
 
 class _Slider(QSlider):
-    """Reports keys that mean something else than on other sliders."""
+    """Reports keys that mean something else than on other sliders; a click moves the handle there at once."""
 
     pressed = pyqtSignal(int)
+
+    def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
+        style = self.style()
+        if event is not None and style is not None and event.button() == Qt.MouseButton.LeftButton:
+            handle_px = style.pixelMetric(QStyle.PixelMetric.PM_SliderLength, None, self)
+            at_px, span_px = event.pos().x() - handle_px // 2, max(1, self.width() - handle_px)
+            self.setValue(QStyle.sliderValueFromPosition(self.minimum(), self.maximum(), at_px, span_px))
+        super().mousePressEvent(event)
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802
         if event is not None and event.key() in (Qt.Key.Key_Space, *_WAYS):
             self.pressed.emit(event.key())
         else:
             super().keyPressEvent(event)
-
-
-class _JumpStyle(QProxyStyle):
-    """A click on the groove moves the handle there at once."""
-
-    def styleHint(self, hint, *others) -> int:  # type: ignore[no-untyped-def]  # noqa: N802
-        if hint == QStyle.StyleHint.SH_Slider_AbsoluteSetButtons:
-            return int(Qt.MouseButton.LeftButton)
-        return super().styleHint(hint, *others)
 
 
 def _button(text: str, tip: str, act: Callable[[], object]) -> QToolButton:

@@ -24,7 +24,16 @@ from wavefocus.gui.campaign.model import CampaignAction, CampaignModel, Extra, p
 from wavefocus.gui.campaign.panels import Controls, EventList, ProgressRow
 from wavefocus.gui.campaign.position_panel import PositionPanel
 from wavefocus.gui.campaign.quality import NOT_GOOD
-from wavefocus.gui.files import FileKind, PathField, TomlKind, file_state, rig_of_run, runs_on_virtual_rig, toml_kind
+from wavefocus.gui.files import (
+    FileKind,
+    PathField,
+    TomlKind,
+    file_state,
+    is_field_file,
+    rig_of_run,
+    runs_on_virtual_rig,
+    toml_kind,
+)
 from wavefocus.gui.process import CommandProcess
 from wavefocus.gui.surface import PlotSurface, plan_surface
 from wavefocus.gui.tab import ClosingQuestion, Tab, TabContext
@@ -219,7 +228,8 @@ class CampaignTab(Tab):
         if name.endswith(".toml"):
             return toml_kind(path) in (TomlKind.RUN, TomlKind.UNREADABLE)  # the capture reports what is wrong with it
         of_verification = path.name in FIELD_NAMES and path.with_name(RECORD_NAME).exists()
-        return name.endswith(".h5") and not name.endswith(".raw.h5") and not of_verification
+        of_others = of_verification or is_field_file(path)
+        return name.endswith(".h5") and not name.endswith(".raw.h5") and not of_others
 
     def open_file(self, path: Path) -> None:
         if path.suffix.lower() == ".toml":

@@ -6,12 +6,13 @@ import math
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -119,7 +120,8 @@ class Calculation(QObject):
         assert self._pool is not None
         self._cancelled_s = 0.0
         try:
-            self._future = self._pool.submit(work, self._newest.value, *arguments)
+            with _start_script_not_imported():
+                self._future = self._pool.submit(work, self._newest.value, *arguments)
         except (BrokenProcessPool, OSError):
             self.close()
             self.refused.emit(LOST)
@@ -154,6 +156,18 @@ class Calculation(QObject):
         elif results.figures is None:
             self._submit("figures", _figures, results)
         self.made.emit(results)
+
+
+@contextmanager
+def _start_script_not_imported() -> Iterator[None]:
+    """Start processes that do not import the script that started this one: it may open a window, and takes time."""
+    main = sys.modules["__main__"]
+    spec, file = main.__spec__, getattr(main, "__file__", None)
+    main.__spec__ = main.__file__ = None
+    try:
+        yield
+    finally:
+        main.__spec__, main.__file__ = spec, file
 
 
 class SupersededError(Exception):

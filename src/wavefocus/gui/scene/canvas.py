@@ -10,26 +10,25 @@ import pyqtgraph
 from PyQt5.QtCore import Qt, pyqtSignal
 from PyQt5.QtGui import QMouseEvent
 
-from wavefocus.config.scene import CircleTable, LineTable, PathTable, PointTable, QuietTable
-from wavefocus.gui.scene.document import SceneDocument
-from wavefocus.gui.scene.draft import PointMm
+from wavefocus.config.scene import CircleTable, LineTable, PathTable, PointTable, PolylineTable, QuietTable
+from wavefocus.gui.scene.document import QUIET, SOURCE, Chosen, SceneDocument
+from wavefocus.gui.scene.draft import DECIMALS, PointMm, handles, with_handle
+from wavefocus.gui.scene.draft import Keys as KeysOfPoint
 from wavefocus.gui.scene.preview import Backdrop, LivePreview, Trace
 from wavefocus.gui.surface_view import MARK, Keys, Spots, SurfaceView, map_colours, rgba
 from wavefocus.rendering.arrays import Float64Array
 
-QUIET = "quiet"
-"""What is drawn is a quiet place; else a kind of path."""
+# Drawn with a click; all else with a drag.
 _CLICKED = ("point", QUIET)
-_DECIMALS = 2
 
 
 def path_between(kind: str, start: PointMm, end: PointMm) -> PathTable:
     """The path that a drag draws."""
-    x, y = (round(one, _DECIMALS) for one in start)
+    x, y = (round(one, DECIMALS) for one in start)
     if kind == "line":
-        return LineTable(start_mm=(x, y), end_mm=(round(end[0], _DECIMALS), round(end[1], _DECIMALS)))
+        return LineTable(start_mm=(x, y), end_mm=(round(end[0], DECIMALS), round(end[1], DECIMALS)))
     if kind == "circle":
-        return CircleTable(centre_mm=(x, y), radius_mm=round(math.dist(start, end), _DECIMALS))
+        return CircleTable(centre_mm=(x, y), radius_mm=round(math.dist(start, end), DECIMALS))
     return PointTable(at_mm=(x, y))
 
 
@@ -43,12 +42,15 @@ class SceneCanvas(SurfaceView):
     drawn = pyqtSignal(str, object)
     #: Position of the mouse, None off the surface.
     hovered = pyqtSignal(object)
-    #: A source whose path was clicked.
-    chosen = pyqtSignal(int)
+    #: A source or a quiet place that was clicked.
+    chosen = pyqtSignal(object)
+    #: A point of the chosen one that was dragged: its keys, and the table with it elsewhere.
+    dragged = pyqtSignal(object, object)
 
     def __init__(self, document: SceneDocument, live: LivePreview) -> None:
         self._document, self._live = document, live
         self.kind = ""
+        self._held: KeysOfPoint | None = None
         self._outline_mm = np.zeros((0, 2))
         self.items: SceneItems | None = None
         super().__init__("Surface to draw on")
@@ -63,8 +65,10 @@ class SceneCanvas(SurfaceView):
         preview = self._live.preview
         # Points snapped to another bank's positions are out of date.
         traces = preview.traces if preview.backdrop is self._live.backdrop else []
-        self.picture.show_traces(traces, self._document.chosen, self._live.backdrop)
+        kind, index = self._document.chosen
+        self.picture.show_traces(traces, index if kind == SOURCE else -1, self._live.backdrop)
         self.picture.show_quiet(self._document.draft.quiet)
+        self.picture.show_handles([at_mm for _, at_mm in self._handles()])
 
     def redraw(self) -> None:
         super().redraw()
@@ -82,31 +86,48 @@ class SceneCanvas(SurfaceView):
         super().leaveEvent(event)
         self.hovered.emit(None)
 
-    def claims_drag(self, _at_mm: PointMm, _keys: Keys) -> bool:
-        return bool(self.kind)
+    def claims_drag(self, at_mm: PointMm, _keys: Keys) -> bool:
+        near = [(math.dist(point_mm, at_mm), keys) for keys, point_mm in self._handles()]
+        away_mm, keys = min(near, key=lambda one: one[0], default=(math.inf, None))
+        self._held = keys if away_mm <= _REACH_PX * self.box.mm_per_pixel and not self.kind else None
+        return bool(self.kind) or self._held is not None
 
     def drag_to(self, start_mm: PointMm, at_mm: PointMm, _keys: Keys, *, ended: bool) -> None:
-        path = path_between(self.kind, start_mm, at_mm)
-        self.picture.show_sketch(_NONE_MM if ended else sketched(path))
-        if ended:
-            self.drawn.emit(self.kind, path)
+        table = self._document.table
+        if self.kind:
+            path = path_between(self.kind, start_mm, at_mm)
+            self.picture.show_sketch(_NONE_MM if ended else sketched(path))
+            if ended:
+                self.drawn.emit(self.kind, path)
+        elif self._held is not None and table is not None:
+            rounded_mm = round(at_mm[0], DECIMALS), round(at_mm[1], DECIMALS)
+            table = with_handle(table, self._held, rounded_mm)
+            self.picture.show_handles([point_mm for _, point_mm in handles(table)])
+            self.picture.show_sketch(_NONE_MM if ended else sketched(table.path))
+            if ended:
+                self.dragged.emit(self._held, table)
 
     def click_at(self, at_mm: PointMm, _keys: Keys) -> None:
         if self.kind in _CLICKED:
             self.drawn.emit(self.kind, path_between(self.kind, at_mm, at_mm))
-        elif not self.kind and (index := self._source_at(at_mm)) >= 0:
-            self.chosen.emit(index)
+        elif not self.kind and (chosen := self._table_at(at_mm)) is not None:
+            self.chosen.emit(chosen)
 
     def fit(self) -> None:
         self.show_everything()
 
-    def _source_at(self, at: PointMm) -> int:
-        """The source whose path is below the mouse; -1 for none."""
-        reach_mm = _LINE_PX * self.box.mm_per_pixel
-        lines = enumerate(trace.line_mm for trace in self._live.preview.traces)
-        near = [(float(np.nanmin(np.hypot(*(line_mm - at).T))), index) for index, line_mm in lines if len(line_mm)]
-        away_mm, index = min(near, default=(math.inf, -1))
-        return index if away_mm <= reach_mm else -1
+    def _handles(self) -> list[tuple[KeysOfPoint, PointMm]]:
+        """Points that can be dragged: those of the chosen table, while the text is the scene that is shown."""
+        table = self._document.table
+        return [] if table is None or self._document.problem else handles(table)
+
+    def _table_at(self, at: PointMm) -> Chosen | None:
+        """The source or the quiet place below the mouse; None for none."""
+        lines = [((SOURCE, index), trace.line_mm) for index, trace in enumerate(self._live.preview.traces)]
+        lines += [((QUIET, index), _quiet_line(place)) for index, place in enumerate(self._document.draft.quiet)]
+        near = [(float(np.nanmin(np.hypot(*(line_mm - at).T))), chosen) for chosen, line_mm in lines if len(line_mm)]
+        away_mm, chosen = min(near, default=(math.inf, None))
+        return chosen if away_mm <= _REACH_PX * self.box.mm_per_pixel else None
 
     def _show_backdrop(self) -> None:
         backdrop, former_mm, view = self._live.backdrop, self._outline_mm, self.box.viewRect()
@@ -123,7 +144,7 @@ class SceneCanvas(SurfaceView):
 
 
 _NONE_MM = np.zeros((0, 2))
-_LINE_PX = 7.0
+_REACH_PX = 8.0
 _CIRCLE_POINTS = 91
 _GAP_MM = np.full((1, 2), np.nan)
 _CROSS_MM = np.array([(-2.0, -2.0), (2.0, 2.0), (np.nan, np.nan), (-2.0, 2.0), (2.0, -2.0), (np.nan, np.nan)])
@@ -140,12 +161,13 @@ class SceneItems:
         self._dots = Spots(symbol="o", size=_DOT_PX)
         self._off = Spots(symbol="x", size=7)
         self._starts = Spots(symbol="o", size=11)
+        self._handles = Spots(symbol="s", size=9)
         self._sketch = pyqtgraph.PlotCurveItem(antialias=True)
         self._quiet = pyqtgraph.PlotCurveItem(antialias=True)
         view.add_item(self._quiet, 28)
         self._lines: list[pyqtgraph.PlotCurveItem] = []
         self._heads: list[pyqtgraph.ArrowItem] = []
-        items = (self._dots, self._off, self._starts, self._sketch)
+        items = (self._dots, self._off, self._starts, self._sketch, self._handles)
         for level, item in enumerate(items):
             view.add_item(item, 30 + 10 * level)
 
@@ -186,6 +208,10 @@ class SceneItems:
         line_mm = np.concatenate([_NONE_MM, *map(_quiet_line, places)])
         self._quiet.setData(line_mm[:, 0], line_mm[:, 1], connect="finite")
 
+    def show_handles(self, points_mm: Sequence[PointMm]) -> None:
+        """Show the points that can be dragged."""
+        self._handles.setData(pos=np.array(points_mm, np.float64).reshape(-1, 2))
+
     def show_sketch(self, points_mm: Float64Array) -> None:
         self._sketch.setData(points_mm[:, 0], points_mm[:, 1])
 
@@ -196,6 +222,7 @@ class SceneItems:
             (self._dots, None, None),
             (self._off, pyqtgraph.mkPen(theme.fault, width=1), theme.fault),
             (self._starts, None, None),
+            (self._handles, pyqtgraph.mkPen(MARK, width=2), theme.base),
         ):
             item.setPen(pen)
             item.setBrush(None if brush is None else pyqtgraph.mkBrush(brush))
@@ -240,6 +267,8 @@ def sketched(path: PathTable | None) -> Float64Array:
         angle = np.linspace(0.0, 2 * np.pi, _CIRCLE_POINTS)
         rim: Float64Array = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         return np.array(path.centre_mm) + path.radius_mm * rim
+    if isinstance(path, PolylineTable):
+        return np.array(path.points_mm).reshape(-1, 2)
     return np.array([path.start_mm, path.end_mm]) if isinstance(path, LineTable) else _NONE_MM
 
 

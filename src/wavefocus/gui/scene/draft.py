@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from wavefocus.config.fields import Table, toml_table
 from wavefocus.config.loading import parse_toml, validated
 from wavefocus.config.scene import (
     WITHOUT_SPEED,
+    CircleTable,
     FileTable,
+    LineTable,
     NoiseTable,
     Output,
     PathTable,
+    PointTable,
+    PolylineTable,
     QuietTable,
     SceneConfig,
     SourceTable,
     SvgTable,
+    TextTable,
     TrajectoryTable,
     regularisation_toml,
 )
@@ -33,6 +39,7 @@ FilesTable = TypeVar("FilesTable", SourceTable, QuietTable)
 
 
 _SPEED_MM_S, _STEP_MM = 80.0, 4.0
+DECIMALS = 2  # of millimetres that are drawn
 NEW_AMPLITUDE = 0.01
 """Amplitude of a new source, in the bank's response unit: 10 mm/s is felt, and a rig of this kind can play it."""
 EMPTY = "the scene has no source yet: draw one on the surface, or write one"
@@ -56,6 +63,75 @@ def new_source(path: PathTable) -> SourceTable:
         speed_mm_s=_SPEED_MM_S if moves else None,
         step_mm=_STEP_MM if moves else None,
     )
+
+
+Keys = tuple[str | int, ...]
+
+
+def handles(table: SourceTable | QuietTable) -> list[tuple[Keys, PointMm]]:
+    """The points of a source or a quiet place that can be moved, with their keys beneath its table."""
+    if isinstance(table, QuietTable) and table.at_mm is not None:
+        return [(("at_mm",), table.at_mm)]
+    match table.path:
+        case PointTable(at_mm=at_mm):
+            return [(("path", "at_mm"), at_mm)]
+        case LineTable(start_mm=start_mm, end_mm=end_mm):
+            return [(("path", "start_mm"), start_mm), (("path", "end_mm"), end_mm)]
+        case CircleTable(centre_mm=(x_mm, y_mm), radius_mm=radius_mm):
+            return [(("path", "centre_mm"), (x_mm, y_mm)), (("path", "radius_mm"), (x_mm + radius_mm, y_mm))]
+        case PolylineTable(points_mm=points_mm):
+            return [(("path", "points_mm", index), point) for index, point in enumerate(points_mm)]
+        case TextTable(centre_mm=centre_mm):
+            return [(("path", "centre_mm"), centre_mm)]
+        case SvgTable(origin_mm=origin_mm):
+            return [(("path", "origin_mm"), origin_mm)]
+    return []
+
+
+def with_handle(table: AnyTable, keys: Keys, at_mm: PointMm) -> AnyTable:
+    """A source or a quiet place with one of its points elsewhere."""
+    key, *rest = keys
+    held = getattr(table, str(key))
+    if isinstance(held, Table):
+        return changed(table, **{str(key): with_handle(held, tuple(rest), at_mm)})
+    if rest:
+        points = list(held)
+        points[int(rest[0])] = at_mm
+        return changed(table, **{str(key): tuple(points)})
+    if isinstance(table, CircleTable) and key == "radius_mm":
+        return changed(table, radius_mm=round(math.dist(table.centre_mm, at_mm), DECIMALS))
+    return changed(table, **{str(key): at_mm})
+
+
+def moved(text: str, place: Keys, keys: Keys, table: SourceTable | QuietTable) -> str:
+    """The text of a scene with the numbers of one point as a table has them; all else stays, comments too.
+
+    place: The list and the index of the table in the scene.
+    keys: Of the point, beneath the table.
+    table: The table with the point moved.
+
+    Raises InputError: The text cannot be changed in this way.
+    """
+    import tomlkit  # 0.1 s
+
+    value: Any = table
+    for key in keys:
+        value = value[key] if isinstance(key, int) else getattr(value, key)
+    try:
+        document: Any = tomlkit.parse(text)
+        held = document
+        for key in (*place, *keys[:-1]):
+            held = held[key]
+        if isinstance(value, tuple) and keys[-1] in held and len(held[keys[-1]]) == len(value):
+            for index, number in enumerate(value):
+                held[keys[-1]][index] = number
+        else:
+            held[keys[-1]] = list(value) if isinstance(value, tuple) else value
+        return str(tomlkit.dumps(document))
+    except (tomlkit.exceptions.TOMLKitError, LookupError, TypeError) as failure:
+        raise InputError(
+            f"this point cannot be moved by the mouse ({failure}): change its numbers in the text"
+        ) from None
 
 
 def scene_toml(scene: SceneConfig, folder: Path | None = None) -> str:

@@ -1,4 +1,4 @@
-"""The figures of a scene with verdicts and definitions, and the warnings below them."""
+"""The figures of a scene with verdicts and definitions."""
 
 from __future__ import annotations
 
@@ -79,16 +79,11 @@ class FiguresView(Themed, QWidget):
         super().__init__()
         self.figures: Sequence[SceneMetric] = ()
         self.table = ui.table(("figure", "value", "verdict"), "Figures of the scene", (0,))
-        self.warnings = ui.label("Warnings of the scene", wraps=True, selectable=True)
-        self.warnings.setContentsMargins(6, 4, 6, 4)
-        ui.column((self.table, 1), self.warnings, owner=self)
+        ui.column((self.table, 1), owner=self)
         self.show_results(None)
 
     def show_results(self, results: SceneResults | None) -> None:
         self.figures = () if results is None else figures_of(results)
-        warnings: Any = () if results is None else results.facts["warnings"]
-        self.warnings.setText("\n".join(f"• {warning}" for warning in warnings))
-        self.warnings.setVisible(bool(warnings))
         self.redraw()
 
     def redraw(self) -> None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyqtgraph
@@ -11,10 +12,13 @@ from PyQt5.QtCore import QSize
 from PyQt5.QtWidgets import QWidget
 
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.field_map import FieldMap, Plot, Real, decimating_curve, whole_ticks
+from wavefocus.gui.field_map import Plot, Real, decimating_curve, whole_ticks
+from wavefocus.gui.film_player import NOWHERE_MM, Film, FilmPlayer, Frame
 from wavefocus.gui.scene.calculation import SceneResults
+from wavefocus.gui.surface import PlotSurface, surface_of
 from wavefocus.gui.theme import Themed
-from wavefocus.gui.time_slider import TimeSlider
+from wavefocus.rendering.arrays import Float64Array
+from wavefocus.storage.errors import InputError
 from wavefocus.storage.units import quantity
 
 if TYPE_CHECKING:
@@ -144,91 +148,140 @@ class LevelPlot(Plot):
 _SIGNED, _MAGNITUDE = "response", "magnitude"
 
 
-class FieldView(Themed, QWidget):
-    """Shows one field."""
+class FieldView(FilmPlayer):
+    """Plays the scene's predicted field, or that of a file, with the response of a position."""
 
     def __init__(self) -> None:
-        super().__init__()
+        super().__init__(["response"])
         self.results: SceneResults | None = None
-        self._marked = False  # whether the instants of a scene's foci have been shown
-        self.map = FieldMap("response")
-        self.slider = TimeSlider()
+        self.field: Field | None = None
+        self.file: Path | None = None
+        self._largest = 0.0
+        self._seen = False  # whether the instants of a scene's foci have been shown
+        self.map, self.slider = self.maps[0], self.time
         tip = "Signed responses in two colours, or magnitudes in one"
         self.colours = ui.choice("Colours", tip, [_SIGNED, _MAGNITUDE])
-        tip = "End of the colour scale, as a part of the largest response at a focus (%)"
+        tip = "End of the colour scale, as a part of the largest response (%)"
         self.span = ui.number_box("End of the colour scale", tip, " %", 0, 1.0, 1000.0, value=100.0, prefix="to ")
         self.waveform = ResponsePlot()
+        self.name = ui.label("Field file shown", any_width=True)
+        self.close_file = ui.tool_button("Close file", "Show the field of the scene again", self._close_file)
+        self._file_row = QWidget()
+        ui.row((self.name, 1), self.close_file, owner=self._file_row, margins=(4, 2, 4, 0))
+        self._file_row.hide()
         # The slider's own row is as wide as the panel without the speed.
         choices = ui.row(self.colours, self.span, self.slider.slower, None, margins=(4, 4, 4, 0))
         upper = QWidget()
-        ui.column(choices, (self.map, 1), self.map.bar, self.slider, owner=upper, spacing=3)
+        ui.column(self._file_row, choices, (self.map, 1), self.map.bar, self.slider, owner=upper, spacing=3)
         ui.column(ui.stacked((upper, 420), (self.waveform, 130), growing=[0]), owner=self)
-        self.slider.moved.connect(self._show_instant)
-        self.map.picked.connect(self.show_position)
-        self.colours.currentIndexChanged.connect(self._rescale)
-        self.span.valueChanged.connect(self._rescale)
+        self.moved.connect(lambda _sample: self.waveform.show_time(self.slider.time_s))
+        self.picked.connect(self.show_position)
+        for changed in (self.colours.currentIndexChanged, self.span.valueChanged):
+            changed.connect(lambda _value: self.redraw())
 
     def show_results(self, results: SceneResults | None) -> None:
-        """Show another field, at the same instant, position and part of the surface; None shows none."""
-        view, marked, at_s = self.map.box.viewRect(), self.map.marked, self.slider.time_s
+        """Show another field of the scene, at the same instant and position; None shows none."""
         self.results = results
-        if results is None or results.field is None:
-            self._marked = False
-            self.slider.show_samples(0.0, 1.0, 0)
-            self.map.show_values(np.full(0 if self.map.surface is None else self.map.surface.positions, np.nan))
-            self.map.show_sources(np.zeros((0, 2)))
-            self.waveform.clear_response()
-            return
-        field, figures = results.field, results.figures
-        same_bank = self.map.surface is not None and self.map.surface.bank == results.surface.bank
-        self.map.show_surface(results.surface)
-        marks_s = np.zeros(0) if figures is None else figures.time_s
-        marks = np.rint((marks_s - field.start_s) * field.sample_rate_hz).astype(int)
-        self.slider.show_samples(field.start_s, field.sample_rate_hz, field.field.shape[1], marks)
-        if same_bank:
-            self.map.box.setRange(view, padding=0)
-        if self._marked and at_s >= field.start_s:
-            self.slider.go_to(round((at_s - field.start_s) * field.sample_rate_hz))
-        self._marked |= figures is not None
-        self._rescale()
-        self.show_position(marked if same_bank else -1)
+        if self.file is None:
+            self._show_scene()
+
+    def show_file(self, path: Path, field: Field, surface: PlotSurface) -> None:
+        """Show the field of a file until it is closed; `surface` has its positions."""
+        self.file, self._seen = path, False
+        self.name.setText(f"{path.name}: {len(field.field)} positions, {field.sample_rate_hz:g} Hz")
+        self.name.setToolTip(str(path))
+        self._file_row.show()
+        self._show_field(field, surface)
 
     def show_position(self, place: int) -> None:
         """Mark a position, by its place in the field, and show its response; -1 for none."""
-        self.map.mark(place)
-        results = self.results
-        if results is None or results.field is None or not 0 <= place < len(results.field.field):
+        self.mark(place)
+        field, surface = self.field, self.map.surface
+        if field is None or surface is None or not 0 <= place < len(field.field):
             self.waveform.clear_response()
             return
-        x_mm, y_mm = results.surface.position_mm[place]
-        title = f"position {results.field.position_index[place]} at ({x_mm:.1f}, {y_mm:.1f}) mm"
-        self.waveform.show_response(title, results.field, place)
+        x_mm, y_mm = surface.position_mm[place]
+        title = f"position {field.position_index[place]} at ({x_mm:.1f}, {y_mm:.1f}) mm"
+        self.waveform.show_response(title, field, place)
         self.waveform.show_time(self.slider.time_s)
 
     def redraw(self) -> None:
-        self._rescale()
+        super().redraw()
         self.show_position(self.map.marked)
 
-    def _rescale(self) -> None:
-        results, signed = self.results, self.colours.currentText() == _SIGNED
-        if results is None or results.field is None:
-            return
-        peak: Any = results.facts.get("focus_peak") or np.abs(results.field.field).max()
-        top = (float(peak) or 1.0) * self.span.value() / 100.0
-        levels = (-top if signed else 0.0, top)
-        unit = results.field.response_unit
-        self.map.show_scale(self.colours.currentText(), levels, unit, (signed, True), signed=signed)
-        self._show_instant(self.slider.sample)
+    def rescale(self) -> None:
+        field, signed = self.field, self.colours.currentText() == _SIGNED
+        if field is not None:
+            top = (self._largest or 1.0) * self.span.value() / 100.0
+            levels = (-top if signed else 0.0, top)
+            title = self.colours.currentText()
+            self.map.show_scale(title, levels, field.response_unit, (signed, True), signed=signed)
 
-    def _show_instant(self, sample: int) -> None:
+    def _show_scene(self) -> None:
         results = self.results
         if results is None or results.field is None:
+            self._seen = False
+            self._show_field(None, None)
             return
-        values = results.field.field[:, sample]
-        self.map.show_values(values if self.map.signed else np.abs(values))
-        rows = results.foci.at(self.slider.time_s)
-        self.map.show_sources(results.surface.position_mm[np.isin(results.field.position_index, rows)])
-        self.waveform.show_time(self.slider.time_s)
+        foci, surface, index = results.foci, results.surface, results.field.position_index
+        marks_s = np.zeros(0) if results.figures is None else results.figures.time_s
+        self._show_field(
+            results.field, surface, marks_s, lambda time_s: surface.position_mm[np.isin(index, foci.at(time_s))]
+        )
+
+    def _close_file(self) -> None:
+        self.file = None
+        self._file_row.hide()
+        self._show_scene()
+
+    def _show_field(
+        self,
+        field: Field | None,
+        surface: PlotSurface | None,
+        marks_s: Float64Array = np.zeros(0),  # noqa: B008
+        sources_mm: Callable[[float], Float64Array] = lambda _time_s: NOWHERE_MM,
+    ) -> None:
+        former, marked, at_s = self.map.surface, self.map.marked, self.slider.time_s
+        self.field = field
+        if field is None or surface is None:
+            self.show_film(None)
+            self.waveform.clear_response()
+            return
+        self._largest = float(np.abs(field.field).max())
+        marks = np.rint((marks_s - field.start_s) * field.sample_rate_hz).astype(np.int64)
+        samples = field.field.shape[1]
+        self.show_film(
+            Film(surface, field.start_s, field.sample_rate_hz, samples, self._frames, sources_mm, marks)
+        )  # fmt: skip
+        if self._seen and at_s >= field.start_s:
+            self.slider.go_to(round((at_s - field.start_s) * field.sample_rate_hz))
+        self._seen |= len(marks) > 0
+        same = former is not None and former.bank == surface.bank and former.positions == surface.positions
+        self.show_position(marked if same else -1)
+
+    def _frames(self, sample: int) -> list[Frame]:
+        assert self.field is not None
+        values = self.field.field[:, sample]
+        return [values if self.map.signed else np.abs(values)]
+
+
+def read_field_on(path: Path, bank: Path) -> tuple[Field, PlotSurface]:
+    """Read a field file, and the places of its positions from a bank.
+
+    Raises InputError: One of both cannot be read, or the field has positions that the bank has not.
+    """
+    from wavefocus.storage.bank.reading import open_bank
+    from wavefocus.storage.field_file import read_field
+
+    field = read_field(path)
+    with open_bank(bank) as view:
+        last = int(field.position_index.max())
+        if last >= view.positions:
+            raise InputError(
+                f"{path} has a position {last}, and {bank} has {view.positions} positions: choose the bank that the"
+                " field belongs to"
+            )
+        return field, surface_of(view).with_rows(field.position_index)
 
 
 class ResponsePlot(Plot):

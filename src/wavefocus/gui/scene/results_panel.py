@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from PyQt5.QtCore import pyqtSignal
 from PyQt5.QtWidgets import QAction, QToolButton, QWidget
@@ -19,9 +20,12 @@ from wavefocus.gui.scene.draft import EMPTY
 from wavefocus.gui.scene.exports import DRIVE, ENDINGS, IDLE, MOVIE, STOPPING, WAV, PlayTask, Saving
 from wavefocus.gui.scene.figures_view import FiguresView
 from wavefocus.gui.scene.result_views import DrivesView, FieldView
-from wavefocus.gui.surface import VIRTUAL
+from wavefocus.gui.surface import VIRTUAL, PlotSurface
 from wavefocus.gui.tab import TabContext
 from wavefocus.gui.theme import Themed
+
+if TYPE_CHECKING:
+    from wavefocus.storage.field_file import Field
 
 # Button, kind, key, tooltip.
 _SAVES = (
@@ -129,11 +133,13 @@ class ActionsBar(Themed, QWidget):
 # A calculation starts so long after the last edit.
 _QUIET_S = 0.3
 _BANK_LOOK_EVERY_S = 1.0
+# More of them are scrolled to; the plots below keep their room.
+_WARNING_LINES = 4
 NO_BANK = "choose a bank: drives and field are computed from its measurements"
 
 
-class ResultsPanel(QWidget):
-    """Results of the present scene."""
+class ResultsPanel(Themed, QWidget):
+    """Results of the present scene, its warnings above them."""
 
     def __init__(self, context: TabContext, document: SceneDocument) -> None:
         super().__init__()
@@ -152,16 +158,25 @@ class ResultsPanel(QWidget):
         self.stage = ui.label("Stage of the calculation", any_width=True)
         self.problem = ui.label("Problem of the calculation", wraps=True)
         self.problem.setMinimumWidth(1)
+        self.warnings = ui.label("Warnings of the scene", wraps=True, selectable=True)
+        self.warnings.setMinimumWidth(1)
+        self._warned = ui.scrolling(self.warnings)
+        self._warned.setMaximumHeight(_WARNING_LINES * self.warnings.fontMetrics().lineSpacing())
+        self._warned.hide()
         self.cancel = ui.tool_button("Stop", "Stop calculating until the next edit", self._stop, "Stop calculating")
         self.pages = ui.tab_pages("Results", {"Drives": self.drives, "Field": self.field, "Figures": self.figures})
         head = ui.row((self.stage, 1), self.cancel, margins=(4, 0, 4, 0))
-        ui.column(head, self.problem, (self.pages, 1), self.bar, owner=self, spacing=3)
+        ui.column(head, self.problem, self._warned, (self.pages, 1), self.bar, owner=self, spacing=3)
         for changed in (document.changed, document.bank_changed, self.bar.rig_changed):
             changed.connect(self._edited)
         self.calculation.stage.connect(self._begin)
         self.calculation.made.connect(self._show)
         self.calculation.refused.connect(self._refuse)
+        self.redraw()
         self._edited()
+
+    def redraw(self) -> None:
+        self.warnings.setStyleSheet(f"QLabel {{ color: {self.theme.warning}; }}")
 
     def menu_actions(self) -> list[QAction | None]:
         """The buttons' actions, for the tab's menu."""
@@ -211,6 +226,11 @@ class ResultsPanel(QWidget):
             self, "Play", lambda: self.playing.play(rig, gain_db, loops, lasts_s), virtual=names_virtual_rig(rig)
         )
 
+    def show_field_file(self, path: Path, field: Field, surface: PlotSurface) -> None:
+        """Play the field of a file until it is closed."""
+        self.field.show_file(path, field, surface)
+        self.pages.setCurrentWidget(self.field)
+
     def _edited(self) -> None:
         self._wanted, self.complete = True, False
         self._due_s = time.monotonic() + _QUIET_S
@@ -232,6 +252,9 @@ class ResultsPanel(QWidget):
         self.bar.show_ready(results is not None)
         ui.put(self.problem, in_window(problem))
         self.problem.setVisible(bool(problem))
+        warnings = () if results is None else results.facts["warnings"]
+        ui.put(self.warnings, "\n".join(f"⚠ {warning}" for warning in warnings))
+        self._warned.setVisible(bool(warnings))
 
     def _refuse(self, problem: str) -> None:
         """Say why a stage cannot be calculated; drives stay where only their field cannot."""

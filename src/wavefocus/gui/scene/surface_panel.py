@@ -8,14 +8,14 @@ from PyQt5.QtWidgets import QWidget
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.advice import in_window
 from wavefocus.gui.field_map import ColourBar
-from wavefocus.gui.scene.canvas import QUIET, SceneCanvas, span_s
-from wavefocus.gui.scene.document import SceneDocument
+from wavefocus.gui.scene.canvas import SceneCanvas, span_s
+from wavefocus.gui.scene.document import QUIET, SceneDocument
 from wavefocus.gui.scene.draft import EMPTY
 from wavefocus.gui.scene.preview import LivePreview, problem_of
 from wavefocus.gui.theme import Themed
 
 _TOOLS = (
-    ("", "Look", "Drag: pan; wheel: zoom; a click on a path shows its table"),
+    ("", "Select", "Click a path or a quiet place for its table; drag its squares to move it; elsewhere a drag pans"),
     ("point", "Point", "Click: adds a source at rest"),
     ("line", "Line", "Drag from start to end: adds a source on a line"),
     ("circle", "Circle", "Drag from the centre to the rim: adds a source on a circle"),

@@ -2,28 +2,38 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from PyQt5.QtCore import Qt
 from PyQt5.QtGui import QShowEvent
 from PyQt5.QtWidgets import QAction, QStackedWidget, QWidget
 
-from wavefocus.config.scene import PathTable, PointTable, QuietTable, SvgTable, TrajectoryTable
+from wavefocus.config.editing import lines_of
+from wavefocus.config.scene import PathTable, PointTable, QuietTable, SourceTable, SvgTable, TrajectoryTable
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.files import FileKind, PathField, TomlKind, toml_kind
-from wavefocus.gui.scene.canvas import QUIET
-from wavefocus.gui.scene.document import SceneDocument
-from wavefocus.gui.scene.draft import new_source, quiet_toml, scene_toml, source_toml
-from wavefocus.gui.scene.editor import SceneEditor
+from wavefocus.gui.editor.files import TextFiles, closing_question
+from wavefocus.gui.editor.insert import insert_button
+from wavefocus.gui.editor.tab import file_actions
+from wavefocus.gui.editor.text_edit import TextPanel
+from wavefocus.gui.files import FileKind, PathField, TomlKind, is_field_file, toml_kind
+from wavefocus.gui.scene.document import NOTHING, QUIET, Chosen, SceneDocument
+from wavefocus.gui.scene.draft import Keys, moved, new_source, quiet_toml, scene_toml, source_toml
 from wavefocus.gui.scene.exports import IDLE
-from wavefocus.gui.scene.files import SceneFiles
 from wavefocus.gui.scene.live_panel import LivePanel
 from wavefocus.gui.scene.live_run import LiveRun
 from wavefocus.gui.scene.live_surface import LiveSurface
 from wavefocus.gui.scene.preview import LivePreview
+from wavefocus.gui.scene.result_views import read_field_on
 from wavefocus.gui.scene.results_panel import ResultsPanel
 from wavefocus.gui.scene.surface_panel import SurfacePanel
+from wavefocus.gui.surface import PlotSurface
 from wavefocus.gui.tab import ClosingQuestion, Drawing, Tab, TabContext
+from wavefocus.storage.errors import InputError
+
+if TYPE_CHECKING:
+    from wavefocus.storage.field_file import Field
 
 # Modes of the tab: key of its page, button, tooltip.
 DRAW, LIVE = "draw", "live"
@@ -37,16 +47,19 @@ class SceneTab(Tab):
     """Draw a scene, see its drives and field, save, render and play it."""
 
     title = "Scene"
-    opens = (".toml", ".svg", ".csv")
+    opens = (".toml", ".svg", ".csv", ".h5")
 
     def __init__(self, context: TabContext) -> None:
         super().__init__(context)
         self.document = SceneDocument(self)
         self.live = LivePreview(context, self.document)
-        self.files = SceneFiles(context, self.document, self)
-        self.actions_by_name = self._make_actions()
+        self.files = TextFiles(context, self.document, self)
+        self.actions_by_name = file_actions(self, self.document, self.files)
         self.bank_field = PathField("&Bank", ".h5", "bank file", context.settings)
-        self.editor = SceneEditor(self.document)
+        tip = "Also render scenes of over an hour, 8 GiB of drives or a million path points"
+        self.large = ui.check("Allow large scenes", tip)
+        self.large.toggled.connect(self.document.allow)
+        self.editor = TextPanel(self.document, self.large)
         self.surface = SurfacePanel(self.document, self.live)
         self.results = ResultsPanel(context, self.document)
         self.live_run = LiveRun(context, self.document, self)
@@ -62,7 +75,10 @@ class SceneTab(Tab):
         self.bank_field.chosen.connect(self._bank_chosen)
         bar.rig_field.chosen.connect(lambda path: context.share(self, FileKind.RIG, path))
         self.surface.canvas.drawn.connect(self._drawn)
-        self.surface.canvas.chosen.connect(self.editor.show_source)
+        self.surface.canvas.chosen.connect(self._show_table)
+        self.surface.canvas.dragged.connect(self._drag)
+        text = self.editor.text
+        text.cursorPositionChanged.connect(lambda: self.document.choose_at_line(text.textCursor().blockNumber()))
         self.document.file_changed.connect(self._show_possible)
         self._show_possible()
         bar.rig_changed.connect(self.live_panel.show_run)
@@ -75,15 +91,18 @@ class SceneTab(Tab):
         return [*named.values(), None, *self.results.menu_actions(), None, self.live_panel.start, self.live_panel.stop]
 
     def accepts(self, path: Path) -> bool:
-        """Scenes, drawings and trajectories."""
-        name = path.name.lower()
-        return name.endswith((".svg", ".csv")) or (name.endswith(".toml") and toml_kind(path) is TomlKind.SCENE)
+        """Scenes, drawings, trajectories and fields."""
+        if path.suffix.lower() == ".toml":
+            return toml_kind(path) is TomlKind.SCENE
+        return path.suffix.lower() in (".svg", ".csv") or is_field_file(path)
 
     def open_file(self, path: Path) -> None:
-        """Open a scene, or add a drawing or a trajectory."""
+        """Open a scene, play a field, or add a drawing or a trajectory."""
         ending = path.suffix.lower()
         if ending == ".toml":
             self.files.open(path)
+        elif ending in (".h5", ".hdf5"):
+            self._open_field(path)
         else:
             file = str(path)
             self._drawn(ending, SvgTable(file=file) if ending == ".svg" else TrajectoryTable(file=file))
@@ -96,7 +115,7 @@ class SceneTab(Tab):
         return self.results.playing.instruments_held() or self.live_run.instruments_held()
 
     def closing_question(self) -> ClosingQuestion | None:
-        return self.files.closing_question()
+        return closing_question(self.context, [self.files])
 
     def shut_down(self) -> None:
         self.live.shut_down()
@@ -135,24 +154,6 @@ class SceneTab(Tab):
         surface = self.live_surface if self.modes[LIVE].isChecked() else self.surface.canvas
         surface.setFocus(Qt.FocusReason.OtherFocusReason)
 
-    def _make_actions(self) -> dict[str, QAction]:
-        files, text = self.files, self.document.text
-        made = {
-            "new": ui.action(self, "&New", files.new, "Ctrl+N", tip="Begin a new scene"),
-            "open": ui.action(self, "&Open…", files.choose, tip="Open a scene file (Ctrl+O opens any file)"),
-            "save": ui.action(self, "&Save", files.save, "Ctrl+S", tip="Save the scene to its file"),
-            "save as": ui.action(self, "Save &as…", files.save_as, "Ctrl+Shift+S", tip="Save to another file"),
-            "undo": ui.action(self, "&Undo", text.undo, "Ctrl+Z", tip="Undo the last change"),
-            "redo": ui.action(self, "&Redo", text.redo, "Ctrl+Shift+Z", tip="Redo the change"),
-        }
-        text.undoAvailable.connect(made["undo"].setEnabled)
-        text.redoAvailable.connect(made["redo"].setEnabled)
-        for action in made.values():
-            # Other tabs mean something else by the same keys.
-            action.setShortcutContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
-            self.addAction(action)
-        return made
-
     def _lay_out(self) -> None:
         buttons = [ui.button(self.actions_by_name[name]) for name in ("new", "open", "save", "save as", "undo", "redo")]
         surface = QWidget()
@@ -161,13 +162,13 @@ class SceneTab(Tab):
         for stack, parts in ((middle, (self.surface, surface)), (right, (self.results, self.live_panel))):
             for part in parts:
                 stack.addWidget(part)
-        columns = ui.side_by_side((self.editor, 330), (middle, 470), (right, 460), growing=[1, 2])
+        columns = ui.side_by_side((self.editor, 390), (middle, 440), (right, 430), growing=[1, 2])
         live = self.live_panel
         self.remember(
             columns=columns, look_ahead=live.look_ahead, records=live.records, recordings=live.folder,
         )  # fmt: skip
         fields = (self.bank_field, 3), (self.results.bar.rig_field, 2)
-        top = ui.row(*buttons, 6, *self.modes.values(), 6, (self._file, 1), *fields)
+        top = ui.row(*buttons, insert_button(self.document), 6, *self.modes.values(), 6, (self._file, 1), *fields)
         ui.column(top, (columns, 1), owner=self, margins=ui.PAGE_MARGINS)
 
     def use_shared(self, kind: FileKind, path: Path) -> None:
@@ -190,12 +191,25 @@ class SceneTab(Tab):
         self.document.use_bank(path)
         self.context.share(self, FileKind.BANK, path)
 
+    def _open_field(self, path: Path) -> None:
+        """Play a field file on the positions of the chosen bank."""
+        bank = self.document.bank or self._latest_bank()
+        if bank is None:
+            self.context.messages.warn(f"{path.name}: choose the bank that it belongs to, then open it again")
+            return
+
+        def show(read: tuple[Field, PlotSurface]) -> None:
+            self.use_mode(DRAW)
+            self.results.show_field_file(path, *read)
+
+        self.context.background.ask("field", partial(read_field_on, path, bank), show, self.context.report_failure)
+
     def _latest_bank(self) -> Path | None:
         """The bank of last time, or the one opened last in any tab."""
         last = self.context.settings.text("scene/bank")
         recent = [path for path in self.context.settings.recent() if path.suffix.lower() == ".h5"]
         found = [path for path in ([Path(last)] if last else []) + recent if not path.name.endswith(".raw.h5")]
-        return next((path for path in found if path.is_file()), None)
+        return next((path for path in found if path.is_file() and not is_field_file(path)), None)
 
     def _drawn(self, kind: str, path: PathTable) -> None:
         folder = self.document.place.parent
@@ -205,8 +219,26 @@ class SceneTab(Tab):
             self.document.append(source_toml(new_source(path), folder))
         self.surface.use_tool("")
 
+    def _show_table(self, chosen: Chosen) -> None:
+        """Put the cursor into the table of a source or a quiet place."""
+        self.document.choose(chosen)
+        line = lines_of(self.document.toml()).get(chosen)
+        if line is not None:
+            self.editor.text.go_to_line(line)
+
+    def _drag(self, keys: Keys, table: SourceTable | QuietTable) -> None:
+        """Write where a point was dragged to."""
+        document, chosen = self.document, self.document.chosen
+        if chosen == NOTHING:
+            return
+        try:
+            document.replace(moved(document.toml(), chosen, keys, table))
+        except InputError as refused:
+            self.context.messages.warn(str(refused))
+        self._show_table(chosen)  # it stays the chosen one
+
     def _show_possible(self) -> None:
         document = self.document
         self.actions_by_name["save"].setEnabled(not document.saved or document.path is None)
-        self._file.setText(f"{self.files.name}{'' if document.saved else ' •'}")
+        self._file.setText(self.files.shown_name)
         self._file.setToolTip(f"{document.path or 'not in a file yet'}{'' if document.saved else ', not saved'}")

@@ -12,10 +12,11 @@ from PyQt5.QtCore import Qt, pyqtSignal
 from PyQt5.QtWidgets import QGraphicsItem, QSizePolicy, QToolButton, QWidget
 
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.field_map import FieldMap, Plot, decimate, scaled_unit, symmetric_levels
+from wavefocus.gui.field_map import Plot, decimate, scaled_unit, symmetric_levels
+from wavefocus.gui.film_player import Film, FilmPlayer, Frame
 from wavefocus.gui.theme import Theme, Themed
-from wavefocus.gui.time_slider import TimeSlider
 from wavefocus.gui.verification.run import Results
+from wavefocus.rendering.arrays import Float64Array
 
 if TYPE_CHECKING:
     from wavefocus.rendering.verify.record import VerificationRecord
@@ -246,18 +247,12 @@ def _figures_text(record: VerificationRecord, index: int) -> str:
 _ERRORS_SHOWN = 0.98
 
 
-class MapsPanel(Themed, QWidget):
-    """Three linked maps over a time slider."""
-
-    #: Index of the position that was clicked, in the record's order.
-    picked = pyqtSignal(int)
-    #: Sample shown.
-    moved = pyqtSignal(int)
+class MapsPanel(FilmPlayer):
+    """Prediction, scan, and their difference or the error at each position."""
 
     def __init__(self) -> None:
-        super().__init__()
+        super().__init__(("Prediction", "Scan", "Difference"))
         self._results: Results | None = None
-        self.maps = [FieldMap("Prediction"), FieldMap("Scan"), FieldMap("Difference")]
         tip = "The difference at the instant shown, or the relative L2 error over all instants"
         choices = ["Difference, scan − prediction", "Error at each position"]
         self.third = ui.choice("Quantity on the third map", tip, choices)
@@ -266,7 +261,6 @@ class MapsPanel(Themed, QWidget):
             "positions lie within them)"
         )
         self.scale = ui.choice("Colour scale", tip, ["scale of the scene", "scale of the instant"])
-        self.time = TimeSlider()
         headings = (ui.label(text="Prediction", role="strong"), ui.label(text="Scan", role="strong"), self.third)
         columns = []
         for field_map, heading in zip(self.maps, headings, strict=True):
@@ -274,13 +268,9 @@ class MapsPanel(Themed, QWidget):
             heading.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
             field_map.setMinimumSize(150, 110)
             columns.append((ui.column(heading, (field_map, 1), field_map.bar, spacing=2), 1))
-            field_map.picked.connect(self.picked)
-            if field_map is not self.maps[0]:
-                field_map.link(self.maps[0])
         ui.column((ui.row(*columns, spacing=6), 1), ui.row((self.time, 1), self.scale), owner=self)
-        self.time.moved.connect(self._moved)
-        self.third.currentIndexChanged.connect(lambda _index: self._rescale())
-        self.scale.currentIndexChanged.connect(lambda _index: self._rescale())
+        for choice in (self.third, self.scale):
+            choice.currentIndexChanged.connect(lambda _index: self.redraw())
 
     @property
     def shows_error(self) -> bool:
@@ -290,40 +280,25 @@ class MapsPanel(Themed, QWidget):
     def show_results(self, results: Results) -> None:
         """Show another verification, at its first focus instant."""
         self._results = results
-        for field_map in self.maps:
-            field_map.show_surface(results.surface)
-        self._rescale()
-        pair = results.pair
-        self.time.show_samples(pair.start_s, pair.sample_rate_hz, pair.samples, results.focus_sample)
+        pair, sources = results.pair, results.record.sources
 
-    def mark(self, index: int) -> None:
-        """Mark a position in all three maps; -1 for none."""
-        for field_map in self.maps:
-            field_map.mark(index)
+        def sources_mm(time_s: float) -> Float64Array:
+            places = [source.at_mm(time_s) for source in sources]
+            return np.array([place for place in places if place is not None], np.float64).reshape(-1, 2)
 
-    def _moved(self, sample: int) -> None:
-        if self._results is not None:
-            if self.scale.currentIndex() == 1:
-                self._rescale()
-            else:
-                self._show_instant()
-            self.moved.emit(sample)
+        self.show_film(
+            Film(
+                results.surface, pair.start_s, pair.sample_rate_hz, pair.samples, self._frames, sources_mm,
+                results.focus_sample,
+            )
+        )  # fmt: skip
 
-    def _show_instant(self) -> None:
-        results = self._results
-        if results is None:
-            return
-        predicted, scanned = results.pair.at_sample(self.time.sample)
-        self.maps[0].show_values(predicted)
-        self.maps[1].show_values(scanned)
-        if not self.shows_error:
-            self.maps[2].show_values(np.where(results.record.compared, scanned - predicted, np.nan))
-        places = [source.at_mm(self.time.time_s) for source in results.record.sources]
-        at_mm = np.array([place for place in places if place is not None], np.float64).reshape(-1, 2)
-        for field_map in self.maps:
-            field_map.show_sources(at_mm)
+    def show_instant(self) -> None:
+        if self.scale.currentIndex() == 1:
+            self.rescale()
+        super().show_instant()
 
-    def _rescale(self) -> None:
+    def rescale(self) -> None:
         results = self._results
         if results is None:
             return
@@ -346,4 +321,9 @@ class MapsPanel(Themed, QWidget):
             third.show_values(error)
         else:
             third.show_scale("scan − prediction, own scale", symmetric_levels(loudest_difference), unit, beyond)
-        self._show_instant()
+
+    def _frames(self, sample: int) -> list[Frame]:
+        assert self._results is not None
+        predicted, scanned = self._results.pair.at_sample(sample)
+        difference = np.where(self._results.record.compared, scanned - predicted, np.nan)
+        return [predicted, scanned, None if self.shows_error else difference]

@@ -1,0 +1,161 @@
+"""The Files tab: the texts of run and rig file, and what they mean beside them."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from PyQt5.QtCore import Qt
+from PyQt5.QtGui import QShowEvent
+from PyQt5.QtWidgets import QAction, QStackedWidget, QTabWidget, QWidget
+
+from wavefocus.gui import widgets as ui
+from wavefocus.gui.editor.document import TextDocument
+from wavefocus.gui.editor.files import TextFiles, closing_question
+from wavefocus.gui.editor.insert import insert_button
+from wavefocus.gui.editor.meaning import MEANINGS, Meaning
+from wavefocus.gui.editor.text_edit import TextPanel
+from wavefocus.gui.files import FileKind
+from wavefocus.gui.message_bar import error_text
+from wavefocus.gui.surface_view import SurfaceView, rgba
+from wavefocus.gui.tab import ClosingQuestion, Tab, TabContext
+from wavefocus.gui.theme import Themed
+from wavefocus.storage.errors import WavefocusError
+
+_KINDS = {FileKind.RUN: "run", FileKind.RIG: "rig"}
+
+
+class FilePage(Themed, QWidget):
+    """The text of a run or rig file, and what it means."""
+
+    def __init__(self, kind: str, context: TabContext, owner: QWidget) -> None:
+        super().__init__()
+        self._context = context
+        self.document = TextDocument(kind, self)
+        self.files = TextFiles(context, self.document, owner)
+        self.editor = TextPanel(self.document)
+        self.surface = SurfaceView(f"Surface of the {kind} file")
+        self.lines = ui.label("Meaning of the text", wraps=True, selectable=True)
+        self.lines.setMinimumHeight(3 * self.lines.fontMetrics().lineSpacing())
+        self.table = ui.table(("",), "Channels and limits", ())
+        self.table.hide()
+        self.name = ui.label("File", any_width=True)
+        self.actions_by_name = file_actions(self, self.document, self.files)
+        names = ("new", "open", "save", "save as", "undo", "redo")
+        buttons = [ui.button(self.actions_by_name[name]) for name in names]
+        right = QWidget()
+        ui.column((self.surface, 2), self.lines, (self.table, 1), owner=right, spacing=4)
+        self.columns = ui.side_by_side((self.editor, 620), (right, 600), growing=[0, 1])
+        top = ui.row(*buttons, insert_button(self.document), 6, (self.name, 1))
+        ui.column(top, (self.columns, 1), owner=self, spacing=4)
+        self.document.changed.connect(self._ask)
+        self.document.file_changed.connect(self._show_name)
+        self._show_name()
+
+    def redraw(self) -> None:
+        """Show the surface in the theme's colours."""
+        if self.surface.surface is not None:
+            shown = rgba(self.theme.cell) if self.document.kind == "run" else np.zeros(4, np.uint8)
+            self.surface.paint(np.tile(shown, (self.surface.surface.positions, 1)))
+
+    def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802
+        super().showEvent(event)
+        self._ask()
+
+    def _ask(self) -> None:
+        """Find out in a thread what the text means, while it is shown."""
+        document = self.document
+        if not self.isVisible() or document.mistakes or not document.worth_keeping:
+            return
+        work = partial(MEANINGS[document.kind], document.toml(), document.place)
+        self._context.background.ask(f"{document.kind} text", work, self._show, self._refuse)
+
+    def _show(self, meaning: Meaning) -> None:
+        self.surface.show_surface(meaning.surface)
+        self.redraw()
+        self.lines.setText("\n".join(meaning.lines))
+        self.table.setColumnCount(len(meaning.titles))
+        self.table.setHorizontalHeaderLabels(list(meaning.titles))
+        self.table.setRowCount(len(meaning.rows))
+        for number, row in enumerate(meaning.rows):
+            ui.fill_row(self.table, number, row)
+        self.table.setVisible(bool(meaning.rows))
+        self.lines.setStyleSheet("")
+
+    def _refuse(self, failure: Exception) -> None:
+        """Say what is wrong with the files together; the surface stays."""
+        if not isinstance(failure, WavefocusError | OSError):
+            raise failure
+        self.lines.setText(error_text(failure).removeprefix(f"{self.document.place}: "))
+        self.lines.setStyleSheet(f"QLabel {{ color: {self.theme.fault}; }}")
+
+    def _show_name(self) -> None:
+        self.name.setText(self.files.shown_name)
+        self.name.setToolTip(str(self.document.path or "not in a file yet"))
+        self.actions_by_name["save"].setEnabled(not self.document.saved or self.document.path is None)
+
+
+class FilesTab(Tab):
+    """Edits run and rig file; scenes have their own tab."""
+
+    title = "Files"
+
+    def __init__(self, context: TabContext) -> None:
+        super().__init__(context)
+        self.pages = {kind: FilePage(name, context, self) for kind, name in _KINDS.items()}
+        self._stack = QStackedWidget()
+        for page in self.pages.values():
+            self._stack.addWidget(page)
+        choices = [(kind, kind.capitalize(), f"The text of the {kind}", kind) for kind in _KINDS]
+        self.kinds = ui.exclusive_buttons(choices, lambda kind: self.show_page(FileKind(kind)))
+        ui.column(ui.row(*self.kinds.values(), None), (self._stack, 1), owner=self, margins=ui.PAGE_MARGINS)
+        self.remember(**{f"{name}_columns": self.pages[kind].columns for kind, name in _KINDS.items()})
+        for page in self.pages.values():
+            page.files.restore_unsaved()
+
+    def menu_actions(self) -> list[QAction | None]:
+        return [ui.action(self, f"&{kind.capitalize()}", partial(self.show_page, kind)) for kind in _KINDS]
+
+    def show_page(self, kind: FileKind) -> None:
+        """Show the run file or the rig file."""
+        self.kinds[kind].setChecked(True)
+        self._stack.setCurrentWidget(self.pages[kind])
+        stack = self.parentWidget()
+        tabs = None if stack is None else stack.parentWidget()
+        if isinstance(tabs, QTabWidget):
+            tabs.setCurrentWidget(self)
+
+    def use_shared(self, kind: FileKind, path: Path) -> None:
+        """Show the run and rig file of the other tabs; a text with unsaved changes stays."""
+        page = self.pages.get(kind)
+        if page is not None and page.document.saved and page.document.path != path:
+            page.files.show(path)
+
+    def closing_question(self) -> ClosingQuestion | None:
+        return closing_question(self.context, [page.files for page in self.pages.values()])
+
+    def save_settings(self) -> None:
+        super().save_settings()
+        for page in self.pages.values():
+            page.files.save_settings()
+
+
+def file_actions(owner: QWidget, document: TextDocument, files: TextFiles) -> dict[str, QAction]:
+    """The actions of a text and its file."""
+    text, kind = document.text, document.kind
+    made = {
+        "new": ui.action(owner, "&New", files.new, "Ctrl+N", tip=f"Begin a new {kind} file"),
+        "open": ui.action(owner, "&Open…", files.choose, tip=f"Open a {kind} file (Ctrl+O opens any file)"),
+        "save": ui.action(owner, "&Save", files.save, "Ctrl+S", tip=f"Save the {kind} to its file"),
+        "save as": ui.action(owner, "Save &as…", files.save_as, "Ctrl+Shift+S", tip="Save to another file"),
+        "undo": ui.action(owner, "&Undo", text.undo, "Ctrl+Z", tip="Undo the last change"),
+        "redo": ui.action(owner, "&Redo", text.redo, "Ctrl+Shift+Z", tip="Redo the change"),
+    }
+    text.undoAvailable.connect(made["undo"].setEnabled)
+    text.redoAvailable.connect(made["redo"].setEnabled)
+    for action in made.values():
+        # Other tabs mean something else by the same keys.
+        action.setShortcutContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
+        owner.addAction(action)
+    return made

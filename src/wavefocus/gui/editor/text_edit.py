@@ -1,0 +1,213 @@
+"""The editor's text: completion of keys, their help, and mistakes at their lines."""
+
+from __future__ import annotations
+
+from PyQt5.QtCore import QEvent, QRegularExpression, QStringListModel, Qt
+from PyQt5.QtGui import (
+    QColor,
+    QFont,
+    QFontDatabase,
+    QHelpEvent,
+    QKeyEvent,
+    QSyntaxHighlighter,
+    QTextCharFormat,
+    QTextCursor,
+)
+from PyQt5.QtWidgets import QCompleter, QLineEdit, QPlainTextEdit, QTextEdit, QToolTip, QWidget
+
+from wavefocus.config.editing import completions, help_at
+from wavefocus.gui import widgets as ui
+from wavefocus.gui.editor.document import TextDocument
+from wavefocus.gui.theme import Theme, Themed
+
+_COMPLETER_KEYS = (Qt.Key.Key_Return, Qt.Key.Key_Enter, Qt.Key.Key_Tab, Qt.Key.Key_Escape)
+_MAX_HELP_CHARACTERS = 60
+
+
+class TomlEdit(Themed, QPlainTextEdit):
+    """The text of a document. Letters complete keys; Ctrl+Space lists those that fit; a tooltip explains each."""
+
+    def __init__(self, document: TextDocument) -> None:
+        super().__init__()
+        self._document = document
+        self.setAccessibleName(f"Text of the {document.kind} file")
+        self.setDocument(document.text)
+        self.setFont(QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont))
+        self.setLineWrapMode(QPlainTextEdit.LineWrapMode.NoWrap)  # comments stand in a column of their own
+        self.setAcceptDrops(False)  # the window takes what is dropped
+        self._colours = _Colours(document.text, self.theme)
+        self._found = QStringListModel(self)
+        self.completer = QCompleter(self._found, self)
+        self.completer.setWidget(self)
+        popup = self.completer.popup()
+        assert popup is not None
+        self.popup = popup
+        self.completer.setModelSorting(QCompleter.ModelSorting.UnsortedModel)
+        self.completer.activated[str].connect(self._complete)
+        self._typed = ""
+        self._texts: dict[str, str] = {}
+        self.cursorPositionChanged.connect(self.redraw)
+        document.changed.connect(self.redraw)
+
+    def position(self) -> int:
+        """Place of the cursor in the text, in characters."""
+        return len(self._before(self.textCursor().position()))
+
+    def go_to_line(self, line: int) -> None:
+        """Put the cursor into a line, from 0."""
+        self.setTextCursor(QTextCursor(self._document.text.findBlockByNumber(line)))
+        self.centerCursor()
+        self.setFocus(Qt.FocusReason.OtherFocusReason)
+
+    def redraw(self) -> None:
+        """Mark the line of the cursor and those with mistakes."""
+        here = QTextEdit.ExtraSelection()
+        here.cursor = self.textCursor()
+        here.cursor.clearSelection()
+        here.format.setBackground(QColor(self.theme.alternate))
+        here.format.setProperty(QTextCharFormat.Property.FullWidthSelection, True)
+        marked = [here]
+        for mistake in self._document.mistakes:
+            line = QTextEdit.ExtraSelection()
+            line.cursor = QTextCursor(self._document.text.findBlockByNumber(mistake.line))
+            line.cursor.select(QTextCursor.SelectionType.LineUnderCursor)
+            line.format.setUnderlineStyle(QTextCharFormat.UnderlineStyle.WaveUnderline)
+            line.format.setUnderlineColor(QColor(self.theme.fault))
+            marked.append(line)
+        self.setExtraSelections(marked)
+
+    def event(self, event: QEvent | None) -> bool:
+        """Explain what is below the mouse: its mistake, else its key."""
+        if not isinstance(event, QHelpEvent):
+            return bool(super().event(event))
+        viewport = self.viewport()
+        assert viewport is not None
+        cursor = self.cursorForPosition(viewport.mapFromGlobal(event.globalPos()))
+        wrong = [one.sentence for one in self._document.mistakes if one.line == cursor.blockNumber()]
+        at = len(self._before(cursor.position()))
+        QToolTip.showText(
+            event.globalPos(), "\n".join(wrong) or help_at(self._document.toml(), at, self._document.model)
+        )
+        return True
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802
+        assert event is not None
+        if self.popup.isVisible() and event.key() in _COMPLETER_KEYS:
+            event.ignore()  # for the list
+            return
+        asked = event.key() == Qt.Key.Key_Space and event.modifiers() == Qt.KeyboardModifier.ControlModifier
+        if not asked:
+            super().keyPressEvent(event)
+        if asked or (event.text().isprintable() and event.text().strip() not in ("", "]", "}")):
+            self.list_completions(asked=asked)
+        else:
+            self.popup.hide()
+
+    def list_completions(self, *, asked: bool) -> None:
+        """List what may stand at the cursor; unless asked for, once a letter has been typed."""
+        self._typed, found = completions(self._document.toml(), self.position(), self._document.model)
+        popup = self.popup
+        if not found or not (asked or self._typed) or [one.text for one in found] == [self._typed]:
+            popup.hide()
+            return
+        self._texts = {_listed(one.text, one.help): one.text for one in found}
+        self._found.setStringList(list(self._texts))
+        self.completer.setCompletionPrefix("")
+        place = self.cursorRect()
+        place.setWidth(popup.sizeHintForColumn(0) + 30)
+        self.completer.complete(place)
+        popup.setCurrentIndex(popup.indexAt(popup.rect().topLeft()))
+
+    def _complete(self, line: str) -> None:
+        cursor = self.textCursor()
+        cursor.movePosition(QTextCursor.MoveOperation.Left, QTextCursor.MoveMode.KeepAnchor, len(self._typed))
+        cursor.insertText(self._texts[line])
+        self.setTextCursor(cursor)
+
+    def _before(self, position: int) -> str:
+        """The text before a position of Qt, which counts pairs of surrogates as two."""
+        raw = self._document.toml().encode("utf-16-le", "surrogatepass")
+        return raw[: 2 * position].decode("utf-16-le", "surrogatepass")
+
+
+class _Colours(QSyntaxHighlighter):
+    """Headings, texts and comments."""
+
+    def __init__(self, document: object, theme: Theme) -> None:
+        super().__init__(document)  # type: ignore[call-overload]
+        heading, text, comment = QTextCharFormat(), QTextCharFormat(), QTextCharFormat()
+        heading.setFontWeight(QFont.Weight.Bold)
+        text.setForeground(QColor(theme.accent))
+        comment.setForeground(QColor(theme.faint))
+        patterns = (r"^\s*\[+[\w.\-]+\]+", heading), (r'"[^"\n]*"', text), (r"#.*$", comment)
+        self._rules = [(QRegularExpression(pattern), style) for pattern, style in patterns]
+
+    def highlightBlock(self, line: str | None) -> None:  # noqa: N802
+        for pattern, style in self._rules:
+            found = pattern.globalMatch(line)
+            while found.hasNext():
+                match = found.next()
+                self.setFormat(match.capturedStart(), match.capturedLength(), style)
+
+
+def _listed(text: str, about: str) -> str:
+    short = about if len(about) <= _MAX_HELP_CHARACTERS else f"{about[:_MAX_HELP_CHARACTERS]}…"
+    return f"{text}   {short}" if about else text
+
+
+class TextPanel(Themed, QWidget):
+    """The text with a line to search in it, and its mistakes below, each with its line.
+
+    below: Widgets beneath the text.
+    """
+
+    def __init__(self, document: TextDocument, *below: QWidget) -> None:
+        super().__init__()
+        self._document = document
+        self.text = TomlEdit(document)
+        self.search = ui.named(QLineEdit(), "Enter: next place, Escape: close", "Search in the text")
+        self.search.setPlaceholderText("search: Enter finds the next place")
+        self.search.hide()
+        self.problem = ui.label("Mistakes of the text", wraps=True, selectable=True)
+        self.problem.setTextInteractionFlags(Qt.TextInteractionFlag.LinksAccessibleByMouse)
+        self.problem.linkActivated.connect(lambda line: self.text.go_to_line(int(line)))
+        ui.column(self.search, (self.text, 1), self.problem, *below, owner=self, spacing=4)
+        self.search.returnPressed.connect(self.find_next)
+        find = ui.action(self, "&Find", self._find, "Ctrl+F")
+        leave = ui.action(self.search, "Close", self._leave, "Escape")
+        for owner, action in ((self, find), (self.search, leave)):
+            action.setShortcutContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
+            owner.addAction(action)
+        document.changed.connect(self.redraw)
+        self.redraw()
+
+    def find_next(self) -> None:
+        """Select the next place with the searched text, from the start after the last one."""
+        if not self.text.find(self.search.text()):
+            self.text.moveCursor(QTextCursor.MoveOperation.Start)
+            self.text.find(self.search.text())
+
+    def redraw(self) -> None:
+        shown = self._document.mistakes[:_MISTAKES_SHOWN]
+        lines = [f'<a href="{one.line}">line {one.line + 1}</a>: {_escaped(one.sentence)}' for one in shown]
+        if more := len(self._document.mistakes) - len(shown):
+            lines.append(f"and {more} more")
+        self.problem.setText("<br>".join(lines))
+        self.problem.setStyleSheet(f"QLabel {{ color: {self.theme.fault}; }}")
+        self.problem.setVisible(bool(lines))
+
+    def _find(self) -> None:
+        self.search.show()
+        self.search.setFocus(Qt.FocusReason.ShortcutFocusReason)
+        self.search.selectAll()
+
+    def _leave(self) -> None:
+        self.search.hide()
+        self.text.setFocus(Qt.FocusReason.OtherFocusReason)
+
+
+_MISTAKES_SHOWN = 3
+
+
+def _escaped(text: str) -> str:
+    return text.replace("&", "&amp;").replace("<", "&lt;")
