@@ -65,6 +65,7 @@ def bench(qtbot: QtBot, open_window: Opens, finished: Path) -> Generator[Bench]:
     made.panel.deleteLater()
 
 
+@pytest.mark.timeout(500)
 def test_given_edits_then_drives_field_and_figures_follow_and_nothing_of_an_older_scene_is_shown(
     qtbot: QtBot, bench: Bench
 ) -> None:
@@ -120,6 +121,7 @@ def look_at_field(qtbot: QtBot, bench: Bench) -> None:
     assert view.map.marked == 6
 
 
+@pytest.mark.timeout(500)
 def test_given_no_bank_a_path_off_the_grid_or_a_bank_that_goes_and_comes_then_a_sentence_says_so(
     bench: Bench, finished: Path
 ) -> None:
