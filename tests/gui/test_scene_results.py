@@ -7,12 +7,13 @@ import signal
 import subprocess
 import sys
 from collections.abc import Generator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import soundfile
-from PyQt5.QtCore import Qt, QTimer
+from PyQt5.QtCore import QPoint, Qt, QTimer
 from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import LEFT, Opens, click, line_scene, pixel, wait
@@ -87,6 +88,12 @@ def test_given_edits_then_drives_field_and_figures_follow_and_nothing_of_an_olde
     assert panel.figures.table.item(1, 1).text().endswith(" V")
     bench.edit(line_scene(amplitude=1.0, limit_v=limit_v))
     assert panel.figures.figures[0].verdict == GOOD
+    assert not panel.warnings.isVisible()
+    warned = replace(panel.results, facts={**panel.results.facts, "warnings": ["nearest is wrong by about 59 %"]})
+    panel.calculation.made.emit(warned)
+    assert panel.warnings.isVisible()
+    assert panel.warnings.mapTo(panel, QPoint()).y() < panel.pages.y()
+    assert "nearest is wrong" in panel.warnings.text()
     panel.drives.actuator.setCurrentIndex(2)
     assert "largest " in panel.drives.traces.getPlotItem().titleLabel.text
     look_at_field(qtbot, bench)

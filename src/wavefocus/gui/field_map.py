@@ -46,16 +46,14 @@ class Plot(Themed, pyqtgraph.PlotWidget):
         for side in ("left", "bottom"):
             plot.getAxis(side).enableAutoSIPrefix(False)
         self.setToolTip("Wheel: zoom. Drag: pan. Double click: show everything.")
+        self.setBackground(self.theme.base)
+        theme_axes(plot)
+        if self._legend is not None:
+            self._legend.setLabelTextColor(self.theme.text)
 
     def mouseDoubleClickEvent(self, event) -> None:  # type: ignore[no-untyped-def]  # noqa: N802
         super().mouseDoubleClickEvent(event)
         self.getPlotItem().getViewBox().autoRange()
-
-    def redraw(self) -> None:
-        self.setBackground(self.theme.base)
-        theme_axes(self.getPlotItem())
-        if self._legend is not None:
-            self._legend.setLabelTextColor(self.theme.text)
 
     def title(self, words: str, *, faint: bool = False, size: str | None = None) -> None:
         """Set the line above the plot."""
@@ -153,7 +151,8 @@ class ColourBar(Themed, pyqtgraph.GraphicsView):
         self.setFrameShape(QFrame.Shape.NoFrame)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self._bar.axis.enableAutoSIPrefix(False)
-        self.redraw()
+        self.setBackground(self.theme.window)
+        theme_axes(self._bar)
 
     def sizeHint(self) -> QSize:  # noqa: N802
         needed = self._bar.effectiveSizeHint(Qt.SizeHint.MinimumSize).height()
@@ -179,10 +178,6 @@ class ColourBar(Themed, pyqtgraph.GraphicsView):
 
     def set_map(self, colour_map: pyqtgraph.ColorMap) -> None:
         self._bar.setColorMap(colour_map)
-
-    def redraw(self) -> None:
-        self.setBackground(self.theme.window)
-        theme_axes(self._bar)
 
 
 class FieldMap(SurfaceView):
@@ -222,10 +217,6 @@ class FieldMap(SurfaceView):
     def show_values(self, values: NDArray[np.floating[Any]]) -> None:
         """Colour the positions by values in the scale's unit; NaN where there is no value."""
         self.values = self._factor * np.asarray(values, np.float64)
-        self._paint_values()
-
-    def redraw(self) -> None:
-        super().redraw()
         self._paint_values()
 
     def position_text(self, position: int) -> str:

@@ -83,7 +83,8 @@ class FilmPlayer(Themed, QWidget):
         """Set the scales of the maps."""
         raise NotImplementedError
 
-    def redraw(self) -> None:
+    def show_again(self) -> None:
+        """Show the same instant with other scales."""
         if self.film is not None:
             self.rescale()
             self.show_instant()

@@ -80,7 +80,13 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
         for side in ("left", "bottom"):  # no prefix: the unit is part of the label
             plot.getAxis(side).enableAutoSIPrefix(False)
         self.box.sigRangeChangedManually.connect(lambda *_: self._set_fits(False))
-        self.redraw()
+        theme = self.theme
+        self.setBackground(theme.base)
+        theme_axes(plot)
+        self._outline.setPen(pyqtgraph.mkPen(theme.faint, width=1))  # wider ones take ten times longer to paint
+        self._actuators.setPen(pyqtgraph.mkPen(theme.text, width=1))
+        self._actuators.setBrush(pyqtgraph.mkBrush(theme.base))
+        self._cross.setPen(pyqtgraph.mkPen(MARK, width=2.5))
         self._fits = True
 
     def add_item(self, item: QGraphicsItem, depth: float, *, bounds: bool = False) -> None:
@@ -188,17 +194,6 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
             raster, whole = self.surface.raster, self.box.viewRect()
             if max(raster.width_mm, raster.height_mm) < _CLOSER_BELOW * whole.width():
                 self.box.setRange(_rectangle(raster), padding=0.3)
-
-    def redraw(self) -> None:
-        theme = self.theme
-        self.setBackground(theme.base)
-        theme_axes(self.getPlotItem())
-        self._outline.setPen(pyqtgraph.mkPen(theme.faint, width=1))  # wider ones take ten times longer to paint
-        self._actuators.setPen(pyqtgraph.mkPen(theme.text, width=1))
-        self._actuators.setBrush(pyqtgraph.mkBrush(theme.base))
-        self._cross.setPen(pyqtgraph.mkPen(MARK, width=2.5))
-        for item in (*self._rings, *self._paths):
-            item.setPen(pyqtgraph.mkPen(theme.text, width=2 if item in self._rings else 1))
 
     def position_at(self, at_mm: PointMm) -> int:
         """The position nearest to a point, -1 for none."""

@@ -61,9 +61,6 @@ class Window(QMainWindow):
         self._pages.currentChanged.connect(lambda _index: self.context.settle("file"))
         self._recent = QMenu("Open &recent", self)
         self._make_menus()
-        for part in reversed(self.findChildren(QWidget)):
-            if hasattr(part, "redraw"):
-                part.redraw()
         if not self.restoreGeometry(settings.bytes("geometry")):
             screen = QGuiApplication.primaryScreen()
             room = _SIZE if screen is None else screen.availableSize() - _FRAME

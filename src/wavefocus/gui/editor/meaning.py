@@ -31,10 +31,10 @@ def meaning_of_run(text: str, path: Path) -> Meaning:
     configuration = load_run(path, text)
     blueprint = blueprint_of(configuration)
     plan, rig = blueprint.plan, configuration.rig
-    checks = np.isin(np.arange(plan.positions), check_rows(configuration))
+    checks = check_rows(configuration)
     start_hz, stop_hz = plan.excitation.band_hz
     lines = [
-        f"{int((~checks).sum())} positions on the grid, {int(checks.sum())} check positions (rings), "
+        f"{plan.positions - len(checks)} positions on the grid, {len(checks)} check positions (rings), "
         f"{plan.actuators} actuators",
         f"{hours(plan.campaign_s(plan.order, rig.recorder))} in all; {schedule_name(plan)}, "
         f"{start_hz:g} to {stop_hz:g} Hz, {plan.excitation.amplitude_v:g} V",
@@ -63,7 +63,7 @@ def meaning_of_rig(text: str, path: Path) -> Meaning:
         "drivers: " + ", ".join(f"{name} {getattr(rig, name).driver}" for name in instruments),
     ]
     titles = ("actuator", "place (mm)", "channel", "full scale", "limit", "rms limit")
-    return Meaning(plan_surface(rig, np.asarray(rig.actuator_mm)), lines, titles, rows)
+    return Meaning(plan_surface(rig, np.asarray(rig.actuator_mm), ()), lines, titles, rows)
 
 
 MEANINGS = {"run": meaning_of_run, "rig": meaning_of_rig}

@@ -53,12 +53,6 @@ class FilePage(Themed, QWidget):
         self.document.file_changed.connect(self._show_name)
         self._show_name()
 
-    def redraw(self) -> None:
-        """Show the surface in the theme's colours."""
-        if self.surface.surface is not None:
-            shown = rgba(self.theme.cell) if self.document.kind == "run" else np.zeros(4, np.uint8)
-            self.surface.paint(np.tile(shown, (self.surface.surface.positions, 1)))
-
     def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802
         super().showEvent(event)
         self._ask()
@@ -73,7 +67,8 @@ class FilePage(Themed, QWidget):
 
     def _show(self, meaning: Meaning) -> None:
         self.surface.show_surface(meaning.surface)
-        self.redraw()
+        shown = rgba(self.theme.cell) if self.document.kind == "run" else np.zeros(4, np.uint8)
+        self.surface.paint(np.tile(shown, (meaning.surface.positions, 1)))
         self.lines.setText("\n".join(meaning.lines))
         self.table.setColumnCount(len(meaning.titles))
         self.table.setHorizontalHeaderLabels(list(meaning.titles))

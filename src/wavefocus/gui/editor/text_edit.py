@@ -46,8 +46,8 @@ class TomlEdit(Themed, QPlainTextEdit):
         self.completer.activated[str].connect(self._complete)
         self._typed = ""
         self._texts: dict[str, str] = {}
-        self.cursorPositionChanged.connect(self.redraw)
-        document.changed.connect(self.redraw)
+        self.cursorPositionChanged.connect(self._mark_lines)
+        document.changed.connect(self._mark_lines)
 
     def position(self) -> int:
         """Place of the cursor in the text, in characters."""
@@ -59,7 +59,7 @@ class TomlEdit(Themed, QPlainTextEdit):
         self.centerCursor()
         self.setFocus(Qt.FocusReason.OtherFocusReason)
 
-    def redraw(self) -> None:
+    def _mark_lines(self) -> None:
         """Mark the line of the cursor and those with mistakes."""
         here = QTextEdit.ExtraSelection()
         here.cursor = self.textCursor()
@@ -178,8 +178,9 @@ class TextPanel(Themed, QWidget):
         for owner, action in ((self, find), (self.search, leave)):
             action.setShortcutContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
             owner.addAction(action)
-        document.changed.connect(self.redraw)
-        self.redraw()
+        document.changed.connect(self._show_mistakes)
+        self.problem.setStyleSheet(f"QLabel {{ color: {self.theme.fault}; }}")
+        self._show_mistakes()
 
     def find_next(self) -> None:
         """Select the next place with the searched text, from the start after the last one."""
@@ -187,13 +188,12 @@ class TextPanel(Themed, QWidget):
             self.text.moveCursor(QTextCursor.MoveOperation.Start)
             self.text.find(self.search.text())
 
-    def redraw(self) -> None:
+    def _show_mistakes(self) -> None:
         shown = self._document.mistakes[:_MISTAKES_SHOWN]
         lines = [f'<a href="{one.line}">line {one.line + 1}</a>: {_escaped(one.sentence)}' for one in shown]
         if more := len(self._document.mistakes) - len(shown):
             lines.append(f"and {more} more")
         self.problem.setText("<br>".join(lines))
-        self.problem.setStyleSheet(f"QLabel {{ color: {self.theme.fault}; }}")
         self.problem.setVisible(bool(lines))
 
     def _find(self) -> None:

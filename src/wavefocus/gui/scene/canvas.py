@@ -52,13 +52,11 @@ class SceneCanvas(SurfaceView):
         self.kind = ""
         self._held: KeysOfPoint | None = None
         self._outline_mm = np.zeros((0, 2))
-        self.items: SceneItems | None = None
         super().__init__("Surface to draw on")
-        self.picture = self.items = SceneItems(self)
+        self.picture = SceneItems(self)
         document.chosen_changed.connect(self.show_scene)
         live.updated.connect(self.show_scene)
         live.backdrop_changed.connect(self._show_backdrop)
-        self.redraw()
         self._show_backdrop()
 
     def show_scene(self) -> None:
@@ -69,12 +67,6 @@ class SceneCanvas(SurfaceView):
         self.picture.show_traces(traces, index if kind == SOURCE else -1, self._live.backdrop)
         self.picture.show_quiet(self._document.draft.quiet)
         self.picture.show_handles([at_mm for _, at_mm in self._handles()])
-
-    def redraw(self) -> None:
-        super().redraw()
-        if self.items is not None:
-            self.items.redraw()
-            self.show_scene()
 
     def mouseMoveEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
         super().mouseMoveEvent(event)
@@ -170,6 +162,17 @@ class SceneItems:
         items = (self._dots, self._off, self._starts, self._sketch, self._handles)
         for level, item in enumerate(items):
             view.add_item(item, 30 + 10 * level)
+        theme = view.theme
+        for item, pen, brush in (
+            (self._dots, None, None),
+            (self._off, pyqtgraph.mkPen(theme.fault, width=1), theme.fault),
+            (self._starts, None, None),
+            (self._handles, pyqtgraph.mkPen(MARK, width=2), theme.base),
+        ):
+            item.setPen(pen)
+            item.setBrush(None if brush is None else pyqtgraph.mkBrush(brush))
+        self._sketch.setPen(pyqtgraph.mkPen(MARK, width=2, style=Qt.PenStyle.DashLine))
+        self._quiet.setPen(pyqtgraph.mkPen(theme.text, width=1.5, style=Qt.PenStyle.DashLine))
 
     def show_traces(self, traces: Sequence[Trace], chosen: int, backdrop: Backdrop) -> None:
         """Show the sources, the chosen one in front."""
@@ -214,20 +217,6 @@ class SceneItems:
 
     def show_sketch(self, points_mm: Float64Array) -> None:
         self._sketch.setData(points_mm[:, 0], points_mm[:, 1])
-
-    def redraw(self) -> None:
-        """Apply the theme's colours; the owner shows the traces again."""
-        theme = self._view.theme
-        for item, pen, brush in (
-            (self._dots, None, None),
-            (self._off, pyqtgraph.mkPen(theme.fault, width=1), theme.fault),
-            (self._starts, None, None),
-            (self._handles, pyqtgraph.mkPen(MARK, width=2), theme.base),
-        ):
-            item.setPen(pen)
-            item.setBrush(None if brush is None else pyqtgraph.mkBrush(brush))
-        self._sketch.setPen(pyqtgraph.mkPen(MARK, width=2, style=Qt.PenStyle.DashLine))
-        self._quiet.setPen(pyqtgraph.mkPen(theme.text, width=1.5, style=Qt.PenStyle.DashLine))
 
     def _make_lines(self, count: int) -> None:
         while len(self._lines) < count:

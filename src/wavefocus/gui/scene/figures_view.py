@@ -84,9 +84,6 @@ class FiguresView(Themed, QWidget):
 
     def show_results(self, results: SceneResults | None) -> None:
         self.figures = () if results is None else figures_of(results)
-        self.redraw()
-
-    def redraw(self) -> None:
         self.table.setRowCount(len(self.figures))
         for number, one in enumerate(self.figures):
             colours = {2: self.theme.warning if one.verdict in (HELD, MISSED) else self.theme.good}

@@ -16,7 +16,6 @@ from PyQt5.QtWidgets import QListWidget, QWidget
 
 from wavefocus.config.messages.live import LiveReady, LiveState
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.advice import in_window
 from wavefocus.gui.field_map import Plot
 from wavefocus.gui.files import PathField, names_virtual_rig
 from wavefocus.gui.scene.document import SceneDocument
@@ -43,21 +42,20 @@ _HINTS = {
 _ONCE = ". The chosen source's signal is an impulse, which sounds once: choose another one to feel it move"
 
 
-class TrendPlot(Plot):
-    """A figure over the last minute with the line that it is to stay below.
+class LatencyPlot(Plot):
+    """The latency over the last minute with the line that it is to stay below."""
 
-    goal: Height of the line.
-    """
-
-    def __init__(self, name: str, left: str, goal: float) -> None:
-        self._goal, self._curve = pyqtgraph.InfiniteLine(goal, angle=0), pyqtgraph.PlotDataItem(antialias=True)
-        super().__init__(name, "time (s)", left, axis_px=_AXIS_PX)
+    def __init__(self) -> None:
+        self._goal = pyqtgraph.InfiniteLine(LATENCY_GOAL_MS, angle=0)
+        self._curve = pyqtgraph.PlotDataItem(antialias=True)
+        super().__init__("Latency over time", "time (s)", "latency (ms)", axis_px=_AXIS_PX)
         plot = self.getPlotItem()
         plot.addItem(self._goal)
         plot.addItem(self._curve)
         plot.setMouseEnabled(x=False, y=False)
         self.setMinimumHeight(90)
-        self.redraw()
+        self._goal.setPen(pyqtgraph.mkPen(self.theme.fault, width=1.2, style=Qt.PenStyle.DashLine))
+        self._curve.setPen(pyqtgraph.mkPen(self.theme.traces[0], width=1.5))
         self.show_values(np.zeros(0), np.zeros(0))
 
     def show_values(self, time_s: np.ndarray, values: np.ndarray) -> None:
@@ -66,13 +64,8 @@ class TrendPlot(Plot):
         ends_s = max(_SHOWN_S, float(time_s[-1])) if len(time_s) else _SHOWN_S
         largest = float(np.nanmax(values)) if np.isfinite(values).any() else 0.0
         self.setXRange(ends_s - _SHOWN_S, ends_s, padding=0.01)
-        goal = self._goal.value()
-        self.setYRange(0.0, 1.2 * max(goal, min(largest, _MAX_GOALS * goal)), padding=0.0)
-
-    def redraw(self) -> None:
-        super().redraw()
-        self._goal.setPen(pyqtgraph.mkPen(self.theme.fault, width=1.2, style=Qt.PenStyle.DashLine))
-        self._curve.setPen(pyqtgraph.mkPen(self.theme.traces[0], width=1.5))
+        top_ms = max(LATENCY_GOAL_MS, min(largest, _MAX_GOALS * LATENCY_GOAL_MS))
+        self.setYRange(0.0, 1.2 * top_ms, padding=0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,12 +159,8 @@ class LivePanel(Themed, QWidget):
         self.records = ui.check("&Record in", tip, "Record the session")
         self.folder = PathField("", "", "folder for recordings", context.settings)
         self.state = ui.Badge("State of the live session")
-        self.latency = TrendPlot("Latency over time", "latency (ms)", LATENCY_GOAL_MS)
-        self.load = TrendPlot("Load over time", "load (%)", 100.0)
-        self.table = ui.table(("figure", "value"), "Figures of the live session", (1,))
-        self._figures: list[LiveMetric] = []
-        self.table.setRowCount(len(figures_of(None, None)))
-        self.table.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.latency = LatencyPlot()
+        self.figures = ui.label("Figures of the live session", wraps=True)
         self.notices = ui.named(QListWidget(), "Notices of the session, the latest one first", "Notices")
         self.notices.setWordWrap(True)
         self.notices.setAlternatingRowColors(True)
@@ -183,7 +172,7 @@ class LivePanel(Themed, QWidget):
         ui.column(
             ui.row(*self.buttons.values(), 6, self.state, None, self.gain, self.look_ahead),
             ui.row(self.independent, 6, self.records, (self.folder, 1)),
-            (self.latency, 3), (self.load, 2), self.table, self.notices,
+            self.figures, (self.latency, 1), self.notices,
             owner=self, margins=(4, 0, 4, 0), spacing=4,
         )  # fmt: skip
         run.changed.connect(self.show_run)
@@ -191,7 +180,12 @@ class LivePanel(Themed, QWidget):
         run.noticed.connect(self.note)
         for changed in (document.bank_changed, document.changed, document.chosen_changed, self.records.toggled):
             changed.connect(self.show_run)
-        self.redraw()
+        self.buttons["stop"].setStyleSheet(f"QToolButton:enabled {{ color: {self.theme.warning}; font-weight: 600; }}")
+        lines = self.notices.fontMetrics().lineSpacing()
+        self.notices.setFixedHeight(_NOTICE_LINES * lines + 8)
+        # A fixed height: the surface must not move below the mouse when another hint appears.
+        self.hint.setFixedHeight(_HINT_LINES * lines + 2)
+        self.show_run()
 
     def _hint(self) -> str:
         """What can be done now."""
@@ -217,7 +211,7 @@ class LivePanel(Themed, QWidget):
 
     def note(self, sentence: str) -> None:
         """Add a notice."""
-        self.notices.insertItem(0, f"{datetime.now():%H:%M:%S}  {in_window(sentence)}")
+        self.notices.insertItem(0, f"{datetime.now():%H:%M:%S}  {sentence}")
         while self.notices.count() > _NOTICES_KEPT:
             self.notices.takeItem(self.notices.count() - 1)
         self.notices.scrollToTop()
@@ -241,15 +235,6 @@ class LivePanel(Themed, QWidget):
         self.state.show_word(state, {LIVE: self.theme.good, IDLE: self.theme.faint}.get(state, self.theme.warning))
         self._show_figures()
 
-    def redraw(self) -> None:
-        self.buttons["stop"].setStyleSheet(f"QToolButton:enabled {{ color: {self.theme.warning}; font-weight: 600; }}")
-        lines = self.notices.fontMetrics().lineSpacing()
-        self.notices.setFixedHeight(_NOTICE_LINES * lines + 8)
-        # A fixed height: the surface must not move below the mouse when another hint appears.
-        self.hint.setFixedHeight(_HINT_LINES * lines + 2)
-        self._figures = []  # in other colours
-        self.show_run()
-
     def hideEvent(self, event: QHideEvent | None) -> None:  # noqa: N802
         """Mute: nobody sees any more that something sounds."""
         super().hideEvent(event)
@@ -266,16 +251,11 @@ class LivePanel(Themed, QWidget):
         time_s = np.array([one.played_s for one in states])
         latency_ms = np.array([math.nan if one.latency_ms is None else one.latency_ms for one in states])
         self.latency.show_values(time_s, latency_ms)
-        self.load.show_values(time_s, 100.0 * np.array([one.load for one in states]))
         figures = figures_of(self._run.ready, latest)
-        for number, one in enumerate(figures):
-            if number < len(self._figures) and one == self._figures[number]:
-                continue  # filling a row lays out the whole table
-            colours = {1: self.theme.fault} if one.wrong else {}
-            texts = (one.name, f"▲ {one.value}" if one.wrong else one.value or "–")
-            ui.fill_row(self.table, number, texts, colours, tip=one.definition)
-        self._figures = figures
-        rows, titles = self.table.verticalHeader(), self.table.horizontalHeader()
-        assert rows is not None
-        assert titles is not None
-        self.table.setFixedHeight(rows.length() + titles.sizeHint().height() + 2 * self.table.frameWidth())
+        shown = (f"▲ {one.name}: {one.value}" if one.wrong else f"{one.name}: {one.value or '–'}" for one in figures)
+        ui.put(self.figures, "   ·   ".join(shown))
+        self.figures.setToolTip("\n".join(f"{one.name}: {one.definition}" for one in figures))
+        wrong = any(one.wrong for one in figures)
+        sheet = f"QLabel {{ color: {self.theme.fault if wrong else self.theme.text}; }}"
+        if sheet != self.figures.styleSheet():  # another one lays out the page again
+            self.figures.setStyleSheet(sheet)

@@ -72,7 +72,6 @@ class LiveSurface(SurfaceView):
         run.changed.connect(self._show_run)
         run.figures_changed.connect(lambda: self.show_sounding(run.states[-1].sources))
         live.backdrop_changed.connect(self._show_backdrop)
-        self.redraw()
         self._show_backdrop()
 
     def show_sounding(self, sources: tuple[SoundingSource, ...]) -> None:
@@ -89,13 +88,6 @@ class LiveSurface(SurfaceView):
                 label.setText(f"{source.name}, fading" if source.fading else source.name)
                 label.setColor(self.theme.faint if source.fading else self.theme.text)
                 label.setPos(*source.at_mm)
-
-    def redraw(self) -> None:
-        super().redraw()
-        for spot in self._spots:
-            spot.setPen(pyqtgraph.mkPen(self.theme.base, width=1.5))
-        self._paint_positions()
-        self.show_sounding(self._sounding)
 
     def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802
         """Begin the mouse's source; other buttons pan."""

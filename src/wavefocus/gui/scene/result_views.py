@@ -46,7 +46,7 @@ class DrivesView(Themed, QWidget):
         choices = ui.row(self.actuator, self.own_scale, None, margins=(4, 4, 4, 2))
         ui.column(choices, (both, 1), owner=self, spacing=2)
         for changed in (self.actuator.currentIndexChanged, self.own_scale.toggled):
-            changed.connect(lambda _choice: self.redraw())
+            changed.connect(lambda _choice: self.show_drives())
 
     def sizeHint(self) -> QSize:  # noqa: N802
         return QSize(480, 300)
@@ -57,9 +57,10 @@ class DrivesView(Themed, QWidget):
         if results is not None and self.actuator.count() != len(results.drive.drive_v) + 1:
             names = (f"actuator {number}" for number in range(len(results.drive.drive_v)))
             ui.fill_choice(self.actuator, [_ALL, *names])
-        self.redraw()
+        self.show_drives()
 
-    def redraw(self) -> None:
+    def show_drives(self) -> None:
+        """Show the drives as they are chosen."""
         chosen, drive = self.actuator.currentIndex() - 1, None if self.results is None else self.results.drive
         for plot in (self.traces, self.levels):
             for side in ("left", "bottom"):
@@ -177,7 +178,7 @@ class FieldView(FilmPlayer):
         self.moved.connect(lambda _sample: self.waveform.show_time(self.slider.time_s))
         self.picked.connect(self.show_position)
         for changed in (self.colours.currentIndexChanged, self.span.valueChanged):
-            changed.connect(lambda _value: self.redraw())
+            changed.connect(lambda _value: self.show_again())
 
     def show_results(self, results: SceneResults | None) -> None:
         """Show another field of the scene, at the same instant and position; None shows none."""
@@ -205,8 +206,8 @@ class FieldView(FilmPlayer):
         self.waveform.show_response(title, field, place)
         self.waveform.show_time(self.slider.time_s)
 
-    def redraw(self) -> None:
-        super().redraw()
+    def show_again(self) -> None:
+        super().show_again()
         self.show_position(self.map.marked)
 
     def rescale(self) -> None:

@@ -12,7 +12,6 @@ from PyQt5.QtCore import pyqtSignal
 from PyQt5.QtWidgets import QAction, QToolButton, QWidget
 
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.advice import in_window
 from wavefocus.gui.files import PathField, choose_place, file_state, names_virtual_rig
 from wavefocus.gui.scene.calculation import Calculation, SceneResults
 from wavefocus.gui.scene.document import SceneDocument
@@ -73,6 +72,7 @@ class ActionsBar(Themed, QWidget):
         actions = {**self.saves, "cancel": self.cancel, "play": self.play, "stop": self.stop}
         self.buttons: dict[str, QToolButton] = {name: ui.button(action) for name, action in actions.items()}
         *saves, plays, stops = self.buttons.values()
+        stops.setStyleSheet(f"QToolButton:enabled {{ color: {self.theme.warning}; font-weight: 600; }}")
         player = ui.row(self.gain, self.loops, plays, stops, None)
         ui.column(ui.row(*saves, None), player, self.state, owner=self, margins=(4, 2, 4, 2), spacing=4)
         for part in (saving, playing):
@@ -114,9 +114,6 @@ class ActionsBar(Themed, QWidget):
             texts.append("choose a rig to play")
         self.state.setText("; ".join(texts))
         self.state.setToolTip(self.state.text())
-
-    def redraw(self) -> None:
-        self.buttons["stop"].setStyleSheet(f"QToolButton:enabled {{ color: {self.theme.warning}; font-weight: 600; }}")
 
     def _check_rig(self) -> None:
         if self.rig != self._rig:
@@ -160,6 +157,7 @@ class ResultsPanel(Themed, QWidget):
         self.problem.setMinimumWidth(1)
         self.warnings = ui.label("Warnings of the scene", wraps=True, selectable=True)
         self.warnings.setMinimumWidth(1)
+        self.warnings.setStyleSheet(f"QLabel {{ color: {self.theme.warning}; }}")
         self._warned = ui.scrolling(self.warnings)
         self._warned.setMaximumHeight(_WARNING_LINES * self.warnings.fontMetrics().lineSpacing())
         self._warned.hide()
@@ -172,11 +170,7 @@ class ResultsPanel(Themed, QWidget):
         self.calculation.stage.connect(self._begin)
         self.calculation.made.connect(self._show)
         self.calculation.refused.connect(self._refuse)
-        self.redraw()
         self._edited()
-
-    def redraw(self) -> None:
-        self.warnings.setStyleSheet(f"QLabel {{ color: {self.theme.warning}; }}")
 
     def menu_actions(self) -> list[QAction | None]:
         """The buttons' actions, for the tab's menu."""
@@ -250,7 +244,7 @@ class ResultsPanel(Themed, QWidget):
             if not self.calculation.busy:
                 self._say("up to date with the scene" if self.complete else "not calculated")
         self.bar.show_ready(results is not None)
-        ui.put(self.problem, in_window(problem))
+        ui.put(self.problem, problem)
         self.problem.setVisible(bool(problem))
         warnings = () if results is None else results.facts["warnings"]
         ui.put(self.warnings, "\n".join(f"⚠ {warning}" for warning in warnings))

@@ -6,7 +6,6 @@ from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QWidget
 
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.advice import in_window
 from wavefocus.gui.field_map import ColourBar
 from wavefocus.gui.scene.canvas import SceneCanvas, span_s
 from wavefocus.gui.scene.document import QUIET, SceneDocument
@@ -58,15 +57,15 @@ class SurfacePanel(Themed, QWidget):
         self.canvas.kind = kind
         self.tools[kind].setChecked(True)
         self.canvas.setCursor(Qt.CursorShape.CrossCursor if kind else Qt.CursorShape.ArrowCursor)
-        self.redraw()
+        self._show_hint()
 
     def _show_preview(self) -> None:
         preview = self._live.preview
         self.colours.show_range("Focus instant", "s", span_s(preview.traces))
-        self.problem = in_window(self._document.problem or problem_of(preview))
-        self.redraw()
+        self.problem = self._document.problem or problem_of(preview)
+        self._show_hint()
 
-    def redraw(self) -> None:
+    def _show_hint(self) -> None:
         """Show the problem; without one, what the mouse does."""
         hint = next(tip for kind, _, tip in _TOOLS if kind == self.canvas.kind)
         text = self.problem or (hint if self._document.draft.source else EMPTY)

@@ -57,7 +57,7 @@ class SceneTab(Tab):
         self.actions_by_name = file_actions(self, self.document, self.files)
         self.bank_field = PathField("&Bank", ".h5", "bank file", context.settings)
         tip = "Also render scenes of over an hour, 8 GiB of drives or a million path points"
-        self.large = ui.check("Allow large scenes", tip)
+        self.large = ui.check("Allow large scenes (--allow-large)", tip)
         self.large.toggled.connect(self.document.allow)
         self.editor = TextPanel(self.document, self.large)
         self.surface = SurfacePanel(self.document, self.live)

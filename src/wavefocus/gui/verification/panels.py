@@ -270,7 +270,7 @@ class MapsPanel(FilmPlayer):
             columns.append((ui.column(heading, (field_map, 1), field_map.bar, spacing=2), 1))
         ui.column((ui.row(*columns, spacing=6), 1), ui.row((self.time, 1), self.scale), owner=self)
         for choice in (self.third, self.scale):
-            choice.currentIndexChanged.connect(lambda _index: self.redraw())
+            choice.currentIndexChanged.connect(lambda _index: self.show_again())
 
     @property
     def shows_error(self) -> bool:
