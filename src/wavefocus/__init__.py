@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from wavefocus.calibration.estimator.raw_estimation import estimate_positions as estimate_positions
     from wavefocus.calibration.estimator.raw_estimation import estimator_of
     from wavefocus.drives import focus_figures as focus_figures
+    from wavefocus.drives import interpolate as interpolate
     from wavefocus.drives import predict as predict
     from wavefocus.drives import quiet_levels as quiet_levels
     from wavefocus.drives import render as render
@@ -86,6 +87,7 @@ _MODULES = {
     "export_bank": "wavefocus.banks",
     "focus_figures": "wavefocus.drives",
     "import_bank": "wavefocus.banks",
+    "interpolate": "wavefocus.drives",
     "live": "wavefocus.live_session.sources",
     "load_scene": "wavefocus.rendering.scene.model",
     "open_bank": "wavefocus.storage.bank.reading",

@@ -96,7 +96,7 @@ def configuration_of(
 
 
 def _with_check_count(run: RunConfig) -> RunConfig:
-    """The run with the number of check positions stated: 12 where the lattice is coarser than half a wavelength."""
+    """The run with the number of check positions stated: 24 where the lattice is coarser than half a wavelength."""
     half_wavelength_mm = 0.5e3 * GEL_SPEED_M_S / run.sweep.stop_hz
     if run.grid.check_positions is not None or run.grid.spacing_mm <= half_wavelength_mm:
         return run
@@ -123,7 +123,7 @@ def check_rows(configuration: Configuration) -> NDArray[np.int64]:
     return np.array(rows, dtype=np.int64)
 
 
-DEFAULT_CHECKS = 12
+DEFAULT_CHECKS = 24
 
 
 def load_rig(path: Path, text: str | None = None) -> RigConfig:

@@ -8,7 +8,7 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from numpy.typing import DTypeLike
+from numpy.typing import ArrayLike, DTypeLike
 
 from wavefocus.banks import OnProgress, opened_bank
 from wavefocus.options import RenderOptions
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from wavefocus.rendering.drive.wav import Interface
     from wavefocus.rendering.field.foci import FocusResults
     from wavefocus.rendering.field.quiet_levels import QuietLevel
+    from wavefocus.rendering.greens.interpolation.auto import Interpolated
     from wavefocus.rendering.greens.source import GreenSource
     from wavefocus.rendering.report.render_report import RenderReport
     from wavefocus.rendering.scene.model import Scene
@@ -211,6 +212,52 @@ def focus_figures(
     seen = read_field(field) if isinstance(field, str | Path) else field
     with opened_bank(bank) as view:
         return figures_of(played, view, seen, on_progress=on_progress)
+
+
+@checked
+def interpolate(
+    bank: GreenSource | str | Path,
+    places_mm: ArrayLike,
+    *,
+    method: str = "auto",
+    frequency_hz: ArrayLike | None = None,
+) -> Interpolated:
+    """Green's functions at places between the bank's positions, with their errors.
+
+    Parameters
+    ----------
+    bank
+        An open bank, an array of Green's functions (`GreenArray`), or the path of a bank.
+    places_mm
+        Places (n, 2) in millimetres.
+    method
+        ``"nearest"``, ``"bilinear"``, ``"kernel"``, ``"waves"``, or ``"auto"``: the cheapest that serves, as in scenes.
+    frequency_hz
+        At which errors are stated; by default six over the bank's band.
+
+    Returns
+    -------
+    Interpolated
+        ``method``; ``green``, float64 (places, actuators, taps); ``frequency_hz``; ``expected_error`` and ``bound`` of
+        the spectra there, (places, actuators, frequencies), absolute, in the bank's unit. ``bound_words`` says which
+        share of random places the bound holds, or why it is NaN.
+
+    Raises
+    ------
+    InputError
+        The bank cannot be read, a place is off its grid, or it does not allow the method.
+
+    Examples
+    --------
+    >>> import wavefocus as wf
+    >>> found = wf.interpolate("plate.h5", [(-9.0, 0.5)], method="nearest")
+    >>> found.green.shape, found.method
+    ((1, 4, 1000), 'nearest')
+    """
+    from wavefocus.rendering.greens.interpolation.auto import interpolated
+
+    with opened_bank(bank) as view:
+        return interpolated(view, places_mm, method, frequency_hz)
 
 
 @checked

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wavefocus.benchmarks import BENCHMARKS, coarse_grids
+from wavefocus.benchmarks import BENCHMARKS
 from wavefocus.benchmarks.diagrams import draw_diagrams, pareto
 from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times, measure
 from wavefocus.benchmarks.machine import conditions, load
@@ -82,29 +82,3 @@ def test_a_work_of_three_errors_is_a_diagram(tmp_path: Path) -> None:
                          _precision("peer", 1.0, 1e-2, 2.0), Entry(work="too few", method="m", error=0.1)])  # fmt: skip
     assert draw_diagrams(findings, tmp_path, "some") == {"w": "some-w.png"}
     assert (tmp_path / "some-w.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_coarse_grids_are_drawn_against_capture_time_and_the_largest_spacing_is_told(tmp_path: Path) -> None:
-    sizes = {
-        "solid": {8.0: (372, 0.01), 10.0: (246, 0.02), 14.0: (124, 0.06), 20.0: (64, 0.04)},
-        "thin": {10.0: (286, 0.0)},
-    }
-    points = [
-        Entry(
-            work=coarse_grids.GridCase(plate, spacing_mm).work, method=method, error=10 * error if other else error,
-            parameters={"frequency_hz": 450.0}, figures={"positions": positions},
-        )
-        for plate, cases in sizes.items()
-        for spacing_mm, (positions, error) in cases.items()
-        for other, method in enumerate(("waves", "kernel"))
-    ]  # fmt: skip
-    drawn = coarse_grids.against_time(points)
-    solid = [one.row for one in drawn if one.work.startswith("solid:") and one.method == "waves"]
-    assert [one["spacing_mm"] for one in solid] == [8.0, 10.0, 14.0, 20.0]
-    assert np.all(np.diff([one["hours"] for one in solid]) < 0)
-    # The 384 positions at 8 mm take 34 minutes.
-    assert 0.5 < solid[0]["hours"] < 0.6
-    # An error that happens to be small beyond a larger one does not count.
-    assert "solid 10 mm (the next is above it)" in coarse_grids.largest_spacings(drawn)
-    assert "thin 10 mm (the largest measured)" in coarse_grids.largest_spacings(drawn)
-    assert [one.partition(":")[0] for one in draw_diagrams(Findings(drawn), tmp_path, "coarse")] == ["solid"]

@@ -26,11 +26,11 @@ def loaded(folder: Path, grid: str, sweep: str = ""):
     ("grid", "sweep", "count"),
     [
         ("spacing_mm = 4.0", "", 0),
-        ("spacing_mm = 10.0", "", 12),
+        ("spacing_mm = 10.0", "", 24),
         ("spacing_mm = 10.0", "stop_hz = 200.0", 0),  # half a wavelength is 12 mm
         ("spacing_mm = 10.0\ncheck_positions = 0", "", 0),
         ("spacing_mm = 4.0\ncheck_positions = 5", "", 5),
-        ('lattice = "hexagonal"\nspacing_mm = 20.0', "", 12),
+        ('lattice = "hexagonal"\nspacing_mm = 20.0', "", 24),
     ],
 )
 def test_check_positions_follow_the_grid_where_it_is_coarser_than_half_a_wavelength(tmp_path, grid, sweep, count):
@@ -58,27 +58,28 @@ def test_check_positions_beside_a_list_of_positions_are_refused(tmp_path):
         loaded(tmp_path, 'positions_file = "grid.csv"\ncheck_positions = 3')
 
 
-def begun_without_checks(folder: Path, grid: str) -> Path:
-    """A bank as versions without check positions began it."""
-    earlier = loaded(folder, f"{grid}\ncheck_positions = 0")
-    run = earlier.run.model_copy(update={"grid": earlier.run.grid.model_copy(update={"check_positions": None})})
+def begun_earlier(folder: Path, grid: str, checks: int | None = None) -> Path:
+    """A bank as versions without check positions, or with 12 of them, began it."""
+    earlier = loaded(folder, f"{grid}\ncheck_positions = {checks or 0}")
+    run = earlier.run.model_copy(update={"grid": earlier.run.grid.model_copy(update={"check_positions": checks})})
     create_bank(folder / "plate.h5", blueprint_of(replace(earlier, run=run)).bank_header())
     return folder / "plate.h5"
 
 
 @pytest.mark.parametrize("lattice", ["square", "hexagonal"])
-def test_a_coarse_bank_begun_without_check_positions_goes_on_with_its_own(tmp_path, lattice, capsys):
+@pytest.mark.parametrize("checks", [None, 12])
+def test_a_coarse_bank_begun_with_fewer_check_positions_goes_on_with_its_own(tmp_path, lattice, checks, capsys):
     grid = f'lattice = "{lattice}"\nspacing_mm = 40.0'
-    bank = begun_without_checks(tmp_path, grid)
+    bank = begun_earlier(tmp_path, grid, checks)
     own = blueprint_from_bank(bank)
     blueprint, _ = with_bank(blueprint_of(loaded(tmp_path, grid)), bank, tmp_path / "run.toml")
     assert blueprint.plan.sha256 == own.plan.sha256
-    assert blueprint.bank_header().check_rows == ()
-    assert "12 check positions" in capsys.readouterr().err
+    assert len(blueprint.bank_header().check_rows) == (checks or 0)
+    assert "24 check positions" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("asked", ["spacing_mm = 40.0\ncheck_positions = 5", "spacing_mm = 30.0"])
 def test_other_positions_than_those_of_an_earlier_bank_are_refused(tmp_path, asked):
-    bank = begun_without_checks(tmp_path, "spacing_mm = 40.0")
+    bank = begun_earlier(tmp_path, "spacing_mm = 40.0")
     with pytest.raises(InputError, match="position_mm"):
         with_bank(blueprint_of(loaded(tmp_path, asked)), bank, tmp_path / "run.toml")

@@ -37,15 +37,17 @@ def test_waves_hold_on_other_shapes_and_beneath_a_finger_and_their_bounds_say_so
         return (found if found.shape[1] == 6 else found.transpose(0, 2, 1))[..., USED].transpose(2, 0, 1)
 
     position_mm = surface_grid(outline, MARGIN_MM, SPACING_MM)
-    check_mm = check_grid(outline, MARGIN_MM, SPACING_MM, position_mm, 12)
+    check_mm = check_grid(outline, MARGIN_MM, SPACING_MM, position_mm, 24)
     points_mm = rng.uniform(*np.reshape(outline.box_mm, (2, 2)), (400, 2))
     points_mm = points_mm[outline.contains(points_mm, MARGIN_MM)][:50]
     hz, measured = STEP_HZ * np.array(USED), responses(position_mm, 1e-3)
     model = RimWaves.fit(hz, position_mm, actuator_mm, measured, check_mm, responses(check_mm, 1e-3), workers=1)
     truth, values = responses(points_mm), model.values(points_mm)
     error = np.linalg.norm(values - truth, axis=2) / np.linalg.norm(truth, axis=2)
-    expected = model.expected_errors(points_mm, range(len(hz)))
-    within = np.abs(values - truth) <= np.sqrt(np.log(20.0)) * model.deviations(points_mm, range(len(hz)))
+    deviations = model.deviations(points_mm, range(len(hz)))
+    expected = model.error_scale[:, None] * np.linalg.norm(deviations, axis=2) / np.linalg.norm(truth, axis=2)
+    within = np.abs(values - truth) <= model.bound_scale[:, None, None] * deviations
+    assert model.stated == 0.95
     # The kernel, each position left out.
     rows = measured.transpose(1, 2, 0)
     kernel = RowsPredicted(position_mm, rows, hz, np.ones(len(position_mm), dtype=bool))

@@ -11,7 +11,6 @@ from tests.unit.plate_banks import SPACING_MM, SQUARE_MM, errors_at, plate_bank,
 from wavefocus.calibration.wave_model import DISK_RADIUS, PatchKernel, WaveModel, disk_kernel
 from wavefocus.mocks.plates.soft import SOFT_PLATE
 from wavefocus.rendering.greens.interpolation.base import Neighbourhoods, OffGridError
-from wavefocus.rendering.greens.interpolation.error_estimates import left_out_errors
 from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
 from wavefocus.rendering.greens.interpolation.path_nodes import PathNodes, node_spacing_mm
 from wavefocus.rendering.greens.interpolation.row_values import RowValues
@@ -114,10 +113,10 @@ def test_left_out_in_closed_form_is_what_leaving_out_gives():
 
 @pytest.mark.parametrize(("grid", "noise_db"), [("square", -60.0), ("square", -40.0), ("irregular", -60.0)])
 def test_the_error_found_by_leaving_positions_out_is_the_error_within_a_factor_of_two(grid, noise_db):
-    _, kernel = kernel_on(grid, noise_db)
-    found = left_out_errors(kernel, POINTS_MM)
-    frequency_hz, median, worst = found.frequency_hz, found.median, found.worst
-    greens = greens_on(grid, noise_db)
+    bank, kernel = kernel_on(grid, noise_db)
+    frequency_hz, greens = kernel.waves.frequency_hz, greens_on(grid, noise_db)
+    relative = kernel.estimate(bank, POINTS_MM, frequency_hz).relative
+    median, worst = np.median(relative, axis=1), relative.max(axis=1)
     for band in np.flatnonzero((frequency_hz >= 90.0) & (frequency_hz <= 460.0)):
         # The truth is known at the bins of the transform; between them the error hardly changes.
         true = errors_at(frequency_hz[band], greens, POINTS_MM)
@@ -131,9 +130,9 @@ def test_the_error_of_other_kinds_is_found_too(name):
     from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 
     bank, kernel = kernel_on("square", -60.0)
-    nodes = interpolation_method(name)(PositionGrid(bank.position_mm)).nodes(POINTS_MM)
-    found = left_out_errors(kernel, POINTS_MM, nodes)
-    frequency_hz, median = found.frequency_hz, found.median
+    method = interpolation_method(name)(PositionGrid(bank.position_mm))
+    nodes, frequency_hz = method.nodes(POINTS_MM), kernel.waves.frequency_hz
+    median = np.median(kernel.estimate(bank, POINTS_MM, frequency_hz, method).relative, axis=1)
     greens = np.einsum("pn,pnat->pat", nodes.weights, bank.values[nodes.rows])
     for band in np.flatnonzero((frequency_hz >= 90.0) & (frequency_hz <= 460.0)):
         true = np.median(errors_at(frequency_hz[band], greens, POINTS_MM))

@@ -294,9 +294,7 @@ def test_on_a_coarse_grid_a_quiet_place_between_positions_needs_all_of_them_and_
 
 
 def test_on_a_coarse_grid_it_is_said_how_quiet_a_place_between_positions_is_in_truth():
-    coarse = GreenArray(
-        plate_greens(4.0 * SQUARE_MM), 4.0 * SQUARE_MM, RATE_HZ, actuator_mm=4.0 * ACTUATOR_MM, band_hz=BAND_HZ
-    )
+    coarse = GreenArray(plate_greens(4.0 * SQUARE_MM), 4.0 * SQUARE_MM, RATE_HZ, band_hz=BAND_HZ)
     said = []
     for place in ((24.0, 24.0), (32.0, 32.0)):
         _, report = render_with_report(scene_of(place, at=(0.0, 0.0)), coarse)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.special import h2vp, hankel2, jv, jvp
 
 from wavefocus.calibration.coarse_grid.posterior import FIRST_SHARES, FrequencyWaves
-from wavefocus.calibration.coarse_grid.rim_waves import RimWaves, at_edge, judged_by_checks, judged_frequencies
+from wavefocus.calibration.coarse_grid.rim_waves import RimWaves, judged, judged_frequencies
 from wavefocus.calibration.coarse_grid.waves import (
     SMEARED,
     Dispersion,
@@ -68,16 +66,16 @@ def test_waves_of_a_disk_are_found_beyond_the_spatial_nyquist_limit(coarse, rand
     check = np.stack([disk_response(k, checks_mm, ACTUATOR_MM) for k in wavenumber])
     model = RimWaves.fit(FREQUENCY_HZ, position_mm, ACTUATOR_MM, transfer, checks_mm, check, workers=1)
     points_mm = random_mm[12:]
-    values, deviations = model.values(points_mm), model.deviations(points_mm, range(3))
-    assert model.resolved[-1] > 1.9
+    values, bounds = model.values(points_mm), model.bound_scale[:, None, None] * model.deviations(points_mm, range(3))
+    assert abs(model.wavenumber[-1]) * model.spacing_mm > 1.9 * np.pi
+    assert model.stated == 0.9
     assert np.allclose(model.wavenumber, wavenumber, rtol=2e-3)
     for number, k in enumerate(wavenumber):
         truth = disk_response(k, points_mm, ACTUATOR_MM)
         error = np.linalg.norm(values[number] - truth, axis=1) / np.linalg.norm(truth, axis=1)
         assert np.median(error) < 0.05
         assert np.quantile(error, 0.9) < 0.15
-        within = np.abs(values[number] - truth) < np.sqrt(np.log(20)) * deviations[number]
-        assert 0.88 < within.mean() <= 1.0
+        assert 0.8 < (np.abs(values[number] - truth) < bounds[number]).mean() <= 1.0
     assert model.pressure_share == 0.0
 
 
@@ -134,75 +132,41 @@ def test_waves_of_one_frequency_are_hankel_functions_however_long(hz):
     assert np.allclose(found, hankel2(0, wavenumber * distance_mm), rtol=1e-4, atol=1e-5)
 
 
-def within_bounds(model, points_mm, truth, number=0):
-    deviations = model.deviations(points_mm, [number])[0]
-    return float((np.abs(model.values(points_mm, [number])[0] - truth) < np.sqrt(np.log(20)) * deviations).mean())
+def plate_noise(rng, *shape):
+    part = rng.standard_normal((2, *shape))
+    return (part[0] + 1j * part[1]) / np.sqrt(2)
 
 
-def test_noise_of_the_measurement_is_not_in_the_bounds_of_the_plate(random_mm):
-    """Two frequencies whose noise is independent tell noise from what the plate does."""
-    hz, position_mm = np.array([100.0, 105.0]), lattice(11.0)
-    exact = np.stack([disk_response(k, position_mm, ACTUATOR_MM) for k in LAW.wavenumber(hz)])
-    noise = np.random.default_rng(8).standard_normal((2, *exact.shape))
-    seen = exact + 0.05 / np.sqrt(2) * np.sqrt(np.square(np.abs(exact)).mean()) * (noise[0] + 1j * noise[1])
-    told = RimWaves.fit(hz, position_mm, ACTUATOR_MM, seen, resolution_hz=5.0, workers=1)
-    untold = replace(told, noise_share=np.zeros_like(told.noise_share))
-    assert told.noise_share[0].min() > 0.6
-    assert np.median(told.deviations(random_mm, [0]) / untold.deviations(random_mm, [0])) < 0.75
-    assert within_bounds(told, random_mm, disk_response(LAW.wavenumber(hz)[0], random_mm, ACTUATOR_MM)) > 0.93
-
-
-AROUND_MM = 80.0 * np.stack([np.cos(np.pi * np.arange(12) / 6), np.sin(np.pi * np.arange(12) / 6)], axis=1)
-NEIGHBOURS_HZ = np.array([200.0, 205.0])
-
-
-def noise_shares(added, noise):
-    """Shares of noise at the distances amid the positions; `added` is what no wave explains, over the wave's level."""
-    side = np.arange(-5, 6) * 9.0
-    position_mm = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-    apart_mm = distances_mm(position_mm, AROUND_MM)
-    exact = outgoing_at_all(LAW.wavenumber(NEIGHBOURS_HZ), apart_mm)
-    draw = np.random.default_rng(8).standard_normal((2, *exact.shape)) / np.sqrt(2)
-    seen = exact * (1.0 + added(apart_mm) + noise * (draw[0] + 1j * draw[1]))
-    model = RimWaves.fit(NEIGHBOURS_HZ, position_mm, AROUND_MM, seen, resolution_hz=5.0, workers=1)
-    return model.noise_share[0][0]
-
-
-def test_noise_is_told_from_the_plate_at_each_distance():
-    """Near the actuators the plate does what no wave explains; further off there is only noise."""
-    ripple = np.exp(1j * np.random.default_rng(7).uniform(0, 2 * np.pi, (121, 12)))
-    assert noise_shares(lambda apart_mm: 0.0, 0.02).min() > 0.7
-    shares = noise_shares(lambda apart_mm: 0.06 * ripple * (apart_mm < 70.0), 0.02)
-    assert shares[:2].max() < 0.3
-    assert shares[2:].min() > 0.7
-
-
-def test_echoes_that_neighbouring_frequencies_have_not_in_common_are_not_noise():
-    """Far from an actuator the plate differs from one frequency to the next by more than noise does near it."""
-    rng = np.random.default_rng(9)
-
-    def echoes(apart_mm):
-        part = rng.standard_normal((2, 2, *apart_mm.shape))
-        return 0.2 * (apart_mm > 90.0) * (part[0] + 1j * part[1])
-
-    shares = noise_shares(echoes, 0.02)
-    assert shares[:3].min() > 0.7
-    assert shares[3:5].max() < 0.5
-
-
-def test_check_positions_scale_the_bounds(coarse, random_mm):
-    """Errors at check positions that are four times as large as stated widen the bounds by nearly that."""
+@pytest.mark.parametrize(("checks", "stated"), [(11, 0.0), (12, 0.9), (24, 0.95)])
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_bounds_hold_the_stated_share_of_errors_without_the_noise_of_the_checks(
+    coarse, random_mm, checks, stated, noise
+):
+    """Errors four times as large as the guide says, with measurements as noisy as they are large: limited by noise."""
     position_mm, transfer = coarse
     model = RimWaves.fit(FREQUENCY_HZ[2:], position_mm, ACTUATOR_MM, transfer[2:], workers=1)
-    checks_mm = random_mm[:12]
-    draw = np.random.default_rng(6).standard_normal((2, 12, len(ACTUATOR_MM)))
-    deviation = np.sqrt(sum(model.variances(checks_mm, 0)))
-    measured = model.values(checks_mm) + 4.0 * deviation * (draw[0] + 1j * draw[1]) / np.sqrt(2)
-    judged = judged_by_checks(model, checks_mm, measured, lambda numbers, task: [task(number) for number in numbers])
-    assert (model.judged_by, judged.judged_by) == ("left-out positions", "check positions")
-    assert 3.0 < judged.deviation_scale[0] < 4.5
-    wider = judged.deviations(random_mm, [0]) / model.deviations(random_mm, [0])
-    assert np.allclose(wider, judged.deviation_scale[0])
+    assert (model.stated, model.judged_by, np.isnan(model.bound_scale).all()) == (0.0, "left-out positions", True)
+    rng, deviation = np.random.default_rng(6), model.deviations(random_mm, [0])
+    truth = model.values(random_mm) + 4.0 * deviation * plate_noise(rng, *deviation.shape)
+    nu = noise * 4.0 * np.median(deviation)
+    covered = []
+    for draw in range(12):
+        some = rng.permutation(len(random_mm))[:checks]
+        if not stated:
+            refit = RimWaves.fit(
+                FREQUENCY_HZ[2:], position_mm, ACTUATOR_MM, transfer[2:], random_mm[some], truth[:, some], workers=1
+            )
+            assert np.isnan(refit.bound_scale).all()
+            return
+        seen = truth[:, some] + nu * plate_noise(rng, 1, checks, len(ACTUATOR_MM))
+        level = np.full((checks, len(ACTUATOR_MM)), nu)
+        found = judged(model, random_mm[some], seen, level, 0.0, lambda at, task: [task(one) for one in at])
+        assert (found.stated, found.judged_by) == (stated, "check positions")
+        covered.append((np.abs(truth - model.values(random_mm)) <= found.bound_scale[:, None, None] * deviation).mean())
+        if draw == 0:
+            assert found.error_scale[0] == pytest.approx(4.0, rel=0.35)
+            assert (found.by_noise[0] > 0.02) == bool(noise)
+    assert np.mean(covered) == pytest.approx(stated, abs=0.05)
 
 
 def test_bounds_are_judged_more_often_than_errors_come_and_go():
@@ -237,18 +201,6 @@ def test_near_fields_of_bending_waves_are_in_the_rest():
     error = np.linalg.norm(model.values(points_mm)[0] - truth, axis=1) / np.linalg.norm(truth, axis=1)
     assert np.median(error) < 0.003
     assert np.quantile(error, 0.9) < 0.01
-    assert within_bounds(model, points_mm, truth) > 0.9
-
-
-def test_a_place_is_at_the_edge_where_the_positions_are_on_one_side():
-    for position_mm in (lattice(11.0), hexagonal(11.0)):
-        amid_mm = np.array([[0.3, 0.3], [5.0, -7.0], [-12.0, 9.0]])
-        assert not at_edge(amid_mm, position_mm).any()
-        assert at_edge(np.array([[0.0, 50.0], [-48.0, 5.0]]), position_mm).all()
-        out = np.hypot(*position_mm.T)
-        edge = at_edge(position_mm, position_mm, itself=True)
-        assert not edge[out < 20.0].any()
-        assert edge[out.argmax()]
 
 
 def test_sizes_and_too_few_positions_are_refused(coarse):
@@ -320,12 +272,13 @@ def test_the_expected_error_tells_the_true_one_in_stiff_cases(name, random_mm):
     )  # fmt: skip
     truth = measured(points_mm)
     error = np.linalg.norm(model.values(points_mm)[0] - truth, axis=1) / np.linalg.norm(truth, axis=1)
-    expected = model.expected_errors(points_mm, [0])[0]
+    deviations = model.deviations(points_mm, [0])[0]
+    expected = model.error_scale[0] * np.linalg.norm(deviations, axis=1) / np.linalg.norm(truth, axis=1)
     assert np.median(error) < case.get("worst", 0.1)
     # Said, not hidden: what is expected is at least a third of what is true.
     assert np.median(expected) > np.median(error) / 3
-    within = np.abs(model.values(points_mm)[0] - truth) < np.sqrt(np.log(20)) * model.deviations(points_mm, [0])[0]
-    assert within.mean() > 0.85
+    within = np.abs(model.values(points_mm)[0] - truth) < model.bound_scale[0] * deviations
+    assert within.mean() > 0.75
 
 
 def test_positions_that_are_one_line_of_a_strip_are_modelled_along_it_only():

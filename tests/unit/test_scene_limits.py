@@ -320,7 +320,8 @@ def test_given_a_source_then_it_is_known_how_long_it_emits_before_it_is_sampled(
 
 
 def test_given_the_sources_of_a_render_then_the_picture_does_not_sample_them_anew() -> None:
-    text = f"[scene]\nname = 'auto'\n{source('', POINT, IMPULSE)}[output]\ninterpolation = 'auto'\n"
+    between = '{ kind = "point", at_mm = [1, 1] }'
+    text = f"[scene]\nname = 'auto'\n{source('', between, IMPULSE)}[output]\ninterpolation = 'auto'\n"
     scene, reads = read(text), list[int]()
 
     class CountedBank:

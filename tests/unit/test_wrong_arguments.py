@@ -59,6 +59,7 @@ VALID: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "export_bank": (wf.export_bank, {"bank": "none.h5", "out": "new.mat", "to": "mat"}),
     "focus_figures": (wf.focus_figures, {"drive": DRIVE, "bank": BANK}),
     "import_bank": (wf.import_bank, {"source": "none.npz", "bank": "new.h5"}),
+    "interpolate": (wf.interpolate, {"bank": BANK, "places_mm": [(0.0, 0.0)], "method": "nearest"}),
     "live": (wf.live, {"bank": "none.h5"}),
     "load_scene": (wf.load_scene, {"path": "none.toml"}),
     "open_bank": (wf.open_bank, {"path": "none.h5"}),
@@ -104,7 +105,9 @@ def test_given_a_wrong_type_then_it_is_an_input_error(
     for parameter in parameters(name):
         if isinstance(wrong, dict) and parameter in ("names", "run", "rig"):
             continue  # a mapping is what they take
-        with pytest.raises(wf.InputError, match=rf"\b{parameter}\b|none\.|shape|trajectory|bank|green|raw is"):
+        with pytest.raises(
+            wf.InputError, match=rf"\b{parameter}\b|none\.|shape|trajectory|bank|green|raw is|interpolation is"
+        ):
             call(**{**valid, parameter: wrong})
     assert not list(tmp_path.iterdir())
 

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefocus.acquisition.grid import surface_grid
-from wavefocus.benchmarks import coarse_grids
 from wavefocus.benchmarks.harness import Entry, Findings, Mark, measure
 from wavefocus.benchmarks.rig_bank import MARGIN_MM, RATE_HZ, TAPS, default_grid, true_bank
 from wavefocus.config.outline import Outline
@@ -24,7 +23,6 @@ from wavefocus.config.scene import Output
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.greens.interpolation.base import Interpolation, Nodes, OffGridError, interpolation_method
-from wavefocus.rendering.greens.interpolation.error_estimates import left_out_errors
 from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
 from wavefocus.rendering.greens.interpolation.on_grid import LatticeInterpolation
 from wavefocus.rendering.greens.source import GreenArray, GreenSource
@@ -36,7 +34,7 @@ Float64Array = NDArray[np.float64]
 Complex128Array = NDArray[np.complex128]
 
 METHODS = ("nearest", "bilinear", "kernel")
-"""Methods that need no model of the whole surface; `coarse_grids` compares that one with them."""
+"""Methods that need no model of the whole surface; `wavefocus bench coarse_grids` has the other."""
 FREQUENCIES_HZ = (100.0, 250.0, 450.0)
 MARKS = {(None, 250.0): 0.005, (None, 450.0): 0.07, (-60.0, 250.0): 0.01, (-60.0, 450.0): 0.08}
 """Largest median error wanted of the kernel, by noise of the bank in dB and frequency."""
@@ -60,7 +58,6 @@ def run(out: Path | None = None, *, quick: bool = False) -> Findings:
     points = [point for error_db, bank in banks.items() for point in errors_of(bank, error_db, points_mm, truth)]
     points += spacings(rig, points_mm, truth, quick=quick)
     points += render_times(banks[-60.0])
-    points += coarse_grids.entries(coarse_grids.DEFAULT_CASES[: 1 if quick else None], quick=quick, workers=1)
     return Findings(points, "the plate's true transfer functions")
 
 
@@ -84,7 +81,8 @@ def errors_of(bank: GreenArray, error_db: float | None, points_mm: Float64Array,
         found = _summed(kind, nodes, bank)
         right = truth[chosen]
         error = np.linalg.norm(found - right, axis=2) / np.linalg.norm(right, axis=2)
-        found_errors = left_out_errors(kernel, usable_mm, None if name == "kernel" else nodes)
+        other = None if name == "kernel" else kind
+        estimated = np.median(kernel.estimate(bank, usable_mm, np.array(FREQUENCIES_HZ), other).relative, axis=1)
         for index, frequency in enumerate(FREQUENCIES_HZ):
             mark = MARKS.get((error_db, frequency)) if name == "kernel" else None
             points.append(
@@ -95,7 +93,7 @@ def errors_of(bank: GreenArray, error_db: float | None, points_mm: Float64Array,
                     error=float(np.median(error[:, index])),
                     figures={
                         "worst_error": float(error[:, index].max()),
-                        "estimated_error": float(np.interp(frequency, found_errors.frequency_hz, found_errors.median)),
+                        "estimated_error": float(estimated[index]),
                     },
                     marks=() if mark is None else (Mark("error", mark, at_most=True),),
                 )

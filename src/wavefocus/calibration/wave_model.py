@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from wavefocus.calibration import Complex128Array, Float64Array, Int64Array
+from wavefocus.calibration import BoolArray, Complex128Array, Float64Array, Int64Array
 
 DISK_RADIUS = 1.15
 """Radius a of the disk, in wave numbers: room for what the damping smears."""
@@ -36,12 +36,14 @@ class WaveModel:
     wavenumber_rad_mm, complex128 (frequencies,): Re k > 0, Im k <= 0, in radians per millimetre.
     disk_share, float64 (frequencies,): Share s of the disk's kernel, above 0 and at most 1.
     ridge, float64 (frequencies,): Added to the covariance of a position with itself, > 0.
+    doubtful_hz: Frequencies at which the bank says little of the waves; their wave numbers follow from the others.
     """
 
     frequency_hz: Float64Array
     wavenumber_rad_mm: Complex128Array
     disk_share: Float64Array
     ridge: Float64Array
+    doubtful_hz: tuple[float, ...] = ()
 
     def at(self, frequency_hz: Float64Array) -> WaveModel:
         """The waves at other frequencies: between them, smooth in the logarithm; beyond, one phase speed."""
@@ -200,8 +202,66 @@ def fit_waves(patches: Sequence[Patch], frequency_hz: Float64Array, values: Valu
     shapes = _gather(patches, values)
     chosen = sorted({0, *range(len(frequency_hz) - 1, -1, -EVERY)})
     errors_of = _LeftOutErrors([offset_mm for offset_mm, _ in shapes])
-    found = [_Fit(errors_of, [parts[number] for _, parts in shapes]).run(spacing_mm) for number in chosen]
-    return WaveModel(frequency_hz[chosen], *(np.array(column) for column in zip(*found, strict=True)))
+    fits = [_Fit(errors_of, [parts[number] for _, parts in shapes]) for number in chosen]
+    free = np.array([fit.wavenumber(spacing_mm) for fit in fits])
+    weight = np.array([fit.weight(k) for fit, k in zip(fits, free, strict=True)])
+    wavenumber, doubtful = joined_by_law(frequency_hz[chosen], free, weight)
+    choices = [fit.chosen(k) for fit, k in zip(fits, wavenumber, strict=True)]
+    for number in np.flatnonzero(doubtful).tolist():
+        # What noise leaves looks like a full disk: the share is that of the nearest frequency that is known.
+        near = min(np.flatnonzero(~doubtful).tolist(), key=lambda kept: abs(kept - number))
+        choices[number] = fits[number].chosen(wavenumber[number], (choices[near][0],))
+    share, ridge = np.array(choices).T
+    return WaveModel(frequency_hz[chosen], wavenumber, share, ridge, tuple(frequency_hz[chosen][doubtful].tolist()))
+
+
+KNOWN = 0.1
+"""Weight, over the median of all, below which a frequency may be wrong: its wave number is three times less certain."""
+DISAGREES = 0.05
+"""A wave number of little weight so far from the law of the others, relatively, is left out: from one to the next, two
+thirds of an octave away, dispersion of membranes, gels and plates keeps to a power of the frequency within 1 %."""
+STEP = 1.03
+"""Factor on the wave number by which the weight is found."""
+
+
+def joined_by_law(
+    frequency_hz: Float64Array, wavenumber: Complex128Array, weight: Float64Array
+) -> tuple[Complex128Array, BoolArray]:
+    """Wave numbers at all frequencies, those that the bank hardly knows from the others; and which these are.
+
+    The law is a power of the frequency, of the real and of the imaginary part each, by weighted least squares in the
+    logarithm. Where it replaces a wave number, it goes on from the nearest one that is kept.
+
+    weight, float64 (frequencies,): Inverse variance of the logarithm of each, up to a factor.
+    """
+    doubtful = np.zeros(len(weight), dtype=bool)
+    for number in np.argsort(weight).tolist():
+        others = np.flatnonzero(~doubtful & (np.arange(len(weight)) != number))
+        if len(others) < 2 or weight[number] >= KNOWN * np.median(weight):
+            break
+        law = _law(frequency_hz, wavenumber, weight, others)
+        doubtful[number] = abs(np.log(wavenumber[number].real / law[number].real)) > DISAGREES
+    kept = np.flatnonzero(~doubtful)
+    law, found = _law(frequency_hz, wavenumber, weight, kept), wavenumber.copy()
+    for number in np.flatnonzero(doubtful).tolist():
+        near = kept[np.argmin(np.abs(np.log(frequency_hz[kept] / frequency_hz[number])))]
+        real = wavenumber[near].real * law[number].real / law[near].real
+        found[number] = complex(real, wavenumber[near].imag * law[number].imag / law[near].imag)
+    return found, doubtful
+
+
+def _law(
+    frequency_hz: Float64Array, wavenumber: Complex128Array, weight: Float64Array, kept: Int64Array
+) -> Complex128Array:
+    """Powers of the frequency through some wave numbers, one where there is only one."""
+    if len(kept) < 2:
+        return wavenumber
+    octave, root = np.log2(frequency_hz), np.sqrt(np.maximum(weight[kept], 1e-9))
+    parts = []
+    for part in (wavenumber.real, np.minimum(wavenumber.imag, -1e-9 * wavenumber.real)):
+        slope, offset = np.polyfit(octave[kept], np.log(np.abs(part[kept])), 1, w=root)
+        parts.append(np.exp(slope * octave + offset))
+    return np.asarray(parts[0] - 1j * parts[1])
 
 
 class _LeftOutErrors:
@@ -264,13 +324,21 @@ class _Fit:
         self._errors_of, self._values = errors_of, [values[shape] for shape in errors_of.order]
         self._whole = sum(float(np.square(np.abs(value[:LEFT_OUT])).sum()) for value in values)
 
-    def run(self, spacing_mm: float) -> tuple[complex, float, float]:
+    def wavenumber(self, spacing_mm: float) -> complex:
+        """The wave number that leaves least, found by itself."""
         scanned = SCANNED_RADIANS / spacing_mm
         tried = [self._errors_of.scanned(complex(k, -SCAN_DAMPING * k), SCAN_SHARE, SCAN_RIDGE) for k in scanned]
         misfits = [self._wrong(errors) for errors in tried]
         start = float(scanned[int(np.argmin(misfits))])
-        wavenumber = self._refined(complex(start, -SCAN_DAMPING * start))
-        return wavenumber, *self._chosen(wavenumber)
+        return self._refined(complex(start, -SCAN_DAMPING * start))
+
+    def weight(self, wavenumber: complex) -> float:
+        """Rise of the logarithm of the error about a wave number: the inverse variance of its own logarithm."""
+        below, at, above = (
+            np.log(max(self._misfit(wavenumber * factor, FIT_SHARE, FIT_RIDGE), 1e-300))
+            for factor in (1.0 / STEP, 1.0, STEP)
+        )
+        return max(float(0.5 * (below + above) - at), 0.0)
 
     def _refined(self, wavenumber: complex) -> complex:
         from scipy.optimize import minimize  # most campaigns need it at their end only, small ones never
@@ -290,8 +358,9 @@ class _Fit:
         best = minimize(misfit, first, method="Nelder-Mead", options=options).x
         return complex(unit * best[0], -unit * abs(best[1]))
 
-    def _chosen(self, wavenumber: complex) -> tuple[float, float]:
-        choices = [(share, ridge) for share in SHARES for ridge in RIDGES]
+    def chosen(self, wavenumber: complex, shares: tuple[float, ...] = SHARES) -> tuple[float, float]:
+        """Share of the disk and ridge."""
+        choices = [(share, ridge) for share in shares for ridge in RIDGES]
         misfits = [self._misfit(wavenumber, *choice) for choice in choices]
         enough = MARGIN**2 * min(misfits)
         return max(choice for choice, misfit in zip(choices, misfits, strict=True) if misfit <= enough)

@@ -50,24 +50,32 @@ def with_bank(
     return blueprint, ()
 
 
+EARLIER_CHECKS = (None, 12)
+"""Check positions of banks that earlier versions began where the run states none."""
+
+
 def _without_later_checks(blueprint: Blueprint, bank: Path) -> Blueprint:
-    """The campaign without check positions, where a bank of an earlier version was begun without those of now."""
+    """The campaign with the bank's check positions, where an earlier version began it with none, or with fewer."""
     checks = len(check_rows(blueprint.configuration))
     if checks != DEFAULT_CHECKS:
         return blueprint
     with open_bank(bank) as view:
-        if view.run_json is None or bank_configuration(view).run.grid.check_positions is not None:
+        if view.run_json is None:
             return blueprint
-        regular_mm = blueprint.plan.position_mm[:-checks]
-        if not np.array_equal(view.position_mm[: len(regular_mm)], regular_mm):
+        begun_with = bank_configuration(view).run.grid.check_positions
+        regular_mm, own_mm = blueprint.plan.position_mm[:-checks], np.asarray(view.position_mm)
+        if begun_with not in EARLIER_CHECKS or not np.array_equal(
+            own_mm[: len(own_mm) - (begun_with or 0)], regular_mm
+        ):
             return blueprint
     say(
-        f"{bank} was begun by an earlier version, without check positions: it goes on with its own positions, and the "
-        f"{checks} check positions that the run asks for now are left out (wavefocus extend adds them)"
+        f"{bank} was begun by an earlier version, with {begun_with or 'no'} check positions: it goes on with its own"
+        f" positions, and the {checks} check positions that the run asks for now are left out (wavefocus extend adds"
+        " them)"
     )
     run = blueprint.configuration.run
-    run = run.model_copy(update={"grid": run.grid.model_copy(update={"check_positions": None})})
-    return blueprint_of(replace(blueprint.configuration, run=run, position_mm=regular_mm))
+    run = run.model_copy(update={"grid": run.grid.model_copy(update={"check_positions": begun_with})})
+    return blueprint_of(replace(blueprint.configuration, run=run, position_mm=own_mm))
 
 
 def opened_raw(

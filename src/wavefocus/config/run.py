@@ -57,7 +57,7 @@ class Grid(Table):
     )
     check_positions: Annotated[Whole, Field(ge=0, le=1000), DERIVED] | None = Field(
         default=None,
-        description="Positions off the lattice, measured to judge what is interpolated; 12 by default where its"
+        description="Positions off the lattice, measured to judge what is interpolated; 24 by default where its"
         " spacing is above half a wavelength, else 0",
     )
 

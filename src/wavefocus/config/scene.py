@@ -289,7 +289,7 @@ class Output(Table):
         default="nearest",
         title="Interpolation",
         description="Method for Green's functions between the bank's positions; waves works on coarse grids and needs"
-        " the actuators' places, auto takes the method of least expected error",
+        " the actuators' places, auto takes the cheapest whose expected error is below 2 %",
     )
     limit_v: Positive | None = Field(
         default=None,

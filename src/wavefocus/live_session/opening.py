@@ -14,7 +14,6 @@ from wavefocus.console import progress
 from wavefocus.drives import naming
 from wavefocus.live_session.session import LiveSession, Publish
 from wavefocus.options import LiveOptions
-from wavefocus.rendering.greens.interpolation.base import methods_between
 from wavefocus.rendering.greens.source import is_check, usable
 from wavefocus.rendering.live.engine import LiveEngine
 from wavefocus.rendering.live.limiter import LiveLimiter
@@ -87,7 +86,7 @@ def open_session(
             finest = output.interpolation
             coarse = bool(is_check(view).any())
             if options.scene_file is None and (options.independent or coarse):
-                finest = methods_between(coarse=coarse)[0]
+                finest = "auto"
             try:
                 engine, limiter = engine_and_limiter(finest)
             except InputError:

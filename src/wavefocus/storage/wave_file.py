@@ -1,7 +1,8 @@
 """The model of the waves between a bank's positions, kept as a file next to the bank.
 
 It can be computed anew at any time: a file that is missing, damaged, of another version, or of other contents of the
-bank than now is not used, and replaced. Several processes may write it; each writes it whole.
+bank than now is not used, and replaced; a file of another kind is left alone. Several processes may write it; each
+writes it whole.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from wavefocus.storage.sidecar_files import staging_dir
 
 FORMAT = "wavefocus-waves"
 KEY = "bank_sha256"
+HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+"""HDF5 file format specification, version 3.0, section II.A: the first bytes of a file without a user block."""
 
 
 def wave_file(bank: Path) -> Path:
@@ -50,9 +53,14 @@ def write_wave_file(path: Path, key: str, arrays: Mapping[str, NDArray[Any]]) ->
 
 
 def _is_of_another_kind(path: Path) -> bool:
-    """Whether a file is a sound one of another format; what cannot be read is a damaged model."""
+    """Whether a file is no HDF5 file, or a sound one of another format; one that cannot be read is a damaged model."""
+    if not path.exists():
+        return False
+    with path.open("rb") as file:
+        if file.read(len(HDF5_SIGNATURE)) != HDF5_SIGNATURE:
+            return True
     with suppress(InputError):
-        return path.exists() and hdf5_digest.format_of(path)[0] != FORMAT
+        return hdf5_digest.format_of(path)[0] != FORMAT
     return False
 
 

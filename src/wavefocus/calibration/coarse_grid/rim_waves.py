@@ -7,6 +7,8 @@ What no wave of one wave number explains is interpolated as a field whose wave n
 at the positions, ``rest(x) = K(x, X) (K(X, X) + ridge)^-1 r``, K(z) = 2 J1(z) / z. Radius and ridge are those of
 greatest evidence; where they leave hardly less of left-out positions than there is, or the positions do not resolve the
 waves, there is no rest. (M. Ribeiro et al., EURASIP J. ASMP 2024:43: directed plus residual kernels.)
+
+Bounds are those of normalised split conformal prediction, see `judged`.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from scipy.linalg import cho_factor, cho_solve, eigh
 from scipy.spatial import cKDTree
 from scipy.special import j1
 
-from wavefocus.calibration import BoolArray, Complex64Array, Complex128Array, Float64Array, Int64Array
+from wavefocus.calibration import Complex64Array, Complex128Array, Float64Array
 from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.coarse_grid.posterior import FIRST_SHARES, FrequencyWaves
 from wavefocus.calibration.coarse_grid.waves import (
@@ -63,8 +65,6 @@ class Effort(NamedTuple):
 INTERPOLATING = Effort(8, 240, 4, 60)
 JUDGING = Effort(5, 120, 2, 25)
 """A twentieth of the time; rows that are left out are predicted with errors of 1 to 4 %, enough to tell wrong ones."""
-NORMAL_95 = float(np.log(20.0))
-"""Square of the 95 % bound of a complex normal error, over its variance."""
 
 
 class WavesFound(NamedTuple):
@@ -104,11 +104,10 @@ class RimWaves:
     rest_radius, rest_ridge, float64 (frequencies,): Radius of the rest's disk in rad/mm, 0 for none; ridge.
     rest_power, float64 (frequencies, actuators): Mean square of the rest.
     rest, complex64 (frequencies, positions, actuators): ``(K + ridge)^-1 r``.
-    distance_mm, float64 (2, distances); distance_scale, float64 (frequencies, 2, distances): Factors on the standard
-        deviations at distances from an actuator, by left-out positions: amid the positions, and at their edge.
-    noise_share, float64 (frequencies, 2, distances): Of what is at the positions and is no wave or rest, the share that
-        is noise of the measurement and not of the plate; at the same distances.
-    deviation_scale, float64 (frequencies,): Factor on the standard deviations, from positions that judge.
+    error_scale, float64 (frequencies,): Expected error over the standard deviations of waves and rest.
+    bound_scale, float64 (frequencies,): Bound over the same; NaN where no positions judge it.
+    stated: Share of places and actuators, over the surface, whose error the bound holds; 0 where there is none.
+    by_noise, float64 (frequencies,): Share of what was missed at the positions that judge that is noise.
     judged_by: ``"check positions"`` or ``"left-out positions"``.
     """
 
@@ -126,10 +125,10 @@ class RimWaves:
     rest_ridge: Float64Array
     rest_power: Float64Array
     rest: Complex64Array
-    distance_mm: Float64Array
-    distance_scale: Float64Array
-    noise_share: Float64Array
-    deviation_scale: Float64Array
+    error_scale: Float64Array
+    bound_scale: Float64Array
+    by_noise: Float64Array
+    stated: float
     judged_by: str
 
     @staticmethod
@@ -140,9 +139,10 @@ class RimWaves:
         transfer: Complex128Array,
         check_mm: Float64Array | None = None,
         check_transfer: Complex128Array | None = None,
+        check_noise: Float64Array | None = None,
         *,
         band_hz: tuple[float, float] | None = None,
-        resolution_hz: float | None = None,
+        resolution_hz: float = 0.0,
         workers: int | None = None,
     ) -> RimWaves:
         """Fit the model to transfer functions.
@@ -151,10 +151,12 @@ class RimWaves:
         position_mm, float64 (positions, 2): At least 12, not on one line.
         actuator_mm, float64 (actuators, 2): Finite.
         transfer, complex128 (frequencies, positions, actuators): exp(+j w t).
-        check_mm, check_transfer: Positions that judge what lies between, and their transfer functions; at least 3.
+        check_mm, check_transfer: Positions that judge what lies between, and their transfer functions.
+        check_noise, float64 (positions, actuators): Standard deviation of the noise of these; by default none is
+            taken away, and bounds are too wide.
         band_hz: Measured band: wave numbers are found there, and extrapolated beyond it. By default all is measured.
-        resolution_hz: One over the duration of the Green's functions; noise at frequencies so far apart is independent.
-            Where some are, they tell noise from what the plate does. By default all is taken for the plate's.
+        resolution_hz: One over the duration of the Green's functions: errors at frequencies no further apart judge
+            together. By default each frequency is judged by itself.
         workers: Threads; by default one per processor, at most 4.
 
         Raises ValueError: sizes do not fit, or positions are too few.
@@ -166,18 +168,36 @@ class RimWaves:
         if len(position_mm) < MIN_POSITIONS:
             raise ValueError(f"{len(position_mm)} positions are too few; at least {MIN_POSITIONS} are needed")
         with one_blas_thread():
-            fit = _Fit(frequency_hz, position_mm, actuator_mm, transfer, band_hz, resolution_hz, workers)
-            return fit.run(check_mm, check_transfer)
+            fit = _Fit(frequency_hz, position_mm, actuator_mm, transfer, band_hz, workers)
+            model = fit.run()
+            if check_mm is None or check_transfer is None or len(check_mm) < MIN_CHECKS:
+                return model
+            noise = np.zeros(check_transfer.shape[1:]) if check_noise is None else np.nan_to_num(check_noise)
+            return judged(model, check_mm, check_transfer, noise, resolution_hz, fit.each)
+
+    def require_sound(self, actuators: int) -> None:
+        """Raise ValueError where arrays, as those read from a file, do not fit each other or are not finite."""
+        frequencies, positions, ring = len(self.frequency_hz), len(self.position_mm), len(self.ring_mm)
+        each, waves = (frequencies,), self.strength.shape[1] if self.strength.ndim == 3 else 0
+        shapes = {
+            "frequency_hz": each, "wavenumber": each, "shares": (frequencies, 4), "position_mm": (positions, 2),
+            "actuator_mm": (actuators, 2), "ring_mm": (ring, 2), "power": (frequencies, actuators),
+            "relative_level": (positions, actuators), "strength": (frequencies, waves, actuators), "rest_radius": each,
+            "rest_ridge": each, "rest_power": (frequencies, actuators), "rest": (frequencies, positions, actuators),
+            "error_scale": each, "bound_scale": each, "by_noise": each,
+        }  # fmt: skip
+        unknown = () if self.stated else ("bound_scale", "by_noise")
+        for name, shape in shapes.items():
+            values = np.asarray(getattr(self, name))
+            if values.shape != shape or not (name in unknown or np.isfinite(values).all()):
+                raise ValueError(f"{name} has shape {values.shape}, or holds NaN or infinity; expected {shape}")
+        if frequencies < 1 or waves <= ring or not 0.0 <= self.stated < 1.0:
+            raise ValueError("there are no frequencies, or fewer strengths than sources")
 
     @property
     def spacing_mm(self) -> float:
         """Median distance of neighbouring positions."""
         return grid_spacing_mm(self.position_mm)
-
-    @property
-    def resolved(self) -> Float64Array:
-        """Wave number times spacing over pi, (frequencies,): above 1 left-out positions judge nothing."""
-        return np.asarray(np.abs(self.wavenumber) * self.spacing_mm / np.pi)
 
     def values(self, points_mm: Float64Array, index: Sequence[int] | None = None) -> Complex128Array:
         """Transfer functions at points (n, 2) and some frequencies, by default all: (frequencies, n, actuators)."""
@@ -196,69 +216,30 @@ class RimWaves:
         return np.asarray(found, dtype=np.complex128)
 
     def deviations(self, points_mm: Float64Array, index: Sequence[int]) -> Float64Array:
-        """Standard deviations of `values`, (frequencies, n, actuators).
+        """Standard deviations of waves or rest and of what is neither, (frequencies, n, actuators).
 
-        The true value lies within sqrt(log 20) = 1.73 of them with 95 % probability.
+        Times `error_scale` they are the errors expected of `values`, times `bound_scale` their bounds.
         """
-        found = np.empty((len(index), len(points_mm), len(self.actuator_mm)))
-        for place, number in enumerate(index):
-            field, other = self.variances(points_mm, number)
-            of_plate = 1.0 - self._by_distance(points_mm, self.noise_share[number])
-            found[place] = np.sqrt(field + of_plate * other) * self.deviation_scale[number]
-        return found
+        return np.stack([np.sqrt(self._variance(points_mm, number)) for number in index])
 
-    def variances(self, points_mm: Float64Array, number: int) -> tuple[Float64Array, Float64Array]:
-        """Variances at points and one frequency, (n, actuators) each, before positions judge them.
-
-        Of waves and rest, which the positions determine; and of what else a measurement there would hold.
-        """
+    def _variance(self, points_mm: Float64Array, number: int) -> Float64Array:
         if self.rest_radius[number] > 0:
             radius, ridge, power = self.rest_radius[number], self.rest_ridge[number], self.rest_power[number]
             kernel = disk(radius * _gaps_mm(self.position_mm, self.position_mm))
             kernel[np.diag_indices_from(kernel)] += ridge
             across = disk(radius * _gaps_mm(points_mm, self.position_mm))
             known = np.einsum("pn,np->p", across, cho_solve(cho_factor(kernel), across.T))
-            field = np.maximum(1.0 - known, 0.0)[:, None] * power
-            other = np.broadcast_to(ridge * power, field.shape)
-        else:
-            _, near = cKDTree(self.position_mm).query(points_mm)
-            field = self._waves(number).variance(points_mm, self.shares[number])
-            other = self._noise(number, self.relative_level[near])
-        scale = np.square(self._by_distance(points_mm, self.distance_scale[number]))
-        return field * scale, other * scale
+            return np.asarray((np.maximum(1.0 - known, 0.0) + ridge)[:, None] * power)
+        _, near = cKDTree(self.position_mm).query(points_mm)
+        n1, n2 = np.exp(self.shares[number, 2:])
+        other = self.power[number] * (n1 * self.relative_level[near] + n2)
+        return np.asarray(self._waves(number).variance(points_mm, self.shares[number]) + other)
 
-    def _by_distance(self, points_mm: Float64Array, figures: Float64Array) -> Float64Array:
-        """Figures of distances from an actuator, (2, distances), at points: (n, actuators)."""
-        apart_mm = distances_mm(points_mm, self.actuator_mm)
-        amid, edge = (np.interp(apart_mm, *pair) for pair in zip(self.distance_mm, figures, strict=True))
-        return np.asarray(np.where(at_edge(points_mm, self.position_mm)[:, None], edge, amid))
-
-    def expected_errors(self, points_mm: Float64Array, index: Sequence[int]) -> Float64Array:
-        """Relative errors expected at points, (frequencies, n): L2 over the actuators, over that of the values."""
-        values, deviations = self.values(points_mm, index), self.deviations(points_mm, index)
-        there = np.linalg.norm(values, axis=2)
-        missed = np.linalg.norm(deviations, axis=2)
-        return np.asarray(missed / np.maximum(np.hypot(there, missed), 1e-300))
-
-    def left_out(self, transfer: Complex128Array) -> Complex128Array:
-        """Error of the waves at each position if it alone is left out, (frequencies, positions, actuators).
-
-        transfer: What the model was fitted to.
-        """
-        each = [self._waves(number, seen).left_out(self.shares[number])[0] for number, seen in enumerate(transfer)]
-        return np.stack(each)
-
-    def _waves(self, number: int, transfer: Complex128Array | None = None) -> FrequencyWaves:
-        if transfer is None:
-            transfer = np.zeros(self.relative_level.shape, dtype=np.complex128)
+    def _waves(self, number: int) -> FrequencyWaves:
         return FrequencyWaves(
             self.wavenumber[number], self.pressure_share, self.position_mm, self.actuator_mm, self.ring_mm,
-            self.power[number], self.relative_level, transfer,
+            self.power[number], self.relative_level, np.zeros(self.relative_level.shape, dtype=np.complex128),
         )  # fmt: skip
-
-    def _noise(self, number: int, relative_level: Float64Array) -> Float64Array:
-        n1, n2 = np.exp(self.shares[number, 2:])
-        return np.asarray(self.power[number] * (n1 * relative_level + n2))
 
 
 class _Fit:
@@ -271,14 +252,13 @@ class _Fit:
         actuator_mm: Float64Array,
         transfer: Complex128Array,
         band_hz: tuple[float, float] | None,
-        resolution_hz: float | None,
         workers: int | None,
         effort: Effort = INTERPOLATING,
     ) -> None:
         self._effort = effort
         low_hz, high_hz = band_hz or (0.0, np.inf)
         self._measured = (frequency_hz >= low_hz) & (frequency_hz <= high_hz)
-        self._frequency_hz, self._transfer, self._resolution_hz = frequency_hz, transfer, resolution_hz
+        self._frequency_hz, self._transfer = frequency_hz, transfer
         self._position_mm = np.asarray(position_mm, dtype=np.float64)
         self._actuator_mm = np.asarray(actuator_mm, dtype=np.float64)
         self._workers = min(os.cpu_count() or 1, 4) if workers is None else workers
@@ -290,26 +270,23 @@ class _Fit:
         self._pressure_share = 0.0
         self._rest_choice: dict[int, tuple[float, float]] = {}
 
-    def run(self, check_mm: Float64Array | None, check_transfer: Complex128Array | None) -> RimWaves:
+    def run(self) -> RimWaves:
+        """Fit everything; left-out positions judge the errors, for want of others."""
         knots = self.find_waves()
-        wavenumber, shares = self._wavenumber, self._shares
-        judged = sorted({*evenly_spread(len(self._frequency_hz), REST_JUDGED).tolist(), *knots})
-        self._rest_choice = dict(zip(judged, self._each(judged, self._chosen_rest), strict=True))
-        solved = self._each(range(len(self._frequency_hz)), self._solve)
+        rest_at = sorted({*evenly_spread(len(self._frequency_hz), REST_JUDGED).tolist(), *knots})
+        self._rest_choice = dict(zip(rest_at, self.each(rest_at, self._chosen_rest), strict=True))
+        solved = self.each(range(len(self._frequency_hz)), self._solve)
         strength, radius, ridge, power, rest = (np.array(part) for part in zip(*solved, strict=True))
         self._strength, self._rest = strength, (radius, ridge, power)
-        judged = judged_frequencies(self._frequency_hz)
-        left_out = dict(zip(judged, self._each(judged, self._left_out), strict=True))
-        distance_mm, groups = self._distances()
-        model = RimWaves(
-            self._frequency_hz, wavenumber, shares, self._pressure_share, self._position_mm, self._actuator_mm,
-            self._ring_mm, self._power, self._relative_level, strength.astype(np.complex64), radius, ridge, power,
-            rest.astype(np.complex64), distance_mm, self._distance_scale(left_out, groups),
-            self._noise_share(left_out, groups), np.ones(len(self._frequency_hz)), "left-out positions",
+        at = judged_frequencies(self._frequency_hz)
+        scale = np.array(self.each(at, self._left_out_scale))
+        none = np.full(len(self._frequency_hz), np.nan)
+        return RimWaves(
+            self._frequency_hz, self._wavenumber, self._shares, self._pressure_share, self._position_mm,
+            self._actuator_mm, self._ring_mm, self._power, self._relative_level, strength.astype(np.complex64), radius,
+            ridge, power, rest.astype(np.complex64), _between(self._frequency_hz, at, scale), none, none, 0.0,
+            "left-out positions",
         )  # fmt: skip
-        if check_mm is not None and check_transfer is not None and len(check_mm) >= MIN_CHECKS:
-            return judged_by_checks(model, check_mm, check_transfer, self._each)
-        return model
 
     def find_waves(self) -> list[int]:
         """Find wave number and shares at all frequencies; returns the knots."""
@@ -451,84 +428,20 @@ class _Fit:
         left = min(float(np.median(missed / there)), float(np.linalg.norm(missed) / np.linalg.norm(there)))
         return (radius, ridge) if left < MAX_REST else NO_REST
 
-    def _left_out(self, number: int, rest_of: int | None = None) -> tuple[Complex128Array, Float64Array]:
-        """Error at each position if it is left out, and its variance, noise included, (positions, actuators).
-
-        rest_of: Index of the frequency whose rest is taken; by default its own.
-        """
+    def _left_out_scale(self, number: int) -> float:
+        """Errors at left-out positions over what was expected there, noise included."""
         waves = self._frequency(number)
-        radius, ridge, power = (part[number if rest_of is None else rest_of] for part in self._rest)
-        if not radius > 0:
-            return waves.left_out(self._shares[number])
-        residual = self._transfer[number] - waves.sums(self._strength[number])
-        error, share = _left_out_rest(disk(radius * self._apart_mm), ridge, residual)
-        return error, np.maximum(share[:, None] * power, 1e-300)
+        radius, ridge, power = (part[number] for part in self._rest)
+        if radius > 0:
+            residual = self._transfer[number] - waves.sums(self._strength[number])
+            error, share = _left_out_rest(disk(radius * self._apart_mm), ridge, residual)
+            variance = np.maximum(share[:, None] * power, 1e-300)
+        else:
+            error, variance = waves.left_out(self._shares[number])
+        return _typical(np.square(np.abs(error)), variance)
 
-    def _distances(self) -> tuple[Float64Array, list[list[Int64Array]]]:
-        """Distances from an actuator, (2, distances), and the pairs of a position and an actuator at each.
-
-        Amid the positions, and at their edge, where they are on one side only.
-        """
-        apart_mm = distances_mm(self._position_mm, self._actuator_mm)
-        edge = at_edge(self._position_mm, self._position_mm, itself=True)
-        parts = [np.flatnonzero(np.broadcast_to(one[:, None], apart_mm.shape)) for one in (~edge, edge)]
-        if min(len(part) for part in parts) < MIN_IN_DISTANCE:
-            parts = [np.arange(apart_mm.size)] * 2
-        count = int(np.clip(min(len(part) for part in parts) // MIN_IN_DISTANCE, 1, MAX_DISTANCES))
-        groups = [np.array_split(part[np.argsort(apart_mm.ravel()[part], kind="stable")], count) for part in parts]
-        return np.array([[np.median(apart_mm.ravel()[group]) for group in part] for part in groups]), groups
-
-    def _distance_scale(self, left_out: LeftOut, groups: list[list[Int64Array]]) -> Float64Array:
-        """Factors on the deviations at distances, (frequencies, 2, distances)."""
-        found = []
-        for error, variance in left_out.values():
-            ratio = (np.square(np.abs(error)) / variance).ravel()
-            found.append([[np.quantile(ratio[group], 0.95) / NORMAL_95 for group in part] for part in groups])
-        scale = np.sqrt(np.maximum(found, MIN_SCALE**2))
-        return np.exp(_between(self._frequency_hz, list(left_out), np.log(scale)))
-
-    def _noise_share(self, left_out: LeftOut, groups: list[list[Int64Array]]) -> Float64Array:
-        """Share of the left-out errors that is noise of the measurement, (frequencies, 2, distances).
-
-        It is what neighbouring frequencies have not in common. What the plate does changes little from one to the next,
-        but echoes do that last as long as the Green's functions. Noise is alike at all distances, in proportion to the
-        level or apart from it: it is no more anywhere than where it is found least, by the larger of the two.
-        """
-        resolution_hz, shape = self._resolution_hz, (len(self._frequency_hz), 2, len(groups[0]))
-        if resolution_hz is None:
-            return np.zeros(shape)
-        order = np.argsort(distances_mm(self._position_mm, self._actuator_mm).ravel(), kind="stable")
-        everywhere = np.array_split(order, max(len(order) // NOISE_PAIRS, 1))
-
-        def share(number: int) -> Float64Array:
-            off_hz = np.abs(np.abs(self._frequency_hz - self._frequency_hz[number]) - resolution_hz)
-            other = int(np.argmin(off_hz))
-            if off_hz[other] > NOISE_GAP * resolution_hz:
-                return np.full(shape[1:], np.nan)
-            error, variance = left_out[number]
-            here, there = error.ravel(), self._left_out(other, number)[0].ravel()
-            power = np.broadcast_to(self._power[number], error.shape).ravel()
-            level = power * self._relative_level.ravel()
-
-            def noise(unit: Float64Array) -> Float64Array:
-                return min(_not_in_common(here[one], there[one], unit[one]) for one in everywhere) * unit
-
-            most = np.maximum(noise(level), noise(power)) / variance.ravel()
-            size, found = np.square(np.abs(here)) / variance.ravel(), np.empty(shape[1:])
-            for part, place in np.ndindex(*shape[1:]):
-                one = groups[part][place]
-                uncommon = _not_in_common(here[one], there[one], variance.ravel()[one])
-                found[part, place] = min(uncommon, float(most[one].mean())) / max(float(size[one].mean()), 1e-300)
-            return found
-
-        judged = np.array(list(left_out))[evenly_spread(len(left_out), NOISE_JUDGED)]
-        found = np.array(self._each(judged.tolist(), share))
-        known = np.isfinite(found).all(axis=(1, 2))
-        if not known.any():
-            return np.zeros(shape)
-        return _between(self._frequency_hz, judged[known].tolist(), found[known])
-
-    def _each(self, numbers: Sequence[int], task: Callable[[int], Result]) -> list[Result]:
+    def each(self, numbers: Sequence[int], task: Callable[[int], Result]) -> list[Result]:
+        """Results of a task at some frequencies, in threads."""
         if self._workers <= 1:
             return [task(number) for number in numbers]
         with ThreadPoolExecutor(self._workers) as pool:
@@ -542,85 +455,83 @@ def judging_waves(
 
     Arguments as of `RimWaves.fit`.
     """
-    fit = _Fit(frequency_hz, position_mm, actuator_mm, transfer, None, None, 1, JUDGING)
+    fit = _Fit(frequency_hz, position_mm, actuator_mm, transfer, None, 1, JUDGING)
     fit.find_waves()
     return fit.waves
 
 
-LeftOut = dict[int, tuple[Complex128Array, Float64Array]]
-"""Errors and variances at left-out positions, by the index of a frequency."""
-
-
-MIN_CHECKS = 3
-JUDGED, NOISE_JUDGED = 64, 16
-"""Frequencies at which deviations are judged, and how many of these tell the share of noise. Errors may come and go
-within 25 Hz: 24 frequencies over a band to 600 Hz met only small ones."""
-MIN_IN_DISTANCE, MAX_DISTANCES = 80, 10
-"""Pairs of a position and an actuator that judge at one distance, at least; number of distances, at most."""
-MIN_SCALE = 0.03
-NOISE_PAIRS = 400
-"""Pairs of a position and an actuator that show together what two frequencies have in common."""
-NOISE_GAP = 0.2
-"""Two frequencies are neighbours if they are the resolution apart, to this share of it."""
-EDGE_NEIGHBOURS, EDGE_SPACINGS = 12, 0.45
-"""A place is at the edge if the mean of the positions nearest to it is so many spacings away."""
-JUDGED_HALF_OCTAVES = 0.5
-"""Half the width, in octaves, of the bands in which check positions judge together."""
-
-
-def _not_in_common(here: Complex128Array, there: Complex128Array, variance: Float64Array) -> float:
-    """Mean square over `variance` of what errors at one frequency have not in common with those at another.
-
-    Errors that have nothing in common still seem to, by chance: their mean share of that is taken away.
-    """
-    root = np.sqrt(variance)
-    here, there = here / root, there / root
-    size, other = np.square(np.abs(here)), np.square(np.abs(there))
-    common = max(float(np.abs(np.vdot(here, there))) ** 2 - float(size @ other), 0.0)
-    share = float(np.sqrt(common / max(float(size.sum() * other.sum()), 1e-300)))
-    return float(size.mean()) * max(1.0 - share, 0.0)
+MIN_CHECKS, SURE_CHECKS = 12, 24
+"""Positions that state a bound of 90 %, and of 95 %: a quantile L needs at least 1 / (1 - L) of them, 10 and 20 (Lee,
+Barber, Willett, arXiv 2306.06342), and some more to vary little from draw to draw."""
+JUDGED = 64
+"""Frequencies at which errors are judged; they may come and go within 25 Hz."""
 
 
 def judged_frequencies(frequency_hz: Float64Array) -> list[int]:
-    """Indices of the frequencies at which deviations are judged."""
+    """Indices of the frequencies at which errors are judged."""
     return [int(index) for index in evenly_spread(len(frequency_hz), JUDGED)]
 
 
-def judged_by_checks(
+def judged(
     model: RimWaves,
     check_mm: Float64Array,
     check_transfer: Complex128Array,
-    each: Callable[[Sequence[int], Callable[[int], Float64Array]], list[Float64Array]],
+    noise: Float64Array,
+    resolution_hz: float,
+    each: Callable[[Sequence[int], Callable[[int], tuple[float, float, float]]], list[tuple[float, float, float]]],
 ) -> RimWaves:
-    """The model with deviations scaled so that 95 % of the errors at the check positions lie within their bounds."""
+    """The model with errors and bounds by positions that were not fitted to (normalised split conformal prediction).
 
-    def ratios(number: int) -> Float64Array:
-        error = np.abs(model.values(check_mm, [number])[0] - check_transfer[number])
-        return np.asarray((np.square(error) / sum(model.variances(check_mm, number))).ravel())
+    With d what was measured at check places, p the model's values, s its deviations there and nu the noise's,
 
-    judged = judged_frequencies(model.frequency_hz)
-    ratio = np.array(each(judged, ratios))
-    octave = np.log2(model.frequency_hz[judged])
-    bands = [np.abs(octave - here) <= JUDGED_HALF_OCTAVES for here in octave]
-    scale = np.sqrt([np.quantile(ratio[band], 0.95) / NORMAL_95 for band in bands])
-    trust = len(check_mm) / (len(check_mm) + 1.0)
-    scale = np.exp(_between(model.frequency_hz, judged, trust * np.log(np.maximum(scale, MIN_SCALE))))
-    return replace(model, deviation_scale=scale, judged_by="check positions")
+        r = sqrt(max(|d - p|^2 - c nu^2, 0)) / s,   c = log(1 / (1 - L)),
+
+    the bound is the L quantile of r over places, actuators and the frequencies within `resolution_hz`, times s. c takes
+    the noise away, which is in d and not in the plate: of complex normal errors the L quantile of |d - p|^2 is c times
+    its mean. Where the noise is more than half of what is missed, that would lean on its exact level, and c is 0: the
+    bound is too wide there. It speaks of random places over the surface, never of one place.
+
+    Pooled over places and actuators alike: R. Dunn, L. Wasserman, A. Ramdas, arXiv 1809.07441.
+
+    noise, float64 (check positions, actuators).
+    """
+    stated = 0.95 if len(check_mm) >= SURE_CHECKS else 0.9
+
+    def factors(number: int) -> tuple[float, float, float]:
+        near = np.flatnonzero(np.abs(model.frequency_hz - model.frequency_hz[number]) <= resolution_hz * 1.001)
+        near = np.union1d(near, [number])
+        missed = np.square(np.abs(model.values(check_mm, near.tolist()) - check_transfer[near]))
+        variance, noise_power = np.square(model.deviations(check_mm, [number])[0]), np.square(noise)
+        by_noise = float(noise_power.mean() / max(float(missed.mean()), 1e-300))
+        c = np.log(1.0 / (1.0 - stated)) if by_noise <= LIMITED else 0.0
+        score = np.maximum(missed - c * noise_power, 0.0) / variance
+        bound = float(np.sqrt(np.quantile(score, stated, method="higher")))
+        return _typical(missed - noise_power, variance), bound, by_noise
+
+    at = judged_frequencies(model.frequency_hz)
+    error_scale, bound_scale, by_noise = (
+        _between(model.frequency_hz, at, part) for part in np.array(each(at, factors)).T
+    )
+    return replace(
+        model, error_scale=error_scale, bound_scale=bound_scale, by_noise=by_noise, stated=stated,
+        judged_by="check positions",
+    )  # fmt: skip
 
 
-def _between(frequency_hz: Float64Array, judged: list[int], values: Float64Array) -> Float64Array:
-    """Values at some frequencies (judged, ...), interpolated to all over the logarithm of frequency."""
-    octave, wanted = np.log2(frequency_hz[judged]), np.log2(frequency_hz)
-    flat = values.reshape(len(judged), -1)
-    return np.stack([np.interp(wanted, octave, column) for column in flat.T], axis=1).reshape(-1, *values.shape[1:])
+LIMITED = 0.5
+"""Share of noise in what is missed from which a bound is called limited by noise."""
 
 
-def at_edge(points_mm: Float64Array, position_mm: Float64Array, *, itself: bool = False) -> BoolArray:
-    """Whether the positions lie on one side of points, bool (n,); `itself`: each point is a position, left out."""
-    count = min(EDGE_NEIGHBOURS + itself, len(position_mm))
-    near = np.asarray(cKDTree(position_mm).query(points_mm, count)[1])
-    middle_mm = position_mm[near[:, int(itself) :]].mean(axis=1)
-    return np.asarray(np.hypot(*(points_mm - middle_mm).T) > EDGE_SPACINGS * grid_spacing_mm(position_mm))
+def _typical(square: Float64Array, variance: Float64Array) -> float:
+    """Errors over what was expected, L2 over the actuators, the last axis; the median of all places and frequencies."""
+    share = np.maximum(square.sum(axis=-1), 0.0) / variance.sum(axis=-1)
+    return float(np.sqrt(np.median(share)))
+
+
+def _between(frequency_hz: Float64Array, judged_at: list[int], values: Float64Array) -> Float64Array:
+    """Factors at some frequencies, interpolated to all over the logarithm of frequency."""
+    octave = np.log2(frequency_hz)
+    return np.asarray(np.exp(np.interp(octave, octave[judged_at], np.log(np.maximum(values, 1e-6)))))
 
 
 REST_JUDGED, REST_POSITIONS = 16, 400

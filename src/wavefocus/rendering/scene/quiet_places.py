@@ -7,25 +7,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.config.scene import INDEPENDENT_LEVEL_DB
 from wavefocus.rendering.arrays import BoolArray, Float64Array, Int64Array
+from wavefocus.rendering.greens.interpolation.auto import ON_POSITION, choose_interpolation
 from wavefocus.rendering.greens.interpolation.base import (
     GridInterpolation,
     Interpolation,
     OffGridError,
     interpolation_method,
-    methods_between,
     near,
     show_mm,
 )
-from wavefocus.rendering.greens.interpolation.errors import judged_errors
+from wavefocus.rendering.greens.interpolation.errors import errors_at
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
-from wavefocus.rendering.greens.source import GreenSource, is_check, refusal, usable
-from wavefocus.rendering.scene.model import Scene, Source
-from wavefocus.rendering.scene.paths import Path, Point
+from wavefocus.rendering.greens.source import GreenSource, refusal, usable
+from wavefocus.rendering.scene.model import Scene
+from wavefocus.rendering.scene.paths import Path
 from wavefocus.rendering.scene.sampling import SampledScene
-from wavefocus.rendering.scene.signals import Impulse
 from wavefocus.rendering.scene.trajectory_path import TrajectoryPath
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.reader import DamagedError
@@ -36,11 +34,8 @@ SAME_MM = 0.01
 """A quiet point this near to a focus is at the focus."""
 PASSING_MM = 3.0
 """A source that moves past a quiet place is not quiet there from this distance on: far within half a wavelength."""
-ON_GRID = 1e-6
-"""Distance from a position, in grid spacings, up to which its own row is used."""
 RING, RING_ROWS = 0.8, 8
 """A disc of a fingertip's size that is quiet at its centre and on this part of its radius is quiet all over."""
-MAX_JUDGED = 64
 MAX_ROWS, MAX_PAIRS, MAX_INCIDENCES = 2000, 20_000, 10**8
 """Of all places, of rows and sources, and of these at all instants: more would take hours."""
 
@@ -114,7 +109,7 @@ class PlaceRows:
     """Rows at places of a bank: a position's own row at the position, interpolated ones between positions.
 
     own: The scene's own interpolation, used where it makes rows of its own.
-    name: The method that is used else; by default the best that the bank allows.
+    name: The method that is used else; by default what "auto" takes.
     """
 
     rows: GreenSource
@@ -124,22 +119,25 @@ class PlaceRows:
         self._bank, self.rows = bank, bank
         self._grid, self._status = PositionGrid(bank.position_mm), np.asarray(bank.status)
         self._method = None if isinstance(own, GridInterpolation) else own
-        self._names = methods_between(coarse=bool(is_check(bank).any())) if name is None else (name,)
-        self.name = self._names[0] if self._method is None else self._method.name
+        self.name = name or ("auto" if self._method is None else self._method.name)
         self._between_mm: list[Float64Array] = []
 
     def at(self, points_mm: Float64Array) -> Int64Array:
         """Rows (n,) at points (n, 2). Raises OffGridError: a point is off the grid, or nothing is measured there."""
         rows, distance_mm = near(self._grid, points_mm)
-        between = (distance_mm > ON_GRID * self._grid.spacing_mm) | ~usable(self._bank)[rows]
-        for name in self._names if between.any() else ():
-            if self._method is None:
-                try:
-                    self._method, self.name = interpolation_method(name).over(self._bank, points_mm[between]), name
-                except DamagedError:
-                    raise
-                except InputError:
-                    continue  # of none that the bank allows: the nearest positions are taken
+        between = (distance_mm > ON_POSITION * self._grid.spacing_mm) | ~usable(self._bank)[rows]
+        if between.any() and self._method is None:
+            try:
+                self._method = (
+                    choose_interpolation(self._bank, points_mm[between])
+                    if self.name == "auto"
+                    else interpolation_method(self.name).over(self._bank, points_mm[between])
+                )
+                self.name = self._method.name
+            except DamagedError:
+                raise
+            except InputError:
+                pass  # where the bank allows none, the nearest positions are taken
         if between.any() and self._method is not None:
             rows = rows.copy()
             rows[between] = self._method.nodes(points_mm[between]).rows[:, 0]
@@ -155,10 +153,7 @@ class PlaceRows:
         """Estimated relative error of the rows between positions for what is emitted; 0 where there is none."""
         if not self._between_mm or self._method is None:
             return 0.0
-        points_mm = np.concatenate(self._between_mm)
-        points_mm = points_mm[evenly_spread(len(points_mm), MAX_JUDGED)]
-        there = Scene("quiet places", tuple(Source(Point(tuple(at_mm)), Impulse()) for at_mm in points_mm.tolist()))
-        found, _ = judged_errors(there, self._bank, self._method, signals, None)
+        found = errors_at(self._bank, self._method, np.concatenate(self._between_mm), signals)
         return 0.0 if found is None else found.overall
 
 

@@ -10,12 +10,13 @@ from scipy.spatial import cKDTree
 
 from wavefocus.rendering.arrays import Float64Array, Int64Array
 from wavefocus.rendering.field.focus_figures import FOCUS_RADIUS_MM
-from wavefocus.rendering.greens.interpolation.base import interpolation_method, methods_between
+from wavefocus.rendering.greens.interpolation.auto import ON_POSITION
+from wavefocus.rendering.greens.interpolation.base import Interpolation, interpolation_method
 from wavefocus.rendering.greens.interpolation.on_grid import Nearest
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.rendering.scene.paths import Path
-from wavefocus.rendering.scene.quiet_places import ON_GRID, places_of
+from wavefocus.rendering.scene.quiet_places import places_of
 from wavefocus.rendering.scene.sampling import MAX_POINTS
 from wavefocus.rendering.scene.size import MAX_PATH_POINTS
 from wavefocus.storage.errors import InputError
@@ -46,12 +47,13 @@ class SceneRows:
 def scene_rows(scene: Scene, position_mm: Float64Array, *, coarse: bool = False) -> SceneRows:
     """Find the positions that a scene needs on a grid (positions, 2).
 
-    coarse: The grid is too coarse for the kernel: a quiet place between positions is made of waves, which need all.
+    coarse: The grid is too coarse for the kernel: "auto", and a quiet place between positions, are made of waves, which
+        need all.
 
     Raises InputError where a path leaves the grid, or the grid does not allow the scene's interpolation.
     """
     grid = PositionGrid(position_mm)
-    nearest, method = Nearest(grid), interpolation_method(scene.output.interpolation)
+    nearest, method = Nearest(grid), _method(scene.output.interpolation, coarse=coarse)
     tree = cKDTree(grid.position_mm)
     path: set[int] = set()
     checks: set[int] = set()
@@ -66,11 +68,16 @@ def scene_rows(scene: Scene, position_mm: Float64Array, *, coarse: bool = False)
         away_mm = nearest.nodes(points_mm).distance_mm
         reach_mm = away_mm + step_mm + place.radius_mm
         rows = _nearby_rows(tree, points_mm, reach_mm)
-        between = step_mm + place.radius_mm > 0 or away_mm.max() > ON_GRID * grid.spacing_mm
-        best = interpolation_method(methods_between(coarse=coarse and bool(between))[0])
+        between = step_mm + place.radius_mm > 0 or away_mm.max() > ON_POSITION * grid.spacing_mm
+        best = _method("auto", coarse=coarse and bool(between))
         path |= rows | best.needed_rows(grid, rows, points_mm, step_mm)
         checks |= _nearby_rows(tree, points_mm, reach_mm + grid.spacing_mm)
     return SceneRows(np.array(sorted(path), dtype=np.int64), np.array(sorted(checks), dtype=np.int64))
+
+
+def _method(name: str, *, coarse: bool) -> type[Interpolation]:
+    """The method whose rows a scene needs: what "auto" takes on a coarse grid is waves."""
+    return interpolation_method("waves" if name == "auto" and coarse else name)
 
 
 def _along(path: Path, spacing_mm: float, *, allow_large: bool) -> tuple[Float64Array, float]:

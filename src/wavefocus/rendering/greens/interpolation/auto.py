@@ -1,38 +1,45 @@
-"""The interpolation of least expected error in a scene's band."""
+"""The cheapest interpolation that serves: nearest on positions, else the kernel, else waves; and the public one."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from wavefocus.config.interpolations import INTERPOLATIONS
-from wavefocus.rendering.arrays import Float64Array, Int64Array
+from wavefocus.calibration.numerics import evenly_spread
+from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.greens.interpolation.base import (
+    Estimate,
     Interpolation,
+    InterpolationChoice,
     Nodes,
     OffGridError,
+    grid_position_mm,
     interpolation_method,
     scene_points,
 )
-from wavefocus.rendering.greens.interpolation.error_bands import InterpolationChoice
-from wavefocus.rendering.greens.interpolation.error_estimates import left_out_errors
-from wavefocus.rendering.greens.interpolation.errors import BANDS, EMITTED_SHARE, EmittedSpectrum, bank_band_hz
-from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
+from wavefocus.rendering.greens.interpolation.errors import BANDS, MAX_POINTS, EmittedSpectrum, bank_band_hz
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
-from wavefocus.rendering.greens.interpolation.row_values import RowValues
-from wavefocus.rendering.greens.interpolation.waves import WavesInterpolation
-from wavefocus.rendering.greens.source import GreenSource, usable_checks
+from wavefocus.rendering.greens.source import GreenSource, RowReader, usable
 from wavefocus.rendering.scene.model import Scene
+from wavefocus.storage.argument_types import real_array
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.reader import DamagedError
 
-MIN_CHECKS = 3
+KERNEL_ERROR = 0.02
+"""Left-out error in the scene's band below which waves, which take minutes, are not asked."""
+CHANCE = 0.5
+"""Error from which the positions say nothing of what lies between them: half of what is there is missed."""
+ON_POSITION = 1e-6
+"""Distance from a position, in grid spacings, up to which a place is on it."""
+ON_GRID_POINTS = 4096
 
 
 class AutoInterpolation(Interpolation):
-    """Not a method of its own: `over_scene` gives the method whose error is least."""
+    """Not a method of its own: `over_scene` gives the cheapest method that serves."""
 
     name = "auto"
 
@@ -44,122 +51,144 @@ class AutoInterpolation(Interpolation):
     def over_scene(cls, scene: Scene, bank: GreenSource) -> Interpolation:
         rate_hz = float(bank.sample_rate_hz)
         signals = [source.amplitude * source.signal.samples(rate_hz) for source in scene.sources]
-        return choose_interpolation(bank, scene_points(scene), signals)
+        return choose_interpolation(bank, scene_points(scene, ON_GRID_POINTS), signals)
 
     @classmethod
     def needed_rows(cls, grid: PositionGrid, rows: set[int], points_mm: Float64Array, step_mm: float) -> set[int]:
-        """All, as for "waves"."""
-        return WavesInterpolation.needed_rows(grid, rows, points_mm, step_mm)
+        """Those of the kernel; a grid too coarse for it needs all, as for "waves"."""
+        return interpolation_method("kernel").needed_rows(grid, rows, points_mm, step_mm)
+
+    def estimate(self, bank: GreenSource, points_mm: Float64Array, frequency_hz: Float64Array) -> Estimate:
+        raise NotImplementedError
 
     def nodes(self, points_mm: Float64Array) -> Nodes:
         raise NotImplementedError
 
 
-def choose_interpolation(bank: GreenSource, points_mm: Float64Array, signals: Sequence[Float64Array]) -> Interpolation:
-    """The method of least expected error at points, float64 (n, 2), for what is emitted; `choice` says from what.
+def choose_interpolation(
+    bank: GreenSource, points_mm: Float64Array, signals: Sequence[Float64Array] = ()
+) -> Interpolation:
+    """The cheapest method that serves at points, float64 (n, 2), for what is emitted; `choice` says from what.
 
-    Left-out positions judge where the grid resolves the waves (wave number times spacing at most pi in the emitted
-    band), else the bank's check positions.
+    "nearest" where every point is a position; "kernel" where its left-out error in the emitted band is below 2 %; else
+    whichever of "waves" and "kernel" errs less; "nearest" where neither can be used, or is right by chance only.
+
+    signals: What is emitted, at the bank's rate; by default the whole band counts alike.
 
     Raises InputError: no method can be used.
     """
-    methods, unsuited = _usable_methods(bank, points_mm)
-    spectrum = EmittedSpectrum(signals, float(bank.sample_rate_hz))
-    frequency_hz = spectrum.bands_hz(bank_band_hz(bank), BANDS)
-    emitted = spectrum.shares(frequency_hz, bank_band_hz(bank))
-    emitted = emitted / emitted.sum() if emitted.sum() > 0 else np.full(len(emitted), 1.0 / len(emitted))
-    checks = np.flatnonzero(usable_checks(bank))
-    if _resolved(methods, frequency_hz[emitted >= EMITTED_SHARE]):
-        judged_by = "left-out positions"
-        errors = {name: _left_out(bank, method, methods, points_mm, frequency_hz) for name, method in methods.items()}
-    elif len(checks) >= MIN_CHECKS:
-        judged_by = "check positions"
-        errors = {name: _at_checks(bank, method, checks, frequency_hz) for name, method in methods.items()}
-    else:
-        judged_by = "nothing"
-        errors = {name: np.full(len(frequency_hz), np.nan) for name in methods}
-    overall = {name: float(np.sqrt(np.sum(emitted * np.square(error)))) for name, error in errors.items()}
-    judged = {name: error for name, error in overall.items() if np.isfinite(error)}
-    chosen = min(judged, key=lambda name: judged[name]) if judged else next(n for n in PREFERRED if n in methods)
-    method = methods[chosen]
-    method.choice = InterpolationChoice(judged_by, overall, unsuited)
+    unsuited: dict[str, str | InputError] = dict(getattr(bank, "import_facts", {}).get("unsuited", {}))
+    nearest = _usable("nearest", bank, points_mm, unsuited)
+    if nearest is not None and _on_positions(bank, points_mm):
+        nearest.choice = InterpolationChoice("positions", {"nearest": 0.0}, {})
+        return nearest
+    points_mm = points_mm[evenly_spread(len(points_mm), MAX_POINTS)]
+    frequency_hz, emitted = emitted_bands(bank, signals)
+    found: dict[str, tuple[Interpolation, float, str]] = {}
+    for name in ("kernel", "waves"):
+        if (method := _usable(name, bank, points_mm, unsuited)) is not None:
+            estimate = method.estimate(bank, points_mm, frequency_hz)
+            error = float(np.sqrt(emitted @ np.square(np.median(estimate.relative, axis=1))))
+            found[name] = method, error, estimate.judged_by
+            if error < KERNEL_ERROR:
+                break
+    method, error, judged_by = min(found.values(), key=lambda one: one[1], default=(nearest, np.inf, "nothing"))
+    if method is not None and error < CHANCE:
+        method.choice = InterpolationChoice(judged_by, {name: one[1] for name, one in found.items()}, _words(unsuited))
+        return method
+    if nearest is None:
+        raise next((one for one in unsuited.values() if isinstance(one, InputError)), InputError(f"{unsuited}"))
+    errors = {name: one[1] for name, one in found.items()}
+    nearest.choice = InterpolationChoice(judged_by, {"nearest": float("nan")} | errors, _words(unsuited))
+    return nearest
+
+
+def emitted_bands(bank: GreenSource, signals: Sequence[Float64Array]) -> tuple[Float64Array, Float64Array]:
+    """Bands over what is emitted, and the share of each; without signals over the bank's band, all alike."""
+    spectrum, band_hz = EmittedSpectrum(signals, float(bank.sample_rate_hz)), bank_band_hz(bank)
+    frequency_hz = spectrum.bands_hz(band_hz, BANDS)
+    emitted = spectrum.shares(frequency_hz, band_hz)
+    return frequency_hz, emitted / emitted.sum() if emitted.sum() > 0 else np.full(len(emitted), 1.0 / len(emitted))
+
+
+def _usable(
+    name: str, bank: GreenSource, points_mm: Float64Array, unsuited: dict[str, str | InputError]
+) -> Interpolation | None:
+    """A method that can interpolate at the points; else None, and why not in `unsuited`."""
+    if name in unsuited:
+        return None
+    try:
+        method = interpolation_method(name).over(bank, points_mm)
+        method.nodes(points_mm)
+    except DamagedError:
+        raise
+    except InputError as error:
+        unsuited[name] = error
+        return None
     return method
 
 
-PREFERRED = ("waves", "kernel", "bilinear", "nearest")
-"""Methods in the order in which they are taken where nothing judges."""
+def _words(unsuited: dict[str, str | InputError]) -> dict[str, str]:
+    return {
+        name: f"a point of a path {reason}" if isinstance(reason, OffGridError) else str(reason)
+        for name, reason in unsuited.items()
+    }
 
 
-def _usable_methods(bank: GreenSource, points_mm: Float64Array) -> tuple[dict[str, Interpolation], dict[str, str]]:
-    """Methods that can interpolate at the points, and why the others cannot."""
-    methods: dict[str, Interpolation] = {}
-    unsuited: dict[str, str] = {}
-    imported = getattr(bank, "import_facts", {}).get("unsuited", {})
-    last: InputError | None = None
-    for name in INTERPOLATIONS:
-        if name == AutoInterpolation.name:
-            continue
-        try:
-            if name in imported:
-                raise InputError(f"the bank was imported: {imported[name]}")
-            method = interpolation_method(name).over(bank, points_mm)
-            method.nodes(points_mm)
-        except OffGridError as error:
-            unsuited[name], last = f"a point of a path {error}", error
-        except DamagedError:
-            raise
-        except InputError as error:
-            unsuited[name], last = str(error), error
-        else:
-            methods[name] = method
-    if not methods and last is not None:
-        raise last
-    return methods, unsuited
+def _on_positions(bank: GreenSource, points_mm: Float64Array) -> bool:
+    grid = PositionGrid(grid_position_mm(bank))
+    rows, distance_mm = grid.nearest(points_mm)
+    return bool((distance_mm <= ON_POSITION * grid.spacing_mm).all() and usable(bank)[rows].all())
 
 
-def _resolved(methods: dict[str, Interpolation], frequency_hz: Float64Array) -> bool:
-    waves, kernel = methods.get("waves"), methods.get("kernel")
-    if isinstance(waves, WavesInterpolation):
-        model = waves.waves.model
-        return bool(np.interp(frequency_hz, model.frequency_hz, model.resolved).max() <= 1.0)
-    if isinstance(kernel, KernelInterpolation):
-        wavenumber = np.abs(kernel.waves.at(frequency_hz).wavenumber_rad_mm)
-        return bool(wavenumber.max() * kernel.neighbourhoods.spacing_mm <= np.pi)
-    return True
+@dataclass(frozen=True, slots=True, eq=False)
+class Interpolated:
+    """Green's functions at places between a bank's positions, and how wrong they are.
+
+    method: ``"nearest"``, ``"bilinear"``, ``"kernel"`` or ``"waves"``.
+    green, float64 (places, actuators, taps): In the bank's unit.
+    frequency_hz, float64 (frequencies,).
+    expected_error, bound, float64 (places, actuators, frequencies): Root mean square of the error that is expected of
+        the spectra ``sum_k g[k] exp(-2j pi f k / rate)``, and its bound, in the bank's unit; NaN where there is none.
+    bound_words: The share of places, actuators and frequencies that the bound holds, or why there is none.
+    """
+
+    method: str
+    green: Float64Array
+    frequency_hz: Float64Array
+    expected_error: Float64Array
+    bound: Float64Array
+    bound_words: str
 
 
-def _left_out(
-    bank: GreenSource,
-    method: Interpolation,
-    methods: dict[str, Interpolation],
-    points_mm: Float64Array,
-    frequency_hz: Float64Array,
-) -> Float64Array:
-    if isinstance(method, WavesInterpolation):
-        return method.error_bands(points_mm, frequency_hz).median
-    kernel = methods.get("kernel")
-    if not isinstance(kernel, KernelInterpolation):
-        return np.full(len(frequency_hz), np.nan)
-    nodes = None if method is kernel else method.nodes(points_mm)
-    return left_out_errors(kernel, points_mm, nodes, RowValues(bank, frequency_hz)).median
+def interpolated(
+    bank: GreenSource, places_mm: ArrayLike, method: str = "auto", frequency_hz: ArrayLike | None = None
+) -> Interpolated:
+    """Green's functions at places (n, 2).
 
+    method: As of scenes.
+    frequency_hz: At which errors are stated; by default six over the bank's band.
 
-def _at_checks(
-    bank: GreenSource, method: Interpolation, checks: Int64Array, frequency_hz: Float64Array
-) -> Float64Array:
-    """Median error of a method at the check positions, (frequencies,); NaN where fewer than three lie on its grid."""
-    measured = RowValues(bank, frequency_hz).of(checks)
-    values = RowValues(method.rows_of(bank), frequency_hz)
-    found = []
-    for place, point_mm in enumerate(np.asarray(bank.position_mm, dtype=np.float64)[checks]):
-        try:
-            nodes = method.nodes(point_mm[None])
-        except OffGridError:
-            continue
-        used = nodes.weights[0] != 0
-        made = np.einsum("n,fna->fa", nodes.weights[0][used], values.of(nodes.rows[0][used]))
-        there = measured[:, place]
-        found.append(np.linalg.norm(made - there, axis=1) / np.maximum(np.linalg.norm(there, axis=1), 1e-300))
-    if len(found) < MIN_CHECKS:
-        return np.full(len(frequency_hz), np.nan)
-    return np.asarray(np.median(found, axis=0))
+    Raises InputError: a place is off the grid, or the bank does not allow the method.
+    """
+    points_mm = real_array("places_mm", places_mm)
+    if points_mm.ndim != 2 or points_mm.shape[1] != 2 or not len(points_mm):
+        raise InputError(f"places_mm has shape {points_mm.shape}; expected (places, 2), at least one place")
+    hz = emitted_bands(bank, ())[0] if frequency_hz is None else np.atleast_1d(real_array("frequency_hz", frequency_hz))
+    if hz.ndim != 1 or not len(hz) or not ((hz > 0) & (hz <= 0.5 * float(bank.sample_rate_hz))).all():
+        raise InputError(f"frequency_hz is {hz.tolist()}; allowed are frequencies up to half the bank's rate")
+    auto = method == AutoInterpolation.name
+    kind = choose_interpolation(bank, points_mm) if auto else interpolation_method(method).over(bank, points_mm)
+    nodes, reader = kind.nodes(points_mm), RowReader(kind.rows_of(bank))
+    green = np.zeros((len(points_mm), bank.actuators, bank.taps))
+    for place, (own, weights) in enumerate(zip(nodes.rows.tolist(), nodes.weights.tolist(), strict=True)):
+        for row, weight in zip(own, weights, strict=True):
+            if weight:
+                green[place] += weight * 2.0**reader.exponent * reader.read(row)
+    shape = len(hz), len(points_mm), bank.actuators
+    try:
+        found = kind.estimate(bank, points_mm, hz)
+        expected, bound, words = found.expected, found.bound, found.bound_words
+    except InputError as error:
+        expected, bound, words = np.full(shape, np.nan), np.full(shape, np.nan), f"no bound: {error}"
+    return Interpolated(kind.name, green, hz, expected.transpose(1, 2, 0), bound.transpose(1, 2, 0), words)

@@ -17,8 +17,7 @@ import numpy as np
 from wavefocus.calibration.numerics import evenly_spread, on_a_line
 from wavefocus.calibration.wave_model import Patch
 from wavefocus.config.interpolations import INTERPOLATIONS
-from wavefocus.rendering.arrays import BoolArray, Float64Array, Int64Array
-from wavefocus.rendering.greens.interpolation.error_bands import ErrorBands, InterpolationChoice
+from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.greens.source import GreenSource, is_check
 from wavefocus.rendering.scene.model import Scene
@@ -54,6 +53,45 @@ class OffGridError(InputError):
         self.point = point
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """Interpolated transfer functions at places, and how wrong they are; in the bank's unit.
+
+    values, complex128 (frequencies, places, actuators).
+    expected, bound, float64 (frequencies, places, actuators): Root mean square of the error, and a bound of it.
+    level, float64 (frequencies, places): L2 norm over the actuators of what is there.
+    judged_by: ``"left-out positions"``, ``"check positions"``.
+    bound_words: What the bound states, or why there is none.
+    """
+
+    values: Complex128Array
+    expected: Float64Array
+    bound: Float64Array
+    level: Float64Array
+    judged_by: str
+    bound_words: str
+
+    @property
+    def relative(self) -> Float64Array:
+        """L2 norm over the actuators of what is wrong, over that of what is there, (frequencies, places)."""
+        wrong = np.linalg.norm(self.expected, axis=2)
+        return np.asarray(np.divide(wrong, self.level, out=np.ones_like(wrong), where=self.level > 0))
+
+
+@dataclass(frozen=True, slots=True)
+class InterpolationChoice:
+    """What "auto" has chosen from.
+
+    judged_by: As of `Estimate`; ``"positions"`` where every place is one.
+    errors: Expected error of each method in the scene's band, by name; NaN where it was not judged.
+    unsuited: Why other methods cannot be used, by name.
+    """
+
+    judged_by: str
+    errors: dict[str, float]
+    unsuited: dict[str, str]
+
+
 Follow = Callable[[Float64Array], Nodes]
 """Nodes at arc lengths along a path, float64 (n,) in millimetres."""
 
@@ -64,15 +102,17 @@ class Interpolation(ABC):
     name: ClassVar[str]
     choice: InterpolationChoice | None = None
     """What it was chosen from, where the scene says "auto"."""
+    remarks: tuple[str, ...] = ()
+    """What a person should know of it."""
 
     @classmethod
     def over_scene(cls, scene: Scene, bank: GreenSource) -> Interpolation:
         """Make it for a bank and a scene."""
         return cls.over(bank, scene_points(scene))
 
-    def own_errors(self, points_mm: Float64Array, frequency_hz: Float64Array) -> tuple[str, ErrorBands] | None:
-        """Errors that the method states at points (n, 2), and what they are judged by; None where it states none."""
-        return None
+    @abstractmethod
+    def estimate(self, bank: GreenSource, points_mm: Float64Array, frequency_hz: Float64Array) -> Estimate:
+        """Values and errors at points (n, 2). Raises InputError: the bank has nothing that judges them."""
 
     @classmethod
     @abstractmethod
@@ -109,6 +149,12 @@ class GridInterpolation(Interpolation):
     @classmethod
     def over(cls, bank: GreenSource, around_mm: Float64Array) -> Self:
         return cls(PositionGrid(grid_position_mm(bank)))
+
+    def estimate(self, bank: GreenSource, points_mm: Float64Array, frequency_hz: Float64Array) -> Estimate:
+        """Errors of the kernel, and the difference to it."""
+        from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
+
+        return KernelInterpolation(bank, points_mm).estimate(bank, points_mm, frequency_hz, self)
 
     @classmethod
     def needed_rows(cls, grid: PositionGrid, rows: set[int], points_mm: Float64Array, step_mm: float) -> set[int]:
@@ -170,14 +216,6 @@ def interpolation_method(name: str) -> type[Interpolation]:
     module, _, method = INTERPOLATIONS[name].partition(":")
     found: type[Interpolation] = getattr(import_module(module), method)
     return found
-
-
-def methods_between(*, coarse: bool) -> tuple[str, ...]:
-    """Methods for places between positions whatever the scene's is, the best first.
-
-    coarse: The grid has check positions: it is too coarse for the kernel.
-    """
-    return ("waves", "kernel") if coarse else ("kernel",)
 
 
 def scene_interpolation(scene: Scene, bank: GreenSource) -> Interpolation:

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wavefocus.calibration.blas import one_blas_thread
 from wavefocus.calibration.numerics import evenly_spread
 from wavefocus.rendering.arrays import BoolArray, Float64Array
-from wavefocus.rendering.greens.interpolation.base import GridInterpolation, Interpolation, OffGridError, scene_points
-from wavefocus.rendering.greens.interpolation.error_bands import ErrorBands, InterpolationChoice
-from wavefocus.rendering.greens.interpolation.error_estimates import expected_errors, left_out_errors
+from wavefocus.rendering.greens.interpolation.base import (
+    GridInterpolation,
+    Interpolation,
+    InterpolationChoice,
+    scene_points,
+)
 from wavefocus.rendering.greens.source import GreenSource
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.storage.errors import InputError
@@ -22,16 +24,12 @@ WORTH_SAYING = 0.05
 """Error from which a render says something where no tolerance is given."""
 EMITTED_SHARE = 0.01
 """Bands with less of the scene's energy do not count."""
-UNRESOLVED_ERROR = 0.3
-"""From here on, waves are probably too short for the grid."""
 MAX_POINTS = 128
 SIGNAL_BLOCK, SIGNAL_BLOCKS = 4096, 6
 BANDS = 6
 EDGE_SHARE = 5e-3
 """Energy at either end of the emitted spectrum that the bands need not reach."""
 HALF_BAND = 2.0 ** (1.0 / 6.0)
-BETTER = 0.7
-"""Another interpolation is advised where its error is below this part."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,10 +39,9 @@ class InterpolationErrors:
     The error at a point and frequency is the L2 norm over the actuators of what is wrong, over that of what is
     there.
 
-    found_by: ``"leaving positions out"``: error of the kernel regression at positions that are left out of it, scaled
-        to the points by its own variance; for other kinds joined by the difference to that regression.
-        ``"check positions"``, ``"left-out positions"``: standard deviations of the model of waves, as these judge them.
-        ``"correlation"``: what fields correlated like neighbouring positions would be wrong by on average.
+    found_by: ``"left-out positions"``: error of the kernel regression at positions that are left out of it, scaled
+        to the points by its own variance; of other kinds with the difference to that regression. ``"check positions"``,
+        ``"left-out positions"`` of waves: their deviations, as these judge them.
     frequency_hz, float64 (bands,): Centres of bands.
     emitted, float64 (bands,): Share of what the sources emit into the band and the bank passes; they sum to 1.
     median, worst, float64 (bands,): Relative error over the points.
@@ -58,14 +55,7 @@ class InterpolationErrors:
     emitted: Float64Array
     median: Float64Array
     worst: Float64Array
-    kernel: Float64Array
     choice: InterpolationChoice | None = None
-
-    @property
-    def kernel_is_better(self) -> bool:
-        """The kernel would do much better in the worst band that the scene uses."""
-        band = self._worst_band
-        return bool(self.kernel[band] < BETTER * self.median[band])
 
     @property
     def overall(self) -> float:
@@ -125,69 +115,55 @@ def judged_errors(
     Returns None where every point lies on a position, or the bank has too few of them. Raises InputError: the tolerance
     is not above 0, or a band exceeds it.
     """
-    with one_blas_thread():
-        errors = _errors(scene, bank, kind, signals, thorough=tolerance is not None)
-    return errors, _remarks(errors, tolerance)
+    if tolerance is not None and not (np.isfinite(tolerance) and tolerance > 0):
+        raise InputError(f"interpolation_tolerance is {tolerance}; it must be a finite number above 0")
+    errors = errors_at(bank, kind, scene_points(scene), signals)
+    return errors, [] if errors is None else _remarks(errors, kind, tolerance)
 
 
-def _errors(
-    scene: Scene, bank: GreenSource, kind: Interpolation, signals: Sequence[Float64Array], *, thorough: bool
+def errors_at(
+    bank: GreenSource, kind: Interpolation, points_mm: Float64Array, signals: Sequence[Float64Array]
 ) -> InterpolationErrors | None:
-    points_mm = scene_points(scene)
-    points_mm = points_mm[evenly_spread(len(points_mm), MAX_POINTS)]
+    """The errors at points (n, 2), for what is emitted; None as of `judged_errors`."""
     if isinstance(kind, GridInterpolation) and not _between(kind, points_mm):
         return None
-    spectrum = EmittedSpectrum(signals, float(bank.sample_rate_hz))
-    bands_hz = spectrum.bands_hz(bank_band_hz(bank), BANDS)
+    points_mm = points_mm[evenly_spread(len(points_mm), MAX_POINTS)]
+    spectrum, band_hz = EmittedSpectrum(signals, float(bank.sample_rate_hz)), bank_band_hz(bank)
+    frequency_hz = spectrum.bands_hz(band_hz, BANDS)
     try:
-        by, found = kind.own_errors(points_mm, bands_hz) or ("", None)
-        if found is None:
-            by, found = "leaving positions out", _thorough(bank, kind, points_mm, spectrum, thorough=thorough)
-        if found is None and isinstance(kind, GridInterpolation):
-            by, found = "correlation", expected_errors(bank, kind, points_mm, bands_hz)
-    except OffGridError:
-        return None  # rendering there names the path point
-    if found is None:
-        return None
-    emitted = spectrum.shares(found.frequency_hz, bank_band_hz(bank)) * found.power
+        found = kind.estimate(bank, points_mm, frequency_hz)
+    except DamagedError:
+        raise
+    except InputError:
+        return None  # a point that is off the grid is named where it is rendered
+    emitted = spectrum.shares(frequency_hz, band_hz) * np.square(np.abs(found.values)).sum(axis=(1, 2))
     total = float(emitted.sum())
     if not (total > 0 and np.isfinite(total)):
         return None
+    relative = found.relative
     return InterpolationErrors(
-        kind.name, by, len(points_mm), found.frequency_hz, emitted / total, found.median, found.worst, found.kernel,
-        kind.choice,
+        kind.name, found.judged_by, len(points_mm), frequency_hz, emitted / total, np.median(relative, axis=1),
+        relative.max(axis=1), kind.choice,
     )  # fmt: skip
 
 
-def _remarks(errors: InterpolationErrors | None, tolerance: float | None) -> list[str]:
-    if tolerance is not None and not (np.isfinite(tolerance) and tolerance > 0):
-        raise InputError(f"interpolation_tolerance is {tolerance}; it must be a finite number above 0")
-    if errors is None:
-        return []
+def _remarks(errors: InterpolationErrors, kind: Interpolation, tolerance: float | None) -> list[str]:
     frequency_hz, error = errors.largest
-    percent = _percent(error)
-    what = f"interpolation {errors.kind!r} between the grid positions is wrong by about"
-    better = errors.kind != "kernel" and errors.kernel_is_better
-    remedy = "use 'kernel', or a finer grid" if better else "measure a finer grid, or lower the band"
-    if errors.choice is None and errors.kind != "waves" and error >= UNRESOLVED_ERROR:
-        remedy = "use 'waves' or 'auto', which know where the actuators are, a finer grid, or a lower band"
+    remedy = (
+        "use 'auto', or measure a finer grid"
+        if isinstance(kind, GridInterpolation) and errors.choice is None
+        else "measure a finer grid, or lower the band"
+    )
+    what = (
+        f"interpolation {errors.kind!r} between the grid positions is wrong by about {_percent(error)} at"
+        f" {frequency_hz:.3g} Hz (median along the paths)"
+    )
     if tolerance is not None and error > tolerance:
-        raise InputError(
-            f"{what} {percent} at {frequency_hz:.3g} Hz (median along the paths), more than the"
-            f" {_percent(tolerance)} allowed; {remedy}"
-        )
-    if error <= WORTH_SAYING:
-        return []
-    used = np.flatnonzero(errors.emitted >= EMITTED_SHARE)
-    middle = int(used[np.searchsorted(np.cumsum(errors.emitted[used]), 0.5 * errors.emitted[used].sum())])
-    middling = f"{_percent(errors.median[middle])} at {errors.frequency_hz[middle]:.3g} Hz"
-    if errors.frequency_hz[middle] == frequency_hz:
-        return [f"{what} {middling}; {remedy}"]
-    return [f"{what} {middling} and {percent} at {frequency_hz:.3g} Hz; {remedy}"]
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.0f} %" if share >= 0.1 else f"{100 * share:.2g} %"
+        raise InputError(f"{what}; interpolation_tolerance allows {_percent(tolerance)}; {remedy}")
+    said = [*kind.remarks]
+    if tolerance is None and error > WORTH_SAYING:
+        said.append(f"{what}; {remedy}")
+    return said
 
 
 def _between(kind: GridInterpolation, points_mm: Float64Array) -> bool:
@@ -195,30 +171,8 @@ def _between(kind: GridInterpolation, points_mm: Float64Array) -> bool:
     return bool(kind.grid.spacing_mm > 0 and (distance_mm > 1e-3 * kind.grid.spacing_mm).any())
 
 
-def _thorough(
-    bank: GreenSource, kind: Interpolation, points_mm: Float64Array, spectrum: EmittedSpectrum, *, thorough: bool
-) -> ErrorBands | None:
-    if not thorough and isinstance(kind, GridInterpolation):
-        return None
-    from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
-    from wavefocus.rendering.greens.interpolation.row_values import RowValues
-
-    kernel, nodes = kind, None
-    if not isinstance(kernel, KernelInterpolation):
-        nodes = kind.nodes(points_mm)
-    try:
-        if not isinstance(kernel, KernelInterpolation):
-            kernel = KernelInterpolation(bank, points_mm)
-        values = kernel.values
-        covered_hz = (values.frequency_hz[0] / HALF_BAND, values.frequency_hz[-1] * HALF_BAND)
-        if spectrum.share_outside(covered_hz, bank_band_hz(bank)) > EMITTED_SHARE:
-            count = len(values.frequency_hz)
-            values = RowValues(bank, spectrum.bands_hz(bank_band_hz(bank), count))
-        return left_out_errors(kernel, points_mm, nodes, values)
-    except InputError as error:
-        if nodes is None or isinstance(error, DamagedError):
-            raise
-        return None  # too few positions to leave one out
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g} %" if share < 1 else f"{100 * share:.0f} %"
 
 
 def bank_band_hz(bank: GreenSource) -> tuple[float, float]:
@@ -268,13 +222,6 @@ class EmittedSpectrum:
         edges_hz = np.sqrt(frequency_hz[1:] * frequency_hz[:-1])
         place = np.searchsorted(edges_hz, self._bins_hz[inside])
         return np.bincount(place, self._power[inside], minlength=len(frequency_hz)).astype(np.float64)
-
-    def share_outside(self, covered_hz: tuple[float, float], within_hz: tuple[float, float]) -> float:
-        """Share of the energy within a band that lies outside of another."""
-        inside = self._inside(within_hz)
-        outside = (self._bins_hz < covered_hz[0]) | (self._bins_hz > covered_hz[1])
-        whole = float(self._power[inside].sum())
-        return float(self._power[inside & outside].sum()) / whole if whole > 0 else 0.0
 
     def _inside(self, within_hz: tuple[float, float]) -> BoolArray:
         half_bin_hz = 0.5 * float(self._bins_hz[1])

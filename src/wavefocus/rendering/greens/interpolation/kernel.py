@@ -18,12 +18,15 @@ from wavefocus.calibration.wave_model import Patch, PatchKernel, WaveModel, fit_
 from wavefocus.rendering.arrays import Complex128Array, Float64Array, Int64Array
 from wavefocus.rendering.greens.interpolation.base import (
     NEIGHBOURS,
+    Estimate,
+    Interpolation,
     Neighbourhoods,
     OffGridError,
     SparseError,
     near,
     show_mm,
 )
+from wavefocus.rendering.greens.interpolation.left_out import left_out_estimate
 from wavefocus.rendering.greens.interpolation.path_nodes import (
     PATH_ERROR,
     REACH_SPACINGS,
@@ -191,8 +194,6 @@ class KernelInterpolation(PathInterpolation):
 
     name = "kernel"
     neighbourhoods: Neighbourhoods
-    values: RowValues
-    """Rows near the points, a third of an octave apart over the bank's band."""
     waves: WaveModel
     rows: KernelRows
 
@@ -202,10 +203,13 @@ class KernelInterpolation(PathInterpolation):
         self.neighbourhoods = Neighbourhoods(self._position_mm, allowed)
         self.grid = PositionGrid(self._position_mm[allowed])
         self.grid_row = np.flatnonzero(allowed).astype(np.int64)
-        self.values = RowValues(bank, _bands_hz(bank, self.neighbourhoods))
+        values = RowValues(bank, _bands_hz(bank, self.neighbourhoods))
         patches = self._patches(around_mm)
         with one_blas_thread():
-            self.waves = fit_waves(patches, self.values.frequency_hz, self.values.of, self.neighbourhoods.spacing_mm)
+            self.waves = fit_waves(patches, values.frequency_hz, values.of, self.neighbourhoods.spacing_mm)
+        if self.waves.doubtful_hz:
+            at = ", ".join(f"{hz:.3g}" for hz in self.waves.doubtful_hz)
+            self.remarks = (f"the bank says little of the waves at {at} Hz; their wave numbers follow from the others",)
         self.rows = KernelRows(bank, self.waves, self.neighbourhoods)
         largest = float(np.max(np.abs(self.waves.wavenumber_rad_mm)))
         self.node_spacing_mm = node_spacing_mm(largest, PATH_ERROR)
@@ -221,6 +225,17 @@ class KernelInterpolation(PathInterpolation):
         distance, _ = tree.query(centres_mm, k=min(NEIGHBOURS + 1, tree.n))
         furthest_mm = np.reshape(distance, (len(centres_mm), -1))[:, -1] * (1 + 1e-6) + 1e-9
         return {row for near_rows in tree.query_ball_point(centres_mm, furthest_mm) for row in near_rows}
+
+    def estimate(
+        self,
+        bank: GreenSource,
+        points_mm: Float64Array,
+        frequency_hz: Float64Array,
+        other: Interpolation | None = None,
+    ) -> Estimate:
+        """Its own values and errors, or another interpolation's."""
+        with one_blas_thread():
+            return left_out_estimate(self, points_mm, RowValues(bank, frequency_hz), other)
 
     def add(self, points_mm: Float64Array) -> Int64Array:
         near(self.grid, points_mm, REACH_SPACINGS)

@@ -11,16 +11,14 @@ from wavefocus.storage.errors import InputError
 
 
 class RowValues:
-    """Fourier transforms of a bank's rows at frequencies (n,), each row read once.
-
-    Values are the bank's over one power of two, the same for all rows, so that a bank in any unit fits.
-    """
+    """Fourier transforms of a bank's rows at frequencies (n,), each row read once."""
 
     def __init__(self, bank: GreenSource, frequency_hz: Float64Array) -> None:
         self._bank = bank
         self.frequency_hz = frequency_hz
         self._cached: dict[int, Complex128Array] = {}
         self._reader = RowReader(bank)
+        self.actuators, self.exponent = bank.actuators, self._reader.exponent
 
     def of(self, rows: Int64Array) -> Complex128Array:
         """Values of rows, (frequencies, rows, actuators).

@@ -7,6 +7,7 @@ kept next to it.
 from __future__ import annotations
 
 import hashlib
+import logging
 from collections import OrderedDict
 from dataclasses import dataclass, fields
 from pathlib import Path as FilePath
@@ -16,11 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft as scipy_fft
 
-from wavefocus.calibration.coarse_grid.rim_waves import MIN_POSITIONS, RimWaves
+from wavefocus.calibration.blas import one_blas_thread
+from wavefocus.calibration.coarse_grid.rim_waves import LIMITED, MIN_CHECKS, MIN_POSITIONS, RimWaves
+from wavefocus.calibration.estimator.noise_error import bank_noise_error_db
 from wavefocus.calibration.numerics import on_a_line
 from wavefocus.rendering.arrays import BoolArray, Complex128Array, Float64Array, Int64Array
-from wavefocus.rendering.greens.interpolation.base import near
-from wavefocus.rendering.greens.interpolation.error_bands import ErrorBands
+from wavefocus.rendering.greens.interpolation.base import Estimate, near
 from wavefocus.rendering.greens.interpolation.path_nodes import (
     PATH_ERROR,
     REACH_SPACINGS,
@@ -37,10 +39,14 @@ from wavefocus.rendering.greens.source import (
     usable_checks,
     well_measured,
 )
+from wavefocus.storage.bank.reading import Bank
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.wave_file import read_wave_file, wave_file, write_wave_file
 
-RECIPE = 5
+LOG = logging.getLogger("wavefocus")
+FIT_S, FIT_S_A_POSITION = 10.0, 0.2
+"""Processor time of a fit: 22 s of 45 positions and 12 actuators, 36 to 72 s of 170 to 220 (bench coarse_grids)."""
+RECIPE = 6
 """Raised when the same bank gives another model, so that no older file is used."""
 ROOM = 0.08
 """Share of the taps that the transform is longer, so that what would come before the first tap does not wrap round."""
@@ -136,17 +142,27 @@ class WavesInterpolation(PathInterpolation):
         near(self.grid, points_mm, REACH_SPACINGS)
         return self.rows.add(points_mm)
 
-    def error_bands(self, points_mm: Float64Array, frequency_hz: Float64Array) -> ErrorBands:
-        """The errors that the model expects at points, at the modelled frequencies nearest to those given."""
+    def estimate(self, bank: GreenSource, points_mm: Float64Array, frequency_hz: Float64Array) -> Estimate:
+        """At the modelled frequencies nearest to those given."""
         model = self.waves.model
         index = [int(np.argmin(np.abs(model.frequency_hz - hz))) for hz in frequency_hz]
-        errors = model.expected_errors(points_mm, index)
-        median = np.median(errors, axis=1)
-        power = model.power[index].mean(axis=1)
-        return ErrorBands(np.asarray(frequency_hz), median, errors.max(axis=1), power, np.full(len(index), np.inf))
+        with one_blas_thread():
+            values, deviations = model.values(points_mm, index), model.deviations(points_mm, index)
+        unit = 2.0**self.waves.exponent
+        expected, bound = (
+            unit * scale[index, None, None] * deviations for scale in (model.error_scale, model.bound_scale)
+        )
+        values *= unit
+        level = np.hypot(np.linalg.norm(values, axis=2), np.linalg.norm(expected, axis=2))
+        return Estimate(values, expected, bound, level, model.judged_by, _bound_words(model, index))
 
-    def own_errors(self, points_mm: Float64Array, frequency_hz: Float64Array) -> tuple[str, ErrorBands]:
-        return self.waves.model.judged_by, self.error_bands(points_mm, frequency_hz)
+
+def _bound_words(model: RimWaves, index: list[int]) -> str:
+    if not model.stated:
+        return f"no bound: the bank has fewer than {MIN_CHECKS} check positions"
+    limited = (model.by_noise[index] > LIMITED).any()
+    words = f"holds {model.stated:.0%} of the errors at random places over the surface, and says nothing of one place"
+    return f"{words}; limited by noise of the check positions, and too wide" if limited else words
 
 
 def require_modelled(bank: GreenSource, allowed: BoolArray) -> None:
@@ -177,9 +193,16 @@ def bank_waves(bank: GreenSource) -> BankWaves:
     if key not in _models:
         path = getattr(bank, "path", None)
         kept = read_wave_file(wave_file(path), key, _NAMES) if isinstance(path, FilePath) else None
-        found = _of_arrays(kept) if kept is not None else _fit(bank)
-        if kept is None and isinstance(path, FilePath):
-            write_wave_file(wave_file(path), key, _arrays(found))
+        found = None if kept is None else _of_arrays(kept, bank)
+        if found is None:
+            positions = int(np.count_nonzero(well_measured(bank)))
+            LOG.warning(
+                "fitting waves to %d positions: about %d s of processor time, once; kept next to the bank",
+                positions, FIT_S + FIT_S_A_POSITION * positions,
+            )  # fmt: skip
+            found = _fit(bank)
+            if isinstance(path, FilePath):
+                write_wave_file(wave_file(path), key, _arrays(found))
         _models[key] = found
         while len(_models) > MODELS_KEPT:
             _models.popitem(last=False)
@@ -218,9 +241,22 @@ def _fit(bank: GreenSource) -> BankWaves:
     model = RimWaves.fit(
         bins_hz[chosen[inside]], position_mm[rows], np.asarray(bank.actuator_mm, dtype=np.float64), spectra[inside],
         position_mm[checks], _spectra(reader, np.flatnonzero(checks), samples, chosen[inside]),
+        _spectral_noise(bank, reader, np.flatnonzero(checks)),
         band_hz=bank.band_hz, resolution_hz=float(bank.sample_rate_hz) / bank.taps,
     )  # fmt: skip
     return BankWaves(model, reader.exponent, samples, int(chosen[inside][0]))
+
+
+def _spectral_noise(bank: GreenSource, reader: RowReader, rows: Int64Array) -> Float64Array | None:
+    """Standard deviation of the noise in the transfer functions of rows, (rows, actuators); None where unknown."""
+    noise_db = bank_noise_error_db(bank) if isinstance(bank, Bank) else None
+    if noise_db is None or bank.band_hz is None or not len(rows):
+        return None
+    low_hz, high_hz = bank.band_hz
+    energy = np.stack([np.square(reader.read(row)).sum(axis=1) for row in rows.tolist()])
+    # White within the band, its energy is spread over that much of the spectrum.
+    share = float(bank.sample_rate_hz) / (2.0 * max(high_hz - low_hz, 1e-9))
+    return np.asarray(np.sqrt(energy * 10.0 ** (0.1 * noise_db[rows]) * share))
 
 
 def _spectra(reader: RowReader, rows: Int64Array, samples: int, bins: Int64Array) -> Complex128Array:
@@ -232,6 +268,7 @@ def _spectra(reader: RowReader, rows: Int64Array, samples: int, bins: Int64Array
 
 
 _COMPLEX = {"wavenumber": np.complex128, "strength": np.complex64, "rest": np.complex64}
+_NUMBERS = ("pressure_share", "stated")
 _FACTS = ("exponent", "samples", "first_bin")
 _NAMES = (*_FACTS, *(field.name for field in fields(RimWaves)))
 
@@ -246,10 +283,18 @@ def _arrays(waves: BankWaves) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-def _of_arrays(arrays: dict[str, NDArray[Any]]) -> BankWaves:
-    kept: dict[str, Any] = {name: arrays[name] for name in _NAMES[len(_FACTS) :]}
-    for name, kind in _COMPLEX.items():
-        kept[name] = np.ascontiguousarray(kept[name]).view(kind)
-    kept["pressure_share"] = float(kept["pressure_share"].item())
-    kept["judged_by"] = kept["judged_by"].tobytes().decode()
-    return BankWaves(RimWaves(**kept), *(int(arrays[name].item()) for name in _FACTS))
+def _of_arrays(arrays: dict[str, NDArray[Any]], bank: GreenSource) -> BankWaves | None:
+    """The model that a file holds; None where its arrays do not fit each other or the bank."""
+    try:
+        kept: dict[str, Any] = {name: arrays[name] for name in _NAMES[len(_FACTS) :]}
+        for name, kind in _COMPLEX.items():
+            kept[name] = np.ascontiguousarray(kept[name]).view(kind)
+        kept |= {name: float(kept[name].item()) for name in _NUMBERS}
+        kept["judged_by"] = kept["judged_by"].tobytes().decode()
+        model = RimWaves(**kept)
+        model.require_sound(bank.actuators)
+        facts = [int(arrays[name].item()) for name in _FACTS]
+    except (ValueError, TypeError, AttributeError):
+        return None
+    fits = facts[1] >= bank.taps and 0 <= facts[2] <= facts[1] // 2 + 1 - len(model.frequency_hz)
+    return BankWaves(model, *facts) if fits else None

@@ -1,0 +1,77 @@
+"""Errors of an interpolation by leaving positions out of the kernel's patches."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from wavefocus.calibration.wave_model import PatchKernel
+from wavefocus.rendering.arrays import Complex128Array, Float64Array
+from wavefocus.rendering.greens.interpolation.base import Estimate, Interpolation
+from wavefocus.rendering.greens.interpolation.row_values import RowValues
+
+if TYPE_CHECKING:
+    from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
+
+UNRESOLVED = 0.3
+"""Where the kernel misses more than this from a frequency on, in the median, its result is chance."""
+NO_BOUND = "no bound: positions that are left out of a grid say nothing for sure of places between its positions"
+
+
+def left_out_estimate(
+    kernel: KernelInterpolation, points_mm: Float64Array, values: RowValues, other: Interpolation | None = None
+) -> Estimate:
+    """Values of the kernel, or of another interpolation, at points (n, 2), and their errors.
+
+    Each point's nearest position is left out of its patch and predicted from the others, in closed form. What
+    misses, over what the kernel expects to miss, gives the strength of the field in the kernel's terms; the
+    kernel's variance at the point then gives the error there. It grows with the distance from the positions,
+    which leaving out alone does not show: a left-out position is further from its neighbours than any point
+    between them. Another interpolation is wrong by its difference to the kernel as well.
+
+    values: Rows at the frequencies that are judged.
+    """
+    anchors, _ = kernel.neighbourhoods.nearest(points_mm)
+    frequency_hz = values.frequency_hz
+    nodes = None if other is None else other.nodes(points_mm)
+    waves, shape = kernel.waves.at(frequency_hz), (len(frequency_hz), len(points_mm), values.actuators)
+    unsure, apart, strength, by_kernel = (np.zeros(shape) for _ in range(4))
+    taken = np.zeros(shape, dtype=np.complex128)
+    kernels: dict[bytes, PatchKernel] = {}
+    for anchor in np.unique(anchors).tolist():
+        patch = kernel.neighbourhoods.patch(anchor)
+        if patch.key not in kernels:
+            kernels[patch.key] = PatchKernel(waves, patch.offset_mm)
+        regression, here = kernels[patch.key], values.of(patch.rows)
+        chosen = np.flatnonzero(anchors == anchor)
+        offset_mm = points_mm[chosen] - kernel.neighbourhoods.position_of(anchor)
+        missed = _square(np.einsum("fn,fna->fa", regression.left_out, here)) / regression.left_out_variance[:, None]
+        found = regression.weights(offset_mm) @ here
+        unsure[:, chosen] = missed[:, None] * regression.variance(offset_mm)[:, :, None]
+        taken[:, chosen], strength[:, chosen], by_kernel[:, chosen] = found, _square(here[:, :1]), _square(found)
+        if nodes is not None:
+            weights = nodes.weights[chosen]
+            rows = np.where(weights != 0, nodes.rows[chosen], anchor)
+            of_rows = values.of(rows.ravel()).reshape(len(frequency_hz), *rows.shape, -1)
+            taken[:, chosen] = np.einsum("pn,fpna->fpa", weights, of_rows)
+            apart[:, chosen] = _square(taken[:, chosen] - found)
+    wrong, there = unsure + apart, (by_kernel + unsure).sum(axis=2)
+    share = np.divide(unsure.sum(axis=2), there, out=np.ones_like(there), where=there > 0)
+    unresolved = _first_unresolved(np.median(np.sqrt(share), axis=1))
+    wrong[unresolved:], there[unresolved:] = (strength + _square(taken))[unresolved:], strength[unresolved:].sum(axis=2)
+    unit = 2.0**values.exponent
+    return Estimate(
+        unit * taken, unit * np.sqrt(wrong), np.full(shape, np.nan), unit * np.sqrt(there), "left-out positions",
+        NO_BOUND,
+    )  # fmt: skip
+
+
+def _first_unresolved(by_kernel: Float64Array) -> int:
+    """The first band from which on the positions are too far apart for the waves: the result is chance."""
+    bad = (band for band in range(len(by_kernel)) if by_kernel[band] > UNRESOLVED)
+    return next((band for band in bad if np.median(by_kernel[band:]) > UNRESOLVED), len(by_kernel))
+
+
+def _square(values: Complex128Array) -> Float64Array:
+    return np.asarray(np.square(values.real) + np.square(values.imag))
