@@ -14,8 +14,6 @@ from wavefocus.config.limits import QualityLimits
 
 SLIP_DB = -30.0
 """One sample lost of 10,000 a second leaves -22 dB of a reference of 250 Hz; audio interfaces distort below -90 dB."""
-FAINT_SHARE = 0.1
-"""Of a converter of 16 bits a tenth of the range still has 3,000 steps: rounding is at -80 dB."""
 MAINS_HZ = (50.0, 60.0)
 # A line belongs to the mains where it is this close to a multiple; their frequency itself strays by 0.2 Hz.
 MAINS_TOLERANCE_HZ = 0.7
@@ -84,9 +82,6 @@ def named_defects(
     for figure, kind in _KINDS.items():
         limit_db = {"harmonic_db": limits.poor_harmonic_db, "slip_db": SLIP_DB}.get(figure, limits.poor_residual_db)
         beyond = np.flatnonzero(unnamed & (figures[figure] > limit_db))
-        if figure == "misfit_db":
-            # Faint records have few steps of a range that is right for the loudest.
-            beyond = beyond[estimate.peak_v[beyond] > FAINT_SHARE * estimate.peak_v.max()]
         if beyond.size:
             worst = beyond[np.argsort(-figures[figure][beyond])]
             if figure == "line_db":

@@ -9,7 +9,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from wavefocus.calibration import Complex64Array, Complex128Array, Float32Array, Float64Array, Int64Array
-from wavefocus.calibration.estimator.clipping import Levels, ThirdHarmonic
+from wavefocus.calibration.estimator.clipping import AROUND_SAMPLES, MIN_STEPS, Levels, ThirdHarmonic, converter_steps
 
 _FIGURES = "burst_db burst_s line_db line_hz tail_db misfit_db unsteady_db harmonic_db slip_db dead"
 DEFECTS = np.dtype([(name, np.float32) for name in _FIGURES.split()])
@@ -131,6 +131,7 @@ class DefectFinder:
             differing = (power - missed)[:, here].sum(axis=1, dtype=np.float64) / (self._averages - 1)
             if 2 * (here.stop - here.start) * self._freedom > MIN_FREE:
                 self._compare(noise, differing, spectra.missed[:, here], left, whole, defects)
+                self._excuse_rounding(spectra, defects)
         loud = np.flatnonzero(self._is_swept & (whole > LOUD * np.minimum(differing, noise)))
         defects["harmonic_db"][loud] = self._harmonic(spectra.response_v, spectra.levels.loudest, loud)
         self._concentrated(spectra, power, whole, defects)
@@ -157,6 +158,14 @@ class DefectFinder:
         late = np.zeros_like(missing)
         late[missing] = delays[:, after].sum(axis=1) > MOST * delays.sum(axis=1)
         defects["tail_db"][late] = defects["misfit_db"][late]
+
+    def _excuse_rounding(self, spectra: Residuals, defects: NDArray[np.void]) -> None:
+        """Faint records have few steps of a range that is right for the loudest: the same rounding in all sweeps."""
+        for record in np.flatnonzero(defects["misfit_db"] > -np.inf).tolist():
+            middle = int(spectra.levels.loudest[record])
+            around = spectra.response_v[record, max(0, middle - AROUND_SAMPLES) : middle + AROUND_SAMPLES]
+            if record != spectra.levels.response_v.argmax() and 0 < converter_steps(around) < MIN_STEPS:
+                defects["misfit_db"][record] = defects["tail_db"][record] = -np.inf
 
     def _concentrated(
         self, spectra: Residuals, power: Float32Array, whole: Float64Array, defects: NDArray[np.void]
