@@ -178,7 +178,8 @@ class DefectFinder:
         defects["line_hz"] = (self._first_bin + highest) * self._rate_hz / self._period
         defects["line_db"][is_tone] = _db(left[is_tone], whole[is_tone])
         # At the band's edge what leaks looks like a long response.
-        defects["tail_db"][is_tone & ((highest < here.start) | (highest >= here.stop))] = -np.inf
+        beyond = (highest < here.start) | (highest >= here.stop)
+        defects["tail_db"][is_tone & beyond & (power.max(axis=1) > left)] = -np.inf
         residual = (spectra.missed[:, None] * spectra.reference + spectra.differing)[..., here]
         length = residual.shape[-1]
         moments = energy(scipy.fft.ifft(residual, axis=-1)).reshape(len(left), -1)
