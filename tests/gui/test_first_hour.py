@@ -135,6 +135,15 @@ def test_given_a_run_or_a_bank_in_one_tab_then_all_tabs_have_it(
             assert {scene.document.bank, verification.form.bank.path, campaign.bank_field.path} == {chosen}
 
 
+def test_given_a_saved_scene_then_it_is_the_one_to_verify(open_window: Opens, finished: Path) -> None:
+    window = open_window(finished.with_name("run.toml"), finished)
+    drawn, tab = draw(window), tab_of(window, VerificationTab)
+    assert tab.form.missing() == "choose a scene file"  # what is not in a file cannot be verified
+    drawn.document.save(saved := finished.with_name("mine.toml"))
+    assert tab.form.scene.path == saved
+    assert tab.form.missing() == ""
+
+
 WRONG = (
     ("rig.toml", FileKind.RUN), ("plate.h5", FileKind.RUN), ("run.toml", FileKind.RIG), ("run.toml", FileKind.BANK),
     ("plate.raw.h5", FileKind.BANK), ("trials.toml", FileKind.RUN), ("plate.h5", FileKind.SCENE),

@@ -163,7 +163,7 @@ def test_given_a_process_that_does_not_answer_then_the_order_is_withdrawn_and_st
     with _held(bank) as owner:
         beat = {"at": "2026-01-01T00:00:00+00:00", "pid": owner.pid, "host": "here", "state": "running", "reason": "r"}
         (lab / "plate.h5.heartbeat").write_text(json.dumps(beat), encoding="utf-8")
-        assert run(["pause", str(bank), "--wait-s", "0"]) == 1
+        assert run(["pause", str(bank)]) == 1
         told = capsys.readouterr().err
         assert f"process {owner.pid}" in told
         assert "does not answer" in told

@@ -30,15 +30,6 @@ Act = Callable[[Callable[[], object]], object]
 
 
 @dataclass(frozen=True, slots=True)
-class Drawing:
-    """The scene that is drawn in a tab: its text with full names of files, and its file where that is up to date."""
-
-    toml: str
-    path: Path | None
-    allow_large: bool = False
-
-
-@dataclass(frozen=True, slots=True)
 class ClosingQuestion:
     """A question before the window closes; answers are texts of buttons with their actions."""
 
@@ -97,10 +88,6 @@ class TabContext:
         for tab in self.tabs:
             if tab is not opened_in and not tab.isAncestorOf(opened_in):
                 tab.use_shared(kind, path)
-
-    def drawing(self) -> Drawing | None:
-        """The scene that is drawn in a tab; None where there is none."""
-        return next((drawn for tab in self.tabs if (drawn := tab.drawing()) is not None), None)
 
     def claim_instruments(self, asks: QWidget, word: str, act: Callable[[], object], *, virtual: bool) -> None:
         """Call `act`, which uses the rig's instruments, unless another tab has them; then offer "`word` anyway".
@@ -182,10 +169,6 @@ class Tab(QWidget):
 
     def use_shared(self, kind: FileKind, path: Path) -> None:
         """Take a file that was opened in another tab; a tab that is busy with another one keeps it."""
-
-    def drawing(self) -> Drawing | None:
-        """The scene that is drawn in it."""
-        return None
 
     def instruments_held(self) -> str:
         """Holder of real instruments, as the beginning of a sentence; empty for none."""

@@ -181,6 +181,11 @@ class LivePreview(QObject):
         self._ask()
 
 
+def naming_box(refusal: str) -> str:
+    """Return a refusal with the tab's box in place of the command's option."""
+    return refusal.replace("--allow-large", "the box “Allow large scenes”")
+
+
 def problem_of(preview: Preview) -> str:
     """Return what is wrong with a scene; empty where nothing is."""
     if not preview.draft.source or preview.problem:

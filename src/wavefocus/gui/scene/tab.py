@@ -19,7 +19,7 @@ from wavefocus.gui.editor.tab import file_actions
 from wavefocus.gui.editor.text_edit import TextPanel
 from wavefocus.gui.files import FileKind, PathField, TomlKind, is_field_file, toml_kind
 from wavefocus.gui.scene.document import NOTHING, QUIET, Chosen, SceneDocument
-from wavefocus.gui.scene.draft import Keys, moved, new_source, quiet_toml, scene_toml, source_toml
+from wavefocus.gui.scene.draft import Keys, moved, new_source, quiet_toml, source_toml
 from wavefocus.gui.scene.exports import IDLE
 from wavefocus.gui.scene.live_panel import LivePanel
 from wavefocus.gui.scene.live_run import LiveRun
@@ -29,7 +29,7 @@ from wavefocus.gui.scene.result_views import read_field_on
 from wavefocus.gui.scene.results_panel import ResultsPanel
 from wavefocus.gui.scene.surface_panel import SurfacePanel
 from wavefocus.gui.surface import PlotSurface
-from wavefocus.gui.tab import ClosingQuestion, Drawing, Tab, TabContext
+from wavefocus.gui.tab import ClosingQuestion, Tab, TabContext
 from wavefocus.storage.errors import InputError
 
 if TYPE_CHECKING:
@@ -80,6 +80,7 @@ class SceneTab(Tab):
         text = self.editor.text
         text.cursorPositionChanged.connect(lambda: self.document.choose_at_line(text.textCursor().blockNumber()))
         self.document.file_changed.connect(self._show_possible)
+        self.document.file_changed.connect(self._share_scene)
         self._show_possible()
         bar.rig_changed.connect(self.live_panel.show_run)
         bar.rig_changed.connect(lambda: self.live.use_rig(bar.rig_field.path))
@@ -180,11 +181,10 @@ class SceneTab(Tab):
         elif kind is FileKind.RIG:
             self.results.bar.use_rig(path)
 
-    def drawing(self) -> Drawing | None:
-        document = self.document
-        if not document.draft.source:
-            return None
-        return Drawing(scene_toml(document.draft), document.path if document.saved else None, document.allow_large)
+    def _share_scene(self) -> None:
+        """Let the scene's file be verified, once it is saved."""
+        if self.document.path is not None and self.document.saved:
+            self.context.share(self, FileKind.SCENE, self.document.path)
 
     def _bank_chosen(self, path: Path) -> None:
         self.context.settings.opened(path)
