@@ -218,3 +218,20 @@ def test_given_recordings_then_they_are_decimated_as_scipy_does(highest, samples
     filter_ = np.stack(answers[::-1], axis=1).reshape(-1)[decimated.step - 1 :][: 1 - 2 * decimated.first]
     wanted = scipy.signal.upfirdn(filter_, recordings, down=decimated.step, axis=1)
     np.testing.assert_allclose(decimated.values, wanted, atol=2e-6)
+
+
+def test_given_recordings_of_one_pair_of_clocks_then_all_are_fitted_as_one_by_one_even_where_one_differs():
+    known = np.tile(np.concatenate([scipy.signal.chirp(np.arange(2000), 0.002, 2000, 0.05), np.zeros(400)]), 2)
+    random = np.random.default_rng(3)
+    recordings = np.stack([
+        resampled(known[None], -40.0 - 7.3 * number, 1 / (1 + ppm * 1e-6), 6000)[0]
+        + 1e-3 * random.standard_normal(6000)
+        for number, ppm in enumerate((80.0, 80.0, 80.0, -150.0))
+    ])  # fmt: skip
+    fitter = ClockFitter(known)
+    together = fitter.fit_all(recordings, ["a", "b", "c", "d"])
+    for found, recording in zip(together, recordings, strict=True):
+        alone = fitter.fit(recording)
+        assert found.offset_samples == pytest.approx(alone.offset_samples, abs=1e-4)
+        assert found.ratio == pytest.approx(alone.ratio, abs=1e-8)
+        assert found.residual_db == pytest.approx(alone.residual_db, abs=0.05)

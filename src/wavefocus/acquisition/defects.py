@@ -152,8 +152,8 @@ _KINDS = {
     ),
     "burst_db": _Kind(
         "dropout",
-        "a burst of {burst_db:.0f} dB at {burst_s:.3f} s in {records}: speckle took the light away, something knocked, "
-        "or a channel lost samples; if it stays, focus the laser or treat the surface",
+        "a burst of {burst_db:.0f} dB at {burst_s:.3f} s in {records}: the laser lost the surface, the rig was "
+        "knocked, or a channel lost samples; if it stays, focus the laser or treat the surface",
         Cure.REPEAT,
     ),
     "line_db": _TONE,

@@ -78,10 +78,8 @@ class SweepCutter:
                 f"records have {samples} samples; allowed is at least {max(self._least, self.period)}, "
                 f"{self.averages} sweeps with their responses"
             )
-        fits = [
-            self._clock.fit(recording, name=f"the reference of record {first_record + record}")
-            for record, recording in enumerate(reference)
-        ]
+        names = [f"the reference of record {first_record + record}" for record in range(len(reference))]
+        fits = self._clock.fit_all(reference, names)
         offset, ratio = np.array([(fit.offset_samples, fit.ratio) for fit in fits]).T
         place = offset[:, None] + ratio[:, None] * self.period * np.arange(self.averages)
         starts = np.clip(np.floor(place).astype(np.int64) - self._guard, 0, samples - self.period)

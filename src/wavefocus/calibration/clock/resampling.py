@@ -146,6 +146,11 @@ def decimate(recordings: Float32Array, highest: float) -> Decimated:
     return Decimated(values, -half, step, highest, slice(-(-2 * half // step), (samples - 1) // step + 1))
 
 
+def decimation_step(highest: float) -> int:
+    """Samples from value to value of recordings decimated to a band from 0 to `highest` cycles per sample."""
+    return _low_pass(highest)[1]
+
+
 @lru_cache(maxsize=8)
 def _low_pass(highest: float) -> tuple[Float32Array, int]:
     """The filter for a band, and the step at which its output is kept."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -12,9 +13,14 @@ import scipy.fft
 from numpy.typing import ArrayLike, NDArray
 
 from wavefocus.calibration import Complex64Array, Float32Array, Float64Array
-from wavefocus.calibration.clock.known_signal_clock import KnownSignalClock
+from wavefocus.calibration.clock.known_signal_clock import (
+    NEAR_TURN,
+    KnownSignalClock,
+    KnownSignalFit,
+    NearClock,
+)
 from wavefocus.calibration.clock.missing_reference import ReferenceMissingError, missing_reference
-from wavefocus.calibration.clock.resampling import decimate, resampled
+from wavefocus.calibration.clock.resampling import Decimated, decimate, decimation_step, resampled
 from wavefocus.calibration.numerics import parabola_vertex
 from wavefocus.storage.errors import InputError
 
@@ -24,6 +30,8 @@ REFERENCE_LIMIT_DB = -10.0
 BAND_SHARE = 1e-9
 # Silence around the known signal that the fit may look at, for a first guess that is off and for tails.
 GUARD_SAMPLES = 64
+# Where the signal begins in the part that is cut out, to half a sample.
+NEAR_OFFSET = GUARD_SAMPLES + 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +116,16 @@ class BlockSearch:
         slope = min(max(slope, -1e-6 * self._max_ppm), 1e-6 * self._max_ppm)
         return float(share @ (lags - slope * self._moves)), 1.0 + slope
 
+    def top(self, recorded: NDArray[np.floating]) -> float:
+        """Sample at which the whole signal correlates most; the stretch of the clocks moves it alike in all records."""
+        blocks = self._blocks(recorded.size)
+        spectrum = scipy.fft.rfft(recorded.astype(np.float32, copy=False), blocks.length)[blocks.bins]
+        envelope = np.abs(scipy.fft.ifft(spectrum * blocks.whole, blocks.lags)).astype(np.float64)
+        at = int(np.argmax(envelope))
+        late = parabola_vertex(*(envelope[(at + side) % blocks.lags] for side in (-1, 0, 1)))
+        step = blocks.length / blocks.lags
+        return float(step * (at + late) - (blocks.length if step * at >= recorded.size else 0))
+
     def _lags(self, recorded: NDArray[np.floating]) -> Float64Array:
         """Sample at which the signal would begin, by each block."""
         blocks = self._blocks(recorded.size)
@@ -130,7 +148,8 @@ class BlockSearch:
         for row, (low, high) in zip(alone, self._spans, strict=True):
             row[low:high] = self._known[low:high]
         spectra = scipy.fft.rfft(alone)[:, bins].conj().astype(np.complex64)
-        return _Blocks(length, bins, scipy.fft.next_fast_len(math.ceil(OVERSAMPLING * spectra.shape[1])), spectra)
+        lags = scipy.fft.next_fast_len(math.ceil(OVERSAMPLING * spectra.shape[1]))
+        return _Blocks(length, bins, lags, spectra, spectra.sum(axis=0))
 
 
 def _squared_width(block: Float64Array) -> float:
@@ -143,12 +162,13 @@ def _squared_width(block: Float64Array) -> float:
 
 @dataclass(frozen=True, slots=True)
 class _Blocks:
-    """Conjugate spectra of the blocks, in the band of a transform of `length`; lags of the way back."""
+    """Conjugate spectra of blocks and of all together, in the band of a transform of `length`; lags of the way back."""
 
     length: int
     bins: slice
     lags: int
     spectra: Complex64Array
+    whole: Complex64Array
 
 
 class ClockFitter:
@@ -186,6 +206,8 @@ class ClockFitter:
         bins = min(last + 1, (period + 1) // 2)
         self._clock = KnownSignalClock(spectrum[:bins], period, max_ppm, below_share=BAND_SHARE)
         self._search = BlockSearch(known, (first / period, bins / period), max_ppm)
+        # Records of one campaign have one clock ratio, to what its temperature does in minutes.
+        self._near = lru_cache(maxsize=2)(self._near_clock)
 
     def fit(self, recorded_v: ArrayLike, *, diagnose: bool = True, name: str = "the reference channel") -> ClockFit:
         """Find the known signal in one recording.
@@ -197,7 +219,55 @@ class ClockFitter:
         Raises InputError: an array of a wrong shape or values that are not finite. ReferenceMissingError: the signal is
         absent, too noisy, or not entirely inside the recording.
         """
-        recorded = np.asarray(recorded_v)
+        recorded = self._checked(np.asarray(recorded_v), name)
+        offset, ratio = self._search.first_guess(recorded)
+        cut, first = self._cut(recorded, offset)
+        fit = self._clock.refined(self._decimated(cut), offset - first, ratio)
+        found = self._fit_of(fit, cut, first)
+        if not found.residual_db <= REFERENCE_LIMIT_DB or abs(fit.ratio - 1) > 1.01e-6 * self._max_ppm:
+            words = f"unexplained {found.residual_db:.1f} dB, allowed {REFERENCE_LIMIT_DB:g} dB"
+            if not diagnose:
+                raise ReferenceMissingError(f"{name} does not carry what was played ({words})")
+            raise missing_reference(recorded, self._known, name, words, self._max_ppm)
+        check_inside(found.offset_samples, found.ratio, self._known.size, recorded.size, name)
+        return found
+
+    def fit_all(self, recorded_v: NDArray[np.floating], names: Sequence[str]) -> list[ClockFit]:
+        """Find the known signal in recordings of one pair of clocks: each as `fit`, those after the first sooner.
+
+        recorded_v, (recordings, samples): Reference channel in volts. names: Of the recordings, for messages.
+
+        Raises InputError, ReferenceMissingError: as `fit`.
+        """
+        fits: list[ClockFit] = []
+        bias = 0.0
+        for recorded, name in zip(recorded_v, names, strict=True):
+            near = self._fit_near(self._checked(recorded, name), fits[0], bias) if fits else None
+            fits.append(self.fit(recorded, name=name) if near is None else near)
+            if len(fits) == 1 < len(names):
+                bias = fits[0].offset_samples - self._search.top(recorded)
+        return fits
+
+    def _fit_near(self, recorded: NDArray[np.floating], first_fit: ClockFit, bias: float) -> ClockFit | None:
+        """The fit of a recording whose clocks are those of another; None where it is not near that one.
+
+        bias: What the correlation of the whole signal errs by in the other, and so in this one.
+        """
+        offset = self._search.top(recorded) + bias
+        cut, first = self._cut(recorded, offset)
+        decimated = self._decimated(cut)
+        fit = self._near(round(first_fit.ratio, 7)).fit(decimated)
+        found = self._fit_of(fit, cut, first)
+        moved = abs(fit.offset_samples - NEAR_OFFSET) + abs(fit.ratio - first_fit.ratio) * self._length
+        if 2 * math.pi * self._clock.highest * moved > NEAR_TURN or found.residual_db > first_fit.residual_db + 3.0:
+            return None
+        last = found.offset_samples + (self._known.size - 1) * found.ratio
+        return found if found.offset_samples >= -0.5 and last <= recorded.size - 0.5 else None
+
+    def _near_clock(self, ratio: float) -> NearClock:
+        return self._clock.near(self._decimated(np.zeros(self._length)), NEAR_OFFSET, ratio)
+
+    def _checked(self, recorded: NDArray[np.floating], name: str) -> NDArray[np.floating]:
         if recorded.ndim != 1:
             raise InputError(f"{name} has the shape {recorded.shape}; allowed is one axis")
         if not np.isfinite(recorded).all():
@@ -207,25 +277,22 @@ class ClockFitter:
         shortest = math.floor((1 - 1e-6 * self._max_ppm) * self._known.size) - 1
         if recorded.size < shortest:
             raise ReferenceMissingError(f"{name} has {recorded.size} samples of {self._known.size}", "cut")
-        offset, ratio = self._search.first_guess(recorded)
-        cut, first = self._cut(recorded, offset)
+        return recorded
+
+    def _decimated(self, cut: Float64Array) -> Decimated:
         decimated = decimate(cut[None].astype(np.float32), self._clock.highest)
         # Silence lies beyond the ends of the part that is cut out.
-        whole = replace(decimated, inside=slice(0, decimated.values.shape[1]))
-        fit = self._clock.refined(whole, offset - first, ratio)
+        return replace(decimated, inside=slice(0, decimated.values.shape[1]))
+
+    def _fit_of(self, fit: KnownSignalFit, cut: Float64Array, first: int) -> ClockFit:
+        """The fit of a part of a recording that begins at sample `first`."""
         explained = float(fit.gain**2 * (self._known @ self._known))
         # What the decimation has taken out is noise.
-        beyond = scipy.fft.rfft(cut)[self._length // (2 * decimated.step) + 1 :]
+        step = decimation_step(self._clock.highest)
+        beyond = scipy.fft.rfft(cut)[self._length // (2 * step) + 1 :]
         left = fit.left + 2 / self._length * float(np.vdot(beyond, beyond).real)
         residual_db = 10 * math.log10((max(left, 0.0) + 1e-300) / (explained + 1e-300))
-        if not residual_db <= REFERENCE_LIMIT_DB or abs(fit.ratio - 1) > 1.01e-6 * self._max_ppm:
-            found = f"unexplained {residual_db:.1f} dB, allowed {REFERENCE_LIMIT_DB:g} dB"
-            if not diagnose:
-                raise ReferenceMissingError(f"{name} does not carry what was played ({found})")
-            raise missing_reference(recorded, self._known, name, found, self._max_ppm)
-        offset = first + fit.offset_samples
-        check_inside(offset, fit.ratio, self._known.size, recorded.size, name)
-        return ClockFit(offset, fit.ratio, fit.gain, residual_db)
+        return ClockFit(first + fit.offset_samples, fit.ratio, fit.gain, residual_db)
 
     def _cut(self, recorded: NDArray[np.floating], offset: float) -> tuple[Float64Array, int]:
         """The part of the recording around the signal, zeros beyond its ends, and where it starts."""

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from wavefocus.rendering.greens.source import GreenSource
 
 ALLOWED = 0.01
-"""Error of a sound bank, relative to the response: rows with a signal-to-noise ratio of 40 dB, the least of a valid one
-by default (`quality.min_snr_db`)."""
+"""Error of a sound bank, relative to the response: rows with a signal-to-noise ratio of 40 dB, as a good bank has."""
 SENTINEL_FREQUENCIES = 64
 
 
