@@ -182,7 +182,8 @@ def spoiled(coarse: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     with open_bank(lab / "plate.h5") as aside, BankWriter.open(bank, plan_sha256=plan.sha256) as writer:
         rows = {position: writer.green(position) for position in (LEVEL, SWAPPED, CHECKED, int(plan.order[-1]))}
         rows[LEVEL][3] *= 10 ** (7 / 20)
-        rows[SWAPPED][[2, 5]] = rows[SWAPPED][[5, 2]]
+        # Rows 2 and 5 differ by 9 % there, which is no fault that anybody feels.
+        rows[SWAPPED][[2, 4]] = rows[SWAPPED][[4, 2]]
         rows[CHECKED] *= 10 ** (-4 / 20)
         rows[MOVED] = aside.green(0)
         for position, row in rows.items():
