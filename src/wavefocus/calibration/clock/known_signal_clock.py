@@ -220,7 +220,8 @@ class NearClock:
                 break
             more, stretched = float(shares[1]) / gain, float(shares[2]) / gain
             moved += more
-            if abs(more) < ENOUGH_SAMPLES or abs(moved) > 1.0:
+            # Steps converge as their squares: the next one would be below `ENOUGH_SAMPLES`.
+            if more * more < ENOUGH_SAMPLES or abs(moved) > 1.0:
                 break
         ratio = 1 / (1 / self._ratio + stretched / self._reach)
         offset = self._middle - ((self._middle - self._offset) / self._ratio + moved) * ratio
