@@ -12,7 +12,7 @@ import wavefocus
 
 FUNCTIONS = {
     "Banks": ("open_bank", "virtual_rig", "import_bank", "export_bank", "add_note"),
-    "Scenes, drives and fields": ("load_scene", "render", "predict", "focus_figures", "quiet_levels"),
+    "Scenes, drives and fields": ("load_scene", "render", "predict", "interpolate", "focus_figures", "quiet_levels"),
     "Live sources": ("live",),
     "Files": ("read_drive", "write_drive", "read_field", "write_field"),
     "Recordings": ("estimate", "open_raw", "estimator", "estimate_positions"),

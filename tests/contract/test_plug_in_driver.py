@@ -95,12 +95,7 @@ def test_given_the_example_as_a_distribution_then_it_passes_the_tests_of_mirrors
     assert "6 passed" in done.stdout
 
 
-def test_given_no_package_of_the_maker_then_commands_name_it_with_exit_2_and_doctor_blames_no_defect(installed, rig):
-    bank = ["--bank", rig.parent / "bank.h5"]
-    done = python("-m", "wavefocus", "capture", rig.parent / "run.toml", *bank, paths=(installed,))
-    assert done.returncode == 2, done.stderr
-    assert len([line for line in done.stderr.splitlines() if "acme_mirror" in line]) == 1
-    assert "Traceback" not in done.stderr
+def test_given_no_package_of_the_maker_then_doctor_names_it_and_blames_no_defect(installed, rig):
     done = python("-m", "wavefocus", "doctor", rig, "--json", paths=(installed,))
     assert done.returncode == 1
     faults = [one for one in json.loads(done.stdout)["findings"] if "acme_mirror" in one["what"]]

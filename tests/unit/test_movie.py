@@ -111,7 +111,7 @@ def test_given_a_peak_then_its_cell_is_red_and_a_trough_blue(field_file: Path, t
     with FieldRowReader(field_file) as field:
         surface = surface_of(bank(), None, None)
         plan = plan_frames(field, None, from_s=0.067, to_s=0.143, slow=0.5, frame_rate_hz=1000 / 38)
-        write_movie(out, field, surface, None, plan, width_px=400, limit=90.0)
+        write_movie(out, field, surface, None, plan, width_px=400)
     with Image.open(out) as gif:
         for frame in range(gif.n_frames):
             gif.seek(frame)

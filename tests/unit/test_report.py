@@ -44,7 +44,8 @@ def report_of(
 ) -> Path:
     drive, prediction = rendered()
     kept = {key: getattr(drive, key)[:foci] for key in ("focus_sample", "focus_position", "focus_source")}
-    drive = dataclasses.replace(drive, **kept)
+    places = None if drive.focus_mm is None else drive.focus_mm[:foci]
+    drive = dataclasses.replace(drive, **kept, focus_mm=places)
     return build_report(
         out_dir,
         verification=compare(prediction, scan, drive, source),

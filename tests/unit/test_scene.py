@@ -10,18 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wavefocus.config.scene import Output
-from wavefocus.gui.scene.draft import NEW_PATHS, NEW_SIGNALS
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.greens.source import GreenArray
-from wavefocus.rendering.scene.model import PATHS, Scene, Source
+from wavefocus.rendering.scene.model import Scene, Source
 from wavefocus.rendering.scene.paths import Circle, Line, Point, Polyline
 from wavefocus.rendering.scene.scene_rows import scene_rows
-from wavefocus.rendering.scene.signals import SIGNALS, Impulse, Noise, Sine
+from wavefocus.rendering.scene.signals import Impulse, Noise, Sine
 from wavefocus.storage.errors import InputError
 
 NAN, INF = float("nan"), float("inf")
 RATE_HZ = 10_000.0
-MADE = {kind: table for kind, table in NEW_SIGNALS.items() if kind != "file"}
 
 
 def test_a_point_needs_neither_speed_nor_step():
@@ -47,17 +45,6 @@ def test_a_source_with_a_figure_out_of_range_is_refused_by_name(figure, value):
     figures = {"speed_mm_s": 80.0, "step_mm": 4.0, figure: value}
     with pytest.raises(InputError, match=f"{figure} is "):
         Source(Line((0, 0), (10, 0)), Impulse(), **figures)
-
-
-def test_every_kind_of_path_and_signal_has_a_class_and_begins_in_the_window_with_values_that_it_takes():
-    assert PATHS.keys() == NEW_PATHS.keys()
-    assert SIGNALS.keys() == NEW_SIGNALS.keys()
-    for new, file in ((NEW_PATHS, "file"), (NEW_SIGNALS, "path")):
-        for table in new.values():
-            type(table).model_validate(table.model_dump() | ({file: "a file"} if hasattr(table, file) else {}))
-    assert all(
-        len(SIGNALS[kind](**table.model_dump(exclude={"kind"})).samples(RATE_HZ)) for kind, table in MADE.items()
-    )
 
 
 def test_a_scene_without_a_source_is_refused():

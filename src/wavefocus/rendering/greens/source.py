@@ -111,12 +111,6 @@ class GreenArray:
         if status.shape != (positions,) or ((status < 0) | (status > 255)).any():
             raise InputError(f"status has shape {status.shape}; status bits of {positions} positions are needed")
         object.__setattr__(self, "status", status.astype(np.uint8))
-        broken = (self.status & Status.VALID > 0) & ~np.isfinite(self.values).all(axis=(1, 2))
-        if broken.any():
-            where = int(np.argmax(broken))
-            raise InputError(
-                f"green holds NaN or infinity at position {where}, which is valid; finite values are needed"
-            )
         if self.check is not None:
             object.__setattr__(self, "check", truths("check", self.check))
             if self.check.shape != (positions,):

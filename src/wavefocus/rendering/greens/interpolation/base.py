@@ -74,7 +74,8 @@ class Estimate:
     @property
     def relative(self) -> Float64Array:
         """L2 norm over the actuators of what is wrong, over that of what is there, (frequencies, places)."""
-        wrong = np.linalg.norm(self.expected, axis=2)
+        largest = float(self.expected.max(initial=0.0)) or 1.0  # squares of a bank in any unit are finite
+        wrong = largest * np.linalg.norm(self.expected / largest, axis=2)
         return np.asarray(np.divide(wrong, self.level, out=np.ones_like(wrong), where=self.level > 0))
 
 
@@ -152,9 +153,9 @@ class GridInterpolation(Interpolation):
 
     def estimate(self, bank: GreenSource, points_mm: Float64Array, frequency_hz: Float64Array) -> Estimate:
         """Errors of the kernel, and the difference to it."""
-        from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
-
-        return KernelInterpolation(bank, points_mm).estimate(bank, points_mm, frequency_hz, self)
+        kernel = import_module("wavefocus.rendering.greens.interpolation.kernel")  # which builds on this module
+        found: Estimate = kernel.KernelInterpolation(bank, points_mm).estimate(bank, points_mm, frequency_hz, self)
+        return found
 
     @classmethod
     def needed_rows(cls, grid: PositionGrid, rows: set[int], points_mm: Float64Array, step_mm: float) -> set[int]:

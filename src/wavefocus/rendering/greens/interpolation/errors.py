@@ -136,7 +136,8 @@ def errors_at(
         raise
     except InputError:
         return None  # a point that is off the grid is named where it is rendered
-    emitted = spectrum.shares(frequency_hz, band_hz) * np.square(np.abs(found.values)).sum(axis=(1, 2))
+    largest = float(np.abs(found.values).max(initial=0.0)) or 1.0  # squares of a bank in any unit are finite
+    emitted = spectrum.shares(frequency_hz, band_hz) * np.square(np.abs(found.values / largest)).sum(axis=(1, 2))
     total = float(emitted.sum())
     if not (total > 0 and np.isfinite(total)):
         return None

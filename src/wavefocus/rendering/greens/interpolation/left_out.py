@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -11,16 +11,13 @@ from wavefocus.rendering.arrays import Complex128Array, Float64Array
 from wavefocus.rendering.greens.interpolation.base import Estimate, Interpolation
 from wavefocus.rendering.greens.interpolation.row_values import RowValues
 
-if TYPE_CHECKING:
-    from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
-
 UNRESOLVED = 0.3
 """Where the kernel misses more than this from a frequency on, in the median, its result is chance."""
 NO_BOUND = "no bound: positions that are left out of a grid say nothing for sure of places between its positions"
 
 
 def left_out_estimate(
-    kernel: KernelInterpolation, points_mm: Float64Array, values: RowValues, other: Interpolation | None = None
+    kernel: Any, points_mm: Float64Array, values: RowValues, other: Interpolation | None = None
 ) -> Estimate:
     """Values of the kernel, or of another interpolation, at points (n, 2), and their errors.
 
@@ -30,6 +27,7 @@ def left_out_estimate(
     which leaving out alone does not show: a left-out position is further from its neighbours than any point
     between them. Another interpolation is wrong by its difference to the kernel as well.
 
+    kernel: A `KernelInterpolation`, whose module imports this one.
     values: Rows at the frequencies that are judged.
     """
     anchors, _ = kernel.neighbourhoods.nearest(points_mm)
