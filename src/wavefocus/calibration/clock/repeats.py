@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,8 @@ import scipy.fft
 
 from wavefocus.calibration import Complex64Array, Float32Array, Float64Array, Int64Array
 from wavefocus.calibration.clock.known_signal import filled_bins
-from wavefocus.calibration.clock.timing import ClockFitter
+from wavefocus.calibration.clock.missing_reference import ReferenceMissingError
+from wavefocus.calibration.clock.timing import ClockFit, ClockFitter
 from wavefocus.calibration.excitation import Excitation
 from wavefocus.storage.errors import InputError
 
@@ -17,6 +19,8 @@ from wavefocus.storage.errors import InputError
 MIN_POWER = 1e-3
 FLOOR_POWER = 1e-12
 GUARD_SAMPLES = 8
+# Sweeps that give the clock of a record of more, and the samples around them that are looked at.
+FEW_SWEEPS, FIRST_MARGIN = 3, 200
 # A sweep has one frequency at a time: the mean delay rises, or falls, over so many parts of the band.
 DELAY_PARTS = 8
 
@@ -63,6 +67,9 @@ class SweepCutter:
         # The end of the last silence may lie behind the record's: nothing sounds there.
         self._least = played.size - room_samples - GUARD_SAMPLES
         self._clock = ClockFitter(played[: self._least], max_ppm=max_ppm)
+        # Blocks of many repeats are alike: the first sweeps give the clock, near enough for the whole record.
+        few = played[: FEW_SWEEPS * base.size]
+        self._first_sweeps = ClockFitter(few, max_ppm=max_ppm) if self.averages > FEW_SWEEPS else None
 
     def cut(self, reference: Float32Array, first_record: int = 0) -> Repeats:
         """Find the sweeps in reference recordings (records, samples) in volts; `first_record` counts in messages.
@@ -79,12 +86,29 @@ class SweepCutter:
                 f"{self.averages} sweeps with their responses"
             )
         names = [f"the reference of record {first_record + record}" for record in range(len(reference))]
-        fits = self._clock.fit_all(reference, names)
+        if self._first_sweeps is None:
+            fits = self._clock.fit_all(reference, names)
+        else:
+            fits = [
+                self._fit_long(recording, self._first_sweeps, name)
+                for recording, name in zip(reference, names, strict=True)
+            ]
         offset, ratio = np.array([(fit.offset_samples, fit.ratio) for fit in fits]).T
         place = offset[:, None] + ratio[:, None] * self.period * np.arange(self.averages)
         starts = np.clip(np.floor(place).astype(np.int64) - self._guard, 0, samples - self.period)
         residual_db = np.array([fit.residual_db for fit in fits])
         return Repeats(starts, self.spectra(reference, starts), offset, ratio, residual_db)
+
+    def _fit_long(self, recording: Float32Array, first_sweeps: ClockFitter, name: str) -> ClockFit:
+        """Fit a record of many sweeps, near the clock of its first ones."""
+        near = None
+        if np.isfinite(recording).all() and recording.any():
+            low = max(round(self._clock.place(recording)) - FIRST_MARGIN, 0)
+            part = recording[low : low + FEW_SWEEPS * self.period + 2 * FIRST_MARGIN]
+            with suppress(ReferenceMissingError):
+                found = first_sweeps.fit(part, diagnose=False)
+                near = low + found.offset_samples, found.ratio
+        return self._clock.fit(recording, name=name, near=near)
 
     def spectra(self, recording: Float32Array, starts: Int64Array) -> Complex64Array:
         """Spectra (records, averages, bins) of the segments of one period at `starts` (records, averages)."""

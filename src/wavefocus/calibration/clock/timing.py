@@ -209,18 +209,26 @@ class ClockFitter:
         # Records of one campaign have one clock ratio, to what its temperature does in minutes.
         self._near = lru_cache(maxsize=2)(self._near_clock)
 
-    def fit(self, recorded_v: ArrayLike, *, diagnose: bool = True, name: str = "the reference channel") -> ClockFit:
+    def fit(
+        self,
+        recorded_v: ArrayLike,
+        *,
+        diagnose: bool = True,
+        name: str = "the reference channel",
+        near: tuple[float, float] | None = None,
+    ) -> ClockFit:
         """Find the known signal in one recording.
 
         recorded_v, (samples,): Reference channel in volts, on the DAQ clock.
         name: Of the recording, for messages.
+        near: Offset and ratio, right to about a sample over the recording, where they are known.
         diagnose: Whether to find out why the signal is absent, which takes a hundred times as long as a fit.
 
         Raises InputError: an array of a wrong shape or values that are not finite. ReferenceMissingError: the signal is
         absent, too noisy, or not entirely inside the recording.
         """
         recorded = self._checked(np.asarray(recorded_v), name)
-        offset, ratio = self._search.first_guess(recorded)
+        offset, ratio = self._search.first_guess(recorded) if near is None else near
         cut, first = self._cut(recorded, offset)
         fit = self._clock.refined(self._decimated(cut), offset - first, ratio)
         found = self._fit_of(fit, cut, first)
@@ -231,6 +239,10 @@ class ClockFitter:
             raise missing_reference(recorded, self._known, name, words, self._max_ppm)
         check_inside(found.offset_samples, found.ratio, self._known.size, recorded.size, name)
         return found
+
+    def place(self, recorded: NDArray[np.floating]) -> float:
+        """Sample at which the whole signal correlates most with a recording."""
+        return self._search.top(recorded)
 
     def fit_all(self, recorded_v: NDArray[np.floating], names: Sequence[str]) -> list[ClockFit]:
         """Find the known signal in recordings of one pair of clocks: each as `fit`, those after the first sooner.
