@@ -271,7 +271,9 @@ class ClockFitter:
         fit = self._near(round(first_fit.ratio, 7)).fit(decimated)
         found = self._fit_of(fit, cut, first)
         moved = abs(fit.offset_samples - NEAR_OFFSET) + abs(fit.ratio - first_fit.ratio) * self._length
-        if 2 * math.pi * self._clock.highest * moved > NEAR_TURN or found.residual_db > first_fit.residual_db + 3.0:
+        allowed_db = min(first_fit.residual_db + 3.0, REFERENCE_LIMIT_DB)
+        is_near = 2 * math.pi * self._clock.highest * moved <= NEAR_TURN and found.residual_db <= allowed_db
+        if not is_near or abs(fit.ratio - 1) > 1.01e-6 * self._max_ppm:
             return None
         last = found.offset_samples + (self._known.size - 1) * found.ratio
         return found if found.offset_samples >= -0.5 and last <= recorded.size - 0.5 else None
