@@ -48,10 +48,9 @@ sys.exit(application.exec_())
 
 TRIAL = """
 import sys
-from PyQt5.QtCore import QSettings, Qt, QTimer
+from PyQt5.QtCore import Qt, QTimer
 from PyQt5.QtTest import QTest
 from PyQt5.QtWidgets import QApplication
-from wavefocus.gui.files import Settings
 from wavefocus.gui.trials.window import TrialsWindow
 from wavefocus.gui.window import make_application
 application = make_application()
@@ -189,7 +188,7 @@ def test_given_a_participant_then_the_trials_are_answered_on_its_screen(
     (tmp_path / "trials.toml").write_text(TRIALS, encoding="utf-8")
     bank, rig = ("--bank", str(measured / "plate.h5")), ("--rig", str(measured / "rig.toml"))
     person = ("--participant", "P01", "--out", str(tmp_path / "out"), "--fast")
-    script = [sys.executable, "-c", TRIAL, str(tmp_path / "memory.ini"), str(tmp_path / "trials.toml")]
+    script = [sys.executable, "-c", TRIAL, str(tmp_path / "trials.toml")]
     command = [*script, *bank, *rig, *person]
     done = subprocess.run(command, env=_environment(display), capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
