@@ -37,19 +37,27 @@ def exit_code(failure: BaseException) -> Exit:
             return Exit.BANK_BUSY
         case ModuleNotFoundError() if missing_package(failure):
             return Exit.WRONG_INPUT
-        # What a file asks for can be beyond the memory.
-        case InputError() | OSError() | MissingPackageError() | MemoryError():
+        case InputError() | OSError() | MissingPackageError():
+            return Exit.WRONG_INPUT
+        case _ if is_beyond_memory(failure):  # what a file asks for can be
             return Exit.WRONG_INPUT
         case InstrumentError() | WavefocusError():
             return Exit.INSTRUMENT_FAILED
     return Exit.DEFECT
 
 
+def is_beyond_memory(failure: BaseException) -> bool:
+    """Whether the system gave no more memory, or no further thread, which Python reports in words alone."""
+    return isinstance(failure, MemoryError) or (
+        isinstance(failure, RuntimeError) and str(failure) == "can't start new thread"
+    )
+
+
 def sentence(failure: BaseException) -> str:
     """The one line that reports an error."""
     if isinstance(failure, KeyboardInterrupt):
         return "stopped by the user"
-    if isinstance(failure, MemoryError):
+    if is_beyond_memory(failure):
         return one_line(f"not enough memory: {failure}")
     if isinstance(failure, OSError) and failure.filename is not None:
         return one_line(f"{failure.filename}: {failure.strerror}")
@@ -63,7 +71,7 @@ def account(failure: BaseException, code: Exit, arguments: Sequence[str]) -> str
     """The one line about an error; with the files of the command line where its own text names none."""
     if code is Exit.STOPPED:
         return sentence(KeyboardInterrupt())
-    if code is not Exit.DEFECT and not isinstance(failure, MemoryError):
+    if code is not Exit.DEFECT and not is_beyond_memory(failure):
         return sentence(failure)
     named = [word.partition("=")[2] if word.startswith("--") else word for word in arguments]
     files = "".join(f"{word}: " for word in named if Path(word).is_file())

@@ -166,7 +166,7 @@ def test_given_enter_at_the_marks_then_no_map_is_taken_and_nothing_is_written(ri
     told, people = calibrate(rig, "--only", "mirror", lines=lines, code=1)
     assert "mark 7 of 7 at (-100, 0) mm" in people
     assert (told["file"], told["measured"], len(told["problems"])) == (None, [], 1)
-    assert f"moved at {moved} of 7 marks" in told["problems"][0]
+    assert f"It was moved at {moved} of 7;" in told["problems"][0]
     assert list(rig.parent.iterdir()) == [rig]
 
 
@@ -288,7 +288,7 @@ class SomebodyWhoTakesTheName(io.StringIO):
     """A person at the keyboard; meanwhile another program writes a file under the name that was asked for."""
 
     def __init__(self, taken: Path) -> None:
-        super().__init__("\n")
+        super().__init__("\n\n")
         self.taken = taken
 
     def readline(self, size: int | None = -1) -> str:
@@ -410,7 +410,7 @@ def test_given_a_calibration_too_old_or_of_another_device_then_capture_warns_and
     rig: Path, capsys: pytest.CaptureFixture[str], change: tuple[str, str], told: str
 ) -> None:
     out = rig.parent / "cal.toml"
-    calibrate(rig, "--only", "inputs", "--out", out)
+    calibrate(rig, "--only", "inputs,outputs", "--out", out)
     out.write_text(out.read_text(encoding="utf-8").replace(*change), encoding="utf-8")
     care = '\n[calibration]\nfile = "cal.toml"\nstale_after_days = 90\n'.replace(*change)
     rig.write_text(RIG + care, encoding="utf-8")

@@ -43,6 +43,7 @@ def test_given_a_wrong_port_then_the_printed_command_opens_the_corrected_one(
     bank, rig = place / "plate.h5", lab / "rig.toml"
     rig.write_text(REAL.replace("PORT", str(lab / "old port")), encoding="utf-8")
     change_text(lab / "run.toml", "[virtual]\nseed = 3\nnoise_v = 1e-4\n", "")
+    empty_bank(lab, "my lab/plate.h5")
     assert run(["capture", str(lab / "run.toml"), "--bank", str(bank)]) == 3
     command = _printed(capsys.readouterr().err)
     change_text(rig, "old port", "new port")

@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 
 from tests.lab_files import ABSENT_RIG
+from tests.system.captures import empty_bank
 from wavefocus.__main__ import run
+from wavefocus.campaign.control import command_line
 from wavefocus.config.rig import RigConfig
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial, TcpWire
@@ -31,16 +33,25 @@ def test_given_real_instruments_then_the_dry_run_asks_none_of_them(
     assert run(["plan", str(real_lab / "run.toml"), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["records"] == 6
-    assert facts["second_looks"] == 2
-    assert facts["duration_s"] == pytest.approx((2 * 2 + 1) * (3 * (3 * 1.2 + 0.12) + 0.05))
+    assert facts["second_looks"] == 0
+    # Two positions and the sentinel; the loopback alone at the beginning and with the sentinel.
+    assert facts["duration_s"] == pytest.approx(3 * (3 * (3 * 1.2 + 0.12) + 0.05) + 2 * (0.52 + 0.12))
     assert facts["instruments"][0] == f"mirror generic at {real_lab.as_posix()}/no-such-port, not asked"
     assert "player sounddevice no such interface, 4 outputs, not asked" in facts["instruments"]
 
 
-def test_given_a_mirror_that_is_not_there_then_capture_names_it_and_ends_with_3(
+def test_given_instruments_that_are_not_there_then_capture_names_the_first_and_ends_with_3(
     real_lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(["capture", str(real_lab / "run.toml"), "--bank", str(real_lab / "plate.h5")]) == 3
+    bank = real_lab / "plate.h5"
+    command = ["capture", str(real_lab / "run.toml"), "--bank", str(bank)]
+    assert run(command) == 3
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert told.startswith("wavefocus: recorder Dev1 at localhost:1: ")  # it is asked before a bank is made
+    assert told.endswith(f"go on with: {command_line('wavefocus', *command)}")
+    assert not bank.exists()
+    empty_bank(real_lab, "plate.h5")
+    assert run(command) == 3
     told = capsys.readouterr().err.splitlines()[-1]
     assert told.startswith("wavefocus: mirror (generic at ")
     assert "no-such-port" in told

@@ -23,6 +23,10 @@ from wavefocus.console import finish_clock
 from wavefocus.rig.virtual_bench import virtual_rig
 from wavefocus.storage.bank.reading import open_bank
 
+# Three records of two periods of 0.4 s with 0.12 s around them, and 0.05 s a position beside, the sentinel being the
+# seventh; 0.52 s of the loopback alone with 0.12 s around them, at the beginning and with the sentinel.
+PLANNED_S = 7 * (3 * (2 * 0.4 + 0.12) + 0.05) + 2 * (0.52 + 0.12)
+
 
 def test_given_a_plan_then_people_and_programs_are_told_what_it_takes(
     lab: Path, capsys: pytest.CaptureFixture[str]
@@ -31,8 +35,7 @@ def test_given_a_plan_then_people_and_programs_are_told_what_it_takes(
     facts = json.loads(capsys.readouterr().out)
     assert facts["positions"] == 6
     assert facts["records"] == 18
-    # Three records of two periods of 0.4 s with 0.12 s around them, and 0.05 s a position beside; the sentinel last.
-    assert facts["duration_s"] == pytest.approx(7 * (3 * (2 * 0.4 + 0.12) + 0.05))
+    assert facts["duration_s"] == pytest.approx(PLANNED_S)
     assert facts["bank_bytes"] > 6 * 3 * 1000 * 4
     assert len(facts["plan_sha256"]) == 64
     assert run(["plan", str(lab / "run.toml")]) == 0
@@ -94,7 +97,6 @@ def test_given_a_reader_of_events_that_goes_away_then_the_campaign_goes_on(lab: 
         assert child.stderr is not None
         told = child.stderr.read()
     assert child.returncode == 0
-    assert "standard output cannot be written any more" in told
     assert "Traceback" not in told
     assert "finished: 6 of 6 positions (6 valid)" in told
 
@@ -119,6 +121,7 @@ def test_given_a_short_campaign_then_what_is_left_is_right_from_its_first_positi
     assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / "plate.h5"), "--json"]) == 0
     events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     end_s = max(event["time_s"] for event in events)  # the sentinel, measured once more, included
+    assert end_s == pytest.approx(PLANNED_S, rel=0.02)
     position_s = end_s / 7
     for event in events:
         if event["event"] == "progress":
@@ -161,7 +164,7 @@ def test_given_a_pause_then_status_tells_how_much_is_to_go_and_no_finish(
         assert capture(lab, bank) == 0
     early, paused = facts
     assert (early["record"], early["state"]) == ({"position": 0, "number": 2, "of": 3}, "running")
-    assert early["remaining_s"] == pytest.approx(7 * (3 * (2 * 0.4 + 0.12) + 0.05), rel=0.01)  # as planned
+    assert early["remaining_s"] == pytest.approx(PLANNED_S, rel=0.01)  # as planned
     assert (paused["state"], paused["done"], paused["record"]) == ("paused", 1, {"position": 0, "number": 3, "of": 3})
     assert float(str(paused["remaining_s"])) > 4 * 3 * 2 * 0.4
     assert float(str(paused["wall_remaining_s"])) > 0

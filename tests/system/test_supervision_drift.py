@@ -56,7 +56,9 @@ def test_given_a_plan_then_the_sentinels_measurements_are_in_its_hours(
     without_s = json.loads(capsys.readouterr().out)["duration_s"]
     _with_drift(lab)
     assert run(["plan", str(lab / "run.toml"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["duration_s"] == pytest.approx(without_s * 9 / 7)
+    # Two more measurements of the sentinel, each with the loopback alone.
+    each_s = 3 * (2 * 0.4 + 0.12) + 0.05 + 0.52 + 0.12
+    assert json.loads(capsys.readouterr().out)["duration_s"] == pytest.approx(without_s + 2 * each_s)
 
 
 def test_given_drift_that_a_repeat_does_not_confirm_then_the_campaign_goes_on(

@@ -141,6 +141,7 @@ class CampaignPace:
         self._attempt_s: deque[float] = deque(maxlen=LATEST)
         self._attempts_of: deque[int] = deque(maxlen=LATEST)
         self._sentinel_s: deque[float] = deque(maxlen=LATEST)
+        self._leak_s = 0.0
 
     def attempt_done(self, working_s: float) -> None:
         """An attempt had all its records at `working_s`."""
@@ -150,6 +151,11 @@ class CampaignPace:
     def sentinel_done(self, working_s: float) -> None:
         """A measurement of the sentinel position came to its end."""
         self._sentinel_s.append(working_s - self._last_s)
+        self._last_s = working_s
+
+    def leak_done(self, working_s: float) -> None:
+        """The loopback was played alone, as with each measurement of the sentinel."""
+        self._leak_s = working_s - self._last_s
         self._last_s = working_s
 
     def position_settled(self, attempts: int) -> None:
@@ -174,7 +180,7 @@ class CampaignPace:
         under_way_s = 0.0 if working_s is None else max(0.0, self.position_s - (working_s - self._last_s))
         # Before the first, a sentinel is taken for a position like any other.
         sentinel_s = median(self._sentinel_s) if self._sentinel_s else self.position_s
-        return under_way_s + positions * self.position_s + sentinel_passes * sentinel_s
+        return under_way_s + positions * self.position_s + sentinel_passes * (sentinel_s + self._leak_s)
 
 
 # Signal-to-noise ratio at which schedules are compared before anything was measured: the paper's.

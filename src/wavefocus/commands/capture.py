@@ -22,7 +22,7 @@ from wavefocus.campaign.blueprint import (
     blueprint_with_rig,
 )
 from wavefocus.campaign.campaign_view import CampaignView
-from wavefocus.campaign.control import CampaignControl, resume_line
+from wavefocus.campaign.control import CampaignControl, command_line, resume_line
 from wavefocus.campaign.session_files import opened_raw, with_bank
 from wavefocus.campaign.sidecar_files import (
     EventLines,
@@ -77,7 +77,8 @@ def capture(
         from wavefocus.campaign.blueprint import needed_by  # with it comes what renders
 
         needed = needed_by(scene_files, asked, checks=checks, allow_large=allow_large)
-    blueprint, earlier = with_bank(asked, bank, run_file, accept_calibration=options.accept_calibration)
+    with _naming_command(command_line("wavefocus", "capture", run_file, "--bank", bank)):
+        blueprint, earlier = with_bank(asked, bank, run_file, accept_calibration=options.accept_calibration)
     rig_file = blueprint.configuration.run.rig_file(run_file)
     options = replace(options, rig_file=rig_file)
     if not scene_files:
@@ -249,8 +250,10 @@ def _session(
 @contextmanager
 def _naming_resume_command(bank: Path, rig_file: Path | None) -> Iterator[None]:
     """Add the command that goes on to the message of an instrument that failed, or of a plate that has changed."""
+    corrected = "" if rig_file is not None else "; a corrected rig file is taken by --rig RIG.toml"
     try:
-        yield
+        with _naming_command(resume_line(bank, rig_file), corrected):
+            yield
     except SentinelUnusableError:
         raise
     except DriftError as changed:
@@ -259,8 +262,15 @@ def _naming_resume_command(bank: Path, rig_file: Path | None) -> Iterator[None]:
             remeasure = resume_line(bank, None, word="remeasure")
             again = f"; {remeasure} --positions {row_ranges(changed.suspects)} and resume"
         raise DriftError(f"{changed}{again}; --accept-drift goes on all the same", changed.suspects) from changed
+
+
+@contextmanager
+def _naming_command(command: str, corrected: str = "") -> Iterator[None]:
+    """Add the command that goes on to the message of an instrument that failed."""
+    try:
+        yield
+    except DriftError:
+        raise
     except InstrumentError as failure:
-        corrected = "" if rig_file is not None else "; a corrected rig file is taken by --rig RIG.toml"
-        remedy = f"{failure.remedy}; nothing measured is lost{corrected}; then go on with: "
-        remedy += resume_line(bank, rig_file)
+        remedy = f"{failure.remedy}; nothing measured is lost{corrected}; then go on with: {command}"
         raise type(failure)(failure.instrument, failure.operation, failure.cause, remedy) from failure

@@ -231,6 +231,7 @@ class Campaign:
         """Measure how much of the loopback leaks; no Ctrl-C lands in the worker, which marks what has it."""
         for position in self._leak.look(self._worker):
             self._report.marked(position, judgement_of(self._leak.found))
+        self._report.leak_done()
 
     def _compare_sentinel(self) -> None:
         """Before this session measures anything, see whether it is still the plate that the bank holds."""

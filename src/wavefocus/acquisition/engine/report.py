@@ -60,6 +60,11 @@ class CampaignReport:
         for pace, working_s in zip(self._pace, self._session.working_s(), strict=True):
             pace.sentinel_done(working_s)
 
+    def leak_done(self) -> None:
+        """The loopback was played alone."""
+        for pace, working_s in zip(self._pace, self._session.working_s(), strict=True):
+            pace.leak_done(working_s)
+
     def repeat(self, result: AttemptResult, following: Attempt) -> None:
         """An attempt was not good enough; the next one follows."""
         why = result.attempt.position, result.attempt.number, result.judgement.reason, result.defect_names
