@@ -94,15 +94,12 @@ def run(arguments: Sequence[str]) -> int:
     """Run one command line and return its exit code."""
     from wavefocus.exits import Exit, account, exit_code, one_line
 
-    # Asks for Python's own account of an error in place of the one line, for reports of defects.
-    rest = [word for word in arguments if word != "--traceback"]
-    as_traceback = len(rest) < len(arguments) or bool(os.environ.get("WAVEFOCUS_TRACEBACK"))
     try:
         from wavefocus import cli
         from wavefocus.command_line import UsageError
 
         try:
-            return cli.run_command(rest or ["--help"])
+            return cli.run_command(arguments or ["--help"])
         except UsageError as wrong:
             print(f"wavefocus: {one_line(str(wrong))}", file=sys.stderr)
             return Exit.WRONG_INPUT
@@ -113,11 +110,12 @@ def run(arguments: Sequence[str]) -> int:
         code = Exit.STOPPED if interrupts else exit_code(failure)
         # A terminal that is gone, or a pipe nobody reads any more, must not change the exit code.
         with suppress(OSError, ValueError):
-            if as_traceback and code is not Exit.STOPPED:
+            # Python's own account of an error beside the one line.
+            if os.environ.get("WAVEFOCUS_TRACEBACK") and code is not Exit.STOPPED:
                 import traceback
 
                 traceback.print_exception(failure)
-            print(f"wavefocus: {account(failure, code, rest)}", file=sys.stderr, flush=True)
+            print(f"wavefocus: {account(failure, code, arguments)}", file=sys.stderr, flush=True)
         return code
 
 

@@ -7,12 +7,11 @@ only when the command is chosen.
 from __future__ import annotations
 
 import argparse
-import os
 import re
 from collections.abc import Sequence
 from typing import Any
 
-from wavefocus.command_line import Command, Parser, UsageError, listed, number
+from wavefocus.command_line import Command, Parser, UsageError, listed
 from wavefocus.commands.table import COMMANDS, GENERAL, GROUPS, found
 from wavefocus.config.retired import retired_command
 
@@ -39,12 +38,6 @@ def parser(commands: Sequence[Command] | None = None, words: Sequence[str] | Non
     epilog = "\n\n".join([*groups, listed(GENERAL, "options of several commands")])
     whole = Parser(prog="wavefocus", description=DESCRIPTION, epilog=epilog, usage="wavefocus [options] COMMAND ...")
     whole.add_argument("--version", action=_Version, nargs=0, default=argparse.SUPPRESS, help="Print the version.")
-    # Taken by `wavefocus.__main__.run`, wherever it stands; here for the help alone.
-    whole.add_argument(
-        "--traceback", action="store_true", help="Show where in the program an error arose; or WAVEFOCUS_TRACEBACK=1."
-    )
-    most = number("--most-gib", help="Largest part of a file that is read at once, in GiB; 8 by default.")
-    whole.add_argument(*most.names, **most.settings)
     chosen = whole.add_subparsers(
         dest="command", metavar="COMMAND", required=True, help=argparse.SUPPRESS, prog="wavefocus"
     )
@@ -74,9 +67,6 @@ def parsed(arguments: Sequence[str]) -> tuple[Command, dict[str, Any]]:
     name = given.pop("command")
     if extra:
         whole.refuse(extra, name)
-    del given["traceback"]
-    if (most_gib := given.pop("most_gib")) is not None:
-        os.environ["WAVEFOCUS_MOST_GIB"] = str(most_gib)  # for the processes that it starts, too
     command = next(one for one in COMMANDS if one.name == name)
     if command.options is not None:
         own = {one: given.pop(one) for one in command.options.__dataclass_fields__ if one in given}

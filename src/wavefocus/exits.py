@@ -91,7 +91,7 @@ def _logged(failure: BaseException) -> str:
         ) as file:
             file.write(text)
     except OSError:
-        return "--traceback shows where"
+        return "WAVEFOCUS_TRACEBACK=1 shows where"
     return f"please report it with {file.name}, which says where"
 
 

@@ -59,7 +59,6 @@ class MovieOptions:
     from_s: float | None = option(None, "Start in scene time.", low=-1e9, high=1e9)
     to_s: float | None = option(None, "End in scene time.", low=-1e9, high=1e9)
     slow: float | None = option(None, "Times slower than life; by default 240 frames.", low=1e-3, high=1e6)
-    width_px: int = option(720, "Width of the movie.", low=240, high=3840)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,10 +106,17 @@ class CalibrationOptions:
         metavar="FILE.csv",
     )
     limit_mm: float = option(1.0, "Largest residual of the mirror map.", low=1e-6, high=1e6)
-    summing_box: bool = option(False, "All outputs for actuators are in one box, none is plugged singly.")
-    box_gain: float | None = option(None, "The box's gain; without it no full scale is measured.", low=1e-6, high=1e6)
+    summing_box: float | None = option(
+        None,
+        "All outputs for actuators are in one box of this gain, none is plugged singly; without the gain no full scale "
+        "is measured.",
+        metavar="GAIN",
+        nargs="?",
+        const=0.0,
+        low=1e-6,
+        high=1e6,
+    )
     amplitude_v: float | None = option(None, "Peak of what is played; by default well below the limit.")
-    distance_mm: float | None = option(None, "From each actuator to where it is listened to.", low=1e-6, high=1e6)
 
 
 @dataclass(frozen=True, slots=True)

@@ -85,9 +85,9 @@ def test_given_a_cluster_then_the_estimated_bank_is_the_same_to_the_byte(
 ) -> None:
     script = Script(base=sweep(0.8), slots=[[(0, 0.0, 1.0)], [(1, 0.0, 0.5)]], samples=round(RATE_HZ))
     raw = script.write(tmp_path / "a.raw.h5")
-    cluster = "local" if where == "local" else request.getfixturevalue("address")
-    wavefocus("estimate", raw, "--bank", tmp_path / "here.h5", "--workers", "1")
-    wavefocus("estimate", raw, "--bank", tmp_path / "there.h5", "--workers", "2", "--cluster", cluster)
+    cluster = "local:2" if where == "local" else request.getfixturevalue("address")
+    wavefocus("estimate", raw, "--bank", tmp_path / "here.h5")
+    wavefocus("estimate", raw, "--bank", tmp_path / "there.h5", "--cluster", cluster)
     assert (tmp_path / "there.h5").read_bytes() == (tmp_path / "here.h5").read_bytes()
 
 

@@ -23,20 +23,16 @@ RENDER = ["render", "scene.toml", "--bank", "bank.h5", "--out", "out.h5", "--for
 PREDICT = ["predict", "drive.h5", "--bank", "bank.h5", "--out", "out.h5", "--force"]
 MOVIE = ["movie", "field.h5", "--bank", "bank.h5", "--drive", "drive.h5", "--out", "out.gif", "--to-s", "0", "--force"]
 CALIBRATE = ["calibrate", "rig.toml", "--only", "actuators"]
-PLAN = ["plan", "run.toml"]
 PLAY = ["play", "scene.toml", "--bank", "bank.h5", "--rig", "virtual"]
 OPTIONS = [
-    *((RENDER, option) for option in ("--tolerance-db", "--interpolation-tolerance")),
+    *((RENDER, option) for option in ("--tolerance-db",)),
     (PREDICT, "--rate"),
-    *((MOVIE, option) for option in ("--from-s", "--slow", "--width-px")),
-    *((PLAN, option) for option in ("--wave-speed",)),
-    *((PLAY, option) for option in ("--gain-db", "--tolerance-db", "--ahead-s")),
-    (["pause", "bank.h5"], "--wait-s"),
+    *((MOVIE, option) for option in ("--from-s", "--slow")),
+    (PLAY, "--gain-db"),
 ]
 # What these take within their bounds, a person at the bench would be asked for.
 REFUSED = [
-    *((CALIBRATE, option) for option in ("--amplitude-v", "--limit-mm", "--box-gain", "--distance-mm")),
-    (CALIBRATE, "--sample-rate-hz"),
+    *((CALIBRATE, option) for option in ("--amplitude-v", "--limit-mm", "--summing-box")),
 ]
 
 

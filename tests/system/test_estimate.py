@@ -10,6 +10,7 @@ import pytest
 
 from tests.system.raw_script import RATE_HZ, Script, sweep
 from wavefocus.__main__ import run
+from wavefocus.estimation import estimate
 
 SEQUENTIAL = Script(
     base=sweep(0.8),
@@ -37,8 +38,8 @@ def test_given_raw_recordings_by_another_program_then_the_bank_is_within_1_5_db_
 
 def test_given_one_worker_or_two_then_the_bank_is_the_same_to_the_byte(tmp_path):
     raw = SEQUENTIAL.write(tmp_path / "a.raw.h5")
-    for workers in ("1", "2"):
-        assert run(["estimate", str(raw), "--bank", str(tmp_path / f"{workers}.h5"), "--workers", workers]) == 0
+    for workers in (1, 2):
+        estimate(raw, tmp_path / f"{workers}.h5", workers=workers).close()
     assert (tmp_path / "1.h5").read_bytes() == (tmp_path / "2.h5").read_bytes()
 
 

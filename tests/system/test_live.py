@@ -162,7 +162,7 @@ def test_given_an_end_from_outside_then_it_is_muted_and_says_so(bank: Path, way:
         (("--osc", "nowhere"), "--osc"),
         (("--osc", "127.0.0.1:70000"), "--osc"),
         (("--look-ahead-ms", "3000"), "--look-ahead-ms"),
-        (("--block-ms", "0.1"), "--block-ms"),
+        (("--look-ahead-ms", "-1"), "--look-ahead-ms"),
         (("--scene", "none.toml"), "none.toml"),
         (("--rig", "none.toml"), "none.toml"),
     ],

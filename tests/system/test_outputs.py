@@ -69,9 +69,7 @@ COMMANDS = {
     "npz": ["export", "bank.h5", "--to", "npz"],
     "netcdf": ["export", "bank.h5", "--to", "netcdf"],
     "csv": ["export", "bank.h5", "--to", "csv"],
-    "plot": ["status", "bank.h5", "--plot"],
 }
-WRITERS = [name for name in COMMANDS if name != "plot"]
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -113,7 +111,7 @@ def test_given_an_input_or_another_output_then_it_is_not_replaced(lab: Path, com
     assert ((lab / victim).read_bytes() if (lab / victim).exists() else None) == before
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("name", COMMANDS)
 def test_given_force_then_an_older_output_is_replaced(lab: Path, name: str) -> None:
     Path("old").write_bytes(OLD)
     Path("old").chmod(0o640)
@@ -228,7 +226,7 @@ def in_forks(script: str, names: Sequence[str], *options: str) -> None:
 
 @pytest.mark.timeout(600)
 def test_given_a_disk_without_room_then_exit_2_and_the_older_output_is_intact(lab: Path) -> None:
-    in_forks(LIMITED, WRITERS)
+    in_forks(LIMITED, COMMANDS)
 
 
 @pytest.mark.parametrize(

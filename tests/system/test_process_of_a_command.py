@@ -112,10 +112,9 @@ def test_given_a_defect_then_it_is_exit_70_one_line_with_the_files_name_and_a_tr
     (log,) = tmp_path.glob("wavefocus-defect-*.log")
     assert str(log) in line
     assert "Traceback" in log.read_text(encoding="utf-8")
-    for arguments, environment in ((["--traceback", "fail"], {}), (["fail"], {"WAVEFOCUS_TRACEBACK": "1"})):
-        explained = wavefocus(FAILING.format(act=act), *arguments, "scene.toml", folder=tmp_path, **environment)
-        assert explained.returncode == 70
-        assert "Traceback" in explained.stderr
+    explained = wavefocus(FAILING.format(act=act), "fail", "scene.toml", folder=tmp_path, WAVEFOCUS_TRACEBACK="1")
+    assert explained.returncode == 70
+    assert "Traceback" in explained.stderr
 
 
 def test_given_more_than_the_memory_then_it_is_wrong_input_with_the_files_name(tmp_path: Path) -> None:

@@ -101,7 +101,6 @@ def test_given_limits_of_scene_and_rig_then_the_stricter_scales_and_the_actuator
     ("options", "named"),
     [
         (("--focusing", "inverse"), "--focusing"),
-        (("--interpolation-tolerance", "0.0001"), "scene.toml"),
         (("--rig", "virtual"), "actuators"),
     ],
 )
@@ -137,11 +136,11 @@ def test_given_a_field_then_the_movie_command_draws_it(lab: Path, capsys: pytest
     assert run(["predict", str(lab / "drive.h5"), *bank, "--out", str(lab / "field.h5")]) == 0
     draw = ["movie", str(lab / "field.h5"), *bank, "--drive", str(lab / "drive.h5"), "--json"]
     files = ["--out", str(lab / "field.gif"), "--snapshots", str(lab / "foci.png")]
-    assert run([*draw, *files, "--slow", "5", "--width-px", "300"]) == 0
+    assert run([*draw, *files, "--slow", "5"]) == 0
     told = json.loads(capsys.readouterr().out)
     with Image.open(lab / "field.gif") as gif, Image.open(lab / "foci.png") as picture:
         assert gif.n_frames == told["frames"] > 5
-        assert gif.width == 300
+        assert gif.width == 720
         assert picture.width > 1000
     assert told["slowed"] == pytest.approx(5.0)
 
@@ -152,7 +151,7 @@ def test_given_a_field_at_a_lower_rate_then_the_movie_tells_which_waves_it_shows
     figures(lab, capsys)
     bank = ["--bank", str(lab / "bank.h5")]
     assert run(["predict", str(lab / "drive.h5"), *bank, "--out", str(lab / "low.h5"), "--rate", str(RATE_HZ / 2)]) == 0
-    draw = ["--out", str(lab / "low.gif"), "--width-px", "300", "--from-s", "0", "--to-s", "0.01"]
+    draw = ["--out", str(lab / "low.gif"), "--from-s", "0", "--to-s", "0.01"]
     assert run(["movie", str(lab / "low.h5"), *bank, *draw]) == 0
     told = capsys.readouterr().err
     assert f"predicted at {RATE_HZ / 2:g} Hz: it shows waves up to {0.2 * RATE_HZ:g} Hz alone" in told

@@ -34,21 +34,15 @@ def test_given_a_scene_then_only_its_positions_are_measured_and_it_can_be_verifi
     assert _wavefocus("capture", far / "run.toml", "--bank", bank, "--scene", far / "scene.toml") == 0
     assert _measured(bank) == [0, 1, 2, 3, 4, 5]
     assert "the other 2 are left" in capsys.readouterr().err
+    assert _wavefocus("render", far / "scene.toml", "--bank", bank, "--out", far / "drive.h5") == 0
     arguments = ("--bank", bank, "--rig", far / "rig.toml", "--out", far / "verify")
     assert _wavefocus("verify", far / "scene.toml", *arguments) in (0, 1)
     assert (far / "verify" / "report.html").exists()
 
 
-def test_given_no_checks_then_the_path_s_positions_alone_are_measured_and_it_renders(far):
-    bank = far / "plate.h5"
-    assert _wavefocus("capture", far / "run.toml", "--bank", bank, "--scene", far / "scene.toml", "--no-checks") == 0
-    assert _measured(bank) == [0, 1, 2]
-    assert _wavefocus("render", far / "scene.toml", "--bank", bank, "--out", far / "drive.h5") == 0
-
-
 def test_given_the_rest_of_the_night_then_the_bank_ends_as_one_measured_at_once(far):
     parts, whole = far / "parts.h5", far / "whole.h5"
-    assert _wavefocus("capture", far / "run.toml", "--bank", parts, "--scene", far / "scene.toml", "--no-checks") == 0
+    assert _wavefocus("capture", far / "run.toml", "--bank", parts, "--scene", far / "scene.toml") == 0
     assert _wavefocus("resume", parts) == 0
     assert _wavefocus("capture", far / "run.toml", "--bank", whole) == 0
     assert parts.read_bytes() == whole.read_bytes()
@@ -57,11 +51,9 @@ def test_given_the_rest_of_the_night_then_the_bank_ends_as_one_measured_at_once(
 def test_given_a_scene_that_is_measured_already_then_nothing_is_played(far, capsys):
     bank = far / "plate.h5"
     for _ in range(2):
-        assert (
-            _wavefocus("capture", far / "run.toml", "--bank", bank, "--scene", far / "scene.toml", "--no-checks") == 0
-        )
+        assert _wavefocus("capture", far / "run.toml", "--bank", bank, "--scene", far / "scene.toml") == 0
     told = capsys.readouterr().err
-    assert told.count("all 3 positions that are needed are in the bank") == 2
+    assert told.count("all 6 positions that are needed are in the bank") == 2
     assert told.count("finished:") == 1
 
 

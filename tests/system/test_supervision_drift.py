@@ -106,20 +106,6 @@ def test_given_drift_during_a_run_then_exit_3_names_the_positions_that_are_suspe
     capsys.readouterr()
 
 
-def test_given_a_drift_history_then_status_draws_it_and_where_there_is_none_it_says_so(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    bank, sound = lab / "plate.h5", (lab / "run.toml").read_text(encoding="utf-8")
-    with_faults(lab, 'role = "recorder"\noperation = "read"\nkind = "lost"\nposition = 3\npurpose = "capture"')
-    assert _capture(lab, bank) == 3
-    assert run(["status", str(bank), "--plot", str(lab / "drift.png")]) == 2
-    assert "holds no drift to draw" in capsys.readouterr().err
-    (lab / "run.toml").write_text(sound, encoding="utf-8")
-    assert _capture(lab, bank) == 0
-    assert run(["status", str(bank), "--plot", str(lab / "drift.png")]) == 0
-    assert (lab / "drift.png").read_bytes().startswith(b"\x89PNG")
-
-
 CALIBRATION = """
 format = "wavefocus-calibration"
 format_version = 1

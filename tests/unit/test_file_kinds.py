@@ -102,21 +102,20 @@ def test_given_a_command_of_an_earlier_version_then_one_sentence_names_what_serv
     assert capsys.readouterr().err == f"wavefocus: {words} is gone: {GONE[words]}\n"
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        "capture run.toml --bank b.h5 --documents",
-        "plan run.toml --pilot",
-        "plan run.toml --pilot-positions",
-        "demo --coarse",
-    ],
-)
+LINES = {
+    "plan": "plan run.toml", "capture": "capture run.toml --bank b.h5", "extend": "extend a.h5 --bank b.h5",
+    "status": "status b.h5", "import": "import a.npz --bank b.h5", "play": "play drive.h5 --rig virtual",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("words", OPTIONS)
 def test_given_an_option_of_an_earlier_version_then_one_sentence_names_what_serves_instead(
-    line: str, capsys: pytest.CaptureFixture[str]
+    words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    command, *_, option = line.split()
-    assert run([*line.split(), "x"]) == 2
-    assert capsys.readouterr().err == f"wavefocus: {command}: {option} is gone: {OPTIONS[option]}\n"
+    command, _, option = words.rpartition(" ")
+    command = command or "plan"
+    assert run([*LINES[command].split(), option, "x"]) == 2
+    assert capsys.readouterr().err == f"wavefocus: {command}: {option} is gone: {OPTIONS[words]}\n"
 
 
 @pytest.mark.parametrize("key", ["refine_to", "refine_positions"])

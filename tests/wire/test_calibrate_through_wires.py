@@ -100,7 +100,7 @@ def test_given_all_wires_then_the_doctor_asks_every_instrument_and_unplugging_on
 
 
 def test_given_all_wires_then_calibrate_finds_what_stands_behind_them(rig: Path, sides: EmulatedInstruments) -> None:
-    options = ["--summing-box", "--box-gain", "1", "--fiducials", str(marks_file(rig.parent))]
+    options = ["--summing-box", "1", "--fiducials", str(marks_file(rig.parent))]
     code, told = calibrate(rig, sides, *options)
     record = CalibrationRecord.model_validate(told["calibration"])
     assert code == 1

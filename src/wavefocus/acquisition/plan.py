@@ -83,19 +83,18 @@ class Plan:
         """Seconds that one position takes: its records and the overhead around them."""
         return self.records * self.record_s(margins) + POSITION_OVERHEAD_S
 
-    def campaign_s(self, rows: Int64Array, margins: RecordMargins, speed_m_s: float = GEL_SPEED_M_S) -> float:
+    def campaign_s(self, rows: Int64Array, margins: RecordMargins) -> float:
         """Seconds that some positions take; sentinel, second looks and looks at the leak included."""
         position_s = self.position_s(margins)
-        count = len(rows) + self.second_looks(rows, speed_m_s)
+        count = len(rows) + self.second_looks(rows)
         passes = self.drift.passes(count, position_s)
         leak_s = record_samples(margins, 0, self.excitation.sample_rate_hz) / self.excitation.sample_rate_hz + LEAK_S
         return (count + passes) * position_s + (passes + 1) * leak_s
 
-    def second_looks(self, rows: Int64Array, speed_m_s: float = GEL_SPEED_M_S) -> int:
+    def second_looks(self, rows: Int64Array) -> int:
         """Number of positions that no others can be expected to judge, so that they are measured twice.
 
         rows: The positions that are measured.
-        speed_m_s: Phase speed of the plate's waves at the upper end of the band, > 0.
         """
         if not self.quality.confirms or not len(rows):
             return 0
@@ -103,7 +102,7 @@ class Plan:
         from wavefocus.calibration.coarse_grid.left_out_rows import can_be_modelled
         from wavefocus.calibration.neighbour_prediction import have_neighbours
 
-        apart_mm = COARSE_WAVELENGTHS * 1e3 * speed_m_s / self.excitation.stop_hz
+        apart_mm = COARSE_WAVELENGTHS * 1e3 * GEL_SPEED_M_S / self.excitation.stop_hz
         places_mm = self.position_mm[rows]
         judged = have_neighbours(places_mm, apart_mm)
         if not judged.any() and can_be_modelled(places_mm, self.actuator_mm, np.ones(len(rows), dtype=bool)):

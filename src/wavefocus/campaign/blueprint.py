@@ -203,29 +203,24 @@ def ringing_of(blueprint: Blueprint) -> Ringing | None:
     return Ringing(seconds, taps, advice)
 
 
-def needed_by(
-    scene_files: Sequence[Path], blueprint: Blueprint, *, checks: bool, allow_large: bool = False
-) -> frozenset[int]:
-    """Rows of a plan that scenes are rendered from and, if asked for, those that their checks look at.
+def needed_by(scene_files: Sequence[Path], blueprint: Blueprint) -> frozenset[int]:
+    """Rows of a plan that scenes are rendered from, and those that `verify` looks at.
 
     Raises InputError: A scene file is wrong, or its paths leave the grid; the message names the file.
     """
     from wavefocus.rendering.scene.model import load_scene  # most campaigns are for no scene
     from wavefocus.rendering.scene.scene_rows import scene_rows
-    from wavefocus.rendering.scene.size import check_scene_size
 
     plan = blueprint.plan
     position_mm, coarse = plan.position_mm, bool(len(check_rows(blueprint.configuration)))
     needed: set[int] = set()
     for file in scene_files:
-        scene = load_scene(file, allow_large=allow_large)
+        scene = load_scene(file, allow_large=True)
         try:
-            rate_hz = plan.excitation.sample_rate_hz
-            check_scene_size(scene, sample_rate_hz=rate_hz, taps=plan.taps, actuators=plan.actuators)
             rows = scene_rows(scene, position_mm, coarse=coarse)
         except InputError as wrong:
             raise InputError(f"{file}: {wrong}") from None
-        needed.update(int(row) for row in (rows.all if checks else rows.path))
+        needed.update(rows.all.tolist())
     return frozenset(needed)
 
 

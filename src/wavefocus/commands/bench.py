@@ -19,24 +19,14 @@ def bench(
     quick: bool,
     force: bool = False,
     seconds: float | None = None,
-    workers: int | None = None,
-    plate: str | None = None,
 ) -> None:
     """Run one benchmark, or all: print their tables, and write points and diagrams.
 
     seconds: For how long each case of a benchmark plays that plays in real time.
-    workers: Processes of a benchmark whose cases run side by side.
-    plate: The only plate that a benchmark of several plates measures.
     """
-    options = {
-        name: value
-        for name, value in (("seconds", seconds), ("workers", workers), ("plate", plate))
-        if value is not None
-    }
-    for name, value in options.items():
-        belongs = "live_latency" if name == "seconds" else "coarse_grids"
-        if what != belongs:
-            raise InputError(f"--{name} is {value}; it goes with {belongs}, and {what} was asked for")
+    if seconds is not None and what != "live_latency":
+        raise InputError(f"--seconds is {seconds:g}; it goes with live_latency, and {what} was asked for")
+    options = {} if seconds is None else {"seconds": seconds}
     from wavefocus.benchmarks.diagrams import draw_diagrams
     from wavefocus.benchmarks.machine import conditions, load
 
@@ -46,7 +36,7 @@ def bench(
     out.mkdir(parents=True, exist_ok=True)
     for name in chosen:
         module = import_module(f"wavefocus.benchmarks.{name}")
-        made = conditions(f"wavefocus bench {name}" + (f" --plate '{plate}'" if plate else ""))
+        made = conditions(f"wavefocus bench {name}")
         begun_s = time.monotonic()
         with people().status(f"{BENCHMARKS[name].title} ..."):
             found = module.run(out, quick=quick, **options)

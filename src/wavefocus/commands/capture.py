@@ -66,8 +66,6 @@ def capture(
     bank: Path,
     scene_files: Sequence[Path] = (),
     *,
-    checks: bool = True,
-    allow_large: bool = False,
     options: SessionOptions,
 ) -> Exit:
     """Start a campaign in a new bank, or go on with it in the bank that is there; only for some scenes if named."""
@@ -76,7 +74,7 @@ def capture(
     if scene_files:
         from wavefocus.campaign.blueprint import needed_by  # with it comes what renders
 
-        needed = needed_by(scene_files, asked, checks=checks, allow_large=allow_large)
+        needed = needed_by(scene_files, asked)
     with _naming_command(command_line("wavefocus", "capture", run_file, "--bank", bank)):
         blueprint, earlier = with_bank(asked, bank, run_file, accept_calibration=options.accept_calibration)
     rig_file = blueprint.configuration.run.rig_file(run_file)
@@ -84,7 +82,7 @@ def capture(
     if not scene_files:
         return _session(blueprint, bank, None, options, earlier)
     if blueprint.plan.positions != asked.plan.positions:  # a bank of an earlier version, without check positions
-        needed = needed_by(scene_files, blueprint, checks=checks, allow_large=allow_large)
+        needed = needed_by(scene_files, blueprint)
     with open_bank(bank) as view:
         left = blueprint.plan.to_do(view.status)
     rows = [int(row) for row in left if row in needed]
@@ -261,7 +259,8 @@ def _naming_resume_command(bank: Path, rig_file: Path | None) -> Iterator[None]:
         if changed.suspects:
             remeasure = resume_line(bank, None, word="remeasure")
             again = f"; {remeasure} --positions {row_ranges(changed.suspects)} and resume"
-        raise DriftError(f"{changed}{again}; --accept-drift goes on all the same", changed.suspects) from changed
+        anyway = f"{resume_line(bank, rig_file)} --accept-drift goes on all the same"
+        raise DriftError(f"{changed}{again}; {anyway}", changed.suspects) from changed
 
 
 @contextmanager

@@ -66,7 +66,7 @@ def movie(
             )
             _warn_of_strobing(plan, view, field)
             with progress("movie", len(plan.sample)) as report:
-                limit = write_movie(out, field, surface, drive, plan, width_px=options.width_px, on_progress=report)
+                limit = write_movie(out, field, surface, drive, plan, on_progress=report)
             say(
                 f"{out}: {len(plan.sample)} frames, {plan.step_s * 1e3:.3g} ms apart, {plan.slowed:.3g} times slower"
                 f" than life, colours to {quantity(f'{limit:.3g}', field.response_unit)}"

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from wavefocus.acquisition.plan import ASSUMED_SNR_DB, GEL_SPEED_M_S, GROUP, Expectation, expect, schedule_name
+from wavefocus.acquisition.plan import ASSUMED_SNR_DB, GROUP, Expectation, expect, schedule_name
 from wavefocus.acquisition.setup import names_of
 from wavefocus.acquisition.wording import finish_time, hours
 from wavefocus.campaign.blueprint import Blueprint, blueprint_from_files, blueprint_of, ringing_of
@@ -28,19 +28,16 @@ def plan(
     run_file: Path,
     scene_files: Sequence[Path] = (),
     *,
-    speed_m_s: float = GEL_SPEED_M_S,
-    checks: bool = True,
-    allow_large: bool = False,
     details: bool = False,
     as_json: bool,
 ) -> None:
     """Walk the plan without playing anything and report time, size and limits; for some scenes alone if named."""
     blueprint = blueprint_from_files(run_file)
     the_plan, rig = blueprint.plan, blueprint.configuration.rig
-    rows = np.array(sorted(_needed_by_scenes(scene_files, blueprint, checks=checks, allow_large=allow_large)), np.int64)
+    rows = np.array(sorted(_needed_by_scenes(scene_files, blueprint)), np.int64)
     position_s = the_plan.position_s(rig.recorder)
-    second_looks = the_plan.second_looks(rows, speed_m_s)
-    duration_s = the_plan.campaign_s(rows, rig.recorder, speed_m_s)
+    second_looks = the_plan.second_looks(rows)
+    duration_s = the_plan.campaign_s(rows, rig.recorder)
     schedules, rings = compared(blueprint), ringing_of(blueprint)
     facts: dict[str, Any] = {
         "positions": the_plan.positions,
@@ -68,7 +65,7 @@ def plan(
         facts["ringing"] = {"seconds": rings.seconds, "taps": rings.taps, "enough": not rings.advice}
     lines = _lines(facts)
     if scene_files:
-        all_s = the_plan.campaign_s(the_plan.order, rig.recorder, speed_m_s)
+        all_s = the_plan.campaign_s(the_plan.order, rig.recorder)
         lines.insert(1, f"scenes      need {len(rows)} of {the_plan.positions} positions; all of them: {hours(all_s)}")
     if rings is not None and rings.advice:
         lines.insert(-1, f"warning     {rings.advice}")
@@ -114,16 +111,13 @@ def _details(facts: Mapping[str, Any], position_s: float, amplitude_v: float) ->
     return lines + [f"instrument  {instrument}" for instrument in facts["instruments"]]
 
 
-def _needed_by_scenes(
-    files: Sequence[Path], blueprint: Blueprint, *, checks: bool, allow_large: bool
-) -> Collection[int]:
+def _needed_by_scenes(files: Sequence[Path], blueprint: Blueprint) -> Collection[int]:
     """Positions that some scenes need; all positions without scenes."""
-    plan = blueprint.plan
     if not files:
-        return range(plan.positions)
+        return range(blueprint.plan.positions)
     from wavefocus.campaign.blueprint import needed_by  # with it comes what renders
 
-    return needed_by(files, blueprint, checks=checks, allow_large=allow_large)
+    return needed_by(files, blueprint)
 
 
 def _instruments(rig: RigConfig, run: RunConfig) -> list[str]:

@@ -27,7 +27,6 @@ from wavefocus.drives import naming
 from wavefocus.ending import ended_by_input, ending_at_once
 from wavefocus.exits import Exit
 from wavefocus.input_files import name_unverified
-from wavefocus.options import RenderOptions
 from wavefocus.rendering.drive.rendering import SceneRenderer
 from wavefocus.rendering.drive.wav import InterfaceRate
 from wavefocus.rendering.field.quiet_levels import rendered_levels
@@ -46,7 +45,35 @@ TELL_EVERY_S = 0.2
 LATE_S = 10.0
 
 
-def play(drive_file: Path, rig_file: Path, *, loop: int, gain_db: float, as_json: bool, watched: bool = False) -> Exit:
+def play(
+    what: Path,
+    bank: Path | None,
+    rig_file: Path,
+    *,
+    loop: int,
+    gain_db: float,
+    as_json: bool,
+    watched: bool,
+) -> Exit:
+    """Play a drive file or, with a bank, a scene file.
+
+    Raises InputError: the file is of the other kind, or is to be played as it cannot be; and as `play_drive`.
+    """
+    if bank is None:
+        if what.suffix.lower() == ".toml":
+            raise InputError(f"{what}: a scene needs a bank to be rendered from; add --bank BANK.h5")
+        return play_drive(what, rig_file, loop=loop, gain_db=gain_db, as_json=as_json, watched=watched)
+    if what.suffix.lower() == ".h5":
+        raise InputError(f"{what}: a drive file is played as it is; leave out --bank, or give the scene file")
+    if loop > 1:
+        raise InputError("--loop is for drive files; render the scene to one, or let its path have more turns")
+    scene = load_scene(what, allow_large=True)
+    return play_scene(scene, what, bank, rig_file, gain_db=gain_db, as_json=as_json, watched=watched)
+
+
+def play_drive(
+    drive_file: Path, rig_file: Path, *, loop: int, gain_db: float, as_json: bool, watched: bool = False
+) -> Exit:
     """Play a drive file as one finite signal, several times without a gap where asked for.
 
     Where it is `watched`, it ends when standard input closes, muted: its starter is gone, or wants it to end.
@@ -140,40 +167,8 @@ PIECES_AHEAD = 8
 MAX_PIECE_SAMPLES = 4096
 
 
-def refuse_for_drives(what: Path, **given: object) -> None:
-    """Refuse options of a scene where a drive file is to be played; `given` by their names.
-
-    Raises InputError: one of them is given, or the file is a scene.
-    """
-    if what.suffix.lower() == ".toml":
-        raise InputError(f"{what}: a scene needs a bank to be rendered from; add --bank BANK.h5")
-    wrong = [name for name, value in given.items() if value is not None]
-    if wrong:
-        raise InputError(f"--{wrong[0].replace('_', '-')} is for a scene; add --bank BANK.h5 and give a scene file")
-
-
-def refuse_for_scenes(what: Path, *, loop: int) -> None:
-    """Refuse what a scene that is rendered while it is played cannot do.
-
-    Raises InputError: it is to be repeated, or the file is a drive file.
-    """
-    if what.suffix.lower() == ".h5":
-        raise InputError(f"{what}: a drive file is played as it is; leave out --bank, or give the scene file")
-    if loop > 1:
-        raise InputError("--loop is for drive files; render the scene to one, or let its path have more turns")
-
-
 def play_scene(
-    scene_file: Path,
-    bank: Path,
-    rig_file: Path,
-    *,
-    options: RenderOptions,
-    gain_db: float,
-    ahead_s: float,
-    as_json: bool,
-    watched: bool = False,
-    allow_large: bool = False,
+    scene: Scene, scene_file: Path, bank: Path, rig_file: Path, *, gain_db: float, as_json: bool, watched: bool
 ) -> Exit:
     """Render a scene into a temporary drive file, and play that.
 
@@ -182,7 +177,6 @@ def play_scene(
     Raises InputError: the scene does not fit the bank, or the bank not the rig. Raises InstrumentError: the interface
     failed, or ran dry because rendering did not keep up; it was muted.
     """
-    scene = load_scene(scene_file, allow_large=allow_large)
     with open_bank(bank) as view:
         working_on("verifying the rows of the bank")
         view.require_sound()
@@ -197,7 +191,7 @@ def play_scene(
                 tempfile.TemporaryDirectory(prefix="wavefocus-") as folder,
             ):  # fmt: skip
                 drive_file, limited = Path(folder) / "drive.h5", within(scene, rig)
-                figures = _play(limited, view, rig, rig_file, drive_file, options, gain_db, ahead_s, watched=watched)
+                figures = _play(limited, view, rig, rig_file, drive_file, gain_db, watched=watched)
         except KeyboardInterrupt:
             say("stopped by the user; the outputs are muted")
             return Exit.STOPPED
@@ -213,24 +207,14 @@ def _play(
     rig: RigConfig,
     rig_file: Path,
     drive_file: Path,
-    options: RenderOptions,
     gain_db: float,
-    ahead_s: float,
     *,
     watched: bool,
 ) -> dict[str, object]:
     rate_hz = float(bank.sample_rate_hz)
-    block_samples = max(1, min(MAX_PIECE_SAMPLES, round(ahead_s * rate_hz / PIECES_AHEAD)))
+    block_samples = max(1, min(MAX_PIECE_SAMPLES, round(AHEAD_S * rate_hz / PIECES_AHEAD)))
     working_on("preparing the scene: its interpolation and quiet places")
-    renderer = SceneRenderer(
-        scene,
-        bank,
-        interface=interface_of(rig),
-        gain=10.0 ** (gain_db / 20.0),
-        method=options.method,
-        tolerance_db=options.tolerance_db,
-        interpolation_tolerance=options.interpolation_tolerance,
-    )
+    renderer = SceneRenderer(scene, bank, interface=interface_of(rig), gain=10.0 ** (gain_db / 20.0))
     working_on("")
     actuators, samples = renderer.shape
     begun_s = time.monotonic()
@@ -252,7 +236,7 @@ def _play(
             print_line(to_line(DrivePlaying(seconds)))
         say(f"rendered in {prepared_s:.1f} s")
         pieces = rate.pieces(rendered, actuators, samples, block_samples)
-        least_s = _sounding(player, rig, pieces, ahead_s, seconds)
+        least_s = _sounding(player, rig, pieces, seconds)
     if least_s is not None:
         say(f"reading was never less than {1e3 * least_s:.0f} ms ahead of the sound")
     return {
@@ -262,27 +246,27 @@ def _play(
         "scale": facts.scale,
         "limited_by": facts.limiting.decided_by,
         "prepared_s": round(prepared_s, 3),
-        "ahead_ms": round(1e3 * ahead_s, 1),
+        "ahead_ms": round(1e3 * AHEAD_S, 1),
         "least_ahead_ms": None if least_s is None else round(1e3 * least_s, 1),
     }
 
 
 def _sounding(
-    player: BoundedPlayer, rig: RigConfig, pieces: Iterable[NDArray[np.float64]], ahead_s: float, seconds: float
+    player: BoundedPlayer, rig: RigConfig, pieces: Iterable[NDArray[np.float64]], seconds: float
 ) -> float | None:
     """Play the pieces as they come; returns the smallest reserve, None if all fitted before it sounded."""
     interface_rate_hz = rig.player.interface_rate_hz
     least_s: float | None = None
     handed_s, whole_s = 0.0, math.ceil(seconds)
-    player.begin_pieces(rig.player.channels, interface_rate_hz, ahead_s)
+    player.begin_pieces(rig.player.channels, interface_rate_hz, AHEAD_S)
     with progress("play", whole_s, timed=False) as report:
         for piece in pieces:
             waiting_s = player.add_piece(piece)
-            if handed_s >= ahead_s:
+            if handed_s >= AHEAD_S:
                 least_s = waiting_s if least_s is None else min(least_s, waiting_s)
             handed_s += piece.shape[1] / interface_rate_hz
-            report(int(max(0.0, min(handed_s - ahead_s, seconds))), whole_s, "seconds")
+            report(int(max(0.0, min(handed_s - AHEAD_S, seconds))), whole_s, "seconds")
         player.end_pieces()
-        player.wait(1.1 * ahead_s + player.latency_s + LATE_S)
+        player.wait(1.1 * AHEAD_S + player.latency_s + LATE_S)
         report(whole_s, whole_s, "seconds")
     return least_s

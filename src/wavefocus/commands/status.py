@@ -6,7 +6,6 @@ import json
 import time
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,7 +21,6 @@ from wavefocus.campaign.control import (
     withdraw,
 )
 from wavefocus.campaign.sidecar_files import (
-    drift_path,
     read_crosstalk,
     read_drift,
     suspect_rows,
@@ -38,23 +36,18 @@ from wavefocus.storage.bank.origins import origins_of
 from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.ledger.owner import Owner, bank_owner
-from wavefocus.storage.output_files import require_outputs, write_whole
 from wavefocus.storage.point_status import median_of_pairs, status_counts
-
-if TYPE_CHECKING:
-    from wavefocus.acquisition.limits import DriftPoint
 
 # So many positions that stayed as they were are listed one by one.
 MAX_LINES = 5
 MAX_NOTES = 10
 
 
-def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool = False) -> None:
+def status(bank: Path, *, as_json: bool) -> None:
     """Print counts per status, who writes, how it stands and when it will have finished; reads only.
 
-    Raises InputError: the bank cannot be read, or there is no drift to draw.
+    Raises InputError: the bank cannot be read.
     """
-    require_outputs((plot,), (bank,), force=force)
     with open_bank(bank) as view:
         counts = status_counts(view.status)
         broken = np.flatnonzero(view.broken).tolist()
@@ -75,8 +68,6 @@ def status(bank: Path, *, as_json: bool, plot: Path | None = None, force: bool =
     owner, beat, drift = bank_owner(bank), read_heartbeat(bank), read_drift(bank)
     stands, leak = campaign_status(bank, owner, beat), read_crosstalk(bank)
     progress, record, kept = stands.progress, stands.record, stands.kept
-    if plot is not None:
-        _draw(bank, drift, plot)
     facts: dict[str, object] = {
         "bank": str(bank),
         "positions": total,
@@ -240,18 +231,6 @@ def _life_facts(beat: Heartbeat | None) -> dict[str, object] | None:
         "finish_at": beat.finish_at.isoformat() if beat.finish_at else None,
         "fault": beat.fault or None,
     }
-
-
-def _draw(bank: Path, drift: list[DriftPoint], plot: Path) -> None:
-    if not drift:
-        raise InputError(f"{drift_path(bank)}: holds no drift to draw: the sentinel has not been measured again yet")
-    from wavefocus.campaign.blueprint import bank_configuration
-    from wavefocus.rendering.report.figures import drift_over_time  # the configuration is read for a picture alone
-
-    with open_bank(bank) as view:
-        limits = bank_configuration(view).run.drift
-    write_whole(plot, drift_over_time(drift, limits).png)
-    say(f"{plot}: drift of the sentinel position, {len(drift)} measurements")
 
 
 # The states in which an order is carried out, and those in which it will be, in words.

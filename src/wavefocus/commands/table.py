@@ -46,11 +46,7 @@ CLUSTER = argument(
 )  # fmt: skip
 LINES = switch("--lines", "as_lines", help="Findings, or orders and events, as JSON lines, for a window or script.")
 LARGE = switch("--allow-large", help="Allow scenes of over an hour, 8 GiB of drives or a million path points.")
-NO_CHECKS = switch(
-    "--no-checks", "checks", off=True, help="With --scene: leave out the positions that only `verify` looks at."
-)
 (JSON_LINES,) = options_of(SessionOptions, "as_json")
-SESSION = options_of(SessionOptions, "as_json", "accept_drift", "accept_calibration")
 
 
 def _out(metavar: str, help: str, **settings: Any) -> Argument:
@@ -83,32 +79,6 @@ def _export(to: str, **rest: Any) -> None:
     found("bank.export:export")(to=kind, **settings, **rest)
 
 
-def _play(
-    what: Path,
-    bank: Path | None,
-    loop: int,
-    method: Any,
-    tolerance_db: float | None,
-    ahead_s: float | None,
-    allow_large: bool,
-    **rest: Any,
-) -> int:
-    from wavefocus.commands import play as command
-
-    if bank is None:
-        command.refuse_for_drives(what, method=method, tolerance_db=tolerance_db, ahead_s=ahead_s)
-        return command.play(what, loop=loop, **rest)
-    command.refuse_for_scenes(what, loop=loop)
-    return command.play_scene(
-        what,
-        bank,
-        options=RenderOptions(method=method, tolerance_db=tolerance_db),
-        ahead_s=command.AHEAD_S if ahead_s is None else ahead_s,
-        allow_large=allow_large,
-        **rest,
-    )
-
-
 MEASURE = (
     Command(
         "init", "init:init", "Write rig.toml, run.toml, scene.toml, trials.toml and fingers.toml, commented.",
@@ -121,17 +91,15 @@ MEASURE = (
     Command(
         "plan", "plan:plan", "Dry run: positions, hours, bytes, limits, finish time.",
         (
-            RUN, SCENES, NO_CHECKS, LARGE,
+            RUN, SCENES,
             switch("--details", help="Also schedules with their expected errors, sentinel, instruments."),
-            number("--wave-speed", 1e-3, dest="speed_m_s", default=4.8,
-                   help="Of the plate, in m/s; a gel's by default."),
             JSON,
         ),
     ),
     Command(
         "capture", "capture:capture",
         "Start, or go on with, a campaign.\n\nCtrl-C finishes the position; twice stops at once.",
-        (RUN, FROM_BANK, SCENES, NO_CHECKS, LARGE, *SESSION),
+        (RUN, FROM_BANK, SCENES, *options_of(SessionOptions, "as_json", "accept_drift", "accept_calibration")),
         SessionOptions,
     ),
     Command(
@@ -150,7 +118,7 @@ MEASURE = (
             file("--run", dest="run_file", metavar="RUN.toml",
                  help="The run with the new positions; without it only what the banks hold."),
             file("--bank", metavar="NEW.h5", required=True, help="The bank to make."),
-            *SESSION,
+            JSON_LINES,
         ),
         SessionOptions,
     ),
@@ -171,10 +139,7 @@ MEASURE = (
     Command(
         "status", "status:status",
         "Show counts, state, rate and finish time of a campaign.\n\nSafe while a run is on.",
-        (
-            BANK, FORCE, JSON,
-            file("--plot", metavar="FILE.png", help="Draw the sentinel position's drift over time."),
-        ),
+        (BANK, JSON),
     ),
     Command("pause", _order("pause"), "Pause a running capture after its position.", (BANK, JSON)),
     Command("stop", _order("stop"), "End a running capture after its position.", (BANK, JSON)),
@@ -195,7 +160,7 @@ USE = (
             SCENE, FROM_BANK,
             _out("DRIVE.h5", "The drive file to write."),
             file("--wav", metavar="FILE", help="Also write the drives as a WAV file."),
-            *options_of(RenderOptions),
+            *options_of(RenderOptions, "method", "tolerance_db", "device"),
             file("--rig", dest="rig_file", metavar="RIG.toml",
                  help="Keep to this rig's limits too: volts, coil power."),
             file("--picture", metavar="FILE.png", help="Draw the scene before and after snapping."),
@@ -216,17 +181,15 @@ USE = (
         ),
     ),
     Command(
-        "play", _play, "Play drives, or a scene of any length, on the rig.\n\nCtrl-C mutes at once.",
+        "play", "play:play", "Play drives, or a scene of any length, on the rig.\n\nCtrl-C mutes at once.",
         (
             file("what", metavar="DRIVE.h5|SCENE.toml", help="A drive file; or, with --bank, a scene file."),
             ON_RIG,
             number("--loop", 1, whole=True, default=1, help="How many times, without a gap; of a drive."),
             *options_of(LiveOptions, "gain_db"),
             file("--bank", metavar="BANK.h5", help="The bank to render a scene from while it is played."),
-            *options_of(RenderOptions, "method", "tolerance_db"),
-            number("--ahead-s", 0.05, 60, help="How much of a scene is rendered ahead; by default 2 s."),
             switch("--lines", "watched", help="End, muted, when standard input closes; a JSON line when it plays."),
-            LARGE, JSON,
+            JSON,
         ),
     ),
     Command(
@@ -238,7 +201,9 @@ USE = (
         '{"order": "end_source", "name": "finger"} lets it fade; {"order": "end"} ends all.\n\n'
         "docs/reference/live.md has every order, event and OSC address. Ctrl-C mutes at once.",
         (
-            BANK, ON_RIG, *options_of(LiveOptions),
+            BANK, ON_RIG,
+            *options_of(LiveOptions, "scene_file", "look_ahead_ms", "ahead_ms", "gain_db", "duration_s", "record",
+                        "independent"),
             argument("--osc", nargs="?", const="127.0.0.1:9000", metavar="HOST:PORT",
                      help="Also take orders by OSC over UDP; by default at 127.0.0.1:9000, of this computer alone."),
             JSON_LINES,
@@ -261,8 +226,6 @@ USE = (
                    "drive-corrected.h5."),
             argument("--control", choices=("scene", "all"), default="scene",
                      help="Where a correction is judged: foci and quiet places, or all scanned positions."),
-            switch("--no-sentinel", "sentinel", off=True,
-                   help="Do not measure the bank's sentinel position again."),
             LARGE, FORCE, JSON,
         ),
     ),
@@ -353,10 +316,7 @@ RIG_AND_DATA = (
         "Estimate Green's functions from kept recordings.\n\nGoes on where a stopped estimate left off.",
         (
             file("raw", metavar="RAW.h5", help="The file of raw recordings."),
-            FROM_BANK,
-            number("--workers", 1, 256, whole=True,
-                   help="Threads, or processes of --cluster local; one per processor."),
-            CLUSTER, JSON,
+            FROM_BANK, CLUSTER, JSON,
         ),
     ),
     Command(
@@ -369,7 +329,7 @@ RIG_AND_DATA = (
             file("source", metavar="SRC", help="The file; for wav a folder."),
             file("--bank", metavar="OUT.h5", required=True, help="The bank to write."),
             argument("--from", dest="kind", choices=tuple(IMPORTS), default="", help="Format, by default recognised."),
-            *options_of(ImportOptions),
+            *options_of(ImportOptions, *(one for one in ImportOptions.__dataclass_fields__ if one != "end")),
             FORCE, JSON,
         ),
         ImportOptions,
@@ -428,7 +388,6 @@ GENERAL = {
     for one in (
         FORCE,
         LARGE,
-        NO_CHECKS,
         LINES,
         CLUSTER,
         *options_of(SessionOptions, "accept_drift", "accept_calibration"),

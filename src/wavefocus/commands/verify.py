@@ -104,7 +104,6 @@ def verify(
     linearity: bool = False,
     corrections: int = 0,
     control: str = "scene",
-    sentinel: bool = True,
     force: bool = False,
     allow_large: bool = False,
     as_json: bool,
@@ -114,7 +113,7 @@ def verify(
     With an earlier record to compare `against`, what has changed since is stated; with `linearity` the scene is also
     played 12 dB quieter at some positions; with `corrections` the drive is corrected by further scans, so many at most,
     of the scene's foci and quiet places, or of `control` "all".
-    The bank's sentinel position is measured again first, unless `sentinel` is false; its drift is stated.
+    The bank's sentinel position is measured again first; its drift is stated.
 
     A scan that was interrupted goes on where it was.
 
@@ -147,7 +146,7 @@ def verify(
             VerifyLog(out) as log,
         ):
             with staged_folder(out, RECORD_NAME, results) as staged:
-                work = _Work(scene_file, scene, view, configuration, rig, staged, log, out, linearity, sentinel, force)
+                work = _Work(scene_file, scene, view, configuration, rig, staged, log, out, linearity, force)
                 work = replace(work, corrections=corrections, control=control)
                 earlier = None if before is None else (str(against), before)
                 verification, record = work.run(rows, str(rig_file), earlier)
@@ -189,7 +188,6 @@ class _Work:
     log: VerifyLog
     journals: Path
     linearity: bool
-    sentinel: bool
     force: bool
     corrections: int = 0
     control: str = "scene"
@@ -300,7 +298,7 @@ class _Work:
             else nullcontext() as softer_kept,
             open_setup(self.rig, self.configuration.run) as setup,
         ):
-            sentinel = self._sentinel(setup) if self.sentinel else None
+            sentinel = self._sentinel(setup)
             started_s = setup.instruments.clock.now_s()
             plan = ScanPlan(tuple(int(row) for row in prediction.position_index))
             measured = self._scan(plan, setup, drive, kept)

@@ -120,11 +120,13 @@ def listening(rig: RigConfig, request: CalibrationOptions) -> tuple[float, NDArr
 
     Raises InputError: A place off the surface.
     """
-    distance_mm = request.distance_mm or DISTANCE_SHARE * rig.surface.width_mm
+    distance_mm = DISTANCE_SHARE * rig.surface.width_mm
     places = listening_places(rig.actuator_mm, distance_mm)
     there = rig.surface.outline.contains(places)
     if "actuators" in request.parts and not there.all():
-        raise InputError(f"--distance-mm {distance_mm:g}: leaves the surface at actuator {there.argmin()}")
+        raise InputError(
+            f"actuators: {distance_mm:g} mm from actuator {there.argmin()} is off the surface; leave them out by --only"
+        )
     return distance_mm, places
 
 
@@ -227,11 +229,11 @@ class CalibrationSession:
             full_scale_v=player.output_full_scale_v,
             reference_gain=setup.reference_gain,
             inter_channel_delay_s=setup.inter_channel_delay_s,
-            summing_box=request.summing_box,
-            box_gain=request.box_gain,
+            summing_box=request.summing_box is not None,
+            box_gain=request.summing_box or None,
         )
         # Cable by cable the person sees how far it is, and a bar would write over what is typed.
-        with progress("outputs", len(player.channels)) if request.summing_box else nullcontext(_silent) as report:
+        with progress("outputs", len(player.channels)) if task.summing_box else nullcontext(_silent) as report:
             found = measure_outputs(task, self._probe(setup), operator, report)
         given_up = sorted(set(player.channels) - {one.channel for one in found})
         if given_up:

@@ -119,7 +119,7 @@ def refuse_other_devices(rig: RigConfig, instruments: Instruments, bank: Path, *
     if strangers := calibrated_elsewhere(rig, identities_of(instruments)):
         raise InputError(
             f"{bank}: {'; '.join(strangers.values())}; plug the right one in, start a new bank with a new calibration, "
-            "or go on all the same by --accept-calibration"
+            "or go on all the same by wavefocus resume with --accept-calibration"
         )
 
 

@@ -49,7 +49,7 @@ def path_of(item: h5py.Group | h5py.Dataset) -> Path:
 def _too_large(dataset: h5py.Dataset, what: str, count: int, held: str = "") -> InputError:
     return InputError(
         f"{path_of(dataset)}: {what} {_size(count)}{held}; at most {_size(most_bytes())} are allowed;"
-        f" wavefocus --most-gib {-(-count // (1 << 30))} ... raises that"
+        f" WAVEFOCUS_MOST_GIB={-(-count // (1 << 30))} raises that"
     )
 
 

@@ -302,7 +302,7 @@ class Conversion:
             said.append(f"frequencies left out hold {self._lines_db:.1f} dB of the energy")
         if self._ends > 0:
             level_db = 10 * math.log10(self._ends / self._kept)
-            said.append(f"--end {self._options.end} changes the responses by {level_db:.1f} dB of their energy")
+            said.append(f"end = {self._options.end} changes the responses by {level_db:.1f} dB of their energy")
         return said
 
 

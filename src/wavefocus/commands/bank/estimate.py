@@ -19,11 +19,11 @@ from wavefocus.storage.raw.writer import open_raw
 MAX_LINES = 10
 
 
-def estimate(raw: Path, bank: Path, workers: int | None, *, cluster: str = "", as_json: bool) -> None:
+def estimate(raw: Path, bank: Path, *, cluster: str = "", as_json: bool) -> None:
     """Estimate all positions of a raw file that the bank does not hold yet; a new bank is made where none is."""
     with open_raw(raw) as recordings:
         header = recordings.header
-        done = estimate_into(recordings, bank, workers, cluster=cluster, report=say, watch=progress)
+        done = estimate_into(recordings, bank, None, cluster=cluster, report=say, watch=progress)
     for line in done.faults[:MAX_LINES]:
         say(line)
     if len(done.faults) > MAX_LINES:

@@ -298,4 +298,4 @@ def _some(names: Iterable[str]) -> str:
 
 def _require_room(path: Path, needed: int) -> None:
     if needed > most_bytes():
-        raise InputError(f"{path}: its responses take {needed >> 30} GiB at once; --most-gib raises what is allowed")
+        raise InputError(f"{path}: its responses take {needed >> 30} GiB at once; WAVEFOCUS_MOST_GIB allows more")

@@ -271,7 +271,7 @@ class StreamPlayer(Player):
         return InstrumentLostError(self._name, doing, gone.cause, remedy)
 
     def _ran_dry(self, play: _Play) -> TransientInstrumentError:
-        cause, remedy = f"underflow: {play.notice}", "have more of it ready beforehand (--ahead-s)"
+        cause, remedy = f"underflow: {play.notice}", "play from a disk that reads faster, with fewer other programs"
         if isinstance(play, _Pieces):
             remedy += ", leave out more (--tolerance-db), close other programs"
         else:
