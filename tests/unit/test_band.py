@@ -16,7 +16,6 @@ from wavefocus.rendering.band import (
     tolerance_of,
 )
 from wavefocus.rendering.drive.accumulate import choose_fft_samples
-from wavefocus.rendering.greens.source import apply_exponent
 from wavefocus.storage.errors import InputError
 
 
@@ -46,13 +45,6 @@ def test_norms_neither_over_nor_underflow(size):
     values = np.array([[3.0, 4.0], [0.0, 0.0]]) * size
     assert norm_of(values) == pytest.approx(5 * size, rel=1e-12)
     np.testing.assert_allclose(row_norms(values), [5 * size, 0], rtol=1e-12)
-
-
-@pytest.mark.parametrize("exponent", [0, 7, -1060, 1500])
-def test_scaling_by_a_power_of_two_is_that_of_ldexp(exponent):
-    values = np.array([[1.5, -(2.0**-600)]], np.float64)
-    with np.errstate(over="ignore", under="ignore"):
-        np.testing.assert_array_equal(apply_exponent(values, exponent), np.ldexp(values, exponent))
 
 
 def test_a_relative_bound_is_not_proved_where_the_error_may_be_all_there_is():

@@ -41,7 +41,7 @@ def make_bank(scale: float = 1.0, seed: int = 0, taps: int = 60) -> GreenArray:
     saturation=st.sampled_from([None, 0.7]),
     normalise=st.booleans(),
     interpolation=st.sampled_from(["nearest", "bilinear"]),
-    scale=st.sampled_from([1.0, 1e-200, 1e30]),
+    scale=st.sampled_from([1.0, 1e-12, 1e12]),
     taps=st.integers(1, 90),
     seed=st.integers(0, 2**32),
 )

@@ -188,7 +188,7 @@ def test_the_method_is_sampled_only_where_every_source_emits_per_point():
 def test_a_drive_that_does_not_fit_into_float64_is_refused():
     source = Source(Point((0, 0)), Impulse(), amplitude=1e300)
     bank = make_bank()
-    tiny = GreenArray(bank.values * 1e-200, bank.position_mm, RATE_HZ)
+    tiny = GreenArray(bank.values * 1e-90, bank.position_mm, RATE_HZ)
     with pytest.raises(InputError, match="does not fit into float64"):
         render(Scene("s", (source,)), tiny)
 

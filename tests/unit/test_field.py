@@ -48,7 +48,7 @@ def relative_error(found, expected):
     actuators=st.integers(1, 4),
     taps=st.integers(1, 200),
     samples=st.sampled_from([1, 7, 500, 9000, 20000]),
-    scale=st.sampled_from([1.0, 2.0**-100, 2.0**100]),
+    scale=st.sampled_from([1.0, 2.0**-50, 2.0**50]),
     silent=st.booleans(),
 )
 @settings(max_examples=25, deadline=None)

@@ -51,5 +51,5 @@ def test_the_focus_gain_map_is_equation_15_and_nan_where_nothing_was_measured(sa
 
 
 def test_a_focus_gain_that_float64_cannot_hold_is_refused():
-    with pytest.raises(InputError, match="does not fit into float64"):
+    with pytest.raises(InputError, match="give the bank a unit in which its values are nearer to 1"):
         focus_gain_map(make_bank(scale=1e-200))

@@ -1,4 +1,4 @@
-"""Rows over a power of two, and the rows that a scene visits."""
+"""The rows that a scene visits."""
 
 from __future__ import annotations
 
@@ -7,38 +7,11 @@ import pytest
 
 from wavefocus.config.scene import Regularisation
 from wavefocus.rendering.greens.regularisation import BankRows
-from wavefocus.rendering.greens.source import GreenArray, RowReader, to_single
+from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.storage.errors import InputError
 
 ACTUATORS, TAPS = 3, 40
 POSITION_MM = np.stack([4.0 * np.arange(6), np.zeros(6)], axis=1)
-
-
-@pytest.mark.parametrize("dtype", [np.float32, np.float64, ">f4", np.int16])
-@pytest.mark.parametrize("unit", [1.0, 1e-30, 1e30])
-def test_given_a_bank_in_any_unit_then_its_rows_are_about_1_and_not_rounded(dtype, unit):
-    values = np.random.default_rng(0).uniform(-1.0, 1.0, (6, ACTUATORS, TAPS)) * (unit if dtype != np.int16 else 1e4)
-    bank = make_bank(values.astype(dtype))
-    reader = RowReader(bank)
-    assert 0.5 <= np.abs(reader.read(0)).max() < 1.0
-    for row in range(6):
-        np.testing.assert_array_equal(np.ldexp(reader.read(row), reader.exponent), bank.values[row])
-
-
-def test_given_denormal_numbers_then_single_precision_holds_none():
-    raw = np.full((6, ACTUATORS, TAPS), 1e-40, np.float32)
-    raw[0, 0, 0] = 1.0
-    single = to_single(RowReader(make_bank(raw)).read(0))
-    assert single.dtype == np.float32
-    assert set(np.unique(single)) == {0.0, 0.5}
-    reader = RowReader(make_bank(raw[[1] * 6]))
-    np.testing.assert_array_equal(np.ldexp(reader.read(1), reader.exponent), raw[1].astype(np.float64))
-
-
-def test_given_a_first_row_that_cannot_be_read_then_another_sets_the_power_of_two():
-    values = np.full((6, ACTUATORS, TAPS), 8.0)
-    values[0], values[1, 0, 0] = 0.0, np.nan
-    assert RowReader(make_bank(values)).exponent == 4
 
 
 def make_bank(values: np.ndarray, **more) -> GreenArray:
@@ -52,8 +25,7 @@ def test_given_rows_read_then_their_weights_are_those_of_the_equations():
     rms = np.sqrt(np.square(values).mean(axis=2))
     sigma = np.minimum(1.0, 0.55 / rms)
     for place, by in enumerate((2, 0)):
-        gain = np.ldexp(factors[place], 2 * rows.drive_exponent)
-        assert gain == pytest.approx(1.0 / (sigma[by] @ np.square(values[by]).sum(axis=1)), rel=1e-12)
+        assert factors[place] == pytest.approx(1.0 / (sigma[by] @ np.square(values[by]).sum(axis=1)), rel=1e-12)
         assert saturated[place] == (sigma[by] < 1).any()
         np.testing.assert_allclose(rows.sigma(by) if saturated[place] else 1.0, sigma[by], rtol=1e-12)
     assert rows.used == [0, 2]

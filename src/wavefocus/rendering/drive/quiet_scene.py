@@ -31,7 +31,7 @@ from wavefocus.rendering.drive.quiet_filters import (
 from wavefocus.rendering.drive.windows import Events
 from wavefocus.rendering.field.quiet_levels import QuietLevel, quiet_levels, rendered_levels
 from wavefocus.rendering.greens.regularisation import BankRows
-from wavefocus.rendering.greens.source import GreenSource, RealArray, RowReader, to_single
+from wavefocus.rendering.greens.source import GreenSource, RealArray, RowReader
 from wavefocus.rendering.scene.emission import ContinuousEmission, Emission, PointEmission
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.rendering.scene.quiet_places import PlaceRows, PlannedPlace, QuietPlan, paths_of, place_at, plan_quiet
@@ -184,7 +184,7 @@ class QuietRows(BankRows):
         return np.asarray(numbers[inverse.ravel()].reshape(rows.shape))
 
     def read(self, row: int, *, single: bool = False) -> RealArray:
-        """The row of a number, (actuators, taps), over two to the bank's exponent."""
+        """The row of a number, (actuators, taps)."""
         number, focus_row, by = self._keys[row]
         green = self._measured(focus_row)
         sigma = self.sigma(by) if by >= 0 else None
@@ -196,7 +196,7 @@ class QuietRows(BankRows):
         change = np.conj(filters / (1.0 if sigma is None else sigma)) - focus.row
         turn = np.exp(-2j * np.pi * self.tail / self._length * self._bins)
         made += self._in_time(change * turn[:, None])[:, : self.taps]
-        return to_single(made) if single else made
+        return made.astype(np.float32) if single else made
 
     def figures(self, drive: Drive | None) -> QuietFigures:
         """The places with the levels of the finished drive, where there is one in memory."""
@@ -217,8 +217,7 @@ class QuietRows(BankRows):
                 warnings.append(
                     f"{place.words} reaches {level.reached_db:.1f} dB of {place.level_db:g} dB asked; {why}"
                 )
-        unit = np.ldexp(1.0, -2 * self._reader.exponent)
-        return QuietFigures(levels, plain_db, found.of_place * unit, found.energy, tuple(warnings))
+        return QuietFigures(levels, plain_db, found.of_place, found.energy, tuple(warnings))
 
     def _track(self, place: PlannedPlace, level_db: float, instants: int) -> QuietTrack:
         knots = self.plan.knots if place.path.length_mm > 0 else self.plan.knots[:1]

@@ -25,7 +25,7 @@ from wavefocus.rendering.drive.coil_limits import (
 from wavefocus.rendering.drive.wav import Interface, InterfaceRate, largest_of
 from wavefocus.rendering.greens.interpolation.errors import judged_errors
 from wavefocus.rendering.greens.regularisation import BankRows
-from wavefocus.rendering.greens.source import GreenSource, apply_exponent, drive_unit
+from wavefocus.rendering.greens.source import GreenSource, drive_unit
 from wavefocus.rendering.report.render_report import RenderReport, report_render
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.rendering.scene.sampling import Method, SampledScene, sample_scene
@@ -195,8 +195,7 @@ class SceneRenderer:
 
         ahead: Most blocks whose rows are loaded together.
         """
-        for block in self._accumulator.blocks(ahead):
-            yield apply_exponent(block, self._rows.drive_exponent)
+        yield from self._accumulator.blocks(ahead)
 
     def _drive(self, drive_v: Float64Array) -> Drive:
         """The drive that was made, for the levels at its quiet places."""
@@ -240,8 +239,7 @@ class SceneRenderer:
 
     def _bound(self) -> float:
         """Bound on the relative error of the drives made last."""
-        norms = apply_exponent(self._levels.norms, -self._rows.drive_exponent)
-        return relative_bound(self._accumulator.error, norm_of(norms))
+        return relative_bound(self._accumulator.error, norm_of(self._levels.norms))
 
     def _limiting(self, between_v: Float64Array | None) -> Limiting:
         reached = [

@@ -18,8 +18,8 @@ from wavefocus.rendering.greens.regularisation import BankRows
 Weigh = Callable[[Int64Array], tuple[Float64Array, BoolArray]]
 """For regularising rows: the factor, and whether actuators are saturated."""
 
-MIN_ROW_NORM = 2.0**-60
-"""Bounds what `to_single` takes from a row: 2**-94 of each sample, after which rounding counts 2**-16 of the norm."""
+MIN_ROW_NORM = 2.0**-116
+"""Single precision takes 2**-150 from each sample of a row (IEEE 754, denormal numbers): 2**-34 of this norm."""
 SPAN = 2**31
 """More than a bank has rows: two of them make one number."""
 

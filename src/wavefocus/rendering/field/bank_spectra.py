@@ -10,7 +10,7 @@ import numpy as np
 from wavefocus.rendering.arrays import Complex128Array, Int64Array
 from wavefocus.rendering.band import Band
 from wavefocus.rendering.device import Device, fast_length, host_device, threaded_map
-from wavefocus.rendering.greens.source import GreenSource, RowReader, to_single
+from wavefocus.rendering.greens.source import GreenSource, RowReader
 from wavefocus.storage.errors import InputError
 
 BLOCK_SHARE = 4.1
@@ -23,9 +23,8 @@ MAX_FACTOR = 64
 
 
 def transform_rows(reader: RowReader, positions: Sequence[int], band: Band, device: Device) -> Any:
-    """Spectra of some rows over two to the reader's exponent, complex (kept bins, rows, actuators), of the device."""
-    rows = [reader.read(position) for position in positions]
-    green = device.xp.asarray(np.stack([to_single(row) for row in rows] if band.single else rows))
+    """Spectra of some rows, complex (kept bins, rows, actuators), of the device."""
+    green = device.xp.asarray(np.stack([reader.read(position) for position in positions]).astype(band.real, copy=False))
     # Bin by bin, as matrix products need them: the transform gathers at no cost.
     whole = device.fft(single=band.single).rfft(device.xp.moveaxis(green, 2, 0), n=band.fft_samples, axis=0)
     return whole[: band.kept, :, :]
@@ -43,7 +42,6 @@ class BankSpectra:
     decimation: Decimation
     band: Band
     reader: RowReader
-    """Its exponent is that of the spectra."""
 
     def __init__(
         self, bank: GreenSource, positions: Sequence[int] | Int64Array, *, rate_hz: float | None = None

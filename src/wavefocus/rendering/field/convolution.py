@@ -27,8 +27,6 @@ HOPS = (0.25, 0.375, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
 """Hops that are weighed, relative to the taps."""
 PRODUCT = 2.0
 """Cost of a bin of a product, in samples of a transform times factors of 2."""
-PLAIN_EXPONENT = 40
-"""Responses times powers of two below this fit float32, and so do their squares."""
 
 
 class DriveSpectra:
@@ -44,7 +42,6 @@ class DriveSpectra:
         self.fft_samples, self.lower_samples = fft_samples, fft_samples // factor
         self.lower_hop, self.bins = self.hop // factor, self.lower_samples // 2 + 1
         self.count = -(-drive_v.shape[1] // self.hop)
-        self.exponent = int(np.frexp(float(max(drive_v.max(initial=0.0), -drive_v.min(initial=0.0))))[1])
         self._weights = decimation.weights(fft_samples) if factor > 1 else None
         self._keeps = 16 * self.bins * drive_v.shape[0] * self.count <= SPECTRA_BYTES
 
@@ -53,7 +50,7 @@ class DriveSpectra:
         return [range(n, min(n + BLOCKS_AT_ONCE, self.count)) for n in range(0, self.count, BLOCKS_AT_ONCE)]
 
     def blocks(self, group: range) -> Any:
-        """Spectra of some blocks over two to the drive's exponent, (bins, actuators, blocks)."""
+        """Spectra of some blocks, (bins, actuators, blocks)."""
         if self._keeps:
             return self._kept[:, :, group.start : group.stop]
         return self._made(group)
@@ -65,7 +62,7 @@ class DriveSpectra:
     def _made(self, group: range) -> Any:
         part = self._drive[:, group.start * self.hop : group.stop * self.hop]
         cut = np.zeros((len(self._drive), len(group) * self.hop))
-        np.ldexp(part, -self.exponent, out=cut[:, : part.shape[1]])
+        cut[:, : part.shape[1]] = part
         xp = self._device.xp
         cut = xp.asarray(cut.reshape(len(self._drive), len(group), self.hop))
         whole = self._device.fft(single=False).rfft(xp.moveaxis(cut, 2, 0), n=self.fft_samples, axis=0)
@@ -127,22 +124,15 @@ class Convolution:
                 first = block * drive.lower_hop
                 total[:, first : first + drive.lower_samples] += parts[:, place]
         lead = self._decimation.half
-        return self._scaled(total[:, lead : lead + self.samples], positions)
+        return self._finite(total[:, lead : lead + self.samples], positions)
 
-    def _scaled(self, field: NDArray[Any], positions: Int64Array) -> RealArray:
-        # In two steps: the sum of two large exponents may lie beyond what one factor can hold.
-        rows, drive = self._reader.exponent, self._drive.exponent
-        if abs(rows + drive) < PLAIN_EXPONENT:
-            scaled = field * field.dtype.type(2.0 ** (rows + drive))
-        else:
-            with np.errstate(over="ignore", under="ignore"):
-                scaled = np.ldexp(np.ldexp(field, rows), drive)
-        scaled = np.asarray(scaled, dtype=self._dtype)
-        finite = np.isfinite(scaled).all(axis=1)
+    def _finite(self, field: NDArray[Any], positions: Int64Array) -> RealArray:
+        field = np.asarray(field, dtype=self._dtype)
+        finite = np.isfinite(field).all(axis=1)
         if not finite.all():
             bad = positions[int(np.argmin(finite))]
             raise InputError(f"the response at position {bad} does not fit into {self._dtype}; lower the drive's scale")
-        return scaled
+        return field
 
     def _fft_samples(self) -> int:
         """Transform length that costs least per row: a transform per actuator, a product and one back per block."""

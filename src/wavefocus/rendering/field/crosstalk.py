@@ -12,7 +12,7 @@ from wavefocus.rendering.arrays import Float64Array
 from wavefocus.rendering.device import fast_length
 from wavefocus.rendering.field.metrics import band_weights
 from wavefocus.rendering.greens.regularisation import row_weights, saturation_threshold
-from wavefocus.rendering.greens.source import GreenSource, RowReader, apply_exponent
+from wavefocus.rendering.greens.source import GreenSource, RowReader
 from wavefocus.storage.errors import InputError
 
 RESPONSE_BYTES = 2**29
@@ -60,7 +60,7 @@ class PathResponses:
             keep = band_weights(length, bank.sample_rate_hz, bank.band_hz).astype(np.float64)
         bins = np.flatnonzero(keep)
         reader = RowReader(bank)
-        threshold = float(apply_exponent(saturation_threshold(regularisation, bank), -reader.exponent))
+        threshold = saturation_threshold(regularisation, bank)
         greens = np.empty((len(rows), bank.actuators, len(bins)), dtype=np.complex128)
         driven = np.empty_like(greens)
         for place, row in enumerate(rows):
@@ -79,8 +79,7 @@ class PathResponses:
         whole = np.zeros((len(rows), len(rows), length // 2 + 1), dtype=np.complex128)
         whole[..., bins] = responses
         # With normalisation a response is in the source's unit, without it in the square of the bank's.
-        unit = 0 if regularisation.normalise else 2 * reader.exponent
-        self.values: Float64Array = apply_exponent(np.fft.irfft(whole, length, axis=2), unit)
+        self.values: Float64Array = np.fft.irfft(whole, length, axis=2)
 
     def energy_ratio(self, speed_mm_s: float, step_mm: float, every: int = 1) -> float:
         """Crosstalk ratio of a source that moves from point to point; NaN with fewer than two points.

@@ -138,7 +138,7 @@ def impulse_travel(
         driven = total > 0
         distance.append(apart_mm[near][driven])
         arrival.append((energy[driven] @ time_s) / total[driven])
-        level.append(10.0 * np.log10(apart_mm[near][driven] * total[driven]) + 20.0 * np.log10(2.0) * reader.exponent)
+        level.append(10.0 * np.log10(apart_mm[near][driven] * total[driven]))
         actuator.append(near[driven])
     pairs = sum(map(len, distance))
     if pairs < MIN_PAIRS:

@@ -13,9 +13,7 @@ from wavefocus.rendering.greens.source import (
     GreenSource,
     RealArray,
     RowReader,
-    apply_exponent,
     refusal,
-    to_single,
     usable,
 )
 from wavefocus.storage.errors import InputError
@@ -43,7 +41,7 @@ def rms_map(bank: GreenSource) -> Float64Array:
         for position in missing:
             row = reader.read(position)
             if row.any():
-                rms[position] = apply_exponent(_rms(row), reader.exponent)
+                rms[position] = _rms(row)
     return rms
 
 
@@ -120,13 +118,12 @@ def focus_gains(bank: GreenSource, positions: Sequence[int], threshold: float) -
     into float64. Raises InputError: a row holds NaN or infinity.
     """
     reader = RowReader(bank)
-    scaled_threshold = float(apply_exponent(threshold, -reader.exponent))
     gain = np.full(len(positions), np.nan)
     for place, position in enumerate(positions):
         row = None if refusal(int(bank.status[position])) else reader.read(int(position))
         if row is not None and row.any():
-            gain[place] = row_weights(row, scaled_threshold, normalise=True).gain
-    return apply_exponent(gain, -2 * reader.exponent)
+            gain[place] = row_weights(row, threshold, normalise=True).gain
+    return gain
 
 
 def focus_gain_map(bank: GreenSource, saturation: float | None = None) -> Float64Array:
@@ -169,8 +166,7 @@ class BankRows:
         self._position_mm = np.asarray(bank.position_mm, dtype=np.float64)
         self._reader = RowReader(bank)
         # Rows that an interpolation adds say nothing of the bank's median.
-        threshold = saturation_threshold(regularisation, getattr(bank, "measured", bank))
-        self._threshold = float(apply_exponent(threshold, -self._reader.exponent))
+        self._threshold = saturation_threshold(regularisation, getattr(bank, "measured", bank))
         self._normalise = regularisation.normalise
         self._weights: dict[int, RowWeights] = {}
         self._loud = np.zeros(bank.actuators, dtype=bool)
@@ -190,18 +186,13 @@ class BankRows:
         """Actuators whose Green's functions are zero in every row read so far."""
         return [int(actuator) for actuator in np.flatnonzero(~self._loud)] if self._weights else []
 
-    @property
-    def drive_exponent(self) -> int:
-        """Drives are those made of `read` and `weigh` times two to this power."""
-        return -self._reader.exponent if self._normalise else self._reader.exponent
-
     def read(self, row: int, *, single: bool = False) -> RealArray:
         """Read a row as `RowReader` does; several threads may read.
 
         Raises InputError where it may not be used, saying which path point needs it.
         """
         green = self._measured(row)
-        return to_single(green) if single else green
+        return green.astype(np.float32) if single else green
 
     def _measured(self, row: int) -> Float64Array:
         reason = refusal(int(self.status[row]))

@@ -1,4 +1,4 @@
-"""The read interface of a bank, and a reader that divides its rows by one power of two."""
+"""The read interface of a bank, and a reader of its rows."""
 
 from __future__ import annotations
 
@@ -18,11 +18,8 @@ from wavefocus.storage.units import drive_of
 
 RealArray = Float32Array | Float64Array
 
-FLUSH = np.float32(2.0**-70)
-"""Added and taken away again, it rounds single precision to multiples of 2**-94: no denormal is left."""
-SMALLEST = 1e-290
-"""Smaller values, relative to the bank's, add nothing but arithmetic with denormal numbers, 100 times slower."""
-
+LARGEST = 1e100
+"""Squares of larger values, and of those below its reciprocal, and their sums are beyond the range of numbers."""
 
 DOUBTFUL_BITS = int(DOUBTFUL)
 
@@ -167,22 +164,14 @@ def fetch_row(bank: GreenSource, position: int) -> NDArray[Any]:
 
 
 class RowReader:
-    """Reads rows of a bank divided by one power of two, so that their values are about 1.
-
-    Powers of two scale without rounding: a bank in any unit renders to the same bits, and squares neither vanish nor
-    overflow. Several threads may read; the bank itself is asked by one at a time.
+    """Reads rows of a bank; several threads may read, the bank itself is asked by one at a time.
 
     bank: The bank, of any real number type, byte order or layout.
     """
 
-    exponent: int
-    """The bank's rows are those of `read` times 2**exponent: the largest value of its first row is in [0.5, 1)."""
-
     def __init__(self, bank: GreenSource) -> None:
         self.bank = bank
         self._asking = threading.Lock()
-        # Of the rows of an interpolation, those that it is made from.
-        self.exponent = _exponent(getattr(bank, "measured", bank))
 
     @property
     def actuators(self) -> int:
@@ -195,7 +184,7 @@ class RowReader:
         return self.bank.taps
 
     def read(self, position: int) -> Float64Array:
-        """Read one row, (actuators, taps); `to_single` makes float32 of it.
+        """Read one row, (actuators, taps).
 
         Raises InputError: the row is not real, has the wrong shape, or holds NaN or infinity.
         """
@@ -208,36 +197,13 @@ class RowReader:
                 f"position {position}, actuator {actuator} of the bank holds NaN or infinity; remeasure or disable"
                 " the position"
             )
-        values = apply_exponent(values, -self.exponent)
-        if raw.dtype.itemsize >= np.dtype(np.float64).itemsize:
-            values[np.abs(values) < SMALLEST] = 0.0
+        largest = float(np.abs(values).max())
+        if largest and not 1.0 / LARGEST <= largest <= LARGEST:
+            raise InputError(
+                f"position {position} of the bank holds values of up to {largest:.3g}, beyond {1.0 / LARGEST:g} to"
+                f" {LARGEST:g}; give the bank a unit in which its values are nearer to 1"
+            )
         return values
-
-
-def to_single(values: Float64Array) -> Float32Array:
-    """Values of about 1 in float32, without a denormal number."""
-    rounded: Float32Array = values.astype(np.float32) + FLUSH
-    np.subtract(rounded, FLUSH, out=rounded)
-    return rounded
-
-
-def _exponent(bank: GreenSource) -> int:
-    """Power of two of the largest value of the first row that may be used and holds finite numbers; 0 without one."""
-    for row in np.flatnonzero(usable(bank)).tolist():
-        try:
-            peak = float(np.abs(np.asarray(fetch_row(bank, row), dtype=np.float64)).max())
-        except InputError:  # damaged, which matters only where a scene needs it
-            continue
-        if peak > 0.0 and np.isfinite(peak):
-            return int(np.frexp(peak)[1])
-    return 0
-
-
-def apply_exponent(values: ArrayLike, exponent: int) -> Float64Array:
-    """Values times two to a power, in float64, without over- or underflow on the way."""
-    double = np.asarray(values, dtype=np.float64)
-    with np.errstate(over="ignore", under="ignore"):
-        return double * 2.0**exponent if abs(exponent) < 1000 else np.ldexp(double, exponent)
 
 
 def usable(bank: GreenSource) -> BoolArray:

@@ -38,7 +38,7 @@ from wavefocus.rendering.band import power_over
 from wavefocus.rendering.device import fast_length
 from wavefocus.rendering.greens.interpolation.base import Nodes
 from wavefocus.rendering.greens.regularisation import BankRows
-from wavefocus.rendering.greens.source import apply_exponent, usable
+from wavefocus.rendering.greens.source import usable
 from wavefocus.rendering.live.finer import FinerRows
 from wavefocus.rendering.live.independent import Complex64Array, independent_filters
 from wavefocus.rendering.live.lives import Life, runs_of
@@ -277,7 +277,7 @@ class CrossfadedBlocks:
             late = float(self._frame(first) / self._frames_per_sample - first)
             if late:
                 total *= np.exp(2j * np.pi / self._fft_samples * late * np.arange(self._bins)).astype(np.complex64)
-            return apply_exponent(total.view(np.float32) @ self._synthesis[:, :frames], self._rows.drive_exponent)
+            return np.asarray(total.view(np.float32) @ self._synthesis[:, :frames], dtype=np.float64)
 
     def _synthesis_matrix(self) -> NDArray[np.float32]:
         """From real and imaginary parts of bins, one after the other, to the frames of blocks."""

@@ -17,7 +17,7 @@ from wavefocus.rendering.greens.interpolation.base import SparseError
 from wavefocus.rendering.greens.interpolation.kernel import KernelInterpolation
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.greens.interpolation.waves import WavesInterpolation
-from wavefocus.rendering.greens.source import GreenSource, apply_exponent, usable, well_measured
+from wavefocus.rendering.greens.source import GreenSource, usable, well_measured
 from wavefocus.rendering.live.independent import Complex64Array
 from wavefocus.storage.errors import InputError
 
@@ -113,12 +113,11 @@ class WaveRowsBetween:
     def filters(self, of_row: Callable[[int], Complex64Array], bin_hz: Float64Array) -> Complex64Array:
         """See `FinerRows`."""
         samples = round(self._rate_hz * (len(bin_hz) - 1) / bin_hz[-1])
-        rows, exponent = self._method.rows, self._method.waves.exponent
+        rows = self._method.rows
         found = np.empty((self.count, rows.actuators, len(bin_hz)), np.complex64)
         with one_blas_thread():
             for number, row in enumerate(self._added.tolist()):
-                green = apply_exponent(rows.green(row), -exponent)
-                found[number] = np.fft.rfft(green, n=samples, axis=1)[:, : len(bin_hz)].conj()
+                found[number] = np.fft.rfft(rows.green(row), n=samples, axis=1)[:, : len(bin_hz)].conj()
         return found
 
 

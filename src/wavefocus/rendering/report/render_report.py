@@ -18,7 +18,7 @@ from wavefocus.rendering.field.metrics import band_weights
 from wavefocus.rendering.field.wave_figures import impulse_travel
 from wavefocus.rendering.greens.interpolation.errors import InterpolationErrors
 from wavefocus.rendering.greens.regularisation import BankRows
-from wavefocus.rendering.greens.source import DOUBTFUL_BITS, GreenSource, RowReader, to_single
+from wavefocus.rendering.greens.source import DOUBTFUL_BITS, GreenSource, RowReader
 from wavefocus.rendering.scene.emission import ContinuousEmission
 from wavefocus.rendering.scene.model import Scene
 from wavefocus.rendering.scene.sampling import SampledSource
@@ -73,7 +73,7 @@ def response_tail(bank: GreenSource, rows: Sequence[int]) -> ResponseTail | None
     found: ResponseTail | None = None
     chosen = [rows[index] for index in evenly_spread(len(rows), ROWS)]
     reader = RowReader(bank)
-    green = np.stack([to_single(reader.read(row)) for row in chosen])
+    green = np.stack([reader.read(row) for row in chosen]).astype(np.float32)
     kinds = [green]
     if bank.band_hz is not None:
         length = fast_length(2 * bank.taps)

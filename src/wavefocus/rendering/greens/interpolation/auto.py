@@ -184,7 +184,7 @@ def interpolated(
     for place, (own, weights) in enumerate(zip(nodes.rows.tolist(), nodes.weights.tolist(), strict=True)):
         for row, weight in zip(own, weights, strict=True):
             if weight:
-                green[place] += weight * 2.0**reader.exponent * reader.read(row)
+                green[place] += weight * reader.read(row)
     shape = len(hz), len(points_mm), bank.actuators
     try:
         found = kind.estimate(bank, points_mm, hz)

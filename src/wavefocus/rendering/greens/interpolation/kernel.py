@@ -36,7 +36,7 @@ from wavefocus.rendering.greens.interpolation.path_nodes import (
 )
 from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.greens.interpolation.row_values import RowValues
-from wavefocus.rendering.greens.source import GreenSource, RowReader, apply_exponent, well_measured
+from wavefocus.rendering.greens.source import GreenSource, RowReader, well_measured
 
 PHASE_STEP = 0.35
 """Radians that a wave may turn across half a patch from one frequency of the weights to the next: the cubic spline
@@ -152,7 +152,6 @@ class KernelRows(AddedRows):
         spectra = np.stack([self._spectrum(row) for row in patch.rows.tolist()], axis=1)
         found = (by_bin @ spectra).transpose(1, 2, 0)
         green = scipy_fft.irfft(found, self._samples, axis=2)[:, :, : self.taps]
-        green = apply_exponent(green, self._reader.exponent)
         for number, row in zip(numbers, green, strict=True):
             self._rows[number] = row
         while len(self._rows) > max(ROWS_KEPT, len(numbers)):
@@ -167,7 +166,7 @@ class KernelRows(AddedRows):
         return self._kernels[patch.key]
 
     def _transform(self, row: int) -> Complex128Array:
-        """Spectrum of a measured row, (bins, actuators), over two to the reader's exponent."""
+        """Spectrum of a measured row, (bins, actuators)."""
         spectrum = scipy_fft.rfft(self._reader.read(row), self._samples, axis=1)[:, : len(self._to_bins)]
         return np.ascontiguousarray(spectrum.T)
 

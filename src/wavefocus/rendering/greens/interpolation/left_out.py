@@ -58,9 +58,8 @@ def left_out_estimate(
     share = np.divide(unsure.sum(axis=2), there, out=np.ones_like(there), where=there > 0)
     unresolved = _first_unresolved(np.median(np.sqrt(share), axis=1))
     wrong[unresolved:], there[unresolved:] = (strength + _square(taken))[unresolved:], strength[unresolved:].sum(axis=2)
-    unit = 2.0**values.exponent
     return Estimate(
-        unit * taken, unit * np.sqrt(wrong), np.full(shape, np.nan), unit * np.sqrt(there), "left-out positions",
+        taken, np.sqrt(wrong), np.full(shape, np.nan), np.sqrt(there), "left-out positions",
         NO_BOUND,
     )  # fmt: skip
 

@@ -18,7 +18,7 @@ class RowValues:
         self.frequency_hz = frequency_hz
         self._cached: dict[int, Complex128Array] = {}
         self._reader = RowReader(bank)
-        self.actuators, self.exponent = bank.actuators, self._reader.exponent
+        self.actuators = bank.actuators
 
     def of(self, rows: Int64Array) -> Complex128Array:
         """Values of rows, (frequencies, rows, actuators).

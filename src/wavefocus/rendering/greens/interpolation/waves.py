@@ -34,7 +34,6 @@ from wavefocus.rendering.greens.interpolation.position_grid import PositionGrid
 from wavefocus.rendering.greens.source import (
     GreenSource,
     RowReader,
-    apply_exponent,
     is_check,
     usable_checks,
     well_measured,
@@ -45,7 +44,7 @@ from wavefocus.storage.wave_file import read_wave_file, wave_file, write_wave_fi
 
 LOG = logging.getLogger("wavefocus")
 FIT_S, FIT_S_A_POSITION = 10.0, 0.2
-"""Processor time of a fit: 22 s of 45 positions and 12 actuators, 36 to 72 s of 170 to 220 (bench coarse_grids)."""
+"""Processor time of a fit: 22 s of 45 positions and 12 actuators, 36 to 72 s of 170 to 220."""
 RECIPE = 6
 """Raised when the same bank gives another model, so that no older file is used."""
 ROOM = 0.08
@@ -63,16 +62,14 @@ MODELS_KEPT = 4
 class BankWaves:
     """The model of one bank.
 
-    model: Of the bank's rows over two to the exponent of `RowReader`.
-    exponent: That exponent.
+    model: Of the bank's rows.
     samples: Length of the transform whose bins the model is of.
-    first_bin: Index of its first frequency.
+    lowest_bin: Index of its first frequency.
     """
 
     model: RimWaves
-    exponent: int
     samples: int
-    first_bin: int
+    lowest_bin: int
 
 
 class WaveRows(AddedRows):
@@ -102,10 +99,10 @@ class WaveRows(AddedRows):
     def _make(self, numbers: range) -> None:
         values = self._waves.model.values(np.array([self._points_mm[number] for number in numbers]))
         spectra = np.zeros((len(numbers), self.actuators, self._waves.samples // 2 + 1), dtype=np.complex128)
-        first = self._waves.first_bin
+        first = self._waves.lowest_bin
         spectra[:, :, first : first + len(values)] = values.transpose(1, 2, 0)
         green = scipy_fft.irfft(spectra, self._waves.samples, axis=2)[:, :, : self.taps]
-        for number, row in zip(numbers, apply_exponent(green, self._waves.exponent), strict=True):
+        for number, row in zip(numbers, green, strict=True):
             self._rows[number] = row
         while len(self._rows) > ROWS_AT_ONCE:
             self._rows.popitem(last=False)
@@ -148,11 +145,7 @@ class WavesInterpolation(PathInterpolation):
         index = [int(np.argmin(np.abs(model.frequency_hz - hz))) for hz in frequency_hz]
         with one_blas_thread():
             values, deviations = model.values(points_mm, index), model.deviations(points_mm, index)
-        unit = 2.0**self.waves.exponent
-        expected, bound = (
-            unit * scale[index, None, None] * deviations for scale in (model.error_scale, model.bound_scale)
-        )
-        values *= unit
+        expected, bound = (scale[index, None, None] * deviations for scale in (model.error_scale, model.bound_scale))
         level = np.hypot(np.linalg.norm(values, axis=2), np.linalg.norm(expected, axis=2))
         return Estimate(values, expected, bound, level, model.judged_by, _bound_words(model, index))
 
@@ -244,7 +237,7 @@ def _fit(bank: GreenSource) -> BankWaves:
         _spectral_noise(bank, reader, np.flatnonzero(checks)),
         band_hz=bank.band_hz, resolution_hz=float(bank.sample_rate_hz) / bank.taps,
     )  # fmt: skip
-    return BankWaves(model, reader.exponent, samples, int(chosen[inside][0]))
+    return BankWaves(model, samples, int(chosen[inside][0]))
 
 
 def _spectral_noise(bank: GreenSource, reader: RowReader, rows: Int64Array) -> Float64Array | None:
@@ -269,7 +262,7 @@ def _spectra(reader: RowReader, rows: Int64Array, samples: int, bins: Int64Array
 
 _COMPLEX = {"wavenumber": np.complex128, "strength": np.complex64, "rest": np.complex64}
 _NUMBERS = ("pressure_share", "stated")
-_FACTS = ("exponent", "samples", "first_bin")
+_FACTS = ("samples", "lowest_bin")
 _NAMES = (*_FACTS, *(field.name for field in fields(RimWaves)))
 
 
@@ -296,5 +289,5 @@ def _of_arrays(arrays: dict[str, NDArray[Any]], bank: GreenSource) -> BankWaves 
         facts = [int(arrays[name].item()) for name in _FACTS]
     except (ValueError, TypeError, AttributeError):
         return None
-    fits = facts[1] >= bank.taps and 0 <= facts[2] <= facts[1] // 2 + 1 - len(model.frequency_hz)
+    fits = facts[0] >= bank.taps and 0 <= facts[1] <= facts[0] // 2 + 1 - len(model.frequency_hz)
     return BankWaves(model, *facts) if fits else None
