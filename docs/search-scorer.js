@@ -3,7 +3,7 @@
 var Scorer = {
   score: function (result) {
     const page = result[0];
-    const kinds = [["tutorial/", 3], ["how-to/", 3], ["reference/", 1.5], ["decisions/", 0.3], ["error-against-run-time/", 0.3]];
+    const kinds = [["tutorial/", 3], ["how-to/", 3], ["reference/", 1.5], ["decisions/", 0.3]];
     const kind = kinds.find(([folder]) => page.startsWith(folder));
     return result[4] * (kind ? kind[1] : 1);
   },

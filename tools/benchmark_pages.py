@@ -1,8 +1,7 @@
-"""Write docs/error-against-run-time/ and docs/reference/paper-figures.md from what `wavefocus bench` measured.
+"""Write bench-out/README.md, all tables and diagrams, and docs/reference/measured.md, their summary, from `make bench`.
 
 Run as ``python tools/benchmark_pages.py bench-out`` from the project's folder, after ``wavefocus bench all --out
-bench-out`` and ``wavefocus bench paper --out bench-out``; `make bench` does all of that. Figures of a quick run are
-refused.
+bench-out`` and ``wavefocus bench paper --out bench-out``. Figures of a quick run are refused.
 """
 
 from __future__ import annotations
@@ -14,10 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from wavefocus.benchmarks import BENCHMARKS
-from wavefocus.benchmarks.harness import markdown
+from wavefocus.benchmarks.diagrams import pareto
+from wavefocus.benchmarks.harness import cell, heading, markdown
 
-DOCS = Path("docs")
-PAGE = DOCS / "error-against-run-time/README.md"
+PAGE, PICTURES = Path("docs/reference/measured.md"), Path("docs/pictures")
+SHOWN = {"render": "one moving source", "estimate": "estimating 20 records"}
+"""How the works begin whose best methods the page shows."""
 BUSY = 0.8
 """Load per core before a benchmark above which the machine is called busy; the benchmark before leaves 0.5 to 0.75."""
 
@@ -31,32 +32,24 @@ def main(arguments: list[str]) -> int:
     measured = {name: json.loads(path.read_text(encoding="utf-8")) for name in BENCHMARKS
                 if (path := folder / f"{name}.json").exists()}  # fmt: skip
     quick = [name for name, found in measured.items() if found["quick"]]
-    if quick or not measured:
-        print(f"{folder}: {', '.join(quick) or 'nothing'} was measured in full; run `make bench`", file=sys.stderr)
+    if quick or not set(SHOWN) < set(measured) or "paper" not in measured:
+        print(f"{folder}: {', '.join(quick) or 'not all'} was measured in full; run `make bench`", file=sys.stderr)
         return 1
-    paper = measured.pop("paper", None)
-    if measured:
-        shutil.rmtree(PAGE.parent, ignore_errors=True)
-        PAGE.parent.mkdir(parents=True)
-        PAGE.write_text(_page(measured), encoding="utf-8")
-        for found in measured.values():
-            for picture in found["diagrams"].values():
-                shutil.copyfile(folder / picture, PAGE.parent / picture)
-    if paper is not None:
-        (DOCS / "reference/paper-figures.md").write_text(_paper_page(paper), encoding="utf-8")
-        for picture in BENCHMARKS["paper"].pictures:
-            shutil.copyfile(folder / picture, DOCS / "pictures" / f"paper-{picture}")
+    (folder / "README.md").write_text(_tables(measured), encoding="utf-8")
+    PAGE.write_text(_summary(measured), encoding="utf-8")
+    for name, work in SHOWN.items():
+        shutil.copyfile(folder / _diagram(measured[name], work), PICTURES / f"bench-{name}.png")
+    for picture in BENCHMARKS["paper"].pictures:
+        shutil.copyfile(folder / picture, PICTURES / f"paper-{picture}")
     return 0
 
 
-def _page(measured: dict[str, Any]) -> str:
+def _tables(measured: dict[str, Any]) -> str:
+    """All tables, each with its diagram."""
     parts = [
-        "# Error against run time\n\nMade by `make bench`; every time is the median of some runs, the methods taking"
-        " turns in one process, its spread\nthe difference of the quartiles. `times` is the peer's wall or CPU time,"
-        " whichever is less, over our wall time. Expect\nratios to vary by a quarter from run to run. Grey in a diagram"
-        " is the Pareto front: no other setting beats those on it in\nerror and in time.\n[The paper's"
-        " figures](../reference/paper-figures.md) and the [stiff and extreme cases](../reference/stiff-cases.md) have\n"
-        "pages of their own.\n",
+        "# Error against run time\n\nTimes are medians of some runs, the methods taking turns in one process; the"
+        " spread is the difference of the\nquartiles. `times` is the peer's wall or CPU time, whichever is less, over"
+        " our wall time. Grey in a diagram is the Pareto front.\n",
         _conditions(measured),
     ]
     for name, found in measured.items():
@@ -66,11 +59,37 @@ def _page(measured: dict[str, Any]) -> str:
     return "\n".join(parts)
 
 
-def _paper_page(found: dict[str, Any]) -> str:
-    pictures = [f"![Figure {file[:2]} of the paper](../pictures/paper-{file})\n" for file in
-                BENCHMARKS["paper"].pictures]  # fmt: skip
-    head = ["# The paper's figures on the virtual rig", "", "Made by `wavefocus bench paper`.", ""]
-    return "\n".join([*head, *found["lines"], "", "## Figures", "", *pictures])
+def _summary(measured: dict[str, Any]) -> str:
+    """Conditions, targets, the best methods of `SHOWN`, and the paper's numbers and figures."""
+    targets = [["benchmark", "targets", "missed"]]
+    for name, found in measured.items():
+        missed = [f"{mark['method']} ({mark['work']}): {heading(mark['figure'])}" for mark in found["marks"]
+                  if mark["met"] is False]  # fmt: skip
+        targets.append([name, str(len(found["marks"])), "; ".join(missed) or "none"])
+    parts = [
+        "# Measured figures\n\nMade by `make bench`, which writes all tables and diagrams to `bench-out/README.md`;"
+        " ratios vary by a quarter from run to run.\nErrors are relative L2 errors.\n",
+        _conditions(measured),
+        "\n".join([*markdown(targets), ""]),
+    ]
+    for name, work in SHOWN.items():
+        points = [one for one in measured[name]["points"] if one["work"].startswith(work) and one.get("error")]
+        rows = [["no other method is faster and more exact", "wall s", "error"]]
+        for place in pareto([(one["wall_s"], one["error"]) for one in points]):
+            one = points[place]
+            setting = "".join(
+                f", {heading(key)} {cell(key, one[key])}" for key in ("tolerance_db", "step_mm") if one.get(key)
+            )
+            rows.append([one["method"] + setting, cell("wall_s", one["wall_s"]), cell("error", one["error"])])
+        parts.append("\n".join([f"## {points[0]['work'].capitalize()}", "", *markdown(rows), ""]))
+    pictures = [f"![Figure {file[:2]} of the paper](../pictures/paper-{file})" for file in BENCHMARKS["paper"].pictures]
+    lines = measured["paper"]["lines"]
+    ends = next(place for place, line in enumerate(lines) if line.startswith("**time of each part"))
+    return "\n".join([*parts, "## The paper's figures on the virtual rig", "", *lines[:ends], *pictures, ""])
+
+
+def _diagram(found: dict[str, Any], work: str) -> str:
+    return next(file for name, file in found["diagrams"].items() if name.startswith(work))
 
 
 def _conditions(measured: dict[str, Any]) -> str:

@@ -18,8 +18,8 @@ TESTS = [f"tests/unit/test_stiff_cases_{part}.py" for part in ("rendering", "ban
 ROWS = [
     ("1", "dead actuator", "sigma = inf, NaN drive", "warning: its drive is 0, the others untouched", "1e-12"),
     ("2", "path point that was not measured", "n = inf, everything NaN", "refused, naming the point", "-"),
-    ("3-5", "bank scaled by 1e-30 to 1e30, 1e+-200", "R under- or overflows", "the same drive", "1e-12, float32 1e-6"),
-    ("6", "denormal numbers", "40 to 100 times slower", "as normal numbers (time: `bench render`)", "1e-9"),
+    ("3-5", "bank in units of 1e-15 to 1e15; 1e+-200", "R under- or overflows", "the same drive; refused", "1e-12"),
+    ("6", "tails of denormal numbers", "-", "as zeros", "1e-12"),
     ("7", "one NaN or infinity in the bank", "a segment of NaN", "refused, naming position and actuator", "-"),
     ("8-9", "saturation C <= 0, not finite; huge", "0/0; overflow", "refused; sigma = 1 exactly", "exact"),
     (
@@ -59,6 +59,19 @@ ROWS = [
     ("37", "strided or memory-mapped banks", "silent copies", "as float64", "1e-12"),
 ]  # fmt: skip
 """Row, case, what the plain way does, what is right, tolerance."""
+STABILITY = """
+
+## Time stepping on a thin plate
+
+kappa^2 biharmonic(w) + w'' = 0 is stiff: the fastest oscillation of a grid of spacing h has the angular frequency
+8 kappa / h^2.
+
+| method (`benchmarks/time_stepping.py`) | stable steps | error in time |
+|---|---|---|
+| leapfrog (`TimeStepper`, beta = 0) | dt <= h^2 / (4 kappa): 2.55 us at 4 mm of 1 mm glass; longer: refused | small |
+| Newmark (`TimeStepper`, beta = 1/4) | all | modes ring too low: -0.8 % at 500 Hz for dt = 0.1 ms (`frequency_error`) |
+| modal exponentials (`ExactPlate`) | all | 1e-12 of the closed form after 20,000 steps at Q = 10,000 |
+"""
 NAMED = re.compile(r"test_rows?_(\d+)(?:_(to|and)_(\d+))?_")
 
 
@@ -102,7 +115,7 @@ def main() -> int:
         "NumPy; errors are relative L2 errors of the drives, the largest that any test of the row found.\n\n"
         "| row | case | the plain way | wavefocus | tolerance | measured |\n|---|---|---|---|---|---|\n"
     )
-    PAGE.write_text(text + "\n".join(lines) + "\n", encoding="utf-8")
+    PAGE.write_text(text + "\n".join(lines) + STABILITY, encoding="utf-8")
     return int(wrong)
 
 

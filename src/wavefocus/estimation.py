@@ -61,7 +61,7 @@ def estimate(
     Parameters
     ----------
     raw
-        Open recordings, or the path of a raw file: of this program, or of any other (docs/reference/raw-file.md).
+        Open recordings, or the path of a raw file: of this program, or of any other (docs/reference/files.md).
     bank
         Path of the bank. One that is there must be of the same recordings; what it lacks is estimated.
     workers

@@ -11,6 +11,7 @@ from tempfile import NamedTemporaryFile
 
 from wavefocus.drivers.errors import InstrumentError, MissingPackageError
 from wavefocus.storage.errors import BankBusyError, InputError, WavefocusError
+from wavefocus.storage.text_file import permission_words
 
 STAND_IN = "wavefocus_stand_in"
 """Attribute of a standard stream that was closed when the process began, and has the null device in its place."""
@@ -60,7 +61,8 @@ def sentence(failure: BaseException) -> str:
     if is_beyond_memory(failure):
         return one_line(f"not enough memory: {failure}")
     if isinstance(failure, OSError) and failure.filename is not None:
-        return one_line(f"{failure.filename}: {failure.strerror}")
+        denied = permission_words(Path(failure.filename)) if isinstance(failure, PermissionError) else ""
+        return one_line(f"{failure.filename}: {failure.strerror}{denied}")
     if isinstance(failure, ModuleNotFoundError) and (package := missing_package(failure)):
         installed = f"wavefocus[{EXTRAS[package]}]" if package in EXTRAS else package
         return f'the Python package {package} is not installed: pip install "{installed}"'

@@ -27,7 +27,6 @@ BENCHMARKS = {
     "estimate": Benchmark("estimators side by side"),
     "render": Benchmark("renderers and predictors side by side"),
     "interpolation": Benchmark("the bank between its positions"),
-    "coarse_grids": Benchmark("grids coarser than half a wavelength, on all plates", on_request=True),
     "quiet": Benchmark("quiet places: level, drive energy, run time", on_request=True),
     "commands": Benchmark("commands from the shell"),
     "paper": Benchmark(

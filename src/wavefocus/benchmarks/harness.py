@@ -1,13 +1,11 @@
-"""Harness of all benchmarks: points measured in turns, with their marks, as JSON, CSV and tables."""
+"""Harness of all benchmarks: points measured in turns, with their marks, as JSON and tables."""
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import time
 import tracemalloc
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
@@ -144,7 +142,7 @@ class Findings:
         return lines
 
     def write(self, out: Path, name: str, made: Mapping[str, Any]) -> Path:
-        """Write ``NAME.json`` and ``NAME.csv`` into a folder; `made` holds the conditions. Returns the former."""
+        """Write ``NAME.json`` into a folder; `made` holds the conditions. Returns its path."""
         points = [{"work": one.work, **one.row, "remark": one.remark} for one in self.points]
         marks = [
             {"work": one.work, "method": one.method, **asdict(mark), "met": one.judged(mark)}
@@ -152,7 +150,6 @@ class Findings:
             for mark in one.marks
         ]
         content = {"truth": self.truth, "notes": list(self.notes), "points": points, "marks": marks, **made}
-        write_whole(out / f"{name}.csv", _csv(points))
         write_whole(out / f"{name}.json", json.dumps(content | {"lines": self.lines()}, indent=2) + "\n")
         return out / f"{name}.json"
 
@@ -265,12 +262,3 @@ def heading(name: str) -> str:
 def _words(point: Entry, mark: Mark) -> str:
     met = {True: "met", False: "**not met**", None: "not measured"}[point.judged(mark)]
     return f"{heading(mark.figure)} at {'most' if mark.at_most else 'least'} {mark.limit:g}: {met}"
-
-
-def _csv(rows: Iterable[Mapping[str, Plain]]) -> str:
-    rows = list(rows)
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(dict.fromkeys(name for row in rows for name in row)), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()

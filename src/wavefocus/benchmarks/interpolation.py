@@ -34,7 +34,7 @@ Float64Array = NDArray[np.float64]
 Complex128Array = NDArray[np.complex128]
 
 METHODS = ("nearest", "bilinear", "kernel")
-"""Methods that need no model of the whole surface; `wavefocus bench coarse_grids` has the other."""
+"""Methods that need no model of the whole surface."""
 FREQUENCIES_HZ = (100.0, 250.0, 450.0)
 MARKS = {(None, 250.0): 0.005, (None, 450.0): 0.07, (-60.0, 250.0): 0.01, (-60.0, 450.0): 0.08}
 """Largest median error wanted of the kernel, by noise of the bank in dB and frequency."""

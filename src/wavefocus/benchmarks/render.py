@@ -8,7 +8,6 @@ jumping to another row at every path point. Errors are relative L2 errors agains
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -16,13 +15,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefocus.benchmarks.harness import Entry, Findings, Mark, Times, measure, relative_error
+from wavefocus.benchmarks.harness import Entry, Findings, Mark, measure, relative_error
 from wavefocus.benchmarks.render_workloads import (
     RATE_HZ,
     RenderWorkload,
     bilinear_runs,
     circle,
-    convolve_and_overlap_add,
     decimated,
     field_drive,
     modal_bank,
@@ -37,7 +35,7 @@ from wavefocus.benchmarks.render_workloads import (
 from wavefocus.config.scene import Output
 from wavefocus.rendering.drive.rendering import render_with_report
 from wavefocus.rendering.field.bank_spectra import BankSpectra
-from wavefocus.rendering.field.prediction import Prediction, predict
+from wavefocus.rendering.field.prediction import Prediction
 from wavefocus.rendering.greens.source import GreenArray
 from wavefocus.rendering.scene.model import Scene, Source
 from wavefocus.rendering.scene.paths import Circle
@@ -71,7 +69,6 @@ def run(out: Path, *, quick: bool = False) -> Findings:
     for path_points in (500,) if quick else (500, 5000):
         points += compare_exact(circle(f"path, M = {path_points}, dt = 2 ms", bank, path_points, 0.2), repeats)
     points += compare_fields(bank, repeats, seconds=1.0 if quick else 4.0)
-    points += measure_exponents(bank, repeats, 100 if quick else 1000)
     points += precision_points(quick=quick)
     notes = [
         "`times` is the peer's time, by the wall or the CPU, whichever is less, over ours; `CPU times` the ratio of",
@@ -86,77 +83,29 @@ def compare_drives(workload: RenderWorkload, repeats: int) -> list[Entry]:
     """Time the drive by each method."""
     scene, bank = workload.scene, workload.bank
     samples = len(workload.segments()[2])
-    gpurir = "gpuRIR's method: each segment convolved and overlap-added"
     found = measure(
         {
             MERGED: lambda: render_merged(bank, sampled_runs(workload), samples),
-            gpurir: lambda: convolve_and_overlap_add(workload),
             **{
                 way: partial(render_with_report, scene, bank, method="sampled", tolerance_db=tolerance_db)
                 for way, tolerance_db in WAYS.items()
             },
         },
         repeats,
-        once=(gpurir,),
     )
-    reference = found[gpurir].result
-    points = []
-    for method, timing in found.items():
-        point = Entry(work=workload.name, method=method, timing=timing)
-        figures: dict[str, float] = {}
-        marks: tuple[Mark, ...] = ()
-        if method in WAYS:
-            drive, report = timing.result
-            speed = MARKS.get((workload.kind, method))
-            marks = () if speed is None else (Mark("cpu_times", speed),)
-            if WAYS[method] is not None:
-                figures = {"bound_error": drive.omitted_bound, "single": report.single}
-            point = Entry(
-                work=workload.name, method=method, timing=timing, figures=figures, marks=marks,
-                error=relative_error(drive.drive_v, reference),
-            )  # fmt: skip
-        elif method == MERGED:
-            point = replace(point, remark=f"error {relative_error(timing.result, reference):.1e}")
-        elif method == gpurir:
-            point = replace(point, remark="timed once; the truth")
-        points.append(point.against(found[MERGED]))
-    return points
-
-
-def measure_exponents(bank: GreenArray, repeats: int, points: int) -> list[Entry]:
-    """Fit CPU time ~ size**exponent, over the points of one path, scene length, and positions of a field."""
-
-    def exponent(work: str, method: str, timings: dict[int, Times]) -> Entry:
-        sizes = list(timings)
-        fitted = float(np.polyfit(np.log(sizes), np.log([one.cpu_s for one in timings.values()]), 1)[0])
-        return Entry(
-            work="exponents of the cost", method=f"{work}, {method}", timing=timings[sizes[-1]],
-            figures={"from": sizes[0], "to": sizes[-1], "exponent": fitted},
-            marks=(Mark("exponent", 1.05, at_most=True),),
+    points = [Entry(work=workload.name, method=MERGED, timing=found[MERGED], remark="the truth")]
+    for method, tolerance_db in WAYS.items():
+        drive, report = found[method].result
+        speed = MARKS.get((workload.kind, method))
+        figures = {} if tolerance_db is None else {"bound_error": drive.omitted_bound, "single": report.single}
+        points.append(
+            Entry(
+                work=workload.name, method=method, timing=found[method], figures=figures,
+                error=relative_error(drive.drive_v, found[MERGED].result),
+                marks=() if speed is None else (Mark("cpu_times", speed),),
+            )
         )  # fmt: skip
-
-    found = []
-    made: tuple[tuple[str, list[int], Callable[[int], RenderWorkload]], ...] = (
-        ("path points M, 10 s", [points * k for k in (1, 2, 4, 8)], lambda m: circle("", bank, m, 1000.0 / m)),
-        ("scene length, dt = 2 ms", [points * k for k in (4, 8, 16, 32)], lambda m: circle("", bank, m, 0.2)),
-    )
-    for work, sizes, make in made:
-        loads = {size: make(size) for size in sizes}
-        for way, tolerance_db in WAYS.items():
-            actions = {
-                str(size): partial(
-                    render_with_report, load.scene, load.bank, method="sampled", tolerance_db=tolerance_db
-                )
-                for size, load in loads.items()
-            }
-            timings = measure(actions, repeats)
-            found.append(exponent(work, way, {size: timings[str(size)] for size in sizes}))
-    drive, _ = render_with_report(circle("", bank, 1000, 0.2).scene, bank)
-    sizes = [bank.positions // k for k in (8, 4, 2, 1)]
-    timings = measure(
-        {str(size): partial(predict, drive, bank, range(size), dtype=np.float32) for size in sizes}, min(repeats, 3)
-    )
-    return [*found, exponent("positions, 2 s", "ours, float32", {size: timings[str(size)] for size in sizes})]
+    return [point.against(found[MERGED]) for point in points]
 
 
 def compare_exact(workload: RenderWorkload, repeats: int) -> list[Entry]:

@@ -135,20 +135,6 @@ def noise(duration_s: float) -> Noise:
     return Noise((0.0, RATE_HZ / 2.0), duration_s + 0.1, 1)
 
 
-def convolve_and_overlap_add(workload: RenderWorkload) -> Float64Array:
-    """Render as gpuRIR's simulateTrajectory does, segment by segment: convolved with all rows, then overlap-added."""
-    instants, rows, signal = workload.segments()
-    drive = np.zeros((ACTUATORS, len(signal) + TAPS - 1))
-    size = scipy.fft.next_fast_len(int(np.diff(instants).max()) + TAPS - 1, real=True)
-    for m, row in enumerate(rows.tolist()):
-        green, gain = normalised_green(workload.bank, row)
-        segment = gain * signal[instants[m] : instants[m + 1]]
-        spectrum = scipy.fft.rfft(segment, size) * scipy.fft.rfft(green[:, ::-1], size, workers=2)
-        length = len(segment) + TAPS - 1
-        drive[:, instants[m] : instants[m] + length] += scipy.fft.irfft(spectrum, size, workers=2)[:, :length]
-    return drive
-
-
 def sum_directly(workload: RenderWorkload, samples: int) -> Float64Array:
     """Evaluate eq. (9) sample by sample."""
     source, bank = workload.source, workload.bank

@@ -1,4 +1,4 @@
-"""Banks for benchmarks: measured on the virtual rig, or the truth with noise; and the exact field of a stadium."""
+"""Banks for benchmarks: measured on the virtual rig, or the truth with noise."""
 
 from __future__ import annotations
 
@@ -8,14 +8,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft as scipy_fft
-from scipy.special import h2vp, hankel2
 
 from wavefocus.acquisition.engine.campaign import Campaign
 from wavefocus.acquisition.engine.session import StopRequest
 from wavefocus.acquisition.grid import surface_grid
 from wavefocus.acquisition.plan import Plan
 from wavefocus.acquisition.setup import Setup
-from wavefocus.calibration.coarse_grid.waves import distances_mm
 from wavefocus.calibration.excitation import PlayedExcitation, StaggeredSignal
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.config.limits import QualityLimits
@@ -28,7 +26,6 @@ from wavefocus.storage.bank.reading import open_bank
 from wavefocus.storage.bank.writer import BankWriter, create_bank
 
 Float64Array = NDArray[np.float64]
-Complex128Array = NDArray[np.complex128]
 
 RATE_HZ = 10_000.0
 TAPS = 2000
@@ -38,7 +35,6 @@ QUICK_ERROR_DB = -58.0
 """Error of a campaign on the virtual rig (README)."""
 CHUNK = 64
 STAGGER_S = 0.24
-RIM_POINTS, SOURCES, SOURCE_OFFSET_MM = 900, 420, 9.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,47 +133,3 @@ def true_bank(rig: VirtualRig, position_mm: Float64Array, error_db: float | None
 def default_grid(rig: VirtualRig) -> Float64Array:
     """The 1500 positions of the default campaign."""
     return surface_grid(rig.settings.outline, MARGIN_MM, SPACING_MM)
-
-
-def exact_stadium(wavenumber: complex, points_mm: Float64Array, actuator_mm: Float64Array) -> Complex128Array:
-    """Point sources in a stadium of 250 x 150 mm with a free rim, (points, actuators), in units of H0(2).
-
-    Method of fundamental solutions: sources outside the rim make the normal derivative of the whole field zero on it,
-    by least squares (G. Fairweather and A. Karageorghis, Adv. Comput. Math. 9, 69, 1998).
-    """
-    rim_mm, normal = _stadium(RIM_POINTS, 0.0)
-    source_mm, _ = _stadium(SOURCES, SOURCE_OFFSET_MM)
-
-    def slope(from_mm: Float64Array) -> Complex128Array:
-        gap_mm = rim_mm[:, None] - from_mm
-        distance_mm = np.hypot(gap_mm[..., 0], gap_mm[..., 1])
-        outwards = (gap_mm * normal[:, None]).sum(axis=2) / distance_mm
-        return np.asarray(wavenumber * h2vp(0, wavenumber * distance_mm) * outwards)
-
-    by_source = slope(source_mm)
-    scale = np.linalg.norm(by_source, axis=0)
-    strength = np.linalg.lstsq(by_source / scale, -slope(actuator_mm), rcond=1e-13)[0] / scale[:, None]
-    own = hankel2(0, wavenumber * distances_mm(points_mm, actuator_mm))
-    return np.asarray(own + hankel2(0, wavenumber * distances_mm(points_mm, source_mm)) @ strength)
-
-
-def _stadium(count: int, offset_mm: float) -> tuple[Float64Array, Float64Array]:
-    """Points on the outline of the stadium, moved outwards, and its normals there, (count, 2) each."""
-    straight_mm, radius_mm = 100.0, 75.0 + offset_mm
-    arc_mm = np.pi * radius_mm
-    along = (np.arange(count) + 0.5) / count * (2 * straight_mm + 2 * arc_mm)
-    places, normals = np.empty((count, 2)), np.empty((count, 2))
-    for index, at in enumerate(along):
-        if at < straight_mm:
-            places[index], normals[index] = (at - 50.0, -radius_mm), (0.0, -1.0)
-        elif at < straight_mm + arc_mm:
-            turn = (at - straight_mm) / radius_mm - np.pi / 2
-            normals[index] = np.cos(turn), np.sin(turn)
-            places[index] = (50.0, 0.0) + radius_mm * normals[index]
-        elif at < 2 * straight_mm + arc_mm:
-            places[index], normals[index] = (50.0 - (at - straight_mm - arc_mm), radius_mm), (0.0, 1.0)
-        else:
-            turn = (at - 2 * straight_mm - arc_mm) / radius_mm + np.pi / 2
-            normals[index] = np.cos(turn), np.sin(turn)
-            places[index] = (-50.0, 0.0) + radius_mm * normals[index]
-    return places, normals

@@ -1,4 +1,4 @@
-"""A thin plate, simply supported, stepped through time, beside its closed form (docs/reference/stability.md).
+"""A thin plate, simply supported, stepped through time, beside its closed form (docs/reference/stiff-cases.md).
 
 kappa^2 biharmonic(w) - (kappa / Q) laplacian(w') + w'' = q / (rho h), kappa = sqrt(D / (rho h)): every wave loses the
 same share per period, and all modes have the quality factor Q. The modal sum is the right tool for stiff plates of high

@@ -12,17 +12,10 @@ from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import require_output_folder
 
 
-def bench(
-    what: str,
-    out: Path,
-    *,
-    quick: bool,
-    force: bool = False,
-    seconds: float | None = None,
-) -> None:
+def bench(what: str, out: Path, *, quick: bool, force: bool = False, seconds: float | None = None) -> None:
     """Run one benchmark, or all: print their tables, and write points and diagrams.
 
-    seconds: For how long each case of a benchmark plays that plays in real time.
+    seconds: For how long each case of `live_latency` plays.
     """
     if seconds is not None and what != "live_latency":
         raise InputError(f"--seconds is {seconds:g}; it goes with live_latency, and {what} was asked for")
@@ -31,7 +24,7 @@ def bench(
     from wavefocus.benchmarks.machine import conditions, load
 
     chosen = [name for name, one in BENCHMARKS.items() if not one.on_request] if what == "all" else [what]
-    files = [name for one in chosen for name in (f"{one}.json", f"{one}.csv", *BENCHMARKS[one].pictures)]
+    files = [name for one in chosen for name in (f"{one}.json", *BENCHMARKS[one].pictures)]
     require_output_folder(out, files, (), force=force)
     out.mkdir(parents=True, exist_ok=True)
     for name in chosen:

@@ -262,7 +262,7 @@ USE = (
     Command(
         "analyse", "analyse:analyse",
         "Analyse the answers to trials: accuracy, psychometric functions, report, BIDS-like folder.\n\n"
-        "docs/reference/analysis-of-trials.md defines every figure.",
+        "docs/reference/trials.md defines every figure.",
         (
             file("folder", metavar="FOLDER", help="The folder that `wavefocus trials` wrote."),
             _out("OUT", "Folder for the results; by default FOLDER/analysis.", required=False),

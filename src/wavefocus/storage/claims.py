@@ -13,6 +13,7 @@ from wavefocus.storage import durable
 from wavefocus.storage.errors import BankBusyError, InputError
 from wavefocus.storage.ledger import owner
 from wavefocus.storage.sidecar_files import create
+from wavefocus.storage.text_file import permission_words
 
 _LOOKS_EVERY_S = 0.05
 # Whoever asks for the holder has the lock for microseconds.
@@ -35,10 +36,7 @@ def claimed(name: str, *, wait_s: float = 0.0) -> Iterator[None]:
     try:
         lock = durable.open_file(path)
     except PermissionError:
-        raise InputError(
-            f"{name}: its lock {path} belongs to user {_maker(path)}, who lets no one else open it; ask that user to"
-            f" remove the file, or to type chmod 666 {path}"
-        ) from None
+        raise InputError(f"{name}: its lock {path} may not be opened{permission_words(path)}") from None
     with lock as file:
         given_up_s = time.monotonic() + max(wait_s, _MIN_WAIT_S)
         while not file.try_lock():
@@ -60,13 +58,6 @@ def claim_holder(name: str) -> owner.Owner | None:
     """The process that holds a name now; None where none does."""
     path = _lock_file(name)
     return owner.bank_owner(path) if path.is_file() else None
-
-
-def _maker(path: Path) -> str:
-    try:
-        return path.owner()
-    except (OSError, KeyError, NotImplementedError):
-        return "unknown"
 
 
 def _lock_file(name: str) -> Path:

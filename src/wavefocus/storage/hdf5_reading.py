@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.packing import DEFAULT_FILL, KEYS, Packing, packing
-from wavefocus.storage.text_file import require_regular
+from wavefocus.storage.text_file import permission_words, require_regular
 
 _MAX_METADATA_BYTES = 64 << 20
 _MIN_HEAP_BYTES = 4096  # of the collections that HDF5 keeps texts in
@@ -71,7 +71,7 @@ def opened(path: Path, *, cache_bytes: int = 1 << 20) -> Iterator[h5py.File]:
         with _opened(path, cache_bytes) as file:
             yield file
     except PermissionError as error:
-        raise InputError(f"{path} may not be read: {error.strerror}") from error
+        raise InputError(f"{path} may not be read{permission_words(path)}") from error
     except (OSError, RuntimeError, KeyError, UnicodeDecodeError) as error:
         complaint = hdf5_complaint(error)
         if path.suffix.lower() == ".toml":

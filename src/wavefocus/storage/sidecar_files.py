@@ -95,6 +95,8 @@ def _begins_as_ours(path: Path) -> bool:
         begin.decode()
     except FileNotFoundError:  # removed since
         return True
+    except PermissionError:  # another user's
+        return False
     except UnicodeDecodeError:
         return len(begin) <= _SECTOR_BYTES
     return False

@@ -53,6 +53,15 @@ def require_regular(path: Path) -> None:
         raise InputError(f"{path} is not a regular file")
 
 
+def permission_words(path: Path) -> str:
+    """Whose file it is that this user may not use, and what to do; empty where the system does not say."""
+    try:
+        maker = path.owner()
+    except (OSError, KeyError, NotImplementedError):
+        return ""
+    return f"; it belongs to user {maker}: ask for chmod a+rw {path.name}, or name another folder"
+
+
 def open_regular(path: Path) -> BinaryIO:
     """Open a regular file for reading; a pipe or a device, which could block for ever, is not waited for.
 

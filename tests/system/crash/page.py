@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-PAGE = Path(__file__).parents[3] / "docs" / "reference" / "crash-safety.md"
+PAGE = Path(__file__).parents[3] / "docs" / "explanation" / "how-a-bank-survives.md"
 BEGIN, END = "<!-- table: begin -->\n", "<!-- table: end -->\n"
 _TOTALS = {
     "kill": "kills", "cut": "power cuts", "disk": "full and failing disks", "flip": "flipped bytes",

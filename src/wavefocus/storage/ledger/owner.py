@@ -82,6 +82,7 @@ def write_owner(path: Path) -> None:
             name.unlink(missing_ok=True)
         with create(name) as file:
             file.write((json.dumps(asdict(owner)) + "\n").encode())
+        name.chmod(0o644)  # whoever meets the lock reads who holds it, whatever the umask
 
 
 def remove_owner(path: Path) -> None:

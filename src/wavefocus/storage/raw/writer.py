@@ -96,7 +96,7 @@ def open_raw(path: str | Path) -> RawFile:
     Parameters
     ----------
     path
-        A file of raw recordings, made by this program or any other (docs/reference/raw-file.md).
+        A file of raw recordings, made by this program or any other (docs/reference/files.md).
 
     Returns
     -------
