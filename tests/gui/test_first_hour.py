@@ -239,12 +239,3 @@ def test_given_a_colour_bar_then_its_caption_is_inside_it(qtbot: QtBot, open_win
         label = bar._bar.axis.label
         inside = label.mapRectToScene(label.boundingRect()).bottom() - label.document().documentMargin()
         assert inside <= bar.height()
-
-
-def test_given_a_gain_then_live_sources_are_so_much_louder(qtbot: QtBot, open_window: Opens) -> None:
-    window = open_window()
-    tab = draw(window)
-    tab.live_run.places["finger"] = (0.0, 0.0)
-    assert tab.live_run._move("finger").amplitude == 0.01
-    tab.live_panel.gain.setValue(-20.0)
-    assert tab.live_run._move("finger").amplitude == pytest.approx(0.001)

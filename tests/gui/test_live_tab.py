@@ -152,11 +152,12 @@ def test_given_a_source_that_sounds_then_leaving_the_page_or_closing_the_window_
 ) -> None:
     window = open_window()
     tab = live_page(qtbot, window, finished)
-    tab.live_panel.independent.setChecked(True)
+    scene = line_scene()
+    independent = changed(scene.regularisation, independent=True)
+    tab.document.edit("draw", changed(scene, regularisation=independent))
     started(qtbot, tab)
     assert tab.live_run.ready is not None
     assert tab.live_run.ready.independent
-    assert not tab.live_panel.independent.isEnabled()
     tab.modes[DRAW].click()
     wait(qtbot, lambda: tab.live_run.state == IDLE)
     tab.modes[LIVE_PAGE].click()
@@ -168,17 +169,6 @@ def test_given_a_source_that_sounds_then_leaving_the_page_or_closing_the_window_
     assert pid is not None
     _, status = os.waitpid(pid, 0)  # the window does not wait for it; it ends by itself, muted
     assert os.waitstatus_to_exitcode(status) == 0
-
-
-def test_given_a_scene_of_independent_sources_then_the_live_page_says_that_they_are(
-    qtbot: QtBot, open_window: Opens, finished: Path
-) -> None:
-    tab = live_page(qtbot, open_window(), finished)
-    assert not tab.live_panel.independent.isChecked()
-    draft = tab.document.draft
-    tab.document.edit("independent", changed(draft, regularisation=changed(draft.regularisation, independent=True)))
-    assert tab.live_panel.independent.isChecked()
-    assert not tab.live_panel.independent.isEnabled()
 
 
 def test_given_a_rig_of_other_actuators_then_one_sentence_says_so_and_nothing_sounds(
@@ -196,11 +186,9 @@ def test_given_figures_then_latency_underruns_limiter_and_what_is_left_out_are_m
     ready = LiveReady("player", "bank", 3, 5.0, 50.0, 215.0, 12.0, (0.0, 4.5), (0.0, 3.0))
     good = LiveState(2.0, 6.0, 9.0, 0.4, 0, "none", None, (), 0.0, ())
     late = LiveState(2.0, 30.0, 25.0, 1.3, 2, "sources", None, ("finger 2",), -3.0, ())
-    assert not any(one.wrong for one in figures_of(ready, good))
-    assert [one.name for one in figures_of(ready, late) if one.wrong] == [
-        "latency", "underruns", "left out", "limiter",
+    assert not any(wrong for _, wrong in figures_of(ready, good))
+    assert [words for words, wrong in figures_of(ready, late) if wrong] == [
+        "latency: 25.0 ms", "underruns: 2", "left out: source finger 2", "limiter: -3.0 dB",
     ]  # fmt: skip
-    values = {one.name: one.value for one in figures_of(ready, late)}
-    assert "finger 2" in values["left out"]
-    assert values["pointer to sound"] == "87 ms"
-    assert not any(one.wrong or one.value for one in figures_of(None, None))
+    assert ("pointer to sound: 87 ms", False) in figures_of(ready, late)
+    assert figures_of(None, None) == []

@@ -15,7 +15,7 @@ from pytestqt.qtbot import QtBot
 from tests.gui.conftest import LEFT, SOON_MS, Opens, pixel, press, shown_tab, wait, write_lab
 from wavefocus.calibration.mirror_map import MirrorMap
 from wavefocus.config.messages.rig_checks import Act, AskJog, Finding
-from wavefocus.gui.files import TomlKind, names_virtual_rig, runs_on_virtual_rig, toml_kind
+from wavefocus.gui.files import FileKind, kind_of, names_virtual_rig, runs_on_virtual_rig
 from wavefocus.gui.rig.tab import RigTab, button_of, read_rig_file, remedy_of
 from wavefocus.gui.window import Window
 
@@ -246,24 +246,24 @@ def test_given_findings_then_a_button_is_offered_where_the_window_can_do_somethi
 @pytest.mark.parametrize(
     ("text", "kind"),
     [
-        ('[[source]]\npath = { kind = "point" }\n', TomlKind.SCENE),
-        ('[scene]\nbank = "plate.h5"\n', TomlKind.SCENE),
-        (REAL_RIG, TomlKind.RIG),
-        ('[mirror]\ndriver = "virtual"\n[player]\nlimit_v = 1.0\n', TomlKind.RIG),
-        ("[actuators]\nposition_mm = [[0, 0], [10, 0]]\n", TomlKind.RIG),
-        ('[rig]\nname = "lab"\n', TomlKind.RIG),
-        ('rig = "rig.toml"\n\n[grid]\nspacing_mm = 2.0\n', TomlKind.RUN),
-        ('format = "wavefocus-calibration"\nrig = "lab"\n[mirror]\ndevice = "virtual mirror"\n', TomlKind.CALIBRATION),
-        ("\ufeff" + REAL_RIG, TomlKind.RIG),  # with a byte-order mark
-        ("rig = [", TomlKind.UNREADABLE),
-        (None, TomlKind.UNREADABLE),
+        ('[[source]]\npath = { kind = "point" }\n', FileKind.SCENE),
+        ('[scene]\nbank = "plate.h5"\n', FileKind.SCENE),
+        (REAL_RIG, FileKind.RIG),
+        ('[mirror]\ndriver = "virtual"\n[player]\nlimit_v = 1.0\n', FileKind.RIG),
+        ("[actuators]\nposition_mm = [[0, 0], [10, 0]]\n", FileKind.RIG),
+        ('[rig]\nname = "lab"\n', FileKind.RIG),
+        ('rig = "rig.toml"\n\n[grid]\nspacing_mm = 2.0\n', FileKind.RUN),
+        ('format = "wavefocus-calibration"\nrig = "lab"\n[mirror]\ndevice = "virtual mirror"\n', FileKind.CALIBRATION),
+        ("\ufeff" + REAL_RIG, FileKind.RIG),  # with a byte-order mark
+        ("rig = [", None),
+        (None, None),
     ],
 )
-def test_the_kind_of_a_file_follows_from_its_tables(tmp_path: Path, text: str | None, kind: TomlKind) -> None:
+def test_the_kind_of_a_file_follows_from_its_tables(tmp_path: Path, text: str | None, kind: FileKind | None) -> None:
     file = tmp_path / "file.toml"
     if text is not None:
         file.write_text(text, encoding="utf-8")
-    assert toml_kind(file) is kind
+    assert kind_of(file) is kind
 
 
 @pytest.mark.parametrize("mark", ["", "\ufeff"], ids=["plain", "with a byte-order mark"])

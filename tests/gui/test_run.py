@@ -1,4 +1,4 @@
-"""Captures of the window and of others, orders, dry runs, closing; the run in a real process."""
+"""Captures of the window and of others, orders, closing; the run in a real process."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-from PyQt5.QtWidgets import QPlainTextEdit
 from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import Opens, answer, campaign_of, press, wait, write_lab
@@ -73,19 +72,6 @@ def test_given_orders_that_fail_then_their_sentences_are_messages(
     press(qtbot, campaign_of(window).controls.buttons["start"])
     wait(qtbot, lambda: "capture.taps" in window.messages.sentence)
     assert "Traceback" not in window.messages.sentence
-
-
-def test_given_a_run_file_then_a_dry_run_can_be_cancelled_and_reports_positions_and_hours(
-    qtbot: QtBot, open_window: Opens, tmp_path: Path
-) -> None:
-    window = open_window(write_lab(tmp_path / "lab", 4, 3))
-    press(qtbot, campaign_of(window).controls.buttons["plan"])
-    answer(window, "Cancel")
-    wait(qtbot, lambda: "the dry run was cancelled" in window.messages.sentence)
-    press(qtbot, campaign_of(window).controls.buttons["plan"])
-    wait(qtbot, lambda: "12 positions" in window.messages.sentence)
-    answer(window, "Details")
-    assert "within all limits" in campaign_of(window).findChild(QPlainTextEdit).toPlainText()
 
 
 def test_given_an_own_run_then_closing_can_leave_it_to_continue(

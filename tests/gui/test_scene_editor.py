@@ -34,7 +34,7 @@ from wavefocus.config.scene import (
     TextTable,
     TrajectoryTable,
 )
-from wavefocus.gui.files import Settings
+from wavefocus.gui.files import Settings, kind_of
 from wavefocus.gui.scene.canvas import SceneCanvas
 from wavefocus.gui.scene.document import NOTHING, SceneDocument
 from wavefocus.gui.scene.draft import NEW_SCENE, changed, new_source, read_draft, scene_toml
@@ -203,7 +203,7 @@ def test_given_a_scene_file_then_it_is_opened_saved_and_opened_again_as_the_same
 ) -> None:
     file = tmp_path / "two.toml"
     file.write_text(SCENE, encoding="utf-8")
-    assert tab.accepts(file)
+    assert kind_of(file) in tab.kinds
     tab.open_file(file)
     document = tab.document
     assert (document.path, document.saved, len(document.draft.source)) == (file, True, 2)

@@ -10,13 +10,9 @@ from pytestqt.qtbot import QtBot
 
 from tests.gui.conftest import Opens, campaign_of, tab_of, wait, write_lab
 from wavefocus.campaign.control import read_heartbeat
-from wavefocus.config.scene import SceneConfig, TextTable
 from wavefocus.gui.campaign.follower import Follower
 from wavefocus.gui.field_map import MAX_COLUMNS, decimate
-from wavefocus.gui.scene.draft import new_source
-from wavefocus.gui.scene.exports import SceneTask
 from wavefocus.gui.scene.tab import SceneTab
-from wavefocus.storage.errors import InputError
 
 
 def test_given_a_defect_while_a_bank_is_followed_then_the_window_says_so_and_goes_on_following(
@@ -77,22 +73,3 @@ def test_given_a_smooth_slope_then_thinning_makes_no_ripple_and_loses_no_peak(le
     spike[length // 3] = 1.0
     few_x, few_y = decimate(x, spike)
     assert few_x[few_y.argmax()] == x[length // 3]
-
-
-def test_given_a_large_scene_then_a_box_allows_it_in_the_window_and_in_its_commands(
-    qtbot: QtBot, open_window: Opens
-) -> None:
-    window = open_window()
-    tab = tab_of(window, SceneTab)
-    document = tab.document
-    text = TextTable(string="wave" * 300, height_mm=8.0)
-    document.edit("add", SceneConfig(source=(new_source(text),)))
-    with pytest.raises(InputError, match="1200 letters"):
-        document.scene()
-    tab.large.setChecked(True)
-    assert document.scene().allow_large
-    task = SceneTask(window.context, document, window)
-    assert task.prepare("", "nothing is rendered")
-    assert "--allow-large" in task.render()
-    task.close()
-    wait(qtbot, lambda: bool(tab.live.idle and tab.live.preview.traces and not tab.live.preview.traces[0].problem))

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Sequence
-from enum import StrEnum, auto
+from enum import StrEnum
 from pathlib import Path
 
 from PyQt5.QtCore import QByteArray, QSettings, Qt, pyqtSignal
-from PyQt5.QtWidgets import QCheckBox, QComboBox, QFileDialog, QLineEdit, QSplitter, QWidget
+from PyQt5.QtWidgets import QCheckBox, QFileDialog, QLineEdit, QSplitter, QWidget
 
 from wavefocus.config.file_kinds import hdf5_kind, kind_of_tables
 from wavefocus.config.loading import read_toml
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.number_box import NumberBox, typed_number
 from wavefocus.gui.surface import VIRTUAL, is_virtual
-from wavefocus.rendering.verify.record import RECORD_NAME
+from wavefocus.rendering.verify.record import FIELD_NAMES, RECORD_NAME, REPORT_NAME
 from wavefocus.storage.errors import InputError
 
 _MAX_RECENT = 10
@@ -78,7 +78,7 @@ class Settings:
         self.keep("recent", "")
 
     def save(self, key: str, widget: QWidget) -> None:
-        """Keep what a widget holds: a path, text, number, choice, tick, or the sizes of a splitter's parts."""
+        """Keep what a widget holds: a path, text, number, tick, or the sizes of a splitter's parts."""
         match widget:
             case PathField():
                 self.keep(key, str(widget.path or ""))
@@ -88,8 +88,6 @@ class Settings:
                 self.keep(key, int(widget.isChecked()))
             case NumberBox():
                 self.keep(key, str(widget.value()))
-            case QComboBox():
-                self.keep(key, str(widget.currentData()))
             case QLineEdit():
                 self.keep(key, widget.text())
 
@@ -105,8 +103,6 @@ class Settings:
             case NumberBox():
                 number = typed_number(self.text(key))
                 widget.setValue(widget.value() if number is None else number)
-            case QComboBox():
-                widget.setCurrentIndex(max(0, widget.findData(self.text(key))))
             case QLineEdit():
                 widget.setText(self.text(key))
 
@@ -246,12 +242,6 @@ class PathField(QWidget):
         self.chosen.emit(path)
 
 
-def is_field_file(path: Path) -> bool:
-    """Whether a file is a predicted or scanned field; those of a verification are shown with it."""
-    named = path.name.lower().endswith((".h5", ".hdf5")) and not path.with_name(RECORD_NAME).exists()
-    return named and hdf5_kind(path) == "field file"
-
-
 FileState = tuple[int, ...]
 
 
@@ -272,42 +262,62 @@ def short_path(path: Path) -> str:
         return str(path)
 
 
-class TomlKind(StrEnum):
-    """What a TOML file is for; but for `UNREADABLE` as `kind_of_tables` calls it."""
-
-    SCENE = auto()
-    RIG = auto()
-    RUN = auto()
-    TRIALS = auto()
-    CALIBRATION = auto()
-    UNREADABLE = auto()
-
-
-def toml_kind(path: Path) -> TomlKind:
-    """What a TOML file is for, by its tables; a run where they do not say: the capture says what is wrong."""
-    try:
-        return TomlKind(kind_of_tables(read_toml(path)) or TomlKind.RUN)
-    except InputError:
-        return TomlKind.UNREADABLE
-
-
 class FileKind(StrEnum):
-    """What a field of the window takes, in words."""
+    """What a file is for, in words."""
 
     RUN = "run file"
     RIG = "rig file"
     BANK = "bank"
     SCENE = "scene file"
+    TRIALS = "file of perception trials"
+    CALIBRATION = "calibration file"
+    FIELD = "field file"
+    RECORDINGS = "file of recordings"
+    VERIFICATION = "file of a verification"
+    PATH = "drawing or trajectory"
+
+
+#: Endings of files that the window opens.
+ENDINGS = (".h5", ".toml", ".svg", ".csv", ".json")
+_HDF5_ENDINGS = (".h5", ".hdf5")
+
+
+def kind_of(path: Path) -> FileKind | None:
+    """What a file is for, by its name, its tables or its format; None where nobody can say.
+
+    A TOML file whose tables do not say is a run: the capture reports what is wrong with it.
+    """
+    name = path.name.lower()
+    if record_of(path) is not None:
+        return FileKind.VERIFICATION
+    if name.endswith(_HDF5_ENDINGS):
+        if name.endswith(".raw.h5"):
+            return FileKind.RECORDINGS
+        return FileKind.FIELD if hdf5_kind(path) == FileKind.FIELD else FileKind.BANK
+    if name.endswith((".svg", ".csv")):
+        return FileKind.PATH
+    if not name.endswith(".toml"):
+        return None
+    try:
+        return FileKind[(kind_of_tables(read_toml(path)) or "run").upper()]
+    except InputError:
+        return None
+
+
+def record_of(path: Path) -> Path | None:
+    """Return the record of the verification that a file or folder belongs to; None for any other file."""
+    if path.is_dir():
+        return path / RECORD_NAME if (path / RECORD_NAME).is_file() else None
+    if path.suffix.lower() == ".json":  # it may have been renamed
+        return path
+    sidecar = path.with_name(RECORD_NAME)
+    return sidecar if path.name in (*FIELD_NAMES, REPORT_NAME) and sidecar.is_file() else None
 
 
 # Kinds of path fields for which a file of another kind is refused at once.
 _WANTED = {
     "bank file": FileKind.BANK, "bank to verify": FileKind.BANK, "run file": FileKind.RUN, "rig file": FileKind.RIG,
     "scene file": FileKind.SCENE,
-}  # fmt: skip
-_TOML_WORDS = {
-    TomlKind.SCENE: "scene file", TomlKind.RIG: "rig file", TomlKind.RUN: "run file",
-    TomlKind.TRIALS: "file of perception trials", TomlKind.CALIBRATION: "calibration file",
 }  # fmt: skip
 
 
@@ -316,16 +326,8 @@ def misplaced(path: Path, wanted: FileKind) -> str:
 
     A file that does not exist, or cannot be read, is reported by what reads it.
     """
-    name = path.name.lower()
-    if name.endswith(".raw.h5"):
-        kind = "file of recordings"
-    elif name.endswith((".h5", ".hdf5")):
-        kind = "field file" if is_field_file(path) else str(FileKind.BANK)
-    elif name.endswith(".toml"):
-        kind = _TOML_WORDS.get(toml_kind(path), str(wanted))
-    else:
-        return ""
-    return "" if kind == wanted else f"{path}: this is a {kind}; a {wanted} is needed here"
+    kind = kind_of(path)
+    return "" if kind in (wanted, None) else f"{path}: this is a {kind}; a {wanted} is needed here"
 
 
 def names_virtual_rig(rig: str | Path) -> bool:

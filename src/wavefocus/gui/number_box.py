@@ -53,17 +53,6 @@ class NumberBox(QDoubleSpinBox):
             self.interpretText()
         return super().value() if number is None else number
 
-    def show_number(self, number: float) -> None:
-        """Set the value without emitting a signal; what is being typed stays where the value is the same."""
-        if number != super().value():
-            self.blockSignals(True)
-            self.setValue(number)
-            self.blockSignals(False)
-
-    def is_typing(self) -> bool:
-        """Return whether the text differs from the value."""
-        return self.text() != f"{self.prefix()}{self.textFromValue(super().value())}{self.suffix()}"
-
     def validate(self, text: str | None, position: int) -> tuple[QValidator.State, str, int]:
         """Return whether a text is a number; no key is refused, for a number without it would be another one."""
         text = text or ""

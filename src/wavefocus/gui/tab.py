@@ -136,8 +136,8 @@ class Tab(QWidget):
     """One tab."""
 
     title = ""
-    #: Endings of files that it opens, in lower case.
-    opens: tuple[str, ...] = ()
+    #: Kinds of files that it opens.
+    kinds: tuple[FileKind, ...] = ()
 
     def __init__(self, context: TabContext) -> None:
         super().__init__()
@@ -149,12 +149,8 @@ class Tab(QWidget):
         """Actions of the tab's menu, None for a separator."""
         return []
 
-    def accepts(self, path: Path) -> bool:
-        """Whether it opens a file."""
-        return path.name.lower().endswith(self.opens) if self.opens else False
-
     def open_file(self, path: Path) -> None:
-        """Open a file that it accepts."""
+        """Open a file of one of its kinds."""
         raise NotImplementedError
 
     def poll(self) -> None:

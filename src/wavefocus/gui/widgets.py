@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import Any, TypeVar
 
 from PyQt5.QtCore import QObject, Qt
-from PyQt5.QtGui import QColor, QFontDatabase, QKeySequence
+from PyQt5.QtGui import QColor, QKeySequence
 from PyQt5.QtWidgets import (
     QAbstractButton,
     QAbstractItemView,
@@ -18,13 +18,11 @@ from PyQt5.QtWidgets import (
     QApplication,
     QCheckBox,
     QComboBox,
-    QDialog,
     QFrame,
     QHBoxLayout,
     QHeaderView,
     QLabel,
     QLayout,
-    QPlainTextEdit,
     QProgressBar,
     QPushButton,
     QScrollArea,
@@ -52,8 +50,6 @@ Item = QWidget | QLayout | tuple[QWidget | QLayout, int] | int | None
 Margins = tuple[int, int, int, int]
 _NO_MARGINS = (0, 0, 0, 0)
 PAGE_MARGINS = (4, 6, 4, 4)
-
-_DIALOG_COLUMNS, _DIALOG_LINES = 110, 24
 
 
 def action(
@@ -346,20 +342,3 @@ def copy_text(text: str) -> None:
     clipboard = QApplication.clipboard()
     if clipboard is not None:
         clipboard.setText(text)
-
-
-def show_text(title: str, text: str, owner: QWidget) -> QDialog:
-    """Show a long text in a window of its own that does not block."""
-    dialog = QDialog(owner)
-    dialog.setWindowTitle(title)
-    dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-    shown = QPlainTextEdit(text)
-    shown.setReadOnly(True)
-    shown.setAccessibleName(title)
-    shown.setLineWrapMode(QPlainTextEdit.LineWrapMode.NoWrap)
-    shown.setFont(QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont))
-    QVBoxLayout(dialog).addWidget(shown)
-    metrics = shown.fontMetrics()
-    dialog.resize(_DIALOG_COLUMNS * metrics.horizontalAdvance("0"), _DIALOG_LINES * metrics.lineSpacing())
-    dialog.show()
-    return dialog

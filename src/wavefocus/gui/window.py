@@ -12,7 +12,7 @@ from PyQt5.QtGui import QCloseEvent, QFontDatabase, QGuiApplication, QKeySequenc
 from PyQt5.QtWidgets import QAction, QApplication, QFileDialog, QMainWindow, QMenu, QWidget
 
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.files import FileKind, PathField, Settings, TomlKind, make_dialog, short_path, toml_kind
+from wavefocus.gui.files import ENDINGS, FileKind, PathField, Settings, kind_of, make_dialog, short_path
 from wavefocus.gui.message_bar import ErrorHook, MessageBar
 from wavefocus.gui.process import Background, CommandProcess
 from wavefocus.gui.surface import VIRTUAL
@@ -83,16 +83,18 @@ class Window(QMainWindow):
         """Open a file in the tab that accepts it."""
         path = path.absolute()
         self.messages.dismiss_old()
-        for tab in self.tabs:
-            if tab.accepts(path):
-                self._pages.setCurrentWidget(tab)
-                tab.open_file(path)
-                self.settings.opened(path)
-                return
-        if path.name.lower().endswith(".toml") and toml_kind(path) is TomlKind.TRIALS:
+        kind = kind_of(path)
+        if kind is None and path.suffix.lower() == ".toml":
+            kind = FileKind.RUN  # the capture reports what is wrong with it
+        tab = next((one for one in self.tabs if kind in one.kinds), None)
+        if tab is not None:
+            self._pages.setCurrentWidget(tab)
+            tab.open_file(path)
+            self.settings.opened(path)
+        elif kind is FileKind.TRIALS:
             self._open_trials(path)
         else:
-            self.messages.warn(f"{path}: no tab opens such a file; they open {', '.join(self._endings())}")
+            self.messages.warn(f"{path}: no tab opens such a file; they open {', '.join(ENDINGS)}")
 
     def restore_settings(self) -> None:
         for tab in self.tabs:
@@ -183,7 +185,7 @@ class Window(QMainWindow):
         bar.addMenu(help_menu)
 
     def _choose_file(self) -> None:
-        dialog = make_dialog(self, "Open", self.settings.folder(".h5"), "Files of wavefocus", self._endings())
+        dialog = make_dialog(self, "Open", self.settings.folder(".h5"), "Files of wavefocus", ENDINGS)
         dialog.setNameFilters([*dialog.nameFilters(), "All files (*)"])
         dialog.setFileMode(QFileDialog.FileMode.ExistingFiles)
         dialog.filesSelected.connect(self._open_named)
@@ -231,9 +233,6 @@ class Window(QMainWindow):
     def _open_named(self, names: Sequence[str]) -> None:
         for name in names:
             self.open_file(Path(name))
-
-    def _endings(self) -> list[str]:
-        return list(dict.fromkeys(ending for tab in self.tabs for ending in tab.opens))
 
     def _list_recent(self) -> None:
         self._recent.clear()

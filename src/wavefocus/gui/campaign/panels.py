@@ -19,7 +19,6 @@ from wavefocus.gui.theme import Themed
 
 # Name, text, key and tooltip.
 _BUTTONS = (
-    ("plan", "Dry run", "Ctrl+D", "Walk the run file's plan without playing: positions, hours, bytes"),
     ("start", "Start", "Ctrl+Return", "Start the campaign of the run file in the bank, or continue it"),
     ("resume", "Resume", "Ctrl+R", "Continue the bank's campaign; the bank alone is enough"),
     ("pause", "Pause", "Ctrl+P", "Finish the current position, then wait, muted and parked"),
@@ -44,14 +43,13 @@ class Controls(QWidget):
             action = self.actions_by_name[name] = ui.action(self, text, acts[name], key, tip=tip)
             action.setEnabled(False)
             self.buttons[name] = ui.button(action)
-            parts += [self.buttons[name], 10 if name in ("plan", "stop") else 0]
+            parts += [self.buttons[name], 10 if name == "stop" else 0]
         ui.row(*parts, None, owner=self)
 
-    def show_possible(self, orders: frozenset[CampaignAction], *, has_run: bool, selected: int, poor: int) -> None:
+    def show_possible(self, orders: frozenset[CampaignAction], *, selected: int, poor: int) -> None:
         """Enable what makes sense, and show how many positions would be measured again."""
         paused, remeasures = CampaignAction.CONTINUE in orders, CampaignAction.REMEASURE in orders
         for name, enabled, text in (
-            ("plan", has_run, "Dry run"),
             ("start", CampaignAction.START in orders, "Start"),
             ("resume", CampaignAction.RESUME in orders, "Resume"),
             ("pause", paused or CampaignAction.PAUSE in orders, "Continue" if paused else "Pause"),

@@ -9,13 +9,11 @@ from contextlib import suppress
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from PyQt5.QtCore import Qt
 from PyQt5.QtGui import QShowEvent
 from PyQt5.QtWidgets import QAction, QWidget
 
-from wavefocus.acquisition.wording import hours
 from wavefocus.campaign.sidecar_files import said_path, session_failure
 from wavefocus.gui import widgets as ui
 from wavefocus.gui.campaign.follower import Follower, same_file
@@ -24,27 +22,17 @@ from wavefocus.gui.campaign.model import CampaignAction, CampaignModel, Extra, p
 from wavefocus.gui.campaign.panels import Controls, EventList, ProgressRow
 from wavefocus.gui.campaign.position_panel import PositionPanel
 from wavefocus.gui.campaign.quality import NOT_GOOD
-from wavefocus.gui.files import (
-    FileKind,
-    PathField,
-    TomlKind,
-    file_state,
-    is_field_file,
-    rig_of_run,
-    runs_on_virtual_rig,
-    toml_kind,
-)
+from wavefocus.gui.files import FileKind, PathField, file_state, rig_of_run, runs_on_virtual_rig
 from wavefocus.gui.process import CommandProcess
 from wavefocus.gui.surface import PlotSurface, plan_surface
 from wavefocus.gui.tab import ClosingQuestion, Tab, TabContext
-from wavefocus.rendering.verify.record import FIELD_NAMES, RECORD_NAME
 from wavefocus.storage.errors import InputError
 
 _REREAD_EVERY_S = 0.5
 
 
 class CampaignRun:
-    """At most one capture of this window, and one order or dry run at a time.
+    """At most one capture of this window, and one order at a time.
 
     own: The window's capture.
     bank: Bank of that capture.
@@ -98,25 +86,6 @@ class CampaignRun:
         if bank is not None:
             order = self._context.run([word, str(bank), "--json"], answered, name=word)
             self._context.messages.warn(f"{word}: waiting for the capture…", ("Stop waiting", order.kill))
-
-    def plan(self, run_file: Path) -> None:
-        """Dry run: report positions, time and size."""
-
-        def planned(process: CommandProcess) -> None:
-            if process.exit_code != 0:
-                self._context.report_end(process, stopped="the dry run was cancelled")
-                return
-            facts: dict[str, Any] = process.last_message
-            finish, lines = datetime.fromisoformat(facts["finish_at"]), "\n".join(facts["lines"])
-            self._context.messages.warn(
-                f"{run_file.name}: {facts['positions']} positions, {facts['actuators']} actuators, "
-                f"{hours(facts['duration_s'])}, finished {finish:%a %d %b %H:%M}; "
-                f"bank {facts['bank_bytes'] / 1e6:.0f} MB",
-                ("Details", lambda: ui.show_text("Dry run", lines, self._owner)),
-            )
-
-        plan = self._context.run(["plan", str(run_file), "--json"], planned, name="the dry run")
-        self._context.messages.warn(f"dry run of {run_file.name}…", ("Cancel", plan.kill))
 
     def instruments_held(self) -> str:
         return "" if self.own is None or self._virtual else f"a run of this window measures {self.bank}"
@@ -175,7 +144,7 @@ class CampaignTab(Tab):
     """Starts, follows, interrupts and repairs a campaign, whichever process measures."""
 
     title = "Campaign"
-    opens = (".h5", ".toml")
+    kinds = (FileKind.RUN, FileKind.BANK)
 
     def __init__(self, context: TabContext) -> None:
         super().__init__(context)
@@ -195,7 +164,6 @@ class CampaignTab(Tab):
         self.bank_field = PathField("&Bank", ".h5", "bank file", context.settings, saves=True)
         self.controls = Controls(
             {
-                "plan": self._plan,
                 "start": self._start_run,
                 "resume": lambda: self._start("Resume", "resume"),
                 "pause": self._pause_or_continue,
@@ -221,15 +189,6 @@ class CampaignTab(Tab):
         seek = partial(self.events.text.setFocus, Qt.FocusReason.ShortcutFocusReason)
         find = ui.action(self, "&Find in events", seek, "Ctrl+F")
         return [*self.controls.actions_by_name.values(), None, *self.run.accepts.values(), None, find]
-
-    def accepts(self, path: Path) -> bool:
-        """Banks, and TOML files that are neither rigs nor scenes; not the files of a verification."""
-        name = path.name.lower()
-        if name.endswith(".toml"):
-            return toml_kind(path) in (TomlKind.RUN, TomlKind.UNREADABLE)  # the capture reports what is wrong with it
-        of_verification = path.name in FIELD_NAMES and path.with_name(RECORD_NAME).exists()
-        of_others = of_verification or is_field_file(path)
-        return name.endswith(".h5") and not name.endswith(".raw.h5") and not of_others
 
     def open_file(self, path: Path) -> None:
         if path.suffix.lower() == ".toml":
@@ -268,7 +227,6 @@ class CampaignTab(Tab):
             return
         self._drawn, self._draw_due_s = news, time.monotonic() + _CLOCKS_EVERY_S
         state, owner = campaign.state(starting=self.run.runs(bank)), campaign.owner
-        has_run = self.run_field.path is not None
         report = self.run.last_line(bank) if state.word in (Extra.STARTING, Extra.PREPARING) else ""
         who = f"process {owner.pid} on {owner.host} owns the bank" if owner else ""
         self.progress.show_state(state, report, who)
@@ -278,13 +236,13 @@ class CampaignTab(Tab):
         self.progress.show_progress(measured, total, campaign.session, state)
         if campaign.surface is None and self.map_panel.planned is not None:
             self.progress.show_plan(self.map_panel.planned.positions, self._planned_s)
-        startable = has_run and bank is not None and not self._mismatch
+        startable = self.run_field.path is not None and bank is not None and not self._mismatch
         orders = possible_actions(
             state, has_run=startable, has_bank=campaign.surface is not None, left=total - measured
         )
         self._paused = CampaignAction.CONTINUE in orders
         poor = int(((campaign.status & NOT_GOOD) > 0).sum())
-        self.controls.show_possible(orders, has_run=has_run, selected=selected, poor=poor)
+        self.controls.show_possible(orders, selected=selected, poor=poor)
         for part in (self.map_panel, self.position_panel, self.events):
             part.draw()
 
@@ -376,10 +334,6 @@ class CampaignTab(Tab):
         self._mismatch = ""
         self.map_panel.show_plan(None)
         self.context.report_failure(failure, "plan")
-
-    def _plan(self) -> None:
-        if self.run_field.path is not None:
-            self.run.plan(self.run_field.path)
 
     def _start_run(self) -> None:
         run, bank = self.run_field.path, self.bank_field.path

@@ -103,8 +103,8 @@ class FilesTab(Tab):
         for page in self.pages.values():
             self._stack.addWidget(page)
         choices = [(kind, kind.capitalize(), f"The text of the {kind}", kind) for kind in _KINDS]
-        self.kinds = ui.exclusive_buttons(choices, lambda kind: self.show_page(FileKind(kind)))
-        ui.column(ui.row(*self.kinds.values(), None), (self._stack, 1), owner=self, margins=ui.PAGE_MARGINS)
+        self.buttons = ui.exclusive_buttons(choices, lambda kind: self.show_page(FileKind(kind)))
+        ui.column(ui.row(*self.buttons.values(), None), (self._stack, 1), owner=self, margins=ui.PAGE_MARGINS)
         self.remember(**{f"{name}_columns": self.pages[kind].columns for kind, name in _KINDS.items()})
         for page in self.pages.values():
             page.files.restore_unsaved()
@@ -114,7 +114,7 @@ class FilesTab(Tab):
 
     def show_page(self, kind: FileKind) -> None:
         """Show the run file or the rig file."""
-        self.kinds[kind].setChecked(True)
+        self.buttons[kind].setChecked(True)
         self._stack.setCurrentWidget(self.pages[kind])
         stack = self.parentWidget()
         tabs = None if stack is None else stack.parentWidget()

@@ -34,7 +34,7 @@ class TomlEdit(Themed, QPlainTextEdit):
         self.setDocument(document.text)
         self.setFont(QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont))
         self.setLineWrapMode(QPlainTextEdit.LineWrapMode.NoWrap)  # comments stand in a column of their own
-        self.setAcceptDrops(False)  # the window takes what is dropped
+        self.setAcceptDrops(False)  # the name of a dropped file is no TOML
         self._colours = _Colours(document.text, self.theme)
         self._found = QStringListModel(self)
         self.completer = QCompleter(self._found, self)
@@ -156,12 +156,9 @@ def _listed(text: str, about: str) -> str:
 
 
 class TextPanel(Themed, QWidget):
-    """The text with a line to search in it, and its mistakes below, each with its line.
+    """The text with a line to search in it, and its mistakes below, each with its line."""
 
-    below: Widgets beneath the text.
-    """
-
-    def __init__(self, document: TextDocument, *below: QWidget) -> None:
+    def __init__(self, document: TextDocument) -> None:
         super().__init__()
         self._document = document
         self.text = TomlEdit(document)
@@ -171,7 +168,7 @@ class TextPanel(Themed, QWidget):
         self.problem = ui.label("Mistakes of the text", wraps=True, selectable=True)
         self.problem.setTextInteractionFlags(Qt.TextInteractionFlag.LinksAccessibleByMouse)
         self.problem.linkActivated.connect(lambda line: self.text.go_to_line(int(line)))
-        ui.column(self.search, (self.text, 1), self.problem, *below, owner=self, spacing=4)
+        ui.column(self.search, (self.text, 1), self.problem, owner=self, spacing=4)
         self.search.returnPressed.connect(self.find_next)
         find = ui.action(self, "&Find", self._find, "Ctrl+F")
         leave = ui.action(self.search, "Close", self._leave, "Escape")

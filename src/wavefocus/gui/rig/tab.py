@@ -16,7 +16,7 @@ from wavefocus.config.messages.operate import Numbers
 from wavefocus.config.messages.rig_checks import Finding, FindingMade
 from wavefocus.config.rig import Surface
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.files import FileKind, PathField, TomlKind, toml_kind
+from wavefocus.gui.files import FileKind, PathField
 from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess, Message
 from wavefocus.gui.rig.calibration_page import CalibrationPage
 from wavefocus.gui.rig.manual_page import ManualPage
@@ -198,7 +198,7 @@ class RigTab(Tab):
     """Three pages about one rig file."""
 
     title = "Rig"
-    opens = (".toml",)
+    kinds = (FileKind.RIG,)
 
     def __init__(self, context: TabContext) -> None:
         super().__init__(context)
@@ -234,9 +234,6 @@ class RigTab(Tab):
 
     def menu_actions(self) -> list[QAction | None]:
         return [self._examine, self._cancel, None, self._take, *self._with_instruments]
-
-    def accepts(self, path: Path) -> bool:
-        return path.name.lower().endswith(".toml") and toml_kind(path) is TomlKind.RIG
 
     def open_file(self, path: Path) -> None:
         """Use another rig; open instruments are closed first."""

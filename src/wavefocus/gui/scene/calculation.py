@@ -98,7 +98,7 @@ class Calculation(QObject):
         if self._pool is None:
             context = multiprocessing.get_context("spawn")
             self._pool = ProcessPoolExecutor(1, context, _begin_process, (self._newest,))
-        self._submit("drives", _drives, document.draft, document.place, document.bank, rig, document.allow_large)
+        self._submit("drives", _drives, document.draft, document.place, document.bank, rig)
 
     def cancel(self) -> None:
         """Stop calculating; a step that goes on for too long ends with its process. May be called again and again."""
@@ -212,7 +212,7 @@ def _checks(number: int) -> Callable[[int, int], None]:
     return check
 
 
-def _drives(number: int, draft: SceneConfig, place: Path, path: Path, rig: str, allow_large: bool) -> SceneResults:
+def _drives(number: int, draft: SceneConfig, place: Path, path: Path, rig: str) -> SceneResults:
     """The drives, as ``wavefocus render --tolerance-db=-60``."""
     from wavefocus.gui.scene.draft import build_draft
     from wavefocus.rendering.drive.coil_limits import dynamic_range_db, peaks
@@ -224,7 +224,7 @@ def _drives(number: int, draft: SceneConfig, place: Path, path: Path, rig: str, 
     from wavefocus.rig.limits import rig_of, within
     from wavefocus.storage.bank.reading import open_bank
 
-    scene = build_draft(draft, place, allow_large=allow_large)
+    scene = build_draft(draft, place)
     _, surface = _measured(path, _state_of(path))
     with open_bank(path) as bank:
         lasts_s = scene_size(scene, sample_rate_hz=float(bank.sample_rate_hz), taps=1, actuators=1).seconds

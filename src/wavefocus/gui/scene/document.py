@@ -51,7 +51,6 @@ class SceneDocument(TextDocument):
         super().__init__("scene", parent)
         self.draft, self.problem, self.chosen = NEW_SCENE, "", NOTHING
         self.bank: Path | None = None
-        self.allow_large = False
 
     @property
     def worth_keeping(self) -> bool:
@@ -72,12 +71,7 @@ class SceneDocument(TextDocument):
 
     def scene(self) -> Scene:
         """The scene that commands make of the text; raises as `build_draft` says."""
-        return build_draft(self.draft, self.place, allow_large=self.allow_large)
-
-    def allow(self, allow_large: bool) -> None:
-        """Allow the scene to be larger than the limits of the command line, or not."""
-        self.allow_large = allow_large
-        self.changed.emit()
+        return build_draft(self.draft, self.place)
 
     def edit(self, _words: str, draft: SceneConfig, *, chosen: int | None = None) -> None:
         """Replace the text by that of a scene, in a step that can be undone."""

@@ -193,7 +193,7 @@ def _with_all_files(scene: SceneConfig, rename: Callable[[str], str]) -> SceneCo
     )
 
 
-def build_draft(draft: SceneConfig, place: Path, *, allow_large: bool = False) -> Scene:
+def build_draft(draft: SceneConfig, place: Path) -> Scene:
     """Build the scene that commands read from the draft's file.
 
     draft: The draft; names of files in it are absolute.
@@ -209,7 +209,7 @@ def build_draft(draft: SceneConfig, place: Path, *, allow_large: bool = False) -
     named = _with_all_files(draft, lambda file: file.removeprefix(f"{place.parent}/"))
     try:
         config = validated(SceneConfig, named.model_dump(exclude_none=True, warnings=False), str(place))
-        return build_scene(config, place, allow_large=allow_large)
+        return build_scene(config, place)
     except InputError as error:
         raise InputError(str(error).removeprefix(f"{place}: ")) from None
 

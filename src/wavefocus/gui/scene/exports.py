@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from PyQt5.QtCore import QObject, QTimer, pyqtSignal
+from PyQt5.QtCore import QObject, pyqtSignal
 
 from wavefocus.acquisition.wording import hours
 from wavefocus.gui.files import names_virtual_rig
@@ -20,16 +20,22 @@ from wavefocus.gui.tab import TabContext
 DRIVE, WAV, MOVIE = "drive", "WAV", "movie"
 ENDINGS = {DRIVE: ".h5", WAV: ".wav", MOVIE: ".gif"}
 IDLE, RENDERING, OPENING, PLAYING, STOPPING = "silent", "rendering", "opening the rig", "playing", "stopping"
-CANCELLED = -1
+_CANCELLED = -1
 # Muting takes a moment; a process that has not opened the rig yet ends, silent, when it would open it.
 _MUTES_WITHIN_MS, _OPENS_WITHIN_MS = 4000, 30_000
-_TICK_MS = 100
 
 
 class SceneTask(QObject):
-    """Runs commands about the present scene one after the other, at most one task at a time, in a temporary folder."""
+    """Runs commands about the present scene one after the other, at most one task at a time, in a temporary folder.
+
+    A process that sounds mutes the outputs when it is stopped, and when the window is gone.
+
+    state: `IDLE`, `RENDERING`, or what a command that sounds does.
+    """
 
     changed = pyqtSignal()
+    #: Of the sentence that says which rig it holds.
+    verb = "plays"
 
     def __init__(self, context: TabContext, document: SceneDocument, parent: QObject) -> None:
         super().__init__(parent)
@@ -37,47 +43,23 @@ class SceneTask(QObject):
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._process: CommandProcess | None = None
         self._cancelled = False
-        self._drive_file = self._field_file = self._scene_file = Path()
-        self._name = ""
-        self._bank: list[str] = []
-        self._options: list[str] = []
+        self._scene_file = Path()
+        self._rig = ""
+        self.state = IDLE
 
     @property
     def busy(self) -> bool:
         return self._folder is not None
 
-    def prepare(self, rig: str, failing: str) -> bool:
-        """Make the folder, with the present scene where its file is not up to date; later edits do not matter.
+    @property
+    def pid(self) -> int | None:
+        """Process id of the running command, None while none runs."""
+        return None if self._process is None else self._process.pid
 
-        rig: A rig file, or ``virtual``; empty for none.
-        failing: Beginning of the message that says why the folder cannot be made.
-        """
-        document = self._document
-        try:
-            self._folder = tempfile.TemporaryDirectory(prefix="wavefocus-scene-", ignore_cleanup_errors=True)
-            folder = Path(self._folder.name)
-            self._drive_file, self._field_file = folder / "drive.h5", folder / "field.h5"
-            if document.path is not None and document.saved:
-                self._scene_file = document.path
-            else:
-                self._scene_file = folder / "scene.toml"
-                self._scene_file.write_text(scene_toml(document.draft), encoding="utf-8")
-        except OSError as failure:
-            self._context.messages.fault(f"{failing}: {error_text(failure)}")
-            self.release()
-            return False
-        self._cancelled = False
-        self._name = document.path.name if document.path else "the scene"
-        self._bank = ["--bank", str(document.bank)]
-        self._options = [*(["--rig", rig] if rig else []), *(["--allow-large"] if document.allow_large else [])]
-        return True
-
-    def render(self, out: Path | None = None, wav: Path | None = None) -> list[str]:
-        """The command that renders the scene."""
-        # --force: the files are in the temporary folder, or their replacement was confirmed in the dialog.
-        sound = [] if wav is None else ["--wav", str(wav)]
-        into = ["--out", str(out or self._drive_file)]
-        return ["render", str(self._scene_file), *self._bank, *into, *sound, *self._options, "--force"]
+    def instruments_held(self) -> str:
+        """Subject and verb of a message about a real rig that sounds; empty for none."""
+        silent = self.state == IDLE or not self._rig or names_virtual_rig(self._rig)
+        return "" if silent else f"the Scene tab {self.verb} on {Path(self._rig).name}"
 
     def cancel(self) -> None:
         """End the running command; files stay as they were."""
@@ -86,39 +68,96 @@ class SceneTask(QObject):
             self._process.kill()
 
     def close(self) -> None:
-        """End it without waiting, and without a word; the window closes."""
-        if self.busy:
+        """The window closes: what sounds mutes and ends by itself, all else is ended."""
+        if self.state == RENDERING:
             self.cancel()
-            if self._process is not None:
-                self._process.detach()
-            self.release()
+        if self._process is not None:
+            self._process.detach()
+            self._process = None
+        self._release()
+        self.state = IDLE
 
-    def release(self) -> None:
-        if self._folder is not None:
-            self._folder.cleanup()
-            self._folder = None
+    def _prepare(self, failing: str) -> bool:
+        """Make the folder, with the present scene where its file is not up to date; later edits do not matter.
 
-    def _run(self, commands: Sequence[Sequence[str]], done: Callable[[int, str], object]) -> None:
-        """Run commands as long as they succeed; `done` receives the last exit code, or CANCELLED, and message."""
+        failing: Beginning of the message that says why the folder cannot be made.
+        """
+        document = self._document
+        try:
+            self._folder = tempfile.TemporaryDirectory(prefix="wavefocus-scene-", ignore_cleanup_errors=True)
+            if document.path is not None and document.saved:
+                self._scene_file = document.path
+            else:
+                self._scene_file = Path(self._in_folder("scene.toml"))
+                self._scene_file.write_text(scene_toml(document.draft), encoding="utf-8")
+        except OSError as failure:
+            self._context.messages.fault(f"{failing}: {error_text(failure)}")
+            self._release()
+            return False
+        self._cancelled = False
+        return True
+
+    def _in_folder(self, name: str) -> str:
+        assert self._folder is not None
+        return str(Path(self._folder.name) / name)
+
+    def _render(self, rig: str, *options: str, out: str = "") -> list[str]:
+        """The command that renders the scene within the limits of a rig; empty for none."""
+        # --force: the files are in the temporary folder, or their replacement was confirmed in the dialog.
+        limits = ["--rig", rig] if rig else []
+        into = ["--out", out or self._in_folder("drive.h5"), *options, "--force"]
+        return ["render", str(self._scene_file), "--bank", str(self._document.bank), *into, *limits]
+
+    def _run(
+        self,
+        commands: Sequence[tuple[str, Sequence[str]]],
+        done: Callable[[int, str], object],
+        received: Callable[[Message], None] | None = None,
+    ) -> None:
+        """Run commands as long as they succeed, each with the state that it begins in.
+
+        done: Receives the last exit code, or _CANCELLED, and what that command said.
+        received: Receives the commands' JSON lines.
+        """
 
         def finished(process: CommandProcess) -> None:
             self._process = None
             if not self.busy:  # the window closes
                 return
-            if self._cancelled:
-                done(CANCELLED, "")
-            elif process.exit_code != 0 or len(commands) == 1:
-                done(process.exit_code or 0, self._plain(process.last_line))
-            else:
-                self._run(commands[1:], done)
+            code = _CANCELLED if self._cancelled else process.exit_code or 0
+            if code == 0 and len(commands) > 1:
+                self._run(commands[1:], done, received)
+                return
+            done(code, self._plain(process.failure or process.last_line))
+            self._release()
+            self._enter(IDLE)
 
-        self._process = self._context.run(commands[0], finished)
+        state, command = commands[0]
+        advice = "" if state == RENDERING else "check that the rig is silent"
+        self._process = self._context.run(command, finished, received, advice=advice)
+        self._enter(state)
 
     def _plain(self, message: str) -> str:
         """A message without the names of temporary files."""
-        for file, name in ((self._drive_file, "the drive"), (self._field_file, "the field")):
-            message = message.replace(str(file), name)
-        return message.replace(str(self._drive_file.with_name("scene.toml")), self._name)
+        name = self._document.path.name if self._document.path else "the scene"
+        for file, words in (("drive.h5", "the scene"), ("field.h5", "the field"), ("scene.toml", name)):
+            message = message.replace(self._in_folder(file), words)
+        return message
+
+    def _end_process(self, *, sounds: bool) -> None:
+        """Mute and end it; one that is still opening the rig ends, silent, when it has."""
+        if self._process is not None:
+            self._enter(STOPPING)
+            self._process.stop(_MUTES_WITHIN_MS if sounds else _OPENS_WITHIN_MS, _MUTES_WITHIN_MS)
+
+    def _release(self) -> None:
+        if self._folder is not None:
+            self._folder.cleanup()
+            self._folder = None
+
+    def _enter(self, state: str) -> None:
+        self.state = state
+        self.changed.emit()
 
 
 class Saving(SceneTask):
@@ -141,86 +180,39 @@ class Saving(SceneTask):
         rig: A rig file whose limits count; empty for none.
         rate_hz: Of the field that a movie is drawn from; None for that of the bank.
         """
-        if self.busy or not self.prepare(rig, f"{path.name} is not saved"):
+        if self.busy or not self._prepare(f"{path.name} is not saved"):
             return
-        drive, field = str(self._drive_file), str(self._field_file)
+        drive, field, bank = self._in_folder("drive.h5"), self._in_folder("field.h5"), str(self._document.bank)
         rate = [] if rate_hz is None else ["--rate", repr(rate_hz)]
         commands = {
-            DRIVE: [self.render(path)],
-            WAV: [self.render(wav=path)],
+            DRIVE: [self._render(rig, out=str(path))],
+            WAV: [self._render(rig, "--wav", str(path))],
             MOVIE: [
-                self.render(),
-                ["predict", drive, *self._bank, "--out", field, *rate, "--force"],
-                ["movie", field, *self._bank, "--drive", drive, "--out", str(path), "--force"],
+                self._render(rig),
+                ["predict", drive, "--bank", bank, "--out", field, *rate, "--force"],
+                ["movie", field, "--bank", bank, "--drive", drive, "--out", str(path), "--force"],
             ],
         }[kind]
         self.text = f"saving {path.name}"
-        self._run(commands, lambda code, message: self._ended(kind, path, code, message))
-        self.changed.emit()
+        self._run([(RENDERING, one) for one in commands], lambda code, message: self._ended(kind, path, code, message))
 
     def _ended(self, kind: str, path: Path, code: int, message: str) -> None:
-        self.release()
+        messages = self._context.messages
         if code == 0:
             self._context.settings.keep(f"folder/scene {kind}", str(path.parent))
-            self._context.messages.note(f"{path} is saved: {message}" if message else f"{path} is saved")
-        elif code == CANCELLED:
-            self._context.messages.note(f"{path.name} is not saved: cancelled")
+            messages.note(f"{path} is saved: {message}" if message else f"{path} is saved")
+        elif code == _CANCELLED:
+            messages.note(f"{path.name} is not saved: cancelled")
         else:
-            self._context.messages.fault(f"{path.name} is not saved: {message or f'exit code {code}'}")
-        self.changed.emit()
+            messages.fault(f"{path.name} is not saved: {message}")
 
 
-class RigTask(SceneTask):
-    """A task that sounds on a rig; its process mutes the outputs when it is stopped, and when the window is gone.
-
-    verb: Of the sentence that says which rig it holds.
-    """
-
-    verb = "plays"
-
-    def __init__(self, context: TabContext, document: SceneDocument, parent: QObject) -> None:
-        super().__init__(context, document, parent)
-        self._rig = ""
-        self.state = IDLE
-
-    @property
-    def pid(self) -> int | None:
-        """Process id of the running command, None while none runs."""
-        return None if self._process is None else self._process.pid
-
-    def instruments_held(self) -> str:
-        """Subject and verb of a message about a real rig that sounds; empty for none."""
-        silent = self.state == IDLE or names_virtual_rig(self._rig)
-        return "" if silent else f"the Scene tab {self.verb} on {Path(self._rig).name}"
-
-    def close(self) -> None:
-        """The window closes: the process mutes and ends by itself."""
-        if self._process is not None:
-            self._process.detach()
-            self._process = None
-        self.state = IDLE
-        self.release()
-
-    def _end_process(self, *, sounds: bool) -> None:
-        """Mute and end it; one that is still opening the rig ends, silent, when it has."""
-        if self._process is not None:
-            self._enter(STOPPING)
-            self._process.stop(_MUTES_WITHIN_MS if sounds else _OPENS_WITHIN_MS, _MUTES_WITHIN_MS)
-
-    def _enter(self, state: str) -> None:
-        self.state = state
-        self.changed.emit()
-
-
-class PlayTask(RigTask):
+class PlayTask(SceneTask):
     """Renders the scene within the rig's limits and plays it."""
 
     def __init__(self, context: TabContext, document: SceneDocument, parent: QObject) -> None:
         super().__init__(context, document, parent)
         self._started_s = self._lasts_s = 0.0
-        self._tick = QTimer(self)
-        self._tick.setInterval(_TICK_MS)
-        self._tick.timeout.connect(self.changed.emit)
 
     @property
     def text(self) -> str:
@@ -237,13 +229,12 @@ class PlayTask(RigTask):
         loops: Number of repetitions, without a gap.
         lasts_s: Duration of one repetition, for display.
         """
-        if self.busy or not self.prepare(rig, "nothing is played"):
+        if self.busy or not self._prepare("nothing is played"):
             return
         self._rig, self._lasts_s = rig, loops * lasts_s
         options = ["--rig", rig, "--loop", str(loops), f"--gain-db={gain_db:g}", "--lines"]
-        play = ["play", str(self._drive_file), *options]
-        self._enter(RENDERING)
-        self._run([self.render()], lambda code, message: self._rendered(code, message, play))
+        play = ["play", self._in_folder("drive.h5"), *options]
+        self._run([(RENDERING, self._render(rig)), (OPENING, play)], self._ended, self._received)
 
     def stop(self) -> None:
         """Stop and mute."""
@@ -252,41 +243,16 @@ class PlayTask(RigTask):
         elif self.state in (OPENING, PLAYING):
             self._end_process(sounds=self.state == PLAYING)
 
-    def close(self) -> None:
-        self._tick.stop()
-        if self.state == RENDERING:
-            self.cancel()
-        super().close()
-
-    def _rendered(self, code: int, message: str, play: list[str]) -> None:
-        if code == 0:
-            self._process = self._context.run(play, self._finished, self._received)
-            self._tick.start()
-            self._enter(OPENING)
-            return
-        if code == CANCELLED:
-            self._context.messages.note("nothing was played: stopped while rendering")
-        else:
-            self._context.messages.fault(f"nothing is played: {message or f'exit code {code}'}")
-        self._end()
-
     def _received(self, message: Message) -> None:
         if self.state == OPENING and message.get("event") == "playing":
             self._started_s = time.monotonic()
             self._enter(PLAYING)
 
-    def _finished(self, process: CommandProcess) -> None:
-        message = process.last_line.replace(str(self._drive_file), "the scene")
-        if process.exit_code is None or process.exit_code < 0:
-            self._context.messages.fault("the process that played was killed; check that the rig is silent")
-        elif process.exit_code in (0, STOPPED_BY_USER):
-            self._context.messages.note(message or "played; the outputs are muted")
+    def _ended(self, code: int, message: str) -> None:
+        messages = self._context.messages
+        if code == _CANCELLED:
+            messages.note("nothing was played: stopped while rendering")
+        elif code in (0, STOPPED_BY_USER):
+            messages.note(message or "played; the outputs are muted")
         else:
-            self._context.messages.fault(message or f"playing ended with exit code {process.exit_code}")
-        self._end()
-
-    def _end(self) -> None:
-        self._tick.stop()
-        self._process = None
-        self.release()
-        self._enter(IDLE)
+            messages.fault(f"nothing is played: {message}" if self.state == RENDERING else message)

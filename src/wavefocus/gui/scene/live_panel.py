@@ -1,18 +1,16 @@
-"""Start, stop, latency, load and notices of live sources."""
+"""Start, stop, latency and figures of live sources."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from datetime import datetime
 from functools import partial
 
 import numpy as np
 import pyqtgraph
 from PyQt5.QtCore import Qt
 from PyQt5.QtGui import QHideEvent, QShowEvent
-from PyQt5.QtWidgets import QListWidget, QWidget
+from PyQt5.QtWidgets import QWidget
 
 from wavefocus.config.messages.live import LiveReady, LiveState
 from wavefocus.gui import widgets as ui
@@ -30,8 +28,6 @@ _SHOWN_S = 60.0
 # A single peak must not hide all else.
 _MAX_GOALS = 4.0
 _AXIS_PX = 60
-_NOTICES_KEPT = 100
-_NOTICE_LINES = 3
 _HINT_LINES = 3
 _HINTS = {
     IDLE: "Press Start (F8); sources then follow mouse and fingers on the surface",
@@ -68,61 +64,34 @@ class LatencyPlot(Plot):
         self.setYRange(0.0, 1.2 * top_ms, padding=0.0)
 
 
-@dataclass(frozen=True, slots=True)
-class LiveMetric:
-    """One line of the table; `wrong` marks a value that needs attention."""
-
-    name: str
-    value: str
-    definition: str
-    wrong: bool = False
-
-
-def figures_of(ready: LiveReady | None, state: LiveState | None) -> list[LiveMetric]:
-    """Return the figures of a session; they have no value while there is none."""
-    p999_ms = None if state is None else state.latency_p999_ms
-    behind_ms = math.nan if ready is None or p999_ms is None else ready.look_ahead_ms + p999_ms + ready.interface_ms
-    look_ahead = "" if ready is None else f"{ready.look_ahead_ms:g} ms; exact from {ready.sufficient_ms:.0f} ms"
-    return [
-        LiveMetric(
-            "latency", "" if p999_ms is None else f"{p999_ms:.1f} ms",
-            "99.9th percentile of the session, from a position received to the first drive sample made with it,"
-            f" written; it should be at most {LATENCY_GOAL_MS:g} ms",
-            p999_ms is not None and p999_ms > LATENCY_GOAL_MS,
-        ),
-        LiveMetric(
-            "underruns", "" if state is None else str(state.underruns),
-            "Blocks that came too late: the interface ran dry, and sources began anew",
-            state is not None and state.underruns > 0,
-        ),
-        LiveMetric(
-            "left out", "" if state is None else _left_out(state),
-            "Sources that are left out so that computing keeps pace: those that came last",
-            state is not None and state.degradation != "none",
-        ),
-        LiveMetric(
-            "limiter", "" if state is None else _limited(state),
-            "Least gain on all drives since the last figures; below 0 dB they would have exceeded the rig's limits",
-            state is not None and state.limited_db < 0.0,
-        ),
-        LiveMetric(
-            "look-ahead", look_ahead,
-            "Delay by which sources follow their pointers on purpose. Below the second figure the end of a source's"
-            " path is predicted from its velocity",
-        ),
-        LiveMetric(
-            "pointer to sound", "" if math.isnan(behind_ms) else f"{behind_ms:.0f} ms",
-            "Look-ahead, latency, what waits to be played, and the interface's own latency",
-        ),
-    ]  # fmt: skip
+_DEFINITIONS = (
+    f"latency: from a position received to its first drive sample written, 99.9 % of them; at most {LATENCY_GOAL_MS:g}"
+    " ms is the goal\n"
+    "underruns: blocks that came too late; sources began anew\n"
+    "left out: the sources that came last, so that computing keeps pace\n"
+    "limiter: the least gain on all drives since the last figures; without it they would exceed the rig's limits\n"
+    "look-ahead: delay by which sources follow their pointers on purpose; nothing is predicted from the second figure"
+    " on\n"
+    "pointer to sound: look-ahead, latency, what waits to be played, and the interface's own latency"
+)
 
 
-def _left_out(state: LiveState) -> str:
-    return f"source{'s' if len(state.dropped) > 1 else ''} {', '.join(state.dropped)}" if state.dropped else "nothing"
-
-
-def _limited(state: LiveState) -> str:
-    return f"{state.limited_db:.1f} dB" if state.limited_db < 0.0 else "not reached"
+def figures_of(ready: LiveReady | None, state: LiveState | None) -> list[tuple[str, bool]]:
+    """Return the figures of a session in words, and whether each needs attention; none without a session."""
+    if ready is None:
+        return []
+    found = [(f"look-ahead: {ready.look_ahead_ms:g} ms; exact from {ready.sufficient_ms:.0f} ms", False)]
+    if state is None:
+        return found
+    found.append((f"underruns: {state.underruns}", state.underruns > 0))
+    names = f"source{'s' if len(state.dropped) > 1 else ''} {', '.join(state.dropped)}" if state.dropped else "nothing"
+    found.append((f"left out: {names}", state.degradation != "none"))
+    limits = state.limited_db < 0.0
+    found.append((f"limiter: {state.limited_db:.1f} dB" if limits else "limiter: not reached", limits))
+    if (p999_ms := state.latency_p999_ms) is not None:
+        found.insert(0, (f"latency: {p999_ms:.1f} ms", p999_ms > LATENCY_GOAL_MS))
+        found.append((f"pointer to sound: {ready.look_ahead_ms + p999_ms + ready.interface_ms:.0f} ms", False))
+    return found
 
 
 class LivePanel(Themed, QWidget):
@@ -150,41 +119,31 @@ class LivePanel(Themed, QWidget):
         tip = "Delay by which sources follow their pointers, so that less of their path has to be predicted (ms)"
         self.look_ahead = ui.whole_box("Look-ahead in ms", tip, 0, _MAX_LOOK_AHEAD_MS, "look-ahead ", " ms")
         self.look_ahead.setValue(_LOOK_AHEAD_MS)
-        tip = "Softer (negative) or louder than the chosen source's amplitude (dB), at once; the rig's limits hold"
-        self.gain = ui.number_box("Gain of live sources in dB", tip, " dB", 1, -60.0, 60.0, prefix="gain ")
-        self.gain.valueChanged.connect(partial(setattr, run, "gain_db"))
-        tip = "Each finger's source is quiet where the other fingers are, at up to ten times the energy"
-        self.independent = ui.check("&Independent", tip, "Independent sources")
         tip = "Save each session as a scene in a new folder, named by the time, inside this one"
         self.records = ui.check("&Record in", tip, "Record the session")
         self.folder = PathField("", "", "folder for recordings", context.settings)
         self.state = ui.Badge("State of the live session")
         self.latency = LatencyPlot()
         self.figures = ui.label("Figures of the live session", wraps=True)
-        self.notices = ui.named(QListWidget(), "Notices of the session, the latest one first", "Notices")
-        self.notices.setWordWrap(True)
-        self.notices.setAlternatingRowColors(True)
         self.hint = ui.label("Hint", role="faint", wraps=True)
         self.hint.setAlignment(Qt.Alignment() | Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignTop)
         self.start.setIconText("Start")
         self.stop.setIconText("Stop")
         self.buttons = {name: ui.button(action) for name, action in (("start", self.start), ("stop", self.stop))}
         ui.column(
-            ui.row(*self.buttons.values(), 6, self.state, None, self.gain, self.look_ahead),
-            ui.row(self.independent, 6, self.records, (self.folder, 1)),
-            self.figures, (self.latency, 1), self.notices,
+            ui.row(*self.buttons.values(), 6, self.state, None, self.look_ahead),
+            ui.row(self.records, (self.folder, 1)),
+            self.figures, (self.latency, 1),
             owner=self, margins=(4, 0, 4, 0), spacing=4,
         )  # fmt: skip
         run.changed.connect(self.show_run)
         run.figures_changed.connect(self._show_figures)
-        run.noticed.connect(self.note)
         for changed in (document.bank_changed, document.changed, document.chosen_changed, self.records.toggled):
             changed.connect(self.show_run)
         self.buttons["stop"].setStyleSheet(f"QToolButton:enabled {{ color: {self.theme.warning}; font-weight: 600; }}")
-        lines = self.notices.fontMetrics().lineSpacing()
-        self.notices.setFixedHeight(_NOTICE_LINES * lines + 8)
+        self.figures.setToolTip(_DEFINITIONS)
         # A fixed height: the surface must not move below the mouse when another hint appears.
-        self.hint.setFixedHeight(_HINT_LINES * lines + 2)
+        self.hint.setFixedHeight(_HINT_LINES * self.fontMetrics().lineSpacing() + 2)
         self.show_run()
 
     def _hint(self) -> str:
@@ -204,17 +163,8 @@ class LivePanel(Themed, QWidget):
         elif self.records.isChecked() and record is None:
             self._context.messages.warn("choose the folder to record in, or record nothing")
         else:
-            act = partial(
-                self._run.start, rig, self.look_ahead.whole(), record, independent=self.independent.isChecked()
-            )
+            act = partial(self._run.start, rig, self.look_ahead.whole(), record)
             self._context.claim_instruments(self, "Start", act, virtual=names_virtual_rig(rig))
-
-    def note(self, sentence: str) -> None:
-        """Add a notice."""
-        self.notices.insertItem(0, f"{datetime.now():%H:%M:%S}  {sentence}")
-        while self.notices.count() > _NOTICES_KEPT:
-            self.notices.takeItem(self.notices.count() - 1)
-        self.notices.scrollToTop()
 
     def show_run(self) -> None:
         """Show what can be done, and the state of the session."""
@@ -224,13 +174,7 @@ class LivePanel(Themed, QWidget):
         self.stop.setEnabled(state in (STARTING, LIVE))
         for part in (self.look_ahead, self.records):
             part.setEnabled(state == IDLE)
-        asked = self._document.draft.regularisation.independent  # by the scene, whatever the box says
-        self.independent.setEnabled(state == IDLE and not asked)
-        if asked:
-            self.independent.setChecked(True)
         self.folder.setEnabled(state == IDLE and self.records.isChecked())
-        if state == STARTING:
-            self.notices.clear()
         ui.put(self.hint, self._hint())
         self.state.show_word(state, {LIVE: self.theme.good, IDLE: self.theme.faint}.get(state, self.theme.warning))
         self._show_figures()
@@ -252,10 +196,8 @@ class LivePanel(Themed, QWidget):
         latency_ms = np.array([math.nan if one.latency_ms is None else one.latency_ms for one in states])
         self.latency.show_values(time_s, latency_ms)
         figures = figures_of(self._run.ready, latest)
-        shown = (f"▲ {one.name}: {one.value}" if one.wrong else f"{one.name}: {one.value or '–'}" for one in figures)
-        ui.put(self.figures, "   ·   ".join(shown))
-        self.figures.setToolTip("\n".join(f"{one.name}: {one.definition}" for one in figures))
-        wrong = any(one.wrong for one in figures)
+        ui.put(self.figures, "   ·   ".join(f"▲ {words}" if wrong else words for words, wrong in figures))
+        wrong = any(wrong for _, wrong in figures)
         sheet = f"QLabel {{ color: {self.theme.fault if wrong else self.theme.text}; }}"
         if sheet != self.figures.styleSheet():  # another one lays out the page again
             self.figures.setStyleSheet(sheet)

@@ -24,11 +24,11 @@ from wavefocus.config.messages.live import (
     SetSignal,
 )
 from wavefocus.config.scene import ImpulseTable, SignalTable
-from wavefocus.gui.process import STOPPED_BY_USER, CommandProcess
+from wavefocus.gui.process import STOPPED_BY_USER
 from wavefocus.gui.process import Message as Record
 from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.scene.draft import NEW_AMPLITUDE
-from wavefocus.gui.scene.exports import IDLE, RigTask
+from wavefocus.gui.scene.exports import SceneTask
 from wavefocus.gui.tab import TabContext
 
 STARTING, LIVE = "starting", "live"
@@ -38,29 +38,25 @@ _STALLED_AFTER_S = 2.0
 _STATES_KEPT = 300
 
 
-class LiveRun(RigTask):
+class LiveRun(SceneTask):
     """At most one live session of the window; `changed` is emitted when its state is another one.
 
     state: `IDLE`, `STARTING`, `LIVE` or `STOPPING`.
     ready: Facts of the session, from `LIVE` on.
     states: Figures of the last minute.
     places: Where pointers hold sources, by name, in mm.
-    gain_db: Gain on the amplitudes of all sources; it counts from the next position on.
     """
 
     verb = "plays live"
 
     #: A `LiveState` has arrived.
     figures_changed = pyqtSignal()
-    #: A sentence for the list of notices.
-    noticed = pyqtSignal(str)
 
     def __init__(self, context: TabContext, document: SceneDocument, parent: QObject) -> None:
         super().__init__(context, document, parent)
         self.ready: LiveReady | None = None
         self.states: deque[LiveState] = deque(maxlen=_STATES_KEPT)
         self.places: dict[str, PointMm] = {}
-        self.gain_db = 0.0
         self._refusal = ""
         self._signal: SignalTable | None = None
         self._heard_s = 0.0
@@ -68,28 +64,23 @@ class LiveRun(RigTask):
         document.changed.connect(self._set_signals)
         document.chosen_changed.connect(self._set_signals)
 
-    def start(self, rig: str, look_ahead_ms: int, record: Path | None, *, independent: bool = False) -> None:
+    def start(self, rig: str, look_ahead_ms: int, record: Path | None) -> None:
         """Start a session with the present scene's signal, regularisation and limits.
 
         rig: The rig file, or ``virtual``.
         look_ahead_ms: By how much sources lag the pointers, so that less has to be predicted.
         record: Folder for a new folder with the session's scene; None: not recorded.
-        independent: Each source is quiet where the others are.
         """
-        if self.busy or not self.prepare("", "nothing sounds"):
+        if self.busy or not self._prepare("nothing sounds"):
             return
         document = self._document
         scene = ["--scene", str(self._scene_file)] if document.draft.source else []
         name = f"live-{datetime.now():%Y-%m-%d-%H%M%S}"
         kept = [] if record is None else ["--record", str(record / name)]
         arguments = ["live", str(document.bank), "--rig", rig, "--json", f"--look-ahead-ms={look_ahead_ms}"]
-        arguments += ["--independent"] if independent else []
         self._rig, self._refusal, self.ready, self._ended = rig, "", None, None
         self.states.clear()
-        self._process = self._context.run(
-            [*arguments, *scene, *kept], self._finished, self._receive, advice="check that the rig is silent"
-        )
-        self._enter(STARTING)
+        self._run([(STARTING, [*arguments, *scene, *kept])], self._summarise, self._receive)
 
     def stop(self) -> None:
         """Let the sources fade, mute, and end the session."""
@@ -127,7 +118,7 @@ class LiveRun(RigTask):
         sources = self._document.draft.source
         source = self._document.source or (sources[0] if sources else None)  # whose signal the session has
         amplitude = NEW_AMPLITUDE if source is None else source.amplitude
-        return MoveSource(name, self.places[name], amplitude * 10 ** (self.gain_db / 20))
+        return MoveSource(name, self.places[name], amplitude)
 
     def _set_signals(self) -> None:
         source = self._document.source
@@ -157,25 +148,19 @@ class LiveRun(RigTask):
                 self.states.append(state)
                 self.figures_changed.emit()
             case LiveNotice(sentence=sentence):
-                self.noticed.emit(sentence)
+                self._context.messages.note(sentence)
             case Refused(sentence=sentence) if sentence != self._refusal:  # positions come a hundred times a second
                 self._refusal = sentence
-                self.noticed.emit(sentence)
+                self._context.messages.warn(sentence)
             case LiveEnded() as ended:
                 self._ended = ended
 
-    def _finished(self, process: CommandProcess) -> None:
-        self._process = None
-        if not self.busy:  # the window closes
-            return
-        messages, ended = self._context.messages, self._ended
-        if process.exit_code in (0, STOPPED_BY_USER):
-            messages.note("muted" if ended is None else _summary(ended))
+    def _summarise(self, code: int, message: str) -> None:
+        if code in (0, STOPPED_BY_USER):
+            self._context.messages.note("muted" if self._ended is None else _summary(self._ended))
         else:
-            messages.fault(self._plain(process.failure))
+            self._context.messages.fault(message)
         self.places.clear()
-        self.release()
-        self._enter(IDLE)
 
 
 def _summary(ended: LiveEnded) -> str:

@@ -150,7 +150,7 @@ class LivePreview(QObject):
             return
         self._busy, self._stale = True, False
         document = self._document
-        work = partial(preview_of, document.draft, self.backdrop, document.place, document.allow_large)
+        work = partial(preview_of, document.draft, self.backdrop, document.place)
         self._background.ask("scene", work, self._show, self._fail)
 
     def _show(self, preview: Preview) -> None:
@@ -179,11 +179,6 @@ class LivePreview(QObject):
         self.backdrop = backdrop
         self.backdrop_changed.emit()
         self._ask()
-
-
-def naming_box(refusal: str) -> str:
-    """Return a refusal with the tab's box in place of the command's option."""
-    return refusal.replace("--allow-large", "the box “Allow large scenes”")
 
 
 def problem_of(preview: Preview) -> str:
@@ -226,16 +221,16 @@ def _backdrop_of(path: Path) -> Backdrop:
     return Backdrop(outline_mm, surface.sample_rate_hz, surface, PositionGrid(surface.position_mm), allowed)
 
 
-def preview_of(draft: SceneConfig, backdrop: Backdrop, place: Path, allow_large: bool) -> Preview:
+def preview_of(draft: SceneConfig, backdrop: Backdrop, place: Path) -> Preview:
     """Build the scene as commands do, and sample its sources as far as they are drawn.
 
     place: The scene file, for messages and for the files that the scene names.
     """
     try:
-        sources: Sequence[Source | None] = build_draft(draft, place, allow_large=allow_large).sources
+        sources: Sequence[Source | None] = build_draft(draft, place).sources
         problem = ""
     except WavefocusError as error:
-        sources, problem = [_alone(draft, source, place, allow_large) for source in draft.source], str(error)
+        sources, problem = [_alone(draft, source, place) for source in draft.source], str(error)
     traces: list[Trace] = []
     for index, source in enumerate(sources):
         try:
@@ -246,10 +241,10 @@ def preview_of(draft: SceneConfig, backdrop: Backdrop, place: Path, allow_large:
     return Preview(draft, backdrop, traces, problem)
 
 
-def _alone(draft: SceneConfig, source: SourceTable, place: Path, allow_large: bool) -> Source | None:
+def _alone(draft: SceneConfig, source: SourceTable, place: Path) -> Source | None:
     """One source of a scene that commands refuse; None where this one is wrong."""
     with suppress(InputError):
-        return build_draft(changed(draft, source=(source,)), place, allow_large=allow_large).sources[0]
+        return build_draft(changed(draft, source=(source,)), place).sources[0]
     return None
 
 

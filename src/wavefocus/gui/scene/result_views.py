@@ -39,14 +39,11 @@ class DrivesView(Themed, QWidget):
         super().__init__()
         self.results: SceneResults | None = None
         self.actuator = ui.choice("Actuator shown", "All drives, or the drive of one actuator", [_ALL])
-        tip = "Draw each actuator's drive to its own peak, so that weak ones are seen, too"
-        self.own_scale = ui.check("own scale", tip, "Each drive to its own peak")
         self.traces, self.levels = TracePlot(), LevelPlot()
         both = ui.stacked((self.traces, 330), (self.levels, 180), growing=[0])
-        choices = ui.row(self.actuator, self.own_scale, None, margins=(4, 4, 4, 2))
+        choices = ui.row(self.actuator, None, margins=(4, 4, 4, 2))
         ui.column(choices, (both, 1), owner=self, spacing=2)
-        for changed in (self.actuator.currentIndexChanged, self.own_scale.toggled):
-            changed.connect(lambda _choice: self.show_drives())
+        self.actuator.currentIndexChanged.connect(lambda _choice: self.show_drives())
 
     def sizeHint(self) -> QSize:  # noqa: N802
         return QSize(480, 300)
@@ -65,8 +62,7 @@ class DrivesView(Themed, QWidget):
         for plot in (self.traces, self.levels):
             for side in ("left", "bottom"):
                 plot.getPlotItem().showAxis(side, drive is not None)
-        self.own_scale.setEnabled(chosen < 0)
-        self.traces.show_drive(drive, chosen, own_scale=self.own_scale.isChecked())
+        self.traces.show_drive(drive, chosen)
         self.levels.getPlotItem().clear()
         if drive is not None:
             self.levels.show_drive(drive, chosen)
@@ -80,7 +76,7 @@ class TracePlot(Plot):
         self._ends = 0.0, 0.0
         self._curves: list[pyqtgraph.PlotDataItem] = []
 
-    def show_drive(self, drive: Drive | None, chosen: int, *, own_scale: bool = False) -> None:
+    def show_drive(self, drive: Drive | None, chosen: int) -> None:
         plot = self.getPlotItem()
         if drive is None:
             self._show_curves(np.zeros(0), [], 1.0)
@@ -96,14 +92,12 @@ class TracePlot(Plot):
             plot.setYRange(-_ROOM * (largest or 1.0), _ROOM * (largest or 1.0), padding=0.0)
             title = f"largest {quantity(f'{largest:.3g}', drive.drive_unit)}"
         else:
-            peaks = np.abs(volts).max(axis=1, initial=0.0) if own_scale else np.full(len(volts), largest)
-            scales = _STEP / np.where(peaks > 0, peaks, 1.0)
-            self._show_curves(time_s, [one + scales[one] * trace for one, trace in enumerate(volts)], 1.0)
+            scale = _STEP / (largest or 1.0)
+            self._show_curves(time_s, [one + scale * trace for one, trace in enumerate(volts)], 1.0)
             plot.setLabel("left", "actuator")
             plot.getAxis("left").setTicks([whole_ticks(len(volts)), []])
             plot.setYRange(-1.0, len(volts), padding=0.0)
-            step = quantity(f"{largest / _STEP:.3g}", drive.drive_unit)
-            title = "each to its own peak" if own_scale else f"a step is {step}"
+            title = f"a step is {quantity(f'{largest / _STEP:.3g}', drive.drive_unit)}"
         self.title(title, size="9pt")
         # A zoomed view stays while the scene is edited.
         ends = float(time_s[0]), float(time_s[-1])
@@ -153,7 +147,7 @@ class FieldView(FilmPlayer):
     """Plays the scene's predicted field, or that of a file, with the response of a position."""
 
     def __init__(self) -> None:
-        super().__init__(["response"])
+        super().__init__(["response"], [(0, 1.0)])
         self.results: SceneResults | None = None
         self.field: Field | None = None
         self.file: Path | None = None
@@ -164,7 +158,6 @@ class FieldView(FilmPlayer):
         self.colours = ui.choice("Colours", tip, [_SIGNED, _MAGNITUDE])
         tip = "End of the colour scale, as a part of the largest response (%)"
         self.span = ui.number_box("End of the colour scale", tip, " %", 0, 1.0, 1000.0, value=100.0, prefix="to ")
-        self.waveform = ResponsePlot()
         self.name = ui.label("Field file shown", any_width=True)
         self.close_file = ui.tool_button("Close file", "Show the field of the scene again", self._close_file)
         self._file_row = QWidget()
@@ -174,9 +167,7 @@ class FieldView(FilmPlayer):
         choices = ui.row(self.colours, self.span, self.slider.slower, None, margins=(4, 4, 4, 0))
         upper = QWidget()
         ui.column(self._file_row, choices, (self.map, 1), self.map.bar, self.slider, owner=upper, spacing=3)
-        ui.column(ui.stacked((upper, 420), (self.waveform, 130), growing=[0]), owner=self)
-        self.moved.connect(lambda _sample: self.waveform.show_time(self.slider.time_s))
-        self.picked.connect(self.show_position)
+        ui.column(ui.stacked((upper, 420), (self.response, 130), growing=[0]), owner=self)
         for changed in (self.colours.currentIndexChanged, self.span.valueChanged):
             changed.connect(lambda _value: self.show_again())
 
@@ -193,22 +184,6 @@ class FieldView(FilmPlayer):
         self.name.setToolTip(str(path))
         self._file_row.show()
         self._show_field(field, surface)
-
-    def show_position(self, place: int) -> None:
-        """Mark a position, by its place in the field, and show its response; -1 for none."""
-        self.mark(place)
-        field, surface = self.field, self.map.surface
-        if field is None or surface is None or not 0 <= place < len(field.field):
-            self.waveform.clear_response()
-            return
-        x_mm, y_mm = surface.position_mm[place]
-        title = f"position {field.position_index[place]} at ({x_mm:.1f}, {y_mm:.1f}) mm"
-        self.waveform.show_response(title, field, place)
-        self.waveform.show_time(self.slider.time_s)
-
-    def show_again(self) -> None:
-        super().show_again()
-        self.show_position(self.map.marked)
 
     def rescale(self) -> None:
         field, signed = self.field, self.colours.currentText() == _SIGNED
@@ -242,28 +217,33 @@ class FieldView(FilmPlayer):
         marks_s: Float64Array = np.zeros(0),  # noqa: B008
         sources_mm: Callable[[float], Float64Array] = lambda _time_s: NOWHERE_MM,
     ) -> None:
-        former, marked, at_s = self.map.surface, self.map.marked, self.slider.time_s
+        at_s = self.slider.time_s
         self.field = field
         if field is None or surface is None:
             self.show_film(None)
-            self.waveform.clear_response()
             return
         self._largest = float(np.abs(field.field).max())
         marks = np.rint((marks_s - field.start_s) * field.sample_rate_hz).astype(np.int64)
-        samples = field.field.shape[1]
         self.show_film(
-            Film(surface, field.start_s, field.sample_rate_hz, samples, self._frames, sources_mm, marks)
+            Film(
+                surface, field.start_s, field.sample_rate_hz, field.field.shape[1], self._frames, sources_mm, marks,
+                self._response, field.response_unit,
+            )
         )  # fmt: skip
         if self._seen and at_s >= field.start_s:
             self.slider.go_to(round((at_s - field.start_s) * field.sample_rate_hz))
         self._seen |= len(marks) > 0
-        same = former is not None and former.bank == surface.bank and former.positions == surface.positions
-        self.show_position(marked if same else -1)
 
     def _frames(self, sample: int) -> list[Frame]:
         assert self.field is not None
         values = self.field.field[:, sample]
         return [values if self.map.signed else np.abs(values)]
+
+    def _response(self, place: int) -> tuple[str, list[Real]]:
+        assert self.field is not None
+        assert self.map.surface is not None
+        x_mm, y_mm = self.map.surface.position_mm[place]
+        return f"position {self.field.position_index[place]} at ({x_mm:.1f}, {y_mm:.1f}) mm", [self.field.field[place]]
 
 
 def read_field_on(path: Path, bank: Path) -> tuple[Field, PlotSurface]:
@@ -283,35 +263,3 @@ def read_field_on(path: Path, bank: Path) -> tuple[Field, PlotSurface]:
                 " field belongs to"
             )
         return field, surface_of(view).with_rows(field.position_index)
-
-
-class ResponsePlot(Plot):
-    """The response of one position."""
-
-    def __init__(self) -> None:
-        super().__init__("Response of the position that was clicked", "time (s)", "", axis_px=60)
-        self.curve, self._now = decimating_curve(), pyqtgraph.InfiniteLine(0.0)
-        for item in (self.curve, self._now):
-            self.getPlotItem().addItem(item)
-        self.clear_response()
-
-    def clear_response(self) -> None:
-        self.curve.setData([], [])
-        self._now.hide()
-        self.title("click a position on the map for its response", faint=True, size="9pt")
-
-    def show_response(self, title: str, field: Field, place: int) -> None:
-        plot, theme, response = self.getPlotItem(), self.theme, field.field[place]
-        time_s = field.start_s + np.arange(len(response)) / field.sample_rate_hz
-        self.curve.setData(time_s, response, pen=pyqtgraph.mkPen(theme.traces[0]))
-        self._now.setPen(pyqtgraph.mkPen(theme.fault, width=1.2))
-        self._now.show()
-        plot.setLabel("left", field.response_unit)
-        largest = float(np.abs(response).max(initial=0.0))
-        self.title(f"{title}: largest {quantity(f'{largest:.3g}', field.response_unit)}", size="9pt")
-        plot.setXRange(float(time_s[0]), float(time_s[-1]), padding=0.01)
-        plot.setYRange(-1.1 * (largest or 1.0), 1.1 * (largest or 1.0), padding=0.0)
-
-    def show_time(self, time_s: float) -> None:
-        """Mark the instant that the map shows."""
-        self._now.setValue(time_s)

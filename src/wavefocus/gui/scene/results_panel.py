@@ -16,7 +16,7 @@ from wavefocus.gui.files import PathField, choose_place, file_state, names_virtu
 from wavefocus.gui.scene.calculation import Calculation, SceneResults
 from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.scene.draft import EMPTY
-from wavefocus.gui.scene.exports import DRIVE, ENDINGS, IDLE, MOVIE, STOPPING, WAV, PlayTask, Saving
+from wavefocus.gui.scene.exports import DRIVE, ENDINGS, IDLE, MOVIE, PLAYING, STOPPING, WAV, PlayTask, Saving
 from wavefocus.gui.scene.figures_view import FiguresView
 from wavefocus.gui.scene.result_views import DrivesView, FieldView
 from wavefocus.gui.surface import VIRTUAL, PlotSurface
@@ -179,6 +179,8 @@ class ResultsPanel(Themed, QWidget):
     def poll(self) -> None:
         """Calculate the latest scene once it is not edited any more, and again when the bank has changed."""
         now_s, document = time.monotonic(), self._document
+        if self.playing.state == PLAYING:  # its time goes on
+            self.bar.show_state()
         if now_s >= self._look_due_s and not self.complete and document.bank is not None:
             self._look_due_s = now_s + _BANK_LOOK_EVERY_S
             if (state := file_state(document.bank)) != self._bank_state:

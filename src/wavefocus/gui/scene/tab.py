@@ -17,7 +17,7 @@ from wavefocus.gui.editor.files import TextFiles, closing_question
 from wavefocus.gui.editor.insert import insert_button
 from wavefocus.gui.editor.tab import file_actions
 from wavefocus.gui.editor.text_edit import TextPanel
-from wavefocus.gui.files import FileKind, PathField, TomlKind, is_field_file, toml_kind
+from wavefocus.gui.files import FileKind, PathField, kind_of
 from wavefocus.gui.scene.document import NOTHING, QUIET, Chosen, SceneDocument
 from wavefocus.gui.scene.draft import Keys, moved, new_source, quiet_toml, source_toml
 from wavefocus.gui.scene.exports import IDLE
@@ -47,7 +47,7 @@ class SceneTab(Tab):
     """Draw a scene, see its drives and field, save, render and play it."""
 
     title = "Scene"
-    opens = (".toml", ".svg", ".csv", ".h5")
+    kinds = (FileKind.SCENE, FileKind.PATH, FileKind.FIELD)
 
     def __init__(self, context: TabContext) -> None:
         super().__init__(context)
@@ -56,10 +56,7 @@ class SceneTab(Tab):
         self.files = TextFiles(context, self.document, self)
         self.actions_by_name = file_actions(self, self.document, self.files)
         self.bank_field = PathField("&Bank", ".h5", "bank file", context.settings)
-        tip = "Also render scenes of over an hour, 8 GiB of drives or a million path points"
-        self.large = ui.check("Allow large scenes (--allow-large)", tip)
-        self.large.toggled.connect(self.document.allow)
-        self.editor = TextPanel(self.document, self.large)
+        self.editor = TextPanel(self.document)
         self.surface = SurfacePanel(self.document, self.live)
         self.results = ResultsPanel(context, self.document)
         self.live_run = LiveRun(context, self.document, self)
@@ -90,12 +87,6 @@ class SceneTab(Tab):
     def menu_actions(self) -> list[QAction | None]:
         named = self.actions_by_name
         return [*named.values(), None, *self.results.menu_actions(), None, self.live_panel.start, self.live_panel.stop]
-
-    def accepts(self, path: Path) -> bool:
-        """Scenes, drawings, trajectories and fields."""
-        if path.suffix.lower() == ".toml":
-            return toml_kind(path) is TomlKind.SCENE
-        return path.suffix.lower() in (".svg", ".csv") or is_field_file(path)
 
     def open_file(self, path: Path) -> None:
         """Open a scene, play a field, or add a drawing or a trajectory."""
@@ -207,9 +198,8 @@ class SceneTab(Tab):
     def _latest_bank(self) -> Path | None:
         """The bank of last time, or the one opened last in any tab."""
         last = self.context.settings.text("scene/bank")
-        recent = [path for path in self.context.settings.recent() if path.suffix.lower() == ".h5"]
-        found = [path for path in ([Path(last)] if last else []) + recent if not path.name.endswith(".raw.h5")]
-        return next((path for path in found if path.is_file() and not is_field_file(path)), None)
+        found = [*([Path(last)] if last else []), *self.context.settings.recent()]
+        return next((path for path in found if path.is_file() and kind_of(path) is FileKind.BANK), None)
 
     def _drawn(self, kind: str, path: PathTable) -> None:
         folder = self.document.place.parent

@@ -1,20 +1,18 @@
-"""Maps, waveforms and figures of a verification."""
+"""Maps and figures of a verification."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pyqtgraph
-from PyQt5.QtCore import Qt, pyqtSignal
-from PyQt5.QtWidgets import QGraphicsItem, QSizePolicy, QToolButton, QWidget
+from PyQt5.QtWidgets import QSizePolicy, QToolButton, QWidget
 
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.field_map import Plot, decimate, scaled_unit, symmetric_levels
+from wavefocus.gui.field_map import Real, symmetric_levels
 from wavefocus.gui.film_player import Film, FilmPlayer, Frame
-from wavefocus.gui.theme import Theme, Themed
+from wavefocus.gui.theme import Themed
 from wavefocus.gui.verification.run import Results
 from wavefocus.rendering.arrays import Float64Array
 
@@ -65,12 +63,11 @@ class VerdictPanel(Themed, QWidget):
 class FiguresPanel(Themed, QWidget):
     """Table of the figures, buttons.
 
-    acts: Actions of the buttons ``"report"``, ``"folder"`` and ``"copy"``.
+    acts: Actions of the buttons ``"report"`` and ``"folder"``.
     """
 
-    def __init__(self, acts: dict[str, Callable[[], object]]) -> None:
+    def __init__(self, acts: Mapping[str, Callable[[], object]]) -> None:
         super().__init__()
-        self._record: VerificationRecord | None = None
         self.table = ui.table([title for title, _ in _COLUMNS], "Figures with tolerances", (0,))
         self.table.setShowGrid(False)
         for place, (_, tip) in enumerate(_COLUMNS):
@@ -81,36 +78,20 @@ class FiguresPanel(Themed, QWidget):
             for name, words, tip in (
                 ("report", "Open report", "The HTML report with all pictures, in the browser"),
                 ("folder", "Open folder", "The folder of drive, prediction, scan, report and verify.json"),
-                ("copy", "Copy figures", "All figures as text, columns separated by tabs"),
             )
         }
         ui.column((self.table, 1), ui.row(*self.buttons.values(), None), owner=self, spacing=4)
 
     def show_results(self, results: Results) -> None:
-        self._record, theme = results.record, self.theme
+        figures, theme = results.record.figures, self.theme
         colours = {True: theme.good, False: theme.fault, None: theme.faint}
         last = len(_COLUMNS) - 1
-        self.table.setRowCount(len(self._record.figures))
-        for number, figure in enumerate(self._record.figures):
+        self.table.setRowCount(len(figures))
+        for number, figure in enumerate(figures):
             tip = f"{figure.name}: {figure.definition}"
             ui.fill_row(
                 self.table, number, _cells(figure), {last: colours[figure.passed]}, right=range(1, last), tip=tip
             )
-
-    def as_text(self) -> str:
-        """All figures, columns separated by tabs."""
-        record = self._record
-        if record is None:
-            return ""
-        lines = [
-            f"{record.scene}: {'passed' if record.passed else 'not good enough'}",
-            record.summary,
-            *_findings(record),
-            *_changes(record),
-            f"scene {record.scene_file}, bank {record.bank}, rig {record.rig}, {_when(record)}",
-            "\t".join(title for title, _ in _COLUMNS),
-        ]
-        return "\n".join([*lines, *("\t".join(_cells(one)) for one in record.figures)]) + "\n"
 
 
 def _cells(figure: Figure) -> list[str]:
@@ -153,85 +134,6 @@ def _when(record: VerificationRecord) -> str:
     return "" if record.made is None else record.made.astimezone().strftime("%d %b %Y %H:%M")
 
 
-class WaveformPanel(Themed, QWidget):
-    """A line of figures over a plot."""
-
-    #: A time of the scene in seconds that was clicked.
-    time_wanted = pyqtSignal(float)
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.index = -1
-        self.place = ui.label("Position shown", any_width=True)
-        self.figures = ui.label("Figures of the position", any_width=True, selectable=True)
-        lines = (f'<span style="color:{colour}">━ {name}</span>' for name, colour in _lines(self.theme))
-        # Outside the plot, where it would cover the waveforms.
-        self.legend = ui.label("Legend of the lines", "   ".join(lines))
-        words = "time (ms); click: show that instant"
-        self.plot = Plot("Waveforms at the position", words, "response", axis_px=64)
-        self.plot.setMinimumHeight(90)
-        self.plot.setToolTip(
-            "Click: show that instant on the maps. Wheel: zoom. Drag: pan. Double click: show everything."
-        )
-        pen = pyqtgraph.mkPen(self.theme.faint, width=1, style=Qt.PenStyle.DashLine)
-        self._instant = pyqtgraph.InfiniteLine(angle=90, movable=False, pen=pen)
-        self.plot.scene().sigMouseClicked.connect(self._clicked)
-        head = ui.row((self.place, 1), self.legend, spacing=12)
-        ui.column(head, self.figures, (self.plot, 1), owner=self, spacing=2)
-
-    def show_position(self, results: Results, index: int) -> None:
-        """Show a position of a verification's record, -1 for none."""
-        self.index = index
-        plot = self.plot.getPlotItem()
-        plot.clear()
-        for side in ("left", "bottom"):
-            plot.showAxis(side, index >= 0)
-        if index < 0:
-            self.place.setText("click a position on a map")
-            self.figures.setText("")
-            return
-        predicted, scanned = results.pair.at_position(index)
-        largest = max(float(np.abs(predicted).max()), float(np.nan_to_num(np.abs(scanned)).max()))
-        factor, unit = scaled_unit(results.pair.response_unit, largest)
-        plot.setLabel("left", f"response ({unit})")
-        time_ms = 1e3 * (results.pair.start_s + np.arange(results.pair.samples) / results.pair.sample_rate_hz)
-        colours = dict(_lines(self.theme))
-        # The prediction is the wider line: where both agree the scan lies inside it, and both are seen.
-        for name, values, width in (
-            ("prediction", predicted, 3.0),
-            ("scan", scanned, 1.2),
-            ("difference", scanned - predicted, 1.0),
-        ):
-            x, y = decimate(time_ms, factor * values)
-            line = plot.plot(x, y, pen=pyqtgraph.mkPen(colours[name], width=width), connect="finite")
-            # Cached: the mark of the instant moves over it twenty times a second.
-            line.curve.setCacheMode(QGraphicsItem.CacheMode.DeviceCoordinateCache)
-        plot.addItem(self._instant)
-        self.plot.setXRange(float(time_ms[0]), float(time_ms[-1]), padding=0.01)
-        plot.getViewBox().enableAutoRange(axis="y")
-        row, at_mm = int(results.record.position_index[index]), results.record.position_mm[index]
-        self.place.setText(f"position {row} at ({at_mm[0]:.1f}, {at_mm[1]:.1f}) mm")
-        self.figures.setText(_figures_text(results.record, index))
-        self.figures.setToolTip(
-            "Within the bank's band, over all samples of this position: norm of (scan − prediction) over norm of the "
-            "scan, and zero-lag correlation"
-        )
-
-    def show_time(self, time_s: float) -> None:
-        """Mark the instant that the maps show."""
-        self._instant.setValue(1e3 * time_s)
-
-    def _clicked(self, event) -> None:  # type: ignore[no-untyped-def]
-        if self.index >= 0 and event.button() == Qt.MouseButton.LeftButton and not event.double():
-            point = self.plot.getPlotItem().getViewBox().mapSceneToView(event.scenePos())
-            self.time_wanted.emit(1e-3 * point.x())
-
-
-def _lines(theme: Theme) -> list[tuple[str, str]]:
-    """Names and colours of the lines."""
-    return [("prediction", theme.traces[0]), ("scan", theme.traces[1]), ("difference", theme.traces[3])]
-
-
 def _figures_text(record: VerificationRecord, index: int) -> str:
     """The figures of a position, or why it has none."""
     row = int(record.position_index[index])
@@ -243,6 +145,8 @@ def _figures_text(record: VerificationRecord, index: int) -> str:
     return f"L2 error {100 * error:.3g} %  ·  correlation {correlation:.5f}"
 
 
+# Names, and the number of the colour and width: where prediction and scan agree, the scan lies inside the wider line.
+_LINES = {"prediction": (0, 3.0), "scan": (1, 1.2), "difference": (3, 1.0)}
 # A few positions at nodes have huge relative errors; they must not make all others look alike.
 _ERRORS_SHOWN = 0.98
 
@@ -251,16 +155,11 @@ class MapsPanel(FilmPlayer):
     """Prediction, scan, and their difference or the error at each position."""
 
     def __init__(self) -> None:
-        super().__init__(("Prediction", "Scan", "Difference"))
+        super().__init__(("Prediction", "Scan", "Difference"), list(_LINES.values()))
         self._results: Results | None = None
         tip = "The difference at the instant shown, or the relative L2 error over all instants"
         choices = ["Difference, scan − prediction", "Error at each position"]
         self.third = ui.choice("Quantity on the third map", tip, choices)
-        tip = (
-            "Ends of the colours: the largest response of all focus instants, or of the instant shown (99.9 % of the "
-            "positions lie within them)"
-        )
-        self.scale = ui.choice("Colour scale", tip, ["scale of the scene", "scale of the instant"])
         headings = (ui.label(text="Prediction", role="strong"), ui.label(text="Scan", role="strong"), self.third)
         columns = []
         for field_map, heading in zip(self.maps, headings, strict=True):
@@ -268,9 +167,12 @@ class MapsPanel(FilmPlayer):
             heading.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
             field_map.setMinimumSize(150, 110)
             columns.append((ui.column(heading, (field_map, 1), field_map.bar, spacing=2), 1))
-        ui.column((ui.row(*columns, spacing=6), 1), ui.row((self.time, 1), self.scale), owner=self)
-        for choice in (self.third, self.scale):
-            choice.currentIndexChanged.connect(lambda _index: self.show_again())
+        ui.column((ui.row(*columns, spacing=6), 1), self.time, owner=self)
+        lines = (
+            f'<span style="color:{self.theme.trace(colour)}">━ {name}</span>' for name, (colour, _) in _LINES.items()
+        )
+        self.legend = ui.label("Legend of the lines", "   ".join(lines))
+        self.third.currentIndexChanged.connect(lambda _index: self.show_again())
 
     @property
     def shows_error(self) -> bool:
@@ -289,27 +191,17 @@ class MapsPanel(FilmPlayer):
         self.show_film(
             Film(
                 results.surface, pair.start_s, pair.sample_rate_hz, pair.samples, self._frames, sources_mm,
-                results.focus_sample,
+                results.focus_sample, self._response, pair.response_unit,
             )
         )  # fmt: skip
-
-    def show_instant(self) -> None:
-        if self.scale.currentIndex() == 1:
-            self.rescale()
-        super().show_instant()
 
     def rescale(self) -> None:
         results = self._results
         if results is None:
             return
-        whole_scene = self.scale.currentIndex() == 0
-        loudest, loudest_difference = results.loudest, results.loudest_difference
-        if not whole_scene:
-            sample = np.array([self.time.sample], np.int64)
-            loudest, loudest_difference = results.pair.loudest(sample, results.record.compared)
-        beyond, unit = (whole_scene, whole_scene), results.pair.response_unit
+        beyond, unit = (True, True), results.pair.response_unit
         for field_map, title in zip(self.maps, ("prediction", "scan"), strict=False):
-            field_map.show_scale(f"{title}, both on one scale", symmetric_levels(loudest), unit, beyond)
+            field_map.show_scale(f"{title}, both on one scale", symmetric_levels(results.loudest), unit, beyond)
         third = self.maps[2]
         third.name = "Error" if self.shows_error else "Difference"
         if self.shows_error:
@@ -320,10 +212,17 @@ class MapsPanel(FilmPlayer):
             third.show_scale("relative L2 error", (0.0, top if top > 0.0 else 1.0), "%", (False, above), signed=False)
             third.show_values(error)
         else:
-            third.show_scale("scan − prediction, own scale", symmetric_levels(loudest_difference), unit, beyond)
+            third.show_scale("scan − prediction, own scale", symmetric_levels(results.loudest_difference), unit, beyond)
 
     def _frames(self, sample: int) -> list[Frame]:
         assert self._results is not None
         predicted, scanned = self._results.pair.at_sample(sample)
         difference = np.where(self._results.record.compared, scanned - predicted, np.nan)
         return [predicted, scanned, None if self.shows_error else difference]
+
+    def _response(self, place: int) -> tuple[str, list[Real]]:
+        assert self._results is not None
+        record, (predicted, scanned) = self._results.record, self._results.pair.at_position(place)
+        row, at_mm = int(record.position_index[place]), record.position_mm[place]
+        title = f"position {row} at ({at_mm[0]:.1f}, {at_mm[1]:.1f}) mm: {_figures_text(record, place)}"
+        return title, [predicted, scanned, scanned - predicted]

@@ -22,11 +22,9 @@ from wavefocus.gui.process import NOT_GOOD_ENOUGH, STOPPED_BY_USER, CommandProce
 from wavefocus.gui.surface import PlotSurface, raster_of
 from wavefocus.gui.tab import ClosingQuestion, TabContext
 from wavefocus.rendering.verify.record import (
-    FIELD_NAMES,
     LOG_NAME,
     PREDICTION_NAME,
     RECORD_NAME,
-    REPORT_NAME,
     SCAN_NAME,
     STOP_NAME,
 )
@@ -286,13 +284,3 @@ def read_results(record_file: Path, on_progress: Callable[[int, int], object], w
         [np.array(source.path_mm) for source in record.sources],
     )  # fmt: skip
     return Results(folder, record, pair, surface, focus, loudest, difference)
-
-
-def record_of(path: Path) -> Path | None:
-    """Return the record of the verification that a file or folder belongs to; None for any other file."""
-    if path.is_dir():
-        return path / RECORD_NAME if (path / RECORD_NAME).is_file() else None
-    if path.suffix.lower() == ".json":  # it may have been renamed
-        return path
-    sidecar = path.with_name(RECORD_NAME)
-    return sidecar if path.name in (*FIELD_NAMES, REPORT_NAME) and sidecar.is_file() else None

@@ -12,20 +12,19 @@ from PyQt5.QtCore import Qt
 from PyQt5.QtWidgets import QAction, QGridLayout, QLabel, QLineEdit, QStackedWidget, QWidget
 
 from wavefocus.gui import widgets as ui
-from wavefocus.gui.files import FileKind, PathField, choose_file, names_virtual_rig
+from wavefocus.gui.files import FileKind, PathField, choose_file, names_virtual_rig, record_of
 from wavefocus.gui.message_bar import error_text
 from wavefocus.gui.process import Background
 from wavefocus.gui.surface import VIRTUAL
 from wavefocus.gui.tab import ClosingQuestion, Tab, TabContext
 from wavefocus.gui.theme import Themed
-from wavefocus.gui.verification.panels import FiguresPanel, MapsPanel, VerdictPanel, WaveformPanel
+from wavefocus.gui.verification.panels import FiguresPanel, MapsPanel, VerdictPanel
 from wavefocus.gui.verification.run import (
     Results,
     VerificationProgress,
     VerificationRequest,
     VerificationRun,
     read_results,
-    record_of,
 )
 from wavefocus.rendering.verify.record import FIELD_NAMES, PICTURE_NAMES, RECORD_NAME, REPORT_NAME
 from wavefocus.storage.errors import InputError
@@ -204,7 +203,7 @@ class VerificationTab(Tab):
     """Verify a scene, or look at what an earlier verification found."""
 
     title = "Verification"
-    opens = (".json",)
+    kinds = (FileKind.VERIFICATION,)
 
     def __init__(self, context: TabContext) -> None:
         super().__init__(context)
@@ -216,21 +215,13 @@ class VerificationTab(Tab):
         self.row = RunRow(self.form.choice, self._start, self.run.cancel, self._choose_record)
         self.verdict = VerdictPanel()
         self.maps = MapsPanel()
-        self.waveforms = WaveformPanel()
         opens = {"report": partial(self._open, REPORT_NAME), "folder": partial(self._open, "")}
-        self.figures = FiguresPanel({**opens, "copy": self._copy})
+        self.figures = FiguresPanel(opens)
         self._lay_out()
-        self.maps.picked.connect(self.show_position)
-        self.maps.moved.connect(lambda _sample: self.waveforms.show_time(self.maps.time.time_s))
-        self.waveforms.time_wanted.connect(self._go_to_time)
         self.form.out.chosen.connect(self._folder_chosen)
 
     def menu_actions(self) -> list[QAction | None]:
         return [self.row.start, self.row.cancel, None, self.row.open_earlier]
-
-    def accepts(self, path: Path) -> bool:
-        """Records, folders with one, and files of the same folder."""
-        return record_of(path) is not None
 
     def open_file(self, path: Path) -> None:
         """Look at the verification that a file or a folder belongs to."""
@@ -250,13 +241,6 @@ class VerificationTab(Tab):
 
         work = partial(read_results, record, report, lambda: number == self._readings)
         self.background.ask("verification", work, self._show, self._fail)
-
-    def show_position(self, index: int) -> None:
-        """Show the waveforms of a position, by its place in the record."""
-        self.maps.mark(index)
-        if self.results is not None:
-            self.waveforms.show_position(self.results, index)
-        self.waveforms.show_time(self.maps.time.time_s)
 
     def poll(self) -> None:
         self.run.poll()
@@ -290,7 +274,9 @@ class VerificationTab(Tab):
         self.run.detach()
 
     def _lay_out(self) -> None:
-        lower = ui.side_by_side((self.waveforms, 515), (self.figures, 745))
+        waveforms = QWidget()
+        ui.column(self.maps.legend, (self.maps.response, 1), owner=waveforms, spacing=2)
+        lower = ui.side_by_side((waveforms, 515), (self.figures, 745))
         both = ui.stacked((self.maps, 360), (lower, 260), growing=[0])
         self.remember(lower=lower, both=both, **self.form.choices)
         shown = QWidget()
@@ -321,7 +307,7 @@ class VerificationTab(Tab):
 
     def _choose_record(self) -> None:
         folder = self.form.out.path or self.context.settings.folder(".json")
-        choose_file(self, "Open an earlier verification", folder, "Verifications", self.opens, self.open_record)
+        choose_file(self, "Open an earlier verification", folder, "Verifications", [".json"], self.open_record)
 
     def _reading_text(self) -> str:
         done, total = self._reading_share
@@ -334,7 +320,7 @@ class VerificationTab(Tab):
         self.pages.setCurrentIndex(1)
         for panel in (self.verdict, self.maps, self.figures):
             panel.show_results(results)
-        self.show_position(self._first_position(results))
+        self.maps.show_position(self._first_position(results))
 
     def _fail(self, failure: Exception) -> None:
         self._reading = ""
@@ -348,10 +334,6 @@ class VerificationTab(Tab):
         place = next((source.at_mm(float(results.record.focus_s[0])) for source in results.record.sources), None)
         return -1 if place is None else results.surface.raster.nearest(float(place[0]), float(place[1]))
 
-    def _go_to_time(self, time_s: float) -> None:
-        if self.results is not None:
-            self.maps.time.go_to(self.results.pair.sample_at(time_s))
-
     def _open(self, name: str) -> None:
         """Open a file of the folder, or the folder itself where the name is empty."""
         if self.results is not None:
@@ -360,7 +342,3 @@ class VerificationTab(Tab):
                 self.context.open_outside(path)
             else:
                 self.context.messages.fault(f"{path} is gone; run the verification again")
-
-    def _copy(self) -> None:
-        ui.copy_text(self.figures.as_text())
-        self.context.messages.note("the figures are on the clipboard")
