@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Generator
 from pathlib import Path
 
-import numpy as np
 import pytest
 from PyQt5.QtCore import Qt
 from pytestqt.qtbot import QtBot
@@ -20,7 +19,6 @@ from wavefocus.gui.files import FileKind, Settings
 from wavefocus.gui.scene.document import SceneDocument
 from wavefocus.gui.scene.draft import scene_toml
 from wavefocus.gui.scene.tab import SceneTab
-from wavefocus.gui.surface import raster_of
 from wavefocus.gui.window import Window
 
 
@@ -153,14 +151,3 @@ def test_given_a_field_file_then_it_is_played_on_its_bank_until_it_is_closed(
     assert shown == pytest.approx(field.field[:, 40], rel=1e-5)
     view.close_file.click()
     assert view.file is None
-
-
-def test_given_check_positions_then_their_neighbours_keep_their_cells_and_they_can_be_picked() -> None:
-    lattice_mm = np.array([(4.0 * column, 4.0 * row) for row in range(3) for column in range(3)])
-    position_mm = np.concatenate([lattice_mm, [(2.0, 2.0), (6.0, 6.0)]])
-    raster = raster_of(position_mm, [9, 10])
-    alone = raster_of(lattice_mm)
-    assert set(raster.index.ravel()) == {*range(9), 11}
-    pixels = [np.bincount(one.index.ravel(), minlength=9)[:9] for one in (raster, alone)]
-    np.testing.assert_array_equal(*pixels)
-    assert raster.nearest(2.1, 1.9) == 9

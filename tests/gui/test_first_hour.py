@@ -192,18 +192,6 @@ def test_given_a_bank_that_is_gone_and_comes_back_then_the_message_goes(
     wait(qtbot, lambda: tab.live.backdrop.surface is not None and window.messages.sentence == "")
 
 
-def test_given_no_message_then_the_tabs_begin_below_the_menus_and_the_bar_is_at_the_bottom(
-    qtbot: QtBot, open_window: Opens
-) -> None:
-    window = open_window()
-    qtbot.waitExposed(window)
-    menus = window.menuBar()
-    assert menus is not None
-    top = window._pages.mapTo(window, window._pages.rect().topLeft()).y()
-    assert top - menus.geometry().bottom() < 8
-    assert window.messages.mapTo(window, window.messages.rect().topLeft()).y() > window.height() / 2
-
-
 def test_given_settings_that_cannot_be_saved_then_closing_says_so_and_loses_no_scene(
     qtbot: QtBot, open_window: Opens, tmp_path: Path, memory: Settings
 ) -> None:

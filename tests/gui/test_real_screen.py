@@ -79,52 +79,6 @@ application.exec_()
 sys.exit(window.process.exit_code)
 """
 
-DRAG = """
-import sys
-from pathlib import Path
-from PyQt5.QtCore import QEvent, QPointF, QSettings, Qt, QTimer
-from PyQt5.QtGui import QMouseEvent
-from PyQt5.QtWidgets import QApplication
-from wavefocus.gui.files import Settings
-from wavefocus.gui.scene.tab import LIVE, SceneTab
-from wavefocus.gui.window import Window, make_application
-application = make_application()
-assert QApplication.platformName() == "xcb", QApplication.platformName()
-window = Window(Settings(QSettings(sys.argv[2], QSettings.Format.IniFormat)))
-tab = next(tab for tab in window.tabs if isinstance(tab, SceneTab))
-window._pages.setCurrentWidget(tab)
-window.resize(1200, 760)
-window.show()
-tab._bank_chosen(Path(sys.argv[1]))
-rig = tab.results.bar.rig_field
-rig.show_path(Path(sys.argv[1]).with_name("rig.toml"))
-rig.chosen.emit(rig.path)
-tab.use_mode(LIVE)
-surface, run = tab.live_surface, tab.live_run
-seen = set()
-def mouse(kind, button, x_mm):
-    at = QPointF(surface.mapFromScene(surface.box.mapViewToScene(QPointF(x_mm, 1.5))))
-    application.sendEvent(surface.viewport(), QMouseEvent(kind, at, button, Qt.LeftButton, Qt.NoModifier))
-def step():
-    if run.state == "silent" and tab.live_panel.start.isEnabled():
-        tab.live_panel.start.trigger()
-    if run.state != "live":
-        return
-    if not run.places:
-        mouse(QEvent.MouseButtonPress, Qt.LeftButton, 0.0)
-        return
-    mouse(QEvent.MouseMove, Qt.NoButton, 4.5 if 0.0 in seen else 0.0)
-    for state in run.states:
-        seen.update(round(source.at_mm[0] / 4.5) * 4.5 for source in state.sources)
-    if {0.0, 4.5} <= seen:
-        print("followed", run.states[-1].latency_p999_ms, flush=True)
-        window.close_at_once()
-timer = QTimer()
-timer.timeout.connect(step)
-timer.start(100)
-sys.exit(application.exec_())
-"""
-
 
 @pytest.fixture
 def display() -> Generator[str]:
@@ -194,12 +148,3 @@ def test_given_a_participant_then_the_trials_are_answered_on_its_screen(
     assert done.returncode == 0, done.stderr
     assert "answered" in done.stdout
     assert [row.by for row in read_answers(tmp_path / "out")] == 6 * ["button"]
-
-
-def test_given_a_live_session_on_a_real_x_server_then_a_source_follows_the_mouse(
-    display: str, finished: Path, tmp_path: Path
-) -> None:
-    command = [sys.executable, "-c", DRAG, str(finished), str(tmp_path / "memory.ini")]
-    done = subprocess.run(command, env=_environment(display), capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "followed" in done.stdout

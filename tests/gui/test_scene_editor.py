@@ -297,6 +297,16 @@ def test_given_a_wrong_scene_file_then_it_is_shown_with_its_mistakes_at_their_li
         tab.document.save(file)
 
 
+def test_given_a_text_without_a_source_then_its_other_tables_are_read_and_checked(tab: SceneTab) -> None:
+    document = tab.document
+    for text in ("", "[output]\nlimit_v = 0.5\n"):
+        document.begin(text, None)
+        assert (document.mistakes, document.draft.source) == ([], ())
+    assert document.draft.output.limit_v == 0.5
+    document.begin("[output]\nlimit_v = -0.5\n", None)
+    assert [mistake.line for mistake in document.mistakes] == [1]
+
+
 def test_given_a_scene_that_commands_would_refuse_then_the_window_says_so_and_does_not_write_it(
     qtbot: QtBot, tab: SceneTab, tmp_path: Path
 ) -> None:

@@ -27,6 +27,14 @@ from wavefocus.gui.scene.results_panel import NO_BANK, ResultsPanel
 from wavefocus.gui.window import Window
 from wavefocus.storage.drive_file import Drive, read_drive, write_drive
 
+FINGER_SCENE = """
+[[source]]
+path = { kind = "trajectory", file = "finger.csv" }
+signal = { kind = "sine", frequency_hz = 150, duration_s = 0.2 }
+emission = "continuous"
+amplitude = 0.01
+"""
+
 
 class Bench:
     """A results panel on a context, with the scene that it shows."""
@@ -192,6 +200,21 @@ def test_given_save_then_the_files_are_what_the_command_makes(bench: Bench, tmp_
     assert not (tmp_path / "out.gif").exists()
 
 
+def test_given_an_unsaved_text_with_a_relative_name_then_the_file_beside_the_scene_is_meant(
+    bench: Bench, finished: Path, tmp_path: Path
+) -> None:
+    scene = finished.with_name("finger.toml")
+    scene.write_text(FINGER_SCENE, encoding="utf-8")
+    scene.with_name("finger.csv").write_text("time_s,x_mm,y_mm\n0,0,0\n0.05,4.5,0\n", encoding="utf-8")
+    bench.document.load(scene)
+    bench.document.replace(FINGER_SCENE.replace("0.01", "0.02"))
+    assert not bench.document.saved
+    wait(bench.qtbot, lambda: bench.panel.complete)
+    bench.panel.save(DRIVE, tmp_path / "out.h5")
+    bench.told("out.h5 is saved")
+    assert scene.read_text(encoding="utf-8") == FINGER_SCENE
+
+
 @pytest.mark.long
 def test_given_save_movie_then_the_field_is_predicted_and_line_scene(bench: Bench, tmp_path: Path) -> None:
     bench.edit(line_scene())
@@ -259,7 +282,7 @@ def test_given_quiet_places_then_the_levels_reached_are_shown_beside_those_asked
     assert (level["name"], level["level_db"]) == ("quiet[0]", -20.0)
     (metric,) = [one for one in bench.panel.figures.figures if one.name == "level at quiet[0]"]
     assert metric.value == f"{level['reached_db']:.1f} dB of -20 dB"
-    assert metric.verdict == (GOOD if level["reached_db"] <= -19.5 else MISSED)
+    assert metric.verdict == (GOOD if level["reached_db"] <= -19.8 else MISSED)  # as `render` warns
 
 
 UNGUARDED = """

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PyQt5.QtCore import QRect, QTimer
+from PyQt5.QtCore import QRect, Qt, QTimer
 from PyQt5.QtGui import QColor, QFont
 from PyQt5.QtWidgets import (
     QAbstractButton,
@@ -17,6 +17,7 @@ from PyQt5.QtWidgets import (
     QComboBox,
     QLineEdit,
     QProgressBar,
+    QSplitter,
     QStyle,
     QStyleOptionButton,
     QTabBar,
@@ -151,6 +152,28 @@ def test_given_size_run_and_bank_then_the_next_window_has_them_again(
     assert (tab.run_field.path, tab.bank_field.path) == (finished.with_name("run.toml"), finished)
     wait(qtbot, lambda: tab.campaign.measured == 12)
     again.close_at_once()
+
+
+def test_given_splitters_that_were_moved_then_the_next_window_has_them_in_their_own_direction(
+    open_window: Opens, memory: Settings
+) -> None:
+    window = open_window()
+    splitters = {name: one for tab in window.tabs for name, one in tab.remembered.items() if isinstance(one, QSplitter)}
+    assert len(splitters) >= 6
+    for splitter in splitters.values():
+        window._pages.setCurrentWidget(next(tab for tab in window.tabs if tab.isAncestorOf(splitter)))
+        sizes = splitter.sizes()
+        splitter.setSizes([sizes[0] + 40, sizes[1] - 40, *sizes[2:]])
+    moved = {name: (splitter.orientation(), splitter.saveState()) for name, splitter in splitters.items()}
+    window.close()
+    turned = QSplitter(Qt.Orientation.Vertical)
+    memory.keep("scene/columns", turned.saveState())
+    again = open_window()
+    for tab in again.tabs:
+        for name, one in tab.remembered.items():
+            if isinstance(one, QSplitter):
+                assert one.orientation() == moved[name][0]
+                assert one.saveState() == moved[name][1] or name == "columns"
 
 
 @pytest.mark.smoke

@@ -65,10 +65,3 @@ def test_given_all_classes_of_the_window_then_what_they_read_of_themselves_exist
         if (names := missing(node, kind, set_in))
     }
     assert found == {}
-
-
-def test_given_a_name_that_nothing_defines_then_it_is_found(set_in: dict[type, set[str]]) -> None:
-    node = next(node for node, kind in classes_in(Path("window.py")) if kind.__name__ == "Window")
-    kind = next(kind for kind in set_in if kind.__name__ == "Window")
-    node.body += ast.parse("def later(self): self._open_what_nobody_wrote()").body
-    assert missing(node, kind, set_in) == {"_open_what_nobody_wrote"}

@@ -101,7 +101,6 @@ _ON_LIGHT = ("#08306b", "#3f7fb8", "#a9cbe6", "#f7f7f5", "#f5c08a", "#d0712a", "
 _ON_DARK = ("#c6e6ff", "#5fb0ea", "#2b648f", "#1f2429", "#8d5420", "#e89440", "#ffe3bd")
 # Units that take a prefix; those of other banks are shown as they are.
 _WITH_PREFIX = ("m/s", "m", "m/s²", "m/s^2", "V", "Pa")
-_BAR_PX = 12
 _PREFIXES = (("", 1.0), ("m", 1e3), ("µ", 1e6), ("n", 1e9), ("p", 1e12))
 
 
@@ -141,7 +140,7 @@ class ColourBar(Themed, pyqtgraph.GraphicsView):
         super().__init__()
         self._bar = pyqtgraph.ColorBarItem(
             values=(0.0, 1.0),
-            width=_BAR_PX,
+            width=12,
             colorMap=colour_map,
             interactive=False,
             orientation="h",

@@ -18,8 +18,6 @@ from wavefocus.gui.surface import VIRTUAL, is_virtual
 from wavefocus.rendering.verify.record import FIELD_NAMES, RECORD_NAME, REPORT_NAME
 from wavefocus.storage.errors import InputError
 
-_MAX_RECENT = 10
-
 
 class Settings:
     """Geometry, folders, recent files and choices, in the system's store; tests pass another one."""
@@ -71,7 +69,7 @@ class Settings:
         """Remember that a file was opened, and where."""
         path = path.absolute()
         others = [one for one in self.recent() if one != path]
-        self.keep("recent", "\n".join(str(one) for one in [path, *others][:_MAX_RECENT]))
+        self.keep("recent", "\n".join(str(one) for one in [path, *others][:10]))
         self.keep(f"folder/{path.suffix}", str(path.parent))
 
     def forget_recent(self) -> None:
@@ -97,7 +95,9 @@ class Settings:
             case PathField():
                 widget.show_text(self.text(key))
             case QSplitter():
+                direction = widget.orientation()
                 widget.restoreState(self.bytes(key))
+                widget.setOrientation(direction)  # the state of another version may have the other one
             case QCheckBox():
                 widget.setChecked(bool(self.whole(key, widget.isChecked())))
             case NumberBox():

@@ -68,7 +68,6 @@ class ErrorHook(QObject):
 
 # Text of a button, and its action.
 Answer = tuple[str, Callable[[], object]]
-_NOTE_STAYS_MS = 8000
 _LINES = 2
 
 
@@ -170,7 +169,7 @@ class MessageBar(Themed, QFrame):
         self._fit()
         self._fade.stop()
         if kind == "note":
-            self._fade.start(_NOTE_STAYS_MS)
+            self._fade.start(8000)
 
     def _answered(self, act: Callable[[], object]) -> None:
         self.dismiss()

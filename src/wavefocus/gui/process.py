@@ -26,8 +26,6 @@ Message = dict[str, object]
 WAVEFOCUS = (sys.executable, "-m", "wavefocus")
 NOT_GOOD_ENOUGH = 1
 STOPPED_BY_USER = 130
-_NOT_STARTED = 127
-_TAIL_BYTES = 4096
 _INTERRUPT = signal.SIGTERM if os.name == "posix" else signal.Signals(getattr(signal, "CTRL_BREAK_EVENT", 15))
 _WINDOWS_FLAGS = 0x00000200 | 0x08000000  # CREATE_NEW_PROCESS_GROUP, CREATE_NO_WINDOW
 
@@ -77,7 +75,7 @@ class CommandProcess(QObject):
             self._process = self._start([*program, *arguments])
         except OSError as failure:
             self._log_file, self._last_line = None, f"{self._name} cannot be started: {error_text(failure)}"
-            QTimer.singleShot(0, lambda: self._ended.emit(_NOT_STARTED))
+            QTimer.singleShot(0, lambda: self._ended.emit(127))
             return
         threading.Thread(target=self._follow, args=(self._process,), name=self._name, daemon=True).start()
 
@@ -98,7 +96,7 @@ class CommandProcess(QObject):
             return self._last_line
         try:
             with self._log_file.open("rb") as file:
-                file.seek(max(0, file.seek(0, os.SEEK_END) - _TAIL_BYTES))
+                file.seek(max(0, file.seek(0, os.SEEK_END) - 4096))
                 lines = file.read().decode("utf-8", "replace").splitlines()
         except OSError:
             return ""

@@ -25,8 +25,6 @@ STEPS = {
 }
 #: Colour of marks: visible on every colour of the maps, in either theme.
 MARK = "#ff7a1a"
-_AXIS_PX = 46
-_PADDING = 0.02
 # Cells that fill less than this share of the view are shown nearer.
 _CLOSER_BELOW = 0.4
 _RING_PX, _CROSS_PX = 6.0, 9.5
@@ -76,7 +74,7 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
         plot.hideButtons()
         plot.setLabel("bottom", "x (mm)")
         plot.setLabel("left", "y (mm)")
-        plot.getAxis("left").setWidth(_AXIS_PX)  # equal in maps side by side
+        plot.getAxis("left").setWidth(46)  # equal in maps side by side
         for side in ("left", "bottom"):  # no prefix: the unit is part of the label
             plot.getAxis(side).enableAutoSIPrefix(False)
         self.box.sigRangeChangedManually.connect(lambda *_: self._set_fits(False))
@@ -185,7 +183,7 @@ class SurfaceView(Themed, pyqtgraph.PlotWidget):
     def show_everything(self) -> None:
         """Show the whole surface, at any size of the window."""
         self._set_fits(True)
-        self.box.autoRange(padding=_PADDING)
+        self.box.autoRange(padding=0.02)
 
     def fit(self) -> None:
         """Show the whole surface; a small grid on a large surface is shown nearer."""

@@ -142,7 +142,8 @@ class Tab(QWidget):
     def __init__(self, context: TabContext) -> None:
         super().__init__()
         self.context = context
-        self._remembered: dict[str, QWidget] = {}
+        self.remembered: dict[str, QWidget] = {}
+        """Widgets that show in the next session what they hold in this one."""
         self.setAccessibleName(self.title)
 
     def menu_actions(self) -> list[QAction | None]:
@@ -175,13 +176,13 @@ class Tab(QWidget):
 
     def remember(self, **widgets: QWidget) -> None:
         """Show in widgets what they held in the last session; `save_settings` keeps it for the next one."""
-        self._remembered |= widgets
+        self.remembered |= widgets
         for name, widget in widgets.items():
             self.context.settings.restore(f"{self.title.lower()}/{name}", widget)
 
     def save_settings(self) -> None:
         """Save what the next session restores."""
-        for name, widget in self._remembered.items():
+        for name, widget in self.remembered.items():
             self.context.settings.save(f"{self.title.lower()}/{name}", widget)
 
     def restore_settings(self) -> None:

@@ -12,9 +12,6 @@ from PyQt5.QtWidgets import QApplication, QProxyStyle, QStyle, QStyleOption, QWi
 if TYPE_CHECKING:
     from pyqtgraph import PlotItem
 
-_DARK_BELOW = 128
-_FUSION_DARKENS = 140
-
 
 @dataclass(frozen=True, slots=True)
 class Theme:
@@ -81,7 +78,7 @@ def palette_of(theme: Theme) -> QPalette:
 
 def use_desktop_theme(application: QApplication) -> None:
     """Draw everything in light or dark colours, as the desktop's palette is."""
-    dark = application.palette().color(QPalette.ColorRole.Window).lightness() < _DARK_BELOW
+    dark = application.palette().color(QPalette.ColorRole.Window).lightness() < 128
     theme = Themed.theme = DARK if dark else LIGHT
     application.setPalette(palette_of(theme))
     pyqtgraph.setConfigOptions(background=theme.base, foreground=theme.text)
@@ -121,5 +118,5 @@ class BoxStyle(QProxyStyle):
         """Draw with an outline in the colour of placeholders; Fusion derives it from the window's colour."""
         if element == QStyle.PrimitiveElement.PE_IndicatorCheckBox and option is not None:
             outline = option.palette.color(QPalette.ColorRole.PlaceholderText)
-            option.palette.setColor(QPalette.ColorRole.Window, outline.lighter(_FUSION_DARKENS))
+            option.palette.setColor(QPalette.ColorRole.Window, outline.lighter(140))
         super().drawPrimitive(element, option, painter, widget)

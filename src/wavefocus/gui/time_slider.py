@@ -13,10 +13,8 @@ from PyQt5.QtWidgets import QComboBox, QSlider, QStyle, QToolButton, QWidget
 
 from wavefocus.gui import widgets as ui
 
-FRAME_EVERY_MS = 50
 # Waves of some hundred hertz can be followed by eye at about 1/1000 of real time.
 SLOWER = (1, 10, 50, 100, 200, 500, 1000, 2000, 5000)
-_USUALLY_SLOWER = 200
 _WAYS = {Qt.Key.Key_PageUp: 1, Qt.Key.Key_PageDown: -1}
 
 
@@ -47,13 +45,13 @@ class TimeSlider(QWidget):
         self.slower = ui.named(QComboBox(), "How many times slower than real time the field is played", "Playing speed")
         for factor in SLOWER:
             self.slower.addItem("real time" if factor == 1 else f"{factor} × slower", factor)
-        self.slower.setCurrentIndex(SLOWER.index(_USUALLY_SLOWER))
+        self.slower.setCurrentIndex(SLOWER.index(200))
         self.time_label = ui.label("Time shown")
         ui.row(
             self.previous, self.play, self.next, self.loop, (self.slider, 1), self.time_label, self.slower, owner=self
         )
         self._timer = QTimer(self)  # active while it plays
-        self._timer.setInterval(FRAME_EVERY_MS)
+        self._timer.setInterval(50)
         self._timer.timeout.connect(self.advance)
         self.slider.valueChanged.connect(self._moved)
         self.slider.pressed.connect(lambda key: self.toggle() if key == Qt.Key.Key_Space else self.to_mark(_WAYS[key]))

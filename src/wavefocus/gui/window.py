@@ -20,9 +20,7 @@ from wavefocus.gui.tab import Act, ClosingQuestion, Tab, TabContext, make_tabs
 from wavefocus.gui.theme import BoxStyle, use_desktop_theme
 from wavefocus.storage.errors import InputError
 
-_REFRESH_EVERY_MS = 50
 _SIZE, _LEAST, _FRAME = QSize(1240, 720), QSize(800, 560), QSize(16, 48)
-_ERRORS_KEPT = 20
 _LAB = "lab"
 # Holds docs and, once it is built, the site made of them.
 _ROOT = Path(__file__).resolve().parents[3]
@@ -67,7 +65,7 @@ class Window(QMainWindow):
             self.resize(_SIZE.boundedTo(room.expandedTo(_LEAST)))
         self._timer = QTimer(self)
         self._timer.timeout.connect(self.refresh)
-        self._timer.start(_REFRESH_EVERY_MS)
+        self._timer.start(50)
 
     def refresh(self) -> None:
         for tab in self.tabs:
@@ -105,7 +103,7 @@ class Window(QMainWindow):
         if not details:
             self.messages.fault(sentence)
             return
-        self.tracebacks = [*self.tracebacks[-_ERRORS_KEPT:], details]
+        self.tracebacks = [*self.tracebacks[-20:], details]
         self.messages.fault(sentence, ("Copy details", lambda: ui.copy_text(details)))
 
     def closeEvent(self, event: QCloseEvent | None) -> None:  # noqa: N802

@@ -83,13 +83,10 @@ def _record(line: bytes) -> dict[str, object] | None:
     return record if isinstance(record, dict) else None
 
 
-_READ_EVERY_S = 0.05
 _LIFE_EVERY_S = 1.0
 # Reading the ledger of a large bank takes a while; at most this fraction of the time.
 _LEDGER_SHARE = 0.005
 _LEDGER_EVERY_S = 1.0
-# Longer than the thread sleeps.
-_ENDS_WITHIN_S = 0.2
 
 
 class Follower:
@@ -115,7 +112,7 @@ class Follower:
     def end(self) -> None:
         """Stop following, without waiting for a disk that hangs."""
         self._over.set()
-        self._thread.join(_ENDS_WITHIN_S)
+        self._thread.join(0.2)
 
     def change(self, campaign: CampaignModel, most: int) -> None:
         """Make the changes found since the last call, at most so many."""
@@ -137,7 +134,7 @@ class Follower:
                     self._report(f"{sentence}; the display may be out of date", details)
                 self._identity = None
                 self._over.wait(_LIFE_EVERY_S)
-            self._over.wait(_READ_EVERY_S)
+            self._over.wait(0.05)
 
     def _look(self) -> None:
         now_s = time.monotonic()

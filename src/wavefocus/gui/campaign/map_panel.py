@@ -21,9 +21,6 @@ from wavefocus.gui.theme import Themed
 from wavefocus.rendering.arrays import Float32Array
 from wavefocus.storage.bank.ledger import VALID
 
-# On a large map a few outliers must not press all others into one colour.
-_MANY, _OUTLIERS_PERCENT = 100, 1.0
-
 
 class SurfaceMap(SurfaceView):
     """The map; arrow keys walk from position to position, Space selects, Ctrl+A selects all, Esc nothing.
@@ -86,7 +83,8 @@ class SurfaceMap(SurfaceView):
         """Colour by a quality figure; positions without one look as not measured."""
         self._status = status
         known = values[np.isfinite(values)]
-        outliers = _OUTLIERS_PERCENT if known.size > _MANY and figure.key != "attempts" else 0.0
+        # a few outliers must not press all others into one colour
+        outliers = 1.0 if known.size > 100 and figure.key != "attempts" else 0.0
         low, high = np.percentile(known, [outliers, 100.0 - outliers]).tolist() if known.size else (0.0, 1.0)
         self.beyond = bool(known.size and known.min() < low), bool(known.size and known.max() > high)
         if figure.key == "attempts":

@@ -43,8 +43,6 @@ if TYPE_CHECKING:
     from wavefocus.campaign.status import Heartbeat
     from wavefocus.storage.ledger.owner import Owner
 
-_LONGEST = 200
-
 
 class Weight(IntEnum):
     """Importance of an event."""
@@ -76,7 +74,7 @@ def read_record(record: Mapping[str, object]) -> Logged | EventLine:
         at_s = datetime.fromisoformat(str(record.get("at"))).timestamp()
     except ValueError:
         at_s = math.nan
-    return EventLine(at_s, Weight.DETAIL, text[:_LONGEST])
+    return EventLine(at_s, Weight.DETAIL, text[:200])
 
 
 def clock(at_s: float) -> str:

@@ -125,7 +125,6 @@ def pace_text(session: CampaignStatus, *, going_on: bool) -> str:
 
 _TITLES = ("time", "weight", "event")
 _NOWHERE = QModelIndex()
-_COUNT_EVERY_S = 0.5
 
 
 class EventTable(QAbstractTableModel):
@@ -261,7 +260,7 @@ class EventList(Themed, QWidget):
 
     def _show_count(self) -> None:
         """Show the number of lines; not at every event, because a label that changes lays out its row again."""
-        self._count_due_s = time.monotonic() + _COUNT_EVERY_S
+        self._count_due_s = time.monotonic() + 0.5
         self._count.setText(f"{self.lines.rowCount()} of {len(self._campaign.lines)}")
 
     def _want_position(self, index: QModelIndex) -> None:

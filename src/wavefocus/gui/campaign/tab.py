@@ -28,8 +28,6 @@ from wavefocus.gui.surface import PlotSurface, plan_surface
 from wavefocus.gui.tab import ClosingQuestion, Tab, TabContext
 from wavefocus.storage.errors import InputError
 
-_REREAD_EVERY_S = 0.5
-
 
 class CampaignRun:
     """At most one capture of this window, and one order at a time.
@@ -97,7 +95,7 @@ class CampaignRun:
         """Last line of the own capture of a bank; empty when there is none."""
         if self.own is None or not self.runs(bank):
             return ""
-        if time.monotonic() - self._read_s > _REREAD_EVERY_S:
+        if time.monotonic() - self._read_s > 0.5:
             self._read_s = time.monotonic()
             self._last_line = self.own.last_line
         return self._last_line
@@ -135,9 +133,6 @@ class CampaignRun:
 
 # Findings per tick; the rest of a long log follows with the next ticks, so that the window stays responsive.
 _FINDINGS_PER_TICK = 3
-_DEFAULT_BANK = "plate.h5"
-# Without news, clocks and buttons are drawn this often.
-_CLOCKS_EVERY_S = 0.25
 
 
 class CampaignTab(Tab):
@@ -225,7 +220,7 @@ class CampaignTab(Tab):
         news = (*campaign.revision.values(), selected)
         if news == self._drawn and time.monotonic() < self._draw_due_s:
             return
-        self._drawn, self._draw_due_s = news, time.monotonic() + _CLOCKS_EVERY_S
+        self._drawn, self._draw_due_s = news, time.monotonic() + 0.25
         state, owner = campaign.state(starting=self.run.runs(bank)), campaign.owner
         report = self.run.last_line(bank) if state.word in (Extra.STARTING, Extra.PREPARING) else ""
         who = f"process {owner.pid} on {owner.host} owns the bank" if owner else ""
@@ -298,7 +293,7 @@ class CampaignTab(Tab):
         another = former is not None and not same_file(former, path)
         bank = self.bank_field.path
         if another or bank is None or not bank.exists():
-            self.follow(path.parent / _DEFAULT_BANK)
+            self.follow(path.parent / "plate.h5")
 
     def _share_run(self, path: Path) -> None:
         """Show a run and its rig in all tabs, and read its plan."""

@@ -15,9 +15,6 @@ from wavefocus.storage.errors import InputError
 from wavefocus.storage.output_files import replacement
 from wavefocus.storage.text_file import read_text
 
-# Keys that follow one another are read as one change.
-_READ_AFTER_MS = 150
-
 
 class TextDocument(QObject):
     """The text of a scene, run or rig file.
@@ -43,7 +40,7 @@ class TextDocument(QObject):
         self.seen: FileState | None = None
         self._soon = QTimer(self)
         self._soon.setSingleShot(True)
-        self._soon.setInterval(_READ_AFTER_MS)
+        self._soon.setInterval(150)  # keys that follow one another are read as one change
         self._soon.timeout.connect(self.read)
         self.text.contentsChanged.connect(self._soon.start)
         self.text.modificationChanged.connect(self.file_changed)

@@ -17,8 +17,6 @@ from wavefocus.gui.files import choose_file, choose_place
 from wavefocus.gui.tab import Act, ClosingQuestion, TabContext
 from wavefocus.storage.errors import WavefocusError
 
-_KEPT_AFTER_MS, _LOOK_EVERY_MS = 1000, 1000
-
 Then = Callable[[], object]
 
 
@@ -33,12 +31,12 @@ class TextFiles(QObject):
         self._text, self._place, self._owner_pid = (f"{document.kind}/unsaved{part}" for part in ("", "_file", "_by"))
         self._soon = QTimer(self)
         self._soon.setSingleShot(True)
-        self._soon.setInterval(_KEPT_AFTER_MS)
+        self._soon.setInterval(1000)
         self._soon.timeout.connect(self.save_settings)
         document.changed.connect(self._soon.start)
         self._looks = QTimer(self)
         self._looks.timeout.connect(self.look)
-        self._looks.start(_LOOK_EVERY_MS)
+        self._looks.start(1000)
 
     @property
     def name(self) -> str:

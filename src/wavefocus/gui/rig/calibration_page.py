@@ -24,8 +24,6 @@ _PARTS = (
     ("mirror", "&Mirror: bring the beam onto marks", "You jog the beam onto marks on the surface"),
     ("actuators", "Actuato&rs: polarity and level", "Nothing to do; the mirror map must be measured before"),
 )
-_MARKS = ("seven places: middle, corners, ends", "from a file")
-_STEPS_MRAD = (0.05, 0.2, 1.0, 5.0, 20.0)
 _RESIDUALS = ("mark", "x (mm)", "y (mm)", "Δx (mm)", "Δy (mm)", "|Δ| (mm)")
 _YES = {AskJog: "here", MapView: "keep", AskConnect: "done", AskAgain: "again"}
 
@@ -39,7 +37,7 @@ class CalibrationOptions(QWidget):
         super().__init__()
         self.parts = {part: ui.check(text, tip, on=part == "mirror") for part, text, tip in _PARTS}
         tip = "Places of the beam; four marks determine the map, each more checks it"
-        self.marks = ui.choice("Marks on the surface", tip, _MARKS)
+        self.marks = ui.choice("Marks on the surface", tip, ("seven places: middle, corners, ends", "from a file"))
         self.file = PathField("&File", ".csv", "file of marks", settings)
         self.file.setToolTip("x_mm,y_mm of each mark; with x_mrad,y_mrad nothing is jogged")
         tip = "Its values override the rig file's; a measured bank keeps its own calibration"
@@ -89,7 +87,7 @@ class CalibrationPage(Themed, QWidget):
         self.options = CalibrationOptions(settings)
         self.question = ui.label("Question of the calibration", role="strong", wraps=True)
         self.note = ui.label("Notes", wraps=True)
-        self.arrows = Arrows(_STEPS_MRAD, "mrad", 2)
+        self.arrows = Arrows((0.05, 0.2, 1.0, 5.0, 20.0), "mrad", 2)
         self.meter = LevelMeter()
         self.residuals = ui.table(_RESIDUALS, "Residuals of the mirror map in mm", stretched=range(len(_RESIDUALS)))
         self.residuals.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)

@@ -19,10 +19,8 @@ from wavefocus.gui.rig.session import ManualSession
 from wavefocus.gui.surface import surface_from
 from wavefocus.gui.surface_view import STEPS, Keys, PointMm, Spots, SurfaceView
 
-_RIM_POINTS = 180
 # Residuals are enlarged until the longest has about this share of the surface's length.
 _ARROW_SHARE = 0.12
-_STEPS_MM = (0.1, 0.5, 1.0, 5.0, 20.0)
 _FARTHEST_MM = 10_000.0
 _ARROWS = (
     ("up", Qt.ArrowType.UpArrow, 0, 1, 0, 1),
@@ -61,7 +59,7 @@ class SurfacePicture(SurfaceView):
         self._residuals.setPen(pyqtgraph.mkPen(self.theme.fault, width=2.5))
 
     def show_rig(self, outline: Outline, actuator_mm: Sequence[Numbers]) -> None:
-        self.show_outline(outline.line(_RIM_POINTS))
+        self.show_outline(outline.line(180))
         self.show_actuators(_points(actuator_mm))
         left, _, right, _ = outline.box_mm
         self._length_mm = right - left
@@ -165,7 +163,7 @@ class JogPanel(QWidget):
         self._session = session
         self.picture = SurfacePicture("Surface: click to send the beam there")
         self.picture.setToolTip("Click: send the beam there. Arrow keys: one step. Wheel: zoom. Drag: pan. Unit: mm")
-        self.arrows = Arrows(_STEPS_MM, "mm", 2)
+        self.arrows = Arrows((0.1, 0.5, 1.0, 5.0, 20.0), "mm", 2)
         tip = "{} on the surface in mm, from its middle; seen from the laser, x right, y up"
         self.x_mm, self.y_mm = (
             ui.number_box(f"{axis} in mm", tip.format(axis), " mm", 2, -_FARTHEST_MM, _FARTHEST_MM) for axis in "xy"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 
 import numpy as np
 import pyqtgraph
@@ -18,19 +17,14 @@ from wavefocus.gui.rig.session import ManualSession
 from wavefocus.gui.theme import Themed
 
 _FLOOR_DB = -100
-_NEAR_RANGE_DB = -3.0
 _STATES = {
     "released": "○ The instruments are free",
     "opening": "◌ Opening the instruments…",
     "ready": "● The instruments are open in this window",
     "ending": "◌ Muting, parking and closing…",
 }
-_DEFAULT_S = 0.5
 _HIGHEST_HZ = 4999.0
-_REPEAT_AFTER_S = 0.5  # a virtual rig would sweep faster than anybody can look
 _LEGEND_AT = (-8, 6)
-_MILLIVOLTS_BELOW_V = 0.5
-_BELOW_NOISE_DB, _ABOVE_PEAK_DB = 15.0, 10.0
 
 
 class ManualPage(QWidget):
@@ -44,7 +38,7 @@ class ManualPage(QWidget):
         self.release = ui.push_button("&Close them", tip, session.release)
         self.jog, self.sound = JogPanel(session), SoundPanel(session)
         tip = "Silence every output at once and drop waiting orders (Ctrl+0)"
-        self.mute = ui.push_button("M&ute", tip, self.sound.mute)
+        self.mute = ui.push_button("M&ute", tip, session.mute)
         self.state = ui.label("State of the instruments")
         self.splitter = ui.side_by_side((self.jog, 600), (self.sound, 640))
         buttons = ui.row(self.take, self.release, self.mute, self.state, None)
@@ -55,7 +49,6 @@ class ManualPage(QWidget):
 
     def draw(self, *, has_rig: bool) -> None:
         self.take.setEnabled(has_rig and self._session.state == "released")
-        self.sound.repeat()
 
     def _show_state(self) -> None:
         state, facts = self._session.state, self._session.facts
@@ -77,7 +70,6 @@ class SoundPanel(Themed, QWidget):
     def __init__(self, session: ManualSession) -> None:
         super().__init__()
         self._session = session
-        self._due_s = 0.0
         self.meter = LevelMeter()
         self.listen = ui.check("&Listen", "Show the levels of both inputs four times a second")
         tip = (
@@ -88,12 +80,8 @@ class SoundPanel(Themed, QWidget):
         self.level_v = ui.number_box("Level in V", "Peak of the sweep in V", " V", 3, 0.001, 1000.0)
         self.start_hz = ui.number_box("Start in Hz", "Start of the sweep in Hz", " Hz", 0, 1.0, _HIGHEST_HZ)
         self.stop_hz = ui.number_box("Stop in Hz", "End of the sweep in Hz", " Hz", 0, 2.0, _HIGHEST_HZ)
-        self.length_s = ui.number_box(
-            "Duration in s", "Duration of the sweep in s", " s", 2, 0.05, 10.0, value=_DEFAULT_S
-        )
+        self.length_s = ui.number_box("Duration in s", "Duration of the sweep in s", " s", 2, 0.05, 10.0, value=0.5)
         self.sweep = ui.push_button("S&weep", "Play one sweep and show its recording (F5)", self.take_sweep)
-        tip = "Start the next sweep as soon as one is recorded, until unticked or muted"
-        self.again = ui.check("Re&peat", tip)
         self.figures = ui.label("Figures of the sweep", "no sweep yet", wraps=True, any_width=True)
         self.verdict = ui.label("Defects of the sweep", wraps=True, any_width=True)
         self.waveform = Plot("Waveform of the sweep", "time (s)", "mV", legend_at=_LEGEND_AT)
@@ -101,7 +89,7 @@ class SoundPanel(Themed, QWidget):
         self.spectrum = Plot("Spectrum of the sweep", bottom, "dB", legend_at=_LEGEND_AT)
         for plot in (self.waveform, self.spectrum):
             plot.setMinimumHeight(90)
-        first = (*ui.labelled("A&ctuator", self.actuator), *ui.labelled("Le&vel", self.level_v), self.sweep, self.again)
+        first = (*ui.labelled("A&ctuator", self.actuator), *ui.labelled("Le&vel", self.level_v), self.sweep)
         pairs = (("&From", self.start_hz), ("to", self.stop_hz), ("for", self.length_s))
         second = [part for pair in pairs for part in ui.labelled(*pair)]
         ui.column(
@@ -118,36 +106,22 @@ class SoundPanel(Themed, QWidget):
         self.sounds.clicked.connect(self._listen_again)
         self.actuator.activated.connect(self._listen_again)
         self.level_v.editingFinished.connect(self._listen_again)
-        self.again.clicked.connect(lambda on: self.take_sweep() if on else None)
         session.state_changed.connect(self._show_state)
         session.level_changed.connect(self._show_level)
         session.sweep_changed.connect(self._show_sweep)
         self._show_state()
 
-    def repeat(self) -> None:
-        """Take the next sweep when it is due."""
-        if self.again.isChecked() and time.monotonic() >= self._due_s:
-            self.take_sweep()
-
-    def mute(self) -> None:
-        """Take no more sweeps, and be silent."""
-        self.again.setChecked(False)
-        self._session.mute()
-
     def take_sweep(self) -> None:
         """Take a sweep, unless one is under way."""
         if not self._session.sweeping and self._session.state == "ready":
-            self._due_s = time.monotonic() + _REPEAT_AFTER_S
             boxes = (self.level_v, self.start_hz, self.stop_hz, self.length_s)
             self._session.take_sweep(self.actuator.currentIndex(), *(box.value() for box in boxes))
 
     def _show_state(self) -> None:
         facts, ready = self._session.facts, self._session.state == "ready"
         for part in (self.listen, self.sounds, self.actuator, self.level_v, self.start_hz, self.stop_hz,
-                     self.length_s, self.sweep, self.again):  # fmt: skip
+                     self.length_s, self.sweep):  # fmt: skip
             part.setEnabled(ready)
-        if not ready:
-            self.again.setChecked(False)
         if facts is not None and self.actuator.count() != len(facts.actuator_mm):
             self.actuator.clear()
             self.actuator.addItems([str(one) for one in range(len(facts.actuator_mm))])
@@ -179,7 +153,7 @@ class SoundPanel(Themed, QWidget):
         plot.clear()
         response_v, reference_v = np.array(sweep.response_v), np.array(sweep.reference_v)
         response_peak_v = sweep.level.response.peak_v
-        factor, unit = (1e3, "mV") if response_peak_v < _MILLIVOLTS_BELOW_V else (1.0, "V")
+        factor, unit = (1e3, "mV") if response_peak_v < 0.5 else (1.0, "V")
         plot.setLabel("left", unit)
         time_s = np.arange(len(response_v)) / sweep.sample_rate_hz
         reference_peak_v = float(np.abs(reference_v).max(initial=0.0))
@@ -194,8 +168,8 @@ class SoundPanel(Themed, QWidget):
         self.spectrum.line(frequency_hz, np.array(sweep.noise_db), theme.faint, 1.0, "in silence")
         self.spectrum.line(frequency_hz, np.array(sweep.response_db), theme.traces[0], 1.6, "with the sweep")
         self.spectrum.mark_band(sweep.start_hz, sweep.stop_hz)
-        lowest_db = float(np.median(sweep.noise_db)) - _BELOW_NOISE_DB
-        plot.setYRange(lowest_db, max(sweep.response_db) + _ABOVE_PEAK_DB, padding=0)
+        lowest_db = float(np.median(sweep.noise_db)) - 15.0
+        plot.setYRange(lowest_db, max(sweep.response_db) + 10.0, padding=0)
         plot.setXRange(0.0, sweep.frequency_hz[-1], padding=0.01)
 
     def _listen(self) -> None:
@@ -240,7 +214,7 @@ class LevelMeter(Themed, QWidget):
             label.setText(self._text(name, level))
             bar.setValue(min(0, max(_FLOOR_DB, round(peak_db))))
             theme, palette = self.theme, bar.palette()
-            colour = theme.fault if level.over_range else theme.warning if peak_db > _NEAR_RANGE_DB else theme.good
+            colour = theme.fault if level.over_range else theme.warning if peak_db > -3.0 else theme.good
             palette.setColor(QPalette.ColorRole.Highlight, QColor(colour))
             bar.setPalette(palette)
         self.setAccessibleName("; ".join(label.text() for label, _ in self._bars.values()))

@@ -101,12 +101,10 @@ class ExaminationPage(Themed, QWidget):
         self.cancel_button = ui.push_button("&Cancel", tip, self.cancel, "Cancel the examination")
         tip = "Without sweeps nothing sounds; loopback and response are not checked"
         self.plays = ui.check("&Play sweeps", tip, on=True)
-        self.only_bad = ui.check("&Only problems", "Hide rows that are ok")
         self.summary = ui.label("Result of the examination")
         self.table = ui.table(_HEADINGS, "Findings", stretched=(3, 4))
-        controls = ui.row(self.examine, self.cancel_button, self.plays, self.only_bad, self.summary, None)
+        controls = ui.row(self.examine, self.cancel_button, self.plays, self.summary, None)
         ui.column(controls, (self.table, 1), owner=self, margins=ui.PAGE_MARGINS)
-        self.only_bad.toggled.connect(self._hide_good)
         self.clear()
         self.draw(has_rig=False)
 
@@ -159,7 +157,6 @@ class ExaminationPage(Themed, QWidget):
             button = self.buttons[number] = ui.tool_button(text, tip, act, name)
             self.table.setCellWidget(number, len(_HEADINGS) - 1, button)
         self.summary.setText(f"examining… {number + 1} findings; last: {finding.instrument}, {finding.check}")
-        self._hide_good()
         self.table.scrollToBottom()
 
     def _fill(self, number: int) -> None:
@@ -188,10 +185,6 @@ class ExaminationPage(Themed, QWidget):
         else:
             self.summary.setText("the examination was not completed")
             self._context.report_end(process)
-
-    def _hide_good(self) -> None:
-        for number, finding in enumerate(self.findings):
-            self.table.setRowHidden(number, self.only_bad.isChecked() and not _is_bad(finding))
 
 
 class RigTab(Tab):
@@ -225,7 +218,7 @@ class RigTab(Tab):
         self._with_instruments = [
             ui.action(self, "Close instruments", self.session.release, "Ctrl+Shift+G"),
             ui.action(self, "Sweep", sound.take_sweep, "F5"),
-            ui.action(self, "Mute", sound.mute, "Ctrl+0"),
+            ui.action(self, "Mute", self.session.mute, "Ctrl+0"),
             ui.action(self, "Park the beam", self.session.park, "Ctrl+Shift+P"),
         ]
         remembered = context.settings.text("rig/file")

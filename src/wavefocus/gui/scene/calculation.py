@@ -216,6 +216,7 @@ def _drives(number: int, draft: SceneConfig, place: Path, path: Path, rig: str) 
     """The drives, as ``wavefocus render --tolerance-db=-60``."""
     from wavefocus.gui.scene.draft import build_draft
     from wavefocus.rendering.drive.coil_limits import dynamic_range_db, peaks
+    from wavefocus.rendering.drive.quiet_scene import MISSED_DB
     from wavefocus.rendering.drive.rendering import render_with_report
     from wavefocus.rendering.field.prediction import field_unit
     from wavefocus.rendering.field.quiet_levels import quiet_levels
@@ -240,7 +241,10 @@ def _drives(number: int, draft: SceneConfig, place: Path, path: Path, rig: str) 
             "scale": drive.scale, "limited_by": report.limiting.decided_by, "warnings": report.warnings,
             "peak_v": float(peaks(drive.drive_v).max()), "response_unit": field_unit(bank),
             "dynamic_range_db": dynamic_range_db(report.relative_rms_drive),
-            "quiet": [level.plain for level in quiet_levels(drive, bank)],
+            "quiet": [
+                {**level.plain, "missed": level.reached_db > level.track.level_db + MISSED_DB}
+                for level in quiet_levels(drive, bank)
+            ],
         }  # fmt: skip
     return SceneResults(drive, Foci.of(drive), facts, surface)
 

@@ -140,7 +140,6 @@ _REACH_PX = 8.0
 _CIRCLE_POINTS = 91
 _GAP_MM = np.full((1, 2), np.nan)
 _CROSS_MM = np.array([(-2.0, -2.0), (2.0, 2.0), (np.nan, np.nan), (-2.0, 2.0), (2.0, -2.0), (np.nan, np.nan)])
-_HEAD_PX = 14
 _DOT_PX, _SMALL_DOT_PX = 5, 3
 
 
@@ -158,7 +157,6 @@ class SceneItems:
         self._quiet = pyqtgraph.PlotCurveItem(antialias=True)
         view.add_item(self._quiet, 28)
         self._lines: list[pyqtgraph.PlotCurveItem] = []
-        self._heads: list[pyqtgraph.ArrowItem] = []
         items = (self._dots, self._off, self._starts, self._sketch, self._handles)
         for level, item in enumerate(items):
             view.add_item(item, 30 + 10 * level)
@@ -179,11 +177,10 @@ class SceneItems:
         self._make_lines(len(traces))
         for index, trace in enumerate(traces):
             colour = self._view.theme.trace(index)
-            line, head = self._lines[index], self._heads[index]
+            line = self._lines[index]
             line.setData(trace.line_mm[:, 0], trace.line_mm[:, 1], connect="finite")
             line.setPen(pyqtgraph.mkPen(colour, width=2 if index == chosen else 1))
             line.setZValue(29 if index == chosen else 25)
-            _place_head(head, trace.line_mm, colour)
         drawn = [trace for trace in traces if len(trace.points_mm)]
         points_mm = np.concatenate([_NONE_MM, *(trace.points_mm for trace in drawn)])
         off = np.concatenate([np.zeros(0, np.bool_), *(trace.off for trace in drawn)])
@@ -221,12 +218,9 @@ class SceneItems:
     def _make_lines(self, count: int) -> None:
         while len(self._lines) < count:
             self._lines.append(pyqtgraph.PlotCurveItem(antialias=True))
-            self._heads.append(pyqtgraph.ArrowItem(headLen=_HEAD_PX, tipAngle=32))
             self._view.add_item(self._lines[-1], 25)
-            self._view.add_item(self._heads[-1], 35)
-        for surplus in (self._lines, self._heads):
-            while len(surplus) > count:
-                self._view.box.removeItem(surplus.pop())
+        while len(self._lines) > count:
+            self._view.box.removeItem(self._lines.pop())
 
     def _paint_cells(self, traces: Sequence[Trace], backdrop: Backdrop) -> None:
         """Colour positions that are foci by their first instant; all others are faint."""
@@ -269,19 +263,3 @@ def _quiet_line(place: QuietTable) -> Float64Array:
     rim = place.radius_mm * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     disc_mm = rim if place.radius_mm > 0 else _NONE_MM
     return np.asarray(np.array(place.at_mm) + np.concatenate([_CROSS_MM, disc_mm, _GAP_MM]))
-
-
-def _place_head(head: pyqtgraph.ArrowItem, line_mm: Float64Array, colour: str) -> None:
-    """Put an arrow head a quarter along the path."""
-    step_mm = np.hypot(*np.diff(line_mm, axis=0).T)
-    along_mm = np.nancumsum(step_mm)
-    head.setVisible(bool(len(along_mm) and along_mm[-1] > 0))
-    if not head.isVisible():
-        return
-    at = int(np.searchsorted(along_mm, 0.25 * along_mm[-1]))
-    while at < len(step_mm) - 1 and not step_mm[at] > 0:
-        at += 1
-    tail, tip = line_mm[at], line_mm[at + 1]
-    angle = float(np.degrees(np.arctan2(tip[1] - tail[1], tip[0] - tail[0])))
-    head.setStyle(angle=180.0 - angle, brush=colour, pen=None)  # an angle of 0 points to the left, and y is down
-    head.setPos(float(tip[0]), float(tip[1]))

@@ -38,7 +38,6 @@ AnyTable = TypeVar("AnyTable", bound=Table)
 FilesTable = TypeVar("FilesTable", SourceTable, QuietTable)
 
 
-_SPEED_MM_S, _STEP_MM = 80.0, 4.0
 DECIMALS = 2  # of millimetres that are drawn
 NEW_AMPLITUDE = 0.01
 """Amplitude of a new source, in the bank's response unit: 10 mm/s is felt, and a rig of this kind can play it."""
@@ -60,8 +59,8 @@ def new_source(path: PathTable) -> SourceTable:
         signal=NoiseTable(band_hz=(50.0, 450.0), duration_s=0.015, seed=1),
         emission="continuous" if path.kind == "trajectory" else "per_point",
         amplitude=NEW_AMPLITUDE,
-        speed_mm_s=_SPEED_MM_S if moves else None,
-        step_mm=_STEP_MM if moves else None,
+        speed_mm_s=80.0 if moves else None,
+        step_mm=4.0 if moves else None,
     )
 
 

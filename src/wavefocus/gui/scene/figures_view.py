@@ -17,7 +17,6 @@ from wavefocus.storage.units import quantity
 
 # Verdicts.
 GOOD, HELD, MISSED = "within", "held back", "not reached"
-_NEAR_DB = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +53,7 @@ def figures_of(results: SceneResults) -> list[SceneMetric]:
         SceneMetric(
             f"level at {one['name']}", f"{one['reached_db']:.1f} dB of {one['level_db']:g} dB",
             "Energy of the response there over that at the loudest focus; less where output.most_energy does not do",
-            GOOD if one["reached_db"] <= one["level_db"] + _NEAR_DB else MISSED,
+            MISSED if one["missed"] else GOOD,
         )
         for one in facts.get("quiet", ())
     ]  # fmt: skip

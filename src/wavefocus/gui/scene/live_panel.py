@@ -23,12 +23,7 @@ from wavefocus.gui.tab import TabContext
 from wavefocus.gui.theme import Themed
 
 LATENCY_GOAL_MS = 20.0
-_LOOK_AHEAD_MS, _MAX_LOOK_AHEAD_MS = 50, 2000
 _SHOWN_S = 60.0
-# A single peak must not hide all else.
-_MAX_GOALS = 4.0
-_AXIS_PX = 60
-_HINT_LINES = 3
 _HINTS = {
     IDLE: "Press Start (F8); sources then follow mouse and fingers on the surface",
     STARTING: "Bank and rig are being opened; rows between positions can take a minute",
@@ -44,7 +39,7 @@ class LatencyPlot(Plot):
     def __init__(self) -> None:
         self._goal = pyqtgraph.InfiniteLine(LATENCY_GOAL_MS, angle=0)
         self._curve = pyqtgraph.PlotDataItem(antialias=True)
-        super().__init__("Latency over time", "time (s)", "latency (ms)", axis_px=_AXIS_PX)
+        super().__init__("Latency over time", "time (s)", "latency (ms)", axis_px=60)
         plot = self.getPlotItem()
         plot.addItem(self._goal)
         plot.addItem(self._curve)
@@ -60,7 +55,7 @@ class LatencyPlot(Plot):
         ends_s = max(_SHOWN_S, float(time_s[-1])) if len(time_s) else _SHOWN_S
         largest = float(np.nanmax(values)) if np.isfinite(values).any() else 0.0
         self.setXRange(ends_s - _SHOWN_S, ends_s, padding=0.01)
-        top_ms = max(LATENCY_GOAL_MS, min(largest, _MAX_GOALS * LATENCY_GOAL_MS))
+        top_ms = max(LATENCY_GOAL_MS, min(largest, 4.0 * LATENCY_GOAL_MS))  # a single peak must not hide all else
         self.setYRange(0.0, 1.2 * top_ms, padding=0.0)
 
 
@@ -117,8 +112,8 @@ class LivePanel(Themed, QWidget):
         tip = "Let the sources fade, and mute the outputs"
         self.stop = ui.action(self, "Stop live sources", run.stop, "Shift+F8", tip=tip)
         tip = "Delay by which sources follow their pointers, so that less of their path has to be predicted (ms)"
-        self.look_ahead = ui.whole_box("Look-ahead in ms", tip, 0, _MAX_LOOK_AHEAD_MS, "look-ahead ", " ms")
-        self.look_ahead.setValue(_LOOK_AHEAD_MS)
+        self.look_ahead = ui.whole_box("Look-ahead in ms", tip, 0, 2000, "look-ahead ", " ms")
+        self.look_ahead.setValue(50)
         tip = "Save each session as a scene in a new folder, named by the time, inside this one"
         self.records = ui.check("&Record in", tip, "Record the session")
         self.folder = PathField("", "", "folder for recordings", context.settings)
@@ -143,7 +138,7 @@ class LivePanel(Themed, QWidget):
         self.buttons["stop"].setStyleSheet(f"QToolButton:enabled {{ color: {self.theme.warning}; font-weight: 600; }}")
         self.figures.setToolTip(_DEFINITIONS)
         # A fixed height: the surface must not move below the mouse when another hint appears.
-        self.hint.setFixedHeight(_HINT_LINES * self.fontMetrics().lineSpacing() + 2)
+        self.hint.setFixedHeight(3 * self.fontMetrics().lineSpacing() + 2)
         self.show_run()
 
     def _hint(self) -> str:

@@ -35,7 +35,6 @@ STARTING, LIVE = "starting", "live"
 # States come five times a second. A session that writes none for so long gets no positions: writing to a full pipe
 # would hold up the window.
 _STALLED_AFTER_S = 2.0
-_STATES_KEPT = 300
 
 
 class LiveRun(SceneTask):
@@ -55,7 +54,7 @@ class LiveRun(SceneTask):
     def __init__(self, context: TabContext, document: SceneDocument, parent: QObject) -> None:
         super().__init__(context, document, parent)
         self.ready: LiveReady | None = None
-        self.states: deque[LiveState] = deque(maxlen=_STATES_KEPT)
+        self.states: deque[LiveState] = deque(maxlen=300)
         self.places: dict[str, PointMm] = {}
         self._refusal = ""
         self._signal: SignalTable | None = None

@@ -15,11 +15,7 @@ from wavefocus.gui.scene.live_run import LIVE, LiveRun
 from wavefocus.gui.scene.preview import Backdrop, LivePreview
 from wavefocus.gui.surface_view import MARK, STEPS, SurfaceView, rgba
 
-# A source follows its pointer at a steady rate; one at rest needs positions, too.
-POSITIONS_EVERY_MS = 10
-KEY_SPEED_MM_S, SLOW_KEY_SPEED_MM_S = 80.0, 20.0
 _SPOT_RADIUS_PX = 8.5
-_SLACK = 1e-9
 MOUSE, KEYS = "mouse", "keys"
 
 
@@ -35,7 +31,7 @@ def on_grid(backdrop: Backdrop, at_mm: PointMm) -> PointMm | None:
     (row,), (distance_mm,) = backdrop.grid.nearest(point_mm)
     if not backdrop.usable[row]:
         return None
-    reach_mm = backdrop.grid.spacing_mm * (1.0 - _SLACK)
+    reach_mm = backdrop.grid.spacing_mm * (1.0 - 1e-9)
     if distance_mm <= reach_mm:
         return at_mm
     position_mm = backdrop.grid.position_mm[row]
@@ -67,7 +63,7 @@ class LiveSurface(SurfaceView):
         viewport.setAttribute(Qt.WidgetAttribute.WA_AcceptTouchEvents)
         self._timer = QTimer(self)
         self._timer.setTimerType(Qt.TimerType.PreciseTimer)
-        self._timer.setInterval(POSITIONS_EVERY_MS)
+        self._timer.setInterval(10)  # a source follows its pointer at a steady rate; one at rest needs positions, too
         self._timer.timeout.connect(self._tick)
         run.changed.connect(self._show_run)
         run.figures_changed.connect(lambda: self.show_sounding(run.states[-1].sources))
@@ -194,7 +190,7 @@ class LiveSurface(SurfaceView):
         now_s = time.monotonic()
         elapsed_s, self._ticked_s = now_s - self._ticked_s, now_s
         if self._steps and self._key_mm is not None:
-            step_mm = elapsed_s * (SLOW_KEY_SPEED_MM_S if self._slow else KEY_SPEED_MM_S)
+            step_mm = elapsed_s * (20.0 if self._slow else 80.0)
             way = np.sum([STEPS[key] for key in self._steps], axis=0)
             x_mm, y_mm = self._key_mm + step_mm * way
             self._key_mm = on_grid(self._live.backdrop, (float(x_mm), float(y_mm))) or self._key_mm

@@ -30,12 +30,8 @@ if TYPE_CHECKING:
     from wavefocus.rendering.scene.model import Source
 
 
-# The surface of the virtual rig, and the rate of its banks, while there is no bank.
-_USUAL_RATE_HZ = 10_000.0
 # More points than these look like a line; the figures count all of them.
 MAX_DRAWN = 2000
-_MAX_LINE_POINTS = 6000
-_LINE_POINTS_PER_MM = 8.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +44,7 @@ class Backdrop:
     """
 
     outline_mm: Float64Array
-    sample_rate_hz: float = _USUAL_RATE_HZ
+    sample_rate_hz: float = 10_000.0  # of the virtual rig
     surface: PlotSurface | None = None
     grid: PositionGrid | None = None
     usable: NDArray[np.bool_] | None = None
@@ -276,7 +272,7 @@ def _drawn(source: Source, index: int, backdrop: Backdrop) -> Trace:
         too_far = distance_mm > backdrop.grid.spacing_mm * (1.0 + 1e-9) + 1e-9
         off, far = too_far | ~backdrop.usable[rows], int(too_far.sum())
     return Trace(
-        line_mm=path_line(source.path, int(min(_LINE_POINTS_PER_MM * source.path.length_mm, _MAX_LINE_POINTS)) + 3),
+        line_mm=path_line(source.path, int(min(8.0 * source.path.length_mm, 6000)) + 3),
         points_mm=points_mm,
         instant_s=instant_s,
         rows=rows,

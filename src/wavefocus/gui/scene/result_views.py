@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 _ALL = "all actuators"
 _STEP = 0.45  # the loudest trace fills so much of the distance to its neighbours, up and down
-_BAR = 0.36
 _ROOM = 1.15
 _AXIS_PX = 58
 
@@ -131,7 +130,7 @@ class LevelPlot(Plot):
         peak_v = peaks(drive.drive_v)
         for values, filled in ((peak_v, False), (levels_of(drive.drive_v, drive.sample_rate_hz).rms_v, True)):
             plot.addItem(pyqtgraph.BarGraphItem(
-                x=np.arange(count), y0=0.0, height=values, width=2 * _BAR * (0.6 if filled else 1.0),
+                x=np.arange(count), y0=0.0, height=values, width=2 * 0.36 * (0.6 if filled else 1.0),
                 pens=[pyqtgraph.mkPen(colour) for colour in colours],
                 brushes=[pyqtgraph.mkBrush(colour if filled else theme.base) for colour in colours],
             ))  # fmt: skip

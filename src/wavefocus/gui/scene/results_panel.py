@@ -127,11 +127,6 @@ class ActionsBar(Themed, QWidget):
         choose_place(self, f"Save {kind}", suggested, _KINDS[kind], ENDINGS[kind], save)
 
 
-# A calculation starts so long after the last edit.
-_QUIET_S = 0.3
-_BANK_LOOK_EVERY_S = 1.0
-# More of them are scrolled to; the plots below keep their room.
-_WARNING_LINES = 4
 NO_BANK = "choose a bank: drives and field are computed from its measurements"
 
 
@@ -159,7 +154,7 @@ class ResultsPanel(Themed, QWidget):
         self.warnings.setMinimumWidth(1)
         self.warnings.setStyleSheet(f"QLabel {{ color: {self.theme.warning}; }}")
         self._warned = ui.scrolling(self.warnings)
-        self._warned.setMaximumHeight(_WARNING_LINES * self.warnings.fontMetrics().lineSpacing())
+        self._warned.setMaximumHeight(4 * self.warnings.fontMetrics().lineSpacing())
         self._warned.hide()
         self.cancel = ui.tool_button("Stop", "Stop calculating until the next edit", self._stop, "Stop calculating")
         self.pages = ui.tab_pages("Results", {"Drives": self.drives, "Field": self.field, "Figures": self.figures})
@@ -182,7 +177,7 @@ class ResultsPanel(Themed, QWidget):
         if self.playing.state == PLAYING:  # its time goes on
             self.bar.show_state()
         if now_s >= self._look_due_s and not self.complete and document.bank is not None:
-            self._look_due_s = now_s + _BANK_LOOK_EVERY_S
+            self._look_due_s = now_s + 1.0
             if (state := file_state(document.bank)) != self._bank_state:
                 self._bank_state, self._wanted = state, True
         if not (self._wanted and self.isVisible() and now_s >= self._due_s):
@@ -229,7 +224,7 @@ class ResultsPanel(Themed, QWidget):
 
     def _edited(self) -> None:
         self._wanted, self.complete = True, False
-        self._due_s = time.monotonic() + _QUIET_S
+        self._due_s = time.monotonic() + 0.3
 
     def _stop(self) -> None:
         self.calculation.cancel()

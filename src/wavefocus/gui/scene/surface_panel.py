@@ -21,8 +21,6 @@ _TOOLS = (
     (QUIET, "Quiet", "Click: adds a place that is kept quiet"),
 )
 _LONGEST = 240
-_HINT_LINES = 3
-_PLACE_PX = 76
 
 
 class SurfacePanel(Themed, QWidget):
@@ -40,11 +38,11 @@ class SurfacePanel(Themed, QWidget):
         self.hint = ui.label("Hint, or problem of the scene", wraps=True, selectable=True)
         self.hint.setAlignment(Qt.Alignment() | Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignTop)
         # A fixed height: the surface must not move below the mouse when a problem appears.
-        self.hint.setFixedHeight(_HINT_LINES * self.hint.fontMetrics().lineSpacing() + 2)
+        self.hint.setFixedHeight(3 * self.hint.fontMetrics().lineSpacing() + 2)
         self.place = ui.label("Position of the mouse")
         self.place.setParent(self.canvas)
         self.place.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
-        self.place.move(_PLACE_PX, 2)
+        self.place.move(76, 2)
         tools = ui.row(*self.tools.values(), None, spacing=3)
         ui.column(tools, (self.canvas, 1), self.colours, self.hint, owner=self, spacing=4)
         self.canvas.hovered.connect(self._hover)

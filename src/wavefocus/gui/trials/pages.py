@@ -12,7 +12,6 @@ from wavefocus.gui import widgets as ui
 from wavefocus.gui.trials.parts import LARGE, TEXT, TITLE, Input, LargeButton, Pressed, calm, counted, key_text, sized
 
 REPLAY_KEY = "R"
-_MAX_LARGE = 4
 _CLOSING = "The window can be closed at any time: the surface is muted at once, and your answers are kept."
 
 
@@ -56,7 +55,7 @@ class QuestionPage(QWidget):
         super().__init__()
         self.question = sized(ui.label("Question", welcome.question, wraps=True), TITLE, centred=True)
         self.note = sized(ui.label("Note", role="faint", wraps=True), TEXT, centred=True)
-        size = LARGE if len(welcome.answers) <= _MAX_LARGE else TEXT
+        size = LARGE if len(welcome.answers) <= 4 else TEXT
         self.answers = {
             choice: LargeButton(choice, key, partial(answer, choice), lines=5.0, columns=0, size=size)
             for choice, key in welcome.answers.items()

@@ -14,10 +14,6 @@ from wavefocus.gui.process import CommandProcess
 from wavefocus.gui.surface import VIRTUAL
 from wavefocus.gui.tab import TabContext
 
-# Answers are read again so long after the last key.
-_READS_AFTER_MS = 300
-_FOLDER = "answers"
-
 
 class TrialsStart(QDialog):
     """Names the participant, shows what is left of the trials, and starts the participant's window.
@@ -41,7 +37,7 @@ class TrialsStart(QDialog):
                 found = beside
             if found is not None:
                 field.show_path(found)
-        self.out.show_path(trials.with_name(_FOLDER))
+        self.out.show_path(trials.with_name("answers"))
         self.standing = ui.label("What is left of the trials", wraps=True)
         tip = "Open the participant's window; stimuli are prepared first"
         self.start = ui.push_button("&Start", tip, self._start)
@@ -73,7 +69,7 @@ class TrialsStart(QDialog):
 
     def _changed(self) -> None:
         self.start.setEnabled(False)
-        self._timer.start(_READS_AFTER_MS)
+        self._timer.start(300)
 
     def _read(self) -> None:
         participant, out = self.participant.text().strip(), self.out.path

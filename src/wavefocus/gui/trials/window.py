@@ -32,8 +32,6 @@ from wavefocus.gui.trials.parts import ExperimenterStrip, Input, counted, key_co
 from wavefocus.gui.window import make_application
 
 _SIZE, _FRAME = QSize(1000, 700), QSize(16, 48)
-# The child mutes when its input ends; a driver that hangs is not waited for.
-_MUTES_WITHIN_MS, _KILLED_AFTER_MS = 20_000, 10_000
 _THANKS = ("Thank you", "All trials are done. Please call the experimenter.", "Close")
 _RESUME = "Every answer given so far is stored. The session can go on later at the next trial."
 _SHORTCUTS = (Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.AltModifier, Qt.KeyboardModifier.MetaModifier)
@@ -107,7 +105,7 @@ class TrialsWindow(QMainWindow):
         self._show(self.notice)
         self.notice.show_notice("Muting", _RESUME)
         self._send(EndTrials())
-        self.process.stop(_MUTES_WITHIN_MS, _KILLED_AFTER_MS)
+        self.process.stop(20_000, 10_000)  # the child mutes when its input ends; a driver that hangs is not waited for
 
     def _receive(self, message: Message) -> None:
         if self.waiting == "closing":

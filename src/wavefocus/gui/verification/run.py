@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from wavefocus.rendering.verify.record import VerificationRecord
 
 _MESSAGES = (*VERIFY_MESSAGES, StateChanged, Fault, ReconnectTried)
-_SAID_NAME = "verify.said"
 # A verification of another process whose log does not grow for so long has ended.
 _SILENT_AFTER_S = 300.0
 
@@ -101,7 +100,7 @@ class VerificationRun:
         self.own = self._context.run(
             request.arguments,
             lambda _process: self.poll(),
-            log_file=out / _SAID_NAME,
+            log_file=out / "verify.said",
             name="the verification",
             advice="its outputs ended with it, but the mirror stands where it was: run the verification again",
         )
@@ -234,10 +233,6 @@ class VerificationRun:
             self._close()
 
 
-# Number of instants that give the largest response where no focus instants are known.
-_INSTANTS = 64
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Results:
     """One verification.
@@ -276,7 +271,7 @@ def read_results(record_file: Path, on_progress: Callable[[int, int], object], w
             f"{folder / PREDICTION_NAME} has other positions than {record_file}; run the verification again"
         )
     focus = np.array([pair.sample_at(time_s) for time_s in record.focus_s], np.int64)
-    looked_at = focus if len(focus) else evenly_spread(pair.samples, _INSTANTS)
+    looked_at = focus if len(focus) else evenly_spread(pair.samples, 64)
     loudest, difference = pair.loudest(looked_at, record.compared)
     surface = PlotSurface(
         record.position_mm, record.actuator_places_mm,

@@ -29,8 +29,6 @@ from wavefocus.gui.verification.run import (
 from wavefocus.rendering.verify.record import FIELD_NAMES, PICTURE_NAMES, RECORD_NAME, REPORT_NAME
 from wavefocus.storage.errors import InputError
 
-_FOLDER = "verify"
-
 
 class RequestForm(QWidget):
     """Fields for scene, bank, rig, folder and the positions to scan."""
@@ -74,7 +72,7 @@ class RequestForm(QWidget):
         self.bank.show_path(bank)
         self._context.settings.opened(bank)
         self._context.share(self, FileKind.BANK, bank)
-        for field, name in ((self.scene, "scene.toml"), (self.rig, "rig.toml"), (self.out, _FOLDER)):
+        for field, name in ((self.scene, "scene.toml"), (self.rig, "rig.toml"), (self.out, "verify")):
             neighbour = bank.with_name(name)
             empty = not field.line.text().strip() or field.path == self._filled.get(field)
             if empty and (field is self.out or neighbour.is_file()):
