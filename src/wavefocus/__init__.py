@@ -58,58 +58,36 @@ if TYPE_CHECKING:
 
     estimator = estimator_of
 
-_MODULES = {
-    "Bank": "wavefocus.storage.bank.reading",
-    "Circle": "wavefocus.rendering.scene.paths",
-    "Drive": "wavefocus.storage.drive_file",
-    "Field": "wavefocus.storage.field_file",
-    "FocusResults": "wavefocus.rendering.field.foci",
-    "GreenArray": "wavefocus.rendering.greens.source",
-    "Impulse": "wavefocus.rendering.scene.signals",
-    "InputError": "wavefocus.storage.errors",
-    "Line": "wavefocus.rendering.scene.paths",
-    "Noise": "wavefocus.rendering.scene.signals",
-    "Point": "wavefocus.rendering.scene.paths",
-    "Polyline": "wavefocus.rendering.scene.paths",
-    "LiveSources": "wavefocus.live_session.sources",
-    "QuietPlace": "wavefocus.rendering.scene.model",
-    "RawFile": "wavefocus.storage.raw.writer",
-    "Scene": "wavefocus.rendering.scene.model",
-    "Sine": "wavefocus.rendering.scene.signals",
-    "SoundFile": "wavefocus.rendering.scene.signals",
-    "Source": "wavefocus.rendering.scene.model",
-    "TrajectoryPath": "wavefocus.rendering.scene.trajectory_path",
-    "VirtualBench": "wavefocus.virtual",
-    "add_note": "wavefocus.storage.bank.notes",
-    "estimate": "wavefocus.estimation",
-    "estimate_positions": "wavefocus.calibration.estimator.raw_estimation",
-    "estimator": "wavefocus.calibration.estimator.raw_estimation:estimator_of",
-    "export_bank": "wavefocus.banks",
-    "focus_figures": "wavefocus.drives",
-    "import_bank": "wavefocus.banks",
-    "interpolate": "wavefocus.drives",
-    "live": "wavefocus.live_session.sources",
-    "load_scene": "wavefocus.rendering.scene.model",
-    "open_bank": "wavefocus.storage.bank.reading",
-    "open_raw": "wavefocus.storage.raw.writer",
-    "predict": "wavefocus.drives",
-    "quiet_levels": "wavefocus.drives",
-    "read_drive": "wavefocus.storage.drive_file",
-    "read_field": "wavefocus.storage.field_file",
-    "render": "wavefocus.drives",
-    "virtual_rig": "wavefocus.virtual",
-    "write_drive": "wavefocus.storage.drive_file",
-    "write_field": "wavefocus.storage.field_file",
+_NAMES = {
+    "banks": "export_bank import_bank",
+    "calibration.estimator.raw_estimation": "estimate_positions estimator",
+    "drives": "focus_figures interpolate predict quiet_levels render",
+    "estimation": "estimate",
+    "live_session.sources": "LiveSources live",
+    "rendering.field.foci": "FocusResults",
+    "rendering.greens.source": "GreenArray",
+    "rendering.scene.model": "QuietPlace Scene Source load_scene",
+    "rendering.scene.paths": "Circle Line Point Polyline",
+    "rendering.scene.signals": "Impulse Noise Sine SoundFile",
+    "rendering.scene.trajectory_path": "TrajectoryPath",
+    "storage.bank.notes": "add_note",
+    "storage.bank.reading": "Bank open_bank",
+    "storage.drive_file": "Drive read_drive write_drive",
+    "storage.errors": "InputError",
+    "storage.field_file": "Field read_field write_field",
+    "storage.raw.writer": "RawFile open_raw",
+    "virtual": "VirtualBench virtual_rig",
 }
+_MODULE_OF = {name: f"wavefocus.{module}" for module, names in _NAMES.items() for name in names.split()}
 
-__all__ = list(_MODULES)
+__all__ = list(_MODULE_OF)
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _MODULES:
+    if name not in _MODULE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module, _, own_name = _MODULES[name].partition(":")
-    return getattr(import_module(module), own_name or name)
+    # The one whose own name says less here.
+    return getattr(import_module(_MODULE_OF[name]), "estimator_of" if name == "estimator" else name)
 
 
 def __dir__() -> list[str]:

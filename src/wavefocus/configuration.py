@@ -134,13 +134,13 @@ def load_rig(path: Path, text: str | None = None) -> RigConfig:
     Raises InputError: anything in the file is wrong.
     """
     data = read_toml(path, "rig") if text is None else parse_toml(text, str(path))
-    care = data.get("calibration")
-    if isinstance(care, dict):
-        if "measured" in care:
+    section = data.get("calibration")
+    if isinstance(section, dict):
+        if "measured" in section:
             raise InputError(f"{path}: calibration.measured: comes from the file that calibration.file names")
-        if isinstance(care.get("file"), str):
-            record = load_calibration(named_file(path, "calibration.file", care["file"]))
-            data["calibration"] = {**care, "measured": record.model_dump()}
+        if isinstance(section.get("file"), str):
+            record = load_calibration(named_file(path, "calibration.file", section["file"]))
+            data["calibration"] = {**section, "measured": record.model_dump()}
     recorder = data.get("recorder")
     if isinstance(recorder, dict):
         for key in ("tls_root", "tls_certificate", "tls_key"):

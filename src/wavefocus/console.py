@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache
 from typing import IO, TYPE_CHECKING, Protocol, TextIO, cast
@@ -25,8 +26,9 @@ if TYPE_CHECKING:
 # Without a terminal (a log file, a service) a line this often shows progress.
 LINE_EVERY_S = 30.0
 MIN_BAR = 10
-# A command that has said nothing for so long is named, so that nobody takes it for hung.
+# A command that has shown nothing for so long is named, so that nobody takes it for hung.
 SILENT_S = 1.5
+LOOKS_EVERY_S = 0.25
 
 
 class _StandardError(io.TextIOBase):
@@ -101,31 +103,44 @@ def people() -> Console:
     return Console(file=cast(IO[str], _StandardError()), highlight=False, soft_wrap=True)
 
 
-_spoken = threading.Event()
-# Of the one command of this process: the watching thread reads it.
-_step = [""]
+@dataclass
+class _Work:
+    """What the one command of this process does; another thread looks at it."""
+
+    step: str = ""
+    spoken_s: float = 0.0
+    bars: int = 0
+
+
+_work = _Work()
 
 
 def working_on(step: str) -> None:
     """Note the step that begins, as ``"opening the instruments"``: `named_while_silent` names it if it takes long."""
-    _step[0] = step
+    _work.step = step
 
 
 @contextmanager
 def named_while_silent(what: str) -> Iterator[None]:
-    """Name a command, and its step, on a terminal that has said nothing for `SILENT_S`.
+    """Name a command, and its step, on a terminal whenever it has shown nothing for `SILENT_S`.
 
     A pipe or a log file gets no such line.
     """
-    _spoken.clear()
     if not _StandardError().isatty():
         yield
         return
     over = threading.Event()
+    _work.spoken_s = time.monotonic()
 
     def name() -> None:
-        if not over.wait(SILENT_S) and not _spoken.is_set():
-            say(f"{what}: {_step[0]} ..." if _step[0] else f"{what} ...")
+        named: tuple[str, float] | None = None
+        while not over.wait(LOOKS_EVERY_S):
+            # Each step is named once, and again where something else was said meanwhile.
+            silent = not _work.bars and time.monotonic() - _work.spoken_s > SILENT_S
+            if silent and named != (_work.step, _work.spoken_s):
+                step = _work.step
+                say(f"{what}: {step} ..." if step else f"{what} ...")
+                named = step, _work.spoken_s
 
     watcher = threading.Thread(target=name, name="named while silent", daemon=True)
     watcher.start()
@@ -139,7 +154,7 @@ def named_while_silent(what: str) -> Iterator[None]:
 
 def say(line: str) -> None:
     """Write one line to standard error; dropped where the terminal is gone."""
-    _spoken.set()
+    _work.spoken_s = time.monotonic()
     with suppress(OSError, ValueError):  # ValueError: it was closed
         print(escaped(line), file=sys.stderr, flush=True)
 
@@ -149,7 +164,7 @@ def answer(line: str) -> None:
 
     Raises OSError: standard output cannot be written.
     """
-    _spoken.set()
+    _work.spoken_s = time.monotonic()
     print(escaped(line), flush=True)
 
 
@@ -187,7 +202,6 @@ def progress(what: str, total: int, *, done: int = 0, timed: bool = True) -> Ite
     callable
         ``report(done, total, note="")``, to be called as items are done.
     """
-    _spoken.set()
     if not sys.stderr.isatty():
         yield _line_reporter(what, done, timed=timed)
         return
@@ -215,7 +229,12 @@ def progress(what: str, total: int, *, done: int = 0, timed: bool = True) -> Ite
         def report(done: int, total: int, note: str = "") -> None:
             bar.update(task, completed=done, total=total, note=note)
 
-        yield report
+        _work.bars += 1
+        try:
+            yield report
+        finally:
+            _work.bars -= 1
+            _work.spoken_s = time.monotonic()
 
 
 def _line_reporter(what: str, first: int, *, timed: bool) -> Report:
@@ -240,6 +259,6 @@ def _line_reporter(what: str, first: int, *, timed: bool) -> Report:
 
 def print_line(line: str) -> None:
     """Write a line on standard output at once."""
-    _spoken.set()
+    _work.spoken_s = time.monotonic()
     sys.stdout.write(line)
     sys.stdout.flush()

@@ -7,7 +7,6 @@ import json
 import math
 import os
 import queue
-import select
 import sys
 import threading
 import time
@@ -17,7 +16,7 @@ from typing import NoReturn
 
 from wavefocus.config.messages.codec import AnyMessage, Message, MessageError, from_record, tag, to_line
 from wavefocus.console import print_line
-from wavefocus.exits import STAND_IN, one_line
+from wavefocus.exits import one_line
 from wavefocus.storage.errors import InputError, WavefocusError
 
 # No order is longer; a line without an end must not fill the memory.
@@ -29,40 +28,12 @@ class LinesOut:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._gone = False
-
-    @property
-    def gone(self) -> bool:
-        """Whether nobody reads them any more, also where nothing was written since."""
-        self._gone = self._gone or _nobody_reads()
-        return self._gone
 
     def __call__(self, message: Message) -> None:
-        """Write a message."""
+        """Write a message; dropped where it cannot be written: who listens decides nothing of what is carried out."""
         line = to_line(message)
-        with self._lock:
-            try:
-                print_line(line)
-            except (OSError, ValueError):
-                self._gone = True
-
-
-def _nobody_reads() -> bool:
-    """Whether standard output was closed from the start, or is a pipe whose other end is closed.
-
-    Windows reports the latter only when something is written.
-    """
-    binary = getattr(sys.stdout, "buffer", None)
-    if getattr(sys.stdout, STAND_IN, False) or getattr(getattr(binary, "raw", None), "gone", False):
-        return True
-    if not hasattr(select, "poll"):
-        return False
-    try:
-        asked = select.poll()
-        asked.register(sys.stdout.fileno(), 0)
-        return any(event & (select.POLLERR | select.POLLHUP) for _, event in asked.poll(0))
-    except (OSError, ValueError):  # it is not a file
-        return False
+        with self._lock, suppress(OSError, ValueError):
+            print_line(line)
 
 
 class ReadingFailedError(WavefocusError):

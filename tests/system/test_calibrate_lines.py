@@ -86,7 +86,7 @@ def test_given_answers_that_are_not_understood_then_each_is_a_sentence_and_the_q
     asked.hear("ask")
     for answer, why in (
         ({"answer": "yes"}, "allowed: here, by, to, cancel"),
-        ({"answer": "by", "x_mrad": 1}, "y_mrad is missing"),
+        ({"answer": "by", "x_mrad": 1}, "missing required field `y_mrad`"),
         ({"reply": "here"}, "answer None"),
     ):
         asked.send(**answer)

@@ -123,6 +123,25 @@ def fault_of(words: list[str], *, whole: bool) -> str:
     return ""
 
 
+def test_the_tutorials_positions_and_hours_are_those_of_its_plan(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    page = ROOT / "docs" / "tutorial" / "the-first-hour.md"
+    assert run(["init", "lab"]) == 0
+    change_text(Path("lab/run.toml"), "spacing_mm = 4.0", "spacing_mm = 8.0")
+    capsys.readouterr()
+    (plan,) = [step for step in steps(page) if step.kind == "command" and step.text.startswith("wavefocus plan")]
+    assert run(words_of(plan.text)[1:]) == 0
+    printed = capsys.readouterr().out
+    for line in plan.shown:
+        assert re.search(re.escape(line).replace(r"\.\.\.", ".*"), printed), printed
+    counts = re.findall(r"\bof (\d+) positions|: (\d+) positions", page.read_text(encoding="utf-8"))
+    positions = re.search(r"positions +(\d+)", printed)
+    assert positions is not None
+    assert {one or other for one, other in counts} == {positions[1]}
+
+
 @pytest.fixture(scope="module")
 def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A measured lab: what pages presuppose that do not begin with an empty folder."""

@@ -15,7 +15,7 @@ from wavefocus.acquisition.plays import measuring_of
 from wavefocus.acquisition.setup import Setup, point_at, take_record
 from wavefocus.calibration.estimator.schedule_error import expected_error_db
 from wavefocus.campaign.blueprint import blueprint_from_files
-from wavefocus.config.rig import Emulation
+from wavefocus.config.emulation import Emulation
 from wavefocus.drivers.protocols import RecordLabel
 from wavefocus.rig.setup import open_setup
 from wavefocus.rig.virtual_bench import virtual_rig

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -175,3 +176,24 @@ def test_given_wrong_options_then_a_sentence_names_them_before_anything_sounds(
     assert told.out == ""
     assert named in told.err
     assert told.err.count("\n") == 1
+
+
+@pytest.mark.may_skip("a closed pipe is another thing on Windows")
+@pytest.mark.skipif(sys.platform == "win32", reason="a closed pipe is another thing on Windows")
+def test_given_a_listener_that_goes_away_then_orders_are_carried_out_to_their_end(bank: Path) -> None:
+    words = ["live", bank, "--rig", bank.parent / "rig.toml", "--json", "--record", bank.parent / "felt"]
+    command = [sys.executable, "-m", "wavefocus", *map(str, words)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        while '"ready"' not in process.stdout.readline():
+            pass
+        process.stdout.close()
+        for _ in range(50):
+            process.stdin.write('{"order": "move", "name": "pen", "at_mm": [4, 0], "amplitude": 1e-3}\n')
+            process.stdin.flush()
+            time.sleep(0.02)
+        process.stdin.write('{"order": "end"}\n')
+        process.stdin.flush()
+        assert process.wait(60) == 0
+    assert len(load_scene(bank.parent / "felt" / "scene.toml").sources) == 1

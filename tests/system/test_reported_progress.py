@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import subprocess
 import sys
 import time
@@ -82,22 +81,6 @@ def test_given_a_log_that_cannot_be_written_then_the_campaign_goes_on_and_says_s
     assert run(["capture", str(lab / "run.toml"), "--bank", str(lab / "plate.h5")]) == 0
     told = capsys.readouterr().err
     assert told.count("plate.events.jsonl cannot be written any more") == 1
-    assert "finished: 6 of 6 positions (6 valid)" in told
-
-
-@pytest.mark.skipif(os.name != "posix", reason="a closed pipe is another thing on Windows")
-@pytest.mark.may_skip("a closed pipe is another thing on Windows")
-def test_given_a_reader_of_events_that_goes_away_then_the_campaign_goes_on(lab: Path) -> None:
-    bank = lab / "plate.h5"
-    command = [sys.executable, "-m", "wavefocus", "capture", str(lab / "run.toml"), "--bank", str(bank), "--json"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
-        assert child.stdout is not None
-        child.stdout.readline()
-        child.stdout.close()
-        assert child.stderr is not None
-        told = child.stderr.read()
-    assert child.returncode == 0
-    assert "Traceback" not in told
     assert "finished: 6 of 6 positions (6 valid)" in told
 
 

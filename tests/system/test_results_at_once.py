@@ -34,6 +34,9 @@ sys.addaudithook(hook)
 """
 
 
+RUNS = "from wavefocus.__main__ import run\nsys.exit(run(sys.argv[1:]))"
+
+
 def killed_at(renaming: int, code: str, *arguments: object) -> bool:
     """Run code in a process that is killed before its n-th renaming; whether it came that far."""
     done = subprocess.run(
@@ -67,11 +70,10 @@ def test_an_export_that_is_killed_over_an_older_one_then_leaves_no_mixture(tmp_p
     first, second = bank_of(tmp_path / "1.h5", 1.0), bank_of(tmp_path / "2.h5", 1.13)
     whole = [h5py.File(one)["green"][()] for one in (first, second)]
     folder = tmp_path / "sounds"
-    code = "from wavefocus.__main__ import run\nsys.exit(run(sys.argv[1:]))"
     outcomes = set()
     for renaming in range(1, 20):
         assert run(["export", str(first), str(folder), "--to", "wav", "--force"]) == 0
-        killed = killed_at(renaming, code, "export", second, folder, "--to", "wav", "--force")
+        killed = killed_at(renaming, RUNS, "export", second, folder, "--to", "wav", "--force")
         found = values(folder, tmp_path / f"i{renaming}.h5")
         which = -1 if found is None else next(n for n, one in enumerate(whole) if np.array_equal(found, one))
         outcomes.add((killed, which))
@@ -81,6 +83,25 @@ def test_an_export_that_is_killed_over_an_older_one_then_leaves_no_mixture(tmp_p
     assert (True, 0) in outcomes
     assert {which for killed, which in outcomes if not killed} == {1}
     assert [entry.name for entry in tmp_path.iterdir() if "partial" in entry.name] == []
+
+
+def test_an_export_that_is_killed_in_a_new_folder_then_goes_on_by_the_same_command(tmp_path: Path) -> None:
+    bank = bank_of(tmp_path / "bank.h5", 1.0)
+    for renaming in range(1, 20):
+        command = ["export", str(bank), str(tmp_path / f"sounds{renaming}"), "--to", "wav"]
+        if not killed_at(renaming, RUNS, *command):
+            break
+        assert run(command) == 0
+    assert renaming > 1
+
+
+def test_a_capture_with_recordings_that_is_killed_then_goes_on_by_the_same_command(lab: Path) -> None:
+    change_text(lab / "run.toml", "[capture]", "[capture]\nkeep_raw = true")
+    for renaming in range(1, 5):  # bank and recordings are each made whole; later ones are of the heartbeat
+        command = ["capture", str(lab / "run.toml"), "--bank", str(lab / f"{renaming}.h5")]
+        assert killed_at(renaming, RUNS, *command)
+        assert run(command) == 0
+        assert run(["check", str(lab / f"{renaming}.raw.h5")]) == 0
 
 
 STAGED = """

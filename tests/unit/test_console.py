@@ -26,7 +26,7 @@ with progress("capture", 1500, timed={timed}) as report:
 SILENT = """
 import time, sys
 from wavefocus import console
-console.SILENT_S = 0.05
+console.SILENT_S = console.LOOKS_EVERY_S = 0.05
 with console.named_while_silent("check: verify checksums"):
     {first}
     time.sleep(1)
@@ -72,16 +72,28 @@ def test_given_a_narrow_terminal_then_the_progress_line_keeps_count_and_bar(
 
 @pytest.mark.may_skip("a pseudo-terminal is POSIX")
 @posix
-@pytest.mark.parametrize(("first", "named"), [("pass", True), ("console.say('found')", False)])
-def test_given_a_command_that_says_nothing_then_it_is_named(first: str, named: bool) -> None:
-    assert ("check: verify checksums ..." in on_a_terminal(SILENT.format(first=first))) is named
+@pytest.mark.parametrize(
+    ("work", "named"),
+    [
+        ("pass", ["check: verify checksums ..."]),
+        ("time.sleep(1); console.say('found')", ["check: verify checksums ..."] * 2),
+        ("console.working_on('opening the bank')", ["check: verify checksums: opening the bank ..."]),
+        (
+            "console.working_on('reading'); time.sleep(1); console.working_on('judging')",
+            ["check: verify checksums: reading ...", "check: verify checksums: judging ..."],
+        ),
+    ],
+)
+def test_given_a_command_that_says_nothing_for_long_then_it_and_its_step_are_named(work: str, named: list[str]) -> None:
+    said = on_a_terminal(SILENT.format(first=work))
+    assert [line for line in said.splitlines() if line.endswith("...")] == named
 
 
 @pytest.mark.may_skip("a pseudo-terminal is POSIX")
 @posix
-def test_given_a_step_that_says_nothing_then_it_is_named_with_its_command() -> None:
-    steps = "console.working_on('opening the bank'); console.working_on('opening the instruments')"
-    assert "check: verify checksums: opening the instruments ..." in on_a_terminal(SILENT.format(first=steps))
+def test_given_a_bar_then_the_command_is_not_named_beneath_it() -> None:
+    said = on_a_terminal(SILENT.format(first="with console.progress('check', 2): time.sleep(1)"))
+    assert "verify checksums" not in said[said.index("0/2") : said.rindex("0/2")]
 
 
 def test_given_no_terminal_then_a_silent_command_stays_silent() -> None:

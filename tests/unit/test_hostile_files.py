@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -115,25 +113,3 @@ def test_given_a_table_of_many_places_then_each_actuator_has_its_own_number(tmp_
     with ExitStack() as stack:
         measured = wav.read(tmp_path, ImportOptions(places=places), stack)
     assert measured.shape == (1, 5000, 8)
-
-
-@pytest.mark.may_skip("Windows reports a closed pipe only when something is written")
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows reports a closed pipe only when something is written")
-@pytest.mark.parametrize("closed", ["from the start", "later", "never"])
-def test_given_standard_output_that_nobody_reads_then_it_is_noticed_without_writing(closed: str) -> None:
-    code = (
-        "import sys; from wavefocus.__main__ import open_closed_streams; open_closed_streams()\n"
-        "from wavefocus.json_lines import LinesOut; out = LinesOut()\n"
-        "sys.stdin.readline(); sys.stderr.write(str(out.gone))"
-    )
-    read, write = os.pipe()
-    shell = 'exec "$0" -c "$1"' + (" >&-" if closed == "from the start" else "")
-    words = ["sh", "-c", shell, sys.executable, code]
-    child = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=write, stderr=subprocess.PIPE)
-    os.close(write)
-    if closed == "later":
-        os.close(read)
-    _, said = child.communicate(b"\n")
-    if closed != "later":
-        os.close(read)
-    assert said.decode() == str(closed != "never")

@@ -83,35 +83,37 @@ def test_given_a_key_of_a_later_version_then_it_is_passed_over_but_in_an_order()
     record = {"event": "beat", "at": NOW.isoformat(), "level_db": None, "colour": 1}
     beat = from_record(_Beat, record)
     assert (beat.at, math.isnan(beat.level_db)) == (NOW, True)
-    with pytest.raises(MessageError, match="colour is not known; allowed: at, level_db"):
+    with pytest.raises(MessageError, match="unknown field `colour`"):
         from_record(_Order, {"order": "rest", "at": NOW.isoformat(), "colour": 1})
 
 
 def test_given_an_order_without_a_figure_then_it_is_refused() -> None:
-    with pytest.raises(MessageError, match="level_db is None; allowed: a finite number"):
+    with pytest.raises(MessageError, match="level_db: Expected `float`"):
         from_record(_Order, {"order": "rest", "at": NOW.isoformat(), "level_db": None})
 
 
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [
-        ({}, "at is missing"),
-        ({"at": 3}, "at is 3; allowed: an instant"),
-        ({"at": NOW.isoformat(), "count": True}, "count is True; allowed: a whole number"),
-        ({"at": NOW.isoformat(), "level_db": 10**400}, "allowed: a finite number"),
-        ({"at": NOW.isoformat(), "level_db": "1"}, "level_db is '1'"),
+        ({}, "missing required field `at`"),
+        ({"at": 3}, "at: Expected `datetime`"),
+        ({"at": NOW.isoformat(), "count": True}, "count: Expected `int`"),
+        ({"at": NOW.isoformat(), "level_db": 10**400}, "level_db: Expected a finite number"),
+        ({"at": NOW.isoformat(), "level_db": "1"}, "level_db: Expected a number"),
     ],
 )
-def test_given_a_wrong_value_then_key_and_value_are_named(content: dict[str, object], sentence: str) -> None:
+def test_given_a_wrong_value_then_its_key_is_named_and_what_is_expected(
+    content: dict[str, object], sentence: str
+) -> None:
     with pytest.raises(MessageError, match=sentence):
         from_record(_Beat, content)
 
 
 def test_given_nested_and_chosen_values_then_they_are_checked_too() -> None:
     channel = {"rms_v": 1, "peak_v": 1, "offset_v": 0, "range_v": 10, "over_range": 0}
-    with pytest.raises(MessageError, match="over_range is 0; allowed: true, false"):
+    with pytest.raises(MessageError, match=r"reference\.over_range: Expected `bool`"):
         from_record(LevelMeasured, {"reference": channel, "response": channel})
-    with pytest.raises(MessageError, match="instrument is 'laser'; allowed: mirror, recorder, player"):
+    with pytest.raises(MessageError, match="instrument: Invalid enum value 'laser'"):
         from_record(Reconnect, {"order": "reconnect", "instrument": "laser"})
 
 

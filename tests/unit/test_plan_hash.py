@@ -11,8 +11,9 @@ import pytest
 from pydantic import BaseModel
 
 import wavefocus as wf
+from wavefocus.config.emulation import Emulation
 from wavefocus.config.fields import DERIVED, FREE, KEPT, Positive, Table, plan_mark
-from wavefocus.config.rig import Emulation, RigConfig
+from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import RunConfig, Sweep
 from wavefocus.configuration import Configuration, plan_differences, plan_sha256
 

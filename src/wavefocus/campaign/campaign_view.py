@@ -30,7 +30,7 @@ from wavefocus.config.messages.campaign import (
 from wavefocus.console import Report, finish_clock, say
 
 # What a person at the terminal asked for, or must see; recovery and the end have lines of their own.
-_TOLD = frozenset({State.PAUSING, State.PAUSED, State.SUSPENDED, State.STOPPING})
+_SHOWN_STATES = frozenset({State.PAUSING, State.PAUSED, State.SUSPENDED, State.STOPPING})
 
 _WAITING = frozenset({State.PAUSED, State.SUSPENDED, State.RECOVERING})
 
@@ -90,7 +90,7 @@ class CampaignView:
             self._show_bar(str(event.state))
         elif former in _WAITING and event.state is State.RUNNING:
             self._show_bar(self._left)
-        if event.state in _TOLD or (event.state is State.RUNNING and former in _TOLD):
+        if event.state in _SHOWN_STATES or (event.state is State.RUNNING and former in _SHOWN_STATES):
             say(sentence(event) + ("; wavefocus resume, or stop" if event.state is State.PAUSED else ""))
 
 

@@ -7,7 +7,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -45,18 +44,6 @@ SCANNED_EVERY = 4
 _MARKER = "made-by-wavefocus-demo"
 
 
-@dataclass
-class _Stopwatch:
-    parts: list[tuple[str, float]] = field(default_factory=list)
-
-    def time(self, name: str, work: Callable[[], object]) -> None:
-        """Announce a part, do it and note how long it took."""
-        people().rule(name, align="left")
-        started_s = time.monotonic()
-        work()
-        self.parts.append((name, time.monotonic() - started_s))
-
-
 def demo(out: Path, *, quick: bool = False, force: bool = False) -> Exit:
     """Capture, kill half-way, resume, check, render, predict, verify; all files in a folder of its own.
 
@@ -66,42 +53,38 @@ def demo(out: Path, *, quick: bool = False, force: bool = False) -> Exit:
     if plate == "stadium" and find_spec("skfem") is None:
         raise InputError("demo: needs scikit-fem, pip install 'wavefocus[plates]'; --quick does without")
     _prepare(out, force=force)
-    run, bank, scene = out / "run.toml", out / "plate.h5", out / "scene.toml"
-    drive, report = out / "drive.h5", out / "verify" / "report.html"
-    watch = _Stopwatch()
-    watch.time("Configuration", lambda: _configure(out, plate, quick=quick))
-    watch.time("Compute the plate, or read it from the cache", lambda: _rig(run))
-    watch.time("Plan", lambda: plan.plan(run, as_json=False))
-    watch.time("Capture, until the power is cut half-way", lambda: _capture_and_kill(run, bank))
-    watch.time("What the bank says after the power cut", lambda: status.status(bank, as_json=False))
-    watch.time("Resume from the bank alone", lambda: _resume(bank))
-    outcome: list[Exit] = []
-    watch.time("Check every row", lambda: outcome.append(check.check(bank, as_json=False)))
-    watch.time("Compare with the plate's truth", lambda: outcome.append(_compare(bank)))
-    watch.time(
-        "Render the scene",
-        lambda: rendering.render(
-            scene,
-            bank,
-            drive,
-            wav=out / "drive.wav",
-            picture=out / "scene.png",
-            rig_file=None,
-            options=RenderOptions(),
-            as_json=False,
-        ),
-    )
+    run, bank, scene, drive = out / "run.toml", out / "plate.h5", out / "scene.toml", out / "drive.h5"
     some = "0-9" if quick else "700-709"
-    watch.time(
-        "Predict ten positions of its field",
-        lambda: prediction.predict(drive, bank, out / "field.h5", some, as_json=False),
-    )
-    watch.time(
-        "Play it on the rig, scan it, compare",
-        lambda: outcome.append(_verify(scene, bank, out / "verify", 1 if quick else SCANNED_EVERY)),
-    )
-    _print_result(watch, report, bank)
-    return max(outcome)
+    pictures: dict[str, Any] = {"wav": out / "drive.wav", "picture": out / "scene.png", "rig_file": None}
+    steps: dict[str, Callable[[], object]] = {
+        "Configuration": lambda: _configure(out, plate, quick=quick),
+        "Compute the plate, or read it from the cache": lambda: _rig(run),
+        "Plan": lambda: plan.plan(run, as_json=False),
+        "Capture, until the power is cut half-way": lambda: _capture_and_kill(run, bank),
+        "What the bank says after the power cut": lambda: status.status(bank, as_json=False),
+        "Resume from the bank alone": lambda: _resume(bank),
+        "Check every row": lambda: check.check(bank, as_json=False),
+        "Compare with the plate's truth": lambda: _compare(bank),
+        "Render the scene": lambda: rendering.render(
+            scene, bank, drive, **pictures, options=RenderOptions(), as_json=False
+        ),
+        "Predict ten positions of its field": lambda: prediction.predict(
+            drive, bank, out / "field.h5", some, as_json=False
+        ),
+        "Play it on the rig, scan it, compare": lambda: _verify(
+            scene, bank, out / "verify", 1 if quick else SCANNED_EVERY
+        ),
+    }
+    worst, begun_s = Exit.DONE, time.monotonic()
+    for name, work in steps.items():
+        people().rule(name, align="left")
+        started_s = time.monotonic()
+        outcome = work()
+        worst = max(worst, outcome) if isinstance(outcome, Exit) else worst
+        say(f"{time.monotonic() - started_s:.1f} s")
+    people().rule(f"Done in {time.monotonic() - begun_s:.1f} s", align="left")
+    say(f"open {out / 'verify' / 'report.html'} in a browser; wavefocus gui {bank} shows the bank")
+    return worst
 
 
 def _configure(out: Path, plate: str, *, quick: bool) -> None:
@@ -173,19 +156,6 @@ def _verify(scene: Path, bank: Path, out: Path, every: int) -> Exit:
         needed = scan_rows("path", load_scene(scene), view.position_mm, scene) or ()
         rows = sorted({*needed, *range(0, view.positions, every)})
     return verification.verify(scene, bank, Path("virtual"), out, ",".join(map(str, rows)), as_json=False)
-
-
-def _print_result(watch: _Stopwatch, report: Path, bank: Path) -> None:
-    """Times, and what to open."""
-    people().rule("Done", align="left")
-    from rich.table import Table
-
-    table = Table(box=None, show_header=False, pad_edge=False)
-    for name, seconds in watch.parts:
-        table.add_row(name, f"{seconds:6.1f} s")
-    table.add_row("Together", f"{sum(seconds for _, seconds in watch.parts):6.1f} s")
-    people().print(table)
-    say(f"open {report} in a browser; wavefocus gui {bank} shows the bank")
 
 
 # Bounds memory to some 20 MB.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
@@ -84,7 +84,6 @@ def _begin(ready: LiveReady, session: LiveSession, messages: Messages, receiver:
         finally:
             session.stop()  # its starter is gone, or wants it to end
 
-    messages.on_gone = session.stop
     threading.Thread(target=read, name="orders", daemon=True).start()
     if receiver is not None:
         receiver.start(receive)
@@ -96,16 +95,12 @@ def _raise_all() -> None:
 
 
 class Messages:
-    """Writes messages from a thread of its own: JSON lines on standard output, or sentences on standard error.
-
-    on_gone: Called when nobody reads standard output any more.
-    """
+    """Writes messages from a thread of its own: JSON lines on standard output, or sentences on standard error."""
 
     def __init__(self, *, as_json: bool) -> None:
         self._queue: queue.Queue[Message | None] = queue.Queue(MAX_MESSAGES)
         self._lines = LinesOut() if as_json else None
         self._second, self._refusals = 0, 0
-        self.on_gone: Callable[[], object] = lambda: None
 
     def __call__(self, message: Message) -> None:
         """Give a message, from any thread; never waits."""
@@ -132,13 +127,10 @@ class Messages:
 
     def _write(self) -> None:
         while (message := self._queue.get()) is not None:
-            if self._lines is None:
-                if line := _sentence(message):
-                    say(line)
-                continue
-            self._lines(message)
-            if self._lines.gone:
-                self.on_gone()
+            if self._lines is not None:
+                self._lines(message)
+            elif line := _sentence(message):
+                say(line)
 
 
 def _sentence(message: Message) -> str:

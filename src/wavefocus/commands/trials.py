@@ -14,7 +14,6 @@ from wavefocus.campaign.blueprint import bank_configuration
 from wavefocus.config.messages.codec import Message, tag
 from wavefocus.config.messages.trials import ORDERS, EndTrials, Preparing, TrialsEnded
 from wavefocus.config.rig import RigConfig
-from wavefocus.config.run import RunConfig
 from wavefocus.console import progress, say, working_on
 from wavefocus.ending import ending_at_once, interrupt
 from wavefocus.exits import Exit
@@ -30,7 +29,7 @@ from wavefocus.trials.resuming import Experiment, resume_sequence
 from wavefocus.trials.session import TrialsSession
 from wavefocus.trials.stimuli import Prepared, prepare
 
-# So often it is looked whether anybody still reads, while no order comes.
+# A wait without an end cannot be broken off by Ctrl-C on Windows.
 _LOOKS_EVERY_S = 1.0
 
 
@@ -68,7 +67,7 @@ def trials(
         assert rig is not None  # one that is named is there
         if fast and not rig.is_virtual:
             raise InputError(f"{rig_file}: --fast is for a virtual rig")
-        masking = _masking(design, rig)
+        _masking(design, rig)  # refused before anything is rendered
         if line is None:
             prepared = _prepared(design, view, rig, out, lambda done, of: None, anew=not answers.rows)
         else:
@@ -84,60 +83,47 @@ def trials(
             return Exit.DONE
         resume_sequence(experiment, participant, answers.rows)
         write_facts(out, _facts(design, view, rig, prepared))
-        run = None if view.rig_json is None or view.run_json is None else bank_configuration(view).run
-        work = _Work(experiment, prepared, rig, run, masking, view.sample_rate_hz, answers, participant, fast=fast)
-        return work.run(line)
+        return _carried_out(line, experiment, prepared, view, rig, answers, participant, fast=fast)
 
 
-class _Work:
-    """A session on the instruments, by JSON lines."""
+def _carried_out(
+    line: _Line,
+    experiment: Experiment,
+    prepared: Prepared,
+    bank: Bank,
+    rig: RigConfig,
+    answers: AnswersFile,
+    participant: str,
+    *,
+    fast: bool,
+) -> Exit:
+    """Carry out a session on the instruments, by JSON lines."""
+    run = None if bank.rig_json is None or bank.run_json is None else bank_configuration(bank).run
+    design, masking = experiment.design, _masking(experiment.design, rig)
+    outputs = 0 if masking is None else masking.output + 1
+    complete, session = False, None
 
-    def __init__(
-        self,
-        experiment: Experiment,
-        prepared: Prepared,
-        rig: RigConfig,
-        run: RunConfig | None,
-        masking: Masking | None,
-        rate_hz: float,
-        answers: AnswersFile,
-        participant: str,
-        *,
-        fast: bool,
-    ) -> None:
-        self._experiment, self._prepared, self._rig, self._run = experiment, prepared, rig, run
-        self._masking, self._rate_hz, self._answers, self._participant = masking, rate_hz, answers, participant
-        self._fast = fast
+    def sound(name: str) -> Sound:
+        return sound_of(prepared, name, design.stimuli[name].plays)
 
-    def run(self, line: _Line) -> Exit:
-        outputs = 0 if self._masking is None else self._masking.output + 1
-        complete, session = False, None
-        try:
-            with (
-                ending_at_once(),
-                open_setup(self._rig, self._run, realtime=not self._fast, outputs=outputs) as setup,
-            ):
-                table = self._experiment.design.config.trials
-                line.presenter = RigPresenter(setup, self._sound, self._rate_hz, table.pause_s, self._masking)
-                session = TrialsSession(
-                    self._experiment, self._participant, self._answers, line, line, line.publish, hurried=self._fast
-                )
-                complete = session.run()
-        except KeyboardInterrupt:
-            pass
-        finally:
-            if session is not None:
-                line.publish(TrialsEnded(session.done, session.of, complete))
-        if session is None:
-            say("stopped by the user; the outputs are muted")
-            return Exit.STOPPED
-        of = "" if session.of is None else f" of {session.of}"
-        where = f"participant {self._participant}: {session.done}{of} trials are answered"
-        say(f"{where}; the outputs are muted" + ("" if complete else "; the same command resumes"))
-        return Exit.DONE if complete else Exit.STOPPED
-
-    def _sound(self, name: str) -> Sound:
-        return sound_of(self._prepared, name, self._experiment.design.stimuli[name].plays)
+    try:
+        with ending_at_once(), open_setup(rig, run, realtime=not fast, outputs=outputs) as setup:
+            pause_s = design.config.trials.pause_s
+            line.presenter = RigPresenter(setup, sound, float(bank.sample_rate_hz), pause_s, masking)
+            session = TrialsSession(experiment, participant, answers, line, line, line.publish, hurried=fast)
+            complete = session.run()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        if session is not None:
+            line.publish(TrialsEnded(session.done, session.of, complete))
+    if session is None:
+        say("stopped by the user; the outputs are muted")
+        return Exit.STOPPED
+    of = "" if session.of is None else f" of {session.of}"
+    where = f"participant {participant}: {session.done}{of} trials are answered"
+    say(f"{where}; the outputs are muted" + ("" if complete else "; the same command resumes"))
+    return Exit.DONE if complete else Exit.STOPPED
 
 
 def sound_of(prepared: Prepared, name: str, plays: int) -> Sound:
@@ -182,8 +168,8 @@ class _Line:
         self.publish(Preparing(done, of))
 
     def next(self, timeout_s: float | None) -> Message | None:
-        """The next order, as of `wavefocus.trials.session.Orders`; None, too, when nobody reads the events any more."""
-        while not self.publish.gone:
+        """The next order, as of `wavefocus.trials.session.Orders`."""
+        while True:
             try:
                 content = self._lines.next(_LOOKS_EVERY_S if timeout_s is None else timeout_s)
             except TimeoutError:
@@ -191,7 +177,6 @@ class _Line:
                     raise
                 continue
             return None if content is None else read_order(content, ORDERS)
-        return None
 
     def present(self, stimulus: str, trial: int, note: Callable[[str], object]) -> Onset:
         """Present a stimulus; breakable."""

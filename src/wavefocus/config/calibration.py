@@ -136,11 +136,11 @@ def with_calibration(data: dict[str, Any]) -> dict[str, Any]:
 
     Raises PydanticCustomError: A contradiction.
     """
-    care = data.get("calibration")
-    if not isinstance(care, dict) or care.get("measured") is None:
+    section = data.get("calibration")
+    if not isinstance(section, dict) or section.get("measured") is None:
         return data
     try:
-        record = CalibrationRecord.model_validate(care["measured"])
+        record = CalibrationRecord.model_validate(section["measured"])
     except ValidationError:  # reported at its own place
         return data
     mirror, recorder, player = (data.get(name, {}) for name in ("mirror", "recorder", "player"))

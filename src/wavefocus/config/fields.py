@@ -139,7 +139,7 @@ def tables_of(model: type[BaseModel], path: str = "") -> list[type[BaseModel]]:
     models = [model]
     for name in path.split(".") if path else ():
         fields = {key: field for table in models for key, field in table.model_fields.items()}
-        models = list(_models(fields[name].annotation)) if name in fields else []
+        models = list(models_in(fields[name].annotation)) if name in fields else []
     return models
 
 
@@ -193,11 +193,12 @@ def toml_value(value: object) -> str:
     return repr(value)
 
 
-def _models(annotation: Any) -> Iterator[type[BaseModel]]:
+def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    """The tables that a type is made of."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for part in get_args(annotation):
-        yield from _models(part)
+        yield from models_in(part)
 
 
 def choices_of(field: FieldInfo) -> list[str]:

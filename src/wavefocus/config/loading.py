@@ -6,17 +6,16 @@ import difflib
 import json
 import re
 import tomllib
-import types
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
+from typing import Any, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from wavefocus.config.fields import KEPT
+from wavefocus.config.fields import KEPT, models_in
 from wavefocus.config.file_kinds import hdf5_kind, other_kind
 from wavefocus.config.retired import KEYS, refused
 from wavefocus.storage.errors import InputError
@@ -283,7 +282,7 @@ def _known_keys(model: type[BaseModel], steps: Sequence[int | str], data: object
     if guess:
         return f"did you mean {guess}?"
     for name, field in model.model_fields.items():
-        for candidate in _models(field.annotation):
+        for candidate in models_in(field.annotation):
             if key in candidate.model_fields and candidate is not table:
                 several = get_origin(field.annotation) is tuple
                 return f"it belongs to [[{name}]]" if several else f"it belongs to [{name}]"
@@ -314,7 +313,7 @@ def _table_at(model: type[BaseModel], steps: Sequence[int | str], data: object) 
         data = data[step] if isinstance(data, Mapping | list | tuple) else None  # type: ignore[index]
         if isinstance(step, str) and table is not None:
             field = table.model_fields.get(step)
-            candidates = list(_models(field.annotation)) if field else []
+            candidates = list(models_in(field.annotation)) if field else []
         table = _of_kind(candidates, data)
     return table
 
@@ -324,11 +323,3 @@ def _of_kind(candidates: Sequence[type[BaseModel]], data: object) -> type[BaseMo
         return candidates[0]
     kind = data.get("kind") if isinstance(data, Mapping) else None
     return next((table for table in candidates if kind in get_args(table.model_fields["kind"].annotation)), None)
-
-
-def _models(annotation: Any) -> Iterator[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    elif get_origin(annotation) in (tuple, list, Union, types.UnionType, Annotated):
-        for inner in get_args(annotation):
-            yield from _models(inner)

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from wavefocus.config.emulation import Emulation, strength
 from wavefocus.config.plate import plate_of
-from wavefocus.config.rig import Emulation, RigConfig, strength
+from wavefocus.config.rig import RigConfig
 from wavefocus.config.run import Virtual
 from wavefocus.mocks.virtual.faults import RigFault
 from wavefocus.mocks.virtual.rig import VirtualRig

@@ -24,7 +24,7 @@ from wavefocus.rig.operation import SAMPLE_RATE_HZ, Operation, faulted, order_of
 from wavefocus.rig.setup import BoundedSensor, LightSensor, open_rig, setup_in_use
 from wavefocus.storage.errors import InputError
 
-# So often it is looked whether anybody still reads, while no order comes.
+# A wait without an end cannot be broken off by Ctrl-C on Windows.
 _LOOKS_EVERY_S = 1.0
 # Longest wait for a mute; a driver that hangs is not waited for.
 _MUTES_WITHIN_S = 5.0
@@ -85,7 +85,7 @@ def _carry_out(operation: Operation, player: BoundedPlayer, rig: RigConfig, publ
             mute()
 
     orders.start(overtake, on_error=mute)
-    while not publish.gone:
+    while True:
         operation.look()
         due_s = operation.due_s()
         try:

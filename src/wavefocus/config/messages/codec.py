@@ -6,11 +6,8 @@ import json
 import math
 import numbers
 from collections.abc import Iterable, Mapping
-from dataclasses import is_dataclass
 from datetime import datetime
-from enum import Enum
-from types import NoneType, UnionType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import msgspec
 from msgspec import Meta, Struct
@@ -76,7 +73,9 @@ def from_record(kind: type[Content], record: Mapping[str, object]) -> Content:
     try:
         return msgspec.convert(record, kind, dec_hook=_number)
     except msgspec.ValidationError as wrong:
-        raise _wrong_key(kind, record) or MessageError(str(wrong)) from None
+        what, _, where = str(wrong).partition(" - at `$")
+        place = where.strip(".`")
+        raise MessageError(f"{place}: {what}" if place else what) from None
 
 
 def message_of(record: Mapping[str, object], kinds: Iterable[type[AnyMessage]]) -> AnyMessage | None:
@@ -95,11 +94,11 @@ def _number(kind: type, value: object) -> float:
     if value is None:
         return math.nan
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(value)
+        raise ValueError("Expected a number")
     try:
         return float(value)
     except OverflowError:
-        raise ValueError(value) from None
+        raise ValueError("Expected a finite number") from None
 
 
 def _builtin(value: object) -> object:
@@ -121,53 +120,3 @@ def _json_ready(value: Any) -> Any:
         case datetime():
             return value.isoformat()
     return value
-
-
-def _wrong_key(kind: Any, record: Mapping[str, object]) -> MessageError | None:
-    """The first key that is wrong, and what is allowed."""
-    form, types = msgspec.inspect.type_info(kind), get_type_hints(kind, include_extras=True)
-    required = {field.name: field.required for field in form.fields}  # type: ignore[attr-defined]
-    if getattr(form, "forbid_unknown_fields", False):
-        for key in record:
-            if key not in required and key != form.tag_field:  # type: ignore[attr-defined]
-                return MessageError(f"{key} is not known; allowed: {', '.join(required) or 'none'}")
-    for key, needed in required.items():
-        if key not in record:
-            if needed:
-                return MessageError(f"{key} is missing")
-            continue
-        if wrong := _wrong_value(types[key], record[key], key):
-            return wrong
-    return None
-
-
-def _wrong_value(kind: Any, value: object, key: str) -> MessageError | None:
-    try:
-        msgspec.convert(value, kind, dec_hook=_number)
-    except msgspec.ValidationError:
-        inner = [part for part in get_args(kind) if part is not NoneType] or [kind]
-        if isinstance(value, Mapping) and (is_dataclass(inner[0]) or hasattr(inner[0], "__struct_fields__")):
-            return _wrong_key(inner[0], value)
-        in_list = get_origin(kind) is tuple and isinstance(value, list | tuple)
-        within = (_wrong_value(inner[0], part, key) for part in value) if in_list else ()  # type: ignore[attr-defined]
-        return next(filter(None, within), None) or MessageError(f"{key} is {value!r}; allowed: {_allowed(kind)}")
-    return None
-
-
-_WORDS = {int: "a whole number", str: "text", bool: "true, false", Instant: "an instant with a time zone"}
-
-
-def _allowed(kind: Any) -> str:
-    """What values of a type are, in words."""
-    parts = [part for part in get_args(kind) if part is not NoneType]
-    if kind in _WORDS:
-        return _WORDS[kind]
-    if kind in (float, numbers.Real):
-        return "a finite number"
-    if get_origin(kind) is Literal:
-        return ", ".join(map(str, parts))
-    if get_origin(kind) in (Union, UnionType):
-        return _allowed(parts[0])
-    if isinstance(kind, type) and issubclass(kind, Enum):
-        return ", ".join(str(member.value) for member in kind)
-    return "a list" if get_origin(kind) is tuple else "an object"
