@@ -26,11 +26,6 @@ class Argument(NamedTuple):
     names: tuple[str, ...]
     settings: Mapping[str, Any]
 
-    @property
-    def is_option(self) -> bool:
-        """Whether it begins with dashes."""
-        return self.names[0].startswith("-")
-
 
 class Command(NamedTuple):
     """One command.

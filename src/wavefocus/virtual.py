@@ -28,7 +28,7 @@ from wavefocus.drivers.errors import InstrumentError
 from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.mocks.virtual.settings import rim_places
 from wavefocus.rig import virtual_bench
-from wavefocus.rig.instruments import openers
+from wavefocus.rig.instruments import openers_of
 from wavefocus.rig.setup import open_rig
 from wavefocus.storage.argument_types import Positions, bank_row, bank_rows, checked, real_array
 from wavefocus.storage.bank.reading import Bank, open_bank
@@ -220,7 +220,7 @@ class VirtualBench:
     @cached_property
     def _setup(self) -> Setup:
         rig = self.configuration.rig
-        return open_rig(rig, openers(rig, self.configuration.run.virtual))
+        return open_rig(rig, openers_of(rig, self.configuration.run.virtual))
 
     @cached_property
     def _plate(self) -> VirtualRig:

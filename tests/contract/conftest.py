@@ -29,7 +29,7 @@ from wavefocus.mocks.wire.emulated_rig import EmulatedRig
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial
 from wavefocus.mocks.wire.mirrors import mirror_device
 from wavefocus.mocks.wire.ni_server import NiServer
-from wavefocus.rig.instruments import Openers, openers
+from wavefocus.rig.instruments import Openers, openers_of
 from wavefocus.rig.virtual_bench import virtual_settings
 
 Taken = TypeVar("Taken")
@@ -41,24 +41,24 @@ PERIOD_FRAMES = 4096
 class OpenedWhenUsed:
     """The instruments of a rig, each opened when a test first names it: a mirror's test needs no audio server."""
 
-    def __init__(self, ways: Openers) -> None:
-        self._ways = ways
+    def __init__(self, openers: Openers) -> None:
+        self._openers = openers
 
     @property
     def clock(self) -> Clock:
-        return self._ways.clock
+        return self._openers.clock
 
     @cached_property
     def mirror(self) -> Mirror:
-        return self._ways.mirror()
+        return self._openers.mirror()
 
     @cached_property
     def recorder(self) -> Recorder:
-        return self._ways.recorder()
+        return self._openers.recorder()
 
     @cached_property
     def player(self) -> Player:
-        return self._ways.player()
+        return self._openers.player()
 
     def rest(self) -> None:
         """Leave nothing under way for the next test, and open anew what this one has closed."""
@@ -106,7 +106,7 @@ class Bench:
 def bench_of(rig: RigConfig, latency_s: float) -> Bench:
     limit_mrad = rig.mirror.limit_mrad
     return Bench(
-        instruments=OpenedWhenUsed(openers(rig)),
+        instruments=OpenedWhenUsed(openers_of(rig)),
         reachable_mrad=(min(40.0, limit_mrad / 4), -min(25.0, limit_mrad / 6)),
         unreachable_mrad=(2000.0, 0.0),
         settle_timeout_s=max(1.0, 10 * rig.mirror.settle_s),

@@ -16,7 +16,7 @@ from wavefocus.config.rig import RigConfig
 from wavefocus.drivers.errors import InstrumentError
 from wavefocus.mocks.wire.emulated_serial import EmulatedSerial, TcpWire
 from wavefocus.mocks.wire.vibrometer import PolytecDevice
-from wavefocus.rig.instruments import openers
+from wavefocus.rig.instruments import openers_of
 
 
 @pytest.fixture
@@ -78,19 +78,19 @@ def with_vibrometer(port: str, **more: object) -> RigConfig:
 def test_given_a_vibrometer_that_can_be_asked_then_its_sensitivity_is_its_own(
     vibrometer: EmulatedSerial, configured: dict[str, float]
 ) -> None:
-    found = openers(with_vibrometer(vibrometer.address, **configured)).vibrometer()
+    found = openers_of(with_vibrometer(vibrometer.address, **configured)).vibrometer()
     assert found.sensitivity_m_s_per_v == pytest.approx(0.025)
     assert "OFV-5000 Vibrometer Controller, VD-09" in found.identity
     assert found.signal_level == pytest.approx(600 / 775)
 
 
 def test_given_two_sensitivities_that_differ_then_the_rig_is_refused(vibrometer: EmulatedSerial) -> None:
-    ways = openers(with_vibrometer(vibrometer.address, sensitivity_m_s_per_v=0.125))
+    openers = openers_of(with_vibrometer(vibrometer.address, sensitivity_m_s_per_v=0.125))
     with pytest.raises(InstrumentError, match=r"it is set to 25mm/s/V, the rig file says 0\.125 m/s per V") as told:
-        ways.vibrometer()
+        openers.vibrometer()
     assert "correct vibrometer.sensitivity_m_s_per_v" in told.value.remedy
 
 
 def test_given_too_little_light_then_the_vibrometer_is_refused(vibrometer: EmulatedSerial) -> None:
     with pytest.raises(InstrumentError, match="focus the laser"):
-        openers(with_vibrometer(vibrometer.address, least_signal_level=0.9)).vibrometer()
+        openers_of(with_vibrometer(vibrometer.address, least_signal_level=0.9)).vibrometer()

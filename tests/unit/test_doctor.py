@@ -19,9 +19,9 @@ from wavefocus.mocks.virtual.rig import RigFault, VirtualRig, VirtualSettings
 
 
 def examined(
-    bench: VirtualRig, rig: dict[str, object] | None = None, *, play: bool = True, **ways: object
+    bench: VirtualRig, rig: dict[str, object] | None = None, *, play: bool = True, **openers: object
 ) -> list[Finding]:
-    """RigFindings about a bench; `rig` has tables of its rig file, `ways` other openers."""
+    """RigFindings about a bench; `rig` has tables of its rig file, `openers` other openers."""
     roles = bench.instruments
     sound = Openers(
         clock=roles.clock,
@@ -32,7 +32,7 @@ def examined(
         limit_s=60.0,
     )
     findings: list[Finding] = []
-    examine(RigConfig.model_validate(rig or {}), replace(sound, **ways), findings.append, play=play)
+    examine(RigConfig.model_validate(rig or {}), replace(sound, **openers), findings.append, play=play)
     return findings
 
 

@@ -13,7 +13,7 @@ from wavefocus.config.rig import RigConfig, default_rig
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.protocols import Mirror, Recorder
 from wavefocus.mocks.virtual.mirror import VirtualMirror
-from wavefocus.rig.instruments import open_instruments, openers
+from wavefocus.rig.instruments import open_instruments, openers_of
 
 REAL = {
     "mirror": {"driver": "generic", "port": "/nowhere/at/all"},
@@ -30,19 +30,19 @@ def absent(name: str) -> Callable[[], Mirror]:
 
 
 def test_given_the_virtual_rig_then_its_instruments_and_its_cables_are_there() -> None:
-    ways = openers(default_rig())
-    assert ways.connect is not None
-    opened, vibrometer = open_instruments(ways)
+    openers = openers_of(default_rig())
+    assert openers.connect is not None
+    opened, vibrometer = open_instruments(openers)
     assert vibrometer.sensitivity_m_s_per_v == 0.125
     assert opened.player.channels == 21
 
 
 @pytest.mark.parametrize("missing", ["vibrometer", "mirror", "recorder", "player"])
 def test_given_one_that_cannot_be_opened_then_those_before_it_are_released(missing: str) -> None:
-    ways = openers(default_rig())
+    openers = openers_of(default_rig())
     roles = ("mirror", "recorder", "player")
-    before = {name: getattr(ways, name)() for name in roles}
-    broken: Openers = replace(ways, **{missing: absent(missing)})
+    before = {name: getattr(openers, name)() for name in roles}
+    broken: Openers = replace(openers, **{missing: absent(missing)})
     with pytest.raises(InstrumentError, match=f"{missing}: opening: it is not there; plug it in"):
         open_instruments(broken)
     opened_before = () if missing == "vibrometer" else roles[: roles.index(missing)]
@@ -56,21 +56,21 @@ def test_given_one_that_cannot_be_opened_then_those_before_it_are_released(missi
 
 def test_given_a_mirror_opened_and_nothing_else_then_it_is_parked_before_it_is_released() -> None:
     rig = RigConfig.model_validate({"emulation": {"seed": 2}})
-    ways = openers(rig)
-    mirror = ways.mirror()
+    openers = openers_of(rig)
+    mirror = openers.mirror()
     mirror.move_to(10.0, 10.0)
     with pytest.raises(InstrumentError):
-        open_instruments(replace(ways, recorder=absent("recorder")))
-    later_ns = round((ways.clock.now_s() + 1) * 1e9)
+        open_instruments(replace(openers, recorder=absent("recorder")))
+    later_ns = round((openers.clock.now_s() + 1) * 1e9)
     assert isinstance(mirror, VirtualMirror)
     assert mirror.motion.aims(later_ns, later_ns + 1) == [(later_ns, rig.mirror.park_mrad)]
 
 
 @pytest.mark.parametrize("role", ["mirror", "recorder", "player"])
 def test_given_a_real_rig_with_nothing_plugged_in_then_each_opener_says_who_what_why_and_what_to_do(role: str) -> None:
-    ways = openers(RigConfig.model_validate(REAL))
+    openers = openers_of(RigConfig.model_validate(REAL))
     with pytest.raises(InstrumentError) as told:
-        getattr(ways, role)()
+        getattr(openers, role)()
     error = told.value
     assert role in error.instrument
     assert all(text.strip() for text in (error.operation, error.cause, error.remedy))
@@ -83,7 +83,7 @@ def test_given_a_driver_that_hangs_while_it_is_opened_then_it_is_named_and_nothi
         opened.append("recorder")
         raise AssertionError
 
-    ways = replace(openers(default_rig()), mirror=lambda: threading.Event().wait(), recorder=note, limit_s=0.05)
+    openers = replace(openers_of(default_rig()), mirror=lambda: threading.Event().wait(), recorder=note, limit_s=0.05)
     with pytest.raises(InstrumentLostError, match=r"mirror: opening: the call did not come back within 0\.05 s"):
-        open_instruments(ways)
+        open_instruments(openers)
     assert opened == []

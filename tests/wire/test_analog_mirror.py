@@ -21,7 +21,7 @@ from wavefocus.drivers.registry import MirrorSettings
 from wavefocus.mocks.virtual.mirror import MirrorMotion
 from wavefocus.mocks.wire.analog_scanner import AnalogScanner
 from wavefocus.mocks.wire.ni_server import NiServer
-from wavefocus.rig.instruments import openers
+from wavefocus.rig.instruments import openers_of
 from wavefocus.storage.errors import InputError
 
 PARK_MRAD = (-190.0, -190.0)
@@ -136,9 +136,9 @@ def rig(tmp_path: Path, scanner: Scanner) -> RigConfig:
 def test_given_the_recorder_is_connected_again_then_the_mirror_stays_where_it_is(
     scanner: Scanner, tmp_path: Path
 ) -> None:
-    ways = openers(rig(tmp_path, scanner))
+    openers = openers_of(rig(tmp_path, scanner))
     with ExitStack() as opened:
-        mirror, recorder = ways.mirror(), ways.recorder()
+        mirror, recorder = openers.mirror(), openers.recorder()
         opened.callback(mirror.close)
         opened.callback(recorder.close)
         mirror.move_to(30.0, -20.0)

@@ -218,8 +218,8 @@ def test_given_a_rig_file_without_an_address_then_the_library_is_loaded_in_a_pro
     rig_file.write_text(RIG, encoding="utf-8")
     script = """
 from wavefocus.configuration import load_rig
-from wavefocus.rig.instruments import openers
-recorder = openers(load_rig(Path(os.environ["RIG_FILE"]))).recorder()
+from wavefocus.rig.instruments import openers_of
+recorder = openers_of(load_rig(Path(os.environ["RIG_FILE"]))).recorder()
 assert recorder.identify().startswith("NI USB-6001")
 assert "nidaqmx" not in sys.modules
 recorder.close()

@@ -27,7 +27,7 @@ from wavefocus.mocks.virtual.rig import VirtualRig
 from wavefocus.mocks.virtual.shutter import VirtualShutter
 from wavefocus.mocks.wire.faults import WireFault
 from wavefocus.mocks.wire.ni_server import NiServer
-from wavefocus.rig.instruments import openers
+from wavefocus.rig.instruments import openers_of
 from wavefocus.rig.shutter_check import shutter_findings
 from wavefocus.storage.errors import InputError
 
@@ -58,7 +58,7 @@ def rig(folder: Path, address: str, **keys: object) -> RigConfig:
 
 
 def mirror_of(opened: ExitStack, config: RigConfig) -> BoundedMirror:
-    mirror = openers(config).mirror()
+    mirror = openers_of(config).mirror()
     opened.callback(mirror.close)
     return BoundedMirror(mirror, 20.0)
 
@@ -193,8 +193,8 @@ def test_given_a_real_shutter_in_a_virtual_rig_then_the_rig_file_is_refused(tmp_
     with pytest.raises(InputError, match=r"shutter\.driver"):
         load_rig(rig_file)
     rig_file.write_text('[shutter]\ndriver = "virtual"\n')
-    ways = openers(load_rig(rig_file))
-    mirror = ways.mirror()
+    openers = openers_of(load_rig(rig_file))
+    mirror = openers.mirror()
     assert "shutter" in mirror.identify()
     mirror.close()
 
@@ -204,8 +204,8 @@ import sys
 from pathlib import Path
 from wavefocus.configuration import load_rig
 from wavefocus.drivers.errors import InstrumentLostError
-from wavefocus.rig.instruments import openers
-mirror = openers(load_rig(Path(sys.argv[1]))).mirror()
+from wavefocus.rig.instruments import openers_of
+mirror = openers_of(load_rig(Path(sys.argv[1]))).mirror()
 
 def point():
     mirror.move_to(10.0, 10.0)

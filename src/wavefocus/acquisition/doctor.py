@@ -157,15 +157,15 @@ class _Examination:
 
     def _open(self) -> VibrometerReading:
         """Open and identify; an instrument that fails is left out, and a vibrometer counts as one of 1 m/s per V."""
-        ways, findings = self._openers, self._findings
-        vibrometer = findings.ask("vibrometer", "opening", ways.vibrometer, OPEN_S)
+        openers, findings = self._openers, self._findings
+        vibrometer = findings.ask("vibrometer", "opening", openers.vibrometer, OPEN_S)
         if vibrometer is not None:
             words = f"{vibrometer.identity}, {vibrometer.sensitivity_m_s_per_v:g} m/s per V"
             findings.add("vibrometer", "identity", "ok", words)
             self._check_light(vibrometer.signal_level)
-        self._mirror = findings.ask("mirror", "opening", ways.mirror, OPEN_S)
-        self._recorder = findings.ask("recorder", "opening", ways.recorder, OPEN_S)
-        self._player = findings.ask("player", "opening", ways.player, OPEN_S)
+        self._mirror = findings.ask("mirror", "opening", openers.mirror, OPEN_S)
+        self._recorder = findings.ask("recorder", "opening", openers.recorder, OPEN_S)
+        self._player = findings.ask("player", "opening", openers.player, OPEN_S)
         for name, role in (("mirror", self._mirror), ("recorder", self._recorder), ("player", self._player)):
             sentence = None if role is None else findings.ask(name, "identity", role.identify, ANSWER_S)
             if role is not None and sentence is not None:

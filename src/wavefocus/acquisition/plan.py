@@ -215,7 +215,7 @@ def schedule_name(plan: Plan) -> str:
 def expect(plan: Plan, margins: RecordMargins, snr_db: float = ASSUMED_SNR_DB) -> Expectation:
     """Expect hours and errors of a plan under both models of noise.
 
-    rolls: How long a record is before and after its signal.
+    margins: How long a record is before and after its signal.
     snr_db: Response of one actuator by itself, while it sounds, over the noise from 0 to half the sample rate.
     """
     signal, excitation = plan.staggered, plan.excitation

@@ -57,9 +57,6 @@ from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.point_status import STATUS_WORDS, Status, not_valid
 
-RESUME_WAIT_S = 60.0
-"""Longest wait for a paused capture to go on: the sentinel is measured first, but the order is received before."""
-
 
 def capture(
     run_file: Path,

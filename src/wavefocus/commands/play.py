@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import math
 import tempfile
-import threading
 import time
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Iterable
+from contextlib import nullcontext
 from dataclasses import replace
+from itertools import repeat
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +20,7 @@ from wavefocus.config.messages.codec import to_line
 from wavefocus.config.messages.operate import DrivePlaying
 from wavefocus.config.rig import RigConfig
 from wavefocus.configuration import named_rig
-from wavefocus.console import Report, print_line, progress, say, working_on
-from wavefocus.drivers.protocols import Clock
+from wavefocus.console import print_line, progress, say, working_on
 from wavefocus.drivers.timeouts import BoundedPlayer
 from wavefocus.drives import naming
 from wavefocus.ending import ended_by_input, ending_at_once
@@ -34,13 +33,10 @@ from wavefocus.rendering.scene.model import Scene, load_scene
 from wavefocus.rig.limits import check_drive, interface_of, limited_words, rig_of, within
 from wavefocus.rig.setup import open_player
 from wavefocus.storage.bank.reading import Bank, open_bank
-from wavefocus.storage.drive_file import Drive, drive_pieces, read_drive
+from wavefocus.storage.drive_file import drive_pieces, read_drive
 from wavefocus.storage.errors import InputError
 from wavefocus.storage.units import PLAYED_UNITS
 
-# What the player's process holds is kept in memory whole, so that nothing but a play that fits is begun.
-MAX_BYTES = 4 * 2**30
-TELL_EVERY_S = 0.2
 # A play may take longer than its signal by the interface's latency and what opening a stream takes.
 LATE_S = 10.0
 
@@ -74,7 +70,7 @@ def play(
 def play_drive(
     drive_file: Path, rig_file: Path, *, loop: int, gain_db: float, as_json: bool, watched: bool = False
 ) -> Exit:
-    """Play a drive file as one finite signal, several times without a gap where asked for.
+    """Play a drive file, several times without a gap where asked for.
 
     Where it is `watched`, it ends when standard input closes, muted: its starter is gone, or wants it to end.
 
@@ -84,44 +80,26 @@ def play_drive(
     rig = named_rig(rig_file)
     drive = read_drive(drive_file)
     name_unverified(drive_file, verified=drive.verified)
-    if gain_db:
-        drive = replace(drive, drive_v=drive.drive_v * 10.0 ** (gain_db / 20.0))
-    actuators, samples = drive.drive_v.shape
+    drive_v = drive.drive_v * 10.0 ** (gain_db / 20.0)
+    actuators, samples = drive_v.shape
     if actuators != len(rig.player.channels):
         raise InputError(
             f"{drive_file} is for {actuators} actuators, {rig_file} has {len(rig.player.channels)}; render it from a"
             " bank of this rig"
         )
     remedy = "use --gain-db {gain_db}, or set output.limit_v and limit_rms_v in the scene and render again"
+    drive = replace(drive, drive_v=drive_v)
     check_drive(drive, rig.player, str(drive_file), remedy, repeated=loop > 1, gain_db=gain_db)
-    needed = _bytes_needed(drive, loop, rig)
-    if needed > MAX_BYTES:
-        raise InputError(
-            f"{drive_file}: {loop} times {samples / drive.sample_rate_hz:.4g} s on {actuators} actuators take"
-            f" {needed / 2**30:.3g} GiB at once, and {MAX_BYTES / 2**30:.3g} GiB are allowed: lower --loop, or play"
-            " the scene itself, with --bank: then it is rendered while it sounds"
-        )
-    seconds = loop * samples / drive.sample_rate_hz
-    peak_v = float(np.abs(drive.drive_v).max())
+    rate = InterfaceRate(drive.sample_rate_hz, rig.player.interface_rate_hz)
+    seconds, peak_v = loop * samples / drive.sample_rate_hz, float(np.abs(drive_v).max())
     try:
-        with ending_at_once(), ended_by_input() if watched else nullcontext(), open_player(rig) as (player, clock):
+        with ending_at_once(), ended_by_input() if watched else nullcontext(), open_player(rig) as player:
             times = f"{loop} times, " if loop > 1 else ""
-            memory = f"{needed / 2**20:.0f} MB of memory"
-            say(
-                f"{player.identify()}: {times}{hours(seconds)} on {actuators} actuators, at most {peak_v:.3g} V,"
-                f" {memory}"
-            )
+            say(f"{player.identify()}: {times}{hours(seconds)} on {actuators} actuators, at most {peak_v:.3g} V")
             if watched:
                 print_line(to_line(DrivePlaying(seconds)))
-            signals_v = {
-                channel: _repeated(volts, loop)
-                for channel, volts in zip(rig.player.channels, drive.drive_v, strict=True)
-            }
-            with progress("play", math.ceil(seconds), timed=False) as report:
-                player.play(signals_v, drive.sample_rate_hz)
-                with _progress_shown(report, clock, seconds):
-                    player.wait(1.1 * seconds + LATE_S)
-                report(math.ceil(seconds), math.ceil(seconds), "seconds")
+            pieces = rate.pieces(repeat(drive_v, loop), actuators, loop * samples, piece_samples(drive.sample_rate_hz))
+            _sounding(player, rig, pieces, seconds)
     except KeyboardInterrupt:
         say("stopped by the user; the outputs are muted")
         return Exit.STOPPED
@@ -132,39 +110,15 @@ def play_drive(
     return Exit.DONE
 
 
-def _bytes_needed(drive: Drive, loop: int, rig: RigConfig) -> int:
-    """Volts in float64, as they are here and as the player keeps them, and the interface's frames in float32, twice."""
-    actuators, samples = drive.drive_v.shape
-    frames = samples * rig.player.interface_rate_hz / drive.sample_rate_hz
-    return int(actuators * (8 * samples + loop * (2 * 8 * samples + 2 * 4 * frames)))
-
-
-def _repeated(volts: NDArray[np.float64], loop: int) -> NDArray[np.float64]:
-    return volts if loop == 1 else np.tile(volts, loop)
-
-
-@contextmanager
-def _progress_shown(report: Report, clock: Clock, seconds: float) -> Iterator[None]:
-    started_s, over = clock.now_s(), threading.Event()
-
-    def follow() -> None:
-        while not over.wait(TELL_EVERY_S):
-            played_s = min(clock.now_s() - started_s, seconds)
-            report(int(played_s), math.ceil(seconds), "seconds")
-
-    follower = threading.Thread(target=follow, name="play progress", daemon=True)
-    follower.start()
-    try:
-        yield
-    finally:
-        over.set()
-        follower.join()
-
-
 AHEAD_S = 2.0
 """So much is handed over before it sounds."""
 PIECES_AHEAD = 8
 MAX_PIECE_SAMPLES = 4096
+
+
+def piece_samples(rate_hz: float) -> int:
+    """Samples of drive that are handed over at a time."""
+    return max(1, min(MAX_PIECE_SAMPLES, round(AHEAD_S * rate_hz / PIECES_AHEAD)))
 
 
 def play_scene(
@@ -212,7 +166,6 @@ def _play(
     watched: bool,
 ) -> dict[str, object]:
     rate_hz = float(bank.sample_rate_hz)
-    block_samples = max(1, min(MAX_PIECE_SAMPLES, round(AHEAD_S * rate_hz / PIECES_AHEAD)))
     working_on("preparing the scene: its interpolation and quiet places")
     renderer = SceneRenderer(scene, bank, interface=interface_of(rig), gain=10.0 ** (gain_db / 20.0))
     working_on("")
@@ -229,13 +182,13 @@ def _play(
     if facts.limiting.decided_by is not None:
         say(limited_words(facts.limiting, rig_file))
     rate = InterfaceRate(rate_hz, rig.player.interface_rate_hz)
-    with drive_pieces(drive_file) as rendered, open_player(rig) as (player, _):
+    with drive_pieces(drive_file) as rendered, open_player(rig) as player:
         seconds = samples / rate_hz
         say(f"{player.identify()}: {hours(seconds)} on {actuators} actuators, at most {renderer.peak_v:.3g} V")
         if watched:
             print_line(to_line(DrivePlaying(seconds)))
         say(f"rendered in {prepared_s:.1f} s")
-        pieces = rate.pieces(rendered, actuators, samples, block_samples)
+        pieces = rate.pieces(rendered, actuators, samples, piece_samples(rate_hz))
         least_s = _sounding(player, rig, pieces, seconds)
     if least_s is not None:
         say(f"reading was never less than {1e3 * least_s:.0f} ms ahead of the sound")

@@ -34,23 +34,25 @@ class Fiducial(Table):
     residual_mm: NonNegative
 
 
-class MirrorMeasured(Table):
-    """The projective map H of ``(tan x, tan y, 1) ~ H (x_mm, y_mm, 1)``."""
+class PartMeasured(Table):
+    """When a part was measured, and on which device."""
 
     at: AwareDatetime
     device: Text
     identity: DeviceIdentity | None = None
+
+
+class MirrorMeasured(PartMeasured):
+    """The projective map H of ``(tan x, tan y, 1) ~ H (x_mm, y_mm, 1)``."""
+
     map: Matrix
     residual_rms_mm: NonNegative
     fiducial: Annotated[tuple[Fiducial, ...], Field(min_length=4, max_length=1000)]
 
 
-class InputsMeasured(Table):
+class InputsMeasured(PartMeasured):
     """How much later the response input is sampled than the reference input."""
 
-    at: AwareDatetime
-    device: Text
-    identity: DeviceIdentity | None = None
     inter_channel_delay_s: Annotated[Finite, Field(ge=-0.001, le=0.001)]
 
 
@@ -63,12 +65,9 @@ class OutputMeasured(Table):
     polarity: Polarity
 
 
-class OutputsMeasured(Table):
+class OutputsMeasured(PartMeasured):
     """The player's outputs, the loopback's own among them."""
 
-    at: AwareDatetime
-    device: Text
-    identity: DeviceIdentity | None = None
     loopback_channel: Index
     channel: Annotated[tuple[OutputMeasured, ...], Field(min_length=1, max_length=4096)]
 
@@ -91,12 +90,9 @@ class ActuatorMeasured(Table):
     verdict: Literal["good", "weak", "dead", "reversed", "unlike"]
 
 
-class ActuatorsMeasured(Table):
+class ActuatorsMeasured(PartMeasured):
     """The actuators, checked against each other."""
 
-    at: AwareDatetime
-    device: Text
-    identity: DeviceIdentity | None = None
     distance_mm: Positive
     actuator: Annotated[tuple[ActuatorMeasured, ...], Field(min_length=1, max_length=1024)]
 

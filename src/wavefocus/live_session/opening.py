@@ -105,7 +105,7 @@ def open_session(
                 SessionRecording(options.record, rate_hz=rate_hz, regularisation=regularisation, interpolation=finest)
             )
         on_loaded()
-        player, _ = opened.enter_context(open_player(rig, realtime=True))
+        player = opened.enter_context(open_player(rig, realtime=True))
         ahead_ms = AHEAD_MS if options.ahead_ms is None else options.ahead_ms
         session = LiveSession(
             engine,

@@ -10,7 +10,7 @@ from wavefocus.console import say
 from wavefocus.drivers.errors import InstrumentError, InstrumentLostError
 from wavefocus.drivers.protocols import Recorder
 from wavefocus.drivers.timeouts import BoundedRecorder, in_time
-from wavefocus.rig.instruments import openers
+from wavefocus.rig.instruments import openers_of
 from wavefocus.storage.bank.layout import BankHeader
 from wavefocus.storage.bank.writer import BankWriter
 from wavefocus.storage.errors import InputError
@@ -41,8 +41,10 @@ def with_stated_delay(header: BankHeader, rig: RigConfig) -> BankHeader:
 
 def _ask_recorder(rig: RigConfig, sample_rate_hz: float) -> float | None:
     """The delay that a recorder states, or the rig file's where they are alike; None where it states none."""
-    ways = openers(rig)
-    recorder = BoundedRecorder(in_time("recorder", "opening", ways.recorder, ways.limit_s), rig.recovery.hung_after_s)
+    openers = openers_of(rig)
+    recorder = BoundedRecorder(
+        in_time("recorder", "opening", openers.recorder, openers.limit_s), rig.recovery.hung_after_s
+    )
     try:
         device_s, stated_s = recorder.sampling_delay_s(sample_rate_hz), rig.recorder.inter_channel_delay_s
     finally:

@@ -50,7 +50,7 @@ from wavefocus.storage.errors import BankBusyError, InputError
 SAME_SENSITIVITY = 1e-3
 
 
-def openers(rig: RigConfig, virtual: Virtual | None = None, *, realtime: bool = False, outputs: int = 0) -> Openers:
+def openers_of(rig: RigConfig, virtual: Virtual | None = None, *, realtime: bool = False, outputs: int = 0) -> Openers:
     """Find the driver of each instrument; nothing is opened yet.
 
     realtime: A virtual rig's seconds last as long as the wall's; by default they take no time.
@@ -83,7 +83,7 @@ def openers(rig: RigConfig, virtual: Virtual | None = None, *, realtime: bool = 
     )
 
 
-def open_instruments(ways: Openers) -> tuple[Instruments, VibrometerReading]:
+def open_instruments(openers: Openers) -> tuple[Instruments, VibrometerReading]:
     """Open every instrument, one after the other; when one fails, those before it are shut down.
 
     Raises InstrumentError: an instrument cannot be opened, or its driver hangs meanwhile. Raises InputError: the
@@ -91,15 +91,15 @@ def open_instruments(ways: Openers) -> tuple[Instruments, VibrometerReading]:
     """
     require_address_space()
     with ExitStack() as opened:
-        vibrometer = in_time("vibrometer", "opening", ways.vibrometer, ways.limit_s)
-        mirror = in_time("mirror", "opening", ways.mirror, ways.limit_s)
+        vibrometer = in_time("vibrometer", "opening", openers.vibrometer, openers.limit_s)
+        mirror = in_time("mirror", "opening", openers.mirror, openers.limit_s)
         opened.callback(mirror.close)
         opened.callback(mirror.park)
-        recorder = in_time("recorder", "opening", ways.recorder, ways.limit_s)
+        recorder = in_time("recorder", "opening", openers.recorder, openers.limit_s)
         opened.callback(recorder.close)
-        player = in_time("player", "opening", ways.player, ways.limit_s)
+        player = in_time("player", "opening", openers.player, openers.limit_s)
         opened.pop_all()  # from here on the caller shuts them down
-    return Instruments(mirror, recorder, player, ways.clock), vibrometer
+    return Instruments(mirror, recorder, player, openers.clock), vibrometer
 
 
 def _mirror(rig: RigConfig, clock: Clock) -> Mirror:

@@ -16,12 +16,12 @@ from wavefocus.config.rig_instruments import VibrometerSection
 from wavefocus.config.run import RunConfig
 from wavefocus.console import say, working_on
 from wavefocus.drivers.errors import InstrumentError
-from wavefocus.drivers.protocols import Clock, Recorder
+from wavefocus.drivers.protocols import Recorder
 from wavefocus.drivers.registry import VibrometerReading
 from wavefocus.drivers.timeouts import BoundedPlayer, bounded, in_time
 from wavefocus.rig.calibration_validity import calibration_warnings
 from wavefocus.rig.input_delay import with_input_delay
-from wavefocus.rig.instruments import SAME_SENSITIVITY, open_instruments, openers, read_vibrometer
+from wavefocus.rig.instruments import SAME_SENSITIVITY, open_instruments, openers_of, read_vibrometer
 from wavefocus.storage.bank.writer import BankWriter
 
 
@@ -37,7 +37,7 @@ def open_setup(
     """Open the instruments of a rig; on the way out they are muted, parked and released.
 
     run: Says what a virtual rig is like; None for a flawless one.
-    realtime, outputs: See `wavefocus.rig.instruments.openers`.
+    realtime, outputs: See `wavefocus.rig.instruments.openers_of`.
     bank: The bank that is measured into, which decides on the delay between the inputs.
 
     Raises InstrumentError: an instrument cannot be opened, or could not be put to rest. Raises InputError: the recorder
@@ -45,9 +45,9 @@ def open_setup(
     """
     working_on("opening the instruments")
     virtual = None if run is None else run.virtual
-    ways = openers(rig, virtual, realtime=realtime, outputs=outputs)
+    openers = openers_of(rig, virtual, realtime=realtime, outputs=outputs)
     rate_hz = None if run is None else run.capture.sample_rate_hz
-    with setup_in_use(open_rig(rig, ways), rig, rate_hz, bank) as setup:
+    with setup_in_use(open_rig(rig, openers), rig, rate_hz, bank) as setup:
         working_on("")
         if rig.calibration.measured is not None:
             say(f"{rig.calibration.file}: {calibrated(rig.calibration.measured)}, in place of the rig file's")
@@ -71,16 +71,16 @@ def setup_in_use(
         yield setup if sample_rate_hz is None else with_input_delay(setup, rig, sample_rate_hz, bank)
 
 
-def open_rig(rig: RigConfig, ways: Openers) -> Setup:
+def open_rig(rig: RigConfig, openers: Openers) -> Setup:
     """Open every instrument of a rig, with its wiring, its calibration and what is watched.
 
     Raises InstrumentError, InputError: see `wavefocus.rig.instruments.open_instruments`.
     """
-    opened, vibrometer = open_instruments(ways)
+    opened, vibrometer = open_instruments(openers)
     setup = wired(rig, bounded(opened, rig.recovery.hung_after_s), vibrometer)
     return replace(
         setup,
-        watch=watch_of(rig, opened.recorder, vibrometer, ways.sensors),
+        watch=watch_of(rig, opened.recorder, vibrometer, openers.sensors),
         response_ranges_v=_response_ranges_v(rig, opened.recorder),
     )
 
@@ -93,15 +93,15 @@ def _response_ranges_v(rig: RigConfig, recorder: Recorder) -> tuple[float, ...]:
 
 
 @contextmanager
-def open_player(rig: RigConfig, *, realtime: bool = False) -> Iterator[tuple[BoundedPlayer, Clock]]:
-    """Open the interface alone, `realtime` as of `openers`; whatever happens, its outputs are muted and released.
+def open_player(rig: RigConfig, *, realtime: bool = False) -> Iterator[BoundedPlayer]:
+    """Open the interface alone, `realtime` as of `openers_of`; whatever happens, its outputs are muted and released.
 
     Raises InstrumentError: it cannot be opened, or could not be muted and released.
     """
-    ways = openers(rig, realtime=realtime)
-    player = BoundedPlayer(in_time("player", "opening", ways.player, ways.limit_s), rig.recovery.hung_after_s)
+    openers = openers_of(rig, realtime=realtime)
+    player = BoundedPlayer(in_time("player", "opening", openers.player, openers.limit_s), rig.recovery.hung_after_s)
     with shut_down(lambda: try_all(player.mute, player.close)):
-        yield player, ways.clock
+        yield player
 
 
 @contextmanager

@@ -2,8 +2,8 @@
 
 ============================  ==========================================================================
 `bank.reading`                `Bank`, `open_bank`: banks of this program and of others
-`bank.writer`, `bank.header`  `create_bank`, `BankWriter`, `BankHeader`; `bank.ledger` has `PointRecord`
-`raw.reading`, `raw.writer`   `open_raw`, `RawFile`; `create_raw`, `RawWriter`, `raw.header.RawHeader`
+`bank.writer`, `bank.layout`  `create_bank`, `BankWriter`, `BankHeader`; `bank.ledger` has `PointRecord`
+`raw.writer`, `raw.header`     `open_raw`, `RawFile`, `create_raw`, `RawWriter`; `RawHeader`
 `drive_file`, `field_file`    `Drive`, `read_drive`, `write_drive`; `Field`, `FieldRowReader`, ...
 `output_files`                `replacement`, `require_outputs`: results appear whole, and replace nothing
 `exchange`                    banks in the formats of other fields

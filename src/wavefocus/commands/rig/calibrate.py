@@ -23,7 +23,7 @@ from wavefocus.exits import Exit
 from wavefocus.json_lines import LinesIn, LinesOut
 from wavefocus.options import CalibrationOptions
 from wavefocus.rig.calibration_session import CalibrationSession, marks
-from wavefocus.rig.instruments import openers
+from wavefocus.rig.instruments import openers_of
 from wavefocus.rig.operation import SAMPLE_RATE_HZ, faulted
 from wavefocus.rig.operators import LinesOperator, TerminalOperator, forget_typed
 from wavefocus.rig.setup import open_rig, setup_in_use
@@ -48,9 +48,9 @@ def calibrate(
         lines(Begin(options.parts, marks(rig, options)[0]))
     with ending_at_once():
         try:
-            ways = openers(rig)
-            with setup_in_use(open_rig(rig, ways), rig, SAMPLE_RATE_HZ) as setup:
-                session.carry_out(setup, _operator(setup, lines), ways.connect)
+            openers = openers_of(rig)
+            with setup_in_use(open_rig(rig, openers), rig, SAMPLE_RATE_HZ) as setup:
+                session.carry_out(setup, _operator(setup, lines), openers.connect)
         except InstrumentError as failure:
             if lines is not None:
                 lines(faulted(failure))

@@ -30,7 +30,7 @@ from wavefocus.exits import Exit
 from wavefocus.rig.alive import alive_findings
 from wavefocus.rig.awake import awake_finding
 from wavefocus.rig.calibration_validity import calibration_warnings
-from wavefocus.rig.instruments import openers
+from wavefocus.rig.instruments import openers_of
 from wavefocus.rig.notifications import message_findings
 from wavefocus.rig.shutter_check import shutter_findings
 from wavefocus.storage.durable import is_network_mount
@@ -61,7 +61,7 @@ def doctor(
         _reset(rig, rig_file, reset_usb)
     folder = rig_file.resolve().parent
     findings: list[Finding] = []
-    ways = openers(rig) if record is None else _noting(openers(rig))
+    openers = openers_of(rig) if record is None else _noting(openers_of(rig))
     busy = people().status("examining") if sys.stderr.isatty() else nullcontext()
     with _recording(record, rig) as exchanges, busy as status:
         resettable = {one.role for one in rig.usb}
@@ -76,7 +76,7 @@ def doctor(
                 status.update(f"examining; {finding.instrument}: {finding.check}: {finding.verdict}")
 
         with ending_at_once():
-            identities = examine(rig, ways, publish, play=play)
+            identities = examine(rig, openers, publish, play=play)
             for finding in shutter_findings(rig):
                 publish(finding)
         check_surroundings(rig, folder, identities, publish)
@@ -118,13 +118,13 @@ def _recording(path: Path | None, rig: RigConfig) -> Iterator[ExchangeRecord | N
         yield exchanges
 
 
-def _noting(ways: Openers) -> Openers:
-    """The same ways to open instruments, with the calls of mirror, recorder and player noted."""
+def _noting(openers: Openers) -> Openers:
+    """The same openers, with the calls of mirror, recorder and player noted."""
     return dataclasses.replace(
-        ways,
-        mirror=lambda: noting_calls(ways.mirror(), "mirror"),
-        recorder=lambda: noting_calls(ways.recorder(), "recorder"),
-        player=lambda: noting_calls(ways.player(), "player"),
+        openers,
+        mirror=lambda: noting_calls(openers.mirror(), "mirror"),
+        recorder=lambda: noting_calls(openers.recorder(), "recorder"),
+        player=lambda: noting_calls(openers.player(), "player"),
     )
 
 

@@ -19,7 +19,7 @@ from wavefocus.drivers.timeouts import BoundedPlayer, CallThread, HungError
 from wavefocus.ending import ending_at_once
 from wavefocus.exits import Exit
 from wavefocus.json_lines import LinesIn, LinesOut, ReadingFailedError
-from wavefocus.rig.instruments import openers
+from wavefocus.rig.instruments import openers_of
 from wavefocus.rig.operation import SAMPLE_RATE_HZ, Operation, faulted, order_of
 from wavefocus.rig.setup import BoundedSensor, LightSensor, open_rig, setup_in_use
 from wavefocus.storage.errors import InputError
@@ -58,11 +58,11 @@ def operate(rig_file: Path) -> Exit:
 
 def _operate(rig: RigConfig, publish: LinesOut) -> None:
     """Open the rig, obey, and put it to rest however that ends."""
-    ways = openers(rig)
-    with setup_in_use(open_rig(rig, ways), rig, SAMPLE_RATE_HZ) as setup:
+    openers = openers_of(rig)
+    with setup_in_use(open_rig(rig, openers), rig, SAMPLE_RATE_HZ) as setup:
         player = setup.instruments.player
         assert isinstance(player, BoundedPlayer)  # as every player of a set-up
-        operation = Operation(rig, setup, player, _light(rig, ways.sensors), publish)
+        operation = Operation(rig, setup, player, _light(rig, openers.sensors), publish)
         operation.introduce()
         _carry_out(operation, player, rig, publish)
 
